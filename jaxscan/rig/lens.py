@@ -1,0 +1,153 @@
+"""Lens distortion in OpenCV's meaning, and its converged inverse.
+
+With (x, y) = (X/Z, Y/Z) and r² = x² + y² the distorted coordinates are (D. C. Brown 1966; OpenCV's `calib3d`)
+
+    x_d = x s(r²) + 2 p1 x y + p2 (r² + 2 x²)        s(r²) = (1 + k1 r² + k2 r⁴ + k3 r⁶)
+    y_d = y s(r²) + p1 (r² + 2 y²) + 2 p2 x y                / (1 + k4 r² + k5 r⁴ + k6 r⁶)
+
+The inverse has no closed form. It is found by Newton's method, run until it stands still, and differentiated by
+the implicit function theorem: from x_d = f(x, k) follows dx = f_x⁻¹ (dx_d − f_k dk), whatever the iterations did.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Coefficients = tuple[Float[Array, ""], ...]
+
+_MAX_NEWTON_STEPS = 30
+# The invertible range is looked for up to this radius: 84 degrees from the axis.
+_WIDEST_RADIUS = 10.0
+_RADIUS_SAMPLES = 512
+
+
+def radial_factor(radial: Coefficients, r2: Float[Array, "*any"]) -> Float[Array, "*any"]:
+    """s(r²)."""
+    factor = _horner(radial[:3], r2)
+    return factor / _horner(radial[3:], r2) if len(radial) > 3 else factor
+
+
+def _horner(coefficients: Coefficients, r2: Float[Array, "*any"]) -> Float[Array, "*any"]:
+    """1 + c1 r² + c2 r⁴ + …."""
+    total = jnp.ones_like(r2)
+    if coefficients:
+        tail = jnp.zeros_like(r2)
+        for c in reversed(coefficients):
+            tail = (tail + c) * r2
+        total = total + tail
+    return total
+
+
+def distort(radial: Coefficients, tangential: Coefficients, x: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Undistorted to distorted normalised coordinates."""
+    r2 = x @ x
+    distorted = x * radial_factor(radial, r2)
+    if tangential:
+        p1, p2 = tangential
+        xy = 2 * x[0] * x[1]
+        distorted = distorted + jnp.stack(
+            [p1 * xy + p2 * (r2 + 2 * x[0] ** 2), p1 * (r2 + 2 * x[1] ** 2) + p2 * xy]
+        )
+    return distorted
+
+
+def undistort(radial: Coefficients, tangential: Coefficients, xd: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Distorted to undistorted normalised coordinates; NaN outside the invertible range of the lens."""
+    if not radial and not tangential:
+        return xd
+    return _undistort((radial, tangential), xd)
+
+
+@jax.custom_jvp
+def _undistort(lens: tuple[Coefficients, Coefficients], xd: Float[Array, "2"]) -> Float[Array, "2"]:
+    radial, tangential = lens
+    x = xd * _radial_scale(radial, xd @ xd)
+    return _correct_tangential(radial, tangential, x, xd) if tangential else x
+
+
+@_undistort.defjvp
+def _undistort_jvp(primals: Any, tangents: Any) -> Any:
+    (radial, tangential), xd = primals
+    lens_dot, xd_dot = tangents
+    x = _undistort((radial, tangential), xd)
+    _, moved = jax.jvp(lambda lens: distort(*lens, x), ((radial, tangential),), (lens_dot,))
+    J = jax.jacfwd(lambda x: distort(radial, tangential, x))(x)
+    return x, _solve2(J, xd_dot - moved)
+
+
+def _solve2(J: Float[Array, "2 2"], b: Float[Array, "2"]) -> Float[Array, "2"]:
+    det = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
+    return jnp.stack([J[1, 1] * b[0] - J[0, 1] * b[1], J[0, 0] * b[1] - J[1, 0] * b[0]]) / det
+
+
+def invertible_radius(radial: Coefficients, dtype: Any) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Where the distorted radius r s(r²) stops growing: the undistorted radius there, and the distorted one.
+
+    A lens that never folds back within 84 degrees of its axis gets that radius.
+    """
+    r = jnp.linspace(0.0, _WIDEST_RADIUS, _RADIUS_SAMPLES, dtype=dtype) ** 2 / _WIDEST_RADIUS
+    rd = r * radial_factor(radial, r * r)
+    growing = jnp.cumprod(rd[1:] > rd[:-1])
+    last = growing.sum()
+    # The true turn lies within one sample of the last growing one; a parabola through three samples gives its height.
+    i = jnp.clip(last, 1, _RADIUS_SAMPLES - 2)
+    folds = last < _RADIUS_SAMPLES - 1
+    return jnp.where(folds, r[i + 1], r[-1]), jnp.where(folds, _parabola_top(r, rd, i), rd[last])
+
+
+def _parabola_top(r: Float[Array, "n"], f: Float[Array, "n"], i: Float[Array, ""]) -> Float[Array, ""]:
+    """Height of the parabola through the samples i − 1, i, i + 1."""
+    a, b, c = r[i - 1], r[i], r[i + 1]
+    left, right = (f[i] - f[i - 1]) / (b - a), (f[i + 1] - f[i]) / (c - b)
+    bend = (right - left) / (c - a)
+    slope = left + bend * (b - a)
+    return f[i] + jnp.where(bend < 0, slope**2 / (-4 * jnp.where(bend < 0, bend, -1.0)), 0.0)
+
+
+def _radial_scale(radial: Coefficients, rd2: Float[Array, ""]) -> Float[Array, ""]:
+    """The factor from distorted to undistorted coordinates of a radial lens: 1 / s(r²) at r s(r²) = r_d."""
+    if not radial:
+        return jnp.ones_like(rd2)
+    r_limit, rd_limit = invertible_radius(radial, rd2.dtype)
+    rd = jnp.sqrt(rd2)
+    inside = rd < rd_limit
+    target = jnp.where(inside, rd, 0.0)
+
+    def height(r: Float[Array, ""]) -> Float[Array, ""]:
+        return r * radial_factor(radial, r * r)
+
+    def newton(state: Any) -> Any:
+        r, _, n = state
+        value, slope = jax.jvp(height, (r,), (jnp.ones_like(r),))
+        safe = jnp.where(slope > 0, slope, 1.0)
+        new = jnp.clip(jnp.where(slope > 0, r - (value - target) / safe, 0.5 * r), 0.0, r_limit)
+        return new, jnp.abs(new - r), n + 1
+
+    tolerance = 4 * jnp.finfo(rd2.dtype).eps
+    start = (jnp.minimum(target, r_limit), jnp.full_like(rd2, jnp.inf), 0)
+    r, _, _ = jax.lax.while_loop(lambda s: (s[1] > tolerance * (1 + s[0])) & (s[2] < _MAX_NEWTON_STEPS), newton, start)
+    return jnp.where(inside, 1 / radial_factor(radial, r * r), jnp.nan)
+
+
+def _correct_tangential(
+    radial: Coefficients, tangential: Coefficients, x: Float[Array, "2"], xd: Float[Array, "2"]
+) -> Float[Array, "2"]:
+    """Newton in two dimensions from the radial solution to that of the whole lens."""
+
+    def f(x: Float[Array, "2"]) -> Float[Array, "2"]:
+        return distort(radial, tangential, x)
+
+    def newton(state: Any) -> Any:
+        x, _, n = state
+        step = _solve2(jax.jacfwd(f)(x), xd - f(x))
+        return x + step, jnp.abs(step).max(), n + 1
+
+    tolerance = 4 * jnp.finfo(x.dtype).eps
+    state = (x, jnp.full_like(x[0], jnp.inf), 0)
+    x, size, _ = jax.lax.while_loop(
+        lambda s: (s[1] > tolerance * (1 + jnp.abs(s[0]).max())) & (s[2] < _MAX_NEWTON_STEPS), newton, state
+    )
+    upright = jnp.linalg.det(jax.jacfwd(f)(x)) > 0
+    return jnp.where(upright & (size < jnp.sqrt(tolerance)), x, jnp.nan)

@@ -1,0 +1,25 @@
+"""The stage that moves object or board, by motor steps along a line."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+
+class Stage(eqx.Module):
+    """A linear stage.
+
+    Attributes:
+        per_step: what stands on the stage moves by this in the camera frame for one motor step (mm).
+    """
+
+    per_step: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
+
+    @staticmethod
+    def create(per_step: ArrayLike) -> "Stage":
+        """A stage from three numbers (mm for each motor step)."""
+        a, b, c = jnp.asarray(per_step, dtype=float)
+        return Stage((a, b, c))
+
+    def displacement(self, steps: Float[Array, "*any"]) -> Float[Array, "*any 3"]:
+        """How far the stage has moved its load at a motor step count (mm, camera frame)."""
+        return steps[..., None] * jnp.stack(self.per_step)

@@ -1,0 +1,49 @@
+"""The system: the rig together with everything else that its calibration has to find."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscan.geometry import Pose
+from jaxscan.rig.rig import Rig
+
+
+class BoardWarp(eqx.Module):
+    """How far a printed board bulges out of its plane (mrcal's model).
+
+    A board point with relative coordinates a, b in 0 … 1 along columns and rows stands at
+    z = 4 · x · a (1 − a) + 4 · y · b (1 − b).
+
+    Attributes:
+        x: bulge along the columns, mm.
+        y: bulge along the rows, mm.
+    """
+
+    x: Float[Array, ""]
+    y: Float[Array, ""]
+
+    def height(self, relative: Float[Array, "2"]) -> Float[Array, ""]:
+        """z at relative board coordinates (mm)."""
+        bulge = 4 * relative * (1 - relative)
+        return self.x * bulge[0] + self.y * bulge[1]
+
+
+class System(eqx.Module):
+    """What the joint solve refines, all of it.
+
+    Attributes:
+        rig: camera, lasers, stage: shared by all photographs.
+        boards: T_cam_board of each view, stacked (views, 3).
+        stages: T_cam_board of each stage sequence at motor step 0, stacked (sequences, 3).
+        warp: the board's shape, or None for a flat one.
+    """
+
+    rig: Rig
+    boards: Pose
+    stages: Pose
+    warp: BoardWarp | None = None
+
+    def stage_board(self, sequence: int, steps: Float[Array, ""]) -> Pose:
+        """T_cam_board of a stage sequence at a motor step count: one rotation, t₀ + n · per_step."""
+        moved = jnp.zeros(3) if self.rig.stage is None else self.rig.stage.displacement(steps)
+        return Pose(self.stages.rotation[sequence], self.stages.translation[sequence] + moved)

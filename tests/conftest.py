@@ -1,0 +1,18 @@
+"""What all tests share: where the real data are, and strict JAX."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real photographs and reference problems, which is not part of the repository."""
+    folder = os.environ.get("JAXSCAN_DATA")
+    if not folder:
+        pytest.skip("JAXSCAN_DATA is not set: it names the folder of real photographs and reference problems")
+    return Path(folder)
