@@ -1,6 +1,7 @@
 """What all tests share: where the real data are, and strict JAX."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -16,3 +17,10 @@ def data() -> Path:
     if not folder:
         pytest.skip("JAXSCAN_DATA is not set: it names the folder of real photographs and reference problems")
     return Path(folder)
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    """Float64 for one test; the others run in JAX's default precision."""
+    with jax.enable_x64(True):
+        yield

@@ -1,5 +1,6 @@
 """The camera: a pinhole with lens distortion, from points to pixels and from pixels to rays."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import equinox as eqx
@@ -40,11 +41,11 @@ class Camera(eqx.Module):
     @staticmethod
     def create(
         image_size: tuple[int, int],
-        focal: ArrayLike,
-        principal: ArrayLike,
+        focal: ArrayLike | Sequence[float],
+        principal: ArrayLike | Sequence[float],
         lens: str = "none",
-        radial: ArrayLike = (),
-        tangential: ArrayLike = (),
+        radial: ArrayLike | Sequence[float] = (),
+        tangential: ArrayLike | Sequence[float] = (),
     ) -> "Camera":
         """A camera from plain numbers, in JAX's present default precision.
 

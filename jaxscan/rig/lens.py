@@ -47,9 +47,7 @@ def distort(radial: Coefficients, tangential: Coefficients, x: Float[Array, "2"]
     if tangential:
         p1, p2 = tangential
         xy = 2 * x[0] * x[1]
-        distorted = distorted + jnp.stack(
-            [p1 * xy + p2 * (r2 + 2 * x[0] ** 2), p1 * (r2 + 2 * x[1] ** 2) + p2 * xy]
-        )
+        distorted = distorted + jnp.stack([p1 * xy + p2 * (r2 + 2 * x[0] ** 2), p1 * (r2 + 2 * x[1] ** 2) + p2 * xy])
     return distorted
 
 
@@ -72,7 +70,7 @@ def _undistort_jvp(primals: Any, tangents: Any) -> Any:
     (radial, tangential), xd = primals
     lens_dot, xd_dot = tangents
     x = _undistort((radial, tangential), xd)
-    _, moved = jax.jvp(lambda lens: distort(*lens, x), ((radial, tangential),), (lens_dot,))
+    _, moved = jax.jvp(lambda radial, tangential: distort(radial, tangential, x), (radial, tangential), lens_dot)
     J = jax.jacfwd(lambda x: distort(radial, tangential, x))(x)
     return x, _solve2(J, xd_dot - moved)
 

@@ -1,5 +1,7 @@
 """The sheet of laser light, as a plane in dual space."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -17,7 +19,7 @@ class LightPlane(eqx.Module):
     name: str = eqx.field(static=True, default="")
 
     @staticmethod
-    def create(omega: ArrayLike, name: str = "") -> "LightPlane":
+    def create(omega: ArrayLike | Sequence[float], name: str = "") -> "LightPlane":
         """A light plane from three numbers (1/mm)."""
         a, b, c = jnp.asarray(omega, dtype=float)
         return LightPlane((a, b, c), name)

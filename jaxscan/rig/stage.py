@@ -1,5 +1,7 @@
 """The stage that moves object or board, by motor steps along a line."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -15,11 +17,12 @@ class Stage(eqx.Module):
     per_step: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
 
     @staticmethod
-    def create(per_step: ArrayLike) -> "Stage":
+    def create(per_step: ArrayLike | Sequence[float]) -> "Stage":
         """A stage from three numbers (mm for each motor step)."""
         a, b, c = jnp.asarray(per_step, dtype=float)
         return Stage((a, b, c))
 
     def displacement(self, steps: Float[Array, "*any"]) -> Float[Array, "*any 3"]:
         """How far the stage has moved its load at a motor step count (mm, camera frame)."""
-        return steps[..., None] * jnp.stack(self.per_step)
+        along = jnp.stack(self.per_step)
+        return steps[..., None] * jnp.broadcast_to(along, (*steps.shape, 3))

@@ -1,0 +1,70 @@
+"""The commands of this repository, each doing its own set-up: `python3 dev.py --help`.
+
+Python 3.11 or later is all that has to be there. The first command makes the virtual environment `.venv` and installs
+into it the versions that `constraints.txt` pins.
+"""
+
+import argparse
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
+
+# command: what it needs installed, what it runs, what it is for
+COMMANDS = {
+    "demo": ("plots", ["jaxscan", "demo"], "simulate a scanner, calibrate it, scan a cup, compare with the truth"),
+    "test": ("dev", ["pytest"], "run the tests"),
+    "lint": ("dev", ["ruff", "check"], "check the style"),
+    "format": ("dev", ["ruff", "format"], "put the style right"),
+    "types": ("dev", ["pyright"], "check the types"),
+    "contract": ("dev", ["lint-imports"], "check which part imports which"),
+    "bench": ("dev", ["python", "-m", "benchmarks"], "run the benchmarks"),
+}
+
+
+def main() -> int:
+    """Set up what the command needs, then run it with the rest of the command line."""
+    parser = argparse.ArgumentParser(
+        description="Set up and run. What follows the command is handed on to it.",
+        epilog="\n".join(f"  {name:9} {words}" for name, (_, _, words) in COMMANDS.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("command", choices=COMMANDS)
+    args, rest = parser.parse_known_args()
+    extra, command, _ = COMMANDS[args.command]
+    if sys.version_info < (3, 11):
+        print(f"Python 3.11 or later is needed; this is {sys.version.split()[0]}", file=sys.stderr)
+        return 2
+    try:
+        set_up(extra)
+    except subprocess.CalledProcessError as error:
+        print(f"set-up failed: {' '.join(map(str, error.cmd))}", file=sys.stderr)
+        if not (BIN / "pip").exists():
+            print("Python's own venv is missing; on Debian: apt-get install python3-venv", file=sys.stderr)
+        return 1
+    return subprocess.run([BIN / command[0], *command[1:], *rest], cwd=ROOT).returncode
+
+
+def set_up(extra: str) -> None:
+    """Install the package with one of its extras, unless that was done for these very pins."""
+    pins = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt"))
+    done = VENV / f".installed-{extra}-{hashlib.sha256(pins).hexdigest()[:16]}"
+    if done.exists():
+        return
+    if not (BIN / "pip").exists():
+        subprocess.run([sys.executable, "-m", "venv", VENV], check=True)
+    print(f"setting up {VENV} (once; a few minutes with a slow network)", file=sys.stderr)
+    install = [BIN / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    subprocess.run(
+        [*install, "--constraint", "constraints.txt", "--editable", f".[{extra}]"], cwd=ROOT, check=True, stdout=2
+    )
+    done.touch()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

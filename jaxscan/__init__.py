@@ -1,0 +1,101 @@
+"""jaxscan: a differentiable calibration and reconstruction engine for laser line scanners.
+
+The names below are the public ones; the rest promises nothing. They are imported when they are first asked for, so that
+`jaxscan --help` does not wait for JAX.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxscan.calibration import Calibration, Observations, StageSequence, StripePoints, View, calibrate
+    from jaxscan.calibration.observe import observe
+    from jaxscan.errors import InputError, JaxscanError, ObservabilityError, SolveError
+    from jaxscan.files.cloud import Cloud, read_ply, write_ply
+    from jaxscan.files.rig_file import Covariance, RigFile, read_rig, write_rig
+    from jaxscan.files.scan import Scan, read_scan
+    from jaxscan.files.session import Session, read_session
+    from jaxscan.geometry import Pose
+    from jaxscan.images import Board
+    from jaxscan.reconstruction import RangeImage, reconstruct, write_points
+    from jaxscan.rig import Camera, LightPlane, Rig, Stage, System
+
+_HOME = {
+    "Calibration": "jaxscan.calibration",
+    "Observations": "jaxscan.calibration",
+    "StageSequence": "jaxscan.calibration",
+    "StripePoints": "jaxscan.calibration",
+    "View": "jaxscan.calibration",
+    "calibrate": "jaxscan.calibration",
+    "observe": "jaxscan.calibration.observe",
+    "InputError": "jaxscan.errors",
+    "JaxscanError": "jaxscan.errors",
+    "ObservabilityError": "jaxscan.errors",
+    "SolveError": "jaxscan.errors",
+    "Cloud": "jaxscan.files.cloud",
+    "read_ply": "jaxscan.files.cloud",
+    "write_ply": "jaxscan.files.cloud",
+    "Covariance": "jaxscan.files.rig_file",
+    "RigFile": "jaxscan.files.rig_file",
+    "read_rig": "jaxscan.files.rig_file",
+    "write_rig": "jaxscan.files.rig_file",
+    "Scan": "jaxscan.files.scan",
+    "read_scan": "jaxscan.files.scan",
+    "Session": "jaxscan.files.session",
+    "read_session": "jaxscan.files.session",
+    "Pose": "jaxscan.geometry",
+    "Board": "jaxscan.images",
+    "RangeImage": "jaxscan.reconstruction",
+    "reconstruct": "jaxscan.reconstruction",
+    "write_points": "jaxscan.reconstruction",
+    "Camera": "jaxscan.rig",
+    "LightPlane": "jaxscan.rig",
+    "Rig": "jaxscan.rig",
+    "Stage": "jaxscan.rig",
+    "System": "jaxscan.rig",
+}
+
+__all__ = [
+    "Board",
+    "Calibration",
+    "Camera",
+    "Cloud",
+    "Covariance",
+    "InputError",
+    "JaxscanError",
+    "LightPlane",
+    "ObservabilityError",
+    "Observations",
+    "Pose",
+    "RangeImage",
+    "Rig",
+    "RigFile",
+    "Scan",
+    "Session",
+    "SolveError",
+    "Stage",
+    "StageSequence",
+    "StripePoints",
+    "System",
+    "View",
+    "calibrate",
+    "observe",
+    "read_ply",
+    "read_rig",
+    "read_scan",
+    "read_session",
+    "reconstruct",
+    "write_ply",
+    "write_points",
+    "write_rig",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'jaxscan' has no attribute '{name}'")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

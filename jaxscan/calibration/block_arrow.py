@@ -1,0 +1,207 @@
+"""Linear algebra of least-squares problems whose normal equations have the shape of an arrow.
+
+The unknowns are a few *shared* ones s and many small *blocks* p_b; every residual depends on s and on at most one
+block. With J_s, J_b the columns of the Jacobian, the normal equations are
+
+    | U    W_1  W_2  … |   | δs  |     | g_s |         U = Σ J_sᵀ J_s     W_b = J_sᵀ J_b     V_b = J_bᵀ J_b
+    | W_1ᵀ V_1         |   | δp_1|  = −| g_1 |         g = Jᵀ r
+    | W_2ᵀ      V_2    |   | δp_2|     | g_2 |
+    |  …            …  |   |  …  |     |  …  |
+
+Eliminating the blocks leaves the Schur complement S = U − Σ W_b V_b⁻¹ W_bᵀ (D. C. Brown 1958; Triggs et al.,
+"Bundle adjustment", 2000), so a step costs time in proportion to the number of blocks.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class Arrow(eqx.Module):
+    """A vector of unknowns, or of residuals, in the shape of the problem.
+
+    Attributes:
+        shared: the shared unknowns, or the residuals that depend on these alone.
+        blocks: for each group of like blocks, (blocks, size): their unknowns, or their residuals.
+    """
+
+    shared: Float[Array, "shared"]
+    blocks: tuple[Float[Array, "blocks size"], ...]
+
+
+class Group(eqx.Module):
+    """The normal equations of one group of blocks.
+
+    Attributes:
+        V: J_bᵀ J_b of each block.
+        W: J_sᵀ J_b of each block.
+        g: J_bᵀ r of each block.
+    """
+
+    V: Float[Array, "blocks size size"]
+    W: Float[Array, "blocks shared size"]
+    g: Float[Array, "blocks size"]
+
+
+class NormalEquations(eqx.Module):
+    """Jᵀ J and Jᵀ r, by blocks.
+
+    Attributes:
+        U: Jᵀ J of the shared unknowns.
+        g: Jᵀ r of the shared unknowns.
+        groups: the groups of blocks.
+    """
+
+    U: Float[Array, "shared shared"]
+    g: Float[Array, "shared"]
+    groups: tuple[Group, ...]
+
+    @staticmethod
+    def create(jacobian: "Jacobian", residual: Arrow) -> "NormalEquations":
+        """From the Jacobian's columns and the residual."""
+        Js = jacobian.shared
+        U, g = Js.T @ Js, Js.T @ residual.shared
+        groups = []
+        for J, r in zip(jacobian.blocks, residual.blocks, strict=True):
+            n = Js.shape[1]
+            # One product of the whole [J_s J_b r] with itself for each block is faster than its parts.
+            columns = jnp.concatenate([J, r[..., None]], axis=-1)
+            square = jnp.einsum("bmi,bmj->bij", columns, columns)
+            U, g = U + square[:, :n, :n].sum(0), g + square[:, :n, -1].sum(0)
+            groups.append(Group(V=square[:, n:-1, n:-1], W=square[:, :n, n:-1], g=square[:, n:-1, -1]))
+        return NormalEquations(U, g, tuple(groups))
+
+    def damped_step(self, damping: Float[Array, ""]) -> Arrow:
+        """The step of Marquardt's damping, (JᵀJ + λ diag JᵀJ) δ = −Jᵀr; NaN where that is not positive definite."""
+        eliminated = [_eliminate(group, damping) for group in self.groups]
+        S = self._without_gaps() + damping * jnp.diag(jnp.diagonal(self.U)) - sum(e.schur for e in eliminated)
+        g = self.g - sum(e.gradient for e in eliminated)
+        scale = _scale(self.U)
+        factor = jnp.linalg.cholesky(scale[:, None] * S * scale[None])
+        step = -scale * jax.scipy.linalg.cho_solve((factor, True), scale * g)
+        return Arrow(step, tuple(-(e.own + e.coupling @ step) for e in eliminated))
+
+    def schur_complement(self) -> tuple[Float[Array, "shared shared"], Float[Array, "shared"], Float[Array, ""]]:
+        """S = U − Σ W V⁻¹ Wᵀ, its right-hand side g_s − Σ W V⁻¹ g, and Σ gᵀ V⁻¹ g."""
+        zero = jnp.zeros_like(self.U, shape=())
+        eliminated = [_eliminate(group, zero) for group in self.groups]
+        S = self._without_gaps() - sum(e.schur for e in eliminated)
+        g = self.g - sum(e.gradient for e in eliminated)
+        decrement = sum(((group.g * e.own).sum() for group, e in zip(self.groups, eliminated, strict=True)), zero)
+        return S, g, decrement
+
+    def _without_gaps(self) -> Float[Array, "shared shared"]:
+        """U with 1 on the diagonal of every shared unknown that no residual depends on, which so stays where it is."""
+        return self.U + jnp.diag(jnp.where(jnp.diagonal(self.U) > 0, 0.0, 1.0).astype(self.U.dtype))
+
+    def decrement(self) -> Float[Array, ""]:
+        """gᵀ (JᵀJ)⁻¹ g: how much ‖r‖² would fall by a full Gauss-Newton step, along what the data determine.
+
+        Residuals in units of their own σ make this the squared distance from the minimum in standard deviations.
+        """
+        S, g, own = self.schur_complement()
+        scale = _scale(self.U)
+        values, vectors = jnp.linalg.eigh(scale[:, None] * S * scale[None])
+        # Below this an eigenvalue is rounding: the direction is not determined, and no step along it is wanted.
+        determined = values > 1e3 * jnp.finfo(values.dtype).eps
+        along = vectors.T @ (scale * g)
+        return own + jnp.where(determined, along**2 / jnp.where(determined, values, 1.0), 0.0).sum()
+
+
+class _Eliminated(eqx.Module):
+    """What a group leaves behind: V⁻¹ g, V⁻¹ Wᵀ, Σ W V⁻¹ Wᵀ and Σ W V⁻¹ g."""
+
+    own: Float[Array, "blocks size"]
+    coupling: Float[Array, "blocks size shared"]
+    schur: Float[Array, "shared shared"]
+    gradient: Float[Array, "shared"]
+
+
+def _eliminate(group: Group, damping: Float[Array, ""]) -> _Eliminated:
+    right = jnp.concatenate([group.g[..., None], jnp.swapaxes(group.W, -1, -2)], axis=-1)
+    solved = solve_blocks(group.V, right, damping)
+    own, coupling = solved[..., 0], solved[..., 1:]
+    both = jnp.einsum("bsi,bij->sj", group.W, solved)
+    return _Eliminated(own, coupling, both[:, 1:], both[:, 0])
+
+
+def solve_blocks(
+    V: Float[Array, "blocks size size"], right: Float[Array, "blocks size columns"], damping: Float[Array, ""]
+) -> Float[Array, "blocks size columns"]:
+    """(V_b + λ diag V_b)⁻¹ times a right-hand side for each block.
+
+    An unknown on which no residual depends (a padded block) stays where it is. Gauss-Jordan elimination, which needs no
+    pivoting on a positive definite matrix, runs over the few columns of a block and over all blocks at once: LAPACK,
+    called for each small matrix, is slower by an order of magnitude.
+    """
+    size = V.shape[-1]
+    diagonal = jnp.diagonal(V, axis1=-2, axis2=-1)
+    unused = diagonal <= 0
+    scale = jax.lax.rsqrt(jnp.where(unused, 1.0, diagonal))
+    unit = scale[..., :, None] * V * scale[..., None, :]
+    added = jnp.where(unused, 1.0, damping)
+    augmented = jnp.concatenate(
+        [unit + added[..., None] * jnp.eye(size, dtype=V.dtype)[None], scale[..., None] * right], -1
+    )
+
+    def eliminate(j: int, M: Float[Array, "size columns blocks"]) -> Float[Array, "size columns blocks"]:
+        row = jax.lax.dynamic_index_in_dim(M, j, 0, keepdims=False)
+        row = row / jax.lax.dynamic_index_in_dim(row, j, 0)
+        M = M - jax.lax.dynamic_index_in_dim(M, j, 1) * row[None]
+        return jax.lax.dynamic_update_index_in_dim(M, row, j, 0)
+
+    # Blocks last: the long axis is then the one that vectorises.
+    solved = jax.lax.fori_loop(0, size, eliminate, jnp.transpose(augmented, (1, 2, 0)))
+    return scale[..., None] * jnp.transpose(solved[:, size:], (2, 0, 1))
+
+
+def _scale(U: Float[Array, "n n"]) -> Float[Array, "n"]:
+    """1 / √diagonal: what gives a normal matrix a unit diagonal."""
+    diagonal = jnp.diagonal(U)
+    return jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+
+
+class Jacobian(eqx.Module):
+    """The Jacobian's columns: those of the shared unknowns, then for every block [J_s J_b].
+
+    Attributes:
+        shared: of the residuals that depend on shared unknowns alone.
+        blocks: for each group (blocks, residuals, shared + size).
+    """
+
+    shared: Float[Array, "residuals shared"]
+    blocks: tuple[Float[Array, "blocks residuals columns"], ...]
+
+
+def jacobian_columns(product: Callable[[Arrow], Arrow], like: Arrow) -> Jacobian:
+    """All columns from n_shared + size Jacobian-vector products.
+
+    A block's columns touch that block's residuals alone, so one product serves all blocks of all groups at once.
+
+    Args:
+        product: the Jacobian-vector product.
+        like: the unknowns, for their shapes.
+    """
+    n = like.shared.size
+    size = max((block.shape[1] for block in like.blocks), default=0)
+    shared = jnp.eye(n, n + size, dtype=like.shared.dtype).T
+    unit = jnp.eye(size, dtype=like.shared.dtype)
+    blocks = tuple(
+        jnp.concatenate(
+            [
+                jnp.zeros((n, *block.shape), block.dtype),
+                jnp.broadcast_to(unit[:, None, : block.shape[1]], (size, *block.shape)),
+            ]
+        )
+        for block in like.blocks
+    )
+    columns: Arrow = jax.vmap(product, out_axes=-1)(Arrow(shared, blocks))
+    return Jacobian(
+        shared=columns.shared[..., :n],
+        blocks=tuple(
+            column[..., : n + block.shape[1]] for column, block in zip(columns.blocks, like.blocks, strict=True)
+        ),
+    )

@@ -1,0 +1,75 @@
+"""From observations, photograph by photograph, to padded arrays of one shape: what the solve compiles for."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.observations import Observations, StageSequence, View
+from jaxscan.calibration.residuals import Blocks
+
+
+def bucket(count: int) -> int:
+    """The next size of a coarse series: a few more views or stripe points do not compile anew. Wastes at most 1/4."""
+    if count <= 8:
+        return count
+    unit = 1 << (count.bit_length() - 3)
+    return -(-count // unit) * unit
+
+
+def view_blocks(observations: Observations) -> Blocks:
+    """The views, one block each."""
+    return _pack(observations, [([view], np.zeros(1)) for view in observations.views])
+
+
+def stage_blocks(observations: Observations) -> Blocks:
+    """The stage sequences, one block each, with steps relative to each sequence's reference."""
+    return _pack(observations, [(stage.views, stage.steps - reference_step(stage)) for stage in observations.stages])
+
+
+def reference_step(stage: StageSequence) -> float:
+    """The step count about which a sequence is fitted: its mean, where t₀ and per_step are least entangled."""
+    return float(np.mean(stage.steps))
+
+
+def _pack(observations: Observations, boards: Sequence[tuple[Sequence[View], Float[np.ndarray, "images"]]]) -> Blocks:
+    points = observations.board.points()
+    each = len(points)
+    extent = np.ptp(points[:, :2], axis=0)
+    relative = (points[:, :2] - points[:, :2].min(axis=0)) / np.where(extent > 0, extent, 1.0)
+    n_blocks = bucket(len(boards)) if boards else 0
+    n_corners = each * bucket(max((len(views) for views, _ in boards), default=0))
+    stripes = [[s for view in views for s in view.stripes] for views, _ in boards]
+    n_stripe = bucket(max((sum(len(s.pixels) for s in seen) for seen in stripes), default=0))
+
+    corners = np.full((n_blocks, n_corners, 2), np.nan)
+    weights = np.zeros((n_blocks, n_corners))
+    steps = np.zeros((n_blocks, n_corners))
+    stripe = np.full((n_blocks, n_stripe, 2), np.nan)
+    columns = np.ones((n_blocks, n_stripe), bool)
+    laser = np.zeros((n_blocks, n_stripe), np.int32)
+    for b, (views, counts) in enumerate(boards):
+        for i, (view, count) in enumerate(zip(views, counts, strict=True)):
+            here = slice(i * each, (i + 1) * each)
+            corners[b, here] = view.corners
+            weights[b, here] = view.used() if view.weights is None else np.where(view.used(), view.weights, 0.0)
+            steps[b, here] = count
+        at = 0
+        for seen in stripes[b]:
+            here = slice(at, at + len(seen.pixels))
+            stripe[b, here], columns[b, here], laser[b, here] = seen.pixels, seen.columns, seen.laser
+            at = here.stop
+    images = n_corners // each
+    return Blocks(
+        points=jnp.asarray(np.broadcast_to(np.tile(points, (images, 1)), (n_blocks, n_corners, 3))),
+        relative=jnp.asarray(np.broadcast_to(np.tile(relative, (images, 1)), (n_blocks, n_corners, 2))),
+        corners=jnp.asarray(corners),
+        weights=jnp.asarray(weights),
+        corner_used=jnp.asarray(weights > 0),
+        steps=jnp.asarray(steps),
+        stripe=jnp.asarray(stripe),
+        stripe_used=jnp.asarray(np.isfinite(stripe).all(axis=-1)),
+        stripe_columns=jnp.asarray(columns),
+        stripe_laser=jnp.asarray(laser),
+    )

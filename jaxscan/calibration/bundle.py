@@ -1,0 +1,106 @@
+"""The joint solve: camera, lens, light planes, stage and every board pose from all residuals at once."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxscan.calibration.block_arrow import Arrow, Jacobian, jacobian_columns
+from jaxscan.calibration.levenberg_marquardt import BlockArrowLevenbergMarquardt
+from jaxscan.calibration.residuals import Blocks, Noise, block_residuals
+from jaxscan.rig import BoardWarp, Rig
+
+MAX_STEPS = 200
+# A step that would move the estimate by less than 1e-6 of its standard deviation is not taken.
+_NEGLIGIBLE = 1e-12
+
+# Rig and board warp: what all residuals share.
+Shared = tuple[Rig, BoardWarp | None]
+
+
+class Estimate(eqx.Module):
+    """Shared parameters and board poses.
+
+    Attributes:
+        shared: rig and board warp.
+        poses: for each group (blocks, 6): rotation vector, translation.
+    """
+
+    shared: Shared
+    poses: tuple[Float[Array, "blocks 6"], ...]
+
+
+class Outcome(eqx.Module):
+    """Where a solve ended.
+
+    Attributes:
+        estimate: the refined parameters.
+        cost: ½‖r‖² there, dimensionless.
+        steps: number of evaluations.
+        result: why it stopped.
+    """
+
+    estimate: Estimate
+    cost: Float[Array, ""]
+    steps: Int[Array, ""]
+    result: optx.RESULTS
+
+
+def as_arrow(
+    estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blocks, ...], noise: Noise
+) -> tuple[Arrow, Callable[[Arrow], Estimate], Callable[[Arrow], Arrow]]:
+    """The problem in the shape of an arrow.
+
+    A held parameter is read from where the estimate had it, so that its column of the Jacobian is zero. Which ones are
+    held is data, not structure: another choice does not compile anew.
+
+    Returns:
+        The unknowns, the way back to an estimate, and the residual as a function of the unknowns.
+    """
+    start, unravel = ravel_pytree(estimate.shared)
+
+    def back(y: Arrow) -> Estimate:
+        return Estimate(unravel(jnp.where(free, y.shared, start)), y.blocks)
+
+    def residual(y: Arrow) -> Arrow:
+        (rig, warp), poses = back(y).shared, y.blocks
+        blocks = tuple(
+            jax.vmap(lambda pose, block: block_residuals(rig, warp, pose, block, noise))(pose, group)
+            for pose, group in zip(poses, groups, strict=True)
+        )
+        return Arrow(jnp.zeros(0, y.shared.dtype), blocks)
+
+    return Arrow(start, estimate.poses), back, residual
+
+
+@eqx.filter_jit
+def solve(estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blocks, ...], noise: Noise) -> Outcome:
+    """Refine the free parameters and all poses by Levenberg-Marquardt.
+
+    Args:
+        estimate: where to start.
+        free: which leaves of `estimate.shared` are refined, in their order.
+        groups: the observations.
+        noise: σ and robustness.
+    """
+    y0, back, residual = as_arrow(estimate, free, groups, noise)
+    solution = optx.least_squares(
+        lambda y, _: residual(y),
+        BlockArrowLevenbergMarquardt(negligible=_NEGLIGIBLE),
+        y0,
+        max_steps=MAX_STEPS,
+        throw=False,
+    )
+    final = solution.state.f_info.residual
+    cost = 0.5 * sum(((block**2).sum() for block in final.blocks), jnp.zeros((), y0.shared.dtype))
+    return Outcome(back(solution.value), cost, solution.stats["num_steps"], solution.result)
+
+
+def linearise(residual: Callable[[Arrow], Arrow], y: Arrow) -> tuple[Arrow, Jacobian]:
+    """Residual and Jacobian at y."""
+    value, product = jax.linearize(residual, y)
+    return value, jacobian_columns(product, y)

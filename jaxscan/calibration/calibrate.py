@@ -1,0 +1,252 @@
+"""`calibrate`: from observations to a rig with its covariance."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float
+
+from jaxscan.calibration import initial
+from jaxscan.calibration.blocks import bucket, reference_step, stage_blocks, view_blocks
+from jaxscan.calibration.bundle import MAX_STEPS, Estimate
+from jaxscan.calibration.observability import undetermined
+from jaxscan.calibration.observations import Observations, View
+from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
+from jaxscan.calibration.residuals import Blocks, Noise
+from jaxscan.calibration.result import Calibration, assemble
+from jaxscan.calibration.rounds import Refined, refine
+from jaxscan.errors import InputError, ObservabilityError, SolveError
+from jaxscan.geometry import matrix_to_vector
+from jaxscan.precision import as_float64, float64
+from jaxscan.rig import BoardWarp, Camera, LightPlane, Rig, Stage
+from jaxscan.rig.rig import parameter_names
+
+_FEWEST_CORNERS = 6
+_FEWEST_VIEWS = 3
+_FEWEST_STRIPES = 2
+_FEWEST_STRIPE_POINTS = 10
+_FEWEST_STAGE_IMAGES = 2
+# A light plane to hold while none is known: across the view, half a metre away.
+_NO_PLANE_YET = (0.0, 0.0, 0.002)
+
+
+def calibrate(
+    observations: Observations,
+    *,
+    lens: str = "radial1",
+    principal_point: str = "free",
+    start: Camera | None = None,
+    hold: Sequence[str] = (),
+    board_warp: bool = False,
+    reject: bool = True,
+) -> Calibration:
+    """Refine camera, lens, light planes, stage and all board poses together.
+
+    Args:
+        observations: corners and stripes.
+        lens: a rung of the lens ladder: none, radial1, radial2, radial3, brown, rational.
+        principal_point: "free", or "centre" to hold it at the image centre.
+        start: a camera to start from; without it a closed-form start is used.
+        hold: names of rig parameters, as in `rig.json`, that keep the value of `start`.
+        board_warp: whether the board's bulge is estimated too (corners only).
+        reject: whether outliers are left out; otherwise plain least squares over every observation.
+
+    Raises:
+        InputError: too little to work with; the text says what.
+        ObservabilityError: the photographs do not determine the rig.
+        SolveError: no minimum was reached.
+    """
+    if principal_point not in ("free", "centre"):
+        raise InputError(f'principal_point is "{principal_point}": use "free" or "centre"')
+    with float64():
+        usable, left_out = _usable(observations)
+        if board_warp and usable.lasers:
+            raise InputError("board_warp goes with corners alone: the stripe is compared with a flat board")
+        camera = as_float64(start) if start else _first_camera(usable, lens)
+        held = set(hold) | ({"camera.principal.0", "camera.principal.1"} if principal_point == "centre" else set())
+        warp = BoardWarp(jnp.zeros(()), jnp.zeros(())) if board_warp else None
+        unit = jnp.ones(())
+        noise = Noise(unit, unit, jnp.zeros(()))
+
+        # The camera first, from the views' corners alone: lasers and stage are there already, but held, and what they
+        # would be found from is masked, so that both solves are one compiled function.
+        rig = Rig(
+            camera,
+            tuple(LightPlane.create(_NO_PLANE_YET, name) for name in usable.lasers),
+            Stage.create(np.zeros(3)) if usable.stages else None,
+        )
+        views = view_blocks(usable)
+        groups = (views, stage_blocks(usable)) if usable.stages else (views,)
+        poses = (_poses(camera, views), *(_far_away(len(group.steps)) for group in groups[1:]))
+        refined = refine(
+            Estimate((rig, warp), poses), _free(rig, warp, held, ("camera",)), _corners_of_views(groups), noise, reject
+        )
+        _check(refined, usable, _free(rig, warp, held, ("camera",)))
+
+        if usable.lasers or usable.stages:
+            camera, view_poses = refined.estimate.shared[0].camera, refined.estimate.poses[0]
+            usable, off_board = stripe_on_board(usable, camera, view_poses)
+            left_out += off_board
+            stage, stage_poses = _first_stage(usable, camera) if usable.stages else (None, ())
+            rig = Rig(camera, _first_light_planes(usable, camera, view_poses), stage)
+            groups = (view_blocks(usable), *groups[1:])
+            free = _free(rig, None, held, ("camera", "laser", "stage"))
+            refined = refine(Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise, reject)
+            _check(refined, usable, free)
+        return assemble(refined, usable, held, left_out)
+
+
+def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
+    """The observations that can take part, and what was left out of them; or the error that says what is missing."""
+    left_out = list(observations.left_out)
+
+    def enough(view: View) -> bool:
+        if view.used().sum() >= _FEWEST_CORNERS:
+            return True
+        left_out.append(f"{view.name}: {int(view.used().sum())} corners, fewer than {_FEWEST_CORNERS}")
+        return False
+
+    views = tuple(view for view in observations.views if enough(view))
+    because = "".join(f"\n  {line}" for line in left_out)
+    if len(views) < _FEWEST_VIEWS:
+        raise InputError(
+            f"{len(views)} usable views of the board; at least {_FEWEST_VIEWS} are needed: photograph the board in more "
+            f"poses, all of it in view and tilted in different directions{because}"
+        )
+    for i, name in enumerate(observations.lasers):
+        striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in views)
+        if striped < _FEWEST_STRIPES:
+            which = f'of laser "{name}" ' if name else ""
+            raise InputError(
+                f"{striped} usable stripes {which}on the board; at least {_FEWEST_STRIPES} are needed, at different "
+                f"distances: check [laser] color and columns, and that the stripe crosses the board{because}"
+            )
+    stages = []
+    for stage in observations.stages:
+        kept = [i for i, view in enumerate(stage.views) if enough(view)]
+        if len({stage.steps[i] for i in kept}) < _FEWEST_STAGE_IMAGES:
+            raise InputError(
+                f"{len(kept)} usable stage photographs at different step counts; at least {_FEWEST_STAGE_IMAGES} are "
+                f"needed{because}"
+            )
+        stages.append(replace(stage, steps=stage.steps[kept], views=tuple(stage.views[i] for i in kept)))
+    return replace(observations, views=views, stages=tuple(stages)), tuple(left_out)
+
+
+def _stripe_points(view: View, laser: int) -> int:
+    return sum(int(np.isfinite(s.pixels).all(axis=1).sum()) for s in view.stripes if s.laser == laser)
+
+
+def _first_camera(observations: Observations, lens: str) -> Camera:
+    seen = np.stack([view.corners for view in observations.views])
+    used = np.stack([view.used() for view in observations.views])
+    focal = initial.focal_length(observations.board.points()[:, :2], seen, used, observations.image_size)
+    return Camera.create(observations.image_size, focal, (np.asarray(observations.image_size) - 1) / 2, lens)
+
+
+@eqx.filter_jit
+def _rays(camera: Camera, pixels: Float[Array, "blocks points 2"]) -> Float[Array, "blocks points 3"]:
+    return jax.vmap(jax.vmap(camera.ray))(pixels)
+
+
+@jax.jit
+def _pose_vectors(R: Float[Array, "blocks 3 3"], t: Float[Array, "blocks 3"]) -> Float[Array, "blocks 6"]:
+    return jnp.concatenate([jax.vmap(matrix_to_vector)(R), t], axis=-1)
+
+
+def _poses(camera: Camera, blocks: Blocks) -> Float[Array, "blocks 6"]:
+    """Poses of boards from their corners, for a camera as it is known; those of padding are far away."""
+    rays = np.asarray(_rays(camera, blocks.corners))[..., :2]
+    used = np.asarray(blocks.corner_used) & np.all(np.isfinite(rays), axis=-1)
+    real = np.any(used, axis=1)
+    R = np.broadcast_to(np.eye(3), (len(used), 3, 3)).copy()
+    t = np.zeros((len(used), 3))
+    points = np.asarray(blocks.points)[0, :, :2]
+    R[real], t[real] = initial.board_poses(points, rays[real], used[real])
+    return jnp.where(real[:, None], _pose_vectors(jnp.asarray(R), jnp.asarray(t)), _far_away(len(used)))
+
+
+def _first_light_planes(
+    observations: Observations, camera: Camera, poses: Float[Array, "blocks 6"]
+) -> tuple[LightPlane, ...]:
+    planes = []
+    for i, name in enumerate(observations.lasers):
+        points, view = stripe_points_in_space(observations, camera, poses, i)
+        which = f'laser "{name}": ' if name else ""
+        if len(np.unique(view)) < _FEWEST_STRIPES:
+            raise InputError(
+                f"{which}the stripe lies on the board in {len(np.unique(view))} views; at least {_FEWEST_STRIPES} are "
+                "needed: check [laser] color and columns, and that the stripe crosses the board"
+            )
+        omega = initial.robust_plane(points, view)
+        if not np.isfinite(omega).all() or np.linalg.norm(omega) > 1.0:
+            raise ObservabilityError(
+                f"{which}the stripes lie on a plane through the camera's centre, which cannot measure: move the laser "
+                "to the side of the camera, or check that the stripe, not its reflection, is found"
+            )
+        planes.append(LightPlane.create(omega, name))
+    return tuple(planes)
+
+
+def _first_stage(observations: Observations, camera: Camera) -> tuple[Stage, tuple[Float[Array, "blocks 6"]]]:
+    """Stage and the pose of each sequence's board at its reference step, from poses found photograph by photograph."""
+    slopes, first = [], []
+    for stage in observations.stages:
+        each = view_blocks(replace(observations, views=stage.views))
+        vectors = np.asarray(_poses(camera, each))[: len(stage.views)]
+        middle, per_step = initial.stage_line(np.asarray(stage.steps, float), vectors[:, 3:])
+        nearest = int(np.argmin(np.abs(stage.steps - reference_step(stage))))
+        slopes.append(per_step)
+        first.append(np.concatenate([vectors[nearest, :3], middle]))
+    poses = _far_away(bucket(len(first))).at[: len(first)].set(np.stack(first))
+    return Stage.create(np.median(slopes, axis=0)), (poses,)
+
+
+def _far_away(blocks: int) -> Float[Array, "blocks 6"]:
+    """Poses for boards that nothing is known of yet: in front of the camera, one metre away."""
+    return jnp.tile(jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0]), (blocks, 1))
+
+
+def _corners_of_views(groups: tuple[Blocks, ...]) -> tuple[Blocks, ...]:
+    """The same arrays with everything but the views' corners masked."""
+    views = replace(groups[0], stripe_used=jnp.zeros_like(groups[0].stripe_used))
+    return views, *(replace(group, corner_used=jnp.zeros_like(group.corner_used)) for group in groups[1:])
+
+
+def _free(rig: Rig, warp: BoardWarp | None, held: set[str], parts: tuple[str, ...]) -> Bool[Array, "shared"]:
+    """Which shared parameters are refined: those of some parts of the rig that are not held, and the board's warp."""
+    names = parameter_names(rig)
+    unknown = held - set(names)
+    if unknown:
+        raise InputError(f"hold names {', '.join(sorted(unknown))}; this rig has {', '.join(names)}")
+    free = [name.startswith(parts) and name not in held for name in names]
+    return jnp.asarray(free + [True] * len(jax.tree.leaves(warp)))
+
+
+def _check(refined: Refined, observations: Observations, free: Bool[Array, "shared"]) -> None:
+    """Refuse what is no calibration."""
+    if refined.outcome.result != optx.RESULTS.successful:
+        raise SolveError(
+            f"the solve did not reach a minimum within {MAX_STEPS} steps ({refined.solves} rounds): the photographs may "
+            "not belong to one camera, or the lens may need a simpler model"
+        )
+    rig, warp = refined.estimate.shared
+    names = np.array([*parameter_names(rig), *["board warp"] * len(jax.tree.leaves(warp))])
+    at = np.flatnonzero(free)
+    values = np.array([float(leaf) for leaf in jax.tree.leaves((rig, warp))])
+    open_question = undetermined(
+        names[at].tolist(),
+        values[at],
+        np.asarray(refined.precision.eigenvalues),
+        np.asarray(refined.precision.directions)[at],
+        np.asarray(refined.precision.covariance)[np.ix_(at, at)],
+    )
+    if open_question:
+        raise ObservabilityError(
+            f"from these {len(observations.views)} views {open_question}. Tilt the board by 30° or more, in different "
+            "directions from view to view; boards that are all nearly parallel do not show perspective"
+        )

@@ -1,0 +1,174 @@
+"""The closed-form start: homographies → intrinsics → poses, the light plane by a robust fit, the stage by a line.
+
+The corner of a planar board and its undistorted pixel are related by a homography H ~ K [r1 r2 t]. Two constraints
+for each view, h1ᵀ ω h2 = 0 and h1ᵀ ω h1 = h2ᵀ ω h2 with ω = K⁻ᵀ K⁻¹, are linear in 1/f² when the principal point is
+known (Z. Zhang, PAMI 2000); it starts at the image centre. Everything here is NumPy, vectorised over views.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+_FOCAL_GRID = np.geomspace(0.3, 20.0, 24)
+# A start whose reprojection is off by more than this share of the image width is not believed.
+_POOR_START = 0.02
+_PLANE_TRIALS = 500
+
+
+def homographies(
+    points: Float[np.ndarray, "corners 2"],
+    seen: Float[np.ndarray, "views corners 2"],
+    used: Bool[np.ndarray, "views corners"],
+) -> Float[np.ndarray, "views 3 3"]:
+    """H with (seen, 1) ~ H (point, 1), by the normalised direct linear transformation.
+
+    Args:
+        points: board coordinates, any unit.
+        seen: image coordinates, any unit; not read where `used` is false.
+        used: at least four of each view, not on one line.
+    """
+    board, T_board = _normalised(points[None], np.ones((1, len(points)), bool))
+    image, T_image = _normalised(seen, used)
+    p = np.concatenate([board, np.ones_like(board[..., :1])], axis=-1)
+    p = np.broadcast_to(p, (*image.shape[:2], 3)) * used[..., None]
+    # The normal matrix of the rows [p 0 −u p] and [0 p −v p], block by block.
+    A = np.zeros((len(image), 9, 9))
+    pt = np.swapaxes(p, 1, 2)
+    A[:, :3, :3] = A[:, 3:6, 3:6] = pt @ p
+    for i in (0, 1):
+        weighted = -(pt @ (image[..., i, None] * p))
+        A[:, 3 * i : 3 * i + 3, 6:] = weighted
+        A[:, 6:, 3 * i : 3 * i + 3] = weighted
+    A[:, 6:, 6:] = pt @ ((image**2).sum(-1)[..., None] * p)
+    H = np.linalg.eigh(A)[1][:, :, 0].reshape(-1, 3, 3)
+    return np.linalg.inv(T_image) @ H @ T_board
+
+
+def _normalised(
+    x: Float[np.ndarray, "views points 2"], used: Bool[np.ndarray, "views points"]
+) -> tuple[Float[np.ndarray, "views points 2"], Float[np.ndarray, "views 3 3"]]:
+    """Points moved to their centroid and scaled to mean square 2 (Hartley), and the matrix that does it."""
+    x = np.where(used[..., None], x, 0.0)
+    count = np.maximum(used.sum(axis=1), 1)[:, None]
+    centre = x.sum(axis=1) / count
+    moved = np.where(used[..., None], x - centre[:, None], 0.0)
+    scale = np.sqrt(2 * count[:, 0] / np.maximum((moved**2).sum(axis=(1, 2)), 1e-300))
+    T = np.zeros((len(x), 3, 3))
+    T[:, 0, 0] = T[:, 1, 1] = scale
+    T[:, :2, 2] = -scale[:, None] * centre
+    T[:, 2, 2] = 1
+    return moved * scale[:, None, None], T
+
+
+def focal_length(
+    points: Float[np.ndarray, "corners 2"],
+    seen: Float[np.ndarray, "views corners 2"],
+    used: Bool[np.ndarray, "views corners"],
+    image_size: tuple[int, int],
+) -> Float[np.ndarray, "2"]:
+    """Focal lengths in pixels, with the principal point at the image centre and no distortion.
+
+    Where the closed form gives no usable answer the best of a grid of focal lengths is taken, by reprojection.
+    """
+    centre = (np.asarray(image_size) - 1) / 2
+    offset = np.where(used[..., None], seen, 0.0) - centre
+    H = homographies(points, offset, used)
+    h1, h2 = H[:, :, 0], H[:, :, 1]
+    weight = 1 / (np.linalg.norm(h1, axis=1) * np.linalg.norm(h2, axis=1))[:, None]
+    rows = np.concatenate([h1[:, :2] * h2[:, :2], h1[:, :2] ** 2 - h2[:, :2] ** 2])
+    right = np.concatenate([-h1[:, 2] * h2[:, 2], h2[:, 2] ** 2 - h1[:, 2] ** 2])
+    both = np.concatenate([weight, weight])
+    inverse_squares = np.linalg.lstsq(rows * both, right * both[:, 0], rcond=None)[0]
+    width = float(image_size[0])
+    candidates = []
+    if (inverse_squares > 0).all():
+        candidates.append(1 / np.sqrt(inverse_squares))
+        if _reprojection(points, offset, used, H, candidates[0]) < _POOR_START * width:
+            return candidates[0]
+    candidates += [np.full(2, g * width) for g in _FOCAL_GRID]
+    return min(candidates, key=lambda f: _reprojection(points, offset, used, H, f))
+
+
+def _reprojection(
+    points: Float[np.ndarray, "corners 2"],
+    offset: Float[np.ndarray, "views corners 2"],
+    used: Bool[np.ndarray, "views corners"],
+    H: Float[np.ndarray, "views 3 3"],
+    focal: Float[np.ndarray, "2"],
+) -> float:
+    """RMS distance in pixels with poses from the homographies."""
+    R, t = poses_from_homographies(H / np.append(focal, 1.0)[:, None])
+    X = np.einsum("vij,nj->vni", R[:, :, :2], points) + t[:, None]
+    error = focal * X[..., :2] / np.where(X[..., 2:] > 0, X[..., 2:], np.nan) - offset
+    square = np.where(used, (error**2).sum(-1), 0.0)
+    return float(np.sqrt(square.sum() / max(used.sum(), 1))) if np.isfinite(square).all() else np.inf
+
+
+def poses_from_homographies(
+    H: Float[np.ndarray, "views 3 3"],
+) -> tuple[Float[np.ndarray, "views 3 3"], Float[np.ndarray, "views 3"]]:
+    """T_cam_board of planar boards from H ~ [r1 r2 t], the homographies to normalised image coordinates.
+
+    Returns:
+        Rotation matrices and translations (in the unit of the board), with the board's origin in front of the camera.
+    """
+    scale = 2 / (np.linalg.norm(H[:, :, 0], axis=1) + np.linalg.norm(H[:, :, 1], axis=1))
+    M = H * (scale * np.where(H[:, 2, 2] < 0, -1.0, 1.0))[:, None, None]
+    r1, r2, t = M[:, :, 0], M[:, :, 1], M[:, :, 2]
+    U, _, Vt = np.linalg.svd(np.stack([r1, r2, np.cross(r1, r2)], axis=2))
+    sign = np.where(np.linalg.det(U @ Vt) < 0, -1.0, 1.0)
+    U[:, :, 2] *= sign[:, None]
+    return U @ Vt, t
+
+
+def board_poses(
+    points: Float[np.ndarray, "corners 2"],
+    rays: Float[np.ndarray, "views corners 2"],
+    used: Bool[np.ndarray, "views corners"],
+) -> tuple[Float[np.ndarray, "views 3 3"], Float[np.ndarray, "views 3"]]:
+    """T_cam_board of each view for a known camera: rays (x, y) of its corners, already undistorted."""
+    return poses_from_homographies(homographies(points, rays, used))
+
+
+def robust_plane(points: Float[np.ndarray, "points 3"], group: Float[np.ndarray, "points"]) -> Float[np.ndarray, "3"]:
+    """The dual plane that most of the points lie on: least median of squares over random triples, then a fit.
+
+    Args:
+        points: stripe points in the camera frame, mm.
+        group: which view each is from: a triple is drawn from two views, since one view's points lie on a line.
+    """
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(points))[:4000]
+    sample = points[order]
+    best, best_score = np.full(3, np.nan), np.inf
+    views = np.unique(group)
+    for _ in range(_PLANE_TRIALS):
+        a, b = rng.choice(views, 2, replace=False)
+        i, j = rng.choice(np.flatnonzero(group == a), 2)
+        triple = points[[i, j, rng.choice(np.flatnonzero(group == b))]]
+        normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
+        length = np.linalg.norm(normal)
+        if length < 1e-9:
+            continue
+        distance = np.abs((sample - triple[0]) @ (normal / length))
+        score = np.median(distance)
+        if score < best_score:
+            best, best_score = normal / (normal @ triple[0]), score
+    for _ in range(10):
+        distance = np.abs(points @ best - 1) / np.linalg.norm(best)
+        near = distance <= max(3 * 1.4826 * np.median(distance), 1e-9)
+        centre = points[near].mean(axis=0)
+        normal = np.linalg.svd(points[near] - centre, full_matrices=False)[2][2]
+        best = normal / (normal @ centre)
+    return best
+
+
+def stage_line(
+    steps: Float[np.ndarray, "images"], translations: Float[np.ndarray, "images 3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Translation at the mean step and translation for each step, by the median of slopes (Theil-Sen)."""
+    i, j = np.triu_indices(len(steps), 1)
+    moved = steps[i] != steps[j]
+    slopes = (translations[j] - translations[i])[moved] / (steps[j] - steps[i])[moved, None]
+    per_step = np.median(slopes, axis=0)
+    middle = np.median(translations - (steps - steps.mean())[:, None] * per_step, axis=0)
+    return middle, per_step

@@ -1,0 +1,145 @@
+"""From the photographs of a session to observations: corners and stripes, read and found on all cores."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from os import cpu_count
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.observations import Observations, StageSequence, StripePoints, View
+from jaxscan.errors import InputError
+from jaxscan.files.session import Session, StageImages
+from jaxscan.images import Board, StripeSettings, carry_order, detect_stripe, find_board, read_image
+
+# The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this much (px).
+_SMEAR_PX = 1.0
+
+
+@dataclass(frozen=True)
+class _Photograph:
+    path: Path
+    corners: Float[np.ndarray, "corners 2"] | None
+    stripes: tuple[StripePoints, ...]
+
+
+def observe(session: Session, advance: Callable[[int], object] = lambda by: None) -> Observations:
+    """Find corners and stripes in every photograph of a session.
+
+    Args:
+        session: what `read_session` returns.
+        advance: called with 1 after each photograph, `photograph_count` times in all.
+
+    Raises:
+        InputError: a photograph that cannot be read, or a board that is found in none of them.
+    """
+    stage = session.stage
+
+    def view(index: int) -> _Photograph:
+        path = session.views.boards[index]
+        return _Photograph(path, *_look(path, session, index))
+
+    def along(path: Path) -> _Photograph:
+        found = find_board(session.board, read_image(path))
+        return _Photograph(path, None if found is None else found.corners, ())
+
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        photographs: list[_Photograph] = []
+        staged: list[_Photograph] = []
+        for list_, work in (
+            (photographs, pool.map(view, range(len(session.views.boards)))),
+            (staged, pool.map(along, stage.images if stage else ())),
+        ):
+            for photograph in work:
+                list_.append(photograph)
+                advance(1)
+
+    left_out = _not_found(session.board, photographs, "view") + _not_found(session.board, staged, "stage photograph")
+    views = [View(p.path.name, p.corners, stripes=p.stripes) for p in photographs if p.corners is not None]
+    left_out += [
+        f"{p.path.name}: no stripe{f' of laser {session.lasers[s.laser].name}' if len(session.lasers) > 1 else ''} was found"
+        for p in photographs
+        if p.corners is not None
+        for s in p.stripes
+        if not np.isfinite(s.pixels).any()
+    ]
+    notes = []
+    if session.board.half_turn_ambiguous:
+        columns, rows = session.board.counts
+        notes.append(
+            f"the board of {columns} x {rows} looks the same after half a turn: each view's order of corners is one of two "
+            "valid ones; along the stage it is carried from photograph to photograph"
+        )
+    return Observations(
+        image_size=session.image_size,
+        board=session.board,
+        views=tuple(views),
+        stages=(_sequence(session.board, stage, staged),) if stage else (),
+        lasers=tuple(laser.name for laser in session.lasers),
+        left_out=tuple(left_out),
+        notes=tuple(notes),
+    )
+
+
+def photograph_count(session: Session) -> int:
+    """How many poses `observe` looks at."""
+    return len(session.views.boards) + (len(session.stage.images) if session.stage else 0)
+
+
+def _look(
+    path: Path, session: Session, index: int
+) -> tuple[Float[np.ndarray, "corners 2"] | None, tuple[StripePoints, ...]]:
+    """Corners and stripes of one pose; the stripes from photographs of their own where there are any."""
+    image = read_image(path)
+    found = find_board(session.board, image)
+    if found is None:
+        return None, ()
+    stripes = []
+    for i, laser in enumerate(session.lasers):
+        lit = image
+        if session.views.stripes is not None:
+            own = session.views.stripes[laser.name][index]
+            if own is None:
+                continue
+            lit = read_image(own)
+        stripes.append(stripe_points(lit, laser, i))
+    return found.corners, tuple(stripes)
+
+
+def stripe_points(image: np.ndarray, settings: StripeSettings, laser: int) -> StripePoints:
+    """The stripe of one photograph as pixels (u, v); NaN where there is none."""
+    stripe = detect_stripe(image, settings)
+    position = np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).astype(np.float64).ravel()
+    index = np.where(np.isfinite(position), np.arange(position.size), np.nan)
+    pixels = np.stack([index, position] if settings.columns else [position, index], axis=-1)
+    width = np.asarray(stripe.width).ravel()[np.isfinite(position)]
+    half = 0.5 * float(np.median(width)) + _SMEAR_PX if width.size else _SMEAR_PX
+    return StripePoints(pixels, settings.columns, laser, half)
+
+
+def _sequence(board: Board, stage: StageImages, photographs: Sequence[_Photograph]) -> StageSequence:
+    """The stage photographs on which the board was found, their corners in one order."""
+    views, steps, previous = [], [], None
+    for photograph, count in zip(photographs, stage.steps, strict=True):
+        if photograph.corners is None:
+            continue
+        corners = photograph.corners if previous is None else carry_order(board, previous, photograph.corners)
+        previous = corners
+        views.append(View(photograph.path.name, corners))
+        steps.append(float(count))
+    return StageSequence(np.asarray(steps), tuple(views))
+
+
+def _not_found(board: Board, photographs: Sequence[_Photograph], what: str) -> list[str]:
+    """Which photographs do not show the board; an error when none does."""
+    missing = [p.path.name for p in photographs if p.corners is None]
+    columns, rows = board.counts
+    if photographs and len(missing) == len(photographs):
+        raise InputError(
+            f"the {board.kind} of {columns} x {rows} points was found in none of {len(photographs)} {what}s "
+            f"({missing[0]} … {missing[-1]}): check [board] (inner corners are where four squares meet, one fewer than "
+            "the squares in a row), that the whole board is in view, and that the photographs are sharp"
+        )
+    return [f"{name}: the board of {columns} x {rows} points was not found" for name in missing]

@@ -1,0 +1,127 @@
+"""The residuals of the joint solve: raw detector pixels, each divided by its own σ.
+
+Corner: reprojection, predicted minus seen. Stripe on a board: light plane ω and board plane β are both linear in a
+pixel's ray x at equal depth, so h = (ω − β) · x vanishes where the sheet meets the board, and −h / (∂h/∂v) is the
+distance in rows from the seen stripe to the predicted one (∂h/∂u, in columns, for a stripe found row by row). It is
+differentiated whole, denominator too: holding the denominator still would bias and spoil the estimate.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxscan.geometry import Pose, dual_plane
+from jaxscan.rig import BoardWarp, Rig
+
+
+class Blocks(eqx.Module):
+    """Observations of one group of boards, padded to one shape. Masked entries are never read.
+
+    A view is a block with step counts 0. A stage sequence is one block as well: the corners of all its photographs,
+    each with its step count relative to the sequence's mean.
+
+    Attributes:
+        points: board points, mm.
+        relative: the same in 0 … 1 along columns and rows, for the board's warp.
+        corners: where they were seen, pixels.
+        weights: relative 1 / σ of each corner.
+        corner_used: which corners take part.
+        steps: motor steps of each corner's photograph, relative to the block's reference.
+        stripe: stripe points, pixels.
+        stripe_used: which of them take part.
+        stripe_columns: True where v was measured, False where u was.
+        stripe_laser: which laser each belongs to.
+    """
+
+    points: Float[Array, "*blocks corners 3"]
+    relative: Float[Array, "*blocks corners 2"]
+    corners: Float[Array, "*blocks corners 2"]
+    weights: Float[Array, "*blocks corners"]
+    corner_used: Bool[Array, "*blocks corners"]
+    steps: Float[Array, "*blocks corners"]
+    stripe: Float[Array, "*blocks stripe 2"]
+    stripe_used: Bool[Array, "*blocks stripe"]
+    stripe_columns: Bool[Array, "*blocks stripe"]
+    stripe_laser: Int[Array, "*blocks stripe"]
+
+
+class Noise(eqx.Module):
+    """What residuals are divided by, and how far the sum trusts large ones.
+
+    Attributes:
+        corner: σ of a corner of weight 1 along each axis, pixels.
+        stripe: σ of a stripe point, pixels.
+        robustness: 1 / c of the pseudo-Huber loss (P. Charbonnier et al. 1994), c in σ; 0 is least squares.
+    """
+
+    corner: Float[Array, ""]
+    stripe: Float[Array, ""]
+    robustness: Float[Array, ""]
+
+
+def corner_error(
+    rig: Rig,
+    warp: BoardWarp | None,
+    R: Float[Array, "3 3"],
+    t: Float[Array, "3"],
+    point: Float[Array, "3"],
+    relative: Float[Array, "2"],
+    steps: Float[Array, ""],
+    corner: Float[Array, "2"],
+) -> Float[Array, "2"]:
+    """Predicted minus seen position of a board point, pixels."""
+    if warp is not None:
+        point = point + jnp.array([0.0, 0.0, 1.0]) * warp.height(relative)
+    X = R @ point + t
+    if rig.stage is not None:
+        X = X + rig.stage.displacement(steps)
+    return rig.camera.project(X) - corner
+
+
+def stripe_error(
+    rig: Rig, beta: Float[Array, "3"], omega: Float[Array, "3"], pixel: Float[Array, "2"], columns: Bool[Array, ""]
+) -> Float[Array, ""]:
+    """Predicted minus seen position of the stripe along the axis in which it was found, pixels."""
+    axis = jnp.where(columns, jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
+    x, dx = jax.jvp(rig.camera.ray, (pixel,), (axis,))
+    return -((omega - beta) @ x) / ((omega - beta) @ dx)
+
+
+def block_errors(
+    rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], block: Blocks
+) -> tuple[Float[Array, "corners 2"], Float[Array, "stripe"]]:
+    """All errors of one block in pixels; zero where masked, whatever stands there."""
+    T = Pose.from_vector(pose)
+    R = T.matrix()
+    centre = jnp.stack(rig.camera.principal)
+    seen = jnp.where(block.corner_used[:, None], block.corners, 0.0)
+    corner = jax.vmap(lambda *each: corner_error(rig, warp, R, T.translation, *each))(
+        block.points, block.relative, block.steps, seen
+    )
+    corner = jnp.where(block.corner_used[:, None], corner, 0.0)
+    if not rig.lasers or block.stripe.shape[0] == 0:
+        return corner, jnp.zeros(block.stripe.shape[0], corner.dtype)
+    beta = dual_plane(T)
+    omegas = jnp.stack([laser.omega for laser in rig.lasers])
+    omega = jnp.broadcast_to(omegas[:1], (block.stripe.shape[0], 3)) if len(omegas) == 1 else omegas[block.stripe_laser]
+    pixel = jnp.where(block.stripe_used[:, None], block.stripe, centre)
+    stripe = jax.vmap(lambda *each: stripe_error(rig, beta, *each))(omega, pixel, block.stripe_columns)
+    return corner, jnp.where(block.stripe_used, stripe, 0.0)
+
+
+def block_residuals(
+    rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], block: Blocks, noise: Noise
+) -> Float[Array, "residuals"]:
+    """The residuals of one block, dimensionless: corners (u, v in turn), then stripe."""
+    corner, stripe = block_errors(rig, warp, pose, block)
+    corner = corner * (block.weights / noise.corner)[:, None]
+    corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[:, None]
+    stripe = stripe / noise.stripe
+    stripe = stripe * _tamed(noise.robustness**2 * stripe**2)
+    return jnp.concatenate([corner.ravel(), stripe])
+
+
+def _tamed(square: Float[Array, "*any"]) -> Float[Array, "*any"]:
+    """The factor that turns a residual r into one whose square is the pseudo-Huber loss 2c²(√(1 + (r/c)²) − 1)."""
+    return jnp.sqrt(2 / (1 + jnp.sqrt(1 + square)))

@@ -1,0 +1,176 @@
+"""What `calibrate` returns: the rig, its covariance, how every photograph fits, and what was left out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.calibration.blocks import reference_step
+from jaxscan.calibration.observations import Observations, View
+from jaxscan.calibration.rounds import Refined
+from jaxscan.files.rig_file import Covariance, RigFile
+from jaxscan.geometry import Pose
+from jaxscan.precision import as_numpy
+from jaxscan.rig import Rig, System
+from jaxscan.rig.rig import parameter_names
+
+
+@dataclass(frozen=True)
+class PhotographFit:
+    """How one photograph fits.
+
+    Attributes:
+        name: of the photograph.
+        corner_errors: predicted minus seen (u, v), pixels; NaN where no corner was seen.
+        corner_kept: which corners took part.
+        stripe_pixels: (u, v) of the stripe points that were candidates, pixels.
+        stripe_errors: predicted minus seen along the axis of detection, pixels.
+        stripe_kept: which of them took part.
+    """
+
+    name: str
+    corner_errors: Float[np.ndarray, "corners 2"]
+    corner_kept: Bool[np.ndarray, "corners"]
+    stripe_pixels: Float[np.ndarray, "points 2"]
+    stripe_errors: Float[np.ndarray, "points"]
+    stripe_kept: Bool[np.ndarray, "points"]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated rig, how it was reached, and what was left out.
+
+    Attributes:
+        rig: camera, light planes, stage; NumPy float64 leaves.
+        system: the same with every board pose.
+        covariance: of the rig's parameters; one that was held is not among them.
+        corner_sigma_px: σ of a corner along each axis, from the residuals.
+        stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
+        corner_rms_px: root mean square distance of the corners that were kept.
+        stripe_rms_px: root mean square stripe error of the points that were kept; None without stripes.
+        fits: view by view.
+        stage_fits: stage photograph by stage photograph.
+        left_out: what was not used, and why, in words.
+        notes: what a reader should know.
+        solves: how many solves it took until σ and outliers settled.
+        steps: evaluations of the last solve.
+    """
+
+    rig: Rig
+    system: System
+    covariance: Covariance
+    corner_sigma_px: float
+    stripe_sigma_px: float | None
+    corner_rms_px: float
+    stripe_rms_px: float | None
+    fits: tuple[PhotographFit, ...]
+    stage_fits: tuple[PhotographFit, ...]
+    left_out: tuple[str, ...]
+    notes: tuple[str, ...]
+    solves: int
+    steps: int
+
+    def rig_file(self) -> RigFile:
+        """What `write_rig` writes."""
+        fit = {
+            "corner_rms_px": self.corner_rms_px,
+            "corner_sigma_px": self.corner_sigma_px,
+            "views": len(self.fits),
+            "stage_images": len(self.stage_fits),
+        }
+        if self.stripe_rms_px is not None:
+            fit |= {"stripe_rms_px": self.stripe_rms_px, "stripe_sigma_px": self.stripe_sigma_px}
+        return RigFile(self.rig, self.covariance, fit)
+
+
+def assemble(refined: Refined, observations: Observations, held: set[str], left_out: tuple[str, ...]) -> Calibration:
+    rig, warp = refined.estimate.shared
+    n_views = len(observations.views)
+    boards = Pose.from_vector(refined.estimate.poses[0][:n_views])
+    n_stages = len(observations.stages)
+    if n_stages and rig.stage is not None:
+        at_mean = Pose.from_vector(refined.estimate.poses[1][:n_stages])
+        means = jnp.asarray([reference_step(stage) for stage in observations.stages])
+        stages = Pose(at_mean.rotation, at_mean.translation - rig.stage.displacement(means))
+    else:
+        stages = Pose(jnp.zeros((0, 3)), jnp.zeros((0, 3)))
+    names = parameter_names(rig)
+    at = [i for i, name in enumerate(names) if name not in held]
+    covariance = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
+    fits = _photograph_fits(observations.views, refined, 0, len(observations.board.points()))
+    stage_fits = sum(
+        (
+            _stage_fits(stage.views, refined, i, len(observations.board.points()))
+            for i, stage in enumerate(observations.stages)
+        ),
+        (),
+    )
+    corners = np.concatenate([fit.corner_errors[fit.corner_kept] for fit in (*fits, *stage_fits)])
+    stripe = np.concatenate([fit.stripe_errors[fit.stripe_kept] for fit in fits])
+    return Calibration(
+        rig=as_numpy(rig),
+        system=as_numpy(System(rig, boards, stages, warp)),
+        covariance=Covariance(tuple(names[i] for i in at), covariance),
+        corner_sigma_px=float(refined.noise.corner),
+        stripe_sigma_px=float(refined.noise.stripe) if stripe.size else None,
+        corner_rms_px=float(np.sqrt((corners**2).sum(axis=1).mean())),
+        stripe_rms_px=float(np.sqrt((stripe**2).mean())) if stripe.size else None,
+        fits=fits,
+        stage_fits=stage_fits,
+        left_out=left_out + _rejected((*fits, *stage_fits)),
+        notes=observations.notes,
+        solves=refined.solves,
+        steps=int(refined.outcome.steps),
+    )
+
+
+def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: int) -> tuple[PhotographFit, ...]:
+    blocks = refined.groups[group]
+    corner, stripe = (np.asarray(x) for x in refined.errors[group])
+    corner_kept, stripe_kept = np.asarray(blocks.corner_used), np.asarray(blocks.stripe_used)
+    fits = []
+    for i, view in enumerate(views):
+        pixels = np.concatenate([s.pixels for s in view.stripes]) if view.stripes else np.zeros((0, 2))
+        candidate = np.isfinite(pixels).all(axis=1)
+        fits.append(
+            PhotographFit(
+                name=view.name,
+                corner_errors=np.where(view.used()[:, None], corner[i, :each], np.nan),
+                corner_kept=corner_kept[i, :each],
+                stripe_pixels=pixels[candidate],
+                stripe_errors=stripe[i, : len(pixels)][candidate],
+                stripe_kept=stripe_kept[i, : len(pixels)][candidate],
+            )
+        )
+    return tuple(fits)
+
+
+def _stage_fits(views: Sequence[View], refined: Refined, sequence: int, each: int) -> tuple[PhotographFit, ...]:
+    corner = np.asarray(refined.errors[1][0][sequence]).reshape(-1, each, 2)
+    kept = np.asarray(refined.groups[1].corner_used[sequence]).reshape(-1, each)
+    none: Any = np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool)
+    return tuple(
+        PhotographFit(view.name, np.where(view.used()[:, None], corner[i], np.nan), kept[i], *none)
+        for i, view in enumerate(views)
+    )
+
+
+def _rejected(fits: Sequence[PhotographFit]) -> tuple[str, ...]:
+    """What the rounds threw out, photograph by photograph."""
+    lines = []
+    for fit in fits:
+        seen = np.isfinite(fit.corner_errors).all(axis=1)
+        corners = np.flatnonzero(seen & ~fit.corner_kept)
+        if corners.size:
+            worst = np.nanmax(np.linalg.norm(fit.corner_errors[corners], axis=1))
+            lines.append(
+                f"{fit.name}: {corners.size} of {int(seen.sum())} corners rejected "
+                f"(numbers {', '.join(map(str, corners))}; the worst {worst:.2f} px off)"
+            )
+        points = fit.stripe_kept.size - int(fit.stripe_kept.sum())
+        if points:
+            lines.append(f"{fit.name}: {points} of {fit.stripe_kept.size} stripe points rejected")
+    return tuple(lines)

@@ -1,0 +1,60 @@
+"""`jaxscan calibrate`: photographs of a board in, a rig with its covariance out."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Final
+
+HELP: Final = "find camera, lens, light plane and stage from photographs of a board, all together"
+EXAMPLE: Final = "jaxscan calibrate session -o rig.json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("session", type=Path, metavar="SESSION", help="a folder with session.toml, or that file")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("rig.json"),
+        metavar="RIG",
+        help="the rig to write (default: rig.json)",
+    )
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Read the session, find corners and stripes, solve, and write the rig."""
+    from jaxscan.atomic import check_writable
+
+    check_writable(args.output)
+    from jaxscan.cli.compiled import keep_compiled
+
+    keep_compiled()
+    from jaxscan.calibration import calibrate
+    from jaxscan.calibration.observe import observe, photograph_count
+    from jaxscan.cli.facts import rig_facts
+    from jaxscan.cli.progress import progress
+    from jaxscan.files.rig_file import write_rig
+    from jaxscan.files.session import read_session
+
+    session = read_session(args.session)
+    with progress("reading photographs", photograph_count(session)) as advance:
+        observations = observe(session, advance)
+    with progress("solving", 1, "rig") as advance:
+        calibration = calibrate(observations, lens=session.camera.lens, principal_point=session.camera.principal_point)
+        advance(1)
+    write_rig(args.output, calibration.rig_file())
+    return {
+        **rig_facts(args.output),
+        "left_out": list(calibration.left_out),
+        "notes": list(calibration.notes),
+    }
+
+
+def describe(result: dict[str, Any]) -> str:
+    """The rig in words, then what was left out."""
+    from jaxscan.cli.words import in_words
+
+    lines = [in_words(result)]
+    for title, key in (("left out", "left_out"), ("note", "notes")):
+        lines += [f"{title}: {line}" for line in result[key]]
+    return "\n".join(lines)

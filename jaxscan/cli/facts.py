@@ -1,0 +1,182 @@
+"""What `inspect` finds in a file, as plain numbers and texts. Imported by the command when it runs, so freely slow."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.files.cloud import read_ply
+from jaxscan.files.listing import common_size
+from jaxscan.files.range_npz import read_range_npz
+from jaxscan.files.rig_checks import image_rays
+from jaxscan.files.rig_file import read_rig
+from jaxscan.files.scan import read_scan
+from jaxscan.files.session import read_session
+from jaxscan.images import StripeSettings
+from jaxscan.rig import Rig
+
+Facts = dict[str, Any]
+
+_CAMERA_PARTS = ("focal", "principal", "radial", "tangential")
+
+
+def session_facts(path: Path) -> Facts:
+    """Facts of a calibration session."""
+    session = read_session(path)
+    board = session.board
+    stripes = session.views.stripes
+    return {
+        "kind": "session",
+        "path": str(session.path),
+        "board": {"kind": board.kind, "points": list(board.counts), "pitch_mm": board.pitch_mm},
+        "image_size": list(session.image_size),
+        "lens": session.camera.lens,
+        "principal_point": session.camera.principal_point,
+        "views": len(session.views.boards),
+        "stripes": stripes and {name: sum(p is not None for p in paths) for name, paths in stripes.items()},
+        "lasers": [_laser_settings(laser) for laser in session.lasers],
+        "stage": session.stage and _steps(session.stage.steps),
+    }
+
+
+def scan_facts(path: Path) -> Facts:
+    """Facts of a scan."""
+    scan = read_scan(path)
+    exposures = scan.exposures_s
+    photographs = [*scan.frames, *scan.backgrounds]
+    return {
+        "kind": "scan",
+        "path": str(scan.path),
+        "name": scan.name,
+        "video": scan.video and str(scan.video),
+        "frames": _steps(scan.steps),
+        "steps_per_frame": scan.steps_per_frame,
+        "image_size": list(common_size(photographs)) if photographs else None,
+        "backgrounds": len(scan.backgrounds),
+        "exposures_s": exposures and [min(exposures), max(exposures)],
+        "laser": _laser_settings(scan.laser),
+    }
+
+
+def rig_facts(path: Path) -> Facts:
+    """Facts of a rig. A `sigma` is a standard deviation, None where the file has none."""
+    content = read_rig(path)
+    rig, covariance = content.rig, content.covariance
+
+    def values(name: str, leaves: Sequence[Any]) -> Facts:
+        sigma = [covariance.sigma(f"{name}.{i}") for i in range(len(leaves))] if covariance else None
+        return {"value": [float(leaf) for leaf in leaves], "sigma": sigma}
+
+    camera = {
+        "image_size": list(rig.camera.image_size),
+        "lens": rig.camera.lens,
+        **{part: values(f"camera.{part}", getattr(rig.camera, part)) for part in _CAMERA_PARTS},
+    }
+    lasers = []
+    for laser, sheet in zip(rig.lasers, _sheets(rig), strict=True):
+        name = f"laser.{laser.name}.plane" if laser.name else "laser.plane"
+        lasers.append({"name": laser.name, "plane": values(name, laser.plane), **sheet})
+    stage = None
+    if rig.stage is not None:
+        per_step = values("stage.per_step", rig.stage.per_step)
+        travel = math.hypot(*per_step["value"])
+        stage = {
+            "per_step": per_step,
+            "mm_per_1000_steps": 1000 * travel,
+            "direction": [x / travel for x in per_step["value"]],
+        }
+    return {
+        "kind": "rig",
+        "path": str(path),
+        "camera": camera,
+        "lasers": lasers,
+        "stage": stage,
+        "fit": content.fit,
+    }
+
+
+def cloud_facts(path: Path) -> Facts:
+    """Facts of the points of a PLY file."""
+    cloud = read_ply(path)
+    return {
+        "kind": "cloud",
+        "path": str(path),
+        "points": len(cloud.points),
+        "box_mm": _box(cloud.points),
+        "sigma_mm": _median(cloud.sigma),
+        "sigma_pixel_mm": _median(cloud.sigma_pixel),
+        "colours": cloud.colours is not None,
+    }
+
+
+def range_facts(path: Path) -> Facts:
+    """Facts of an organised range image."""
+    image = read_range_npz(path)
+    return {
+        "kind": "range image",
+        "path": str(path),
+        "frames": _steps(image.steps.tolist()),
+        "columns": image.valid.shape[1],
+        "points": int(image.valid.sum()),
+        "box_mm": _box(image.points[image.valid]),
+        "sigma_mm": _median(image.sigma[image.valid]),
+        "strength": _median(image.strength[image.valid]),
+    }
+
+
+def _laser_settings(laser: StripeSettings) -> Facts:
+    return {"name": laser.name, "color": laser.color, "columns": laser.columns}
+
+
+def _steps(steps: Sequence[int]) -> Facts:
+    """How many, from where to where, and how far apart where that is always the same."""
+    spacings = {b - a for a, b in pairwise(steps)}
+    return {
+        "count": len(steps),
+        "first_step": steps[0] if steps else None,
+        "last_step": steps[-1] if steps else None,
+        "spacing": spacings.pop() if len(spacings) == 1 else None,
+    }
+
+
+def _sheets(rig: Rig) -> list[Facts]:
+    """Where each light plane stands: its distance and angle, and at which angles the camera looks at it.
+
+    The triangulation angle is that between a ray of the camera and the sheet: asin(ω · x / (|ω| |x|)).
+    """
+    if not rig.lasers:
+        return []
+    rays = image_rays(rig.camera)
+    return [_sheet(np.array([float(x) for x in laser.plane]), rays) for laser in rig.lasers]
+
+
+def _sheet(omega: Float[np.ndarray, "3"], rays: Float[np.ndarray, "rays 3"]) -> Facts:
+    middle = len(rays) // 2
+    length = float(np.linalg.norm(omega))
+    inverse_depth = rays @ omega
+    angles = np.degrees(np.arcsin(inverse_depth / (length * np.linalg.norm(rays, axis=1))))
+    # NaN, outside the lens's range, compares as not seen.
+    seen = inverse_depth > 0
+    return {
+        "distance_mm": 1 / length,
+        "angle_to_axis_deg": math.degrees(math.asin(abs(omega[2]) / length)),
+        "depth_in_the_middle_mm": float(1 / inverse_depth[middle]) if seen[middle] else None,
+        "triangulation_angle_deg": float(angles[middle]) if seen[middle] else None,
+        "triangulation_angles_deg": [float(angles[seen].min()), float(angles[seen].max())] if seen.any() else None,
+    }
+
+
+def _box(points: Float[np.ndarray, "points 3"]) -> list[list[float]] | None:
+    """The lowest and the highest coordinates."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    return [finite.min(axis=0).tolist(), finite.max(axis=0).tolist()] if len(finite) else None
+
+
+def _median(values: np.ndarray | None) -> float | None:
+
+    known = values[np.isfinite(values)] if values is not None else ()
+    return float(np.median(known)) if len(known) else None

@@ -1,0 +1,91 @@
+"""`jaxscan inspect`: a session, scan, rig, cloud or range image in words, and what is detected in one photograph."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Final
+
+from jaxscan.cli.words import in_words
+from jaxscan.errors import InputError
+
+HELP: Final = "say in words what a session, scan, rig, cloud or range image holds"
+EXAMPLE: Final = "jaxscan inspect scans/cup --frame 12 --png cup-12.png"
+
+_DEFAULT: Final = "-"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "path", type=Path, help="a folder with session.toml or scan.toml, or one .toml, .json, .ply, .npz"
+    )
+    parser.add_argument("--frame", type=int, metavar="N", help="which photograph to draw, counted from 0 (default: 0)")
+    parser.add_argument(
+        "--png",
+        nargs="?",
+        type=Path,
+        const=Path(_DEFAULT),
+        metavar="OUT",
+        help="draw the stripe over the scan's photograph N, or corners and stripe over the session's view N "
+        "(default: a file named after both, here)",
+    )
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Read what the path names, whatever it is, and draw where that was asked for."""
+    kind, path = _kind(args.path)
+    if args.frame is not None and args.png is None:
+        raise InputError("--frame chooses the photograph to draw: add --png, and a name for the picture if you like")
+    if args.png is not None and kind not in ("session", "scan"):
+        raise InputError(f"{path}: --png draws what is detected in a photograph, and a {kind} has none: leave it out")
+    from jaxscan.cli import facts
+
+    read = {
+        "session": facts.session_facts,
+        "scan": facts.scan_facts,
+        "rig": facts.rig_facts,
+        "cloud": facts.cloud_facts,
+        "range image": facts.range_facts,
+    }
+    result = read[kind](path)
+    if args.png is not None:
+        from jaxscan.cli import picture
+
+        frame = args.frame or 0
+        out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.absolute().parent.name}-{frame}.png")
+        draw = picture.draw_view if kind == "session" else picture.draw_frame
+        result["picture"] = draw(path, frame, out)
+    return result
+
+
+def describe(result: dict[str, Any]) -> str:
+    """The result in words."""
+    return in_words(result)
+
+
+def _kind(path: Path) -> tuple[str, Path]:
+    """What a path names, and the file to read."""
+    if path.is_dir():
+        return _kind_of_folder(path)
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file or folder: check the path")
+    ending = path.suffix.lower()
+    if ending == ".toml":
+        from jaxscan.files.text import read_toml
+
+        return ("scan" if "scan" in read_toml(path) else "session"), path
+    kinds = {".json": "rig", ".ply": "cloud", ".npz": "range image"}
+    if ending not in kinds:
+        raise InputError(
+            f'{path}: nothing is known of the ending "{ending}": '
+            "name a session or scan (folder or .toml), a rig (.json), a cloud (.ply) or a range image (.npz)"
+        )
+    return kinds[ending], path
+
+
+def _kind_of_folder(path: Path) -> tuple[str, Path]:
+    there = [kind for kind in ("session", "scan") if (path / f"{kind}.toml").is_file()]
+    if not there:
+        raise InputError(f"{path}: has neither session.toml nor scan.toml: name the folder that has, or a file")
+    if len(there) > 1:
+        raise InputError(f"{path}: has both session.toml and scan.toml: name one of the two files")
+    return there[0], path / f"{there[0]}.toml"

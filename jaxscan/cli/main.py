@@ -1,0 +1,152 @@
+"""The command `jaxscan`: finds the command that was asked for, runs it, and turns its errors into words and statuses.
+
+Each command is a module of its own with
+
+    HELP                        one line
+    EXAMPLE                     one command line that works
+    add_arguments(parser)       its arguments
+    run(args) -> dict | None    its work; the result as plain numbers, texts, lists and dicts, for `--json`
+    describe(result) -> str     the result in words
+
+and imports whatever is slow to import inside `run`, so that `--help` answers at once.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Final, Protocol
+
+from jaxscan.errors import InputError, JaxscanError
+
+COMMANDS: Final = {
+    "calibrate": "jaxscan.cli.calibrate",
+    "reconstruct": "jaxscan.cli.reconstruct",
+    "inspect": "jaxscan.cli.inspect",
+    "simulate": "jaxscan.cli.simulate",
+}
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class Command(Protocol):
+    """What the module of a command offers."""
+
+    HELP: str
+    EXAMPLE: str
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Declare the command's arguments."""
+        ...
+
+    @staticmethod
+    def run(args: argparse.Namespace) -> dict[str, Any] | None:
+        """Do the work; progress goes to standard error."""
+        ...
+
+    @staticmethod
+    def describe(result: dict[str, Any]) -> str:
+        """The result in words."""
+        ...
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line and return its exit status: 0 done, 1 failed, 2 bad input or usage, 130 interrupted."""
+    try:
+        args = _parser().parse_args(argv)
+    except SystemExit as ended:  # argparse has said what was wrong, or has printed the help
+        return ended.code if isinstance(ended.code, int) else DONE
+    try:
+        with _warnings_in_words():
+            _run(args)
+    except KeyboardInterrupt:
+        return _complain("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read our output has gone, `| head` for one; Python would complain again when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except Exception as error:  # noqa: BLE001 (the outermost boundary: nothing may reach the user as a traceback)
+        if args.debug or os.environ.get("JAXSCAN_DEBUG"):
+            traceback.print_exc()
+        return _complain(_in_words(error), BAD_INPUT if isinstance(error, InputError) else FAILED)
+    return DONE
+
+
+def _run(args: argparse.Namespace) -> None:
+    command: Command = args.command
+    result = command.run(args)
+    if args.json:
+        print(json.dumps(result, ensure_ascii=False, allow_nan=False, indent=2))
+    elif result is not None:
+        print(command.describe(result))
+    sys.stdout.flush()
+
+
+def _complain(text: str, status: int) -> int:
+    print(f"jaxscan: {text}", file=sys.stderr)
+    return status
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, JaxscanError):
+        return f"error: {error}"
+    if isinstance(error, OSError):
+        return f"error: {error.filename or ''}{': ' if error.filename else ''}{error.strerror or error}"
+    return (
+        f"unexpected error: {type(error).__name__}: {error}\n"
+        "This is a fault of jaxscan. Run the command again with --debug and report what it prints."
+    )
+
+
+@contextmanager
+def _warnings_in_words() -> Iterator[None]:
+    """Warnings as one line each, without the place in the source that only a programmer needs."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_: print(f"jaxscan: warning: {message}", file=sys.stderr)
+        yield
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="jaxscan",
+        description="Calibrate a laser line scanner, and turn its photographs into points.",
+        epilog="exit status: 0 done, 1 failed, 2 bad input or usage",
+    )
+    parser.add_argument("--version", action=_Version)
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
+    common.add_argument("--debug", action="store_true", help="show where an error arose (as does JAXSCAN_DEBUG=1)")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for name, module in COMMANDS.items():
+        command: Any = importlib.import_module(module)
+        sub = commands.add_parser(
+            name,
+            help=command.HELP,
+            description=command.HELP[0].upper() + command.HELP[1:] + ".",
+            epilog=f"example:\n  {command.EXAMPLE}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            parents=[common],
+        )
+        command.add_arguments(sub)
+        sub.set_defaults(command=command)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for: importlib.metadata is slow to import."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str):
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help="print the version and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print the version and exit."""
+        from importlib.metadata import version
+
+        print(f"jaxscan {version('jaxscan')}")
+        parser.exit()

@@ -1,0 +1,89 @@
+"""What is detected in one photograph, drawn over it. Imported by the command when it runs, so freely slow."""
+
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.errors import InputError
+from jaxscan.files.scan import Scan, read_scan
+from jaxscan.files.session import Session, read_session
+from jaxscan.images import StripeSettings, detect_stripe, find_board, read_image, read_video, write_image
+from jaxscan.images.decode import Image
+from jaxscan.images.overlay import draw_board, draw_stripe
+
+
+def draw_frame(path: Path, index: int, out: Path) -> dict[str, Any]:
+    """Draw the stripe over frame `index` of a scan.
+
+    Raises:
+        InputError: there is no such frame, or the picture cannot be written.
+    """
+    scan = read_scan(path)
+    image, background = _frame(scan, index)
+    position = _stripe(image, scan.laser, background)
+    write_image(out, draw_stripe(image, position, scan.laser.columns))
+    return {"path": str(out), **_found(position, scan.laser)}
+
+
+def draw_view(path: Path, index: int, out: Path) -> dict[str, Any]:
+    """Draw the corners, and the stripe of each laser, over view `index` of a session.
+
+    Raises:
+        InputError: there is no such view, or the picture cannot be written.
+    """
+    session = read_session(path)
+    _check(path, index, len(session.views.boards), "views")
+    photograph = read_image(session.views.boards[index])
+    found = find_board(session.board, photograph)
+    corners = 0 if found is None else int(np.isfinite(found.corners).all(axis=1).sum())
+    picture = photograph if found is None else draw_board(photograph, found.corners, session.board.counts)
+    lasers = []
+    for laser in session.lasers:
+        lit = _lit(session, laser, index, photograph)
+        if lit is not None:
+            position = _stripe(lit, laser, None)
+            picture = draw_stripe(picture, position, laser.columns)
+            lasers.append({"name": laser.name, **_found(position, laser)})
+    write_image(out, picture)
+    return {"path": str(out), "corners": corners, "of_corners": len(session.board.points()), "lasers": lasers}
+
+
+def _frame(scan: Scan, index: int) -> tuple[Image, Image | None]:
+    """A frame and what is to be subtracted from it."""
+    if scan.video:
+        frames = list(islice(read_video(scan.video), index, index + 1)) if index >= 0 else []
+        if not frames:
+            raise InputError(f"{scan.video}: has no frame {index}: they count from 0")
+        image = frames[0]
+    else:
+        _check(scan.path, index, len(scan.frames), "frames")
+        image = read_image(scan.frames[index])
+    if not scan.backgrounds:
+        return image, None
+    return image, read_image(scan.backgrounds[index if len(scan.backgrounds) > 1 else 0])
+
+
+def _lit(session: Session, laser: StripeSettings, index: int, photograph: Image) -> Image | None:
+    """The photograph of a view in which a laser's stripe is looked for; None where there is none."""
+    if session.views.stripes is None:
+        return photograph
+    path = session.views.stripes[laser.name][index]
+    return None if path is None else read_image(path)
+
+
+def _stripe(image: Image, laser: StripeSettings, background: Image | None) -> Float[np.ndarray, "lines"]:
+    stripe = detect_stripe(image, laser, background)
+    return np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).ravel()
+
+
+def _found(position: Float[np.ndarray, "lines"], laser: StripeSettings) -> dict[str, Any]:
+    lines = "columns" if laser.columns else "rows"
+    return {"stripe_points": int(np.isfinite(position).sum()), f"of_{lines}": len(position)}
+
+
+def _check(path: Path, index: int, count: int, what: str) -> None:
+    if not 0 <= index < count:
+        raise InputError(f"{path}: --frame {index}: it has {count} {what}, counted from 0 to {count - 1}")

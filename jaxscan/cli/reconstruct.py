@@ -1,0 +1,65 @@
+"""`jaxscan reconstruct`: photographs of an object and a rig in, its points out."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Final
+
+HELP: Final = "turn the photographs of a scan into points"
+EXAMPLE: Final = "jaxscan reconstruct scans/cup --rig rig.json -o cup.ply"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("scan", type=Path, metavar="SCAN", help="a folder with scan.toml, or that file")
+    parser.add_argument("--rig", type=Path, required=True, help="the rig, as jaxscan calibrate writes it")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        action="append",
+        metavar="POINTS",
+        help="what to write: .ply (points) or .npz (the organised range image); may be given more than once",
+    )
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Read rig and scan, find the stripe in every frame, triangulate, and write the points."""
+    from jaxscan.files.cloud import check_ending
+
+    for path in args.output:
+        check_ending(path)
+    from jaxscan.atomic import check_writable
+
+    for path in args.output:
+        check_writable(path)
+    from jaxscan.cli.compiled import keep_compiled
+
+    keep_compiled()
+    from jaxscan.cli.progress import progress
+    from jaxscan.files.rig_file import read_rig
+    from jaxscan.files.scan import read_scan
+    from jaxscan.reconstruction import reconstruct, write_points
+
+    rig, scan = read_rig(args.rig), read_scan(args.scan)
+    with progress("reading frames", len(scan.frames) or None, "frame") as advance:
+        image = reconstruct(rig, scan, advance)
+    for path in args.output:
+        write_points(path, image)
+    return {
+        "kind": "points",
+        "path": [str(path) for path in args.output],
+        "frames": len(image.steps),
+        "frames_without_stripe": int((~image.valid.any(axis=1)).sum()),
+        "points": int(image.valid.sum()),
+    }
+
+
+def describe(result: dict[str, Any]) -> str:
+    """The result in words."""
+    empty = result["frames_without_stripe"]
+    return (
+        f"{result['points']} points from {result['frames']} frames"
+        + (f" ({empty} without a stripe)" if empty else "")
+        + f": {', '.join(result['path'])}"
+    )

@@ -1,0 +1,160 @@
+"""The facts that `inspect` found, in words: one line for each, name and value."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+Facts = dict[str, Any]
+Line = tuple[str, str]
+
+
+def in_words(facts: Facts) -> str:
+    """The facts of any kind of file."""
+    lines = [*_WORDS[facts["kind"]](facts), *_picture(facts)]
+    width = max((len(name) for name, _ in lines), default=0)
+    return "\n".join([f"{facts['kind']} {facts['path']}", *(f"  {name:{width}}  {value}" for name, value in lines)])
+
+
+def _session(facts: Facts) -> Iterator[Line]:
+    board = facts["board"]
+    points = "centres of circles" if board["kind"] == "circles" else "inner corners"
+    columns, rows = board["points"]
+    yield "board", f"{board['kind']}, {columns} × {rows} {points}, {board['pitch_mm']:g} mm apart"
+    yield "views", f"{facts['views']} photographs of {_size(facts['image_size'])}"
+    for laser in facts["lasers"]:
+        where = "in the photographs of the board"
+        if facts["stripes"]:
+            where = f"in {facts['stripes'][laser['name']]} photographs of its own"
+        yield _called("laser", laser), f"{_stripe(laser)}, {where}"
+    if not facts["lasers"]:
+        yield "laser", "none: the rig will have none"
+    stage = facts["stage"]
+    yield "stage", f"{stage['count']} photographs, {_travel(stage)}" if stage else "none: the rig will have none"
+    held = "found" if facts["principal_point"] == "free" else "held at the centre of the image"
+    yield "camera", f"lens {facts['lens']}, principal point {held}"
+
+
+def _scan(facts: Facts) -> Iterator[Line]:
+    if facts["name"]:
+        yield "name", facts["name"]
+    if facts["video"]:
+        yield "video", facts["video"]
+    frames = facts["frames"]
+    if facts["steps_per_frame"] is not None:
+        yield "frames", f"{facts['steps_per_frame']} motor steps from one to the next"
+    elif frames["count"]:
+        yield "frames", f"{frames['count']}, {_travel(frames)}"
+    else:
+        yield "frames", "none: the scan was cut off before its first"
+    if facts["image_size"]:
+        yield "photographs", _size(facts["image_size"])
+    yield _called("laser", facts["laser"]), _stripe(facts["laser"])
+    count = facts["backgrounds"]
+    yield "background", {0: "none", 1: "one photograph for all frames"}.get(count, "one photograph for each frame")
+    if facts["exposures_s"]:
+        low, high = facts["exposures_s"]
+        yield "exposure", f"{low:g} s" if low == high else f"{low:g} to {high:g} s"
+
+
+def _rig(facts: Facts) -> Iterator[Line]:
+    camera = facts["camera"]
+    yield "camera", f"{_size(camera['image_size'])}, lens {camera['lens']}"
+    yield "focal length", _values(camera["focal"], "px")
+    yield "principal point", _values(camera["principal"], "px")
+    if camera["radial"]["value"]:
+        yield "radial terms", _values(camera["radial"])
+    if camera["tangential"]["value"]:
+        yield "tangential terms", _values(camera["tangential"])
+    for laser in facts["lasers"]:
+        yield _called("light plane", laser), f"ω = {_values(laser['plane'], '1/mm')}"
+        yield "", f"{laser['distance_mm']:.1f} mm from the camera, {laser['angle_to_axis_deg']:.1f}° to its axis"
+        if laser["triangulation_angle_deg"] is not None:
+            yield "", f"in the middle of the image {laser['depth_in_the_middle_mm']:.1f} mm away"
+        if laser["triangulation_angles_deg"]:
+            low, high = laser["triangulation_angles_deg"]
+            yield "triangulation", f"rays meet the sheet at {low:.1f}° to {high:.1f}°"
+    if not facts["lasers"]:
+        yield "light plane", "none"
+    stage = facts["stage"]
+    if stage is None:
+        yield "stage", "none"
+    else:
+        direction = ", ".join(f"{x:.4f}" for x in stage["direction"])
+        yield "stage", f"{stage['mm_per_1000_steps']:.5g} mm for 1000 steps, along ({direction})"
+    for name, value in facts["fit"].items():
+        yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _cloud(facts: Facts) -> Iterator[Line]:
+    yield "points", f"{facts['points']}{', coloured' if facts['colours'] else ''}"
+    yield from _extent(facts)
+    if facts["sigma_pixel_mm"] is not None:
+        yield "", f"of which the pixel's part is {facts['sigma_pixel_mm']:.4f} mm"
+
+
+def _range_image(facts: Facts) -> Iterator[Line]:
+    frames = facts["frames"]
+    cells = frames["count"] * facts["columns"]
+    yield "frames", f"{frames['count']}, {_travel(frames)}"
+    yield "columns", str(facts["columns"])
+    yield "points", f"{facts['points']}, {100 * facts['points'] / max(cells, 1):.1f} % of frames × columns"
+    yield from _extent(facts)
+    if facts["strength"] is not None:
+        yield "strength", f"{facts['strength']:.1f} grey levels in the median"
+
+
+_WORDS: dict[str, Callable[[Facts], Iterator[Line]]] = {
+    "session": _session,
+    "scan": _scan,
+    "rig": _rig,
+    "cloud": _cloud,
+    "range image": _range_image,
+}
+
+
+def _picture(facts: Facts) -> Iterator[Line]:
+    picture = facts.get("picture")
+    if picture is None:
+        return
+    found = []
+    if "corners" in picture:
+        found.append(f"{picture['corners']} of {picture['of_corners']} points of the board")
+    for stripe in picture.get("lasers", [picture]):
+        lines = "columns" if "of_columns" in stripe else "rows"
+        found.append(f"a stripe in {stripe['stripe_points']} of {stripe[f'of_{lines}']} {lines}")
+    yield "picture", f"{picture['path']}: {', '.join(found)}"
+
+
+def _extent(facts: Facts) -> Iterator[Line]:
+    if facts["box_mm"]:
+        ranges = (f"{axis} {low:.1f} … {high:.1f}" for axis, low, high in zip("xyz", *facts["box_mm"], strict=True))
+        yield "extent", f"{', '.join(ranges)} mm"
+    if facts["sigma_mm"] is not None:
+        yield "sigma", f"{facts['sigma_mm']:.4f} mm in the median"
+
+
+def _size(size: list[int]) -> str:
+    return f"{size[0]} × {size[1]} pixels"
+
+
+def _called(what: str, laser: Facts) -> str:
+    return f'{what} "{laser["name"]}"' if laser["name"] else what
+
+
+def _stripe(laser: Facts) -> str:
+    return f"{laser['color']}, one point for each image {'column' if laser['columns'] else 'row'}"
+
+
+def _travel(steps: Facts) -> str:
+    if steps["count"] == 0:
+        return "no steps"
+    spacing = f", {steps['spacing']} apart" if steps["spacing"] is not None else ""
+    return f"steps {steps['first_step']} to {steps['last_step']}{spacing}"
+
+
+def _values(part: Facts, unit: str = "") -> str:
+    """Numbers with their standard deviations, to the digits that these leave."""
+    sigmas = part["sigma"] or [None] * len(part["value"])
+    shown = []
+    for value, sigma in zip(part["value"], sigmas, strict=True):
+        shown.append(f"{value:.7g} ± {sigma:.2g}" if sigma else f"{value:.7g}")
+    return f"{', '.join(shown)} {unit}".rstrip()

@@ -1,0 +1,109 @@
+"""The photographs that a TOML file names, by a glob or by a list, relative to the file itself."""
+
+import glob
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxscan.errors import InputError
+from jaxscan.files.table import Table, show
+from jaxscan.images import image_size
+
+_NAMES_SHOWN = 3
+
+
+def natural_key(name: str) -> tuple[list[str | int], str]:
+    """A key that sorts names as a person counts: `view2` before `view10`."""
+    # The split alternates between text and digits, so equal places hold equal types.
+    parts = re.split(r"([0-9]+)", name)
+    return [int(part) if i % 2 else part for i, part in enumerate(parts)], name
+
+
+def files_of(table: Table, key: str) -> tuple[Path, ...]:
+    """The files of a glob, sorted naturally, or of a list of names, in its order.
+
+    Raises:
+        InputError: a glob that matches nothing, a name that stands twice, a file that is not there.
+    """
+    value = table.values.get(key)
+    if isinstance(value, str) and value:
+        return _matches(table, key, value)
+    names = _names(table, key)
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise table.error(key, f"{show(name)} stands twice: name each photograph once")
+    return _present(table, key, names)
+
+
+def files_or_gaps(table: Table, key: str) -> tuple[Path | None, ...]:
+    """As `files_of`, but "" in a list stands for no file."""
+    if isinstance(table.values.get(key), str):
+        return files_of(table, key)
+    names = _names(table, key, gaps=True)
+    held = iter(files_of(Table(table.path, table.prefix, {key: [name for name in names if name]}), key))
+    return tuple(next(held) if name else None for name in names)
+
+
+def repeated_files_of(table: Table, key: str) -> tuple[Path, ...]:
+    """As `files_of`, but one file may serve several times."""
+    if isinstance(table.values.get(key), str):
+        return files_of(table, key)
+    return _present(table, key, _names(table, key))
+
+
+def common_size(paths: Sequence[Path]) -> tuple[int, int]:
+    """Columns and rows of photographs that are all of one size.
+
+    Raises:
+        InputError: two of them differ, or one cannot be read.
+    """
+    first, *others = paths
+    size = image_size(first)
+    for path in others:
+        if (other := image_size(path)) != size:
+            raise InputError(
+                f"{path}: is {other[0]} × {other[1]} pixels, but {first} is {size[0]} × {size[1]}: "
+                "all photographs must be of one camera, unscaled and uncropped; take the odd one out"
+            )
+    return size
+
+
+def name_some(paths: Sequence[Path]) -> str:
+    """A few names in words: `a.png, b.png, c.png and 7 more`."""
+    names = ", ".join(path.name for path in paths[:_NAMES_SHOWN])
+    return names + (f" and {len(paths) - _NAMES_SHOWN} more" if len(paths) > _NAMES_SHOWN else "")
+
+
+def _matches(table: Table, key: str, pattern: str) -> tuple[Path, ...]:
+    folder = table.path.parent
+    if os.path.isfile(folder / pattern):  # a plain name, or one that only looks like a pattern
+        return (folder / pattern,)
+    names = [] if "\0" in pattern else glob.glob(pattern, root_dir=folder, recursive=True)
+    files = tuple(path for name in sorted(names, key=natural_key) if os.path.isfile(path := folder / name))
+    if not files:
+        raise table.error(key, f"matches no file in {folder}: check folder and ending (upper and lower case differ)")
+    return files
+
+
+def _names(table: Table, key: str, gaps: bool = False) -> list[str]:
+    if not isinstance(table.values.get(key), list):
+        missing = "" if key in table else "is missing: "
+        raise table.error(key, f'{missing}must be a glob such as "photographs/*.png", or a list of names')
+    names: list[Any] = table.sequence(key, "names")
+    for i, name in enumerate(names):
+        if not isinstance(name, str) or not (name or gaps):
+            raise table.error(key, f"entry {i} is {show(name)}: must be the name of a file")
+    return names
+
+
+def _present(table: Table, key: str, names: Sequence[str]) -> tuple[Path, ...]:
+    paths = tuple(table.path.parent / name for name in names)
+    # Unlike Path.is_file, this one calls a name that the system cannot hold a missing file too.
+    missing = [path for path in paths if not os.path.isfile(path)]
+    if missing:
+        raise table.error(
+            key, f"{len(missing)} of {len(paths)} files are not in {missing[0].parent}: {name_some(missing)}"
+        )
+    return paths

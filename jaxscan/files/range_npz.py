@@ -1,0 +1,92 @@
+"""The organised range image as an NPZ file: one point for each frame and each image column (or row)."""
+
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int64
+
+from jaxscan.atomic import replacing
+from jaxscan.errors import InputError
+
+_DTYPES: Final = {
+    "points": np.dtype(np.float32),
+    "strength": np.dtype(np.float32),
+    "sigma": np.dtype(np.float32),
+    "valid": np.dtype(np.bool_),
+    "steps": np.dtype(np.int64),
+}
+
+
+@dataclass(frozen=True)
+class RangeArrays:
+    """A range image as plain arrays.
+
+    Attributes:
+        points: object frame, mm; NaN for none.
+        strength: of the stripe, in grey levels.
+        sigma: standard deviation of each point along its ray, mm; NaN where it is not known.
+        valid: where there is a point.
+        steps: motor step count of each frame.
+    """
+
+    points: Float32[np.ndarray, "frames columns 3"]
+    strength: Float32[np.ndarray, "frames columns"]
+    sigma: Float32[np.ndarray, "frames columns"]
+    valid: Bool[np.ndarray, "frames columns"]
+    steps: Int64[np.ndarray, "frames"]
+
+
+def write_range_npz(path: str | os.PathLike[str], image: RangeArrays) -> None:
+    """Write a range image, whole or not at all.
+
+    Raises:
+        InputError: the arrays do not fit one another, or the file cannot be written.
+    """
+    arrays = {name: np.asarray(getattr(image, name), dtype=dtype) for name, dtype in _DTYPES.items()}
+    _check(path, arrays)
+    with replacing(path, "wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
+    """Read and check a range image.
+
+    Raises:
+        InputError: the file is missing, is no range image, or its arrays do not fit one another.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file, zipfile.ZipFile(file):
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in _DTYPES if name in archive}
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no such file: check the path") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder: name an .npz file in it") from error
+    except (zipfile.BadZipFile, ValueError, EOFError) as error:
+        raise InputError(f"{path}: is not a whole NPZ file ({error}): copy or write it again") from error
+    for name, dtype in _DTYPES.items():
+        if name not in arrays:
+            raise InputError(f'{path}: has no array "{name}", so it is not a range image: reconstruct again')
+        if arrays[name].dtype != dtype:
+            raise InputError(f'{path}: "{name}" is {arrays[name].dtype}, {dtype} is expected: reconstruct again')
+    _check(path, arrays)
+    return RangeArrays(**arrays)
+
+
+def _check(path: str | os.PathLike[str], arrays: dict[str, np.ndarray]) -> None:
+    shape = arrays["valid"].shape
+    expected = {"points": (*shape, 3), "strength": shape, "sigma": shape, "valid": shape, "steps": shape[:1]}
+    for name, array in arrays.items():
+        if len(shape) != 2 or array.shape != expected[name]:
+            raise InputError(
+                f'{path}: "{name}" has the shape {array.shape}, beside "valid" of shape {shape}: '
+                "valid is (frames, columns), and the others go with it"
+            )
+    if not np.isfinite(arrays["points"][arrays["valid"]]).all():
+        raise InputError(f"{path}: a valid point has a coordinate that is not a finite number: reconstruct again")

@@ -1,0 +1,263 @@
+"""`rig.json`: what calibration writes and reconstruction reads, format "jaxscan-rig/1".
+
+All numbers pass through the file unchanged: they are written with as many digits as a float64 needs, and read into
+NumPy float64 leaves, whatever JAX's present default precision is.
+"""
+
+import json
+import math
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float64
+
+from jaxscan.atomic import replacing
+from jaxscan.errors import InputError
+from jaxscan.files.rig_checks import check_covariance, check_light_plane
+from jaxscan.files.table import PassedOverWarning, Table
+from jaxscan.files.text import read_json
+from jaxscan.precision import as_numpy
+from jaxscan.rig import LENSES, Camera, LightPlane, Rig, Stage
+from jaxscan.rig.rig import parameter_names
+
+FORMAT: Final = "jaxscan-rig/1"
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """The covariance of a rig's parameters.
+
+    Attributes:
+        names: the parameters, by `parameter_names`; one that was held is not among them.
+        matrix: their covariance, in the parameters' own units.
+    """
+
+    names: tuple[str, ...]
+    matrix: Float64[np.ndarray, "parameters parameters"]
+
+    def sigma(self, name: str) -> float | None:
+        """The standard deviation of one parameter, None where it was held."""
+        return math.sqrt(max(self.matrix[i, i], 0.0)) if (i := self._index(name)) is not None else None
+
+    def _index(self, name: str) -> int | None:
+        return self.names.index(name) if name in self.names else None
+
+
+@dataclass(frozen=True)
+class RigFile:
+    """What a rig file holds.
+
+    Attributes:
+        rig: the rig, with NumPy float64 leaves.
+        covariance: that of the rig's parameters, where it is known.
+        fit: how the fit went: `corner_rms_px`, `stripe_rms_px`, `views` and whatever else the calibration had to say.
+    """
+
+    rig: Rig
+    covariance: Covariance | None = None
+    fit: dict[str, Any] = field(default_factory=dict)
+
+
+def read_rig(path: str | os.PathLike[str]) -> RigFile:
+    """Read and check a rig file.
+
+    Keys that this version does not know are passed over with a `PassedOverWarning` that names them.
+
+    Raises:
+        InputError: whatever is wrong with the file: what it is, the key, and the mend.
+    """
+    return _decode(read_json(Path(path)))
+
+
+def write_rig(path: str | os.PathLike[str], content: RigFile) -> None:
+    """Write a rig file, whole or not at all. What could not be read again is refused.
+
+    Raises:
+        InputError: the rig or its covariance is not sound, or the file cannot be written.
+    """
+    values = _encode(content)
+    _decode(Table(Path(path), "", values))
+    with replacing(path, "w") as file:
+        file.write(_layout(values))
+
+
+def _decode(table: Table) -> RigFile:
+    _check_format(table)
+    _check_finite(table)
+    unknown = table.unknown(("format", "units", "camera", "laser", "stage", "covariance", "fit"))
+    camera_table = table.table("camera", "camera.")
+    unknown += [f"camera.{key}" for key in camera_table.unknown(_CAMERA_KEYS)]
+    with jax.enable_x64(True):
+        camera = _camera(camera_table)
+        lasers = tuple(_laser(laser, camera, unknown) for laser in _laser_tables(table))
+        rig = as_numpy(Rig(camera, _named_apart(table, lasers), _stage(table, unknown)))
+    fit = dict(table.table("fit", "fit.").values) if "fit" in table else {}
+    content = RigFile(rig, _covariance(table, rig, unknown), fit)
+    if unknown:
+        keys = ", ".join(unknown)
+        warnings.warn(f"{table.path}: passed over what this version does not know: {keys}", PassedOverWarning, 3)
+    return content
+
+
+def _check_format(table: Table) -> None:
+    form = table.string("format")
+    if form != FORMAT:
+        raise table.error(
+            "format", f'this version of jaxscan reads "{FORMAT}": calibrate again, or use another version'
+        )
+    if table.string("units") != "mm":
+        raise table.error("units", 'must be "mm": convert the light plane (1/mm) and the stage (mm for each step)')
+
+
+def _check_finite(table: Table) -> None:
+    """Refuse NaN and infinity wherever they stand, so also in keys that are not looked into any further."""
+    pending: list[tuple[str, Any]] = [(key, value) for key, value in table.values.items()]
+    while pending:
+        name, value = pending.pop()
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"{table.path}: {name} is {value}: a rig holds finite numbers alone; calibrate again")
+        if isinstance(value, dict | list):
+            inner = value.items() if isinstance(value, dict) else enumerate(value)
+            pending += [(f"{name}.{key}", entry) for key, entry in inner]
+
+
+_CAMERA_KEYS: Final = ("image_size", "focal", "principal", "lens", "radial", "tangential")
+
+
+def _camera(table: Table) -> Camera:
+    lens = table.string("lens", choices=tuple(LENSES))
+    n_radial, n_tangential = LENSES[lens]
+    focal = table.numbers("focal", 2)
+    if min(focal) <= 0:
+        raise table.error("focal", "must be two positive numbers of pixels")
+    return Camera(
+        focal=_pair(focal),
+        principal=_pair(table.numbers("principal", 2)),
+        radial=_leaves(_coefficients(table, "radial", lens, n_radial)),
+        tangential=_leaves(_coefficients(table, "tangential", lens, n_tangential)),
+        image_size=table.size("image_size"),
+    )
+
+
+def _coefficients(table: Table, key: str, lens: str, count: int) -> tuple[float, ...]:
+    values = table.numbers(key) if count or key in table else ()
+    if len(values) != count:
+        raise table.error(key, f'the lens "{lens}" has {count} {key} coefficients, here are {len(values)}: mend either')
+    return values
+
+
+def _laser_tables(table: Table) -> Iterator[Table]:
+    if "laser" not in table:
+        return
+    if isinstance(table.values["laser"], dict):
+        yield table.table("laser", "laser.")
+        return
+    for i, value in enumerate(table.sequence("laser", "lasers, each an object with name and plane")):
+        if not isinstance(value, dict):
+            raise table.error("laser", f"entry {i} must be an object with name and plane")
+        yield Table(table.path, f"laser.{i}.", value)
+
+
+def _laser(table: Table, camera: Camera, unknown: list[str]) -> LightPlane:
+    unknown += [table.prefix + key for key in table.unknown(("plane", "name"))]
+    plane = table.numbers("plane", 3)
+    check_light_plane(table, camera, plane)
+    return LightPlane(_triple(plane), table.string("name") if "name" in table else "")
+
+
+def _named_apart(table: Table, lasers: tuple[LightPlane, ...]) -> tuple[LightPlane, ...]:
+    names = [laser.name for laser in lasers]
+    if len(names) > 1 and (len(set(names)) < len(names) or "" in names):
+        raise InputError(f'{table.path}: laser: of several lasers each needs a "name" of its own; they are {names}')
+    return lasers
+
+
+def _stage(table: Table, unknown: list[str]) -> Stage | None:
+    if "stage" not in table:
+        return None
+    stage = table.table("stage", "stage.")
+    unknown += [f"stage.{key}" for key in stage.unknown(("per_step",))]
+    per_step = stage.numbers("per_step", 3)
+    if not any(per_step):
+        raise stage.error("per_step", "the stage does not move: leave out stage, or calibrate it")
+    return Stage(_triple(per_step))
+
+
+def _covariance(table: Table, rig: Rig, unknown: list[str]) -> Covariance | None:
+    if "covariance" not in table:
+        return None
+    inner = table.table("covariance", "covariance.")
+    unknown += [f"covariance.{key}" for key in inner.unknown(("parameters", "matrix"))]
+    names = inner.sequence("parameters", "parameter names")
+    matrix = check_covariance(inner, names, parameter_names(rig))
+    return Covariance(tuple(names), matrix)
+
+
+def _leaves(values: tuple[float, ...]) -> tuple[Array, ...]:
+    return tuple(jnp.asarray(value, jnp.float64) for value in values)
+
+
+def _pair(values: tuple[float, ...]) -> tuple[Array, Array]:
+    a, b = _leaves(values)
+    return a, b
+
+
+def _triple(values: tuple[float, ...]) -> tuple[Array, Array, Array]:
+    a, b, c = _leaves(values)
+    return a, b, c
+
+
+def _encode(content: RigFile) -> dict[str, Any]:
+    rig = content.rig
+    camera = rig.camera
+    values: dict[str, Any] = {
+        "format": FORMAT,
+        "units": "mm",
+        "camera": {
+            "image_size": list(camera.image_size),
+            "focal": _floats(camera.focal),
+            "principal": _floats(camera.principal),
+            "lens": camera.lens,
+            "radial": _floats(camera.radial),
+            "tangential": _floats(camera.tangential),
+        },
+    }
+    if len(rig.lasers) == 1 and not rig.lasers[0].name:
+        values["laser"] = {"plane": _floats(rig.lasers[0].plane)}
+    elif rig.lasers:
+        values["laser"] = [{"name": laser.name, "plane": _floats(laser.plane)} for laser in rig.lasers]
+    if rig.stage is not None:
+        values["stage"] = {"per_step": _floats(rig.stage.per_step)}
+    if content.covariance is not None:
+        matrix = np.asarray(content.covariance.matrix, dtype=np.float64).tolist()
+        values["covariance"] = {"parameters": list(content.covariance.names), "matrix": matrix}
+    if content.fit:
+        values["fit"] = content.fit
+    return values
+
+
+def _floats(leaves: tuple[Any, ...]) -> list[float]:
+    return [float(leaf) for leaf in leaves]
+
+
+def _layout(values: dict[str, Any]) -> str:
+    """JSON with one line for each part of the rig and one for each row of the covariance: a person reads it."""
+    parts = [
+        f'  "{key}": {_matrix_by_rows(value) if key == "covariance" else _line(value)}' for key, value in values.items()
+    ]
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def _matrix_by_rows(covariance: dict[str, Any]) -> str:
+    rows = ",\n      ".join(_line(row) for row in covariance["matrix"])
+    return f'{{\n    "parameters": {_line(covariance["parameters"])},\n    "matrix": [\n      {rows}\n    ]\n  }}'
+
+
+_line: Callable[[Any], str] = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode

@@ -1,0 +1,166 @@
+"""`scan.toml`: the photographs of an object on its way through the light, and where the stage stood for each."""
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from jaxscan.files.listing import files_of, name_some, natural_key, repeated_files_of
+from jaxscan.files.settings import (
+    read_step_rule,
+    read_steps,
+    read_stripe_settings,
+    relative_name,
+    stripe_values,
+    toml_in,
+    write_toml,
+)
+from jaxscan.files.table import PassedOverWarning, Table
+from jaxscan.files.text import read_toml
+from jaxscan.images import StripeSettings
+
+SCAN_FILE: Final = "scan.toml"
+VIDEO_ENDINGS: Final = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A scan.
+
+    Attributes:
+        path: its TOML file.
+        laser: how to look for the stripe.
+        frames: the photographs in their order; a scan cut off before its first has none. Empty for a video.
+        video: the video file whose frames take the place of `frames`.
+        steps: the motor step count of each frame; empty for a video with `steps_per_frame`.
+        steps_per_frame: of a video whose number of frames is not known before it is decoded: the steps from one frame
+            to the next, counted from 0. None where `steps` says it.
+        backgrounds: the scene with the laser off: none, one for all frames, or one for each.
+        exposures_s: exposure time of each frame, where it matters.
+        name: what was scanned, or "".
+    """
+
+    path: Path
+    laser: StripeSettings
+    frames: tuple[Path, ...] = ()
+    video: Path | None = None
+    steps: tuple[int, ...] = ()
+    steps_per_frame: int | None = None
+    backgrounds: tuple[Path, ...] = ()
+    exposures_s: tuple[float, ...] | None = None
+    name: str = ""
+
+
+def read_scan(path: str | os.PathLike[str]) -> Scan:
+    """Read and check a scan, given its folder or its `scan.toml`.
+
+    Frames that lie beside the listed ones but are not listed are passed over with a `PassedOverWarning`.
+
+    Raises:
+        InputError: whatever is wrong: file, key, value and the mend. That all photographs are of one size is not
+            looked at here: whoever decodes them sees it (or `common_size`, for the price of opening each).
+    """
+    table = read_toml(toml_in(Path(path), SCAN_FILE)).only("scan", "laser")
+    inner = table.table("scan", "[scan] ").only(
+        "frames", "steps", "steps_per_frame", "background", "exposures_s", "name"
+    )
+    laser = StripeSettings()
+    if "laser" in table:
+        laser = read_stripe_settings(table.table("laser", "[laser] ").only("name", "color", "columns"))
+    video = _video(inner)
+    rule = read_step_rule(inner, "steps_per_frame") if video else None
+    frames: tuple[Path, ...] = ()
+    steps: tuple[int, ...] = ()
+    if not video:
+        frames = files_of(inner, "frames")
+        steps = read_steps(inner, "steps_per_frame", frames, "frames")
+    elif rule is None:
+        steps = inner.wholes("steps")
+    n_frames = None if rule is not None else len(steps)
+    scan = Scan(
+        path=table.path,
+        laser=laser,
+        frames=frames,
+        video=video,
+        steps=steps,
+        steps_per_frame=rule,
+        backgrounds=_backgrounds(inner, n_frames),
+        exposures_s=_exposures(inner, n_frames),
+        name=inner.string("name") if "name" in inner else "",
+    )
+    # A glob says by itself what is left out; a list is what the hardware had made durable when it was cut off.
+    if isinstance(inner.values["frames"], list):
+        _say_unlisted(scan)
+    return scan
+
+
+def write_scan(scan: Scan) -> None:
+    """Write `scan.path`, whole or not at all, with its frames listed by name.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    folder = scan.path.parent
+
+    def names(paths: Sequence[Path]) -> list[str]:
+        return [relative_name(path, folder) for path in paths]
+
+    values: dict[str, Any] = {"name": scan.name} if scan.name else {}
+    values["frames"] = relative_name(scan.video, folder) if scan.video else names(scan.frames)
+    if scan.steps_per_frame is None:
+        values["steps"] = list(scan.steps)
+    else:
+        values["steps_per_frame"] = scan.steps_per_frame
+    if scan.backgrounds:
+        values["background"] = names(scan.backgrounds)
+    if scan.exposures_s is not None:
+        values["exposures_s"] = list(scan.exposures_s)
+    write_toml(scan.path, {"scan": values, "laser": stripe_values(scan.laser)})
+
+
+def _video(table: Table) -> Path | None:
+    name = table.values.get("frames")
+    if not isinstance(name, str) or Path(name).suffix.lower() not in VIDEO_ENDINGS:
+        return None
+    video, *others = files_of(table, "frames")
+    if others:
+        raise table.error("frames", f"matches {1 + len(others)} videos: a scan is one, name it")
+    return video
+
+
+def _backgrounds(table: Table, n_frames: int | None) -> tuple[Path, ...]:
+    if "background" not in table:
+        return ()
+    paths = repeated_files_of(table, "background")
+    if len(paths) not in (1, n_frames):
+        raise table.error("background", f"{len(paths)} photographs for {_frames(n_frames)}: give one, or one for each")
+    return paths
+
+
+def _exposures(table: Table, n_frames: int | None) -> tuple[float, ...] | None:
+    if "exposures_s" not in table:
+        return None
+    exposures = table.numbers("exposures_s")
+    if len(exposures) != n_frames:
+        raise table.error("exposures_s", f"{len(exposures)} exposure times for {_frames(n_frames)}: give one for each")
+    if min(exposures, default=1.0) <= 0:
+        raise table.error("exposures_s", "an exposure lasts longer than 0 seconds")
+    return exposures
+
+
+def _frames(count: int | None) -> str:
+    return "a video of unknown length (list its steps)" if count is None else f"{count} frames"
+
+
+def _say_unlisted(scan: Scan) -> None:
+    """Warn of files that lie in the frames' folders, have a frame's ending, and are not part of the scan."""
+    listed = {os.path.abspath(path) for path in (*scan.frames, *scan.backgrounds)}
+    endings = {path.suffix for path in scan.frames}
+    for folder in sorted({Path(os.path.abspath(path)).parent for path in scan.frames}):
+        others = [path for path in folder.iterdir() if path.suffix in endings and str(path) not in listed]
+        if others:
+            others.sort(key=lambda path: natural_key(path.name))
+            text = f"{scan.path}: passed over what lies in {folder} but is not listed: {name_some(others)}"
+            warnings.warn(text, PassedOverWarning, 3)

@@ -1,0 +1,238 @@
+"""`session.toml`: the photographs of a calibration, and what is on them."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, Literal, cast
+
+from jaxscan.errors import InputError
+from jaxscan.files.listing import common_size, files_of, files_or_gaps
+from jaxscan.files.settings import read_steps, read_stripe_settings, relative_name, stripe_values, toml_in, write_toml
+from jaxscan.files.table import Table, show
+from jaxscan.files.text import read_toml
+from jaxscan.images import Board, StripeSettings
+from jaxscan.rig import LENSES
+
+SESSION_FILE: Final = "session.toml"
+
+_BOARD_KEYS: Final = {
+    "checkerboard": ("inner_corners", "square_mm"),
+    "circles": ("circles", "pitch_mm"),
+    "charuco": ("squares", "square_mm", "marker_mm", "dictionary"),
+}
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """What the calibration is to find of the camera.
+
+    Attributes:
+        lens: a rung of the lens ladder.
+        principal_point: found, or held at the centre of the image.
+    """
+
+    lens: str = "radial1"
+    principal_point: Literal["free", "centre"] = "free"
+
+
+@dataclass(frozen=True)
+class Views:
+    """The board held in many poses.
+
+    Attributes:
+        boards: the photographs of the board.
+        stripes: for each laser by name, and in the order of `boards`, the photograph of the same pose with that laser
+            on, or None where there is none. None in place of it all: the stripe is in the photographs of the board.
+    """
+
+    boards: tuple[Path, ...]
+    stripes: Mapping[str, tuple[Path | None, ...]] | None = None
+
+
+@dataclass(frozen=True)
+class StageImages:
+    """The board fixed on the stage, photographed along its travel.
+
+    Attributes:
+        images: the photographs.
+        steps: the motor step count of each.
+    """
+
+    images: tuple[Path, ...]
+    steps: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Session:
+    """A calibration session.
+
+    Attributes:
+        path: its TOML file.
+        board: the board.
+        views: the board held in many poses.
+        camera: what is to be found of the camera.
+        stage: the board on the stage, where the rig has one.
+        lasers: how to look for the stripe of each laser; none for a rig without a laser.
+        image_size: columns and rows of all its photographs.
+    """
+
+    path: Path
+    board: Board
+    views: Views
+    camera: CameraSettings = field(default_factory=CameraSettings)
+    stage: StageImages | None = None
+    lasers: tuple[StripeSettings, ...] = ()
+    image_size: tuple[int, int] = (0, 0)
+
+
+def read_session(path: str | os.PathLike[str]) -> Session:
+    """Read and check a session, given its folder or its `session.toml`.
+
+    Every photograph is seen to be there and to be of one size; none is decoded further than its header.
+
+    Raises:
+        InputError: whatever is wrong: file, key, value and the mend.
+    """
+    table = read_toml(toml_in(Path(path), SESSION_FILE)).only("board", "camera", "views", "stage", "laser")
+    board, camera = _board(table), _camera(table)
+    views = table.table("views", "[views] ").only("boards", "stripes")
+    boards = files_of(views, "boards")
+    lasers, stripes = _lasers(table, views, len(boards))
+    stage = _stage(table)
+    photographs = [*boards, *(stage.images if stage else ())]
+    photographs += [path for paths in (stripes or {}).values() for path in paths if path is not None]
+    return Session(
+        path=table.path,
+        board=board,
+        views=Views(boards, stripes),
+        camera=camera,
+        stage=stage,
+        lasers=lasers,
+        image_size=common_size(photographs),
+    )
+
+
+def write_session(session: Session) -> None:
+    """Write `session.path`, whole or not at all, with its photographs listed by name.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    folder = session.path.parent
+    values: dict[str, Any] = {"board": _board_values(session.board)}
+    values["camera"] = {"lens": session.camera.lens, "principal_point": session.camera.principal_point}
+    values["views"] = {"boards": [relative_name(path, folder) for path in session.views.boards]}
+    lasers = [stripe_values(laser) for laser in session.lasers]
+    if session.views.stripes is not None:
+        names = {
+            laser: [relative_name(path, folder) if path else "" for path in paths]
+            for laser, paths in session.views.stripes.items()
+        }
+        if len(lasers) == 1:
+            (values["views"]["stripes"],) = names.values()
+        else:
+            for laser in lasers:
+                laser["stripes"] = names[laser["name"]]
+    if session.stage is not None:
+        images = [relative_name(path, folder) for path in session.stage.images]
+        values["stage"] = {"images": images, "steps": list(session.stage.steps)}
+    if lasers:
+        values["laser"] = lasers[0] if len(lasers) == 1 else lasers
+    write_toml(session.path, values)
+
+
+def _board(table: Table) -> Board:
+    board = table.table("board", "[board] ")
+    kind = board.string("kind", "checkerboard", tuple(_BOARD_KEYS))
+    board.only("kind", *_BOARD_KEYS[kind])
+    if kind == "circles":
+        make = partial(Board.circles, board.size("circles"), board.number("pitch_mm"))
+    elif kind == "charuco":
+        lengths = board.number("square_mm"), board.number("marker_mm")
+        make = partial(Board.charuco, board.size("squares"), *lengths, board.string("dictionary"))
+    else:
+        make = partial(Board.checkerboard, board.size("inner_corners"), board.number("square_mm"))
+    try:
+        return make()
+    except InputError as error:
+        raise InputError(f"{table.path}: [board] {error}") from error
+
+
+def _board_values(board: Board) -> dict[str, Any]:
+    columns, rows = board.counts
+    if board.kind == "circles":
+        return {"kind": board.kind, "circles": [columns, rows], "pitch_mm": board.pitch_mm}
+    if board.kind == "charuco":
+        values = {"square_mm": board.pitch_mm, "marker_mm": board.marker_mm, "dictionary": board.dictionary}
+        return {"kind": board.kind, "squares": [columns + 1, rows + 1], **values}
+    return {"kind": board.kind, "inner_corners": [columns, rows], "square_mm": board.pitch_mm}
+
+
+def _camera(table: Table) -> CameraSettings:
+    if "camera" not in table:
+        return CameraSettings()
+    camera = table.table("camera", "[camera] ").only("lens", "principal_point")
+    principal_point = camera.string("principal_point", "free", ("free", "centre"))
+    lens = camera.string("lens", "radial1", tuple(LENSES))
+    return CameraSettings(lens, cast(Literal["free", "centre"], principal_point))
+
+
+def _stage(table: Table) -> StageImages | None:
+    if "stage" not in table:
+        return None
+    stage = table.table("stage", "[stage] ").only("images", "steps", "steps_per_image")
+    images = files_of(stage, "images")
+    return StageImages(images, read_steps(stage, "steps_per_image", images, "images"))
+
+
+def _lasers(
+    table: Table, views: Table, n_boards: int
+) -> tuple[tuple[StripeSettings, ...], dict[str, tuple[Path | None, ...]] | None]:
+    """The lasers, and the photographs of each one's stripe."""
+    tables = _laser_tables(table)
+    lasers = tuple(read_stripe_settings(laser) for laser in tables)
+    if len(lasers) > 1:
+        _check_names(table, lasers)
+        if "stripes" in views:
+            raise views.error("stripes", "there are several lasers: give each [[laser]] its own stripes instead")
+        return lasers, {laser.name: _stripes(inner, n_boards) for laser, inner in zip(lasers, tables, strict=True)}
+    own = [inner for inner in tables if "stripes" in inner]
+    if own and "stripes" in views:
+        raise views.error("stripes", f"{own[0].prefix}stripes is given too: keep one of them")
+    if not own and "stripes" not in views:
+        return lasers, None
+    # Photographs of a stripe mean a laser, even if there is nothing to say about it.
+    lasers = lasers or (StripeSettings(),)
+    return lasers, {lasers[0].name: _stripes(own[0] if own else views, n_boards)}
+
+
+def _laser_tables(table: Table) -> list[Table]:
+    """One table for each laser, from `[laser]` or from several `[[laser]]`."""
+    value = table.values.get("laser", [])
+    if isinstance(value, dict):
+        return [table.table("laser", "[laser] ").only("name", "color", "columns", "stripes")]
+    if not isinstance(value, list) or not all(isinstance(inner, dict) for inner in value):
+        raise table.error("laser", "must be a table, [laser], or several, each under [[laser]]")
+    return [
+        Table(table.path, f"[[laser]] {i + 1}: ", inner).only("name", "color", "columns", "stripes")
+        for i, inner in enumerate(value)
+    ]
+
+
+def _check_names(table: Table, lasers: tuple[StripeSettings, ...]) -> None:
+    names = [laser.name for laser in lasers]
+    if "" in names or len(set(names)) < len(names):
+        raise InputError(f"{table.path}: [[laser]] name: each of several lasers needs its own; they are {show(names)}")
+
+
+def _stripes(table: Table, n_boards: int) -> tuple[Path | None, ...]:
+    paths = files_or_gaps(table, "stripes")
+    if len(paths) != n_boards:
+        raise table.error(
+            "stripes",
+            f"{len(paths)} photographs of the stripe for {n_boards} of the board: they are paired in order, "
+            'so give as many, in a list with "" where there is none',
+        )
+    return paths

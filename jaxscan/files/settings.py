@@ -1,0 +1,81 @@
+"""What sessions and scans have in common: their folder, their step counts, and the settings of a laser."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import tomli_w
+
+from jaxscan.atomic import replacing
+from jaxscan.errors import InputError
+from jaxscan.files.table import Table
+from jaxscan.images import StripeSettings
+from jaxscan.images.response import COLORS
+
+
+def toml_in(path: Path, name: str) -> Path:
+    """The TOML file of a session or scan, given its folder or the file itself.
+
+    Raises:
+        InputError: neither is there.
+    """
+    if path.is_dir():
+        if not (path / name).is_file():
+            raise InputError(f"{path}: has no {name}: write one there, or name another folder")
+        return path / name
+    return path
+
+
+def read_stripe_settings(table: Table) -> StripeSettings:
+    """How the stripe is looked for, from a `[laser]` table."""
+    return StripeSettings(
+        color=cast(Literal["red", "green", "blue", "grey"], table.string("color", "red", COLORS)),
+        columns=table.boolean("columns", True),
+        name=table.string("name") if "name" in table else "",
+    )
+
+
+def stripe_values(settings: StripeSettings) -> dict[str, Any]:
+    """The inverse of `read_stripe_settings`."""
+    name = {"name": settings.name} if settings.name else {}
+    return {**name, "color": settings.color, "columns": settings.columns}
+
+
+def read_steps(table: Table, per_file: str, files: Sequence[Path], what: str) -> tuple[int, ...]:
+    """The motor step count of each file: from `steps`, or counted from 0 by so many for each file.
+
+    Raises:
+        InputError: neither or both are given, or their number is not that of the files.
+    """
+    step = read_step_rule(table, per_file)
+    if step is not None:
+        return tuple(step * i for i in range(len(files)))
+    steps = table.wholes("steps")
+    if len(steps) != len(files):
+        raise table.error("steps", f"{len(steps)} step counts for {len(files)} {what}: give one for each")
+    return steps
+
+
+def read_step_rule(table: Table, per_file: str) -> int | None:
+    """The steps from one file to the next where they are given as one number, None where `steps` lists them."""
+    if "steps" in table and per_file in table:
+        raise table.error("steps", f"{per_file} is given too: keep one of them")
+    if "steps" in table:
+        return None
+    if per_file not in table:
+        raise table.error("steps", f"is missing: give the motor step count of each photograph, or {per_file}")
+    step = table.whole(per_file)
+    if step == 0:
+        raise table.error(per_file, "the stage does not move: give the motor steps from one photograph to the next")
+    return step
+
+
+def relative_name(path: Path, folder: Path) -> str:
+    """A path as a TOML file in this folder names it: relative where it lies inside."""
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.as_posix()
+
+
+def write_toml(path: Path, values: Mapping[str, Any]) -> None:
+    """Write a TOML file, whole or not at all."""
+    with replacing(path, "w") as file:
+        file.write(tomli_w.dumps(values))

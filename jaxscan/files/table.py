@@ -1,0 +1,166 @@
+"""One table of a TOML or JSON file, read with the types and keys that the format has.
+
+Every value is asked for by key and type, and every error says file, key, value and mend. The keys a table may have are
+stated first, so that a mistyped one is reported as what it is and not as the absence of the right one.
+"""
+
+import difflib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from jaxscan.errors import InputError
+
+_LONGEST_VALUE_SHOWN = 60
+# Whole numbers beyond this are not exact in float64.
+_LARGEST_WHOLE: Final = 2**53
+
+
+class PassedOverWarning(UserWarning):
+    """Something in a file or folder was not understood and was left aside; the text says what."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a file and where it stands there.
+
+    Attributes:
+        path: the file.
+        prefix: what to put before a key to name it in an error: `[board] ` or `camera.`.
+        values: the keys and their values, as the parser gave them.
+    """
+
+    path: Path
+    prefix: str
+    values: Mapping[str, Any]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.values
+
+    def error(self, key: str, problem: str) -> InputError:
+        """The error for one key: file, key, value (where there is one), and the problem with its mend."""
+        shown = f" = {show(self.values[key])}" if key in self.values else ""
+        return InputError(f"{self.path}: {self.prefix}{key}{shown}: {problem}")
+
+    def unknown(self, known: Sequence[str]) -> list[str]:
+        """The keys that are not among the known ones."""
+        return [key for key in self.values if key not in known]
+
+    def only(self, *known: str) -> "Table":
+        """The table itself, if it has no other keys than these.
+
+        Raises:
+            InputError: it has; the known key that looks most like it is suggested.
+        """
+        for key in self.unknown(known):
+            near = difflib.get_close_matches(key, known, n=1)
+            mend = f'did you mean "{near[0]}"?' if near else f"the keys here are {', '.join(known)}"
+            raise self.error(key, f"unknown key; {mend}")
+        return self
+
+    def table(self, key: str, prefix: str) -> "Table":
+        """The table under a key."""
+        value = self._required(key, "a table")
+        if not isinstance(value, dict):
+            raise self.error(key, "must be a table")
+        return Table(self.path, prefix, value)
+
+    def string(self, key: str, default: str | None = None, choices: Sequence[str] = ()) -> str:
+        """A text that is not empty, and one of the choices where there are any."""
+        value = self._value(key, default, f"one of {', '.join(choices)}" if choices else "a text in quotes")
+        if not isinstance(value, str) or not value:
+            raise self.error(key, "must be a text in quotes that is not empty")
+        if choices and value not in choices:
+            raise self.error(key, f"must be one of {', '.join(choices)}")
+        return value
+
+    def boolean(self, key: str, default: bool) -> bool:
+        """True or false."""
+        value = self.values.get(key, default)
+        if not isinstance(value, bool):
+            raise self.error(key, "must be true or false")
+        return value
+
+    def whole(self, key: str) -> int:
+        """A whole number."""
+        value = self._required(key, "a whole number")
+        if not _is_whole(value):
+            raise self.error(key, f"must be a whole number{_float_hint(value)}")
+        return value
+
+    def wholes(self, key: str) -> tuple[int, ...]:
+        """A list of whole numbers."""
+        for i, value in enumerate(values := self.sequence(key, "whole numbers")):
+            if not _is_whole(value):
+                raise self.error(key, f"entry {i} is {show(value)}: must be a whole number{_float_hint(value)}")
+        return tuple(values)
+
+    def number(self, key: str) -> float:
+        """A finite number."""
+        value = self._required(key, "a number")
+        if not _is_finite(value):
+            raise self.error(key, "must be a finite number")
+        return float(value)
+
+    def numbers(self, key: str, count: int | None = None) -> tuple[float, ...]:
+        """A list of finite numbers, this many where a count is given."""
+        values = self.sequence(key, "numbers")
+        for i, value in enumerate(values):
+            if not _is_finite(value):
+                raise self.error(key, f"entry {i} is {show(value)}: must be a finite number")
+        if count is not None and len(values) != count:
+            raise self.error(key, f"must hold {count} number{'s' if count != 1 else ''}, it holds {len(values)}")
+        return tuple(float(value) for value in values)
+
+    def size(self, key: str) -> tuple[int, int]:
+        """Columns and rows, both positive."""
+        values = self.wholes(key)
+        if len(values) != 2 or min(values) < 1:
+            raise self.error(key, "must be two positive whole numbers: columns, rows")
+        return values[0], values[1]
+
+    def sequence(self, key: str, of: str) -> list[Any]:
+        """A list, whatever is in it; `of` says in errors what should be."""
+        value = self._required(key, f"a list of {of}")
+        if not isinstance(value, list):
+            raise self.error(key, f"must be a list of {of}")
+        return value
+
+    def _value(self, key: str, default: Any, expected: str) -> Any:
+        return self._required(key, expected) if default is None else self.values.get(key, default)
+
+    def _required(self, key: str, expected: str) -> Any:
+        if key not in self.values:
+            raise self.error(key, f"is missing: add it, {expected}")
+        return self.values[key]
+
+
+def show(value: Any) -> str:
+    """A value as the file has it, cut where it is long."""
+    try:
+        text = json.dumps(value, default=str, ensure_ascii=False)
+    except (ValueError, RecursionError):  # a whole number of more digits than Python writes, lists without end
+        return "a value too long to show"
+    return text if len(text) <= _LONGEST_VALUE_SHOWN else f"{text[:_LONGEST_VALUE_SHOWN]}…"
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _LARGEST_WHOLE
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number that no float can hold
+        return False
+
+
+def _float_hint(value: Any) -> str:
+    if isinstance(value, float) and value.is_integer() and abs(value) <= _LARGEST_WHOLE:
+        return f": write {int(value)}"
+    return " (no fraction, no quotes)"

@@ -1,0 +1,22 @@
+"""Photographs to observations: decoding, the board's corners, the laser stripe, and pictures of what was found."""
+
+from jaxscan.images.board import Board
+from jaxscan.images.decode import image_size, read_image, read_video, to_grey, write_image
+from jaxscan.images.find import BoardView, find_board
+from jaxscan.images.order import carry_order
+from jaxscan.images.stripe import Stripe, StripeSettings, detect_stripe
+
+__all__ = [
+    "Board",
+    "BoardView",
+    "Stripe",
+    "StripeSettings",
+    "carry_order",
+    "detect_stripe",
+    "find_board",
+    "image_size",
+    "read_image",
+    "read_video",
+    "to_grey",
+    "write_image",
+]

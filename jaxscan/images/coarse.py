@@ -1,0 +1,78 @@
+"""First step of stripe detection: in which block of rows the response to the laser is greatest.
+
+A compiler of loops does this at the speed of memory only as one reduction over blocks of 12 to 18 rows, in integers
+as short as will do, with the greatest response and where it is packed into one number: r · 32 + (31 − k).
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from jaxscan.images.response import Images, split
+
+_PACK = 32
+# Those that divide a usual size come first; a remainder is covered by one more block that overlaps the last.
+_BLOCKS = (16, 15, 18, 12, 14, 17, 13)
+# A block stands out from those this many blocks away; nearer ones may hold the flanks of the same stripe.
+_SURROUNDINGS = 3
+
+
+def block_size(length: int) -> int:
+    """How many rows (or columns) make a block in an image that has so many."""
+    return next((b for b in _BLOCKS if length % b == 0), _BLOCKS[0])
+
+
+def block_starts(length: int) -> list[int]:
+    """The first row of each block."""
+    block = block_size(length)
+    whole = list(range(0, length - block + 1, block))
+    return whole if length % block == 0 else [*whole, length - block]
+
+
+@partial(jax.jit, static_argnames=("color", "columns"))
+def coarse_peaks(
+    images: Images, background: Images | None, ambient: Int[Array, "frames"], color: str, columns: bool
+) -> Int[Array, "frames across down"]:
+    """The greatest response of each block and where in it, packed.
+
+    Blocks run down the columns and come out as (frames, blocks, columns), or along the rows: (frames, rows, blocks).
+    """
+    laser, others = split(images, background, color)
+    level = laser - jnp.minimum(others, ambient.astype(others.dtype)[:, None, None])
+    axis = 1 if columns else 2
+    length = level.shape[axis]
+    block = block_size(length)
+    whole = length - length % block
+    peaks = _reduce_blocks(jax.lax.slice_in_dim(level, 0, whole, axis=axis), block, axis)
+    if whole == length:
+        return peaks
+    last = _reduce_blocks(jax.lax.slice_in_dim(level, length - block, length, axis=axis), block, axis)
+    return jnp.concatenate([peaks, last], axis=axis)
+
+
+def _reduce_blocks(level: Int[Array, "frames rows columns"], block: int, axis: int) -> Int[Array, "frames across down"]:
+    shape = level.shape
+    split = level.reshape(*shape[:axis], shape[axis] // block, block, *shape[axis + 1 :])
+    place = (_PACK - 1 - jnp.arange(block, dtype=level.dtype)).reshape(-1, *[1] * (2 - axis))
+    return (split * _PACK + place).max(axis + 1)
+
+
+def choose_peak(peaks: Int[Array, "frames across down"], length: int, columns: bool) -> Int[Array, "frames lines"]:
+    """The row (or column) of the peak, for each column (or row): in the block that stands out most.
+
+    A stripe is narrow and a glare is broad: half the level of the brighter of the surroundings is taken off. What lies
+    beyond the image's edge is taken to be as bright as the last block.
+    """
+    axis = 1 if columns else 2
+    level = (peaks // _PACK).astype(jnp.int32)
+    n = level.shape[axis]
+    far = [(0, 0)] * 3
+    far[axis] = (_SURROUNDINGS, _SURROUNDINGS)
+    padded = jnp.pad(level, far, mode="edge")
+    before, after = (jax.lax.slice_in_dim(padded, i, i + n, axis=axis) for i in (0, 2 * _SURROUNDINGS))
+    best = jnp.argmax(2 * level - jnp.maximum(before, after), axis=axis, keepdims=True)
+    place = _PACK - 1 - jnp.take_along_axis(peaks % _PACK, best, axis=axis).astype(jnp.int32)
+    starts = jnp.asarray(block_starts(length), jnp.int32)
+    return (starts[best] + place).squeeze(axis)

@@ -1,0 +1,180 @@
+"""Photographs and videos to arrays and back: (rows, columns) grey or (rows, columns, 3) in the order red, green, blue.
+
+OpenCV returns a picture that is half grey for a JPEG that was cut off, and nothing but `None` for a file that is not
+there. So the file is read here, its end marker is looked for, and only then is it decoded. The orientation noted by a
+camera in the file's metadata is not applied: calibration is about the pixels of the detector.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt
+
+from jaxscan.atomic import replacing
+from jaxscan.errors import InputError
+
+Image = UInt[np.ndarray, "rows columns *rgb"]
+
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+_PNG_END = b"IEND\xaeB`\x82"
+_JPEG_START = b"\xff\xd8\xff"
+_JPEG_END = b"\xff\xd9"
+# Start-of-frame markers hold the size; the codes left out are tables and reserved ones.
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_JPEG_SCAN = 0xDA
+# Enough for the metadata and thumbnail that a camera puts before the size.
+_HEADER_BYTES = 1 << 18
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What a PNG or JPEG says of itself before its pixels begin."""
+
+    size: tuple[int, int]
+    channels: int
+    pixels_at: int
+
+
+def read_image(path: str | os.PathLike[str]) -> Image:
+    """A photograph, uint8 or uint16 as stored; grey stays grey, and an alpha channel is dropped.
+
+    Raises:
+        InputError: the file is missing, is not an image, is cut off, or has pixels that are not 8 or 16 bit integers.
+    """
+    data = _read_bytes(Path(path))
+    header = _header(data)
+    if header is not None:
+        end = _PNG_END if data.startswith(_PNG_START) else _JPEG_END
+        # Bytes after the end marker are allowed: some cameras append a preview.
+        if data.rfind(end) < header.pixels_at:
+            raise InputError(f"{path}: the image is cut off after {len(data)} bytes: copy or record it again")
+    keep = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    known_colour = header is not None and header.channels >= 3
+    colour = cv2.IMREAD_COLOR_RGB if known_colour else cv2.IMREAD_ANYCOLOR
+    image = None
+    if data:
+        with _quiet():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), keep | colour)
+    if image is None:
+        raise InputError(f"{path}: is not an image that can be decoded: give a PNG, JPEG, TIFF or the like")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{path}: its pixels are {image.dtype}: save it with 8 or 16 bits a channel")
+    if image.ndim == 3 and not known_colour:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return image
+
+
+def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Columns and rows of a photograph; of a PNG or JPEG only the header is read.
+
+    Raises:
+        InputError: as `read_image`, but a PNG or JPEG that is cut off after its header passes.
+    """
+    header = _header(_read_bytes(Path(path), _HEADER_BYTES))
+    if header is not None:
+        return header.size
+    rows, columns = read_image(path).shape[:2]
+    return columns, rows
+
+
+def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows columns 3"]]:
+    """The frames of a video, one by one. The file is opened at once, not with the first frame.
+
+    Raises:
+        InputError: the file is missing, or is not a video that can be decoded.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such file: check the name")
+    with _quiet():
+        capture = cv2.VideoCapture(os.fspath(path))
+    if not capture.isOpened():
+        raise InputError(f"{path}: is not a video that can be decoded: convert it to MP4 or AVI")
+    return _frames(capture)
+
+
+def _frames(capture: cv2.VideoCapture) -> Iterator[UInt[np.ndarray, "rows columns 3"]]:
+    try:
+        while True:
+            there, frame = capture.read()
+            if not there:
+                return
+            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+    finally:
+        capture.release()
+
+
+def to_grey(image: Image) -> UInt[np.ndarray, "rows columns"]:
+    """Luminance of a colour image, in the same depth; a grey image is returned as it is."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+
+
+def write_image(path: str | os.PathLike[str], image: Image) -> None:
+    """Write a grey or RGB image in the format that the name's ending asks for; whole or not at all.
+
+    Raises:
+        InputError: the ending is no image format's, the format cannot hold the image, or the place cannot be written.
+    """
+    stored = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    ending = Path(path).suffix
+    if image.dtype == np.uint16 and ending.lower() not in (".png", ".tif", ".tiff"):
+        raise InputError(f'{path}: "{ending}" does not hold 16 bits a channel: write .png or .tif')
+    try:
+        with _quiet():
+            _, data = cv2.imencode(ending, stored)
+    except cv2.error as error:
+        raise InputError(f'{path}: "{ending}" cannot hold this image ({error.err}): write .png or .jpg') from error
+    with replacing(path) as file:
+        file.write(data.tobytes())
+
+
+def _read_bytes(path: Path, limit: int = -1) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(limit)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no such file: check the name") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder: name an image in it") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}): check its permissions and its disk") from error
+
+
+def _header(data: bytes) -> _Header | None:
+    """Size and channels of a PNG or JPEG; None of any other format, or when the header itself is damaged."""
+    if data.startswith(_PNG_START) and len(data) >= 26:
+        columns, rows = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
+        # Colour types 0 and 4 are grey; 2, 3 (palette) and 6 are colour.
+        return _Header((columns, rows), 1 if data[25] in (0, 4) else 3, 26)
+    return _jpeg_header(data) if data.startswith(_JPEG_START) else None
+
+
+def _jpeg_header(data: bytes) -> _Header | None:
+    """Walk from marker to marker, past a thumbnail's own end marker, to where the pixels begin."""
+    at, size, channels = 2, None, 0
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if marker == 0xFF:
+            at += 1
+            continue
+        if marker in _JPEG_FRAMES and at + 10 <= len(data):
+            rows, columns = (int.from_bytes(data[at + i : at + i + 2], "big") for i in (5, 7))
+            size, channels = (columns, rows), data[at + 9]
+        if marker == _JPEG_SCAN:
+            break
+        at += 2 + length
+    return None if size is None else _Header(size, channels, at)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep OpenCV from writing to standard error what an `InputError` is about to say."""
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)

@@ -1,0 +1,134 @@
+"""Finding the board in a photograph.
+
+The finders of OpenCV are given the photograph at several sizes and in several normalisations, cheapest first, because
+each misses boards that another finds: a board that is too large for its morphology at full size, or so dark beside a
+burnt-out laser stripe that a global threshold does not see it. What is found is refined at full size.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt, UInt8
+
+from jaxscan.images.board import Board
+from jaxscan.images.circles import find_circles, refine_circles
+from jaxscan.images.decode import Image, to_grey
+from jaxscan.images.order import order_grid
+from jaxscan.images.refine import refine_corners
+
+Grey = UInt[np.ndarray, "rows columns"]
+Grey8 = UInt8[np.ndarray, "rows columns"]
+Grid = Float[np.ndarray, "rows columns 2"]
+
+# Longer sides, in pixels, at which the board is looked for. Few boards fill so little of a large photograph that more
+# is needed, and the search costs its area.
+_SIDES = (640, 1280, 2560)
+# Levels between these percentiles are spread over 8 bits. The upper one leaves out a laser stripe and its halo.
+_PERCENTILES = (1, 90)
+# Local levels are compared over this part of the longer side.
+_NEIGHBOURHOOD = 1 / 12
+# Four points fix a pose; with fewer a view says nothing.
+_LEAST_SEEN = 4
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """A board as one photograph shows it.
+
+    Attributes:
+        corners: its points in the order of `Board.points`, pixels (u, v); NaN where one was not seen.
+        ambiguous: whether half a turn of the board would fit the photograph as well.
+    """
+
+    corners: Float[np.ndarray, "points 2"]
+    ambiguous: bool
+
+
+def find_board(board: Board, image: Image) -> BoardView | None:
+    """The board's points in a grey or RGB photograph of 8 or 16 bits; None when the board is not in it."""
+    grey = to_grey(image)
+    if min(grey.shape) < 2 * max(board.counts):
+        return None
+    find = {"checkerboard": _find_checkerboard, "circles": _find_circles, "charuco": _find_charuco}[board.kind]
+    grid = find(board, grey)
+    if grid is None or np.isfinite(grid[..., 0]).sum() < _LEAST_SEEN:
+        return None
+    return BoardView(order_grid(board, grid.reshape(-1, 2), grey), board.half_turn_ambiguous)
+
+
+def _find_checkerboard(board: Board, grey: Grey) -> Grid | None:
+    columns, rows = board.counts
+    stretched = _stretch(grey)
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    for reduced, scale in _sizes(stretched):
+        found, corners = cv2.findChessboardCorners(reduced, board.counts, flags=flags)
+        if found:
+            return refine_corners(grey, _full_size(corners, scale).reshape(rows, columns, 2))
+    # The sector-based finder is slower, but bears noise, and wants even light.
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+    for reduced, scale in _sizes(_even_light(grey)):
+        found, corners = cv2.findChessboardCornersSB(reduced, board.counts, flags=flags)
+        if found:
+            return refine_corners(grey, _full_size(corners, scale).reshape(rows, columns, 2))
+    return None
+
+
+def _find_circles(board: Board, grey: Grey) -> Grid | None:
+    for reduced, scale in _sizes(_stretch(grey)):
+        centres = find_circles(board.counts, reduced)
+        if centres is not None:
+            columns, rows = board.counts
+            return refine_circles(grey, _full_size(centres, scale).reshape(rows, columns, 2))
+    return None
+
+
+def _find_charuco(board: Board, grey: Grey) -> Grid | None:
+    columns, rows = board.counts
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    squares = (columns + 1, rows + 1)
+    pattern = cv2.aruco.CharucoBoard(squares, float(board.pitch_mm), float(board.marker_mm), dictionary)
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(_stretch(grey))
+    if ids is None or len(ids) < _LEAST_SEEN:
+        return None
+    grid = np.full((rows * columns, 2), np.nan)
+    grid[ids.ravel().astype(int)] = corners.reshape(-1, 2)
+    # Nearer than its margin, a marker brings edges of its own into a corner's window.
+    margin = (1 - board.marker_mm / board.pitch_mm) / 2
+    return refine_corners(grey, grid.reshape(rows, columns, 2), widest=margin)
+
+
+def _stretch(grey: Grey) -> Grey8:
+    """The photograph's usual levels spread over 8 bits."""
+    low, high = np.percentile(grey[::4, ::4], _PERCENTILES)
+    return _to_8_bits((grey.astype(np.float32) - low) * (255 / max(high - low, 1)))
+
+
+def _even_light(grey: Grey) -> Grey8:
+    """Each level against the mean about it, on a scale of logarithms, so that neither lamp nor stripe matters."""
+    level = np.log1p(grey.astype(np.float32))
+    size = int(max(grey.shape) * _NEIGHBOURHOOD) | 1
+    return _to_8_bits(128 + 64 * (level - cv2.blur(level, (size, size))))
+
+
+def _to_8_bits(levels: Float[np.ndarray, "rows columns"]) -> Grey8:
+    return levels.clip(0, 255).astype(np.uint8)
+
+
+def _sizes(image: Grey8) -> Iterator[tuple[Grey8, float]]:
+    """The image reduced to each of the longer sides that it has, and by how much; a small image as it is."""
+    longer = max(image.shape)
+    for side in _SIDES:
+        scale = min(side / longer, 1.0)
+        yield (
+            (image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)),
+            scale,
+        )
+        if scale == 1:
+            return
+
+
+def _full_size(points: np.ndarray, scale: float) -> Float[np.ndarray, "points 2"]:
+    """Pixels of a reduced image to those of the photograph: sizes change about the image's edge, which is at -0.5."""
+    return (points.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5

@@ -1,0 +1,67 @@
+"""The order of a board's points: the same physical point first in every view, as far as the board allows it.
+
+A grid of m × n points can be numbered row by row in as many ways as it has symmetries. Three rules choose among them:
+
+1. The turn from x to y is clockwise on the photograph (v down), so that z = x × y points away from the camera.
+   A mirrored order is never right.
+2. On a checkerboard the square diagonally outside the first corner is dark. This decides the half turn where exactly
+   one count is even, and the quarter turn where both counts are the same odd number.
+3. What is left, a half turn or, on a square grid, quarter turns, cannot be told from one photograph. Along a stage it
+   is carried over from the image before.
+"""
+
+import numpy as np
+from jaxtyping import Float, UInt
+
+from jaxscan.images.board import Board
+
+Corners = Float[np.ndarray, "points 2"]
+
+
+def order_grid(board: Board, corners: Corners, grey: UInt[np.ndarray, "rows columns"]) -> Corners:
+    """The points of one photograph, found row by row from whichever end, in the order that the rules ask for."""
+    columns, rows = board.counts
+    grid = corners.reshape(rows, columns, 2)
+    along_x, along_y = grid[-1, -1] - grid[-1, 0], grid[-1, 0] - grid[0, 0]
+    if along_x[0] * along_y[1] - along_x[1] * along_y[0] < 0:
+        grid = grid[::-1]
+    if board.kind == "checkerboard" and not _first_square_is_dark(grid, grey):
+        turned = [order for order in _turns(grid) if _first_square_is_dark(order, grey)]
+        grid = turned[0] if turned else grid
+    return grid.reshape(-1, 2)
+
+
+def carry_order(board: Board, previous_corners: Corners, corners: Corners) -> Corners:
+    """Of the orders that one photograph cannot tell apart, the one nearest to the corners of the image before.
+
+    Points that are NaN in either image are not compared.
+    """
+    if not board.half_turn_ambiguous:
+        return corners
+    columns, rows = board.counts
+    orders = _turns(corners.reshape(rows, columns, 2))
+    if board.kind == "checkerboard" and columns % 2:
+        # Quarter turns of an odd square board exchange dark and light, and the colours were right already.
+        orders = orders[:2]
+    flat = [order.reshape(-1, 2) for order in orders]
+    seen = np.isfinite(previous_corners).all(axis=1)
+    distances = [np.sum(((order - previous_corners)[seen & np.isfinite(order).all(axis=1)]) ** 2) for order in flat]
+    return flat[int(np.argmin(distances))]
+
+
+def _turns(grid: Float[np.ndarray, "rows columns 2"]) -> list[Float[np.ndarray, "rows columns 2"]]:
+    """The grid as it is, after half a turn and, where it is square, after quarter turns."""
+    turns = (0, 2, 1, 3) if grid.shape[0] == grid.shape[1] else (0, 2)
+    return [np.rot90(grid, turn) for turn in turns]
+
+
+def _first_square_is_dark(grid: Float[np.ndarray, "rows columns 2"], grey: UInt[np.ndarray, "rows columns"]) -> bool:
+    """Whether the square diagonally outside the first corner is dark.
+
+    It may lie outside the photograph; but it has the colour of the square diagonally inside, and of every second one.
+    """
+    centres = (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, :-1] + grid[1:, 1:]) / 4
+    seen = np.isfinite(centres).all(axis=-1)
+    u, v = np.rint(centres[seen]).astype(int).clip(0, np.array(grey.shape)[::-1] - 1).T
+    like_first = np.indices(seen.shape).sum(axis=0)[seen] % 2 == 0
+    return bool(np.median(grey[v, u][like_first]) < np.median(grey[v, u][~like_first]))

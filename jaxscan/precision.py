@@ -1,0 +1,40 @@
+"""Float64 where it is needed, whatever the caller's JAX configuration says."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscan.errors import InputError
+
+
+@contextmanager
+def float64() -> Iterator[None]:
+    """Run a block in float64 and leave the caller's configuration as it was.
+
+    Raises:
+        InputError: called inside a trace (jit, grad, vmap) of a caller who has not enabled x64: the values that are
+            traced would already be float32.
+    """
+    # A constant made inside a jit is a tracer too.
+    if not jax.config.read("jax_enable_x64") and isinstance(jnp.zeros(()), jax.core.Tracer):
+        raise InputError(
+            "calibration runs in float64 and cannot be traced in float32: to differentiate through it, put "
+            'jax.config.update("jax_enable_x64", True) before anything else'
+        )
+    with jax.enable_x64(True):
+        yield
+
+
+def as_float64(tree: Any) -> Any:
+    """The same pytree with JAX float64 leaves; inside a `float64` block."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), tree)
+
+
+def as_numpy(tree: Any) -> Any:
+    """The same pytree with NumPy leaves, which keep their precision outside of `float64`."""
+    return jax.tree.map(np.asarray, tree)

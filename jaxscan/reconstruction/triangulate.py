@@ -1,0 +1,145 @@
+"""The triangulation kernel: (u, v, step) → point, as one fused pass over millions of stripe points.
+
+With x the undistorted ray of pixel (u, v), ω the light plane and t = −per_step the point of the object frame is
+
+    X_j = (a_j · x) / (ω · x) + t_j n,   a_j the unit vector of coordinate j.
+
+Written so, with the coefficients as arguments, XLA makes one loop of it that reads u, v and n once and writes the
+(points, 3) output once. The inverse of the lens costs no iteration there: the factor from distorted to undistorted
+coordinates is a function of r_d² alone, found in float64 once for a rig and kept as a polynomial S. A lens with
+tangential terms Δ adds fixed-point corrections x ← S(|x_d − Δ(x)|²) (x_d − Δ(x)), each of which divides the error by
+about the size of the tangential terms.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxscan.errors import InputError
+from jaxscan.precision import as_float64, float64
+from jaxscan.rig import Camera, Rig
+from jaxscan.rig.lens import distort, invertible_radius, undistort
+
+_HIGHEST_DEGREE = 16
+_FIT_SAMPLES = 400
+# The polynomial is made no better than this (pixels), and a lens whose polynomial is worse than the second is refused.
+_FIT_GOAL_PX = 1e-6
+_FIT_LIMIT_PX = 1e-3
+_TANGENTIAL_CORRECTIONS = 3
+
+
+class Kernel(eqx.Module):
+    """A rig made ready for triangulation: arrays alone, so that another rig of the same lens does not compile anew.
+
+    Attributes:
+        principal: u₀, v₀, pixels.
+        inverse_focal: 1 / f_u, 1 / f_v.
+        factor: coefficients c_i of S = Σ c_i ρ^i with ρ = r_d² / reach.
+        reach: the largest r_d² that has an inverse; pixels beyond it give NaN.
+        tangential: p1, p2, or empty.
+        axes: the unit vectors a_j in rows.
+        omega: the light plane, 1/mm.
+        back: −per_step of the stage, mm.
+    """
+
+    principal: Float[Array, "2"]
+    inverse_focal: Float[Array, "2"]
+    factor: Float[Array, "coefficients"]
+    reach: Float[Array, ""]
+    tangential: Float[Array, "tangential"]
+    axes: Float[Array, "3 3"]
+    omega: Float[Array, "3"]
+    back: Float[Array, "3"]
+
+    @staticmethod
+    def create(rig: Rig, laser: str = "", dtype: str = "float32") -> "Kernel":
+        """The kernel of one laser of a rig.
+
+        Raises:
+            InputError: the rig has no such laser, or the inverse of its lens is no smooth function.
+        """
+        camera, plane = rig.camera, rig.laser(laser)
+        factor, reach = polynomial_inverse(camera)
+        back = np.zeros(3) if rig.stage is None else -np.stack(rig.stage.per_step)
+        arrays = (
+            np.stack(camera.principal),
+            1 / np.stack(camera.focal),
+            factor,
+            reach,
+            camera.tangential,
+            np.eye(3),
+            np.stack(plane.plane),
+            back,
+        )
+        return Kernel(*(jnp.asarray(np.asarray(array, np.float64), dtype) for array in arrays))
+
+    def point(self, u: Float[Array, ""], v: Float[Array, ""], steps: Float[Array, ""]) -> Float[Array, "3"]:
+        """One stripe pixel at a motor step count to its point (mm, object frame); NaN where it sees no sheet."""
+        xd = (u - self.principal[0]) * self.inverse_focal[0]
+        yd = (v - self.principal[1]) * self.inverse_focal[1]
+        x, y, inside = self._undistort_radial(xd, yd)
+        if self.tangential.size:
+            for _ in range(_TANGENTIAL_CORRECTIONS):
+                moved = distort((), (self.tangential[0], self.tangential[1]), jnp.stack([x, y])) - jnp.stack([x, y])
+                x, y, inside = self._undistort_radial(xd - moved[0], yd - moved[1])
+        inverse_depth = self.omega[0] * x + self.omega[1] * y + self.omega[2]
+        point = (self.axes[:, 0] * x + self.axes[:, 1] * y + self.axes[:, 2]) / inverse_depth + self.back * steps
+        return jnp.where(inside & (inverse_depth > 0), point, jnp.nan)
+
+    def _undistort_radial(
+        self, xd: Float[Array, ""], yd: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+        rho = (xd * xd + yd * yd) / self.reach
+        s = jnp.zeros_like(rho)
+        for c in self.factor[::-1]:
+            s = s * rho + c
+        return xd * s, yd * s, rho <= 1
+
+
+@jax.jit
+def triangulate(
+    kernel: Kernel, u: Float[Array, "points"], v: Float[Array, "points"], steps: Float[Array, "points"]
+) -> Float[Array, "points 3"]:
+    """Stripe pixels to points of the object frame (mm), in the kernel's precision."""
+    return jax.vmap(kernel.point)(u, v, steps)
+
+
+def polynomial_inverse(camera: Camera) -> tuple[Float[np.ndarray, "coefficients"], float]:
+    """The factor from distorted to undistorted radial coordinates as a polynomial in r_d² / reach, and the reach.
+
+    Least squares at Chebyshev points, in float64, over the whole image as far as the lens has an inverse there.
+
+    Raises:
+        InputError: no polynomial follows the inverse to a thousandth of a pixel.
+    """
+    columns, rows = camera.image_size
+    edges = np.array([[u, v] for u in (-0.5, columns - 0.5) for v in (-0.5, rows - 0.5)])
+    corners = (edges - np.stack(camera.principal)) / np.stack(camera.focal)
+    # Tangential terms move a pixel before its radius is looked up: a margin for that.
+    widest = 1.02 * float(np.sqrt((corners**2).sum(axis=1)).max())
+    with float64():
+        radial = as_float64(camera.radial)
+        reach = min(widest, 0.999 * float(invertible_radius(radial, jnp.float64)[1])) if radial else widest
+        rho = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_FIT_SAMPLES) + 0.5) / _FIT_SAMPLES)
+        distorted = reach * np.sqrt(rho)
+        exact = np.asarray(_undistort_radii(radial, jnp.asarray(distorted))) / distorted
+    focal = float(np.max(np.stack(camera.focal)))
+    degree, error, fit = 0, np.inf, np.polynomial.Chebyshev([1.0])
+    while error > _FIT_GOAL_PX and degree <= _HIGHEST_DEGREE:
+        fit = np.polynomial.Chebyshev.fit(rho, exact, degree, domain=[0, 1])
+        error = focal * float(np.abs((fit(rho) - exact) * distorted).max())
+        degree += 2
+    if error > _FIT_LIMIT_PX:
+        raise InputError(
+            f"the inverse of the lens {camera.lens} with radial {[float(k) for k in camera.radial]} is not smooth over the "
+            f"image (a polynomial misses it by {error:.2g} px): calibrate with a simpler lens"
+        )
+    return fit.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1]).coef, reach**2
+
+
+@jax.jit
+def _undistort_radii(radial: tuple[Float[Array, ""], ...], rd: Float[Array, "n"]) -> Float[Array, "n"]:
+    along = jnp.stack([rd, jnp.zeros_like(rd)], axis=-1)
+    return jax.vmap(lambda x: undistort(radial, (), x))(along)[:, 0]

@@ -1,0 +1,237 @@
+"""Sessions and scans of a simulated rig as folders, with the truth beside them.
+
+The truth is three files:
+
+- `rig.json`: the true rig, in the format of any rig.
+- `session.json`: `seed`; `boards`, T_cam_board of every view, and `stage`, that of the board on the stage at step 0, as
+  rotation vector (radians) and translation (mm); `stage_steps`.
+- `scan.npz`: `steps` (frames); `position` (frames, columns), the row in which an ideal camera sees the middle of the
+  sheet; `points` (frames, columns, 3), that point in the object frame, mm; NaN where there is none.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxscan.atomic import replacing
+from jaxscan.errors import InputError
+from jaxscan.files.rig_file import RigFile, write_rig
+from jaxscan.files.scan import SCAN_FILE, Scan, write_scan
+from jaxscan.files.session import SESSION_FILE, Session, StageImages, Views, write_session
+from jaxscan.geometry import Pose
+from jaxscan.images import StripeSettings, write_image
+from jaxscan.rig import Rig
+from jaxscan.simulation import rig_2003
+from jaxscan.simulation.light import Lighting, Sensor
+from jaxscan.simulation.profile import true_profile
+from jaxscan.simulation.render import render
+from jaxscan.simulation.rig_2003 import BOARD, SCAN_FRAMES, STAGE_VIEWS, STEPS_APART
+from jaxscan.simulation.scene import Scene
+
+TRUE_RIG: Final = "rig.json"
+TRUE_SESSION: Final = "session.json"
+TRUE_SCAN: Final = "scan.npz"
+
+# Second number of the seed: photographs of different kinds share no noise.
+_BOARD_NOISE, _STAGE_NOISE, _SCAN_NOISE, _STRIPE_NOISE = range(4)
+
+Advance = Callable[[int], object]
+
+
+@dataclass(frozen=True)
+class SessionTruth:
+    """What a simulated session shows.
+
+    Attributes:
+        rig: the true rig.
+        seed: of the rig, the poses and the noise.
+        boards: T_cam_board of every view, stacked.
+        stage: T_cam_board of the board on the stage at step 0.
+        stage_steps: motor step count of every stage photograph.
+    """
+
+    rig: Rig
+    seed: int
+    boards: Pose
+    stage: Pose
+    stage_steps: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ScanTruth:
+    """What a simulated scan shows.
+
+    Attributes:
+        steps: motor step count of every frame.
+        position: row in which an ideal camera sees the middle of the sheet, NaN for none, px.
+        points: that point in the object frame, mm.
+    """
+
+    steps: Int[np.ndarray, "frames"]
+    position: Float[np.ndarray, "frames columns"]
+    points: Float[np.ndarray, "frames columns 3"]
+
+
+def simulate_session(
+    folder: Path,
+    seed: int = 0,
+    *,
+    rig: Rig | None = None,
+    lighting: Lighting = rig_2003.BOARD_LIGHTING,
+    sensor: Sensor = rig_2003.SENSOR,
+    separate_stripes: bool = False,
+    ending: str = ".png",
+    advance: Advance = lambda count: None,
+) -> SessionTruth:
+    """Write the calibration session of the simulated rig of 2003: 11 boards with the stripe, 31 boards on the stage.
+
+    Args:
+        folder: gets `session.toml`, `boards/` and `stage/`; is made if it is not there.
+        seed: of the rig, the poses and the noise.
+        rig: another rig than that of the seed; with several lasers the stripes are photographed separately.
+        lighting: of the boards with a stripe; the stage photographs have the same without the laser.
+        sensor: of all photographs.
+        separate_stripes: photograph every pose once without the laser and once with it, into `stripes/`.
+        ending: format of the photographs.
+        advance: called with 1 after every photograph.
+
+    Raises:
+        InputError: something cannot be written.
+    """
+    rig = rig_2003.simulated_rig(seed) if rig is None else rig
+    separate = separate_stripes or len(rig.lasers) != 1
+    boards, stage = rig_2003.board_poses(rig, seed), rig_2003.stage_pose(rig, seed)
+    steps = tuple(STEPS_APART * i for i in range(STAGE_VIEWS))
+    _make(folder, "boards", "stage", *(["stripes"] if separate else []))
+    (folder / SESSION_FILE).unlink(missing_ok=True)
+
+    def shoot(name: str, scene: Scene, kind: int, i: int, **how: Any) -> Path:
+        image = render(rig, scene, lighting=lighting, sensor=sensor, seed=(2003, seed, kind, i), **how)
+        path = folder / f"{name}{ending}"
+        write_image(path, image)
+        advance(1)
+        return path
+
+    board_images: list[Path] = []
+    stripe_images: dict[str, list[Path | None]] = {laser.name: [] for laser in rig.lasers}
+    for i in range(rig_2003.BOARD_VIEWS):
+        scene = rig_2003.board_scene(np.asarray(boards.rotation[i]), np.asarray(boards.translation[i]))
+        board_images.append(shoot(f"boards/{i:02d}", scene, _BOARD_NOISE, i, laser=None if separate else 0))
+        for n, laser in enumerate(rig.lasers if separate else ()):
+            name = f"stripes/{laser.name or 'stripe'}-{i:02d}"
+            stripe_images[laser.name].append(shoot(name, scene, _STRIPE_NOISE + n, i, laser=n))
+    scene = rig_2003.board_scene(np.asarray(stage.rotation), np.asarray(stage.translation))
+    stage_images = [shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, steps=n) for i, n in enumerate(steps)]
+    stripes = {name: tuple(paths) for name, paths in stripe_images.items()} if separate and rig.lasers else None
+    write_session(
+        Session(
+            path=folder / SESSION_FILE,
+            board=BOARD,
+            views=Views(tuple(board_images), stripes),
+            stage=StageImages(tuple(stage_images), steps),
+            lasers=tuple(StripeSettings(name=laser.name) for laser in rig.lasers),
+            image_size=rig.camera.image_size,
+        )
+    )
+    return SessionTruth(rig, seed, boards, stage, steps)
+
+
+def simulate_scan(
+    folder: Path,
+    rig: Rig,
+    scene: Scene,
+    seed: int = 0,
+    *,
+    name: str = "",
+    frames: int = SCAN_FRAMES,
+    steps_apart: int = STEPS_APART,
+    lighting: Lighting = rig_2003.SCAN_LIGHTING,
+    sensor: Sensor = rig_2003.SENSOR,
+    ending: str = ".png",
+    advance: Advance = lambda count: None,
+) -> ScanTruth:
+    """Write a scan: `scan.toml` and `frames/`.
+
+    Args:
+        folder: is made if it is not there.
+        rig: the true rig; its first laser is on.
+        scene: as it stands at motor step 0.
+        seed: of the noise.
+        name: of the object.
+        frames: how many, the first at step 0.
+        steps_apart: motor steps from one to the next.
+        lighting: what lights the scene.
+        sensor: of all frames.
+        ending: format of the photographs.
+        advance: called with 1 after every photograph.
+
+    Raises:
+        InputError: something cannot be written.
+    """
+    _make(folder, "frames")
+    (folder / SCAN_FILE).unlink(missing_ok=True)
+    steps = tuple(steps_apart * i for i in range(frames))
+    paths, profiles = [], []
+    for i, n in enumerate(steps):
+        seeds = (2003, seed, _SCAN_NOISE, i)
+        image = render(rig, scene, steps=n, laser=0, lighting=lighting, sensor=sensor, seed=seeds)
+        paths.append(folder / "frames" / f"{i:03d}{ending}")
+        write_image(paths[-1], image)
+        profiles.append(true_profile(rig, scene, n, lighting=lighting))
+        advance(1)
+    settings = StripeSettings(name=rig.lasers[0].name)
+    write_scan(Scan(folder / SCAN_FILE, settings, frames=tuple(paths), steps=steps, name=name))
+    positions, points = (np.stack([profile[k] for profile in profiles]) for k in (0, 1))
+    return ScanTruth(np.asarray(steps), positions, points)
+
+
+def write_truth(folder: Path, session: SessionTruth, scan: ScanTruth) -> None:
+    """Write the three files of the truth.
+
+    Raises:
+        InputError: something cannot be written.
+    """
+    _make(folder)
+    values = {
+        "seed": session.seed,
+        "boards": [_pose_values(session.boards, i) for i in range(len(session.boards.rotation))],
+        "stage": _pose_values(session.stage, ...),
+        "stage_steps": list(session.stage_steps),
+    }
+    with replacing(folder / TRUE_SESSION, "w") as file:
+        json.dump(values, file, indent=2)
+    with replacing(folder / TRUE_SCAN) as file:
+        np.savez(file, steps=scan.steps, position=scan.position, points=scan.points)
+    write_rig(folder / TRUE_RIG, RigFile(session.rig))
+
+
+def read_scan_truth(folder: Path) -> ScanTruth:
+    """Read what `write_truth` wrote of the scan.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    path = folder / TRUE_SCAN
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file: name the folder truth of a simulation")
+    with np.load(path) as arrays:
+        return ScanTruth(arrays["steps"], arrays["position"], arrays["points"])
+
+
+def _pose_values(pose: Pose, i: Any) -> dict[str, list[float]]:
+    vectors = np.asarray(pose.rotation), np.asarray(pose.translation)
+    return {key: vector[i].tolist() for key, vector in zip(("rotation", "translation"), vectors, strict=True)}
+
+
+def _make(folder: Path, *inner: str) -> None:
+    """Make folders."""
+    try:
+        for name in ("", *inner):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error

@@ -1,0 +1,260 @@
+"""The compiled parts of the renderer. Scenes, poses and light are arguments: one compilation serves all photographs.
+
+A pixel is split into 3 × 3 fine cells. `survey` casts one ray through the centre of every cell. Cells beside an edge,
+and cells near the sheet of laser light, are then cast again by `refine`, with 25 rays each: 225 to a pixel. Their
+places within the cell form a lattice of rank one, in which all 25 have different columns and rows, so that an edge
+along either axis is placed to 1/75 px rather than 1/15; the lattice is shifted from cell to cell to break up what is
+left. `develop` blurs, averages each pixel and adds the noise.
+
+The brightness of a point is
+
+    albedo · (ambient + directional · max(0, n · l) + power · colour · exp(−d² / 2 σ²) · max(0, n · s) · lit)
+
+with d = (ω · X − 1) / |ω| the distance from the sheet, s the direction to the laser, and lit = 0 where a body stands
+between the two.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxscan.simulation.scene import Scene
+from jaxscan.simulation.vector import Rays, Vec, dot, subtract, vec
+
+# Fine cells along a pixel's side.
+FINE = 3
+# Cells that one call of `refine` takes.
+CHUNK = 8192
+# A shadow ray looks for bodies no nearer to its two ends than this, mm.
+_SHADOW_MARGIN_MM = 0.02
+# Beyond so many standard deviations the sheet is dark: e^(−18) of 2000 grey levels.
+_SHEET_WIDTHS = 6.0
+# Depths of neighbouring cells that differ by more than this part have an edge between them, or a steep surface.
+_DEPTH_JUMP = 0.003
+
+_LATTICE = (np.stack([np.arange(25), 7 * np.arange(25) % 25], axis=-1) + 0.5) / 25
+
+
+class Light(NamedTuple):
+    """Lighting as the kernels take it: numbers in one precision.
+
+    Attributes:
+        ambient: grey levels.
+        directional: grey levels.
+        direction: unit vector towards the directional light.
+    """
+
+    ambient: Any
+    directional: Any
+    direction: Any
+
+
+class Sheet(NamedTuple):
+    """One laser that is on.
+
+    Attributes:
+        omega: dual plane, 1/mm.
+        source: mm.
+        power: red, green, blue in grey levels.
+        sigma: mm.
+    """
+
+    omega: Any
+    source: Any
+    power: Any
+    sigma: Any
+
+
+@jax.jit
+def depth_of(scene: Scene, x: Float[Array, "*rays"], y: Float[Array, "*rays"]) -> Float[Array, "*rays"]:
+    """Depth at which the camera's rays (x, y, 1) meet the scene (mm, infinite for none)."""
+    return scene.trace(camera_rays(x, y))[0]
+
+
+@jax.jit
+def key_of(scene: Scene, x: Float[Array, "*rays"], y: Float[Array, "*rays"]) -> Int[Array, "*rays"]:
+    """Body and patch that they meet."""
+    return scene.trace(camera_rays(x, y))[1]
+
+
+@jax.jit
+def depth_and_key_of(
+    scene: Scene, x: Float[Array, "*rays"], y: Float[Array, "*rays"]
+) -> tuple[Float[Array, "*rays"], Int[Array, "*rays"]]:
+    """Both."""
+    return scene.trace(camera_rays(x, y))
+
+
+@jax.jit
+def shade(
+    scene: Scene, light: Light, x: Float[Array, "*rays"], y: Float[Array, "*rays"], depth: Any, key: Any
+) -> Float[Array, "*rays"]:
+    """Brightness of a white body without the laser (grey levels)."""
+    normal = scene.normal(_point(x, y, depth, key), key)
+    return light.ambient + light.directional * jnp.maximum(dot(normal, vec(light.direction)), 0)
+
+
+@jax.jit
+def paint(scene: Scene, level: Float[Array, "*rays"], key: Int[Array, "*rays"]) -> Float[Array, "rgb *rays"]:
+    """Brightness of what was met, without the laser, and the backdrop where nothing was (grey levels)."""
+    backdrop = jnp.asarray(scene.backdrop).reshape((3,) + (1,) * key.ndim)
+    return jnp.where(key[None] >= 0, level[None] * scene.albedo(key), backdrop)
+
+
+@jax.jit
+def shine(scene: Scene, sheet: Sheet, x: Float[Array, "*rays"], y: Float[Array, "*rays"], depth: Any, key: Any) -> Any:
+    """Brightness of a white body by the laser alone, as a part of the laser's power."""
+    point = _point(x, y, depth, key)
+    to_source = subtract(vec(sheet.source), point)
+    distance = jnp.sqrt(dot(to_source, to_source))
+    facing = jnp.maximum(dot(scene.normal(point, key), to_source), 0) / distance
+    lit = (key >= 0) & ~scene.blocks(Rays(point, to_source), _SHADOW_MARGIN_MM / distance)
+    d = sheet_distance(sheet, x, y, depth)
+    return jnp.where(lit, facing * jnp.exp(-0.5 * (d / sheet.sigma) ** 2), 0.0)
+
+
+@jax.jit
+def coarse(
+    scene: Scene,
+    sheet: Sheet | None,
+    x: Float[Array, "rows columns"],
+    y: Float[Array, "rows columns"],
+    depth: Any,
+    key: Any,
+) -> Bool[Array, "rows columns"]:
+    """Which cells one ray does not do for: those beside an edge, and those near the sheet."""
+    smooth, z = scene.smooth(key), jnp.where(key >= 0, depth, 1e6)
+    d = None if sheet is None else sheet_distance(sheet, x, y, depth)
+
+    def differ(a: Any, b: Any) -> Any:
+        edge = (smooth[a] != smooth[b]) | (jnp.abs(z[a] - z[b]) > _DEPTH_JUMP * z[a])
+        # A sheet that is thin for the cells passes between their middles.
+        return edge if d is None else edge | ((d[a] < 0) != (d[b] < 0))
+
+    down = jnp.pad(differ(np.s_[:-1], np.s_[1:]), ((1, 1), (0, 0)))
+    right = jnp.pad(differ(np.s_[:, :-1], np.s_[:, 1:]), ((0, 0), (1, 1)))
+    mask = down[:-1] | down[1:] | right[:, :-1] | right[:, 1:]
+    return mask if sheet is None or d is None else mask | (jnp.abs(d) < _SHEET_WIDTHS * sheet.sigma)
+
+
+@jax.jit
+def spray(
+    x: Float[Array, "rows columns"], y: Float[Array, "rows columns"], cells: Int[Array, "cells"]
+) -> tuple[Float[Array, "cells 25"], Float[Array, "cells 25"]]:
+    """25 rays through each of a list of cells (indices into the flattened grid).
+
+    Within a cell rays are linear in the pixel: the lens bends them by less than 1e-5 px over a sixth of a pixel.
+    """
+    rows, columns = x.shape
+    row, column = jnp.minimum(cells // columns, rows - 1), cells % columns
+    r, c = jnp.clip(row, 1, rows - 2), jnp.clip(column, 1, columns - 2)
+    # Shifts from a low-discrepancy sequence in two dimensions (M. Roberts 2018): even over neighbouring cells.
+    shift_u = jnp.mod(row * 0.7548776662 + column * 0.5698402910, 1.0)[:, None]
+    shift_v = jnp.mod(row * 0.5698402910 + column * 0.7548776662, 1.0)[:, None]
+    lattice = jnp.asarray(_LATTICE, x.dtype)
+    du = jnp.mod(lattice[None, :, 0] + shift_u, 1.0) - 0.5
+    dv = jnp.mod(lattice[None, :, 1] + shift_v, 1.0) - 0.5
+
+    def linear(a: Any) -> Any:
+        along_u, along_v = (a[r, c + 1] - a[r, c - 1]) / 2, (a[r + 1, c] - a[r - 1, c]) / 2
+        return a[row, column][:, None] + along_u[:, None] * du + along_v[:, None] * dv
+
+    return linear(x), linear(y)
+
+
+@partial(jax.jit, donate_argnums=0)
+def merge(
+    fine: Float[Array, "rgb rows columns"],
+    cells: Int[Array, "cells"],
+    scene: Scene,
+    sheet: Sheet | None,
+    key: Int[Array, "cells rays"],
+    level: Float[Array, "cells rays"],
+    laser: Float[Array, "cells rays"] | None,
+) -> Float[Array, "rgb rows columns"]:
+    """Put the mean brightness of the rays of some cells in the cells' places; `fine` is used up.
+
+    Args:
+        fine: brightness of every cell.
+        cells: their indices; those past the end of the grid are left out.
+        scene: displaced.
+        sheet: the laser that is on, if any.
+        key: of their rays.
+        level: of their rays, as `shade` has it.
+        laser: of their rays, as `shine` has it, times the speckle.
+    """
+    colour = paint(scene, level, key)
+    if sheet is not None and laser is not None:
+        colour = colour + scene.albedo(key) * laser[None] * jnp.asarray(sheet.power)[:, None, None]
+    return fine.reshape(3, -1).at[:, cells].set(colour.mean(-1), mode="drop").reshape(fine.shape)
+
+
+def sheet_distance(sheet: Sheet, x: Any, y: Any, depth: Any) -> Any:
+    """Distance of a point of a ray from the sheet (mm, signed)."""
+    omega = vec(sheet.omega)
+    return (depth * (omega.x * x + omega.y * y + omega.z) - 1) / jnp.sqrt(dot(omega, omega))
+
+
+def camera_rays(x: Any, y: Any) -> Rays:
+    """The camera's rays (x, y, 1), along which t is the depth."""
+    zero = jnp.zeros((), x.dtype)
+    return Rays(Vec(zero, zero, zero), Vec(x, y, jnp.ones_like(x)))
+
+
+def _point(x: Any, y: Any, depth: Any, key: Any) -> Vec:
+    """What the rays meet; some point of the ray where they meet nothing."""
+    return camera_rays(x, y).at(jnp.where(key >= 0, depth, 1.0))
+
+
+@jax.jit
+def develop(
+    fine: Float[Array, "rgb rows columns"],
+    weights: Float[Array, "taps"],
+    noise: Float[Array, "pixel_rows pixel_columns rgb"],
+    sensor: Any,
+) -> Any:
+    """Blur, average over each pixel, amplify, add noise, cut off and round.
+
+    Args:
+        fine: brightness of every fine cell.
+        weights: point spread and pixel together, on the grid of the cells (`spread`).
+        noise: grey levels.
+        sensor: gain, saturation and numbers for each grey level.
+    """
+    gain, saturation, numbers = sensor
+    across = _reduce(_reduce(fine, weights, 1), weights, 2)
+    level = jnp.clip(jnp.moveaxis(across, 0, -1) * gain + noise, 0, saturation)
+    return jnp.round(level * numbers).astype(jnp.uint16)
+
+
+def _reduce(fine: Float[Array, "..."], weights: Float[Array, "taps"], axis: int) -> Float[Array, "..."]:
+    """Weighted sums about the centre of every pixel along one axis; beyond the border the image goes on as it ends."""
+    reach = weights.shape[0] // 2
+    pixels = fine.shape[axis] // FINE
+    before = -(-(reach - 1) // FINE)
+    pad = [(0, 0)] * fine.ndim
+    pad[axis] = (FINE * before, FINE * before)
+    padded = jnp.pad(fine, pad, mode="edge")
+    shape = (*fine.shape[:axis], pixels + 2 * before, FINE, *fine.shape[axis + 1 :])
+    split = padded.reshape(shape)
+    total = jnp.zeros((), fine.dtype)
+    for tap in range(weights.shape[0]):
+        # The centre of pixel k is cell 3 (k + before) + 1 of the padded axis.
+        cell = FINE * before + 1 + tap - reach
+        part = jax.lax.slice_in_dim(split, cell // FINE, cell // FINE + pixels, axis=axis)
+        total = total + weights[tap] * jax.lax.index_in_dim(part, cell % FINE, axis + 1, keepdims=False)
+    return total
+
+
+def spread(blur_px: float) -> Float[np.ndarray, "taps"]:
+    """Weights of the cells about a pixel's centre: a Gaussian over the cells, then the mean of the pixel's three."""
+    sigma = FINE * blur_px
+    reach = int(np.ceil(4.5 * sigma))
+    at = np.arange(-reach, reach + 1)
+    gauss = np.exp(-0.5 * (at / sigma) ** 2) if sigma > 0 else np.ones(1)
+    weights = np.convolve(gauss / gauss.sum(), np.full(FINE, 1 / FINE))
+    return weights.astype(np.float32)

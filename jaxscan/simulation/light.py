@@ -1,0 +1,98 @@
+"""Light and sensor: what makes a photograph bright, and what makes numbers of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.errors import InputError
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """What lights the scene. Light levels are grey levels of an 8-bit photograph, of a white surface facing the light.
+
+    Attributes:
+        ambient: light from everywhere, without shadows.
+        directional: light from one direction, without shadows.
+        direction: towards that light, camera frame; need not have length one.
+        laser_power: peak of the sheet on a surface that faces the laser, before any blur.
+        laser_colour: red, green and blue of the laser, in parts of its power.
+        sheet_sigma_mm: standard deviation of the sheet's Gaussian thickness, mm.
+        laser_source: where the sheet fans out from, camera frame, mm; None for `default_source`.
+        speckle: contrast of the laser's speckle, 0 to 1 (standard deviation over mean).
+        speckle_length_px: distance at which the covariance of the speckle has fallen by 1/√e, px.
+    """
+
+    ambient: float = 55.0
+    directional: float = 35.0
+    direction: tuple[float, float, float] = (-0.3, -0.5, -1.0)
+    laser_power: float = 2000.0
+    laser_colour: tuple[float, float, float] = (1.0, 0.006, 0.006)
+    sheet_sigma_mm: float = 0.25
+    laser_source: tuple[float, float, float] | None = None
+    speckle: float = 0.0
+    speckle_length_px: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no light can be.
+
+        Raises:
+            InputError: a level, contrast or thickness that cannot be.
+        """
+        if min(self.ambient, self.directional, self.laser_power, *self.laser_colour) < 0:
+            raise InputError(f"{self}: light levels are not negative")
+        if self.sheet_sigma_mm <= 0:
+            raise InputError(f"sheet_sigma_mm = {self.sheet_sigma_mm}: give a positive number of millimetres")
+        if not 0 <= self.speckle <= 1:
+            raise InputError(f"speckle = {self.speckle}: give a contrast from 0 to 1")
+        if self.speckle_length_px <= 0:
+            raise InputError(f"speckle_length_px = {self.speckle_length_px}: give a positive number of pixels")
+
+    def source(self, omega: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Where the sheet with dual plane ω fans out from (mm, camera frame)."""
+        return default_source(omega) if self.laser_source is None else np.asarray(self.laser_source, np.float64)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """From light to numbers.
+
+    Attributes:
+        blur_px: standard deviation of the lens's Gaussian point spread, px.
+        noise: standard deviation of the noise in grey levels, equal everywhere and independent.
+        gain: grey levels for one unit of light.
+        bits: 8 or 16 bits a channel; a 16-bit photograph has 257 numbers for each grey level.
+        saturation: grey level above which the detector is full, at most 255.
+    """
+
+    blur_px: float = 0.6
+    noise: float = 2.0
+    gain: float = 1.0
+    bits: int = 8
+    saturation: float = 255.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no sensor can be.
+
+        Raises:
+            InputError: a value out of its range.
+        """
+        if self.bits not in (8, 16):
+            raise InputError(f"bits = {self.bits}: a photograph has 8 or 16 bits a channel")
+        if not 0 <= self.blur_px <= 10:
+            raise InputError(f"blur_px = {self.blur_px}: give 0 to 10 pixels")
+        if self.noise < 0 or self.gain <= 0 or not 0 < self.saturation <= 255:
+            raise InputError(f"{self}: noise is not negative, gain is positive, saturation is in 0 … 255")
+
+
+def default_source(omega: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The point of the sheet on the camera's own u or v axis, whichever it crosses nearer (mm).
+
+    A laser mounted beside or above the camera. From there its rays run along the image columns (or rows) of a lens
+    without distortion, so that a column sees one lit point at most.
+    """
+    axis = int(np.argmax(np.abs(omega[:2])))
+    source = np.zeros(3)
+    source[axis] = 1 / omega[axis]
+    return source

@@ -1,0 +1,160 @@
+"""What an ideal camera sees of the sheet: in every image column the exact place of the sheet's middle, and its point.
+
+Along a column the surface that the camera sees crosses the sheet where g(v) = ω · X(v) − 1 changes sign. Sign changes
+are looked for between the rows of the fine grid and then halved in float64 until nothing is left; a change of sign at
+an outline, where g jumps, is thrown away. What is left counts where the laser reaches it. If a column has several, the
+brightest is taken.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxscan.precision import as_numpy, float64
+from jaxscan.rig import Camera, Rig
+from jaxscan.simulation import kernels
+from jaxscan.simulation.kernels import FINE, Sheet
+from jaxscan.simulation.light import Lighting
+from jaxscan.simulation.render import at_steps, rays_of, sheet_of
+from jaxscan.simulation.scene import Scene
+
+# Candidates are refined in multiples of this many, so that frames share a compilation.
+_BUCKET = 2048
+_HALVINGS = 45
+# A sign change at which g is still larger than this is an outline, mm.
+_ON_SHEET_MM = 1e-6
+# Brackets are widened by this part of a cell: the rows that found them are in float32.
+_WIDER = 0.05
+_CAMERAS_KEPT = 4
+
+
+class Profile(NamedTuple):
+    """The middle of the sheet as an ideal camera sees it; NaN where it sees none.
+
+    Attributes:
+        position: row v of each image column (or column u of each row), px.
+        points: object frame, mm.
+    """
+
+    position: Float[np.ndarray, "lines"]
+    points: Float[np.ndarray, "lines 3"]
+
+
+def true_profile(
+    rig: Rig,
+    scene: Scene,
+    steps: float = 0,
+    *,
+    laser: int = 0,
+    columns: bool = True,
+    lighting: Lighting | None = None,
+) -> Profile:
+    """The true profile of one photograph.
+
+    Args:
+        rig: the true one.
+        scene: as it stands at motor step 0.
+        steps: motor step count.
+        laser: which of the rig's lasers is on (an index).
+        columns: one point for each image column; else one for each row.
+        lighting: where the laser stands.
+
+    Raises:
+        InputError: the rig has no such laser, or no stage although steps is not 0.
+    """
+    lighting = lighting or Lighting()
+    here = at_steps(rig, scene, steps)
+    displacement = np.zeros(3) if rig.stage is None else steps * np.asarray([np.float64(c) for c in rig.stage.per_step])
+    x, y = _line_rays(rig.camera, columns)
+    n_lines = x.shape[1]
+    coarse = here.cast(np.float32)
+    depth = kernels.depth_of(coarse, x, y)
+    g = np.asarray(kernels.sheet_distance(sheet_of(rig, laser, lighting), x, y, depth))
+    fine_row, line = np.nonzero((g[:-1] < 0) != (g[1:] < 0))
+    profile = Profile(np.full(n_lines, np.nan), np.full((n_lines, 3), np.nan))
+    if not len(line):
+        return profile
+    low, high = fine_row - _WIDER, fine_row + 1 + _WIDER
+    along = np.stack([low, (low + high) / 2, high])
+    position = (along + 0.5) / FINE - 0.5
+    lines = np.broadcast_to(line, position.shape)
+    pixels = np.stack([lines, position] if columns else [position, lines], axis=-1)
+    size = -(-len(line) // _BUCKET) * _BUCKET
+    pixels = np.pad(pixels, ((0, 0), (0, size - len(line)), (0, 0)), mode="edge")
+    rays = rays_of(rig.camera, pixels.reshape(-1, 2)).reshape(3, size, 3)
+    with float64():
+        before = np.pad(g[fine_row, line] < 0, (0, size - len(line)))
+        sheet = sheet_of(rig, laser, lighting, np.float64)
+        found = _halve(here.cast(np.float64), sheet, jnp.asarray(rays), jnp.asarray(before))
+        s, point, brightness = (np.asarray(array)[: len(line)] for array in found)
+    rows = position[0] + s * (position[2] - position[0])
+    # The last of those that are written to one place stays: the brightest.
+    for i in np.argsort(brightness):
+        if brightness[i] > 0 and -0.5 <= rows[i] < x.shape[0] / FINE - 0.5:
+            profile.position[line[i]] = rows[i]
+            profile.points[line[i]] = point[i] - displacement
+    return profile
+
+
+@jax.jit
+def _halve(
+    scene: Scene, sheet: Sheet, rays: Float[Array, "3 brackets 3"], before: Bool[Array, "brackets"]
+) -> tuple[Float[Array, "brackets"], Float[Array, "brackets 3"], Float[Array, "brackets"]]:
+    """Where in each bracket the surface crosses the sheet.
+
+    Args:
+        scene: displaced.
+        sheet: the laser.
+        rays: of the bracket's start, middle and end; between them rays go along a parabola.
+        before: whether g < 0 at the start.
+
+    Returns:
+        The place in the bracket (0 to 1), the point in the camera frame, and how brightly the laser lights it; 0 for
+        an outline.
+    """
+
+    def ray(s: Any) -> tuple[Any, Any]:
+        weights = (2 * (s - 0.5) * (s - 1), -4 * s * (s - 1), 2 * s * (s - 0.5))
+        x, y = (sum(w * rays[i, :, c] for i, w in enumerate(weights)) for c in (0, 1))
+        return x, y
+
+    def g(s: Any) -> Any:
+        x, y = ray(s)
+        return kernels.sheet_distance(sheet, x, y, scene.trace(kernels.camera_rays(x, y))[0])
+
+    def halve(_: int, interval: tuple[Any, Any]) -> tuple[Any, Any]:
+        low, high = interval
+        middle = (low + high) / 2
+        first = (g(middle) < 0) == before
+        return jnp.where(first, middle, low), jnp.where(first, high, middle)
+
+    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (jnp.zeros_like(rays[0, :, 0]), jnp.ones_like(rays[0, :, 0])))
+    s = (low + high) / 2
+    x, y = ray(s)
+    depth, key = scene.trace(kernels.camera_rays(x, y))
+    off = kernels.sheet_distance(sheet, x, y, depth)
+    brightness = kernels.shine(scene, sheet, x, y, depth, key)
+    point = jnp.stack([x * depth, y * depth, depth], axis=-1)
+    return s, point, jnp.where(jnp.abs(off) < _ON_SHEET_MM, brightness, 0)
+
+
+def _line_rays(camera: Camera, columns: bool) -> tuple[Array, Array]:
+    """Rays along the middle of each image column at the rows of the fine grid (or the other way round)."""
+    leaves, structure = jax.tree.flatten(as_numpy(camera))
+    return _kept_line_rays(tuple(float(leaf) for leaf in leaves), structure, columns)
+
+
+@lru_cache(maxsize=_CAMERAS_KEPT)
+def _kept_line_rays(leaves: tuple[float, ...], structure: Any, columns: bool) -> tuple[Array, Array]:
+    camera = jax.tree.unflatten(structure, leaves)
+    u, v = (np.arange(n, dtype=float) for n in camera.image_size)
+    fine_u, fine_v = ((np.arange(FINE * n) + 0.5) / FINE - 0.5 for n in camera.image_size)
+    pixels = np.stack(np.meshgrid(u, fine_v) if columns else np.meshgrid(fine_u, v), axis=-1)
+    if not columns:
+        pixels = np.swapaxes(pixels, 0, 1)
+    rays = rays_of(camera, pixels.reshape(-1, 2)).reshape(*pixels.shape[:2], 3).astype(np.float32)
+    return jnp.asarray(rays[..., 0]), jnp.asarray(rays[..., 1])

@@ -1,0 +1,174 @@
+"""The simulated rig of 2003: the camera, the laser, the stage and the poses of a laboratory's scanner of that year.
+
+Camera 640 × 480, f = (697.70833, 690.43328) px, c = (310.29604, 228.14934) px, k1 = −0.13396; light plane
+ω = (0, −0.00494, 0.00303) 1/mm and stage 0.001 · unit(0.03, 0.92, −0.39) mm a step, both turned by 2° about a random
+axis; a sheet of σ 0.25 mm; 11 poses of a board of 9 × 6 inner corners of 16 mm, 310 to 380 mm away and tilted by up to
+0.6 rad about x and y, with the stripe across them; 31 photographs of that board on the stage, 2000 steps apart; a scan
+of 37 frames from step 0, 2000 steps apart.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxscan.geometry import Pose, vector_to_matrix
+from jaxscan.images import Board
+from jaxscan.precision import as_numpy, float64
+from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.simulation.light import Lighting, Sensor
+from jaxscan.simulation.scene import Body, Scene
+from jaxscan.simulation.shapes import board_plate, floor
+
+IMAGE_SIZE: Final = (640, 480)
+BOARD: Final = Board.checkerboard((9, 6), 16.0)
+BOARD_VIEWS: Final = 11
+STAGE_VIEWS: Final = 31
+SCAN_FRAMES: Final = 37
+STEPS_APART: Final = 2000
+SENSOR: Final = Sensor(blur_px=0.6, noise=2.0)
+# The laser is bright enough for a response of 300 grey levels, (R − G) + (R − B), on the boards' black squares.
+BOARD_LIGHTING: Final = Lighting(laser_power=2500.0)
+# On objects 200 are enough, and what is burnt out is worth less.
+SCAN_LIGHTING: Final = Lighting(laser_power=1000.0)
+
+_FOCAL = (697.70833, 690.43328)
+_PRINCIPAL = (310.29604, 228.14934)
+_K1 = -0.13396
+_OMEGA = np.array([0.0, -0.00494, 0.00303])
+_TRAVEL = np.array([0.03, 0.92, -0.39])
+_MM_PER_STEP = 0.001
+_TURN = np.radians(2.0)
+
+_NEAREST, _FARTHEST, _TILT, _ROLL = 310.0, 380.0, 0.6, 0.15
+# How far the middle of a board may stand from the stripe and from the middle of the image, mm.
+_ASIDE, _OFF_STRIPE = 30.0, 25.0
+_STAGE_DISTANCE, _STAGE_TILT = 345.0, 0.25
+# The pattern with one square around it stays this far within the image, px.
+_BORDER_PX = 6.0
+# The platform, from (x, y) to (x, y) of its own frame, and the middle of what stands on it, mm.
+_FLOOR = ((-85.0, -15.0), (85.0, 95.0))
+OBJECT_Y: Final = 37.0
+# The depth at which the sheet meets the platform of the stage, mm.
+_PLATFORM_DEPTH = 350.0
+
+
+def simulated_rig(seed: int) -> Rig:
+    """The true rig: leaves NumPy float64."""
+    random = np.random.default_rng([2003, seed])
+    omega, travel = _turned(_OMEGA, random), _turned(_TRAVEL / np.linalg.norm(_TRAVEL), random)
+    with float64():
+        camera = Camera.create(IMAGE_SIZE, np.asarray(_FOCAL), np.asarray(_PRINCIPAL), "radial1", np.asarray([_K1]))
+        return as_numpy(Rig(camera, (LightPlane.create(omega),), Stage.create(_MM_PER_STEP * travel)))
+
+
+def board_poses(rig: Rig, seed: int, views: int = BOARD_VIEWS) -> Pose:
+    """T_cam_board of the board poses, stacked: the whole pattern is in view and the stripe crosses it."""
+    random = np.random.default_rng([2003, seed, 1])
+    rotations, translations = [], []
+    while len(rotations) < views:
+        rotation = np.array([*random.uniform(-_TILT, _TILT, 2), random.uniform(-_ROLL, _ROLL)])
+        aside = np.array([random.uniform(-_ASIDE, _ASIDE), random.uniform(-_OFF_STRIPE, _OFF_STRIPE), 0.0])
+        middle = _sheet_point(rig, random.uniform(_NEAREST, _FARTHEST)) + aside
+        R, translation = _about_middle(rotation, middle)
+        if _in_view(rig.camera, R, translation[None]):
+            rotations.append(rotation)
+            translations.append(translation)
+    return pose_of(np.stack(rotations), np.stack(translations))
+
+
+def stage_pose(rig: Rig, seed: int) -> Pose:
+    """T_cam_board at step 0 of the board that is fixed on the stage: in view over its whole travel."""
+    random = np.random.default_rng([2003, seed, 2])
+    travel = stage_travel(rig, np.arange(STAGE_VIEWS) * STEPS_APART)
+    while True:
+        rotation = random.uniform(-_STAGE_TILT, _STAGE_TILT, 3) * [1, 1, 0.3]
+        middle = np.array([random.uniform(-5, 5), random.uniform(-3, 3), _STAGE_DISTANCE]) - travel[-1] / 2
+        R, translation = _about_middle(rotation, middle)
+        if _in_view(rig.camera, R, translation + travel[[0, -1]]):
+            return pose_of(rotation, translation)
+
+
+def stage_travel(rig: Rig, steps: Float[np.ndarray, "images"]) -> Float[np.ndarray, "images 3"]:
+    """How far the stage has moved its load (mm, camera frame)."""
+    per_step = np.zeros(3) if rig.stage is None else np.asarray([np.float64(c) for c in rig.stage.per_step])
+    return steps[:, None] * per_step
+
+
+def platform(rig: Rig, depth: float = _PLATFORM_DEPTH) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """The frame of the stage's platform: rotation and origin of T_cam_platform.
+
+    z points up, out of the platform; y against the travel, so that what stands at y comes under the sheet after about
+    y millimetres; the origin lies on the sheet at step 0.
+    """
+    travel = stage_travel(rig, np.ones(1))[0]
+    y = -travel / np.linalg.norm(travel)
+    x = np.array([1.0, 0.0, 0.0])
+    x = x - (x @ y) * y
+    x /= np.linalg.norm(x)
+    return np.stack([x, y, np.cross(x, y)], axis=1), _sheet_point(rig, depth)
+
+
+def scan_scene(rig: Rig, bodies: Sequence[Body]) -> Scene:
+    """Objects on the platform, as they stand at step 0: bodies of the platform's frame with the floor under them."""
+    R, origin = platform(rig)
+    return Scene(tuple(body.moved(R, origin) for body in (*bodies, floor(*_FLOOR))))
+
+
+def board_scene(rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"]) -> Scene:
+    """The board alone, in the pose T_cam_board, fixed on the stage where there is one."""
+    return Scene((board_plate(BOARD).moved(matrix_of(rotation), translation),))
+
+
+def _sheet_point(rig: Rig, depth: float) -> Float[np.ndarray, "3"]:
+    """The point of the first laser's sheet at a depth that is nearest to the optical axis (mm)."""
+    omega = np.asarray([np.float64(c) for c in rig.lasers[0].plane])
+    aside = omega[:2] * (1 - omega[2] * depth) / (omega[:2] @ omega[:2])
+    return np.array([*aside, depth])
+
+
+def _turned(vector: Float[np.ndarray, "3"], random: np.random.Generator) -> Float[np.ndarray, "3"]:
+    """The vector turned by 2° about a random axis at right angles to it."""
+    aside = np.cross(vector, random.standard_normal(3))
+    aside *= np.linalg.norm(vector) / np.linalg.norm(aside)
+    return np.cos(_TURN) * vector + np.sin(_TURN) * aside
+
+
+def pose_of(rotation: Float[np.ndarray, "*stack 3"], translation: Float[np.ndarray, "*stack 3"]) -> Pose:
+    """A pose, or a stack of them, with NumPy float64 leaves."""
+    with float64():
+        return as_numpy(Pose(jnp.asarray(rotation), jnp.asarray(translation)))
+
+
+def matrix_of(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation matrix of a rotation vector, in float64."""
+    with float64():
+        return np.asarray(vector_to_matrix(jnp.asarray(rotation)))
+
+
+def _about_middle(
+    rotation: Float[np.ndarray, "3"], middle: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Rotation matrix and translation of T_cam_board with the middle of the board at a place."""
+    R = matrix_of(rotation)
+    return R, middle - R @ BOARD.points().mean(axis=0)
+
+
+def _in_view(camera: Camera, R: Float[np.ndarray, "3 3"], translations: Float[np.ndarray, "places 3"]) -> bool:
+    """Whether the pattern, with the squares around its points, is within the image at each place."""
+    points = BOARD.points()
+    low, high = points.min(axis=0) - BOARD.pitch_mm, points.max(axis=0) + BOARD.pitch_mm
+    outline = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    corners = (outline @ R.T)[None] + translations[:, None]
+    with float64():
+        pixels = np.asarray(_project(camera, jnp.asarray(corners.reshape(-1, 3))))
+    inside = (pixels > -0.5 + _BORDER_PX) & (pixels < np.asarray(camera.image_size) - 0.5 - _BORDER_PX)
+    return bool(inside.all())
+
+
+@jax.jit
+def _project(camera: Camera, points: Float[Array, "points 3"]) -> Float[Array, "points 2"]:
+    return jax.vmap(camera.project)(points)

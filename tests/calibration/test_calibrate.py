@@ -1,0 +1,192 @@
+"""`calibrate` on observations whose truth is known: recovery within the predicted covariance, and what it refuses."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+import synthetic
+from synthetic import TRUTH, Noise
+
+from jaxscan.calibration import calibrate
+from jaxscan.errors import InputError, ObservabilityError
+from jaxscan.rig.rig import parameter_names
+
+
+def errors_in_sigma(calibration):
+    values = dict(zip(parameter_names(calibration.rig), map(float, jax.tree.leaves(calibration.rig)), strict=True))
+    names = calibration.covariance.names
+    return np.array([(values[name] - TRUTH[name]) / calibration.covariance.sigma(name) for name in names])
+
+
+def mahalanobis(calibration):
+    values = dict(zip(parameter_names(calibration.rig), map(float, jax.tree.leaves(calibration.rig)), strict=True))
+    error = np.array([values[name] - TRUTH[name] for name in calibration.covariance.names])
+    return error @ np.linalg.solve(calibration.covariance.matrix, error)
+
+
+def test_the_truth_lies_within_the_predicted_covariance(calibration):
+    # χ² with 11 degrees of freedom: 99.9 % below 31.3. Says nothing of the size of σ; the benchmark does.
+    assert mahalanobis(calibration) < 31.3
+    assert set(calibration.covariance.names) == set(TRUTH)
+
+
+def test_sigmas_come_out_of_the_residuals(calibration):
+    assert calibration.corner_sigma_px == pytest.approx(0.05, rel=0.08)
+    assert calibration.stripe_sigma_px == pytest.approx(0.1, rel=0.08)
+    assert calibration.corner_rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.08)
+
+
+def test_rig_keeps_float64_outside(calibration):
+    assert not jax.config.read("jax_enable_x64")
+    assert all(np.asarray(leaf).dtype == np.float64 for leaf in jax.tree.leaves(calibration.rig))
+
+
+def test_nothing_good_is_thrown_out(calibration):
+    assert sum(int((~fit.corner_kept).sum()) for fit in calibration.fits) <= 2
+    assert sum(int((~fit.stripe_kept).sum()) for fit in calibration.fits) <= 4
+
+
+def test_outliers_are_left_out_and_named(session, calibration):
+    views = list(session.views)
+    corners = views[2].corners.copy()
+    corners[[3, 17]] += [[9.0, -7.0], [0.0, 4.0]]
+    views[2] = replace(views[2], corners=corners)
+    pixels = views[4].stripes[0].pixels.copy()
+    seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))[:40]
+    pixels[seen, 1] += 6.0
+    views[4] = replace(views[4], stripes=(replace(views[4].stripes[0], pixels=pixels),))
+    spoilt = calibrate(replace(session, views=tuple(views)))
+    assert not spoilt.fits[2].corner_kept[[3, 17]].any()
+    assert any("view-2: 2 of 54 corners" in line and "3, 17" in line for line in spoilt.left_out)
+    assert any("view-4: 40 of" in line for line in spoilt.left_out)
+    # The rig moves by no more than losing those points explains.
+    a, b = (np.array([float(x) for x in jax.tree.leaves(c.rig)]) for c in (spoilt, calibration))
+    sigma = np.sqrt(np.diagonal(calibration.covariance.matrix))
+    assert (np.abs(a - b) < 0.5 * sigma).all()
+
+
+def test_a_far_first_step_does_not_matter(session, calibration):
+    far = replace(session, stages=(replace(session.stages[0], steps=session.stages[0].steps - 100000),))
+    moved = calibrate(far)
+    for a, b in zip(jax.tree.leaves(moved.rig), jax.tree.leaves(calibration.rig), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-15)
+    at_first = moved.system.stage_board(0, np.array(-100000.0)).translation
+    np.testing.assert_allclose(at_first, calibration.system.stages.translation[0], atol=1e-4)
+
+
+def test_stripe_found_row_by_row_and_no_stage():
+    # The sheet stands so that its stripe runs along the rows' direction of detection as well as it can.
+    turned = synthetic.observations(seed=2, n_stage=0, columns=True)
+    result = calibrate(turned)
+    assert result.rig.stage is None
+    assert np.abs(errors_in_sigma(result)).max() < 4.5
+
+
+def test_corners_alone_give_a_camera(session):
+    corners = replace(session, views=tuple(replace(v, stripes=()) for v in session.views), stages=(), lasers=())
+    result = calibrate(corners)
+    assert result.rig.lasers == ()
+    assert result.rig.stage is None
+    assert result.stripe_rms_px is None
+    assert np.abs(errors_in_sigma(result)).max() < 4.5
+
+
+def test_least_squares_over_corners_is_opencvs_minimum(session):
+    import cv2
+
+    # OpenCV takes corners in float32.
+    views = [replace(v, corners=v.corners.astype(np.float32).astype(float), stripes=()) for v in session.views]
+    ours = calibrate(replace(session, views=tuple(views), stages=(), lasers=()), reject=False)
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    rms, K, _, _, _ = cv2.calibrateCamera(
+        [session.board.points().astype(np.float32)] * len(views),
+        [v.corners.astype(np.float32)[:, None] for v in views],
+        session.image_size,
+        None,
+        None,
+        flags=flags,
+        criteria=(3, 200, 1e-15),
+    )
+    assert ours.corner_rms_px == pytest.approx(rms, rel=1e-6)
+    np.testing.assert_allclose([float(f) for f in ours.rig.camera.focal], [K[0, 0], K[1, 1]], rtol=1e-6)
+
+
+def test_principal_point_can_be_held(session):
+    corners = replace(session, views=tuple(replace(v, stripes=()) for v in session.views), stages=(), lasers=())
+    held = calibrate(corners, principal_point="centre")
+    assert [float(x) for x in held.rig.camera.principal] == [319.5, 239.5]
+    assert "camera.principal.0" not in held.covariance.names
+
+
+def test_stripe_beyond_the_board_does_not_spoil_the_plane(session, calibration):
+    """Half of each stripe runs on over a table 60 mm behind the board."""
+    views = []
+    for view in session.views:
+        stripe = view.stripes[0]
+        pixels = stripe.pixels.copy()
+        missing = np.flatnonzero(~np.isfinite(pixels).all(axis=1))
+        pixels[missing] = np.stack([missing, np.full(len(missing), np.nanmedian(pixels[:, 1]) - 60.0)], axis=-1)
+        views.append(replace(view, stripes=(replace(stripe, pixels=pixels),)))
+    result = calibrate(replace(session, views=tuple(views)))
+    a, b = (np.array([float(x) for x in jax.tree.leaves(c.rig.lasers)]) for c in (result, calibration))
+    np.testing.assert_allclose(a, b, atol=3 * calibration.covariance.sigma("laser.plane.2"))
+    assert any("beyond the board" in line for line in result.left_out)
+
+
+def parallel(observations):
+    """The same board, never tilted."""
+    points = synthetic.BOARD.points() - synthetic.BOARD.points().mean(axis=0)
+    rng = np.random.default_rng(0)
+    shifts = rng.uniform([-20, -20, 330], [20, 20, 340], (8, 3))
+    views = tuple(
+        replace(
+            observations.views[i],
+            corners=synthetic.project(points + shift) + 0.05 * rng.normal(size=(54, 2)),
+            stripes=(),
+        )
+        for i, shift in enumerate(shifts)
+    )
+    return replace(observations, views=views, stages=(), lasers=())
+
+
+def test_parallel_boards_are_refused_in_words(session):
+    with pytest.raises(ObservabilityError, match="cannot be told apart.*Tilt"):
+        calibrate(parallel(session))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda o: replace(o, views=o.views[:2]), "2 usable views.*at least 3"),
+        (lambda o: replace(o, views=tuple(replace(v, stripes=()) for v in o.views)), "0 usable stripes.*at least 2"),
+        (
+            lambda o: replace(
+                o, stages=(replace(o.stages[0], steps=o.stages[0].steps[:1], views=o.stages[0].views[:1]),)
+            ),
+            "1 usable stage photographs",
+        ),
+        (lambda o: replace(o, views=tuple(replace(v, corners=v.corners * np.nan) for v in o.views)), "0 usable views"),
+    ],
+)
+def test_too_little_is_refused(session, change, words):
+    with pytest.raises(InputError, match=words):
+        calibrate(change(session))
+
+
+def test_shapes_that_do_not_fit_are_refused(session):
+    with pytest.raises(InputError, match="view-0: corners has the shape"):
+        replace(session, views=(replace(session.views[0], corners=np.zeros((5, 2))), *session.views[1:]))
+
+
+def test_inside_a_float32_trace_it_says_what_to_do(session):
+    with pytest.raises(InputError, match="jax_enable_x64"):
+        jax.jit(lambda x: calibrate(session).corner_rms_px * x)(1.0)
+
+
+def test_noise_free_observations_give_the_truth():
+    exact = synthetic.observations(seed=5, n_stage=5, noise=Noise(0.0, 0.0))
+    result = calibrate(exact)
+    values = dict(zip(parameter_names(result.rig), map(float, jax.tree.leaves(result.rig)), strict=True))
+    for name, true in TRUTH.items():
+        assert values[name] == pytest.approx(true, rel=2e-6, abs=1e-9), name

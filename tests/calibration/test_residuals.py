@@ -1,0 +1,85 @@
+"""The stripe's residual is the distance in rows that it says it is, and its derivative is whole."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import synthetic
+
+from jaxscan.calibration.residuals import Noise, _tamed, block_errors, block_residuals, stripe_error
+from jaxscan.calibration.blocks import view_blocks
+from jaxscan.geometry import Pose, dual_plane
+from jaxscan.rig import Camera, LightPlane, Rig
+
+
+def true_rig():
+    camera = Camera.create(synthetic.IMAGE_SIZE, synthetic.FOCAL, synthetic.PRINCIPAL, "radial1", [synthetic.K1])
+    return Rig(camera, (LightPlane.create(synthetic.OMEGA),))
+
+
+def test_stripe_error_is_the_shift_in_rows_and_in_columns(x64):
+    R, t = synthetic.board_pose(np.random.default_rng(3))
+    beta = dual_plane(Pose.from_matrix(jnp.asarray(R), jnp.asarray(t)))
+    error = jax.jit(
+        jax.vmap(lambda p, c: stripe_error(true_rig(), beta, jnp.asarray(synthetic.OMEGA), p, c), (0, None))
+    )
+    for columns in (True, False):
+        pixels = synthetic.stripe_on(R, t, columns)
+        pixels = pixels[np.isfinite(pixels).all(axis=1)][::20]
+        np.testing.assert_allclose(error(jnp.asarray(pixels), columns), 0, atol=1e-5)
+        for shift in (1e-3, 0.5):
+            moved = pixels + shift * np.array([0.0, 1.0] if columns else [1.0, 0.0])
+            # Beyond the first order the lens bends: a thousandth of the shift.
+            np.testing.assert_allclose(error(jnp.asarray(moved), columns), -shift, atol=1e-5 + 2e-3 * shift)
+
+
+def test_stripe_error_is_differentiated_whole(x64):
+    R, t = synthetic.board_pose(np.random.default_rng(3))
+    pixel = jnp.asarray(synthetic.stripe_on(R, t, True)[300] + [0.0, 2.0])
+    leaves, tree = jax.tree.flatten((true_rig(), Pose.from_matrix(jnp.asarray(R), jnp.asarray(t)).as_vector()))
+    sizes = np.cumsum([leaf.size for leaf in leaves])[:-1]
+
+    @jax.jit
+    def error(x):
+        parts = [p.reshape(leaf.shape) for p, leaf in zip(jnp.split(x, sizes), leaves, strict=True)]
+        rig, pose = jax.tree.unflatten(tree, parts)
+        beta = dual_plane(Pose.from_vector(pose))
+        return stripe_error(rig, beta, rig.lasers[0].omega, pixel, jnp.array(True))
+
+    x = jnp.concatenate([leaf.ravel() for leaf in leaves])
+    h = 1e-6 * np.maximum(np.abs(x), 1e-4)
+    numeric = [(error(x + e) - error(x - e)) / (2 * e.sum()) for e in np.diag(h)]
+    np.testing.assert_allclose(jax.jit(jax.grad(error))(x), numeric, rtol=1e-5, atol=1e-6)
+
+
+def test_masked_entries_are_not_read(x64):
+    with_values = synthetic.observations(seed=1, n_views=3, n_stage=0)
+    block = jax.tree.map(lambda leaf: leaf[0], view_blocks(with_values))
+    mask = dict(
+        corner_used=block.corner_used.at[:7].set(False),
+        stripe_used=block.stripe_used & (jnp.arange(block.stripe_used.size) > 300),
+    )
+    pose = jnp.array([0.1, 0.2, 0.0, -60.0, -40.0, 340.0])
+    noise = Noise(jnp.array(0.05), jnp.array(0.1), jnp.array(0.0))
+
+    def cost(pose, block):
+        return (block_residuals(true_rig(), None, pose, block, noise) ** 2).sum()
+
+    import dataclasses
+
+    kept = dataclasses.replace(block, **mask)
+    spoilt = dataclasses.replace(
+        kept, corners=kept.corners.at[:7].set(jnp.nan), stripe=kept.stripe.at[:301].set(jnp.nan)
+    )
+    value = jax.jit(jax.value_and_grad(cost))
+    for a, b in zip(value(pose, kept), value(pose, spoilt), strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert np.isfinite(a).all()
+    corner, stripe = block_errors(true_rig(), None, pose, spoilt)
+    assert (np.asarray(corner[:7]) == 0).all()
+    assert (np.asarray(stripe[:301]) == 0).all()
+
+
+def test_robust_loss_is_square_then_straight(x64):
+    r = jnp.array([1e-4, 0.01, 100.0, 1e4])
+    loss = (r * _tamed(r**2)) ** 2
+    np.testing.assert_allclose(loss, 2 * (np.sqrt(1 + r**2) - 1), rtol=1e-6)

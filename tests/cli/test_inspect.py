@@ -1,0 +1,215 @@
+"""`jaxscan inspect`, through the command line: every kind of file in words and as JSON, and its refusals."""
+
+import json
+import math
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxscan.cli.main import main
+from jaxscan.files.cloud import Cloud, write_ply
+from jaxscan.files.range_npz import RangeArrays, write_range_npz
+
+RIG = {
+    "format": "jaxscan-rig/1",
+    "units": "mm",
+    "camera": {"image_size": [641, 481], "focal": [700, 690], "principal": [320, 240], "lens": "none"},
+    # A sheet through (0, 0, 300) that contains the u axis and leans by 30° from the camera's axis.
+    "laser": {"plane": [0.0, -1 / 300 / math.tan(math.radians(30)), 1 / 300]},
+    "stage": {"per_step": [0.0, 0.0006, -0.0008]},
+    "covariance": {"parameters": ["camera.focal.0", "camera.focal.1"], "matrix": [[0.25, 0.0], [0.0, 0.0]]},
+    "fit": {"corner_rms_px": 0.0812345, "views": 12},
+}
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps(RIG))
+    return path
+
+
+def words(capsys, *argv: object) -> str:
+    assert main(["inspect", *map(str, argv)]) == 0
+    return capsys.readouterr().out
+
+
+def facts(capsys, *argv: object) -> dict:
+    return json.loads(words(capsys, *argv, "--json"))
+
+
+def refusal(capsys, *argv: object) -> str:
+    assert main(["inspect", *map(str, argv)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    return err
+
+
+def test_a_rig_in_numbers(rig, capsys):
+    found = facts(capsys, rig)
+    (laser,) = found["lasers"]
+    assert laser["angle_to_axis_deg"] == pytest.approx(30)
+    assert laser["distance_mm"] == pytest.approx(300 * math.sin(math.radians(30)))
+    assert laser["depth_in_the_middle_mm"] == pytest.approx(300)
+    assert laser["triangulation_angle_deg"] == pytest.approx(30)
+    low, high = laser["triangulation_angles_deg"]
+    # Straight up and down the image the angle grows and shrinks by that of the pixel's ray.
+    half_height = math.degrees(math.atan(240.5 / 690))
+    assert high == pytest.approx(30 + half_height, abs=1e-6)
+    assert low < 30 - half_height + 1e-6
+    assert found["stage"]["mm_per_1000_steps"] == pytest.approx(1.0)
+    assert found["stage"]["direction"] == pytest.approx([0, 0.6, -0.8])
+    assert found["camera"]["focal"] == {"value": [700.0, 690.0], "sigma": [0.5, 0.0]}
+    assert found["camera"]["principal"]["sigma"] == [None, None]
+    assert found["fit"] == RIG["fit"]
+
+
+def test_a_rig_in_words(rig, capsys):
+    text = words(capsys, rig)
+    for part in (
+        "641 × 481 pixels, lens none",
+        "700 ± 0.5, 690 px",
+        "150.0 mm from the camera, 30.0° to its axis",
+        "in the middle of the image 300.0 mm away",
+        "1 mm for 1000 steps, along (0.0000, 0.6000, -0.8000)",
+        "0.08123",
+    ):
+        assert part in text
+
+
+def test_the_least_rig(rig, capsys):
+    rig.write_text(json.dumps({key: RIG[key] for key in ("format", "units", "camera")}))
+    assert "light plane      none" in words(capsys, rig)
+
+
+def test_an_unknown_key_is_said_on_standard_error(rig, capsys):
+    rig.write_text(json.dumps({**RIG, "colour": 1}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main(["inspect", str(rig)]) == 0
+    assert "jaxscan: warning: " in capsys.readouterr().err
+
+
+def test_a_cloud(tmp_path, capsys):
+    points = np.array([[0, 0, 1], [3, -2, 5]], np.float32)
+    write_ply(tmp_path / "cup.ply", Cloud(points, sigma=np.array([0.25, 0.75], np.float32)))
+    found = facts(capsys, tmp_path / "cup.ply")
+    assert found["points"] == 2
+    assert found["box_mm"] == [[0, -2, 1], [3, 0, 5]]
+    assert found["sigma_mm"] == 0.5
+    assert "x 0.0 … 3.0, y -2.0 … 0.0, z 1.0 … 5.0 mm" in words(capsys, tmp_path / "cup.ply")
+
+
+def test_a_range_image(tmp_path, capsys):
+    valid = np.array([[True, False, True]])
+    points = np.where(valid[..., None], np.full(3, 2, np.float32), np.float32(np.nan))
+    unknown = np.full((1, 3), np.nan, np.float32)
+    write_range_npz(tmp_path / "cup.npz", RangeArrays(points, unknown + 1, unknown, valid, np.array([-100_000])))
+    found = facts(capsys, tmp_path / "cup.npz")
+    assert found["points"] == 2
+    assert found["sigma_mm"] is None
+    assert "2, 66.7 % of frames × columns" in words(capsys, tmp_path / "cup.npz")
+
+
+def test_an_empty_range_image(tmp_path, capsys):
+    none = np.zeros((0, 3), np.float32)
+    arrays = RangeArrays(np.zeros((0, 3, 3), np.float32), none, none, none > 0, np.zeros(0, np.int64))
+    write_range_npz(tmp_path / "cup.npz", arrays)
+    assert "0, no steps" in words(capsys, tmp_path / "cup.npz")
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    folder = tmp_path / "cup"
+    folder.mkdir()
+    for i in range(3):
+        image = np.zeros((48, 64, 3), np.uint8)
+        image[20 + i] = (40, 40, 250)  # OpenCV writes blue first
+        assert cv2.imwrite(str(folder / f"f{i}.png"), image)
+    (folder / "scan.toml").write_text('[scan]\nname = "cup"\nframes = "f*.png"\nsteps_per_frame = -500\n')
+    return folder
+
+
+def test_a_scan(scan, capsys):
+    found = facts(capsys, scan)
+    assert found["frames"] == {"count": 3, "first_step": 0, "last_step": -1000, "spacing": -500}
+    assert found["image_size"] == [64, 48]
+    assert "3, steps 0 to -1000, -500 apart" in words(capsys, scan / "scan.toml")
+
+
+def test_frames_of_different_size_are_refused(scan, capsys):
+    assert cv2.imwrite(str(scan / "f1.png"), np.zeros((64, 48), np.uint8))
+    assert "f1.png: is 48 × 64 pixels" in refusal(capsys, scan)
+
+
+def test_a_real_session(data, capsys):
+    text = words(capsys, data / "etna-2")
+    assert "checkerboard, 7 × 6 inner corners, 10 mm apart" in text
+    assert "8 photographs of 1280 × 1024 pixels" in text
+    assert "grey, one point for each image row, in the photographs of the board" in text
+    assert "none: the rig will have none" in words(capsys, data / "opencv-left")
+
+
+def green(path: Path) -> np.ndarray:
+    """Rows and columns of the pixels that carry the stripe's mark, which is green."""
+    picture = cv2.imread(str(path)).astype(int)
+    return np.argwhere((picture[..., 1] > 200) & (picture[..., 2] < 60))
+
+
+def test_the_stripe_is_drawn_where_it_is(scan, tmp_path, capsys):
+    found = facts(capsys, scan, "--frame", 2, "--png", tmp_path / "f2.png")
+    assert found["picture"] == {"path": str(tmp_path / "f2.png"), "stripe_points": 64, "of_columns": 64}
+    rows = green(tmp_path / "f2.png")[:, 0]
+    assert abs(rows.mean() - 22) < 0.2
+    assert "a stripe in 64 of 64 columns" in words(capsys, scan, "--png", tmp_path / "f0.png")
+
+
+def test_the_background_is_subtracted(scan, tmp_path, capsys):
+    """A lamp brighter than the stripe is found in its place, unless a photograph without the laser takes it away."""
+    dark = np.zeros((48, 64, 3), np.uint8)
+    dark[8, :, 2] = 250
+    lit = dark.copy()
+    lit[30, :, 2] = 150
+    for name, image in (("dark", dark), ("lit", lit)):
+        assert cv2.imwrite(str(scan / f"{name}.png"), image)
+    for background, row in (("", 8), ('background = "dark.png"\n', 30)):
+        (scan / "scan.toml").write_text(f'[scan]\nframes = "lit.png"\nsteps = [0]\n{background}')
+        assert facts(capsys, scan, "--png", tmp_path / "a.png")["picture"]["stripe_points"] == 64
+        assert abs(green(tmp_path / "a.png")[:, 0].mean() - row) < 0.2
+
+
+def test_the_picture_is_named_after_folder_and_frame(scan, monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert facts(capsys, scan, "--frame", 1, "--png")["picture"]["path"] == "cup-1.png"
+    assert (tmp_path / "cup-1.png").is_file()
+
+
+def test_corners_and_stripe_of_a_real_view(data, tmp_path, capsys):
+    picture = facts(capsys, data / "etna-2", "--frame", 0, "--png", tmp_path / "v.png")["picture"]
+    assert (picture["corners"], picture["of_corners"]) == (42, 42)
+    assert picture["lasers"][0]["stripe_points"] > 300
+    assert cv2.imread(str(tmp_path / "v.png")).shape == (1024, 1280, 3)
+
+
+def test_frames_that_are_not_there(scan, tmp_path, capsys):
+    for frame in (3, -1):
+        error = refusal(capsys, scan, "--frame", frame, "--png", tmp_path / "a.png")
+        assert f"--frame {frame}: it has 3 frames, counted from 0 to 2" in error
+    assert "no folder" in refusal(capsys, scan, "--png", tmp_path / "nowhere" / "a.png")
+    (scan / "f1.png").write_bytes((scan / "f1.png").read_bytes()[:60])
+    assert "f1.png" in refusal(capsys, scan, "--frame", 1, "--png", tmp_path / "a.png")
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_what_cannot_be_inspected(tmp_path, rig, scan, capsys):
+    assert "no such file or folder" in refusal(capsys, tmp_path / "none")
+    assert "neither session.toml nor scan.toml" in refusal(capsys, tmp_path)
+    (scan / "session.toml").write_text("")
+    assert "both session.toml and scan.toml" in refusal(capsys, scan)
+    (tmp_path / "a.docx").write_text("")
+    assert 'the ending ".docx"' in refusal(capsys, tmp_path / "a.docx")
+    assert "a rig has none" in refusal(capsys, rig, "--png")
+    assert "add --png" in refusal(capsys, scan / "scan.toml", "--frame", "1")

@@ -1,0 +1,73 @@
+"""The organised range image: exact round trips, and what a reader must refuse."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import InputError
+from jaxscan.files.range_npz import RangeArrays, read_range_npz, write_range_npz
+
+
+def image(frames: int = 4, columns: int = 7) -> RangeArrays:
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(frames, columns, 3)).astype(np.float32)
+    valid = rng.random((frames, columns)) > 0.3
+    points[~valid] = np.nan
+    numbers = rng.random((2, frames, columns), dtype=np.float32)
+    return RangeArrays(points, numbers[0], numbers[1], valid, np.arange(frames) * 2000 - 100_000)
+
+
+@pytest.mark.parametrize("frames", [0, 1, 4])
+def test_round_trip_is_exact(tmp_path, frames):
+    write_range_npz(tmp_path / "a.npz", image(frames))
+    read = read_range_npz(tmp_path / "a.npz")
+    for field in dataclasses.fields(RangeArrays):
+        a, b = getattr(image(frames), field.name), getattr(read, field.name)
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+    with np.load(tmp_path / "a.npz") as archive:
+        assert set(archive) == {"points", "strength", "sigma", "valid", "steps"}
+
+
+def test_arrays_that_do_not_fit_are_not_written(tmp_path):
+    good = image()
+    for bad in (
+        dataclasses.replace(good, steps=good.steps[1:]),
+        dataclasses.replace(good, points=good.points[:, 1:]),
+        dataclasses.replace(good, valid=np.ones_like(good.valid)),
+    ):
+        with pytest.raises(InputError, match=r"a\.npz: "):
+            write_range_npz(tmp_path / "a.npz", bad)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_range_image(tmp_path):
+    path = tmp_path / "a.npz"
+    write_range_npz(path, image())
+    whole = path.read_bytes()
+    arrays = vars(image())
+    np.savez(tmp_path / "some.npz", points=arrays["points"])
+    np.savez(tmp_path / "types.npz", **{**arrays, "valid": arrays["valid"].astype(float)})
+    np.savez(tmp_path / "objects.npz", **{**arrays, "steps": np.array([{}] * 4)})
+    np.save(tmp_path / "plain.npy", arrays["points"])
+    (tmp_path / "plain.npy").rename(tmp_path / "plain.npz")
+    (tmp_path / "short.npz").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "flipped.npz").write_bytes(whole[:300] + b"\xff" * 20 + whole[320:])
+    (tmp_path / "empty.npz").write_bytes(b"")
+    (tmp_path / "binary.npz").write_bytes(bytes(range(256)) * 10)
+    for name, text in {
+        "some": 'no array "',
+        "types": '"valid" is float64',
+        "objects": "not a whole NPZ",
+        "plain": "not a whole NPZ",
+        "short": "not a whole NPZ",
+        "flipped": "not a whole NPZ",
+        "empty": "not a whole NPZ",
+        "binary": "not a whole NPZ",
+        "none": "no such file",
+    }.items():
+        with pytest.raises(InputError, match=rf"{name}\.npz: .*{text}"):
+            read_range_npz(tmp_path / f"{name}.npz")
+    with pytest.raises(InputError, match="is a folder"):
+        read_range_npz(tmp_path)

@@ -1,0 +1,274 @@
+"""Calibration sessions: what the format allows, and every mistake with its mend."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import InputError
+from jaxscan.files.session import CameraSettings, Session, StageImages, Views, read_session, write_session
+from jaxscan.images import Board, StripeSettings
+
+BOARD = "[board]\ninner_corners = [9, 6]\nsquare_mm = 10.0\n"
+LASERS = '[[laser]]\nname = "{}"\nstripes = "stripes/*.png"\n[[laser]]\nname = "{}"\nstripes = "stripes/*.png"'
+VIEWS = '[views]\nboards = "boards/*.png"\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path, photographs) -> Path:
+    """Three board photographs, numbered so that text order is not their order, three with stripe, three of a stage."""
+    for kind in ("boards", "stripes", "stage"):
+        photographs(tmp_path / kind, ["v10.png", "v2.png", "v1.png"])
+    return tmp_path
+
+
+def session(folder: Path, *parts: str) -> Session:
+    (folder / "session.toml").write_text("\n".join(parts), encoding="utf-8")
+    return read_session(folder)
+
+
+def refusal(folder: Path, *parts: str) -> str:
+    with pytest.raises(InputError) as caught:
+        session(folder, *parts)
+    message = str(caught.value)
+    assert message.startswith(str(folder))
+    return message
+
+
+def test_the_least_session_has_the_defaults_of_the_format(folder):
+    read = session(folder, BOARD, VIEWS)
+    assert read == Session(
+        path=folder / "session.toml",
+        board=Board.checkerboard((9, 6), 10.0),
+        views=Views(tuple(folder / "boards" / name for name in ("v1.png", "v2.png", "v10.png"))),
+        camera=CameraSettings("radial1", "free"),
+        image_size=(32, 24),
+    )
+    assert read_session(str(folder / "session.toml")) == read
+
+
+def test_everything_that_the_format_has(folder):
+    read = session(
+        folder,
+        BOARD,
+        '[camera]\nlens = "brown"\nprincipal_point = "centre"',
+        VIEWS,
+        'stripes = ["stripes/v1.png", "", "stripes/v10.png"]',
+        '[stage]\nimages = "stage/*.png"\nsteps = [-100000, 0, 2000]',
+        '[laser]\ncolor = "green"\ncolumns = false',
+    )
+    assert read.camera == CameraSettings("brown", "centre")
+    assert read.views.stripes == {"": (folder / "stripes/v1.png", None, folder / "stripes/v10.png")}
+    assert read.stage is not None
+    assert read.stage.steps == (-100_000, 0, 2000)
+    assert [path.name for path in read.stage.images] == ["v1.png", "v2.png", "v10.png"]
+    assert read.lasers == (StripeSettings(color="green", columns=False),)
+
+
+def test_steps_per_image_count_from_zero(folder):
+    stage = session(folder, BOARD, VIEWS, '[stage]\nimages = "stage/*.png"\nsteps_per_image = -2000').stage
+    assert stage is not None
+    assert stage.steps == (0, -2000, -4000)
+
+
+@pytest.mark.parametrize(
+    ("parts", "lasers", "stripes"),
+    [
+        ([VIEWS], 0, None),
+        ([VIEWS, "[laser]"], 1, None),
+        ([VIEWS, 'stripes = "stripes/*.png"'], 1, {""}),
+        ([VIEWS, '[laser]\nstripes = "stripes/*.png"'], 1, {""}),
+        ([VIEWS, '[[laser]]\nname = "a"\nstripes = "stripes/*.png"'], 1, {"a"}),
+        ([VIEWS, LASERS.format("a", "b")], 2, {"a", "b"}),
+    ],
+)
+def test_where_the_stripe_is_looked_for(folder, parts, lasers, stripes):
+    read = session(folder, BOARD, *parts)
+    assert len(read.lasers) == lasers
+    assert (set(read.views.stripes) if read.views.stripes else None) == stripes
+
+
+@pytest.mark.parametrize(
+    ("text", "board"),
+    [
+        ('kind = "checkerboard"\ninner_corners = [9, 6]\nsquare_mm = 10', Board.checkerboard((9, 6), 10.0)),
+        ('kind = "circles"\ncircles = [7, 7]\npitch_mm = 37.5', Board.circles((7, 7), 37.5)),
+        (
+            'kind = "charuco"\nsquares = [10, 7]\nsquare_mm = 20\nmarker_mm = 15\ndictionary = "DICT_4X4_50"',
+            Board.charuco((10, 7), 20.0, 15.0, "DICT_4X4_50"),
+        ),
+    ],
+)
+def test_boards_there_and_back(folder, text, board):
+    read = session(folder, f"[board]\n{text}", VIEWS)
+    assert read.board == board
+    write_session(read)
+    assert read_session(folder) == read
+
+
+@pytest.mark.parametrize("names", [(), ("",), ("left",), ("left", "right")])
+@pytest.mark.parametrize("own", [False, True])
+def test_what_is_written_reads_the_same(folder, names, own):
+    boards = tuple(folder / "boards" / f"v{i}.png" for i in (10, 1))
+    stripes = {name: (folder / "stripes/v2.png", None) for name in names} if own or len(names) > 1 else None
+    written = Session(
+        path=folder / "session.toml",
+        board=Board.checkerboard((7, 6), 12.345678901234567),
+        views=Views(boards, stripes or None),
+        camera=CameraSettings("rational", "centre"),
+        stage=StageImages(boards[::-1], (5, -7)),
+        lasers=tuple(StripeSettings(color="blue", columns=False, name=name) for name in names),
+        image_size=(32, 24),
+    )
+    write_session(written)
+    assert read_session(folder) == written
+
+
+def test_photographs_elsewhere(tmp_path, folder, photographs):
+    other = photographs(tmp_path / "other place [1]", ["a1.png", "a2.png"])
+    read = session(folder, BOARD, f'[views]\nboards = "{other[0].parent.as_posix().replace("[1]", "[[]1]")}/*.png"')
+    assert read.views.boards == tuple(other)
+    assert session(folder, BOARD, f'[views]\nboards = ["{other[1].as_posix()}"]').views.boards == (other[1],)
+    write_session(dataclasses.replace(read, path=folder / "boards" / "session.toml"))
+    assert read_session(folder / "boards").views.boards == tuple(other)
+
+
+def test_a_name_that_looks_like_a_pattern_and_globs_through_folders(folder, photographs):
+    photographs(folder, ["a[1].png"])
+    assert session(folder, BOARD, '[views]\nboards = "a[1].png"').views.boards == (folder / "a[1].png",)
+    assert len(session(folder, BOARD, '[views]\nboards = "**/v*.png"').views.boards) == 9
+
+
+def test_byte_order_mark_and_carriage_returns(folder):
+    text = BOARD + VIEWS
+    (folder / "session.toml").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+    assert len(read_session(folder).views.boards) == 3
+
+
+@pytest.mark.parametrize("name", ["etna-2", "etna-3", "opencv-left", "stage-boards"])
+def test_real_sessions(data, name):
+    read = read_session(data / name)
+    assert len(read.views.boards) == {"etna-2": 8, "etna-3": 16, "opencv-left": 13, "stage-boards": 11}[name]
+    assert read.image_size == ((1280, 1024) if "etna" in name else (640, 480))
+    assert len(read.lasers) == ("etna" in name)
+
+
+STAGE = '[stage]\nimages = "stage/*.png"\n'
+
+BAD = {
+    "no board": ([VIEWS], ["board", "is missing"]),
+    "no views": ([BOARD], ["views", "is missing"]),
+    "board is a number": (["board = 3", VIEWS], ["board = 3", "must be a table"]),
+    "mistyped table": ([BOARD, VIEWS, "[lazer]"], ["lazer", 'did you mean "laser"?']),
+    "mistyped key": ([BOARD.replace("square_mm", "squares_mm"), VIEWS], ["[board] squares_mm = 10.0", '"square_mm"?']),
+    "key of another board": ([BOARD + "circles = [7, 7]", VIEWS], ["[board] circles = [7, 7]", "unknown key"]),
+    "unknown kind": (['[board]\nkind = "hexagons"', VIEWS], ['[board] kind = "hexagons"', "checkerboard, circles"]),
+    "one number of corners": ([BOARD.replace("[9, 6]", "[9]"), VIEWS], ["inner_corners = [9]", "columns, rows"]),
+    "corners as text": ([BOARD.replace("[9, 6]", '"9x6"'), VIEWS], ['[board] inner_corners = "9x6"', "list"]),
+    "too few corners": ([BOARD.replace("[9, 6]", "[9, 1]"), VIEWS], ["[board] inner_corners = [9, 1]", "3 or more"]),
+    "no size": (["[board]\ninner_corners = [9, 6]", VIEWS], ["[board] square_mm", "is missing"]),
+    "negative size": ([BOARD.replace("10.0", "-1"), VIEWS], ["[board] square_mm = -1", "positive"]),
+    "size not a number": ([BOARD.replace("10.0", "nan"), VIEWS], ["[board] square_mm = NaN", "finite"]),
+    "size as text": ([BOARD.replace("10.0", '"10"'), VIEWS], ['[board] square_mm = "10"', "number"]),
+    "unknown dictionary": (
+        ['[board]\nkind="charuco"\nsquares=[9,6]\nsquare_mm=9\nmarker_mm=5\ndictionary="DICT_9"', VIEWS],
+        ["[board] dictionary", "DICT_4X4_50"],
+    ),
+    "unknown lens": ([BOARD, VIEWS, '[camera]\nlens = "radial9"'], ['[camera] lens = "radial9"', "radial1, radial2"]),
+    "centre in American": ([BOARD, VIEWS, '[camera]\nprincipal_point = "center"'], ["principal_point", "free, centre"]),
+    "glob without files": ([BOARD, '[views]\nboards = "board/*.png"'], ["[views] boards", "matches no file"]),
+    "glob of a folder": ([BOARD, '[views]\nboards = "boards"'], ["[views] boards", "matches no file"]),
+    "empty glob": ([BOARD, '[views]\nboards = ""'], ["[views] boards", "glob"]),
+    "no boards": ([BOARD, "[views]"], ["[views] boards", "is missing"]),
+    "boards a number": ([BOARD, "[views]\nboards = 3"], ["[views] boards = 3", "list of names"]),
+    "numbers for names": ([BOARD, "[views]\nboards = [1, 2]"], ["[views] boards", "entry 0 is 1"]),
+    "gap in boards": ([BOARD, '[views]\nboards = ["boards/v1.png", ""]'], ["[views] boards", 'entry 1 is ""']),
+    "missing file": (
+        [BOARD, '[views]\nboards = ["boards/v1.png", "boards/v3.png"]'],
+        ["[views] boards", "1 of 2 files", "v3.png"],
+    ),
+    "name with a null": ([BOARD, '[views]\nboards = ["a\\u0000b"]'], ["[views] boards", "1 of 1 files"]),
+    "glob with a null": ([BOARD, '[views]\nboards = "a\\u0000*"'], ["[views] boards", "matches no file"]),
+    "name without end": ([BOARD, f'[views]\nboards = ["{"a" * 5000}"]'], ["[views] boards", "1 of 1 files"]),
+    "named twice": ([BOARD, '[views]\nboards = ["boards/v1.png", "boards/v1.png"]'], ['"boards/v1.png" stands twice']),
+    "too few stripes": (
+        [BOARD, VIEWS + 'stripes = ["stripes/v1.png"]'],
+        ["[views] stripes", "1 photographs of the stripe for 3 of the board", "paired in order"],
+    ),
+    "stripe missing": ([BOARD, VIEWS + 'stripes = ["stripes/v1.png", "", "stripes/x.png"]'], ["stripes", "x.png"]),
+    "stripes twice": (
+        [BOARD, VIEWS + 'stripes = "stripes/*.png"\n[laser]\nstripes = "stripes/*.png"'],
+        ["[views] stripes", "[laser] stripes is given too"],
+    ),
+    "whose stripes": ([BOARD, VIEWS + 'stripes = "stripes/*.png"', LASERS.format("a", "b")], ["each [[laser]]"]),
+    "lasers of one name": ([BOARD, VIEWS, LASERS.format("a", "a")], ["[[laser]] name", '["a", "a"]']),
+    "laser without stripes": (
+        [BOARD, VIEWS, LASERS.format("a", "b").removesuffix('stripes = "stripes/*.png"')],
+        ["[[laser]] 2: stripes", "is missing"],
+    ),
+    "laser is a number": (["laser = 3", BOARD, VIEWS], ["laser = 3", "[[laser]]"]),
+    "purple": ([BOARD, VIEWS, '[laser]\ncolor = "purple"'], ['[laser] color = "purple"', "red, green, blue, grey"]),
+    "colour": ([BOARD, VIEWS, '[laser]\ncolour = "red"'], ["[laser] colour", 'did you mean "color"?']),
+    "columns as text": ([BOARD, VIEWS, '[laser]\ncolumns = "true"'], ['[laser] columns = "true"', "true or false"]),
+    "steps of another number": ([BOARD, VIEWS, STAGE + "steps = [0, 1]"], ["[stage] steps", "2 step counts for 3"]),
+    "no steps": ([BOARD, VIEWS, STAGE], ["[stage] steps", "is missing", "steps_per_image"]),
+    "steps twice": ([BOARD, VIEWS, STAGE + "steps = [0, 1, 2]\nsteps_per_image = 3"], ["[stage] steps", "given too"]),
+    "steps with fractions": ([BOARD, VIEWS, STAGE + "steps = [0, 1.0, 2]"], ["entry 1 is 1.0", "write 1"]),
+    "half steps": ([BOARD, VIEWS, STAGE + "steps = [0, 1.5, 2]"], ["entry 1 is 1.5", "whole number"]),
+    "steps true and false": ([BOARD, VIEWS, STAGE + "steps = [0, true, 2]"], ["entry 1 is true", "whole number"]),
+    "steps as text": ([BOARD, VIEWS, STAGE + 'steps = [0, "1", 2]'], ['entry 1 is "1"', "whole number"]),
+    "steps one number": ([BOARD, VIEWS, STAGE + "steps = 2000"], ["[stage] steps = 2000", "list of whole numbers"]),
+    "steps beyond bounds": ([BOARD, VIEWS, STAGE + "steps = [0, 1, 99999999999999999]"], ["entry 2", "whole number"]),
+    "a stage that stands": ([BOARD, VIEWS, STAGE + "steps_per_image = 0"], ["steps_per_image = 0", "does not move"]),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_mistakes_are_named_with_their_mend(folder, name):
+    parts, texts = BAD[name]
+    message = refusal(folder, *parts)
+    for text in texts:
+        assert text in message
+
+
+def test_a_photograph_of_another_size_is_named_with_both_sizes(folder, photographs):
+    photographs(folder / "stage", ["v2.png"], (24, 32))
+    message = refusal(folder, BOARD, VIEWS, STAGE, "steps_per_image = 1")
+    assert "stage/v2.png: is 24 × 32 pixels" in message
+    assert "boards/v1.png is 32 × 24" in message
+
+
+def test_a_photograph_that_is_none_is_named(folder):
+    (folder / "boards" / "v2.png").write_bytes(np.random.default_rng(0).bytes(1000))
+    assert "boards/v2.png" in refusal(folder, BOARD, VIEWS)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (b"", "is empty"),
+        (b"[board\n", "not valid TOML.*line 1"),
+        (b"a = 1\na = 2\n", "not valid TOML.*line 2"),
+        (b"\x00\xff\xfe" * 50, "is not text"),
+        (b"a = " + b"[" * 100_000, "nested too deeply"),
+        (b"a = " + b"9" * 5000, "not valid TOML"),
+        (b"steps", "not valid TOML"),
+    ],
+)
+def test_what_is_no_toml(tmp_path, content, text):
+    (tmp_path / "session.toml").write_bytes(content)
+    with pytest.raises(InputError, match=rf"(?s)session\.toml: .*{text}"):
+        read_session(tmp_path)
+
+
+def test_folders_and_missing_files(tmp_path):
+    with pytest.raises(InputError, match=r"has no session\.toml"):
+        read_session(tmp_path)
+    with pytest.raises(InputError, match="no such file"):
+        read_session(tmp_path / "nowhere")
+    (tmp_path / "session.toml").mkdir()
+    with pytest.raises(InputError, match=r"has no session\.toml"):
+        read_session(tmp_path)
+    with pytest.raises(InputError, match=r"has no session\.toml"):
+        read_session(tmp_path / "session.toml")
