@@ -112,9 +112,15 @@ def _same_reflectance(
     if board.kind != "checkerboard":
         return np.ones(len(at), bool)
 
+    columns, rows = board.counts
+    # The square diagonally outside the first corner is dark wherever an order of the corners can make it so; where it
+    # cannot, the margin counts as a colour of its own.
+    first_is_dark = (columns + rows) % 2 == 1 or (columns == rows and columns % 2 == 1)
+
     def colour(x: Float[np.ndarray, "points 2"]) -> Int[np.ndarray, "points"]:
         cell = np.floor(np.nan_to_num(x) / board.pitch_mm).astype(int)
-        printed = ((cell >= -1) & (cell < np.asarray(board.counts))).all(axis=1)
-        return np.where(printed, cell.sum(axis=1) % 2, 2)
+        printed = np.all((cell >= -1) & (cell < np.asarray(board.counts)), axis=1)
+        dark = cell.sum(axis=1) % 2 == 0
+        return np.where(printed, dark, 0 if first_is_dark else 2).astype(int)
 
     return (colour(at) == colour(before)) & (colour(at) == colour(after))

@@ -49,6 +49,7 @@ class Calibration:
         covariance: of the rig's parameters; one that was held is not among them.
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
+        stripe_correlation: how many neighbouring stripe points are worth one, by the correlation of their errors.
         corner_rms_px: root mean square distance of the corners that were kept.
         stripe_rms_px: root mean square stripe error of the points that were kept; None without stripes.
         fits: view by view.
@@ -64,6 +65,7 @@ class Calibration:
     covariance: Covariance
     corner_sigma_px: float
     stripe_sigma_px: float | None
+    stripe_correlation: float | None
     corner_rms_px: float
     stripe_rms_px: float | None
     fits: tuple[PhotographFit, ...]
@@ -82,7 +84,11 @@ class Calibration:
             "stage_images": len(self.stage_fits),
         }
         if self.stripe_rms_px is not None:
-            fit |= {"stripe_rms_px": self.stripe_rms_px, "stripe_sigma_px": self.stripe_sigma_px}
+            fit |= {
+                "stripe_rms_px": self.stripe_rms_px,
+                "stripe_sigma_px": self.stripe_sigma_px,
+                "stripe_correlation": self.stripe_correlation,
+            }
         return RigFile(self.rig, self.covariance, fit)
 
 
@@ -115,7 +121,8 @@ def assemble(refined: Refined, observations: Observations, held: set[str], left_
         system=as_numpy(System(rig, boards, stages, warp)),
         covariance=Covariance(tuple(names[i] for i in at), covariance),
         corner_sigma_px=float(refined.noise.corner),
-        stripe_sigma_px=float(refined.noise.stripe) if stripe.size else None,
+        stripe_sigma_px=refined.stripe_sigma if stripe.size else None,
+        stripe_correlation=refined.stripe_correlation if stripe.size else None,
         corner_rms_px=float(np.sqrt((corners**2).sum(axis=1).mean())),
         stripe_rms_px=float(np.sqrt((stripe**2).mean())) if stripe.size else None,
         fits=fits,

@@ -3,6 +3,7 @@
 The first solve tames large residuals by a robust loss. From then on each round estimates the two σ, leaves out what
 lies beyond a fixed number of them, readmits what no longer does, and solves plain least squares on the rest, until
 neither the set nor the σ change. The σ that are reported are variance components: squared residuals over redundancy.
+A stripe point is weighted less than its σ alone says, by the correlation of errors along the stripe.
 """
 
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.bundle import Estimate, Outcome, solve
+from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.residuals import Blocks, Noise, block_errors
 from jaxscan.calibration.uncertainty import Precision, precision
 
@@ -34,7 +36,9 @@ class Refined:
 
     Attributes:
         estimate: the parameters.
-        noise: the two σ, in pixels.
+        noise: what residuals were divided by, in pixels: the σ of a corner, and that of a stripe point times √τ.
+        stripe_sigma: σ of a stripe point by itself, pixels.
+        stripe_correlation: τ, how many neighbouring stripe points are worth one.
         groups: the observations with the masks of those that were kept.
         errors: for each group, corner (blocks, corners, 2) and stripe (blocks, stripe) errors in pixels, of all
             candidates, kept or not.
@@ -45,6 +49,8 @@ class Refined:
 
     estimate: Estimate
     noise: Noise
+    stripe_sigma: float
+    stripe_correlation: float
     groups: tuple[Blocks, ...]
     errors: tuple[tuple[Float[Array, "blocks corners 2"], Float[Array, "blocks stripe"]], ...]
     precision: Precision
@@ -65,35 +71,46 @@ def refine(
         reject: whether observations may be left out; otherwise every candidate is used, by least squares.
     """
     groups = candidates
+    solves = 0
     if reject:
         first = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
-        outcome = solve(estimate, free, groups, first)
-        estimate = outcome.estimate
-        noise = _median_noise(groups, _errors(estimate, candidates), noise)
-        groups = _keep(candidates, _errors(estimate, candidates), noise)
+        estimate = solve(estimate, free, groups, first).estimate
+        errors = _errors(estimate, candidates)
+        noise = _median_noise(groups, errors, noise)
+        groups = _keep(candidates, errors, noise)
+        solves = 1
     two_kinds = any(bool(group.stripe_used.any()) for group in groups)
-    solves = int(reject)
     while True:
         solves += 1
         outcome = solve(estimate, free, groups, noise)
         estimate = outcome.estimate
         errors = _errors(estimate, candidates)
-        spread = precision(estimate, free, groups, noise)
-        settled = _variance_components(groups, errors, spread, noise)
-        kept = (
-            _keep(candidates, errors, _at_least(settled, _median_noise(groups, errors, settled))) if reject else groups
-        )
+        single = _variance_components(groups, errors, precision(estimate, free, groups, noise), noise)
+        kept = _keep(candidates, errors, _at_least(single, _median_noise(groups, errors, single))) if reject else groups
         same = all(
             bool((old.corner_used == new.corner_used).all() and (old.stripe_used == new.stripe_used).all())
             for old, new in zip(groups, kept, strict=True)
         )
+        tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
+        settled = Noise(single.corner, single.stripe * tau**0.5, single.robustness)
         # Only the ratio of the two σ moves the estimate; their common scale is in the covariance alone.
         ratio = float((settled.stripe / settled.corner) / (noise.stripe / noise.corner))
         noise = settled
         if (same and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)) or solves >= _MAX_SOLVES:
             spread = precision(estimate, free, groups, noise)
-            return Refined(estimate, noise, groups, errors, spread, outcome, solves)
+            return Refined(
+                estimate, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves
+            )
         groups = kept
+
+
+def _stripe_correlation(groups: tuple[Blocks, ...], errors: tuple) -> float:
+    rows = [
+        (np.asarray(error), np.asarray(used))
+        for group, (_, stripe) in zip(groups, errors, strict=True)
+        for error, used in zip(stripe, group.stripe_used, strict=True)
+    ]
+    return integrated_correlation([error for error, _ in rows], [used for _, used in rows])
 
 
 @eqx.filter_jit

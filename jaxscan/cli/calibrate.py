@@ -2,7 +2,10 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from jaxscan.calibration import Calibration
 
 HELP: Final = "find camera, lens, light plane and stage from photographs of a board, all together"
 EXAMPLE: Final = "jaxscan calibrate session -o rig.json"
@@ -26,28 +29,35 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.atomic import check_writable
 
     check_writable(args.output)
-    from jaxscan.cli.compiled import keep_compiled
-
-    keep_compiled()
-    from jaxscan.calibration import calibrate
-    from jaxscan.calibration.observe import observe, photograph_count
+    calibration = calibrate_session(args.session, args.output)
     from jaxscan.cli.facts import rig_facts
-    from jaxscan.cli.progress import progress
-    from jaxscan.files.rig_file import write_rig
-    from jaxscan.files.session import read_session
 
-    session = read_session(args.session)
-    with progress("reading photographs", photograph_count(session)) as advance:
-        observations = observe(session, advance)
-    with progress("solving", 1, "rig") as advance:
-        calibration = calibrate(observations, lens=session.camera.lens, principal_point=session.camera.principal_point)
-        advance(1)
-    write_rig(args.output, calibration.rig_file())
     return {
         **rig_facts(args.output),
         "left_out": list(calibration.left_out),
         "notes": list(calibration.notes),
     }
+
+
+def calibrate_session(path: Path, output: Path) -> "Calibration":
+    """Calibrate with progress bars, and write the rig."""
+    from jaxscan.cli.compiled import keep_compiled
+
+    keep_compiled()
+    from jaxscan.calibration import calibrate
+    from jaxscan.calibration.observe import observe, photograph_count
+    from jaxscan.cli.progress import progress
+    from jaxscan.files.rig_file import write_rig
+    from jaxscan.files.session import read_session
+
+    session = read_session(path)
+    with progress("finding boards and stripes", photograph_count(session)) as advance:
+        observations = observe(session, advance)
+    with progress("solving", 1, "rig") as advance:
+        calibration = calibrate(observations, lens=session.camera.lens, principal_point=session.camera.principal_point)
+        advance(1)
+    write_rig(output, calibration.rig_file())
+    return calibration
 
 
 def describe(result: dict[str, Any]) -> str:

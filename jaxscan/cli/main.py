@@ -29,6 +29,7 @@ COMMANDS: Final = {
     "reconstruct": "jaxscan.cli.reconstruct",
     "inspect": "jaxscan.cli.inspect",
     "simulate": "jaxscan.cli.simulate",
+    "demo": "jaxscan.cli.demo",
 }
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

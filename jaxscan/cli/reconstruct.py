@@ -2,7 +2,10 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from jaxscan.reconstruction import RangeImage
 
 HELP: Final = "turn the photographs of a scan into points"
 EXAMPLE: Final = "jaxscan reconstruct scans/cup --rig rig.json -o cup.ply"
@@ -33,6 +36,18 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     for path in args.output:
         check_writable(path)
+    image = reconstruct_scan(args.scan, args.rig, args.output)
+    return {
+        "kind": "points",
+        "path": [str(path) for path in args.output],
+        "frames": len(image.steps),
+        "frames_without_stripe": int((~image.valid.any(axis=1)).sum()),
+        "points": int(image.valid.sum()),
+    }
+
+
+def reconstruct_scan(scan: Path, rig: Path, outputs: list[Path]) -> "RangeImage":
+    """Reconstruct with a progress bar, and write the points to each output."""
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
@@ -41,18 +56,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.files.scan import read_scan
     from jaxscan.reconstruction import reconstruct, write_points
 
-    rig, scan = read_rig(args.rig), read_scan(args.scan)
-    with progress("reading frames", len(scan.frames) or None, "frame") as advance:
-        image = reconstruct(rig, scan, advance)
-    for path in args.output:
+    calibrated, photographs = read_rig(rig), read_scan(scan)
+    with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
+        image = reconstruct(calibrated, photographs, advance)
+    for path in outputs:
         write_points(path, image)
-    return {
-        "kind": "points",
-        "path": [str(path) for path in args.output],
-        "frames": len(image.steps),
-        "frames_without_stripe": int((~image.valid.any(axis=1)).sum()),
-        "points": int(image.valid.sum()),
-    }
+    return image
 
 
 def describe(result: dict[str, Any]) -> str:

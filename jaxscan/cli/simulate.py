@@ -2,7 +2,11 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from jaxscan.simulation import Body, Scene, Sensor
+    from jaxscan.simulation.folders import ScanTruth
 
 HELP: Final = "photographs of a known world: a calibration session, a scan, and their truth"
 EXAMPLE: Final = "jaxscan simulate world --seed 3 --object cup"
@@ -26,69 +30,95 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Render the photographs and write them with their truth."""
-    _check(args)
+    check_folder(args.out, args.seed)
+    bodies, name = _bodies(args)
     from jaxscan.simulation.light import Sensor
-    from jaxscan.simulation.rig_2003 import BOARD_LIGHTING, SCAN_LIGHTING
 
-    sensor = Sensor(blur_px=args.blur, noise=args.noise)
+    _, truth = simulate_into(
+        args.out,
+        args.seed,
+        bodies,
+        name,
+        sensor=Sensor(blur_px=args.blur, noise=args.noise),
+        speckle=args.speckle,
+        separate_stripes=args.stripes,
+        ending=".jpg" if args.jpeg else ".png",
+    )
+    return {
+        "kind": "simulation",
+        "path": str(args.out),
+        "seed": args.seed,
+        "object": name,
+        "true_points": int((truth.position == truth.position).sum()),
+    }
+
+
+def simulate_into(
+    out: Path,
+    seed: int,
+    bodies: "tuple[Body, ...]",
+    name: str,
+    *,
+    sensor: "Sensor | None" = None,
+    speckle: float = 0.0,
+    separate_stripes: bool = False,
+    ending: str = ".png",
+) -> "tuple[Scene, ScanTruth]":
+    """Write the session, the scan of some bodies and their truth into a folder, with a progress bar."""
     from dataclasses import replace
 
-    board_light, scan_light = (replace(light, speckle=args.speckle) for light in (BOARD_LIGHTING, SCAN_LIGHTING))
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
     from jaxscan.cli.progress import progress
     from jaxscan.simulation import folders, rig_2003
 
-    bodies, name = _bodies(args)
-    rig = rig_2003.simulated_rig(args.seed)
+    rig = rig_2003.simulated_rig(seed)
     scene = rig_2003.scan_scene(rig, bodies)
-    common: dict[str, Any] = {"sensor": sensor, "ending": ".jpg" if args.jpeg else ".png"}
-    boards = rig_2003.BOARD_VIEWS * (2 if args.stripes else 1)
-    total = boards + rig_2003.STAGE_VIEWS + rig_2003.SCAN_FRAMES
-    with progress("rendering", total) as advance:
+    common: dict[str, Any] = {"sensor": sensor or rig_2003.SENSOR, "ending": ending}
+    boards = rig_2003.BOARD_VIEWS * (2 if separate_stripes else 1)
+    with progress("rendering", boards + rig_2003.STAGE_VIEWS + rig_2003.SCAN_FRAMES) as advance:
         session = folders.simulate_session(
-            args.out / "session",
-            args.seed,
-            lighting=board_light,
-            separate_stripes=args.stripes,
+            out / "session",
+            seed,
+            lighting=replace(rig_2003.BOARD_LIGHTING, speckle=speckle),
+            separate_stripes=separate_stripes,
             advance=advance,
             **common,
         )
         scan = folders.simulate_scan(
-            args.out / "scan", rig, scene, args.seed, name=name, lighting=scan_light, advance=advance, **common
+            out / "scan",
+            rig,
+            scene,
+            seed,
+            name=name,
+            lighting=replace(rig_2003.SCAN_LIGHTING, speckle=speckle),
+            advance=advance,
+            **common,
         )
-    folders.write_truth(args.out / "truth", session, scan)
-    return {
-        "kind": "simulation",
-        "path": str(args.out),
-        "seed": args.seed,
-        "object": name,
-        "photographs": total,
-        "true_points": int((scan.position == scan.position).sum()),
-    }
+    folders.write_truth(out / "truth", session, scan)
+    return scene, scan
 
 
 def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
     out = result["path"]
     return (
-        f"{result['photographs']} photographs of a {result['object']} and of boards, "
-        f"{result['true_points']} true points: {out}/session, {out}/scan, {out}/truth\n"
+        f"photographs of boards and of a {result['object']}, {result['true_points']} true points: {out}/session, {out}/scan, {out}/truth\n"
         f"next: jaxscan calibrate {out}/session -o {out}/rig.json"
     )
 
 
-def _check(args: argparse.Namespace) -> None:
+def check_folder(out: Path, seed: int) -> None:
     """Refuse a folder that holds something else, before any work."""
     from jaxscan.errors import InputError
 
-    if args.seed < 0:
-        raise InputError(f"--seed {args.seed}: give 0 or more")
-    if args.out.exists() and not args.out.is_dir():
-        raise InputError(f"{args.out}: is a file: name a folder that is new or empty")
-    if args.out.is_dir() and any(args.out.iterdir()) and not (args.out / "truth" / "rig.json").is_file():
-        raise InputError(f"{args.out}: holds something that is no simulation: name a folder that is new or empty")
+    if seed < 0:
+        raise InputError(f"--seed {seed}: give 0 or more")
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file: name a folder that is new or empty")
+    if out.is_dir() and any(out.iterdir()) and not (out / "truth" / "rig.json").is_file():
+        raise InputError(f"{out}: holds something that is no simulation: name a folder that is new or empty")
 
 
 def _bodies(args: argparse.Namespace) -> tuple[Any, str]:

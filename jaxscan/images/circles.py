@@ -70,7 +70,7 @@ def _blob_parameters(shape: tuple[int, int], counts: tuple[int, int], blob_level
     parameters.blobColor = blob_level
     parameters.minArea = _SMALLEST_AREA
     # A circle is narrower than the part of the image that is left to it.
-    parameters.maxArea = np.pi / 4 * (max(shape) / max(counts)) ** 2
+    parameters.maxArea = max(np.pi / 4 * (max(shape) / max(counts)) ** 2, _SMALLEST_AREA)
     parameters.minDistBetweenBlobs = 2.0
     # Tilted circles are ellipses; these are bounds of what a blob must be, not of a good circle.
     parameters.minInertiaRatio = 0.15

@@ -90,20 +90,26 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: there is no such file: check the name")
+    # FFmpeg under OpenCV has its own voice, which is set by the environment alone.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with _quiet():
         capture = cv2.VideoCapture(os.fspath(path))
-    if not capture.isOpened():
+        # Some files open that hold no frame.
+        there, first = capture.read()
+    if not there:
+        capture.release()
         raise InputError(f"{path}: is not a video that can be decoded: convert it to MP4 or AVI")
-    return _frames(capture)
+    return _frames(capture, first)
 
 
-def _frames(capture: cv2.VideoCapture) -> Iterator[UInt[np.ndarray, "rows columns 3"]]:
+def _frames(
+    capture: cv2.VideoCapture, frame: UInt[np.ndarray, "rows columns 3"]
+) -> Iterator[UInt[np.ndarray, "rows columns 3"]]:
     try:
-        while True:
-            there, frame = capture.read()
-            if not there:
-                return
+        there = True
+        while there:
             yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+            there, frame = capture.read()
     finally:
         capture.release()
 

@@ -25,8 +25,10 @@ Grid = Float[np.ndarray, "rows columns 2"]
 # Longer sides, in pixels, at which the board is looked for. Few boards fill so little of a large photograph that more
 # is needed, and the search costs its area.
 _SIDES = (640, 1280, 2560)
-# Levels between these percentiles are spread over 8 bits. The upper one leaves out a laser stripe and its halo.
-_PERCENTILES = (1, 90)
+# Levels up to these percentiles are spread over 8 bits: the first leaves out a laser stripe and its halo, the second
+# serves a small light board on a dark ground.
+_WHITE_PERCENTILES = (90.0, 99.5)
+_BLACK_PERCENTILE = 1
 # Local levels are compared over this part of the longer side.
 _NEIGHBOURHOOD = 1 / 12
 # Four points fix a pose; with fewer a view says nothing.
@@ -60,9 +62,8 @@ def find_board(board: Board, image: Image) -> BoardView | None:
 
 def _find_checkerboard(board: Board, grey: Grey) -> Grid | None:
     columns, rows = board.counts
-    stretched = _stretch(grey)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    for reduced, scale in _sizes(stretched):
+    for reduced, scale in _stretched(grey):
         found, corners = cv2.findChessboardCorners(reduced, board.counts, flags=flags)
         if found:
             return refine_corners(grey, _full_size(corners, scale).reshape(rows, columns, 2))
@@ -76,7 +77,7 @@ def _find_checkerboard(board: Board, grey: Grey) -> Grid | None:
 
 
 def _find_circles(board: Board, grey: Grey) -> Grid | None:
-    for reduced, scale in _sizes(_stretch(grey)):
+    for reduced, scale in _stretched(grey):
         centres = find_circles(board.counts, reduced)
         if centres is not None:
             columns, rows = board.counts
@@ -89,7 +90,7 @@ def _find_charuco(board: Board, grey: Grey) -> Grid | None:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     squares = (columns + 1, rows + 1)
     pattern = cv2.aruco.CharucoBoard(squares, float(board.pitch_mm), float(board.marker_mm), dictionary)
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(_stretch(grey))
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(_stretch(grey, _WHITE_PERCENTILES[-1]))
     if ids is None or len(ids) < _LEAST_SEEN:
         return None
     grid = np.full((rows * columns, 2), np.nan)
@@ -99,9 +100,15 @@ def _find_charuco(board: Board, grey: Grey) -> Grid | None:
     return refine_corners(grey, grid.reshape(rows, columns, 2), widest=margin)
 
 
-def _stretch(grey: Grey) -> Grey8:
-    """The photograph's usual levels spread over 8 bits."""
-    low, high = np.percentile(grey[::4, ::4], _PERCENTILES)
+def _stretched(grey: Grey) -> Iterator[tuple[Grey8, float]]:
+    """The photograph at each white level and each size."""
+    for white in _WHITE_PERCENTILES:
+        yield from _sizes(_stretch(grey, white))
+
+
+def _stretch(grey: Grey, white: float) -> Grey8:
+    """The photograph's levels up to a percentile, spread over 8 bits."""
+    low, high = np.percentile(grey[::4, ::4], (_BLACK_PERCENTILE, white))
     return _to_8_bits((grey.astype(np.float32) - low) * (255 / max(high - low, 1)))
 
 

@@ -1,10 +1,9 @@
 """Second step of stripe detection: the stripe's centre, height and width in a window about its coarse peak.
 
 The windows stand as (frames, window, lines): reduced over the middle axis they are forty times as fast on a CPU as over
-the first. With s the response
-smoothed by (1 4 6 4 1) / 16, p its peak and b the background, the greater of its two minima beside the peak, the stripe
-lies between the places where s crosses (p + b) / 2 first on either side; their distance is its width, their middle the
-first estimate of its centre c. Then, twice,
+the first. With s the response smoothed by (1 4 6 4 1) / 16, p its peak and b the background, the greater of its two
+minima beside the peak, the stripe lies between the places where s crosses (p + b) / 2 first on either side; their
+distance is its width, their middle the first estimate of its centre c. Then, twice,
 
     c ← c + a (Σ w_k k / Σ w_k − c),     w_k = (r_k − b) (1 − ((k − c) / h)²)²  for |k − c| < h
 
@@ -21,10 +20,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscan.images.coarse import choose_peak
 from jaxscan.images.response import Images, split
 
-# Rows at each end of the window that tell the ambient light and the noise, and that must be free of the stripe.
+# Rows at each end of the window that tell the noise, and that must be free of the stripe.
 _FLANK = 5
 # h in half widths, and more, for what the pixels themselves smear.
 _WINDOW_IN_HALF_WIDTHS = 2.0
@@ -62,40 +60,10 @@ class Measured(eqx.Module):
 
 
 @partial(jax.jit, static_argnames=("color", "columns", "half"))
-def measure_peaks(
-    images: Images, background: Images | None, peaks: Int[Array, "..."], color: str, columns: bool, half: int
-) -> tuple[Measured, Int[Array, "frames lines"], Float[Array, "frames"]]:
-    """Measure the stripe in every column (or row) of every frame.
-
-    Returns:
-        what was measured, the peaks about which it was, and each frame's noise (σ of the response).
-    """
-    peak = choose_peak(peaks, images.shape[1 if columns else 2], columns)
-    frame, line = jnp.meshgrid(*(jnp.arange(n) for n in peak.shape), indexing="ij")
-    windows, first = _gather(images, background, frame, line, peak, color, columns, half)
-    flanks = jnp.stack([windows[:, :_FLANK, ::_EVERY], windows[:, -_FLANK:, ::_EVERY]])
-    deviation = jnp.abs(flanks - flanks.mean(-2, keepdims=True)).mean((0, -2))
-    return _measure(windows, first), peak, _DEVIATION_TO_SIGMA * jnp.median(deviation, axis=-1)
-
-
-@partial(jax.jit, static_argnames=("color", "columns", "half"))
-def measure_some(
+def gather_windows(
     images: Images,
     background: Images | None,
-    frame: Int[Array, "1 some"],
-    line: Int[Array, "1 some"],
-    peak: Int[Array, "1 some"],
-    color: str,
-    columns: bool,
-    half: int,
-) -> Measured:
-    """Measure the stripe in the columns (or rows) named."""
-    return _measure(*_gather(images, background, frame, line, peak, color, columns, half))
-
-
-def _gather(
-    images: Images,
-    background: Images | None,
+    ambient: Int[Array, "all_frames"],
     frame: Int[Array, "frames lines"],
     line: Int[Array, "frames lines"],
     peak: Int[Array, "frames lines"],
@@ -103,7 +71,19 @@ def _gather(
     columns: bool,
     half: int,
 ) -> tuple[Float[Array, "frames window lines"], Int[Array, "frames lines"]]:
-    """The response in a window about each peak, and the window's first row; at the image's edge it is moved inwards."""
+    """The response in a window about each peak, and the window's first row; at the image's edge it is moved inwards.
+
+    Args:
+        images: the photographs.
+        background: the same with the laser off, one for all or one for each, or None.
+        ambient: c of `response`, for each photograph.
+        frame: of each window, which photograph.
+        line: which column (or row).
+        peak: about which row (or column).
+        color: of the laser, or grey.
+        columns: whether windows run down columns or along rows.
+        half: half the window's length.
+    """
     size = 2 * half + 1
     first = jnp.clip(peak - half, 0, images.shape[1 if columns else 2] - size)
     place = (first, line) if columns else (line, first)
@@ -125,21 +105,29 @@ def _gather(
         )
 
     laser, others = split(take(images), None if background is None else take(background), color)
-    # What the other channels hold beside the stripe is ambient light.
-    ends = jnp.stack([others[:, :_FLANK], others[:, -_FLANK:]]).astype(jnp.float32)
-    ambient = ends.mean(-2, keepdims=True).max(0)
-    return laser.astype(jnp.float32) - jnp.minimum(others.astype(jnp.float32), ambient), first
+    limit = ambient.astype(others.dtype)[frame][:, None]
+    return (laser - jnp.minimum(others, limit)).astype(jnp.float32), first
 
 
-def _measure(r: Float[Array, "frames window lines"], first: Int[Array, "frames lines"]) -> Measured:
+@jax.jit
+def frame_noise(r: Float[Array, "frames window lines"]) -> Float[Array, "frames"]:
+    """The noise of each frame's response (σ), from the ends of its windows."""
+    flanks = jnp.stack([r[:, :_FLANK, ::_EVERY], r[:, -_FLANK:, ::_EVERY]])
+    deviation = jnp.abs(flanks - flanks.mean(-2, keepdims=True)).mean((0, -2))
+    return _DEVIATION_TO_SIGMA * jnp.median(deviation, axis=-1)
+
+
+@jax.jit
+def measure(r: Float[Array, "frames window lines"], first: Int[Array, "frames lines"]) -> Measured:
+    """The stripe in each window of the response `r`, whose first row (or column) is `first`."""
     size = r.shape[1]
-    k = jnp.arange(size, dtype=jnp.float32)[:, None]
+    k = jnp.arange(size, dtype=jnp.float32)[None, :, None]
     padded = jnp.pad(r, [(0, 0), (2, 2), (0, 0)], mode="edge")
     s = jnp.zeros_like(r)
     for i, weight in enumerate(_SMOOTHING):
         s += weight * padded[:, i : i + size]
 
-    def least(values: Float[Array, "frames window lines"], where: Bool[Array, "..."]) -> Float[Array, "frames 1 lines"]:
+    def least(values: Float[Array, "..."], where: Bool[Array, "..."]) -> Float[Array, "frames 1 lines"]:
         return jnp.where(where, values, jnp.inf).min(1, keepdims=True)
 
     top = s.max(1, keepdims=True)
@@ -153,8 +141,8 @@ def _measure(r: Float[Array, "frames window lines"], first: Int[Array, "frames l
     end = least(k, below & (k > at))
     # The crossings lie between the last pixel below and the first above.
     share = (s[:, 1:] - half_height) / jnp.where(s[:, 1:] == s[:, :-1], 1.0, s[:, 1:] - s[:, :-1])
-    rise = start + 1 - jnp.where(k[:-1] == start, share, 0.0).sum(1, keepdims=True)
-    fall = end - jnp.where(k[:-1] == end - 1, share, 0.0).sum(1, keepdims=True)
+    rise = start + 1 - jnp.where(k[:, :-1] == start, share, 0.0).sum(1, keepdims=True)
+    fall = end - jnp.where(k[:, :-1] == end - 1, share, 0.0).sum(1, keepdims=True)
     whole = (start >= 0) & (end < size)
     middle = jnp.where(whole, (rise + fall) / 2, at)
     width = jnp.sqrt(jnp.maximum(jnp.where(whole, fall - rise, 0.0) ** 2 - _SMOOTHING_FWHM2, _LEAST_WIDTH_PX**2))
@@ -172,7 +160,7 @@ def _measure(r: Float[Array, "frames window lines"], first: Int[Array, "frames l
 
 def _centre_of_gravity(
     height: Float[Array, "frames window lines"],
-    k: Float[Array, "window 1"],
+    k: Float[Array, "1 window 1"],
     centre: Float[Array, "frames 1 lines"],
     width: Float[Array, "frames 1 lines"],
 ) -> Float[Array, "frames 1 lines"]:

@@ -72,7 +72,7 @@ def _for_display(image: Image) -> Picture:
         # A sensor of 10 or 12 bits leaves the upper end of 16 empty: there is no bound to how dark that looks.
         most = _MOST_GAIN if image.dtype == np.uint8 else np.inf
         levels *= min(0.5 / max(usual, 1 / full), most)
-    picture = np.rint(255 * levels.clip(0, 1)).astype(np.uint8)
+    picture = np.ascontiguousarray(np.rint(255 * levels.clip(0, 1)), dtype=np.uint8)
     return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
 
 

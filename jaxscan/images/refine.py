@@ -18,7 +18,9 @@ from jaxscan.images.saddle import fit_saddles
 # Half the window of the first step, and the radius of the second, as parts of the distance to the nearest neighbour.
 _FIRST_WINDOW = 0.2
 _RADIUS = 0.22
-_RADIUS_RANGE_PX = (3.0, 12.0)
+_RADIUS_RANGE_PX = (5.0, 12.0)
+# More than this part of a square would reach the next edge.
+_WIDEST = 0.4
 # Edges sharper than this alias: a pixel's share of dark is no longer that of its centre's neighbourhood.
 _LEAST_BLUR_PX = 0.5
 _SMALLEST_WINDOW = 2
@@ -26,12 +28,14 @@ _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
 # A corner may stand off the place that its neighbours predict by this part of a square. Strong perspective and a
 # wide-angle lens together come to a tenth.
 _FARTHEST = 0.25
+# Where it was first found may be wrong by more, where squares are small.
+_FARTHEST_FROM_START = 0.5
 
 Grid = Float[np.ndarray, "rows columns 2"]
 GridScalars = Float[np.ndarray, "rows columns"]
 
 
-def refine_corners(grey: UInt[np.ndarray, "rows columns"], grid: Grid, widest: float = _RADIUS) -> Grid:
+def refine_corners(grey: UInt[np.ndarray, "rows columns"], grid: Grid, widest: float = _WIDEST) -> Grid:
     """Move each corner of a grid to its exact place; NaN stays NaN, and a corner that ran away becomes NaN.
 
     Args:
@@ -47,23 +51,23 @@ def refine_corners(grey: UInt[np.ndarray, "rows columns"], grid: Grid, widest: f
         start = grid[row, column].astype(np.float32).reshape(1, 1, 2)
         near[row, column] = cv2.cornerSubPix(image, start, (half, half), (-1, -1), _STOP)[0, 0]
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _LEAST_BLUR_PX)
-    refined = _fit(smooth, near, spacing, min(widest, _RADIUS))
-    strayed = (distance_from_prediction(refined) > _FARTHEST * spacing) | (
-        np.linalg.norm(refined - grid, axis=-1) > _FARTHEST * spacing
-    )
+    spacing = neighbour_distance(near)
+    refined = _fit(smooth, near, spacing, widest)
+    strayed = distance_from_prediction(refined) > _FARTHEST * spacing
+    strayed |= np.linalg.norm(refined - grid, axis=-1) > _FARTHEST_FROM_START * spacing
     outside = (refined < -0.5).any(axis=-1) | (refined > np.array(grey.shape)[::-1] - 0.5).any(axis=-1)
     refined[strayed | outside] = np.nan
     return refined
 
 
-def _fit(grey: Float[np.ndarray, "rows columns"], grid: Grid, spacing: GridScalars, part: float) -> Grid:
+def _fit(grey: Float[np.ndarray, "rows columns"], grid: Grid, spacing: GridScalars, widest: float) -> Grid:
     """Fit the saddles of all corners that have a neighbour along both lines of the grid."""
     (along_x, bend_x), (along_y, bend_y) = _lines(grid), _lines(grid.transpose(1, 0, 2))
     along_y, bend_y = along_y.transpose(1, 0, 2), bend_y.T
     known = np.isfinite(grid[..., 0]) & np.isfinite(along_x[..., 0]) & np.isfinite(along_y[..., 0])
     fitted = np.full_like(grid, np.nan)
     if known.any():
-        radii = (part * spacing[known]).clip(*_RADIUS_RANGE_PX)
+        radii = np.minimum((_RADIUS * spacing[known]).clip(*_RADIUS_RANGE_PX), widest * spacing[known])
         fitted[known] = fit_saddles(
             grey, grid[known], (along_x[known], along_y[known]), (bend_x[known], bend_y[known]), radii
         )

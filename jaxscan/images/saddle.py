@@ -27,6 +27,10 @@ _LONGEST_STEP = np.array([1.0, 1.0, 0.2, 0.2, 0.5])
 _DAMPED_STEPS = 3
 _DAMPING = 1e-3
 _TINY = 1e-9
+# A window whose levels spread by less than this is flat.
+_LEAST_CONTRAST = 0.5
+# Where there is a corner, β is about the spread of the levels in its window.
+_LEAST_SHARE = 0.3
 
 
 def fit_saddles(
@@ -50,10 +54,11 @@ def fit_saddles(
     v, u = (offset.ravel()[None] for offset in np.mgrid[-half : half + 1, -half : half + 1])
     levels, inside = _windows(grey, centres.astype(int), u, v)
     # In units of its own contrast a window of 16 bits is as well conditioned as one of 8.
-    levels /= np.maximum(np.std(levels, axis=1, keepdims=True), _TINY)
+    levels -= levels.mean(axis=1, keepdims=True)
+    levels /= np.maximum(levels.std(axis=1, keepdims=True), _LEAST_CONTRAST)
     nonlinear = np.column_stack([starts - centres, *(np.arctan2(t[:, 1], t[:, 0]) for t in directions)])
     nonlinear = np.column_stack([nonlinear, np.full(len(starts), np.log(_FIRST_BLUR_PX))])
-    light = None
+    light = np.zeros((len(starts), 6))
     moved = np.full(len(starts), np.inf)
     for step in range(_MOST_STEPS):
         x, y = u - nonlinear[:, :1], v - nonlinear[:, 1:2]
@@ -61,7 +66,7 @@ def fit_saddles(
         weights = inside * (radii[:, None] + 0.5 - np.hypot(x, y)).clip(0, 1)
         saddle, slopes = _saddle(x, y, nonlinear[:, 2:], bends)
         basis = _light_basis(x / radii[:, None], y / radii[:, None], saddle)
-        if light is None:
+        if step == 0:
             light = _least_squares(basis, levels, weights, 0.0)
         contrast = np.einsum("npk,nk->np", basis[..., :3], light[:, 3:])
         jacobian = np.concatenate([slopes * contrast[..., None], basis], axis=-1)
@@ -74,6 +79,7 @@ def fit_saddles(
         if (moved < _STEP_DONE_PX).all():
             break
     settled = np.isfinite(nonlinear).all(axis=1) & (moved < 100 * _STEP_DONE_PX)
+    settled &= np.abs(light[:, 3]) > _LEAST_SHARE
     return np.where(settled[:, None], centres + nonlinear[:, :2], np.nan)
 
 

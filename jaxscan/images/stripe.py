@@ -1,8 +1,8 @@
 """Where the laser stripe is: one position for each image column (or row), to a fraction of a pixel.
 
-Two compiled steps, because as one a compiler on a CPU would compute the first again for every use of it in the second:
-`coarse` reduces the images to a peak for each block of rows; `measure` chooses among the blocks, gathers a window about
-the peak and takes the centre of gravity there. Where the window was too narrow for the stripe, in few columns as a
+`coarse` reduces the images to a peak for each block of rows and chooses among them; `measure` gathers a window about
+the peak and takes the centre of gravity there. They are compiled apart, for in one piece a compiler on a CPU computes
+each step again for every use of it in the next. Where the window was too narrow for the stripe, in few columns as a
 rule, these are measured again with a wide one.
 
 There is a stripe where the peak stands above its background by so many times the frame's noise, with both its flanks.
@@ -15,12 +15,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float32, Int, UInt
+from jaxtyping import Array, Bool, Float32, Int
 
 from jaxscan.errors import InputError
-from jaxscan.images.coarse import coarse_peaks
+from jaxscan.images.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.decode import to_grey
-from jaxscan.images.measure import measure_peaks, measure_some
+from jaxscan.images.measure import frame_noise, gather_windows, measure
 from jaxscan.images.response import CHANNELS, COLORS
 
 # Half windows, px: the wide one holds stripes up to some 60 px wide.
@@ -75,9 +75,9 @@ class Stripe(eqx.Module):
 
 
 def detect_stripe(
-    images: UInt[np.ndarray, "..."] | UInt[Array, "..."],
+    images: np.ndarray | Array,
     settings: StripeSettings,
-    background: UInt[np.ndarray, "..."] | UInt[Array, "..."] | None = None,
+    background: np.ndarray | Array | None = None,
 ) -> Stripe:
     """Find the laser stripe in one photograph or in a batch of them.
 
@@ -97,15 +97,18 @@ def detect_stripe(
     length = frames.shape[1 if columns else 2]
     narrow, wide = (min(half, (length - 1) // 2) for half in (_NARROW, _WIDE))
     ambient = jnp.asarray(_ambient(np.asarray(frames), None if dark is None else np.asarray(dark), color))
-    frames, dark = jnp.asarray(frames), None if dark is None else jnp.asarray(dark)
-    peaks = coarse_peaks(frames, dark, ambient, color, columns)
-    measured, peak, noise = measure_peaks(frames, dark, peaks, color, columns, narrow)
-    least = np.maximum(_LEAST_SIGNAL * np.asarray(noise), _LEAST_STRENGTH)[:, None]
+    # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
+    frames, dark = jax.device_put((frames, dark))
+    peak = choose_peaks(coarse_peaks(frames, dark, ambient, color, columns), length, columns)
+    frame, line = np.indices(peak.shape, np.int32)
+    windows, first = gather_windows(frames, dark, ambient, frame, line, peak, color, columns, narrow)
+    measured = measure(windows, first)
+    least = np.maximum(_LEAST_SIGNAL * np.asarray(frame_noise(windows)), _LEAST_STRENGTH)[:, None]
     # A window inside a burnt-out stripe sees no background, but it sees one end of it.
-    again = np.nonzero(np.asarray(measured.cramped & (measured.relief > least)))
+    again = np.nonzero(np.asarray(measured.cramped) & (np.asarray(measured.relief) > least))
     if again[0].size and wide > narrow:
         at = _padded(again[0], again[1], np.asarray(peak)[again])
-        better = measure_some(frames, dark, *at, color, columns, wide)
+        better = measure(*gather_windows(frames, dark, ambient, *at, color, columns, wide))
         measured = jax.tree.map(lambda old, new: _replaced(old, again, new), measured, better)
     valid = measured.whole & (measured.strength > least)
     return Stripe(

@@ -30,7 +30,7 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.profile import true_profile
 from jaxscan.simulation.render import render
-from jaxscan.simulation.rig_2003 import BOARD, SCAN_FRAMES, STAGE_VIEWS, STEPS_APART
+from jaxscan.simulation.rig_2003 import BOARD, SCAN_FRAMES, STEPS_APART
 from jaxscan.simulation.scene import Scene
 
 TRUE_RIG: Final = "rig.json"
@@ -106,7 +106,7 @@ def simulate_session(
     rig = rig_2003.simulated_rig(seed) if rig is None else rig
     separate = separate_stripes or len(rig.lasers) != 1
     boards, stage = rig_2003.board_poses(rig, seed), rig_2003.stage_pose(rig, seed)
-    steps = tuple(STEPS_APART * i for i in range(STAGE_VIEWS))
+    steps = tuple(STEPS_APART * i for i in range(rig_2003.STAGE_VIEWS))
     _make(folder, "boards", "stage", *(["stripes"] if separate else []))
     (folder / SESSION_FILE).unlink(missing_ok=True)
 

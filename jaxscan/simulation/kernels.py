@@ -1,10 +1,14 @@
 """The compiled parts of the renderer. Scenes, poses and light are arguments: one compilation serves all photographs.
 
-A pixel is split into 3 × 3 fine cells. `survey` casts one ray through the centre of every cell. Cells beside an edge,
-and cells near the sheet of laser light, are then cast again by `refine`, with 25 rays each: 225 to a pixel. Their
-places within the cell form a lattice of rank one, in which all 25 have different columns and rows, so that an edge
-along either axis is placed to 1/75 px rather than 1/15; the lattice is shifted from cell to cell to break up what is
-left. `develop` blurs, averages each pixel and adds the noise.
+A pixel is split into 3 × 3 fine cells. First one ray is cast through the middle of every cell: `depth_of`, `key_of`,
+`shade`, `paint`. `coarse` finds the cells beside an edge or near the sheet of laser light. They are cast again with 25
+rays each, 225 to a pixel: `spray`, the same kernels, `shine` for the laser, `merge`. The 25 form a lattice of rank one,
+in which all have different columns and rows, so that an edge along either axis is placed to 1/75 px rather than 1/15;
+it is shifted from cell to cell, which spreads what is left evenly. `develop` blurs, averages each pixel and adds the
+noise.
+
+Each kernel has one output, as a rule: on a CPU XLA has no fusion of several outputs, and a chain of kernels is four to
+twenty times as fast as one that computes all.
 
 The brightness of a point is
 
@@ -27,7 +31,7 @@ from jaxscan.simulation.vector import Rays, Vec, dot, subtract, vec
 
 # Fine cells along a pixel's side.
 FINE = 3
-# Cells that one call of `refine` takes.
+# Cells that are refined at once.
 CHUNK = 8192
 # A shadow ray looks for bodies no nearer to its two ends than this, mm.
 _SHADOW_MARGIN_MM = 0.02

@@ -19,7 +19,7 @@ from jaxscan.rig import Camera, Rig
 from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import FINE, Sheet
 from jaxscan.simulation.light import Lighting
-from jaxscan.simulation.render import at_steps, rays_of, sheet_of
+from jaxscan.simulation.render import at_steps, rays_of, sheet_of, trace
 from jaxscan.simulation.scene import Scene
 
 # Candidates are refined in multiples of this many, so that frames share a compilation.
@@ -83,14 +83,13 @@ def true_profile(
     position = (along + 0.5) / FINE - 0.5
     lines = np.broadcast_to(line, position.shape)
     pixels = np.stack([lines, position] if columns else [position, lines], axis=-1)
+    rays = rays_of(rig.camera, pixels.reshape(-1, 2)).reshape(3, len(line), 3)
     size = -(-len(line) // _BUCKET) * _BUCKET
-    pixels = np.pad(pixels, ((0, 0), (0, size - len(line)), (0, 0)), mode="edge")
-    rays = rays_of(rig.camera, pixels.reshape(-1, 2)).reshape(3, size, 3)
+    rays = np.pad(rays, ((0, 0), (0, size - len(line)), (0, 0)), mode="edge")
+    before = np.pad(g[fine_row, line] < 0, (0, size - len(line)))
     with float64():
-        before = np.pad(g[fine_row, line] < 0, (0, size - len(line)))
-        sheet = sheet_of(rig, laser, lighting, np.float64)
-        found = _halve(here.cast(np.float64), sheet, jnp.asarray(rays), jnp.asarray(before))
-        s, point, brightness = (np.asarray(array)[: len(line)] for array in found)
+        found = _halve(here.cast(np.float64), sheet_of(rig, laser, lighting, np.float64), rays, before)
+    s, point, brightness = (array[: len(line)] for array in found)
     rows = position[0] + s * (position[2] - position[0])
     # The last of those that are written to one place stays: the brightest.
     for i in np.argsort(brightness):
@@ -100,10 +99,9 @@ def true_profile(
     return profile
 
 
-@jax.jit
 def _halve(
-    scene: Scene, sheet: Sheet, rays: Float[Array, "3 brackets 3"], before: Bool[Array, "brackets"]
-) -> tuple[Float[Array, "brackets"], Float[Array, "brackets 3"], Float[Array, "brackets"]]:
+    scene: Scene, sheet: Sheet, rays: Float[np.ndarray, "3 brackets 3"], before: Bool[np.ndarray, "brackets"]
+) -> tuple[Float[np.ndarray, "brackets"], Float[np.ndarray, "brackets 3"], Float[np.ndarray, "brackets"]]:
     """Where in each bracket the surface crosses the sheet.
 
     Args:
@@ -118,28 +116,25 @@ def _halve(
     """
 
     def ray(s: Any) -> tuple[Any, Any]:
-        weights = (2 * (s - 0.5) * (s - 1), -4 * s * (s - 1), 2 * s * (s - 0.5))
-        x, y = (sum(w * rays[i, :, c] for i, w in enumerate(weights)) for c in (0, 1))
+        weights = np.stack([2 * (s - 0.5) * (s - 1), -4 * s * (s - 1), 2 * s * (s - 0.5)])
+        x, y = ((weights * rays[:, :, c]).sum(axis=0) for c in (0, 1))
         return x, y
 
-    def g(s: Any) -> Any:
-        x, y = ray(s)
-        return kernels.sheet_distance(sheet, x, y, scene.trace(kernels.camera_rays(x, y))[0])
+    def off_sheet(x: Any, y: Any, depth: Any) -> Any:
+        return np.asarray(kernels.sheet_distance(sheet, x, y, np.asarray(depth)))
 
-    def halve(_: int, interval: tuple[Any, Any]) -> tuple[Any, Any]:
-        low, high = interval
+    low, high = np.zeros(len(before)), np.ones(len(before))
+    for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        first = (g(middle) < 0) == before
-        return jnp.where(first, middle, low), jnp.where(first, high, middle)
-
-    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (jnp.zeros_like(rays[0, :, 0]), jnp.ones_like(rays[0, :, 0])))
+        x, y = ray(middle)
+        first = (off_sheet(x, y, kernels.depth_of(scene, x, y)) < 0) == before
+        low, high = np.where(first, middle, low), np.where(first, high, middle)
     s = (low + high) / 2
     x, y = ray(s)
-    depth, key = scene.trace(kernels.camera_rays(x, y))
-    off = kernels.sheet_distance(sheet, x, y, depth)
-    brightness = kernels.shine(scene, sheet, x, y, depth, key)
-    point = jnp.stack([x * depth, y * depth, depth], axis=-1)
-    return s, point, jnp.where(jnp.abs(off) < _ON_SHEET_MM, brightness, 0)
+    depth, key = (np.asarray(array) for array in trace(scene, x, y))
+    brightness = np.asarray(kernels.shine(scene, sheet, x, y, depth, key))
+    on_sheet = np.abs(off_sheet(x, y, depth)) < _ON_SHEET_MM
+    return s, np.stack([x * depth, y * depth, depth], axis=-1), np.where(on_sheet, brightness, 0)
 
 
 def _line_rays(camera: Camera, columns: bool) -> tuple[Array, Array]:

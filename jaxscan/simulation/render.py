@@ -25,7 +25,7 @@ from jaxscan.simulation.scene import Scene
 _CAMERAS_KEPT = 4
 # Numbers of a 16-bit photograph for one grey level: 65535 / 255.
 _FINE_NUMBERS = 257
-_RAYS_AT_ONCE = 1 << 20
+_RAYS_AT_ONCE = 1 << 13
 
 
 def render(
@@ -115,8 +115,9 @@ def rays_of(camera: Camera, pixels: Float[np.ndarray, "pixels 2"]) -> Float[np.n
     """The camera's rays of many pixels, in float64."""
     with float64():
         camera = as_float64(as_numpy(camera))
-        parts = np.array_split(pixels, -(-len(pixels) // _RAYS_AT_ONCE))
-        return np.concatenate([np.asarray(_rays(camera, jnp.asarray(part))) for part in parts])
+        filled = np.pad(pixels, ((0, -len(pixels) % _RAYS_AT_ONCE), (0, 0)), mode="edge")
+        parts = [_rays(camera, jnp.asarray(part)) for part in filled.reshape(-1, _RAYS_AT_ONCE, 2)]
+        return np.concatenate(parts)[: len(pixels)]
 
 
 @jax.jit

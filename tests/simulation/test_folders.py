@@ -20,7 +20,7 @@ from jaxscan.simulation.shapes import sphere
 @pytest.fixture(autouse=True)
 def few_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig_2003, "BOARD_VIEWS", 3)
-    monkeypatch.setattr(folders, "STAGE_VIEWS", 3)
+    monkeypatch.setattr(rig_2003, "STAGE_VIEWS", 3)
 
 
 def test_session_scan_and_truth(tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Measurements of accuracy and speed, with a committed baseline and a gate: `python -m benchmarks --help`."""

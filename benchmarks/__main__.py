@@ -1,0 +1,81 @@
+"""`python -m benchmarks`: measure, print a table, keep the figures, and compare them with the committed baseline."""
+
+import argparse
+import importlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+from benchmarks.metric import Metric
+
+HERE = Path(__file__).parent
+BASELINE = HERE / "baseline.json"
+SUITES = {
+    "growth": "time of a calibration over the number of views, against OpenCV's",
+    "real": "real photographs and published answers (needs JAXSCAN_DATA)",
+    "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
+    "demo": "time and memory of the whole demo",
+}
+
+
+def main() -> int:
+    """Run the suites that were asked for."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description="Measure accuracy and speed.",
+        epilog="suites:\n" + "\n".join(f"  {name:12} {words}" for name, words in SUITES.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--only", choices=SUITES, action="append", help="one suite; may be given more than once")
+    parser.add_argument("--quick", action="store_true", help="fewer seeds and sizes: under three minutes")
+    parser.add_argument("--gate", action="store_true", help="fail where a figure is worse than the baseline")
+    parser.add_argument("--save-baseline", action="store_true", help="make these figures the baseline")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON too")
+    args = parser.parse_args()
+    metrics: list[Metric] = []
+    for name in args.only or SUITES:
+        print(f"\n{name}: {SUITES[name]}", flush=True)
+        begin = time.monotonic()
+        found = importlib.import_module(f"benchmarks.{name}").measure(args.quick)
+        for metric in found:
+            print("  " + _line(metric), flush=True)
+        print(f"  ({time.monotonic() - begin:.0f} s)", flush=True)
+        metrics += found
+    key = "quick" if args.quick else "full"
+    figures = {metric.name: metric.value for metric in metrics}
+    if args.json:
+        args.json.write_text(json.dumps({"kind": key, "figures": figures}, indent=2))
+    stored = json.loads(BASELINE.read_text()) if BASELINE.exists() else {}
+    if args.save_baseline:
+        stored[key] = dict(sorted({**stored.get(key, {}), **figures}.items()))
+        beside = BASELINE.with_suffix(".part")
+        beside.write_text(json.dumps(stored, indent=2) + "\n")
+        os.replace(beside, BASELINE)
+        return 0
+    return _gate(metrics, stored.get(key, {})) if args.gate else 0
+
+
+def _line(metric: Metric) -> str:
+    reached = metric.reaches_target()
+    goal = "" if reached is None else f"  goal {'≤' if metric.better == 'lower' else '≥'} {metric.target:g}"
+    mark = {None: " ", True: "✓", False: "✗"}[reached]
+    return f"{mark} {metric.name:58} {metric.value:>12.6g} {metric.unit:5}{goal}"
+
+
+def _gate(metrics: list[Metric], baseline: dict[str, float]) -> int:
+    """0 when no figure is worse than the baseline."""
+    worse = [m for m in metrics if m.name in baseline and m.worse_than(baseline[m.name])]
+    unknown = [m for m in metrics if m.better != "shown" and m.name not in baseline]
+    for metric in worse:
+        print(f"worse than the baseline: {metric.name} {metric.value:.6g}, was {baseline[metric.name]:.6g}")
+    for metric in unknown:
+        print(f"not in the baseline: {metric.name}; add it with --save-baseline")
+    compared = sum(m.better != "shown" and m.name in baseline for m in metrics)
+    print(f"gate: {compared} figures compared, {len(worse)} worse, {len(unknown)} unknown")
+    return 1 if worse or unknown or not compared else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

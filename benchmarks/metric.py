@@ -1,0 +1,47 @@
+"""A measured figure: its unit, which way is better, what it should reach, and how much worse than the baseline it may be."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure.
+
+    Attributes:
+        name: what was measured, as `suite.figure`.
+        value: the figure.
+        unit: its unit, or "" for a ratio or a count.
+        better: whether lower or higher is better, or whether it is only shown.
+        target: what it is to reach, or None.
+        slack: by which part of the baseline it may be worse before the gate fails: tight for accuracy and for ratios
+            taken in one run, loose for absolute times.
+        floor: differences smaller than this, in the figure's own unit, are not a regression.
+    """
+
+    name: str
+    value: float
+    unit: str = ""
+    better: Literal["lower", "higher", "shown"] = "shown"
+    target: float | None = None
+    slack: float = 0.05
+    floor: float = 0.0
+
+    def reaches_target(self) -> bool | None:
+        """Whether the target is reached; None where there is none."""
+        if self.target is None or self.better == "shown":
+            return None
+        return self.value <= self.target if self.better == "lower" else self.value >= self.target
+
+    def worse_than(self, baseline: float) -> bool:
+        """Whether the figure is worse than the baseline by more than its slack."""
+        if self.better == "shown":
+            return False
+        loss = self.value - baseline if self.better == "lower" else baseline - self.value
+        # A figure that is not a number is never good enough.
+        return not loss <= max(self.slack * abs(baseline), self.floor)
+
+
+def ratio(name: str, value: float, target: float, better: Literal["lower", "higher"] = "lower") -> Metric:
+    """A ratio of two times taken in one run."""
+    return Metric(name, value, "", better, target, slack=0.35)

@@ -1,0 +1,82 @@
+"""How far reconstructed points are from the truth of a simulation, and how complete they are."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.simulation.distance import distance
+from jaxscan.simulation.scene import Scene
+
+# A pair further apart than this (mm) is not of one surface point: a column at a depth edge that saw the other side.
+_SAME_POINT_MM = 2.0
+
+
+@dataclass(frozen=True)
+class CloudErrors:
+    """Errors of a cloud, all in millimetres but for the two counts.
+
+    Attributes:
+        absolute: RMS distance of all points from the nearest true surface.
+        absolute_after_fit: the same after the rigid motion that fits the points to the true ones best.
+        to_true_point: RMS distance from the true point of the same frame and column, of those within 2 mm of it.
+        to_true_point_after_fit: the same after that motion.
+        far_points: points further than 2 mm from the true point of their frame and column.
+        completeness: share of the frame-columns in which an ideal camera sees the sheet that have a point.
+    """
+
+    absolute: float
+    absolute_after_fit: float
+    to_true_point: float
+    to_true_point_after_fit: float
+    far_points: int
+    completeness: float
+
+    def as_dict(self) -> dict[str, float]:
+        """The figures by name."""
+        return asdict(self)
+
+
+def cloud_errors(
+    scene: Scene,
+    true_points: Float[np.ndarray, "frames columns 3"],
+    points: Float[np.ndarray, "frames columns 3"],
+    valid: Bool[np.ndarray, "frames columns"],
+) -> CloudErrors:
+    """Compare an organised cloud with the scene that was scanned.
+
+    Args:
+        scene: the scene at motor step 0, in the camera frame.
+        true_points: of each frame and column, NaN where an ideal camera sees none (mm).
+        points: the reconstruction (mm).
+        valid: where it has a point.
+    """
+    points = np.asarray(points, np.float64)
+    seen = np.all(np.isfinite(true_points), axis=-1)
+    pair = valid & seen
+    gap = np.linalg.norm(points[pair] - true_points[pair], axis=1)
+    near = gap < _SAME_POINT_MM
+    R, t = rigid_fit(points[pair][near], true_points[pair][near])
+    moved = points @ R.T + t
+    return CloudErrors(
+        absolute=_rms(distance(scene, points[valid])),
+        absolute_after_fit=_rms(distance(scene, moved[valid])),
+        to_true_point=_rms(gap[near]),
+        to_true_point_after_fit=_rms(np.linalg.norm(moved[pair][near] - true_points[pair][near], axis=1)),
+        far_points=int((~near).sum()),
+        completeness=float(pair.sum() / seen.sum()),
+    )
+
+
+def rigid_fit(
+    points: Float[np.ndarray, "points 3"], to: Float[np.ndarray, "points 3"]
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Rotation and translation that carry points to others with the least sum of squares (Kabsch 1976)."""
+    a, b = points.mean(axis=0), to.mean(axis=0)
+    U, _, Vt = np.linalg.svd((to - b).T @ (points - a))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return R, b - R @ a
+
+
+def _rms(values: Float[np.ndarray, "values"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,57 @@
+"""`jaxscan simulate`: what it writes, and what it refuses before any work."""
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from jaxscan.cli import simulate
+from jaxscan.errors import InputError
+from jaxscan.files.scan import read_scan
+from jaxscan.files.session import read_session
+from jaxscan.simulation import rig_2003
+
+
+def parse(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    simulate.add_arguments(parser)
+    return parser.parse_args(words)
+
+
+@pytest.fixture
+def few_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig_2003, "BOARD_VIEWS", 2)
+    monkeypatch.setattr(rig_2003, "STAGE_VIEWS", 2)
+    monkeypatch.setattr(rig_2003, "SCAN_FRAMES", 2)
+    monkeypatch.setattr("jaxscan.cli.compiled.keep_compiled", lambda: None)
+
+
+def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None:
+    out = tmp_path / "world"
+    result = simulate.run(parse(str(out), "--object", "box", "--jpeg", "--seed", "2"))
+    assert result["photographs"] == 6
+    assert len(read_session(out / "session").views.boards) == 2
+    scan = read_scan(out / "scan")
+    assert len(scan.frames) == 2
+    assert scan.frames[0].suffix == ".jpg"
+    assert (out / "truth" / "scan.npz").is_file()
+    assert "box" in simulate.describe(result)
+
+
+def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match="no simulation"):
+        simulate.run(parse(str(tmp_path)))
+    with pytest.raises(InputError, match="is a file"):
+        simulate.run(parse(str(tmp_path / "thesis.txt")))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize(
+    "words", [("--noise", "-1"), ("--blur", "-2"), ("--speckle", "2"), ("--seed", "-1"), ("--mesh", "none.stl")]
+)
+def test_bad_options_write_nothing(words: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jaxscan.cli.compiled.keep_compiled", lambda: None)
+    with pytest.raises(InputError):
+        simulate.run(parse(str(tmp_path / "world"), *words))
+    assert not (tmp_path / "world").exists()

@@ -1,0 +1,176 @@
+import cv2
+import numpy as np
+import pytest
+import render
+
+from jaxscan.images import Board, carry_order, find_board, read_image
+
+SHAPE = (300, 400)
+BOARD = Board.checkerboard((7, 6), 10.0)
+EXTENT = [[-10, -10], [70, -10], [70, 60], [-10, 60]]
+SEEN = np.array([[62, 45], [345, 60], [330, 262], [48, 240]], float)
+
+
+def placed(extent=EXTENT, turn=0.0, at=SEEN):
+    """The homography of a board seen in perspective, turned about the image's middle."""
+    middle = np.array([199.5, 149.5])
+    c, s = np.cos(turn), np.sin(turn)
+    return render.homography(extent, (at - middle) @ np.array([[c, s], [-s, c]]) * (0.8 if turn else 1) + middle)
+
+
+def to_bytes(image, dtype=np.uint8, gain=1.0):
+    return np.rint(image * gain).clip(0, np.iinfo(dtype).max).astype(dtype)
+
+
+def photograph(board=BOARD, H=None, **how):
+    pattern = render.checkerboard(board.counts, board.pitch_mm)
+    return render.photograph(pattern, placed() if H is None else H, SHAPE, **{"blur": 0.8, **how})
+
+
+def distances(view, H, board=BOARD):
+    return np.linalg.norm(view.corners - render.project(H, board.points()), axis=1)
+
+
+@pytest.fixture(scope="module")
+def sharp():
+    return photograph(blur=0)
+
+
+@pytest.mark.parametrize(("blur", "noise", "bound"), [(0, 0, 0.03), (0.7, 0, 0.02), (0.7, 2, 0.025), (1.5, 2, 0.04)])
+def test_corners_are_exact_to_a_few_hundredths_of_a_pixel(sharp, blur, noise, bound):
+    image = cv2.GaussianBlur(sharp, (0, 0), blur) if blur else sharp
+    image = to_bytes(image + noise * np.random.default_rng(0).standard_normal(SHAPE))
+    errors = distances(find_board(BOARD, image), placed())
+    assert np.sqrt(np.mean(errors**2)) < bound
+    # OpenCV's own refinement, from the truth, with the window that suits it best.
+    start = render.project(placed(), BOARD.points()).astype(np.float32).reshape(-1, 1, 2)
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    theirs = (cv2.cornerSubPix(image, start.copy(), (7, 7), (-1, -1), stop) - start)[:, 0]
+    assert np.sqrt(np.mean(errors**2)) < np.sqrt(np.mean(np.sum(theirs**2, axis=1)))
+
+
+def test_depth_and_darkness_do_not_matter(sharp):
+    image = cv2.GaussianBlur(sharp, (0, 0), 0.8)
+    for dtype, gain in ((np.uint16, 15.0), (np.uint16, 250.0), (np.uint8, 0.15)):
+        errors = distances(find_board(BOARD, to_bytes(image, dtype, gain)), placed())
+        assert np.sqrt(np.mean(errors**2)) < 0.03
+    colour = np.repeat(to_bytes(image)[..., None], 3, axis=-1)
+    np.testing.assert_allclose(find_board(BOARD, colour).corners, find_board(BOARD, to_bytes(image)).corners, atol=0.01)
+
+
+@pytest.mark.parametrize("turn", [0.4, 1.6, 2.9, -2.2, -0.9])
+def test_the_same_corner_is_first_however_the_board_is_turned(turn):
+    H = placed(turn=turn)
+    view = find_board(BOARD, to_bytes(photograph(H=H)))
+    assert not view.ambiguous
+    # The renderer's first square, diagonally outside the first corner, is dark: this is the documented order.
+    assert distances(view, H).max() < 0.2
+
+
+def test_an_ambiguous_board_turns_clockwise_and_is_carried_along_a_stage():
+    board = Board.checkerboard((5, 5), 10.0)
+    extent = [[-10, -10], [50, -10], [50, 50], [-10, 50]]
+    at = np.array([[100, 45], [305, 50], [300, 250], [95, 240]], float)
+    previous, end = None, None
+    for turn in (0.1, 0.6, 1.1, 1.6, 2.1):
+        H = placed(extent, turn, at)
+        view = find_board(board, to_bytes(photograph(board, H)))
+        assert view.ambiguous
+        truth = render.project(H, board.points())
+        x, y = view.corners[1] - view.corners[0], view.corners[5] - view.corners[0]
+        assert x[0] * y[1] - x[1] * y[0] > 0
+        corners = view.corners if previous is None else carry_order(board, previous, view.corners)
+        either = [np.abs(corners - order).max() for order in (truth, truth[::-1])]
+        assert min(either) < 0.2
+        assert end in (None, np.argmin(either))
+        end, previous = np.argmin(either), corners
+
+
+def test_carrying_an_order_leaves_a_unique_one_alone_and_skips_what_was_not_seen():
+    corners = np.random.default_rng(0).uniform(0, 100, (42, 2))
+    assert carry_order(BOARD, corners[::-1], corners) is corners
+    board = Board.circles((3, 4), 5.0)
+    grid = board.points()[:, :2] * 4
+    previous = grid + 0.5
+    previous[2] = np.nan
+    np.testing.assert_array_equal(carry_order(board, previous, grid[::-1]), grid)
+
+
+def test_a_small_light_board_on_a_dark_ground():
+    H = placed(at=SEEN * 0.3 + [120, 90])
+    image = photograph(H=H)
+    x, y = render.project(np.linalg.inv(H), np.stack(np.mgrid[:400, :300], axis=-1).reshape(-1, 2)).T
+    off_paper = (np.abs(x - 30) > 45) | (np.abs(y - 25) > 40)
+    image[off_paper.reshape(400, 300).T] = 5
+    assert distances(find_board(BOARD, to_bytes(image)), H).max() < 0.3
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_circles(inverted):
+    board = Board.circles((6, 5), 10.0)
+    H = placed([[-10, -10], [60, -10], [60, 50], [-10, 50]])
+    image = render.photograph(render.circles(board.counts, 10.0, 2.5), H, SHAPE, blur=0.8, noise=1)
+    view = find_board(board, to_bytes(240 - image if inverted else image))
+    assert view.ambiguous
+    truth = render.project(H, board.points())
+    errors = min((np.linalg.norm(view.corners - order, axis=1) for order in (truth, truth[::-1])), key=np.max)
+    # A few hundredths of it are perspective: the middle of an ellipse is not the image of the circle's.
+    assert errors.max() < 0.08
+
+
+def test_charuco_whole_and_in_part():
+    board = Board.charuco((7, 6), 10.0, 7.0, "DICT_4X4_50")
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    dots = 60
+    print_ = cv2.aruco.CharucoBoard((7, 6), 10.0, 7.0, dictionary).generateImage((7 * dots, 6 * dots))
+
+    def pattern(x, y):
+        i, j = (np.floor((c / 10 + 1) * dots).astype(int) for c in (x, y))
+        inside = (i >= 0) & (i < 7 * dots) & (j >= 0) & (j < 6 * dots)
+        return ~inside | (print_[j.clip(0, 6 * dots - 1), i.clip(0, 7 * dots - 1)] > 127)
+
+    H = placed([[-10, -10], [60, -10], [60, 50], [-10, 50]])
+    image = to_bytes(render.photograph(pattern, H, SHAPE, blur=0.7, noise=1))
+    view = find_board(board, image)
+    assert not view.ambiguous
+    assert distances(view, H, board).max() < 0.1
+    part = distances(find_board(board, image[:, :250]), H, board)
+    assert 10 < np.isfinite(part).sum() < 30
+    assert np.nanmax(part) < 0.1
+
+
+@pytest.mark.parametrize("board", [BOARD, Board.circles((5, 4), 5.0), Board.charuco((5, 4), 9.0, 6.0, "DICT_4X4_50")])
+def test_no_board_is_none(board):
+    noise = np.random.default_rng(0).integers(0, 255, (120, 160), np.uint8)
+    for image in (np.zeros((120, 160), np.uint8), noise, np.full((10, 10), 99, np.uint8)):
+        assert find_board(board, image) is None
+
+
+@pytest.mark.parametrize(
+    ("folder", "pattern", "counts", "bound"),
+    [
+        ("opencv-left", "*.jpg", (9, 6), 0.18),
+        ("etna-2", "images/*.png", (7, 6), 0.28),
+        ("etna-3", "images/*.png", (7, 6), 0.70),
+    ],
+)
+def test_real_boards_are_all_found_and_fit_better_than_before(data, folder, pattern, counts, bound):
+    # With OpenCV's corners the same calibration leaves 0.195, 0.361 and 0.748 px.
+    board = Board.checkerboard(counts, 10.0)
+    images = [read_image(path) for path in sorted((data / folder).glob(pattern))]
+    views = [find_board(board, image) for image in images]
+    assert all(view is not None and np.isfinite(view.corners).all() for view in views)
+    lens = cv2.CALIB_FIX_K3 | (cv2.CALIB_ZERO_TANGENT_DIST if folder.startswith("etna") else 0)
+    points = [board.points().astype(np.float32)] * len(views)
+    corners = [view.corners.astype(np.float32) for view in views]
+    rms = cv2.calibrateCamera(points, corners, images[0].shape[::-1], None, None, flags=lens)[0]
+    assert rms < bound
+
+
+def test_the_boards_under_the_stage_are_all_found(data):
+    board = Board.checkerboard((5, 5), 5.0)
+    for path in sorted((data / "stage-boards").glob("*.jpg")):
+        view = find_board(board, read_image(path))
+        assert view is not None, path.name
+        assert view.ambiguous
+        assert np.isfinite(view.corners).all()
