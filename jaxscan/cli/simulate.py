@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from jaxscan.simulation import Body, Scene, Sensor
-    from jaxscan.simulation.folders import ScanTruth
+    from jaxscan.simulation.folders import ScanTruth, SessionTruth
 
 HELP: Final = "photographs of a known world: a calibration session, a scan, and their truth"
 EXAMPLE: Final = "jaxscan simulate world --seed 3 --object cup"
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     bodies, name = _bodies(args)
     from jaxscan.simulation.light import Sensor
 
-    _, truth = simulate_into(
+    _, session, scan = simulate_into(
         args.out,
         args.seed,
         bodies,
@@ -49,7 +49,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "path": str(args.out),
         "seed": args.seed,
         "object": name,
-        "true_points": int((truth.position == truth.position).sum()),
+        "photographs": len(session.boards.rotation) * (2 if args.stripes else 1) + len(session.stage_steps) + len(scan.steps),
+        "true_points": int((scan.position == scan.position).sum()),
     }
 
 
@@ -63,7 +64,7 @@ def simulate_into(
     speckle: float = 0.0,
     separate_stripes: bool = False,
     ending: str = ".png",
-) -> "tuple[Scene, ScanTruth]":
+) -> "tuple[Scene, SessionTruth, ScanTruth]":
     """Write the session, the scan of some bodies and their truth into a folder, with a progress bar."""
     from dataclasses import replace
 
@@ -92,19 +93,20 @@ def simulate_into(
             scene,
             seed,
             name=name,
+            frames=rig_2003.SCAN_FRAMES,
             lighting=replace(rig_2003.SCAN_LIGHTING, speckle=speckle),
             advance=advance,
             **common,
         )
     folders.write_truth(out / "truth", session, scan)
-    return scene, scan
+    return scene, session, scan
 
 
 def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
     out = result["path"]
     return (
-        f"photographs of boards and of a {result['object']}, {result['true_points']} true points: {out}/session, {out}/scan, {out}/truth\n"
+        f"{result['photographs']} photographs of boards and of a {result['object']}, {result['true_points']} true points: {out}/session, {out}/scan, {out}/truth\n"
         f"next: jaxscan calibrate {out}/session -o {out}/rig.json"
     )
 

@@ -4,6 +4,7 @@ from jaxscan.images.board import Board
 from jaxscan.images.decode import image_size, read_image, read_video, to_grey, write_image
 from jaxscan.images.find import BoardView, find_board
 from jaxscan.images.order import carry_order
+from jaxscan.images.overlay import draw_board, draw_stripe
 from jaxscan.images.stripe import Stripe, StripeSettings, detect_stripe
 
 __all__ = [
@@ -13,6 +14,8 @@ __all__ = [
     "StripeSettings",
     "carry_order",
     "detect_stripe",
+    "draw_board",
+    "draw_stripe",
     "find_board",
     "image_size",
     "read_image",

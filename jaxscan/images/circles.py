@@ -29,8 +29,8 @@ def find_circles(counts: tuple[int, int], image: UInt8[np.ndarray, "rows columns
 
 
 def refine_circles(
-    grey: UInt[np.ndarray, "rows columns"], grid: Float[np.ndarray, "rows columns 2"]
-) -> Float[np.ndarray, "rows columns 2"]:
+    grey: UInt[np.ndarray, "rows columns"], grid: Float[np.ndarray, "grid_rows grid_columns 2"]
+) -> Float[np.ndarray, "grid_rows grid_columns 2"]:
     """Each circle's centre of gravity, by how much of every pixel about it the circle covers."""
     spacing = neighbour_distance(grid)
     refined = np.full_like(grid, np.nan)

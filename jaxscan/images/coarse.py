@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from jaxscan.images.response import Images, split
+from jaxscan.images.response import Backgrounds, Images, split
 
 # Five bits hold the place in a block.
 _BITS = 5
@@ -34,7 +34,7 @@ def block_starts(length: int) -> list[int]:
 
 @partial(jax.jit, static_argnames=("color", "columns"))
 def coarse_peaks(
-    images: Images, background: Images | None, ambient: Int[Array, "frames"], color: str, columns: bool
+    images: Images, background: Backgrounds | None, ambient: Int[Array, "frames"], color: str, columns: bool
 ) -> Int[Array, "frames across down"]:
     """The greatest response of each block and where in it, packed.
 

@@ -20,7 +20,7 @@ from jaxscan.images.refine import refine_corners
 
 Grey = UInt[np.ndarray, "rows columns"]
 Grey8 = UInt8[np.ndarray, "rows columns"]
-Grid = Float[np.ndarray, "rows columns 2"]
+Grid = Float[np.ndarray, "grid_rows grid_columns 2"]
 
 # Longer sides, in pixels, at which the board is looked for. Few boards fill so little of a large photograph that more
 # is needed, and the search costs its area.

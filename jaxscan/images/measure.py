@@ -18,9 +18,9 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt
 
-from jaxscan.images.response import Images, split
+from jaxscan.images.response import Backgrounds, Images, split
 
 # Rows at each end of the window that tell the noise, and that must be free of the stripe.
 _FLANK = 5
@@ -62,22 +62,22 @@ class Measured(eqx.Module):
 @partial(jax.jit, static_argnames=("color", "columns", "half"))
 def gather_windows(
     images: Images,
-    background: Images | None,
-    ambient: Int[Array, "all_frames"],
-    frame: Int[Array, "frames lines"],
-    line: Int[Array, "frames lines"],
-    peak: Int[Array, "frames lines"],
+    background: Backgrounds | None,
+    ambient: Int[Array, "frames"],
+    frame: Int[Array, "groups lines"],
+    line: Int[Array, "groups lines"],
+    peak: Int[Array, "groups lines"],
     color: str,
     columns: bool,
     half: int,
-) -> tuple[Float[Array, "frames window lines"], Int[Array, "frames lines"]]:
+) -> tuple[Float[Array, "groups window lines"], Int[Array, "groups lines"]]:
     """The response in a window about each peak, and the window's first row; at the image's edge it is moved inwards.
 
     Args:
         images: the photographs.
         background: the same with the laser off, one for all or one for each, or None.
         ambient: c of `response`, for each photograph.
-        frame: of each window, which photograph.
+        frame: of each window, which photograph; windows come in groups, of a frame or of whatever one likes.
         line: which column (or row).
         peak: about which row (or column).
         color: of the laser, or grey.
@@ -94,7 +94,7 @@ def gather_windows(
     )
     slice_sizes = (1, size, 1) if columns else (1, 1, size)
 
-    def take(pixels: Images) -> Array:
+    def take(pixels: UInt[Array, "..."]) -> Array:
         of = jnp.zeros_like(frame) if pixels.shape[0] == 1 else frame
         return jax.lax.gather(
             pixels,

@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt
 from jaxscan.images.board import Board
 
 Corners = Float[np.ndarray, "points 2"]
+Grid = Float[np.ndarray, "grid_rows grid_columns 2"]
 
 
 def order_grid(board: Board, corners: Corners, grey: UInt[np.ndarray, "rows columns"]) -> Corners:
@@ -49,13 +50,13 @@ def carry_order(board: Board, previous_corners: Corners, corners: Corners) -> Co
     return flat[int(np.argmin(distances))]
 
 
-def _turns(grid: Float[np.ndarray, "rows columns 2"]) -> list[Float[np.ndarray, "rows columns 2"]]:
+def _turns(grid: Grid) -> list[Grid]:
     """The grid as it is, after half a turn and, where it is square, after quarter turns."""
     turns = (0, 2, 1, 3) if grid.shape[0] == grid.shape[1] else (0, 2)
     return [np.rot90(grid, turn) for turn in turns]
 
 
-def _first_square_is_dark(grid: Float[np.ndarray, "rows columns 2"], grey: UInt[np.ndarray, "rows columns"]) -> bool:
+def _first_square_is_dark(grid: Grid, grey: UInt[np.ndarray, "rows columns"]) -> bool:
     """Whether the square diagonally outside the first corner is dark.
 
     It may lie outside the photograph; but it has the colour of the square diagonally inside, and of every second one.

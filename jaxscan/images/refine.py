@@ -31,8 +31,8 @@ _FARTHEST = 0.25
 # Where it was first found may be wrong by more, where squares are small.
 _FARTHEST_FROM_START = 0.5
 
-Grid = Float[np.ndarray, "rows columns 2"]
-GridScalars = Float[np.ndarray, "rows columns"]
+Grid = Float[np.ndarray, "grid_rows grid_columns 2"]
+GridScalars = Float[np.ndarray, "grid_rows grid_columns"]
 
 
 def refine_corners(grey: UInt[np.ndarray, "rows columns"], grid: Grid, widest: float = _WIDEST) -> Grid:

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int, UInt
 
 Images = UInt[Array, "frames rows columns *rgb"]
+# One for all frames, or one for each.
+Backgrounds = UInt[Array, "backgrounds rows columns *rgb"]
 
 CHANNELS: Final = {"red": (0, 1, 2), "green": (1, 0, 2), "blue": (2, 0, 1)}
 COLORS: Final = (*CHANNELS, "grey")

@@ -113,9 +113,9 @@ def detect_stripe(
     valid = measured.whole & (measured.strength > least)
     return Stripe(
         position=jnp.where(valid, measured.position, jnp.nan),
-        strength=measured.strength,
+        strength=jnp.asarray(measured.strength),
         width=jnp.where(valid, measured.width, jnp.nan),
-        valid=valid,
+        valid=jnp.asarray(valid),
     )
 
 

@@ -5,7 +5,7 @@ import numpy as np
 
 # The plane's evenest sequence (M. Roberts 2018) and its mirror image: unlike a square grid of samples it has no
 # direction in which edges fall on many of them at once, and its mean is exactly the pixel's centre.
-_HALF = (0.5 + np.outer(np.arange(100), [0.7548776662466927, 0.5698402909980532])) % 1 - 0.5
+_HALF = (0.5 + np.outer(np.arange(40), [0.7548776662466927, 0.5698402909980532])) % 1 - 0.5
 _OFFSETS = np.concatenate([_HALF, -_HALF])
 
 

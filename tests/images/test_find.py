@@ -58,7 +58,7 @@ def test_depth_and_darkness_do_not_matter(sharp):
     np.testing.assert_allclose(find_board(BOARD, colour).corners, find_board(BOARD, to_bytes(image)).corners, atol=0.01)
 
 
-@pytest.mark.parametrize("turn", [0.4, 1.6, 2.9, -2.2, -0.9])
+@pytest.mark.parametrize("turn", [0.4, 2.9, -1.7])
 def test_the_same_corner_is_first_however_the_board_is_turned(turn):
     H = placed(turn=turn)
     view = find_board(BOARD, to_bytes(photograph(H=H)))
@@ -72,7 +72,7 @@ def test_an_ambiguous_board_turns_clockwise_and_is_carried_along_a_stage():
     extent = [[-10, -10], [50, -10], [50, 50], [-10, 50]]
     at = np.array([[100, 45], [305, 50], [300, 250], [95, 240]], float)
     previous, end = None, None
-    for turn in (0.1, 0.6, 1.1, 1.6, 2.1):
+    for turn in (0.1, 0.9, 1.7):
         H = placed(extent, turn, at)
         view = find_board(board, to_bytes(photograph(board, H)))
         assert view.ambiguous
