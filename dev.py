@@ -37,7 +37,7 @@ def main() -> int:
     parser.add_argument("command", choices=COMMANDS)
     args, rest = parser.parse_known_args()
     extra, command, _ = COMMANDS[args.command]
-    if sys.version_info < (3, 11):
+    if sys.version_info < (3, 11):  # noqa: UP036 (this file is what says so to an older Python)
         print(f"Python 3.11 or later is needed; this is {sys.version.split()[0]}", file=sys.stderr)
         return 2
     try:

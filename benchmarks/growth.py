@@ -93,4 +93,3 @@ def measure(quick: bool) -> list[Metric]:
         Metric("growth.more_steps_at_640", steps[640] - steps[160], "", "lower", 3, floor=1),
     ]
     return metrics
-

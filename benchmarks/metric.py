@@ -1,4 +1,4 @@
-"""A measured figure: its unit, which way is better, what it should reach, and how much worse than the baseline it may be."""
+"""A measured figure: its unit, which way is better, its goal, and how much worse than the baseline it may be."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -81,7 +82,14 @@ def etna(data: Path) -> list[Metric]:
         distance, kept, in_region = _stripe_distance(joint, observations)
         metrics += [
             Metric(f"real.{name}.corners_alone_rms", least.corner_rms_px, "px", "lower", slack=0.01),
-            Metric(f"real.{name}.corners_alone_over_opencv_minus_1", abs(least.corner_rms_px / rms - 1), "", "lower", 1e-6, floor=1e-6),
+            Metric(
+                f"real.{name}.corners_alone_over_opencv_minus_1",
+                abs(least.corner_rms_px / rms - 1),
+                "",
+                "lower",
+                1e-6,
+                floor=1e-6,
+            ),
             Metric(f"real.{name}.joint_over_corners_alone", joint_rms / least_rms, "", "lower", 1.02, slack=0.01),
             Metric(f"real.{name}.stripe_rms", distance, "mm", "lower", limit_mm),
             Metric(f"real.{name}.stripe_points_kept", kept / in_region, "", "higher", 0.90, slack=0.02),
@@ -103,25 +111,21 @@ def _same_corners(joint: Calibration, observations: Observations) -> tuple[float
 
 
 def _stripe_distance(joint: Calibration, observations: Observations) -> tuple[float, int, int]:
-    """RMS distance (mm) of the kept stripe points to the light plane, how many of them are in the region, and of all."""
+    """RMS distance (mm) of the kept stripe points to the light plane; how many kept, and how many at all, in the region."""
     with float64():
         camera = as_float64(joint.rig.camera)
         poses = np.asarray(as_float64(joint.system.boards).as_vector())
         omega = np.stack(joint.rig.lasers[0].plane)
         kept_views, kept_in_region, region = [], 0, 0
         for view, fit, pose in zip(observations.views, joint.fits, poses, strict=True):
-            R = cv2.Rodrigues(pose[:3])[0]
-
-            def on_board(pixels: Float[np.ndarray, "points 2"], name: str = view.name, pose: np.ndarray = pose):
-                one = replace(observations, views=(_with_pixels(view, pixels, name),))
-                return stripe_points_in_space(one, camera, pose[None], 0)[0]
-
-            X = on_board(view.stripes[0].pixels)
-            at = (X - pose[3:]) @ R
-            region += int(_in_region(at).sum())
-            X = on_board(fit.stripe_pixels[fit.stripe_kept])
-            kept_in_region += int(_in_region((X - pose[3:]) @ R).sum())
-            kept_views.append(X)
+            R, t = cv2.Rodrigues(pose[:3])[0], pose[3:]
+            seen, kept = (
+                _in_space(observations, view, pixels, camera, pose)
+                for pixels in (view.stripes[0].pixels, fit.stripe_pixels[fit.stripe_kept])
+            )
+            region += int(_in_region((seen - t) @ R).sum())
+            kept_in_region += int(_in_region((kept - t) @ R).sum())
+            kept_views.append(kept)
     X = np.concatenate(kept_views)
     return float(np.sqrt((((X @ omega - 1) / np.linalg.norm(omega)) ** 2).mean())), kept_in_region, region
 
@@ -130,8 +134,13 @@ def _in_region(at: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
     return np.all((at[:, :2] > _ETNA_REGION[:, 0]) & (at[:, :2] < _ETNA_REGION[:, 1]), axis=1)
 
 
-def _with_pixels(view: View, pixels: Float[np.ndarray, "points 2"], name: str) -> View:
-    return replace(view, name=name, stripes=(replace(view.stripes[0], pixels=pixels),))
+def _in_space(
+    observations: Observations, view: View, pixels: Float[np.ndarray, "points 2"], camera: Camera, pose: np.ndarray
+) -> Float[np.ndarray, "points 3"]:
+    """Stripe pixels of one view on its board, in the camera frame (mm)."""
+    stripe = replace(view.stripes[0], pixels=pixels)
+    one = replace(observations, views=(replace(view, stripes=(stripe,)),))
+    return stripe_points_in_space(one, camera, jnp.asarray(pose)[None], 0)[0]
 
 
 def _difference(a: Calibration, b: Calibration) -> list[Metric]:
@@ -172,7 +181,8 @@ def figueroa(data: Path) -> list[Metric]:
     result = calibrate(
         Observations(size, Board.checkerboard([10, 10], 77.0), views), start=start, board_warp=True, reject=False
     )
-    weighted = np.concatenate([(fit.corner_errors * w[:, None])[fit.corner_kept] for fit, w in zip(result.fits, weights, strict=True)])
+    errors = [(fit.corner_errors * w[:, None])[fit.corner_kept] for fit, w in zip(result.fits, weights, strict=True)]
+    weighted = np.concatenate(errors)
     rms = float(np.sqrt((weighted**2).mean()))
     found = np.array([float(x) for x in (*result.rig.camera.focal, *result.rig.camera.principal)])
     off = np.abs(found - [2073.873, 2077.452, 3004.687, 1997.377])

@@ -114,8 +114,8 @@ def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
     because = "".join(f"\n  {line}" for line in left_out)
     if len(views) < _FEWEST_VIEWS:
         raise InputError(
-            f"{len(views)} usable views of the board; at least {_FEWEST_VIEWS} are needed: photograph the board in more "
-            f"poses, all of it in view and tilted in different directions{because}"
+            f"{len(views)} usable views of the board; at least {_FEWEST_VIEWS} are needed: photograph the board in "
+            f"more poses, all of it in view and tilted in different directions{because}"
         )
     for i, name in enumerate(observations.lasers):
         striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in views)
@@ -231,8 +231,8 @@ def _check(refined: Refined, observations: Observations, free: Bool[Array, "shar
     """Refuse what is no calibration."""
     if refined.outcome.result != optx.RESULTS.successful:
         raise SolveError(
-            f"the solve did not reach a minimum within {MAX_STEPS} steps ({refined.solves} rounds): the photographs may "
-            "not belong to one camera, or the lens may need a simpler model"
+            f"the solve did not reach a minimum within {MAX_STEPS} steps ({refined.solves} rounds): the photographs "
+            "may not belong to one camera, or the lens may need a simpler model"
         )
     rig, warp = refined.estimate.shared
     names = np.array([*parameter_names(rig), *["board warp"] * len(jax.tree.leaves(warp))])

@@ -14,7 +14,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.session import Session, StageImages
 from jaxscan.images import Board, StripeSettings, carry_order, detect_stripe, find_board, read_image
 
-# The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this much (px).
+# The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
 
 
@@ -58,19 +58,17 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
 
     left_out = _not_found(session.board, photographs, "view") + _not_found(session.board, staged, "stage photograph")
     views = [View(p.path.name, p.corners, stripes=p.stripes) for p in photographs if p.corners is not None]
-    left_out += [
-        f"{p.path.name}: no stripe{f' of laser {session.lasers[s.laser].name}' if len(session.lasers) > 1 else ''} was found"
-        for p in photographs
-        if p.corners is not None
-        for s in p.stripes
-        if not np.isfinite(s.pixels).any()
-    ]
+    for view in views:
+        for stripe in view.stripes:
+            if not np.isfinite(stripe.pixels).any():
+                name = session.lasers[stripe.laser].name
+                left_out.append(f"{view.name}: no stripe{f' of laser {name}' if name else ''} was found")
     notes = []
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts
         notes.append(
-            f"the board of {columns} x {rows} looks the same after half a turn: each view's order of corners is one of two "
-            "valid ones; along the stage it is carried from photograph to photograph"
+            f"the board of {columns} x {rows} looks the same after half a turn: each view's order of corners is one of "
+            "two valid ones; along the stage it is carried from photograph to photograph"
         )
     return Observations(
         image_size=session.image_size,

@@ -93,6 +93,7 @@ class Calibration:
 
 
 def assemble(refined: Refined, observations: Observations, held: set[str], left_out: tuple[str, ...]) -> Calibration:
+    """The result of the last rounds, in the observations' own order; inside a `float64` block."""
     rig, warp = refined.estimate.shared
     n_views = len(observations.views)
     boards = Pose.from_vector(refined.estimate.poses[0][:n_views])

@@ -98,9 +98,7 @@ def refine(
         noise = settled
         if (same and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)) or solves >= _MAX_SOLVES:
             spread = precision(estimate, free, groups, noise)
-            return Refined(
-                estimate, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves
-            )
+            return Refined(estimate, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves)
         groups = kept
 
 

@@ -56,7 +56,8 @@ def describe(result: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"a cup of {result['points']} points, scanned by a simulated scanner that was calibrated from photographs:",
-            f"  {errors['absolute']:.3f} mm RMS from the true surface, {errors['absolute_after_fit']:.3f} mm after a rigid fit",
+            f"  {errors['absolute']:.3f} mm RMS from the true surface, "
+            f"{errors['absolute_after_fit']:.3f} mm after a rigid fit",
             f"  {100 * errors['completeness']:.1f} % of what an ideal camera sees",
             f"  {out}/rig.json, {out}/cup.ply, {out}/cup.npz; look at {out}/cup.png",
             f"  {result['seconds']:.0f} s",

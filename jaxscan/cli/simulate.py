@@ -49,7 +49,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "path": str(args.out),
         "seed": args.seed,
         "object": name,
-        "photographs": len(session.boards.rotation) * (2 if args.stripes else 1) + len(session.stage_steps) + len(scan.steps),
+        "photographs": len(session.boards.rotation) * (2 if args.stripes else 1)
+        + len(session.stage_steps)
+        + len(scan.steps),
         "true_points": int((scan.position == scan.position).sum()),
     }
 
@@ -106,7 +108,8 @@ def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
     out = result["path"]
     return (
-        f"{result['photographs']} photographs of boards and of a {result['object']}, {result['true_points']} true points: {out}/session, {out}/scan, {out}/truth\n"
+        f"{result['photographs']} photographs of boards and of a {result['object']}, {result['true_points']} true points: "
+        f"{out}/session, {out}/scan, {out}/truth\n"
         f"next: jaxscan calibrate {out}/session -o {out}/rig.json"
     )
 

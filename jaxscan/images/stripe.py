@@ -33,6 +33,9 @@ _AMBIENT_QUANTILE = 0.97
 _EVERY = 16
 # Columns measured again come in so many at a time, or a power of four more, so that few sizes are compiled.
 _LEAST_BUCKET = 256
+# A stripe point has so many others within so many lines to either side, off by no more than so much and a steep slope.
+_LEAST_COMPANY, _COMPANY_WITHIN = 2, 4
+_COMPANY_PX, _STEEPEST = 2.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Stripe(eqx.Module):
         strength: its peak, smoothed over five pixels, above the local background: grey levels of 2 L − (M + N), L the
             laser's channel, or of the intensity.
         width: full width at half the height, px; NaN where it is not valid.
-        valid: whether there is a stripe, with both flanks on the image.
+        valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
     """
 
     position: Float32[Array, "frames lines"]
@@ -110,13 +113,28 @@ def detect_stripe(
         at = _padded(again[0], again[1], np.asarray(peak)[again])
         better = measure(*gather_windows(frames, dark, ambient, *at, color, columns, wide))
         measured = jax.tree.map(lambda old, new: _replaced(old, again, new), measured, better)
-    valid = measured.whole & (measured.strength > least)
+    valid = np.asarray(measured.whole & (measured.strength > least))
+    valid = valid & _in_a_line(np.where(valid, np.asarray(measured.position), np.nan))
     return Stripe(
         position=jnp.where(valid, measured.position, jnp.nan),
         strength=jnp.asarray(measured.strength),
         width=jnp.where(valid, measured.width, jnp.nan),
         valid=jnp.asarray(valid),
     )
+
+
+def _in_a_line(position: Float32[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
+    """Whether a point has company: a stripe is a line, and noise that stands out somewhere stands alone.
+
+    Neighbours count that lie no further off than a stripe as steep as any would.
+    """
+    company = np.zeros(position.shape, np.int8)
+    for apart in range(1, min(_COMPANY_WITHIN, position.shape[1] - 1) + 1):
+        with np.errstate(invalid="ignore"):
+            near = np.abs(position[:, apart:] - position[:, :-apart]) <= _COMPANY_PX + _STEEPEST * apart
+        company[:, apart:] += near
+        company[:, :-apart] += near
+    return company >= _LEAST_COMPANY
 
 
 def _ambient(frames: np.ndarray, dark: np.ndarray | None, color: str) -> Int[np.ndarray, "frames"]:

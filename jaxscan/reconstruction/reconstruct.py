@@ -125,7 +125,7 @@ def _steps(scan: Scan, first: int, count: int) -> Int[np.ndarray, "frames"]:
         return scan.steps_per_frame * np.arange(first, first + count)
     if first + count > len(scan.steps):
         raise InputError(
-            f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, but the video goes on to frame {first + count}: "
+            f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, the video goes on to frame {first + count}: "
             "give one for each frame, or steps_per_frame"
         )
     return np.asarray(scan.steps[first : first + count], np.int64)
@@ -134,7 +134,7 @@ def _steps(scan: Scan, first: int, count: int) -> Int[np.ndarray, "frames"]:
 def _pixels(
     position: Float[np.ndarray, "frames columns"], columns: bool
 ) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
-    """u and v of every stripe point, frame after frame."""
+    """U and v of every stripe point, frame after frame."""
     index = np.broadcast_to(np.arange(position.shape[1], dtype=np.float32), position.shape)
     u, v = (index, position) if columns else (position, index)
     return u.ravel(), v.ravel()

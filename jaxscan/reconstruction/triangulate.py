@@ -133,8 +133,8 @@ def polynomial_inverse(camera: Camera) -> tuple[Float[np.ndarray, "coefficients"
         degree += 2
     if error > _FIT_LIMIT_PX:
         raise InputError(
-            f"the inverse of the lens {camera.lens} with radial {[float(k) for k in camera.radial]} is not smooth over the "
-            f"image (a polynomial misses it by {error:.2g} px): calibrate with a simpler lens"
+            f"the inverse of the lens {camera.lens} with radial {[float(k) for k in camera.radial]} is not smooth over "
+            f"the image (a polynomial misses it by {error:.2g} px): calibrate with a simpler lens"
         )
     return fit.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1]).coef, reach**2
 

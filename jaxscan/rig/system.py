@@ -23,7 +23,7 @@ class BoardWarp(eqx.Module):
     y: Float[Array, ""]
 
     def height(self, relative: Float[Array, "2"]) -> Float[Array, ""]:
-        """z at relative board coordinates (mm)."""
+        """Z at relative board coordinates (mm)."""
         bulge = 4 * relative * (1 - relative)
         return self.x * bulge[0] + self.y * bulge[1]
 

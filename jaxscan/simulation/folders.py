@@ -105,7 +105,7 @@ def simulate_session(
     """
     rig = rig_2003.simulated_rig(seed) if rig is None else rig
     separate = separate_stripes or len(rig.lasers) != 1
-    boards, stage = rig_2003.board_poses(rig, seed), rig_2003.stage_pose(rig, seed)
+    boards, stage = rig_2003.board_poses(rig, seed, rig_2003.BOARD_VIEWS), rig_2003.stage_pose(rig, seed)
     steps = tuple(STEPS_APART * i for i in range(rig_2003.STAGE_VIEWS))
     _make(folder, "boards", "stage", *(["stripes"] if separate else []))
     (folder / SESSION_FILE).unlink(missing_ok=True)

@@ -151,7 +151,7 @@ def parallel(observations):
 
 
 def test_parallel_boards_are_refused_in_words(session):
-    with pytest.raises(ObservabilityError, match="cannot be told apart.*Tilt"):
+    with pytest.raises(ObservabilityError, match=r"cannot be told apart.*Tilt"):
         calibrate(parallel(session))
 
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import synthetic
 
-from jaxscan.calibration.residuals import Noise, _tamed, block_errors, block_residuals, stripe_error
 from jaxscan.calibration.blocks import view_blocks
+from jaxscan.calibration.residuals import Noise, _tamed, block_errors, block_residuals, stripe_error
 from jaxscan.geometry import Pose, dual_plane
 from jaxscan.rig import Camera, LightPlane, Rig
 
