@@ -111,7 +111,7 @@ def _same_corners(joint: Calibration, observations: Observations) -> tuple[float
 
 
 def _stripe_distance(joint: Calibration, observations: Observations) -> tuple[float, int, int]:
-    """RMS distance (mm) of the kept stripe points to the light plane; how many kept, and how many at all, in the region."""
+    """RMS distance (mm) of the kept stripe points to the light plane; how many are kept, how many seen in the region."""
     with float64():
         camera = as_float64(joint.rig.camera)
         poses = np.asarray(as_float64(joint.system.boards).as_vector())
@@ -228,6 +228,7 @@ def distance_from_planes(image: RangeImage, count: int = 6) -> Float[np.ndarray,
                 best, most = agree, int(agree.sum())
         if best is None:
             break
+        normal, centre = np.zeros(3), np.zeros(3)
         for _ in range(5):
             centre = left[best].mean(axis=0)
             normal = np.linalg.svd(left[best] - centre, full_matrices=False)[2][2]

@@ -92,7 +92,7 @@ class Observations:
         for view in (*self.views, *(view for stage in self.stages for view in stage.views)):
             if view.corners.shape != (count, 2):
                 raise InputError(
-                    f"{view.name}: corners has the shape {view.corners.shape}; the board's {count} points need ({count}, 2)"
+                    f"{view.name}: corners has the shape {view.corners.shape}, the board's {count} points need another"
                 )
             if view.weights is not None and view.weights.shape != (count,):
                 raise InputError(f"{view.name}: weights has the shape {view.weights.shape}, not ({count},)")

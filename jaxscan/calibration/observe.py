@@ -58,11 +58,11 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
 
     left_out = _not_found(session.board, photographs, "view") + _not_found(session.board, staged, "stage photograph")
     views = [View(p.path.name, p.corners, stripes=p.stripes) for p in photographs if p.corners is not None]
-    for view in views:
-        for stripe in view.stripes:
+    for seen in views:
+        for stripe in seen.stripes:
             if not np.isfinite(stripe.pixels).any():
                 name = session.lasers[stripe.laser].name
-                left_out.append(f"{view.name}: no stripe{f' of laser {name}' if name else ''} was found")
+                left_out.append(f"{seen.name}: no stripe{f' of laser {name}' if name else ''} was found")
     notes = []
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts

@@ -151,3 +151,7 @@ class _Version(argparse.Action):
 
         print(f"jaxscan {version('jaxscan')}")
         parser.exit()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

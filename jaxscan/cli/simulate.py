@@ -108,8 +108,8 @@ def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
     out = result["path"]
     return (
-        f"{result['photographs']} photographs of boards and of a {result['object']}, {result['true_points']} true points: "
-        f"{out}/session, {out}/scan, {out}/truth\n"
+        f"{result['photographs']} photographs of boards and of a {result['object']}, "
+        f"{result['true_points']} true points: {out}/session, {out}/scan, {out}/truth\n"
         f"next: jaxscan calibrate {out}/session -o {out}/rig.json"
     )
 
