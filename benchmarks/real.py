@@ -111,7 +111,7 @@ def _same_corners(joint: Calibration, observations: Observations) -> tuple[float
 
 
 def _stripe_distance(joint: Calibration, observations: Observations) -> tuple[float, int, int]:
-    """RMS distance (mm) of the kept stripe points to the light plane; how many are kept, how many seen in the region."""
+    """RMS distance (mm) of kept stripe points to the light plane; how many are kept, how many seen in the region."""
     with float64():
         camera = as_float64(joint.rig.camera)
         poses = np.asarray(as_float64(joint.system.boards).as_vector())

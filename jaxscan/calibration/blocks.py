@@ -69,6 +69,7 @@ def _pack(observations: Observations, boards: Sequence[tuple[Sequence[View], Flo
         corner_used=jnp.asarray(weights > 0),
         steps=jnp.asarray(steps),
         stripe=jnp.asarray(stripe),
+        stripe_weights=jnp.ones(stripe.shape[:2]),
         stripe_used=jnp.asarray(np.isfinite(stripe).all(axis=-1)),
         stripe_columns=jnp.asarray(columns),
         stripe_laser=jnp.asarray(laser),

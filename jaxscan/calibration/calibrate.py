@@ -69,7 +69,7 @@ def calibrate(
         camera = as_float64(start) if start else _first_camera(usable, lens)
         held = set(hold) | ({"camera.principal.0", "camera.principal.1"} if principal_point == "centre" else set())
         warp = BoardWarp(jnp.zeros(()), jnp.zeros(())) if board_warp else None
-        unit = jnp.ones(())
+        unit, board_points = jnp.ones(()), len(usable.board.points())
         noise = Noise(unit, unit, jnp.zeros(()))
 
         # The camera first, from the views' corners alone: lasers and stage are there already, but held, and what they
@@ -83,7 +83,12 @@ def calibrate(
         groups = (views, stage_blocks(usable)) if usable.stages else (views,)
         poses = (_poses(camera, views), *(_far_away(len(group.steps)) for group in groups[1:]))
         refined = refine(
-            Estimate((rig, warp), poses), _free(rig, warp, held, ("camera",)), _corners_of_views(groups), noise, reject
+            Estimate((rig, warp), poses),
+            _free(rig, warp, held, ("camera",)),
+            _corners_of_views(groups),
+            noise,
+            board_points,
+            reject,
         )
         _check(refined, usable, _free(rig, warp, held, ("camera",)))
 
@@ -95,7 +100,9 @@ def calibrate(
             rig = Rig(camera, _first_light_planes(usable, camera, view_poses), stage)
             groups = (view_blocks(usable), *groups[1:])
             free = _free(rig, None, held, ("camera", "laser", "stage"))
-            refined = refine(Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise, reject)
+            refined = refine(
+                Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise, board_points, reject
+            )
             _check(refined, usable, free)
         return assemble(refined, usable, held, left_out)
 

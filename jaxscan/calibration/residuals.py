@@ -29,6 +29,7 @@ class Blocks(eqx.Module):
         corner_used: which corners take part.
         steps: motor steps of each corner's photograph, relative to the block's reference.
         stripe: stripe points, pixels.
+        stripe_weights: relative 1 / σ of each stripe point.
         stripe_used: which of them take part.
         stripe_columns: True where v was measured, False where u was.
         stripe_laser: which laser each belongs to.
@@ -41,6 +42,7 @@ class Blocks(eqx.Module):
     corner_used: Bool[Array, "*blocks corners"]
     steps: Float[Array, "*blocks corners"]
     stripe: Float[Array, "*blocks stripe 2"]
+    stripe_weights: Float[Array, "*blocks stripe"]
     stripe_used: Bool[Array, "*blocks stripe"]
     stripe_columns: Bool[Array, "*blocks stripe"]
     stripe_laser: Int[Array, "*blocks stripe"]
@@ -51,7 +53,7 @@ class Noise(eqx.Module):
 
     Attributes:
         corner: σ of a corner of weight 1 along each axis, pixels.
-        stripe: σ of a stripe point, pixels.
+        stripe: σ of a stripe point of weight 1, pixels.
         robustness: 1 / c of the pseudo-Huber loss (P. Charbonnier et al. 1994), c in σ; 0 is least squares.
     """
 
@@ -117,7 +119,7 @@ def block_residuals(
     corner, stripe = block_errors(rig, warp, pose, block)
     corner = corner * (block.weights / noise.corner)[:, None]
     corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[:, None]
-    stripe = stripe / noise.stripe
+    stripe = stripe * (block.stripe_weights / noise.stripe)
     stripe = stripe * _tamed(noise.robustness**2 * stripe**2)
     return jnp.concatenate([corner.ravel(), stripe])
 

@@ -2,8 +2,10 @@
 
 The first solve tames large residuals by a robust loss. From then on each round estimates the two σ, leaves out what
 lies beyond a fixed number of them, readmits what no longer does, and solves plain least squares on the rest, until
-neither the set nor the σ change. The σ that are reported are variance components: squared residuals over redundancy.
-A stripe point is weighted less than its σ alone says, by the correlation of errors along the stripe.
+neither the set nor the σ change. The σ are variance components: squared residuals over redundancy. Photographs differ
+in their light, their sharpness and how flat the board was held, so each has a σ of its own, drawn towards that of all by
+a few observations' worth. A stripe point is weighted less than its σ alone says, by the correlation of errors along the
+stripe.
 """
 
 from dataclasses import dataclass
@@ -25,6 +27,9 @@ STRIPE_LIMIT = 4.0
 # A set of outliers that still changes by a point or two after so many solves changes nothing else.
 _MAX_SOLVES = 12
 _SIGMA_SETTLED = 0.01
+# A photograph's own σ² counts for its redundancy, that of all photographs for so many residuals more.
+_PRIOR_RESIDUALS = 20.0
+_SCALES_SETTLED = 0.03
 _NORMAL_MAD = 1.4826
 # No photograph is exact: a σ below this (pixels) is a computer's, not a camera's.
 _SMALLEST_SIGMA = 1e-4
@@ -59,7 +64,12 @@ class Refined:
 
 
 def refine(
-    estimate: Estimate, free: Bool[Array, "shared"], candidates: tuple[Blocks, ...], noise: Noise, reject: bool
+    estimate: Estimate,
+    free: Bool[Array, "shared"],
+    candidates: tuple[Blocks, ...],
+    noise: Noise,
+    board_points: int,
+    reject: bool,
 ) -> Refined:
     """Solve with σ from the data; with `reject`, leave outliers out.
 
@@ -68,7 +78,9 @@ def refine(
         free: which shared parameters are refined.
         candidates: all observations that may be used.
         noise: a first guess of the two σ.
-        reject: whether observations may be left out; otherwise every candidate is used, by least squares.
+        board_points: how many corners a photograph has.
+        reject: whether observations may be left out and photographs weighted by their own σ; otherwise every candidate
+            is used as it stands, by least squares.
     """
     groups = candidates
     solves = 0
@@ -85,21 +97,35 @@ def refine(
         outcome = solve(estimate, free, groups, noise)
         estimate = outcome.estimate
         errors = _errors(estimate, candidates)
-        single = _variance_components(groups, errors, precision(estimate, free, groups, noise), noise)
-        kept = _keep(candidates, errors, _at_least(single, _median_noise(groups, errors, single))) if reject else groups
-        same = all(
-            bool((old.corner_used == new.corner_used).all() and (old.stripe_used == new.stripe_used).all())
-            for old, new in zip(groups, kept, strict=True)
-        )
+        leverage = precision(estimate, free, groups, noise).leverage
+        single, photographs = _variance_components(candidates, groups, errors, leverage, noise, board_points)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
         settled = Noise(single.corner, single.stripe * tau**0.5, single.robustness)
+        kept = groups
+        if reject:
+            kept = _weighted(candidates, photographs, single, tau, board_points)
+            kept = _keep(kept, errors, _at_least(single, _median_noise(groups, errors, single)))
         # Only the ratio of the two σ moves the estimate; their common scale is in the covariance alone.
         ratio = float((settled.stripe / settled.corner) / (noise.stripe / noise.corner))
+        calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
         noise = settled
-        if (same and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)) or solves >= _MAX_SOLVES:
+        if calm or solves >= _MAX_SOLVES:
             spread = precision(estimate, free, groups, noise)
             return Refined(estimate, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves)
         groups = kept
+
+
+def _same(old: tuple[Blocks, ...], new: tuple[Blocks, ...]) -> bool:
+    """Whether the same observations are kept, with weights that have settled."""
+    return all(
+        bool(
+            (a.corner_used == b.corner_used).all()
+            and (a.stripe_used == b.stripe_used).all()
+            and jnp.allclose(a.weights, b.weights, rtol=_SCALES_SETTLED)
+            and jnp.allclose(a.stripe_weights, b.stripe_weights, rtol=_SCALES_SETTLED)
+        )
+        for a, b in zip(old, new, strict=True)
+    )
 
 
 def _stripe_correlation(groups: tuple[Blocks, ...], errors: tuple) -> float:
@@ -128,7 +154,7 @@ def _keep(candidates: tuple[Blocks, ...], errors: tuple, noise: Noise) -> tuple[
     for group, (corner, stripe) in zip(candidates, errors, strict=True):
         distance = jnp.linalg.norm(corner, axis=-1) * group.weights / noise.corner
         corner_used = group.corner_used & (distance <= CORNER_LIMIT)
-        stripe_used = group.stripe_used & (jnp.abs(stripe) <= STRIPE_LIMIT * noise.stripe)
+        stripe_used = group.stripe_used & (jnp.abs(stripe) * group.stripe_weights <= STRIPE_LIMIT * noise.stripe)
         kept.append(eqx.tree_at(lambda g: (g.corner_used, g.stripe_used), group, (corner_used, stripe_used)))
     return tuple(kept)
 
@@ -141,7 +167,9 @@ def _median_noise(groups: tuple[Blocks, ...], errors: tuple, noise: Noise) -> No
             for g, (c, _) in zip(groups, errors, strict=True)
         ]
     )
-    stripe = np.concatenate([np.asarray(s[g.stripe_used]) for g, (_, s) in zip(groups, errors, strict=True)])
+    stripe = np.concatenate(
+        [np.asarray((s * g.stripe_weights)[g.stripe_used]) for g, (_, s) in zip(groups, errors, strict=True)]
+    )
 
     def sigma(values: np.ndarray, otherwise: Float[Array, ""]) -> Float[Array, ""]:
         if values.size == 0:
@@ -155,27 +183,87 @@ def _at_least(a: Noise, b: Noise) -> Noise:
     return Noise(jnp.maximum(a.corner, b.corner), jnp.maximum(a.stripe, b.stripe), a.robustness)
 
 
-def _variance_components(groups: tuple[Blocks, ...], errors: tuple, spread: Precision, noise: Noise) -> Noise:
-    """σ² of each kind: sum of squared errors over sum of redundancies."""
-    total = {"corner": 0.0, "stripe": 0.0}
-    redundancy = {"corner": 0.0, "stripe": 0.0}
-    for group, (corner, stripe), leverage in zip(groups, errors, spread.leverage, strict=True):
+@dataclass(frozen=True)
+class _Sums:
+    """Of one group, photograph by photograph: sums of squared errors (px²) and of redundancies.
+
+    Corners have (blocks, images), stripes (blocks,): a stripe belongs to its view.
+    """
+
+    corner_squares: Float[np.ndarray, "blocks images"]
+    corner_redundancy: Float[np.ndarray, "blocks images"]
+    stripe_squares: Float[np.ndarray, "blocks"]
+    stripe_redundancy: Float[np.ndarray, "blocks"]
+
+
+def _variance_components(
+    candidates: tuple[Blocks, ...],
+    groups: tuple[Blocks, ...],
+    errors: tuple,
+    leverage: tuple[Float[Array, "blocks residuals"], ...],
+    noise: Noise,
+    board_points: int,
+) -> tuple[Noise, tuple[_Sums, ...]]:
+    """σ of each kind over all photographs, and what each photograph contributed to it."""
+    sums = []
+    for candidate, group, (corner, stripe), h in zip(candidates, groups, errors, leverage, strict=True):
         n = corner.shape[1]
-        for kind, used, square, h in (
-            (
-                "corner",
-                group.corner_used[..., None],
-                (corner * group.weights[..., None]) ** 2,
-                leverage[:, : 2 * n].reshape(corner.shape),
-            ),
-            ("stripe", group.stripe_used, stripe**2, leverage[:, 2 * n :]),
-        ):
-            total[kind] += float(jnp.where(used, square, 0.0).sum())
-            redundancy[kind] += float(jnp.where(used, 1 - h, 0.0).sum())
+        images = (len(corner), n // board_points, board_points, 2)
+        square = jnp.where(group.corner_used[..., None], (corner * candidate.weights[..., None]) ** 2, 0.0)
+        redundancy = jnp.where(group.corner_used[..., None], 1 - h[:, : 2 * n].reshape(corner.shape), 0.0)
+        sums.append(
+            _Sums(
+                np.asarray(square.reshape(images).sum((2, 3))),
+                np.asarray(redundancy.reshape(images).sum((2, 3))),
+                np.asarray(jnp.where(group.stripe_used, stripe**2, 0.0).sum(1)),
+                np.asarray(jnp.where(group.stripe_used, 1 - h[:, 2 * n :], 0.0).sum(1)),
+            )
+        )
 
-    def sigma(kind: str, otherwise: Float[Array, ""]) -> Float[Array, ""]:
-        if redundancy[kind] <= 0:
+    def sigma(squares: float, redundancy: float, otherwise: Float[Array, ""]) -> Float[Array, ""]:
+        if redundancy <= 0:
             return otherwise
-        return jnp.asarray(max(np.sqrt(total[kind] / redundancy[kind]), _SMALLEST_SIGMA), jnp.float64)
+        return jnp.asarray(max(np.sqrt(squares / redundancy), _SMALLEST_SIGMA), jnp.float64)
 
-    return Noise(sigma("corner", noise.corner), sigma("stripe", noise.stripe), jnp.zeros_like(noise.robustness))
+    corner_sums = [
+        sum(float(x.sum()) for x in xs)
+        for xs in zip(*((s.corner_squares, s.corner_redundancy) for s in sums), strict=True)
+    ]
+    stripe_sums = [
+        sum(float(x.sum()) for x in xs)
+        for xs in zip(*((s.stripe_squares, s.stripe_redundancy) for s in sums), strict=True)
+    ]
+    overall = Noise(
+        sigma(corner_sums[0], corner_sums[1], noise.corner),
+        sigma(stripe_sums[0], stripe_sums[1], noise.stripe),
+        jnp.zeros_like(noise.robustness),
+    )
+    return overall, tuple(sums)
+
+
+def _weighted(
+    candidates: tuple[Blocks, ...], sums: tuple[_Sums, ...], overall: Noise, tau: float, board_points: int
+) -> tuple[Blocks, ...]:
+    """The candidates with weights by the σ of their photograph, relative to that of all."""
+    weighted = []
+    for group, own in zip(candidates, sums, strict=True):
+        corner = _relative_sigma(own.corner_squares, own.corner_redundancy, float(overall.corner), _PRIOR_RESIDUALS)
+        # So many tied points tell as much of a stripe's σ as one.
+        stripe = _relative_sigma(
+            own.stripe_squares, own.stripe_redundancy, float(overall.stripe), tau * _PRIOR_RESIDUALS
+        )
+        weighted.append(
+            eqx.tree_at(
+                lambda g: (g.weights, g.stripe_weights),
+                group,
+                (
+                    group.weights / jnp.asarray(np.repeat(corner, board_points, axis=1)),
+                    group.stripe_weights / jnp.asarray(stripe)[:, None],
+                ),
+            )
+        )
+    return tuple(weighted)
+
+
+def _relative_sigma(squares: np.ndarray, redundancy: np.ndarray, overall: float, prior: float) -> np.ndarray:
+    return np.sqrt((squares / overall**2 + prior) / (redundancy + prior))

@@ -8,7 +8,7 @@ def keep_compiled() -> None:
     """Turn on JAX's persistent compilation cache, in the user's cache folder unless JAX is told of another."""
     import jax
 
-    if jax.config.read("jax_compilation_cache_dir"):
+    if jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
         return
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     jax.config.update("jax_compilation_cache_dir", str(Path(base) / "jaxscan" / "compiled"))

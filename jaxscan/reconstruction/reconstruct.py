@@ -36,8 +36,8 @@ def reconstruct(rig: RigFile | Rig, scan: Scan, advance: Callable[[int], object]
         InputError: the scan does not fit the rig, a photograph cannot be read, or there is no stripe in any frame.
     """
     content = rig if isinstance(rig, RigFile) else RigFile(rig)
-    kernel = Kernel.create(content.rig, scan.laser.name)
     _check(content.rig, scan)
+    kernel = Kernel.create(content.rig, scan.laser.name)
     positions, strengths, points, steps = [], [], [], []
     for frames, backgrounds, counts in _batches(scan, content.rig.camera.image_size):
         stripe = detect_stripe(frames, scan.laser, backgrounds)

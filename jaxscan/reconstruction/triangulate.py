@@ -22,11 +22,14 @@ from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Camera, Rig
 from jaxscan.rig.lens import distort, invertible_radius, undistort
 
-_HIGHEST_DEGREE = 16
+# Most lenses need the lowest one and so share a compiled kernel.
+_LOWEST_DEGREE, _HIGHEST_DEGREE = 8, 16
 _FIT_SAMPLES = 400
 # The polynomial is made no better than this (pixels), and a lens whose polynomial is worse than the second is refused.
 _FIT_GOAL_PX = 1e-6
 _FIT_LIMIT_PX = 1e-3
+# How near to the fold of a lens the polynomial is tried.
+_SHARES_OF_THE_FOLD = (0.999, 0.99, 0.97, 0.94, 0.9)
 _TANGENTIAL_CORRECTIONS = 3
 
 
@@ -109,7 +112,8 @@ def triangulate(
 def polynomial_inverse(camera: Camera) -> tuple[Float[np.ndarray, "coefficients"], float]:
     """The factor from distorted to undistorted radial coordinates as a polynomial in r_d² / reach, and the reach.
 
-    Least squares at Chebyshev points, in float64, over the whole image as far as the lens has an inverse there.
+    Least squares at Chebyshev points, in float64, over the whole image. Where the lens folds back inside the image no
+    polynomial follows its inverse up to the fold; the reach then ends a little before it.
 
     Raises:
         InputError: no polynomial follows the inverse to a thousandth of a pixel.
@@ -119,24 +123,35 @@ def polynomial_inverse(camera: Camera) -> tuple[Float[np.ndarray, "coefficients"
     corners = (edges - np.stack(camera.principal)) / np.stack(camera.focal)
     # Tangential terms move a pixel before its radius is looked up: a margin for that.
     widest = 1.02 * float(np.sqrt((corners**2).sum(axis=1)).max())
+    focal = float(np.max(np.stack(camera.focal)))
     with float64():
         radial = as_float64(camera.radial)
-        reach = min(widest, 0.999 * float(invertible_radius(radial, jnp.float64)[1])) if radial else widest
-        rho = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_FIT_SAMPLES) + 0.5) / _FIT_SAMPLES)
-        distorted = reach * np.sqrt(rho)
-        exact = np.asarray(_undistort_radii(radial, jnp.asarray(distorted))) / distorted
-    focal = float(np.max(np.stack(camera.focal)))
-    degree, error, fit = 0, np.inf, np.polynomial.Chebyshev([1.0])
+        fold = float(invertible_radius(radial, jnp.float64)[1]) if radial else np.inf
+        for share in _SHARES_OF_THE_FOLD:
+            reach = min(widest, share * fold)
+            rho = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_FIT_SAMPLES) + 0.5) / _FIT_SAMPLES)
+            distorted = reach * np.sqrt(rho)
+            exact = np.asarray(_undistort_radii(radial, jnp.asarray(distorted))) / distorted
+            coefficients, error = _fit(rho, exact, distorted * focal)
+            if error <= _FIT_LIMIT_PX:
+                return coefficients, reach**2
+    raise InputError(
+        f"the inverse of the lens {camera.lens} with radial {[float(k) for k in camera.radial]} is not smooth over the "
+        "image, no polynomial follows it: calibrate with a simpler lens"
+    )
+
+
+def _fit(
+    rho: Float[np.ndarray, "n"], exact: Float[np.ndarray, "n"], weight: Float[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "coefficients"], float]:
+    """The polynomial of the lowest degree that is good enough, and its worst error, weighted (pixels)."""
+    degree, error, fit = _LOWEST_DEGREE if np.ptp(exact) else 0, np.inf, np.polynomial.Chebyshev([1.0])
     while error > _FIT_GOAL_PX and degree <= _HIGHEST_DEGREE:
         fit = np.polynomial.Chebyshev.fit(rho, exact, degree, domain=[0, 1])
-        error = focal * float(np.abs((fit(rho) - exact) * distorted).max())
+        error = float(np.abs((fit(rho) - exact) * weight).max())
         degree += 2
-    if error > _FIT_LIMIT_PX:
-        raise InputError(
-            f"the inverse of the lens {camera.lens} with radial {[float(k) for k in camera.radial]} is not smooth over "
-            f"the image (a polynomial misses it by {error:.2g} px): calibrate with a simpler lens"
-        )
-    return fit.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1]).coef, reach**2
+    power = fit.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1])
+    return power.coef, error if np.isfinite(error) else np.inf
 
 
 @jax.jit

@@ -1,0 +1,46 @@
+"""Real photographs: what the published answers say, within bounds. The benchmarks print the figures themselves."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxscan import ObservabilityError, calibrate, observe, read_rig, read_scan, read_session, reconstruct
+
+
+def test_opencvs_sample_photographs(data: Path) -> None:
+    session = read_session(data / "opencv-left")
+    result = calibrate(observe(session), lens=session.camera.lens)
+    found = [float(x) for x in (*result.rig.camera.focal, *result.rig.camera.principal)]
+    np.testing.assert_allclose(found, [532.795, 532.919, 342.458, 233.901], atol=0.5)
+    assert result.rig.lasers == ()
+    assert result.rig.stage is None
+
+
+def test_boards_lying_flat_give_no_focal_length(data: Path) -> None:
+    session = read_session(data / "stage-boards")
+    with pytest.raises(ObservabilityError, match="focal length"):
+        calibrate(observe(session), lens=session.camera.lens)
+
+
+def test_a_saturated_stripe_on_a_dark_board(data: Path) -> None:
+    session = read_session(data / "etna-2")
+    result = calibrate(observe(session), lens=session.camera.lens)
+    assert len(result.fits) == 8
+    assert result.corner_rms_px < 0.26
+    assert result.stripe_rms_px is not None
+    assert result.stripe_rms_px < 0.4
+    omega = np.stack(result.rig.lasers[0].plane)
+    # Measured before with OpenCV and a plane by SVD: (−0.00808, −0.00122, 0.00521); weakly tied to the focal length.
+    np.testing.assert_allclose(omega, [-0.00808, -0.00122, 0.00521], atol=4e-4)
+    assert any("beyond the board" in line for line in result.left_out)
+
+
+def test_a_pyramid(data: Path) -> None:
+    image = reconstruct(read_rig(data / "stage-pyramid" / "rig.json"), read_scan(data / "stage-pyramid"))
+    assert image.valid.any(axis=1).all()
+    assert image.valid.mean() > 0.9
+    # The bed is 80 mm below the camera, the pyramid some tens of millimetres high: nothing lies elsewhere.
+    depth = image.points[image.valid][:, 2]
+    assert depth.max() < 84
+    assert depth.min() > 40
