@@ -3,9 +3,9 @@
 The first solve tames large residuals by a robust loss. From then on each round estimates the two σ, leaves out what
 lies beyond a fixed number of them, readmits what no longer does, and solves plain least squares on the rest, until
 neither the set nor the σ change. The σ are variance components: squared residuals over redundancy. Photographs differ
-in their light, their sharpness and how flat the board was held, so each has a σ of its own, drawn towards that of all by
-a few observations' worth. A stripe point is weighted less than its σ alone says, by the correlation of errors along the
-stripe.
+in their light, their sharpness and how flat the board was held, so each has a σ of its own, drawn towards that of all
+by a few observations' worth. A stripe point is weighted less than its σ alone says, by the correlation of errors along
+the stripe.
 """
 
 from dataclasses import dataclass
