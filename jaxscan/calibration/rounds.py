@@ -4,7 +4,7 @@ The first solve tames large residuals by a robust loss. From then on each round 
 lies beyond a fixed number of them, readmits what no longer does, and solves plain least squares on the rest, until
 neither the set nor the σ change. The σ are variance components: squared residuals over redundancy. Photographs differ
 in their light, their sharpness and how flat the board was held, so each has a σ of its own, drawn towards that of all
-by a few observations' worth. A stripe point is weighted less than its σ alone says, by the correlation of errors along
+by about a photograph's worth. A stripe point is weighted less than its σ alone says, by the correlation of errors along
 the stripe.
 """
 
@@ -27,8 +27,9 @@ STRIPE_LIMIT = 4.0
 # A set of outliers that still changes by a point or two after so many solves changes nothing else.
 _MAX_SOLVES = 12
 _SIGMA_SETTLED = 0.01
-# A photograph's own σ² counts for its redundancy, that of all photographs for so many residuals more.
-_PRIOR_RESIDUALS = 20.0
+# A photograph's own σ² counts for its redundancy, that of all photographs for so many residuals more: about as many as a
+# photograph has, so that only what clearly differs counts clearly less.
+_PRIOR_RESIDUALS = 100.0
 _SCALES_SETTLED = 0.03
 _NORMAL_MAD = 1.4826
 # No photograph is exact: a σ below this (pixels) is a computer's, not a camera's.

@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     scene, _, truth = simulate_into(out, args.seed, cup(OBJECT_Y), "cup")
     from jaxscan.cli.calibrate import calibrate_session
     from jaxscan.cli.reconstruct import reconstruct_scan
+    from jaxscan.images import draw_stripe, read_image
     from jaxscan.simulation.accuracy import cloud_errors
     from jaxscan.simulation.distance import distance
     from jaxscan.view.plots import draw_scan
@@ -40,7 +41,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     errors = cloud_errors(scene, truth.points, image.points, image.valid)
     off = distance(scene, image.points.reshape(-1, 3)).reshape(image.valid.shape)
     title = f"{int(image.valid.sum())} points, {errors.absolute:.3f} mm RMS from the true surface"
-    draw_scan(out / "cup.png", image.points, image.valid, title, off)
+    frame = len(image.steps) // 2
+    photograph = draw_stripe(read_image(out / "scan" / "frames" / f"{frame:03d}.png"), image.pixels[frame], True)
+    draw_scan(out / "cup.png", photograph, image.points, image.valid, off, title)
     return {
         "kind": "demo",
         "path": str(out),
