@@ -27,8 +27,8 @@ STRIPE_LIMIT = 4.0
 # A set of outliers that still changes by a point or two after so many solves changes nothing else.
 _MAX_SOLVES = 12
 _SIGMA_SETTLED = 0.01
-# A photograph's own σ² counts for its redundancy, that of all photographs for so many residuals more: about as many as a
-# photograph has, so that only what clearly differs counts clearly less.
+# A photograph's own σ² counts for its redundancy, that of all photographs for so many residuals more: about as many as
+# one photograph has, so that only what clearly differs counts clearly less.
 _PRIOR_RESIDUALS = 100.0
 _SCALES_SETTLED = 0.03
 _NORMAL_MAD = 1.4826
