@@ -28,8 +28,8 @@ class Arrow(eqx.Module):
         blocks: for each group of like blocks, (blocks, size): their unknowns, or their residuals.
     """
 
-    shared: Float[Array, "shared"]
-    blocks: tuple[Float[Array, "blocks size"], ...]
+    shared: Float[Array, "*stack shared"]
+    blocks: tuple[Float[Array, "*stack _ _"], ...]
 
 
 class Group(eqx.Module):
@@ -147,9 +147,12 @@ def solve_blocks(
         [unit + added[..., None] * jnp.eye(size, dtype=V.dtype)[None], scale[..., None] * right], -1
     )
 
-    def eliminate(j: int, M: Float[Array, "size columns blocks"]) -> Float[Array, "size columns blocks"]:
+    def eliminate(j: Array, M: Float[Array, "size columns blocks"]) -> Float[Array, "size columns blocks"]:
         row = jax.lax.dynamic_index_in_dim(M, j, 0, keepdims=False)
-        row = row / jax.lax.dynamic_index_in_dim(row, j, 0)
+        pivot = jax.lax.dynamic_index_in_dim(row, j, 0)
+        # Rounding in place of a pivot: a direction without data, which stays where it is (a generalised inverse).
+        determined = pivot > 1e3 * jnp.finfo(M.dtype).eps
+        row = jnp.where(determined, row / jnp.where(determined, pivot, 1.0), 0.0)
         M = M - jax.lax.dynamic_index_in_dim(M, j, 1) * row[None]
         return jax.lax.dynamic_update_index_in_dim(M, row, j, 0)
 
@@ -173,7 +176,7 @@ class Jacobian(eqx.Module):
     """
 
     shared: Float[Array, "residuals shared"]
-    blocks: tuple[Float[Array, "blocks residuals columns"], ...]
+    blocks: tuple[Float[Array, "_ _ _"], ...]
 
 
 def jacobian_columns(product: Callable[[Arrow], Arrow], like: Arrow) -> Jacobian:

@@ -31,7 +31,7 @@ class Estimate(eqx.Module):
     """
 
     shared: Shared
-    poses: tuple[Float[Array, "blocks 6"], ...]
+    poses: tuple[Float[Array, "_ 6"], ...]
 
 
 class Outcome(eqx.Module):

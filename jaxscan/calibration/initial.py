@@ -6,7 +6,7 @@ known (Z. Zhang, PAMI 2000); it starts at the image centre. Everything here is N
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 _FOCAL_GRID = np.geomspace(0.3, 20.0, 24)
 # A start whose reprojection is off by more than this share of the image width is not believed.
@@ -129,7 +129,7 @@ def board_poses(
     return poses_from_homographies(homographies(points, rays, used))
 
 
-def robust_plane(points: Float[np.ndarray, "points 3"], group: Float[np.ndarray, "points"]) -> Float[np.ndarray, "3"]:
+def robust_plane(points: Float[np.ndarray, "points 3"], group: Int[np.ndarray, "points"]) -> Float[np.ndarray, "3"]:
     """The dual plane that most of the points lie on: least median of squares over random triples, then a fit.
 
     Args:

@@ -58,7 +58,7 @@ class Refined:
     stripe_sigma: float
     stripe_correlation: float
     groups: tuple[Blocks, ...]
-    errors: tuple[tuple[Float[Array, "blocks corners 2"], Float[Array, "blocks stripe"]], ...]
+    errors: tuple[tuple[Float[Array, "_ _ 2"], Float[Array, "_ _"]], ...]
     precision: Precision
     outcome: Outcome
     solves: int
@@ -141,7 +141,7 @@ def _stripe_correlation(groups: tuple[Blocks, ...], errors: tuple) -> float:
 @eqx.filter_jit
 def _errors(
     estimate: Estimate, groups: tuple[Blocks, ...]
-) -> tuple[tuple[Float[Array, "blocks corners 2"], Float[Array, "blocks stripe"]], ...]:
+) -> tuple[tuple[Float[Array, "_ _ 2"], Float[Array, "_ _"]], ...]:
     rig, warp = estimate.shared
     return tuple(
         jax.vmap(lambda pose, block: block_errors(rig, warp, pose, block))(poses, group)

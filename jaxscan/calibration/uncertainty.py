@@ -32,8 +32,8 @@ class Precision(eqx.Module):
     covariance: Float[Array, "shared shared"]
     eigenvalues: Float[Array, "shared"]
     directions: Float[Array, "shared shared"]
-    blocks: tuple[Float[Array, "blocks columns columns"], ...]
-    leverage: tuple[Float[Array, "blocks residuals"], ...]
+    blocks: tuple[Float[Array, "_ _ _"], ...]
+    leverage: tuple[Float[Array, "_ _"], ...]
 
 
 @eqx.filter_jit

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxscan.errors import InputError
 from jaxscan.precision import as_float64, float64
@@ -93,7 +93,7 @@ class Kernel(eqx.Module):
 
     def _undistort_radial(
         self, xd: Float[Array, ""], yd: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
         rho = (xd * xd + yd * yd) / self.reach
         s = jnp.zeros_like(rho)
         for c in self.factor[::-1]:

@@ -13,11 +13,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 Coefficients = tuple[Float[Array, ""], ...]
 
-_MAX_NEWTON_STEPS = 30
+_MAX_NEWTON_STEPS = 60
 # The invertible range is looked for up to this radius: 84 degrees from the axis.
 _WIDEST_RADIUS = 10.0
 _RADIUS_SAMPLES = 512
@@ -95,7 +95,7 @@ def invertible_radius(radial: Coefficients, dtype: Any) -> tuple[Float[Array, ""
     return jnp.where(folds, r[i + 1], r[-1]), jnp.where(folds, _parabola_top(r, rd, i), rd[last])
 
 
-def _parabola_top(r: Float[Array, "n"], f: Float[Array, "n"], i: Float[Array, ""]) -> Float[Array, ""]:
+def _parabola_top(r: Float[Array, "n"], f: Float[Array, "n"], i: Int[Array, ""]) -> Float[Array, ""]:
     """Height of the parabola through the samples i − 1, i, i + 1."""
     a, b, c = r[i - 1], r[i], r[i + 1]
     left, right = (f[i] - f[i - 1]) / (b - a), (f[i + 1] - f[i]) / (c - b)
@@ -117,15 +117,19 @@ def _radial_scale(radial: Coefficients, rd2: Float[Array, ""]) -> Float[Array, "
         return r * radial_factor(radial, r * r)
 
     def newton(state: Any) -> Any:
-        r, _, n = state
+        r, _, n, low, high = state
         value, slope = jax.jvp(height, (r,), (jnp.ones_like(r),))
-        safe = jnp.where(slope > 0, slope, 1.0)
-        new = jnp.clip(jnp.where(slope > 0, r - (value - target) / safe, 0.5 * r), 0.0, r_limit)
-        return new, jnp.abs(new - r), n + 1
+        # The root is kept between bounds, and halved towards where a Newton step would leave them. Beyond the fold the
+        # height falls, beyond a pole of a rational lens it is negative.
+        beyond = (value > target) | (slope <= 0) | (value < 0)
+        low, high = jnp.where(beyond, low, r), jnp.where(beyond, r, high)
+        new = r - (value - target) / jnp.where(slope > 0, slope, 1.0)
+        new = jnp.where((slope > 0) & (value >= 0) & (new >= low) & (new <= high), new, 0.5 * (low + high))
+        return new, jnp.abs(new - r), n + 1, low, high
 
     tolerance = 4 * jnp.finfo(rd2.dtype).eps
-    start = (jnp.minimum(target, r_limit), jnp.full_like(rd2, jnp.inf), 0)
-    r, _, _ = jax.lax.while_loop(lambda s: (s[1] > tolerance * (1 + s[0])) & (s[2] < _MAX_NEWTON_STEPS), newton, start)
+    start = (jnp.minimum(target, r_limit), jnp.full_like(rd2, jnp.inf), 0, jnp.zeros_like(rd2), r_limit)
+    r, *_ = jax.lax.while_loop(lambda s: (s[1] > tolerance * (1 + s[0])) & (s[2] < _MAX_NEWTON_STEPS), newton, start)
     return jnp.where(inside, 1 / radial_factor(radial, r * r), jnp.nan)
 
 
