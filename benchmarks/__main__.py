@@ -16,6 +16,7 @@ SUITES = {
     "growth": "time of a calibration over the number of views, against OpenCV's",
     "real": "real photographs and published answers (needs JAXSCAN_DATA)",
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
+    "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
     "demo": "time and memory of the whole demo",
 }
 

@@ -43,5 +43,8 @@ class Metric:
 
 
 def ratio(name: str, value: float, target: float, better: Literal["lower", "higher"] = "lower") -> Metric:
-    """A ratio of two times taken in one run."""
-    return Metric(name, value, "", better, target, slack=0.35)
+    """A ratio of two times taken in one run.
+
+    On a shared machine one and the same code measured 0.43 and 0.74 on two days: the gate lets it double.
+    """
+    return Metric(name, value, "", better, target, slack=1.0)

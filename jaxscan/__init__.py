@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from jaxscan.calibration.observe import observe
     from jaxscan.errors import InputError, JaxscanError, ObservabilityError, SolveError
     from jaxscan.files.cloud import Cloud, read_ply, write_ply
-    from jaxscan.files.rig_file import Covariance, RigFile, read_rig, write_rig
+    from jaxscan.files.rig_file import RigFile, read_rig, write_rig
     from jaxscan.files.scan import Scan, read_scan
     from jaxscan.files.session import Session, read_session
     from jaxscan.geometry import Pose
     from jaxscan.images import Board
     from jaxscan.reconstruction import RangeImage, reconstruct, write_points
-    from jaxscan.rig import Camera, LightPlane, Rig, Stage, System
+    from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage, System
 
 _HOME = {
     "Calibration": "jaxscan.calibration",
@@ -35,7 +35,7 @@ _HOME = {
     "Cloud": "jaxscan.files.cloud",
     "read_ply": "jaxscan.files.cloud",
     "write_ply": "jaxscan.files.cloud",
-    "Covariance": "jaxscan.files.rig_file",
+    "Covariance": "jaxscan.rig",
     "RigFile": "jaxscan.files.rig_file",
     "read_rig": "jaxscan.files.rig_file",
     "write_rig": "jaxscan.files.rig_file",

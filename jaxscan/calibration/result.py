@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float
 from jaxscan.calibration.blocks import reference_step
 from jaxscan.calibration.observations import Observations, View
 from jaxscan.calibration.rounds import Refined
-from jaxscan.files.rig_file import Covariance, RigFile
+from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
-from jaxscan.rig import Rig, System
+from jaxscan.rig import Covariance, Rig, System
 from jaxscan.rig.rig import parameter_names
 
 
@@ -47,6 +47,8 @@ class Calibration:
         rig: camera, light planes, stage; NumPy float64 leaves.
         system: the same with every board pose.
         covariance: of the rig's parameters; one that was held is not among them.
+        board_covariances: view by view, of the rig's parameters and that board's pose together.
+        stage_covariances: the same of each stage sequence's pose at motor step 0.
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
         stripe_correlation: how many neighbouring stripe points are worth one, by the correlation of their errors.
@@ -63,6 +65,8 @@ class Calibration:
     rig: Rig
     system: System
     covariance: Covariance
+    board_covariances: tuple[Covariance, ...]
+    stage_covariances: tuple[Covariance, ...]
     corner_sigma_px: float
     stripe_sigma_px: float | None
     stripe_correlation: float | None
@@ -121,6 +125,13 @@ def assemble(refined: Refined, observations: Observations, held: set[str], left_
         rig=as_numpy(rig),
         system=as_numpy(System(rig, boards, stages, warp)),
         covariance=Covariance(tuple(names[i] for i in at), covariance),
+        board_covariances=_with_poses(refined, 0, n_views, names, at),
+        stage_covariances=tuple(
+            _at_step_0(covariance, reference_step(stage))
+            for covariance, stage in zip(
+                _with_poses(refined, 1, n_stages, names, at) if n_stages else (), observations.stages, strict=True
+            )
+        ),
         corner_sigma_px=float(refined.noise.corner),
         stripe_sigma_px=refined.stripe_sigma if stripe.size else None,
         stripe_correlation=refined.stripe_correlation if stripe.size else None,
@@ -133,6 +144,26 @@ def assemble(refined: Refined, observations: Observations, held: set[str], left_
         solves=refined.solves,
         steps=int(refined.outcome.steps),
     )
+
+
+_POSE = tuple(f"board.{part}.{i}" for part in ("rotation", "translation") for i in range(3))
+
+
+def _with_poses(refined: Refined, group: int, count: int, names: list[str], at: list[int]) -> tuple[Covariance, ...]:
+    """The covariance of the free rig parameters and the pose, for each board of a group."""
+    joint = np.asarray(refined.precision.blocks[group])[:count]
+    kept = np.array([*at, *range(joint.shape[1] - len(_POSE), joint.shape[1])])
+    return tuple(Covariance((*(names[i] for i in at), *_POSE), matrix[np.ix_(kept, kept)]) for matrix in joint)
+
+
+def _at_step_0(covariance: Covariance, mean: float) -> Covariance:
+    """From the pose at a sequence's mean step to that at step 0: t₀ = t − mean · per_step."""
+    J = np.eye(len(covariance.names))
+    for i in range(3):
+        name = f"stage.per_step.{i}"
+        if name in covariance.names:
+            J[covariance.names.index(f"board.translation.{i}"), covariance.names.index(name)] = -mean
+    return Covariance(covariance.names, J @ covariance.matrix @ J.T)
 
 
 def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: int) -> tuple[PhotographFit, ...]:

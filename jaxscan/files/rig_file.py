@@ -16,7 +16,7 @@ from typing import Any, Final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float64
+from jaxtyping import Array
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
@@ -24,30 +24,10 @@ from jaxscan.files.rig_checks import check_covariance, check_light_plane
 from jaxscan.files.table import PassedOverWarning, Table
 from jaxscan.files.text import read_json
 from jaxscan.precision import as_numpy
-from jaxscan.rig import LENSES, Camera, LightPlane, Rig, Stage
+from jaxscan.rig import LENSES, Camera, Covariance, LightPlane, Rig, Stage
 from jaxscan.rig.rig import parameter_names
 
 FORMAT: Final = "jaxscan-rig/1"
-
-
-@dataclass(frozen=True)
-class Covariance:
-    """The covariance of a rig's parameters.
-
-    Attributes:
-        names: the parameters, by `parameter_names`; one that was held is not among them.
-        matrix: their covariance, in the parameters' own units.
-    """
-
-    names: tuple[str, ...]
-    matrix: Float64[np.ndarray, "parameters parameters"]
-
-    def sigma(self, name: str) -> float | None:
-        """The standard deviation of one parameter, None where it was held."""
-        return math.sqrt(max(self.matrix[i, i], 0.0)) if (i := self._index(name)) is not None else None
-
-    def _index(self, name: str) -> int | None:
-        return self.names.index(name) if name in self.names else None
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,11 @@
-"""The standard deviation of a triangulated point along its ray, split into the rig's part and the pixel's.
+"""How well a triangulated point is known: the rig's part and the pixel's.
 
-The range ρ = |X| of a point along its ray is a function of the rig's parameters θ and of the stripe's position v in
-its column: σ² = ρ_θ Σ ρ_θᵀ + ρ_v² σ_v², to first order.
+A point of the object frame, X = x(u, v) / (ω · x) − n · per_step, is a function of the rig's parameters θ and of the
+stripe's position s in its column (or row): its covariance is X_θ Σ X_θᵀ + X_s σ_s² X_sᵀ, to first order. Along the ray,
+with d its direction, that is (d · X_θ) Σ (d · X_θ)ᵀ + (d · X_s)² σ_s².
 """
+
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -11,10 +14,56 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from jaxscan.files.rig_file import Covariance
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Rig
-from jaxscan.rig.rig import parameter_names
+from jaxscan.rig import Covariance, Rig
+
+
+@dataclass(frozen=True)
+class PointCovariance:
+    """The covariance of points of the object frame, mm².
+
+    Attributes:
+        rig: what comes from the rig's parameters: common to all points, and so no noise that an average removes.
+        pixel: what comes from the stripe's position in this very photograph.
+    """
+
+    rig: Float[np.ndarray, "points 3 3"]
+    pixel: Float[np.ndarray, "points 3 3"]
+
+    @property
+    def total(self) -> Float[np.ndarray, "points 3 3"]:
+        """Both together."""
+        return self.rig + self.pixel
+
+
+def point_covariance(
+    rig: Rig,
+    laser: str,
+    covariance: Covariance,
+    stripe_sigma_px: float,
+    pixels: Float[np.ndarray, "points 2"],
+    steps: Float[np.ndarray, "points"],
+    columns: bool,
+) -> PointCovariance:
+    """The covariance of each triangulated point.
+
+    Args:
+        rig: the rig.
+        laser: which of its lasers; "" for the only one.
+        covariance: of its parameters.
+        stripe_sigma_px: σ of the stripe's position.
+        pixels: (u, v) of the stripe points.
+        steps: motor step count of each.
+        columns: whether v was measured, or u.
+    """
+    with float64():
+        of_rig, of_pixel = (
+            np.asarray(J) for J in _jacobians(as_float64(rig), laser, *_as_arrays(pixels, steps, columns), False)
+        )
+    return PointCovariance(
+        rig=of_rig @ covariance.of_leaves(rig) @ np.swapaxes(of_rig, 1, 2),
+        pixel=stripe_sigma_px**2 * of_pixel[:, :, None] * of_pixel[:, None, :],
+    )
 
 
 def point_sigma(
@@ -23,47 +72,50 @@ def point_sigma(
     covariance: Covariance,
     stripe_sigma_px: float,
     pixels: Float[np.ndarray, "points 2"],
+    steps: Float[np.ndarray, "points"],
     columns: bool,
 ) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
     """σ of each point along its ray, of rig and pixel together and of the pixel alone (mm).
 
-    Args:
-        rig: the rig.
-        laser: which of its lasers.
-        covariance: of its parameters.
-        stripe_sigma_px: σ of the stripe's position.
-        pixels: (u, v) of the stripe points.
-        columns: whether v was measured, or u.
+    The arguments are those of `point_covariance`.
     """
-    names = parameter_names(rig)
-    full = np.zeros((len(names), len(names)))
-    at = [names.index(name) for name in covariance.names]
-    full[np.ix_(at, at)] = covariance.matrix
-    along = np.array([0.0, 1.0]) if columns else np.array([1.0, 0.0])
     with float64():
-        of_rig, of_pixel = _sigmas(
-            as_float64(rig), laser, jnp.asarray(full), jnp.asarray(along), jnp.asarray(pixels, jnp.float64)
+        of_rig, of_pixel = (
+            np.asarray(J)[:, 0] for J in _jacobians(as_float64(rig), laser, *_as_arrays(pixels, steps, columns), True)
         )
-        pixel = np.asarray(of_pixel) * stripe_sigma_px
-        return np.hypot(np.asarray(of_rig), pixel), pixel
+    variance = np.einsum("pi,ij,pj->p", of_rig, covariance.of_leaves(rig), of_rig)
+    pixel = np.abs(of_pixel) * stripe_sigma_px
+    return np.sqrt(variance + pixel**2), pixel
+
+
+def _as_arrays(
+    pixels: Float[np.ndarray, "points 2"], steps: Float[np.ndarray, "points"], columns: bool
+) -> tuple[Float[Array, "points 2"], Float[Array, "points"], Float[Array, "2"]]:
+    along = jnp.asarray([0.0, 1.0] if columns else [1.0, 0.0])
+    return jnp.asarray(pixels, jnp.float64), jnp.asarray(steps, jnp.float64), along
 
 
 @eqx.filter_jit
-def _sigmas(
+def _jacobians(
     rig: Rig,
     laser: str,
-    covariance: Float[Array, "n n"],
-    along: Float[Array, "2"],
     pixels: Float[Array, "points 2"],
-) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
-    parameters, unravel = ravel_pytree(rig)
+    steps: Float[Array, "points"],
+    along: Float[Array, "2"],
+    along_ray: bool,
+) -> tuple[Float[Array, "points out leaves"], Float[Array, "points out"]]:
+    """∂X/∂θ and ∂X/∂s of each point: of its three coordinates, or of the one along its ray."""
+    theta, unravel = ravel_pytree(rig)
 
-    def distance(parameters: Float[Array, "n"], pixel: Float[Array, "2"]) -> Float[Array, ""]:
-        rig = unravel(parameters)
-        return jnp.linalg.norm(rig.laser(laser).triangulate(rig.camera.ray(pixel)))
+    def each(
+        pixel: Float[Array, "2"], count: Float[Array, ""]
+    ) -> tuple[Float[Array, "out leaves"], Float[Array, "out"]]:
+        ray = rig.camera.ray(pixel)
+        axes = (ray / jnp.linalg.norm(ray))[None] if along_ray else jnp.eye(3)
 
-    def each(pixel: Float[Array, "2"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        by_rig, by_pixel = jax.grad(distance, argnums=(0, 1))(parameters, pixel)
-        return jnp.sqrt(by_rig @ covariance @ by_rig), jnp.abs(by_pixel @ along)
+        def coordinates(theta: Float[Array, "leaves"], s: Float[Array, ""]) -> Float[Array, "out"]:
+            return axes @ unravel(theta).triangulate(pixel + s * along, count, laser)
 
-    return jax.vmap(each)(pixels)
+        return jax.jacrev(coordinates, argnums=(0, 1))(theta, jnp.zeros(()))
+
+    return jax.vmap(each)(pixels, steps)

@@ -163,8 +163,9 @@ def _with_sigma(
     stripe_sigma = content.fit.get("stripe_sigma_px", content.fit.get("stripe_rms_px"))
     if content.covariance is not None and stripe_sigma is not None and valid.any():
         pixels = np.stack(_pixels(positions, scan.laser.columns), axis=-1)[valid.ravel()]
+        count = np.broadcast_to(steps[:, None], valid.shape)[valid].astype(np.float64)
         sigma[valid], sigma_pixel[valid] = point_sigma(
-            content.rig, scan.laser.name, content.covariance, stripe_sigma, pixels, scan.laser.columns
+            content.rig, scan.laser.name, content.covariance, stripe_sigma, pixels, count, scan.laser.columns
         )
     return RangeImage(
         points=np.where(valid[..., None], points, np.float32(np.nan)),

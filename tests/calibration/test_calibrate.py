@@ -73,6 +73,27 @@ def test_a_far_first_step_does_not_matter(session, calibration):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-15)
     at_first = moved.system.stage_board(0, np.array(-100000.0)).translation
     np.testing.assert_allclose(at_first, calibration.system.stages.translation[0], atol=1e-4)
+    # … nor to how well the pose there is known, although at step 0, far outside the sequence, it is known much worse.
+    there, here = moved.stage_covariances[0], calibration.stage_covariances[0]
+    J = np.eye(len(there.names))
+    for i in range(3):
+        J[there.names.index(f"board.translation.{i}"), there.names.index(f"stage.per_step.{i}")] = -100000.0
+    scale = np.sqrt(np.diagonal(here.matrix))
+    np.testing.assert_allclose(
+        J @ there.matrix @ J.T / np.outer(scale, scale), here.matrix / np.outer(scale, scale), atol=1e-6
+    )
+    assert there.sigma("board.translation.1") > 2 * here.sigma("board.translation.1")
+
+
+def test_the_pose_of_each_board_has_a_covariance_with_the_rig(session, calibration):
+    n = len(calibration.covariance.names)
+    assert len(calibration.board_covariances) == len(session.views)
+    for covariance in (*calibration.board_covariances, *calibration.stage_covariances):
+        assert covariance.names[:n] == calibration.covariance.names
+        np.testing.assert_array_equal(covariance.matrix[:n, :n], calibration.covariance.matrix)
+        assert (
+            np.linalg.eigvalsh(covariance.matrix / np.outer(*2 * [np.sqrt(np.diagonal(covariance.matrix))])) > 0
+        ).all()
 
 
 def test_stripe_found_row_by_row_and_no_stage():

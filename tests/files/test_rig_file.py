@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import InputError
-from jaxscan.files.rig_file import Covariance, RigFile, read_rig, write_rig
+from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.files.table import PassedOverWarning
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
 from jaxscan.rig.rig import parameter_names
 
 # The example of the format's description, with numbers that no float32 holds.

@@ -3,41 +3,79 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from jaxscan.files.rig_file import Covariance
 from jaxscan.precision import as_float64, as_numpy, float64
-from jaxscan.reconstruction.point_sigma import point_sigma
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.reconstruction.point_sigma import point_covariance, point_sigma
+from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
 from jaxscan.rig.rig import parameter_names
 
+PIXELS = np.array([[100.0, 60.0], [320.0, 100.0], [600.0, 20.0]])
+STEPS = np.array([0.0, 40000.0, -72000.0])
+STRIPE_SIGMA = 0.1
 
-def test_sigma_is_the_spread_of_drawn_rigs_and_pixels():
+
+@pytest.fixture(scope="module")
+def rig():
     with float64():
         camera = Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], "radial1", [-0.134])
-        rig = as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), Stage.create([0.0, 1e-3, -1e-4])))
+        return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), Stage.create([0.0, 1e-3, -1e-4])))
+
+
+@pytest.fixture(scope="module")
+def covariance(rig):
     names = tuple(parameter_names(rig))
     random = np.random.default_rng(0)
-    scale = np.array([0.3, 0.3, 0.2, 0.2, 1e-3, 1e-6, 2e-6, 2e-6, 1e-7, 1e-7, 1e-7])
-    mixing = np.eye(len(names)) + 0.3 * random.normal(size=(len(names), len(names)))
-    root = scale[:, None] * mixing
-    pixels = np.array([[100.0, 60.0], [320.0, 100.0], [600.0, 20.0]])
-    both, pixel_alone = point_sigma(rig, "", Covariance(names, root @ root.T), 0.1, pixels, columns=True)
+    scale = np.array([0.3, 0.3, 0.2, 0.2, 1e-3, 1e-6, 2e-6, 2e-6, 4e-6, 4e-6, 4e-6])
+    root = scale[:, None] * (np.eye(len(names)) + 0.3 * random.normal(size=(len(names), len(names))))
+    return Covariance(names, root @ root.T)
+
+
+@pytest.fixture(scope="module")
+def drawn(rig, covariance):
+    """Points of 20 000 drawn rigs (draws, points, 3): with exact pixels, and of the rig with drawn pixels."""
+    random = np.random.default_rng(1)
+    n = 20000
     with float64():
         leaves, tree = jax.tree.flatten(as_float64(rig))
 
         @jax.jit
         @jax.vmap
-        def distances(parameters, shift):
-            drawn = jax.tree.unflatten(tree, list(parameters))
-            each = jax.vmap(lambda p: drawn.lasers[0].triangulate(drawn.camera.ray(p)))
-            return jnp.linalg.norm(each(jnp.asarray(pixels) + shift[:, None] * jnp.array([[0.0, 1.0]])), axis=1)
+        def points(parameters, shift):
+            rig = jax.tree.unflatten(tree, list(parameters))
+            moved = jnp.asarray(PIXELS) + shift[:, None] * jnp.array([[0.0, 1.0]])
+            return jax.vmap(rig.triangulate)(moved, jnp.asarray(STEPS))
 
-        n = 20000
-        parameters = np.array([float(x) for x in leaves]) + random.normal(size=(n, len(names))) @ root.T
-        shifts = 0.1 * random.normal(size=(n, len(pixels)))
-        spread = np.asarray(distances(jnp.asarray(parameters), jnp.asarray(shifts))).std(axis=0)
-        of_pixel = np.asarray(distances(jnp.asarray(np.tile(parameters.mean(0), (n, 1))), jnp.asarray(shifts))).std(
-            axis=0
-        )
-    np.testing.assert_allclose(both, spread, rtol=0.03)
+        mean = np.array([float(x) for x in leaves])
+        parameters = random.multivariate_normal(mean, covariance.matrix, size=n)
+        shifts = STRIPE_SIGMA * random.normal(size=(n, len(PIXELS)))
+        of_rig = points(jnp.asarray(parameters), jnp.zeros(shifts.shape))
+        of_pixel = points(jnp.asarray(np.tile(mean, (n, 1))), jnp.asarray(shifts))
+        return np.asarray(of_rig), np.asarray(of_pixel)
+
+
+def test_covariances_of_rig_and_pixel_are_those_of_drawn_rigs_and_pixels(rig, covariance, drawn):
+    found = point_covariance(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=True)
+    for part, points in zip((found.rig, found.pixel), drawn, strict=True):
+        for i in range(len(PIXELS)):
+            spread = np.cov(points[:, i].T)
+            np.testing.assert_allclose(part[i], spread, atol=0.04 * np.abs(spread).max())
+    np.testing.assert_array_equal(found.total, found.rig + found.pixel)
+
+
+def test_sigma_is_the_spread_along_the_ray(rig, covariance, drawn):
+    both, pixel_alone = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=True)
+    with float64():
+        rays = np.array([as_float64(rig).camera.ray(jnp.asarray(pixel)) for pixel in PIXELS])
+    along = rays / np.linalg.norm(rays, axis=1)[:, None]
+    of_rig, of_pixel = (np.einsum("npi,pi->np", points, along).std(axis=0) for points in drawn)
     np.testing.assert_allclose(pixel_alone, of_pixel, rtol=0.03)
+    np.testing.assert_allclose(both, np.hypot(of_rig, of_pixel), rtol=0.03)
+
+
+def test_a_stripe_found_row_by_row_is_uncertain_along_u(rig, covariance):
+    near_axis = 1
+    _, by_rows = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=False)
+    _, by_columns = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=True)
+    # ω has no x component: on the axis a step along u moves the point across the ray alone, not in depth.
+    assert by_rows[near_axis] < 0.02 * by_columns[near_axis]

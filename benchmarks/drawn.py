@@ -1,0 +1,80 @@
+"""Observations drawn, not photographed: what an ideal detector sees of the simulated rig of 2003, plus noise."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxscan.calibration import Observations, StageSequence, StripePoints, View
+from jaxscan.precision import as_float64, float64
+from jaxscan.rig import Camera, Rig
+from jaxscan.simulation import rig_2003
+from jaxscan.simulation.profile import true_profile
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of what is seen, pixels."""
+
+    corner: float = 0.02
+    stripe: float = 0.06
+
+
+def exact_session(seed: int) -> tuple[Rig, Observations]:
+    """The rig of a seed, and what is seen of its boards without any noise."""
+    rig = rig_2003.simulated_rig(seed)
+    poses, stage = rig_2003.board_poses(rig, seed), rig_2003.stage_pose(rig, seed)
+    points = rig_2003.BOARD.points()
+    views = []
+    for i, (rotation, translation) in enumerate(
+        zip(np.asarray(poses.rotation), np.asarray(poses.translation), strict=True)
+    ):
+        profile = true_profile(rig, rig_2003.board_scene(rotation, translation))
+        columns = np.where(np.isfinite(profile.position), np.arange(len(profile.position)), np.nan)
+        # No squares were drawn, so that their edges need not be kept away from.
+        stripe = StripePoints(np.stack([columns, profile.position], axis=-1), half_width_px=1e-6)
+        X = points @ rig_2003.matrix_of(rotation).T + translation
+        views.append(View(f"view-{i}", _project(rig.camera, X), stripes=(stripe,)))
+    steps = rig_2003.STEPS_APART * np.arange(rig_2003.STAGE_VIEWS, dtype=float)
+    first = points @ rig_2003.matrix_of(np.asarray(stage.rotation)).T + stage.translation
+    along = tuple(
+        View(f"stage-{i}", _project(rig.camera, first + moved))
+        for i, moved in enumerate(rig_2003.stage_travel(rig, steps))
+    )
+    return rig, Observations(
+        rig_2003.IMAGE_SIZE, rig_2003.BOARD, tuple(views), (StageSequence(steps, along),), lasers=("",)
+    )
+
+
+def redrawn(exact: Observations, noise: Noise, random: np.random.Generator) -> Observations:
+    """The same observations with fresh noise."""
+
+    def corners(view: View) -> View:
+        return replace(view, corners=view.corners + noise.corner * random.normal(size=view.corners.shape))
+
+    def stripes(view: View) -> View:
+        return replace(
+            view,
+            stripes=tuple(
+                replace(s, pixels=s.pixels + noise.stripe * random.normal(size=(len(s.pixels), 1)) * [0.0, 1.0])
+                for s in view.stripes
+            ),
+        )
+
+    return replace(
+        exact,
+        views=tuple(stripes(corners(view)) for view in exact.views),
+        stages=tuple(replace(stage, views=tuple(map(corners, stage.views))) for stage in exact.stages),
+    )
+
+
+def _project(camera: Camera, X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
+    with float64():
+        return np.asarray(_projected(as_float64(camera), jnp.asarray(X)))
+
+
+@jax.jit
+def _projected(camera: Camera, X: Float[Array, "points 3"]) -> Float[Array, "points 2"]:
+    return jax.vmap(camera.project)(X)

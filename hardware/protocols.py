@@ -1,0 +1,69 @@
+"""What a scan asks of a camera, a stage and a laser. Anything with these methods will do; nothing has to inherit.
+
+Every call returns within a time that follows from what was asked, or raises `TimeoutError`. `Stage.stop` may be called
+from another thread, at any time.
+"""
+
+from typing import Protocol, runtime_checkable
+
+from hardware.frame import Frame
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """Takes photographs."""
+
+    def open(self) -> None:
+        """Connect; after it `expose` works."""
+        ...
+
+    def configure(self, exposure_s: float, gain: float = 1.0) -> None:
+        """Set exposure time and gain for the photographs to come."""
+        ...
+
+    def expose(self, step_count: int) -> Frame:
+        """Take one photograph, at the step count at which the stage stands."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect; safe to call twice."""
+        ...
+
+
+@runtime_checkable
+class Stage(Protocol):
+    """Moves along a line, in motor steps."""
+
+    def home(self) -> None:
+        """Drive to the reference switch and call that place 0."""
+        ...
+
+    def move_to(self, step_count: int) -> None:
+        """Go there and return when it stands still there: arrived, by its own report."""
+        ...
+
+    def position(self) -> int:
+        """The step count that the controller reports, read anew each time."""
+        ...
+
+    def stop(self) -> None:
+        """Stand still as soon as the line carries the order; from any thread."""
+        ...
+
+
+@runtime_checkable
+class Laser(Protocol):
+    """A sheet of light that may be switched."""
+
+    @property
+    def switchable(self) -> bool:
+        """Whether `on` and `off` do anything; a laser that is always on says no."""
+        ...
+
+    def on(self) -> None:
+        """Switch it on."""
+        ...
+
+    def off(self) -> None:
+        """Switch it off."""
+        ...

@@ -1,0 +1,75 @@
+"""The covariance of a rig's parameters, and of whatever is computed from a rig.
+
+A function f of the parameters θ has, to first order, the covariance J Σ Jᵀ with J = ∂f/∂θ.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Float64
+
+from jaxscan.precision import as_float64, float64
+from jaxscan.rig.camera import Camera
+from jaxscan.rig.rig import Rig, parameter_names
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """The covariance of parameters.
+
+    Attributes:
+        names: the parameters, by `parameter_names`; one that was held is not among them. Those of a board's pose may
+            follow, `board.rotation.0` … `board.translation.2`.
+        matrix: their covariance, in the parameters' own units.
+    """
+
+    names: tuple[str, ...]
+    matrix: Float64[np.ndarray, "parameters parameters"]
+
+    def sigma(self, name: str) -> float | None:
+        """The standard deviation of one parameter, None where it was held."""
+        if name not in self.names:
+            return None
+        i = self.names.index(name)
+        return math.sqrt(max(self.matrix[i, i], 0.0))
+
+    def of_leaves(self, rig: Rig) -> Float64[np.ndarray, "leaves leaves"]:
+        """The covariance of all leaves of the rig in their order; zero for those that were held."""
+        leaves = parameter_names(rig)
+        known = [i for i, name in enumerate(self.names) if name in leaves]
+        at = [leaves.index(self.names[i]) for i in known]
+        full = np.zeros((len(leaves), len(leaves)))
+        full[np.ix_(at, at)] = self.matrix[np.ix_(known, known)]
+        return full
+
+    def of(self, rig: Rig, function: Callable[[Rig], Float[Array, "*out"]]) -> Float64[np.ndarray, "size size"]:
+        """The covariance of what a function computes from the rig, in its ravelled order.
+
+        Args:
+            rig: where to linearise: the rig that the covariance belongs to.
+            function: any differentiable function of a rig.
+        """
+        with float64():
+            theta, unravel = ravel_pytree(as_float64(rig))
+            J = np.asarray(jax.jacfwd(lambda theta: jnp.ravel(function(unravel(theta))))(theta))
+        return J @ self.of_leaves(rig) @ J.T
+
+    def of_projected(self, rig: Rig, points: Float[np.ndarray, "points 3"]) -> Float64[np.ndarray, "points 2 2"]:
+        """The covariance of the pixels (u, v) at which the rig's camera sees points of its frame (mm), px²."""
+        with float64():
+            camera = as_float64(rig.camera)
+            J = np.asarray(_projection_jacobian(camera, jnp.asarray(points, jnp.float64)))
+        n = J.shape[2]
+        # The camera's leaves are the rig's first.
+        return J @ self.of_leaves(rig)[:n, :n] @ np.swapaxes(J, 1, 2)
+
+
+@jax.jit
+def _projection_jacobian(camera: Camera, points: Float[Array, "points 3"]) -> Float[Array, "points 2 parameters"]:
+    theta, unravel = ravel_pytree(camera)
+    return jax.vmap(lambda point: jax.jacfwd(lambda theta: unravel(theta).project(point))(theta))(points)
