@@ -67,4 +67,7 @@ def set_up(extra: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:  # what was running has had it too
+        sys.exit(130)

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -19,66 +20,109 @@ def replacing(path: str | os.PathLike[str], mode: Literal["w", "wb"] = "wb") -> 
     """A file to write to, which takes the place of `path` when the block ends without an error.
 
     Until then it stands in the same folder under a hidden name of its own; after an error it is gone and whatever stood
-    at `path` is untouched. Text is UTF-8 with plain newlines.
+    at `path` is untouched. A link stays, and what it leads to is replaced. Text is UTF-8 with plain newlines.
 
     Raises:
-        InputError: the folder is missing or closed to writing, `path` is a folder, or the disk is full.
+        InputError: as `check_writable`, or the disk is full.
     """
     check_writable(path)
-    target = Path(path)
-    beside = target.parent / f".{target.name}.{secrets.token_hex(4)}.part"
+    target = Path(os.path.realpath(path))
+    beside = _beside(target)
     try:
         file = beside.open("xb") if mode == "wb" else beside.open("x", encoding="utf-8", newline="\n")
     except OSError as error:
-        raise _refusal(target, error) from error
+        raise _refusal(path, error) from error
     try:
         with file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        _rename(beside, target)
+        try:
+            os.replace(beside, target)
+        except OSError as error:
+            raise _refusal(path, error) from error
+        _sync(target.parent)
     except OSError as error:
         if error.errno in _DISK_ERRORS:
-            raise _refusal(target, error) from error
+            raise _refusal(path, error) from error
         raise
     finally:
         beside.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def replacing_folders(folder: Path) -> Iterator[Path]:
+    """An empty folder, of which each inner folder takes the place of that of its name in `folder` when the block ends.
+
+    Until then it is a hidden one inside `folder`; after an error it is gone, and so is `folder` where it was not there.
+
+    Raises:
+        InputError: the folder cannot be made.
+    """
+    made = not folder.exists()
+    beside = folder / f".{secrets.token_hex(4)}.part"
+    try:
+        beside.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
+    try:
+        yield beside
+        for inner in list(beside.iterdir()):
+            if (folder / inner.name).exists():
+                os.replace(folder / inner.name, beside / f"old-{inner.name}")
+            os.replace(inner, folder / inner.name)
+        made = False
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+        if made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Refuse a place that `replacing` could not write to, before the work that leads to it.
 
     Raises:
-        InputError: the folder is missing or closed to writing, or `path` is a folder.
+        InputError: the folder is missing or closed to writing, the name is too long, or `path` is a folder, a device or
+            anything else that is no plain file.
     """
-    target = Path(path)
-    if target.is_dir():
-        raise InputError(f"{target}: cannot be written, it is a folder: name a file in it")
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: cannot be written, there is no folder {target.parent}: create it first")
-    if not os.access(target.parent, os.W_OK):
-        raise InputError(f"{target}: cannot be written: choose a folder that you may write to")
-
-
-def _rename(beside: Path, target: Path) -> None:
-    """Put the finished file in its place, and make the renaming itself survive a loss of power where that can be."""
+    target = Path(os.path.realpath(path))
     try:
-        os.replace(beside, target)
+        os.lstat(_beside(target))
+    except (FileNotFoundError, NotADirectoryError):
+        pass
     except OSError as error:
-        raise _refusal(target, error) from error
+        raise _refusal(path, error) from error
+    if target.is_dir():
+        raise InputError(f"{path}: cannot be written, it is a folder: name a file in it")
+    if os.path.lexists(target) and not target.is_file():
+        raise InputError(f"{path}: cannot be written, it is a device, a pipe or a broken link: name a plain file")
+    if not target.parent.is_dir():
+        raise InputError(f"{path}: cannot be written, there is no folder {Path(path).parent}: create it first")
+    if not os.access(target.parent, os.W_OK):
+        raise InputError(f"{path}: cannot be written: choose a folder that you may write to")
+
+
+def _beside(target: Path) -> Path:
+    """A hidden name of its own, in the same folder."""
+    return target.parent / f".{target.name}.{secrets.token_hex(4)}.part"
+
+
+def _sync(folder: Path) -> None:
+    """Make the renaming itself survive a loss of power, where that can be."""
     with contextlib.suppress(OSError):
-        folder = os.open(target.parent, os.O_RDONLY)
+        opened = os.open(folder, os.O_RDONLY)
         try:
-            os.fsync(folder)
+            os.fsync(opened)
         finally:
-            os.close(folder)
+            os.close(opened)
 
 
-def _refusal(target: Path, error: OSError) -> InputError:
+def _refusal(path: str | os.PathLike[str], error: OSError) -> InputError:
     mend = {
         errno.EACCES: "choose a folder that you may write to",
         errno.EPERM: "choose a folder that you may write to",
         errno.EROFS: "choose a folder that you may write to",
         errno.ENAMETOOLONG: "choose a shorter name",
     }.get(error.errno or 0, "make room, or choose another disk")
-    return InputError(f"{target}: cannot be written ({error.strerror or error}): {mend}")
+    return InputError(f"{path}: cannot be written ({error.strerror or error}): {mend}")

@@ -1,5 +1,9 @@
 """The errors that jaxscan raises on purpose: each text names the file, the value and the mend."""
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class JaxscanError(Exception):
     """Whatever jaxscan refuses to do, with the reason and the cure in its text."""
@@ -15,3 +19,12 @@ class ObservabilityError(InputError):
 
 class SolveError(JaxscanError):
     """The solve did not reach a minimum."""
+
+
+@contextmanager
+def said_of(where: str | os.PathLike[str]) -> Iterator[None]:
+    """Put the file, and the key, before the text of an `InputError` from code that sees values and no files."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{where}: {error}") from error

@@ -4,7 +4,7 @@ import stat
 
 import pytest
 
-from jaxscan.atomic import replacing
+from jaxscan.atomic import check_writable, replacing, replacing_folders
 from jaxscan.errors import InputError
 
 
@@ -64,3 +64,53 @@ def test_a_full_disk_is_an_input_error_and_a_foreign_error_is_not(tmp_path):
     with pytest.raises(TimeoutError):
         meet(TimeoutError(errno.ETIMEDOUT, "scanner"))
     assert os.listdir(tmp_path) == []
+
+
+def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "rig.json").write_text("old")
+    (tmp_path / "link.json").symlink_to("elsewhere/rig.json")
+    with replacing(tmp_path / "link.json", "w") as file:
+        file.write("new")
+    assert (tmp_path / "link.json").is_symlink()
+    assert (tmp_path / "elsewhere" / "rig.json").read_text() == "new"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_what_is_no_plain_file_is_left_alone(tmp_path):
+    """A device too would otherwise be renamed over, by a user who may."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    for name in ("pipe", "loop"):
+        with pytest.raises(InputError, match=f"{name}: .*name a plain file"):
+            check_writable(tmp_path / name)
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
+
+def test_a_name_that_is_too_long_is_refused_before_any_work(tmp_path):
+    with pytest.raises(InputError, match="shorter name"):
+        check_writable(tmp_path / ("x" * 250))
+
+
+def test_folders_change_together_or_not_at_all(tmp_path):
+    out = tmp_path / "world"
+
+    def write(text, error=None):
+        with replacing_folders(out) as folder:
+            for name in ("scan", "truth"):
+                (folder / name).mkdir()
+                (folder / name / "a").write_text(text)
+            if error:
+                raise error
+
+    with pytest.raises(KeyboardInterrupt):
+        write("half", KeyboardInterrupt())
+    assert not out.exists()
+    write("first")
+    (out / "rig.json").write_text("mine")
+    with pytest.raises(ZeroDivisionError):
+        write("half", ZeroDivisionError())
+    assert (out / "scan" / "a").read_text() == "first"
+    write("second")
+    assert (out / "truth" / "a").read_text() == "second"
+    assert sorted(os.listdir(out)) == ["rig.json", "scan", "truth"]

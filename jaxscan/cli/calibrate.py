@@ -27,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read the session, find corners and stripes, solve, and write the rig."""
     from jaxscan.atomic import check_writable
+    from jaxscan.errors import InputError
 
+    if args.output.suffix.lower() != ".json":
+        raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")
     check_writable(args.output)
     calibration = calibrate_session(args.session, args.output)
     from jaxscan.cli.facts import rig_facts

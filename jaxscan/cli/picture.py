@@ -1,13 +1,14 @@
 """What is detected in one photograph, drawn over it. Imported by the command when it runs, so freely slow."""
 
-from itertools import islice
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.errors import InputError
+from jaxscan.atomic import check_writable
+from jaxscan.errors import InputError, said_of
 from jaxscan.files.scan import Scan, read_scan
 from jaxscan.files.session import Session, read_session
 from jaxscan.images import StripeSettings, detect_stripe, find_board, read_image, read_video, write_image
@@ -22,8 +23,9 @@ def draw_frame(path: Path, index: int, out: Path) -> dict[str, Any]:
         InputError: there is no such frame, or the picture cannot be written.
     """
     scan = read_scan(path)
+    _spare(out, [*scan.frames, *scan.backgrounds])
     image, background = _frame(scan, index)
-    position = _stripe(image, scan.laser, background)
+    position = _stripe(scan.path, image, scan.laser, background)
     write_image(out, draw_stripe(image, position, scan.laser.columns))
     return {"path": str(out), **_found(position, scan.laser)}
 
@@ -36,6 +38,7 @@ def draw_view(path: Path, index: int, out: Path) -> dict[str, Any]:
     """
     session = read_session(path)
     _check(path, index, len(session.views.boards), "views")
+    _spare(out, session.photographs())
     photograph = read_image(session.views.boards[index])
     found = find_board(session.board, photograph)
     corners = 0 if found is None else int(np.isfinite(found.corners).all(axis=1).sum())
@@ -44,7 +47,7 @@ def draw_view(path: Path, index: int, out: Path) -> dict[str, Any]:
     for laser in session.lasers:
         lit = _lit(session, laser, index, photograph)
         if lit is not None:
-            position = _stripe(lit, laser, None)
+            position = _stripe(session.path, lit, laser, None)
             picture = draw_stripe(picture, position, laser.columns)
             lasers.append({"name": laser.name, **_found(position, laser)})
     write_image(out, picture)
@@ -54,10 +57,9 @@ def draw_view(path: Path, index: int, out: Path) -> dict[str, Any]:
 def _frame(scan: Scan, index: int) -> tuple[Image, Image | None]:
     """A frame and what is to be subtracted from it."""
     if scan.video:
-        frames = list(islice(read_video(scan.video), index, index + 1)) if index >= 0 else []
-        if not frames:
+        image = next((frame for i, frame in enumerate(read_video(scan.video)) if i == index), None)
+        if image is None:
             raise InputError(f"{scan.video}: has no frame {index}: they count from 0")
-        image = frames[0]
     else:
         _check(scan.path, index, len(scan.frames), "frames")
         image = read_image(scan.frames[index])
@@ -74,14 +76,22 @@ def _lit(session: Session, laser: StripeSettings, index: int, photograph: Image)
     return None if path is None else read_image(path)
 
 
-def _stripe(image: Image, laser: StripeSettings, background: Image | None) -> Float[np.ndarray, "lines"]:
-    stripe = detect_stripe(image, laser, background)
+def _stripe(path: Path, image: Image, laser: StripeSettings, background: Image | None) -> Float[np.ndarray, "lines"]:
+    with said_of(path):
+        stripe = detect_stripe(image, laser, background)
     return np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).ravel()
 
 
 def _found(position: Float[np.ndarray, "lines"], laser: StripeSettings) -> dict[str, Any]:
     lines = "columns" if laser.columns else "rows"
     return {"stripe_points": int(np.isfinite(position).sum()), f"of_{lines}": len(position)}
+
+
+def _spare(out: Path, photographs: Sequence[Path]) -> None:
+    """Refuse to draw over the place of a photograph, and whatever else could not be written, before any work."""
+    check_writable(out)
+    if out.exists() and any(out.samefile(photograph) for photograph in photographs):
+        raise InputError(f"{out}: is a photograph of this session or scan: name another file for the picture")
 
 
 def _check(path: Path, index: int, count: int, what: str) -> None:

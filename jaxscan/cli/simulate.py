@@ -73,6 +73,7 @@ def simulate_into(
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
+    from jaxscan.atomic import replacing_folders
     from jaxscan.cli.progress import progress
     from jaxscan.simulation import folders, rig_2003
 
@@ -80,9 +81,12 @@ def simulate_into(
     scene = rig_2003.scan_scene(rig, bodies)
     common: dict[str, Any] = {"sensor": sensor or rig_2003.SENSOR, "ending": ending}
     boards = rig_2003.BOARD_VIEWS * (2 if separate_stripes else 1)
-    with progress("rendering", boards + rig_2003.STAGE_VIEWS + rig_2003.SCAN_FRAMES) as advance:
+    with (
+        replacing_folders(out) as folder,
+        progress("rendering", boards + rig_2003.STAGE_VIEWS + rig_2003.SCAN_FRAMES) as advance,
+    ):
         session = folders.simulate_session(
-            out / "session",
+            folder / "session",
             seed,
             lighting=replace(rig_2003.BOARD_LIGHTING, speckle=speckle),
             separate_stripes=separate_stripes,
@@ -90,7 +94,7 @@ def simulate_into(
             **common,
         )
         scan = folders.simulate_scan(
-            out / "scan",
+            folder / "scan",
             rig,
             scene,
             seed,
@@ -100,7 +104,7 @@ def simulate_into(
             advance=advance,
             **common,
         )
-    folders.write_truth(out / "truth", session, scan)
+        folders.write_truth(folder / "truth", session, scan)
     return scene, session, scan
 
 

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, cast
@@ -86,6 +86,12 @@ class Session:
     lasers: tuple[StripeSettings, ...] = ()
     image_size: tuple[int, int] = (0, 0)
 
+    def photographs(self) -> list[Path]:
+        """All its photographs: of the board, on the stage, of the stripes."""
+        stripes = (self.views.stripes or {}).values()
+        paths = [*self.views.boards, *(self.stage.images if self.stage else ())]
+        return paths + [path for own in stripes for path in own if path is not None]
+
 
 def read_session(path: str | os.PathLike[str]) -> Session:
     """Read and check a session, given its folder or its `session.toml`.
@@ -99,19 +105,11 @@ def read_session(path: str | os.PathLike[str]) -> Session:
     board, camera = _board(table), _camera(table)
     views = table.table("views", "[views] ").only("boards", "stripes")
     boards = files_of(views, "boards")
+    if not boards:
+        raise views.error("boards", "names no photograph: name those of the board")
     lasers, stripes = _lasers(table, views, len(boards))
-    stage = _stage(table)
-    photographs = [*boards, *(stage.images if stage else ())]
-    photographs += [path for paths in (stripes or {}).values() for path in paths if path is not None]
-    return Session(
-        path=table.path,
-        board=board,
-        views=Views(boards, stripes),
-        camera=camera,
-        stage=stage,
-        lasers=lasers,
-        image_size=common_size(photographs),
-    )
+    session = Session(table.path, board, Views(boards, stripes), camera, _stage(table), lasers)
+    return replace(session, image_size=common_size(session.photographs()))
 
 
 def write_session(session: Session) -> None:
@@ -184,7 +182,12 @@ def _stage(table: Table) -> StageImages | None:
         return None
     stage = table.table("stage", "[stage] ").only("images", "steps", "steps_per_image")
     images = files_of(stage, "images")
-    return StageImages(images, read_steps(stage, "steps_per_image", images, "images"))
+    steps = read_steps(stage, "steps_per_image", images, "images")
+    if len(set(steps)) < 2:
+        raise stage.error(
+            "steps" if "steps" in stage else "images", "photographs at two different step counts or more are needed"
+        )
+    return StageImages(images, steps)
 
 
 def _lasers(

@@ -1,5 +1,6 @@
 """Light and sensor: what makes a photograph bright, and what makes numbers of it."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,8 +83,10 @@ class Sensor:
             raise InputError(f"bits = {self.bits}: a photograph has 8 or 16 bits a channel")
         if not 0 <= self.blur_px <= 10:
             raise InputError(f"blur_px = {self.blur_px}: give 0 to 10 pixels")
-        if self.noise < 0 or self.gain <= 0 or not 0 < self.saturation <= 255:
-            raise InputError(f"{self}: noise is not negative, gain is positive, saturation is in 0 … 255")
+        if not 0 <= self.noise <= 255:
+            raise InputError(f"noise = {self.noise}: give 0 to 255 grey levels")
+        if not 0 < self.gain < math.inf or not 0 < self.saturation <= 255:
+            raise InputError(f"{self}: gain is positive, saturation is in 0 … 255")
 
 
 def default_source(omega: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

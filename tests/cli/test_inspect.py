@@ -204,6 +204,12 @@ def test_frames_that_are_not_there(scan, tmp_path, capsys):
     assert not (tmp_path / "a.png").exists()
 
 
+def test_no_photograph_is_drawn_over(scan, capsys):
+    before = (scan / "f0.png").read_bytes()
+    assert "is a photograph of this session or scan" in refusal(capsys, scan, "--png", scan / "f0.png")
+    assert (scan / "f0.png").read_bytes() == before
+
+
 def test_what_cannot_be_inspected(tmp_path, rig, scan, capsys):
     assert "no such file or folder" in refusal(capsys, tmp_path / "none")
     assert "neither session.toml nor scan.toml" in refusal(capsys, tmp_path)

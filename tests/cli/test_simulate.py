@@ -48,7 +48,15 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "words", [("--noise", "-1"), ("--blur", "-2"), ("--speckle", "2"), ("--seed", "-1"), ("--mesh", "none.stl")]
+    "words",
+    [
+        ("--noise", "-1"),
+        ("--noise", "nan"),
+        ("--blur", "-2"),
+        ("--speckle", "2"),
+        ("--seed", "-1"),
+        ("--mesh", "none.stl"),
+    ],
 )
 def test_bad_options_write_nothing(words: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxscan.cli.compiled.keep_compiled", lambda: None)
