@@ -108,6 +108,8 @@ def read_ply(path: str | os.PathLike[str]) -> Cloud:
         raise InputError(f"{path}: there is no such file: check the path") from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder: name a PLY file in it") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}): check its permissions") from error
     if not len(cloud.points):
         raise InputError(f"{path}: holds no points: check which file it is")
     return cloud
@@ -173,4 +175,12 @@ def _through_trimesh(path: Path) -> Cloud:
         loaded = trimesh.load(path, file_type="ply", process=False, skip_materials=True)
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error) as error:
         raise InputError(f"{path}: cannot be read as PLY ({error}): write it again") from error
-    return Cloud(np.asarray(getattr(loaded, "vertices", ()), dtype=np.float32).reshape(-1, 3))
+    points = np.asarray(getattr(loaded, "vertices", ()), dtype=np.float32).reshape(-1, 3)
+    # Trimesh takes an ASCII file that ends early for a shorter one; it makes more vertices of some, never fewer.
+    promised = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("length", 0)
+    if len(points) < promised:
+        raise InputError(
+            f"{path}: its header promises {promised} points, {len(points)} can be read: "
+            "the file is damaged; copy or write it again"
+        )
+    return Cloud(points)

@@ -25,16 +25,19 @@ def files_of(table: Table, key: str) -> tuple[Path, ...]:
     """The files of a glob, sorted naturally, or of a list of names, in its order.
 
     Raises:
-        InputError: a glob that matches nothing, a name that stands twice, a file that is not there.
+        InputError: a glob that matches nothing or what is no file, a file that stands twice, or one that is not there.
     """
     value = table.values.get(key)
     if isinstance(value, str) and value:
         return _matches(table, key, value)
     names = _names(table, key)
-    for i, name in enumerate(names):
-        if name in names[:i]:
+    paths = _present(table, key, names)
+    seen: set[str] = set()
+    for name, path in zip(names, paths, strict=True):
+        if (real := os.path.realpath(path)) in seen:
             raise table.error(key, f"{show(name)} stands twice: name each photograph once")
-    return _present(table, key, names)
+        seen.add(real)
+    return paths
 
 
 def files_or_gaps(table: Table, key: str) -> tuple[Path | None, ...]:
@@ -81,9 +84,11 @@ def _matches(table: Table, key: str, pattern: str) -> tuple[Path, ...]:
     if os.path.isfile(folder / pattern):  # a plain name, or one that only looks like a pattern
         return (folder / pattern,)
     names = [] if "\0" in pattern else glob.glob(pattern, root_dir=folder, recursive=True)
-    files = tuple(path for name in sorted(names, key=natural_key) if os.path.isfile(path := folder / name))
+    files = tuple(path for name in sorted(names, key=natural_key) if not os.path.isdir(path := folder / name))
     if not files:
         raise table.error(key, f"matches no file in {folder}: check folder and ending (upper and lower case differ)")
+    if broken := [path for path in files if not os.path.isfile(path)]:
+        raise table.error(key, f"matches {name_some(broken)}, a broken link or no plain file: put the file there")
     return files
 
 

@@ -1,7 +1,9 @@
 """The organised range image as an NPZ file: one point for each frame and each image column (or row)."""
 
+import lzma
 import os
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -19,6 +21,18 @@ _DTYPES: Final = {
     "valid": np.dtype(np.bool_),
     "steps": np.dtype(np.int64),
 }
+
+# What zipfile, its decompressors and NumPy raise for a file that is damaged, encrypted, or promises more than there is.
+_NOT_WHOLE: Final = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    ValueError,
+    EOFError,
+    OSError,
+    RuntimeError,
+    MemoryError,
+)
 
 
 @dataclass(frozen=True)
@@ -68,7 +82,7 @@ def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
         raise InputError(f"{path}: there is no such file: check the path") from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder: name an .npz file in it") from error
-    except (zipfile.BadZipFile, ValueError, EOFError) as error:
+    except _NOT_WHOLE as error:
         raise InputError(f"{path}: is not a whole NPZ file ({error}): copy or write it again") from error
     for name, dtype in _DTYPES.items():
         if name not in arrays:

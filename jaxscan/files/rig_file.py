@@ -28,6 +28,8 @@ from jaxscan.rig import LENSES, Camera, Covariance, LightPlane, Rig, Stage
 from jaxscan.rig.rig import parameter_names
 
 FORMAT: Final = "jaxscan-rig/1"
+# Its square is still a float32.
+_LARGEST: Final = 1e18
 
 
 @dataclass(frozen=True)
@@ -78,8 +80,7 @@ def _decode(table: Table) -> RigFile:
         camera = _camera(camera_table)
         lasers = tuple(_laser(laser, camera, unknown) for laser in _laser_tables(table))
         rig = as_numpy(Rig(camera, _named_apart(table, lasers), _stage(table, unknown)))
-    fit = dict(table.table("fit", "fit.").values) if "fit" in table else {}
-    content = RigFile(rig, _covariance(table, rig, unknown), fit)
+    content = RigFile(rig, _covariance(table, rig, unknown), _fit(table))
     if unknown:
         keys = ", ".join(unknown)
         warnings.warn(f"{table.path}: passed over what this version does not know: {keys}", PassedOverWarning, 3)
@@ -97,17 +98,21 @@ def _check_format(table: Table) -> None:
 
 
 def _check_finite(table: Table) -> None:
-    """Refuse NaN and infinity wherever they stand, so also in keys that are not looked into any further."""
+    """Refuse NaN, infinity and absurdly large numbers wherever they stand, also in keys that are not looked into."""
     pending: list[tuple[str, Any]] = [(key, value) for key, value in table.values.items()]
     while pending:
         name, value = pending.pop()
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{table.path}: {name} is {value}: a rig holds finite numbers alone; calibrate again")
+        if isinstance(value, float) and abs(value) > _LARGEST:
+            raise InputError(f"{table.path}: {name} is {value}, larger than any number of a rig: calibrate again")
         if isinstance(value, dict | list):
             inner = value.items() if isinstance(value, dict) else enumerate(value)
             pending += [(f"{name}.{key}", entry) for key, entry in inner]
 
 
+# What reconstruction takes a pixel's σ from.
+_STRIPE_ERRORS: Final = ("stripe_rms_px", "stripe_sigma_px")
 _CAMERA_KEYS: Final = ("image_size", "focal", "principal", "lens", "radial", "tangential")
 
 
@@ -178,6 +183,16 @@ def _covariance(table: Table, rig: Rig, unknown: list[str]) -> Covariance | None
     names = inner.sequence("parameters", "parameter names")
     matrix = check_covariance(inner, names, parameter_names(rig))
     return Covariance(tuple(names), matrix)
+
+
+def _fit(table: Table) -> dict[str, Any]:
+    if "fit" not in table:
+        return {}
+    fit = table.table("fit", "fit.")
+    for key in _STRIPE_ERRORS:
+        if key in fit and fit.number(key) < 0:
+            raise fit.error(key, "must be a number of pixels that is not negative: calibrate again")
+    return dict(fit.values)
 
 
 def _leaves(values: tuple[float, ...]) -> tuple[Array, ...]:

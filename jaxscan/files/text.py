@@ -44,7 +44,9 @@ def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder, but a {kind} file is expected: name the file in it") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text (byte {error.start}), but a {kind} file is expected") from error
+        raise InputError(
+            f"{path}: is not text (byte {error.start}), but a {kind} file is expected: save it as UTF-8"
+        ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}): check its permissions") from error
     if not text.strip():

@@ -5,7 +5,6 @@ row from the first one, which is the origin of the board frame: x along the colu
 from a camera that sees the board's front. So on a photograph the turn from x to y is clockwise.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -18,6 +17,8 @@ from jaxscan.errors import InputError
 
 # OpenCV's finders need a grid of three by three.
 _LEAST_POINTS = 3
+# From a micrometre to a hundred metres: what lies outside was written in other units.
+_LENGTHS_MM = (1e-3, 1e5)
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,7 @@ def _counts(key: str, value: Sequence[int], least: int) -> tuple[int, int]:
 
 
 def _length(key: str, value: float) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value) or value <= 0:
-        raise InputError(f"{key} = {value}: give a positive number of millimetres")
+    least, most = _LENGTHS_MM
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
+        raise InputError(f"{key} = {value}: give a positive number of millimetres, from {least:g} to {most:g}")
     return float(value)

@@ -6,6 +6,7 @@ camera in the file's metadata is not applied: calibration is about the pixels of
 """
 
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -85,6 +86,8 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows columns 3"]]:
     """The frames of a video, one by one. The file is opened at once, not with the first frame.
 
+    A video that ends before its header says is warned of: containers estimate how long they are, so it is no error.
+
     Raises:
         InputError: the file is missing, or is not a video that can be decoded.
     """
@@ -99,19 +102,23 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
     if not there:
         capture.release()
         raise InputError(f"{path}: is not a video that can be decoded: convert it to MP4 or AVI")
-    return _frames(capture, first)
+    return _frames(path, capture, first)
 
 
 def _frames(
-    capture: cv2.VideoCapture, frame: UInt[np.ndarray, "rows columns 3"]
+    path: str | os.PathLike[str], capture: cv2.VideoCapture, frame: UInt[np.ndarray, "rows columns 3"]
 ) -> Iterator[UInt[np.ndarray, "rows columns 3"]]:
+    promised, count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0
     try:
         there = True
         while there:
             yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+            count += 1
             there, frame = capture.read()
     finally:
         capture.release()
+    if count < promised:
+        warnings.warn(f"{path}: ends after {count} of {promised} frames: copy it again if it was cut off", stacklevel=2)
 
 
 def to_grey(image: Image) -> UInt[np.ndarray, "rows columns"]:

@@ -104,6 +104,13 @@ def test_a_header_that_lies_about_the_length(tmp_path, change):
         read_ply(tmp_path / "a.ply")
 
 
+def test_an_ascii_file_that_ends_early(tmp_path):
+    properties = "".join(f"property float {axis}\n" for axis in "xyz")
+    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 3\n{properties}end_header\n1 2 3\n4 5 6\n")
+    with pytest.raises(InputError, match=r"a\.ply: its header promises 3 points, 2 can be read"):
+        read_ply(tmp_path / "a.ply")
+
+
 @pytest.mark.parametrize(
     "content",
     [

@@ -1,6 +1,7 @@
 """The organised range image: exact round trips, and what a reader must refuse."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -54,6 +55,12 @@ def test_what_is_no_range_image(tmp_path):
     (tmp_path / "plain.npy").rename(tmp_path / "plain.npz")
     (tmp_path / "short.npz").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "flipped.npz").write_bytes(whole[:300] + b"\xff" * 20 + whole[320:])
+    np.savez_compressed(tmp_path / "packed.npz", **arrays)
+    packed = (tmp_path / "packed.npz").read_bytes()
+    (tmp_path / "packed.npz").write_bytes(packed[:60] + b"\xff" * 10 + packed[70:])
+    # The flags of each entry, the lowest of which says that it is encrypted.
+    flagged = re.sub(rb"(PK\x03\x04..|PK\x01\x02....).", lambda entry: entry[1] + b"\x01", whole, flags=re.S)
+    (tmp_path / "locked.npz").write_bytes(flagged)
     (tmp_path / "empty.npz").write_bytes(b"")
     (tmp_path / "binary.npz").write_bytes(bytes(range(256)) * 10)
     for name, text in {
@@ -63,6 +70,8 @@ def test_what_is_no_range_image(tmp_path):
         "plain": "not a whole NPZ",
         "short": "not a whole NPZ",
         "flipped": "not a whole NPZ",
+        "packed": "not a whole NPZ",
+        "locked": "not a whole NPZ",
         "empty": "not a whole NPZ",
         "binary": "not a whole NPZ",
         "none": "no such file",

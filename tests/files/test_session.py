@@ -169,6 +169,7 @@ BAD = {
     "too few corners": ([BOARD.replace("[9, 6]", "[9, 1]"), VIEWS], ["[board] inner_corners = [9, 1]", "3 or more"]),
     "no size": (["[board]\ninner_corners = [9, 6]", VIEWS], ["[board] square_mm", "is missing"]),
     "negative size": ([BOARD.replace("10.0", "-1"), VIEWS], ["[board] square_mm = -1", "positive"]),
+    "size in other units": ([BOARD.replace("10.0", "1e300"), VIEWS], ["[board] square_mm = 1e+300", "to 100000"]),
     "size not a number": ([BOARD.replace("10.0", "nan"), VIEWS], ["[board] square_mm = NaN", "finite"]),
     "size as text": ([BOARD.replace("10.0", '"10"'), VIEWS], ['[board] square_mm = "10"', "number"]),
     "unknown dictionary": (
@@ -192,6 +193,8 @@ BAD = {
     "glob with a null": ([BOARD, '[views]\nboards = "a\\u0000*"'], ["[views] boards", "matches no file"]),
     "name without end": ([BOARD, f'[views]\nboards = ["{"a" * 5000}"]'], ["[views] boards", "1 of 1 files"]),
     "named twice": ([BOARD, '[views]\nboards = ["boards/v1.png", "boards/v1.png"]'], ['"boards/v1.png" stands twice']),
+    "named twice in two ways": ([BOARD, '[views]\nboards = ["boards/v1.png", "./boards/v1.png"]'], ["stands twice"]),
+    "none named": ([BOARD, "[views]\nboards = []"], ["[views] boards = []", "names no photograph"]),
     "too few stripes": (
         [BOARD, VIEWS + 'stripes = ["stripes/v1.png"]'],
         ["[views] stripes", "1 photographs of the stripe for 3 of the board", "paired in order"],
@@ -220,6 +223,7 @@ BAD = {
     "steps as text": ([BOARD, VIEWS, STAGE + 'steps = [0, "1", 2]'], ['entry 1 is "1"', "whole number"]),
     "steps one number": ([BOARD, VIEWS, STAGE + "steps = 2000"], ["[stage] steps = 2000", "list of whole numbers"]),
     "steps beyond bounds": ([BOARD, VIEWS, STAGE + "steps = [0, 1, 99999999999999999]"], ["entry 2", "whole number"]),
+    "steps all equal": ([BOARD, VIEWS, STAGE + "steps = [5, 5, 5]"], ["[stage] steps", "two different step counts"]),
     "a stage that stands": ([BOARD, VIEWS, STAGE + "steps_per_image = 0"], ["steps_per_image = 0", "does not move"]),
 }
 
@@ -242,6 +246,11 @@ def test_a_photograph_of_another_size_is_named_with_both_sizes(folder, photograp
 def test_a_photograph_that_is_none_is_named(folder):
     (folder / "boards" / "v2.png").write_bytes(np.random.default_rng(0).bytes(1000))
     assert "boards/v2.png" in refusal(folder, BOARD, VIEWS)
+
+
+def test_a_link_to_nothing_is_not_passed_over(folder):
+    (folder / "boards" / "v4.png").symlink_to(folder / "nowhere.png")
+    assert "matches v4.png, a broken link" in refusal(folder, BOARD, VIEWS)
 
 
 @pytest.mark.parametrize(

@@ -103,6 +103,17 @@ def test_a_video_is_read_frame_by_frame(tmp_path):
     assert max(frame[..., 2].max() for frame in frames) < 20
 
 
+def test_a_video_that_ends_early_is_said(tmp_path):
+    path = tmp_path / "cut.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
+    for frame in np.random.default_rng(0).integers(0, 255, (20, 48, 64, 3), np.uint8):
+        writer.write(frame)
+    writer.release()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 5])
+    with pytest.warns(UserWarning, match=r"cut\.avi: ends after \d+ of 20 frames"):
+        assert len(list(read_video(path))) < 20
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_grey_keeps_the_depth(dtype):
     image = np.zeros((3, 4, 3), dtype)
