@@ -135,9 +135,10 @@ def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
     stages = []
     for stage in observations.stages:
         kept = [i for i, view in enumerate(stage.views) if enough(view)]
-        if len({stage.steps[i] for i in kept}) < _FEWEST_STAGE_IMAGES:
+        places = len({stage.steps[i] for i in kept})
+        if places < _FEWEST_STAGE_IMAGES:
             raise InputError(
-                f"{len(kept)} usable stage photographs at different step counts; at least {_FEWEST_STAGE_IMAGES} are "
+                f"{places} usable stage photographs at different step counts; at least {_FEWEST_STAGE_IMAGES} are "
                 f"needed{because}"
             )
         stages.append(replace(stage, steps=stage.steps[kept], views=tuple(stage.views[i] for i in kept)))

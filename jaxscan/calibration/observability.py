@@ -39,7 +39,8 @@ def undetermined(
     if eigenvalues[0] < UNDETERMINED:
         share = np.abs(directions[:, 0]) / np.linalg.norm(directions, axis=1)
         parts = [_words(names[i]) for i in np.argsort(-share) if share[i] > _WORTH_NAMING * share.max()]
-        return " and ".join(dict.fromkeys(parts)) + " cannot be told apart"
+        several = list(dict.fromkeys(parts))
+        return f"{' and '.join(several)} cannot be {'told apart' if len(several) > 1 else 'found'}"
     for i, name in enumerate(names):
         sigma = float(np.sqrt(covariance[i, i]))
         if name.startswith("camera.focal") and sigma > _LARGEST_FOCAL_SIGMA * abs(values[i]):

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.observations import Observations, StageSequence, StripePoints, View
-from jaxscan.errors import InputError
+from jaxscan.errors import InputError, said_of
 from jaxscan.files.session import Session, StageImages
+from jaxscan.files.settings import relative_name
 from jaxscan.images import Board, StripeSettings, carry_order, detect_stripe, find_board, read_image
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
@@ -20,7 +21,7 @@ _SMEAR_PX = 1.0
 
 @dataclass(frozen=True)
 class _Photograph:
-    path: Path
+    name: str
     corners: Float[np.ndarray, "corners 2"] | None
     stripes: tuple[StripePoints, ...]
 
@@ -37,13 +38,17 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
     """
     stage = session.stage
 
+    def name(path: Path) -> str:
+        """As the session has it: photographs of the views and of the stage may share a file name."""
+        return relative_name(path, session.path.parent)
+
     def view(index: int) -> _Photograph:
         path = session.views.boards[index]
-        return _Photograph(path, *_look(path, session, index))
+        return _Photograph(name(path), *_look(path, session, index))
 
     def along(path: Path) -> _Photograph:
         found = find_board(session.board, read_image(path))
-        return _Photograph(path, None if found is None else found.corners, ())
+        return _Photograph(name(path), None if found is None else found.corners, ())
 
     with ThreadPoolExecutor(cpu_count()) as pool:
         photographs: list[_Photograph] = []
@@ -57,12 +62,12 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
                 advance(1)
 
     left_out = _not_found(session.board, photographs, "view") + _not_found(session.board, staged, "stage photograph")
-    views = [View(p.path.name, p.corners, stripes=p.stripes) for p in photographs if p.corners is not None]
+    views = [View(p.name, p.corners, stripes=p.stripes) for p in photographs if p.corners is not None]
     for seen in views:
         for stripe in seen.stripes:
             if not np.isfinite(stripe.pixels).any():
-                name = session.lasers[stripe.laser].name
-                left_out.append(f"{seen.name}: no stripe{f' of laser {name}' if name else ''} was found")
+                laser = session.lasers[stripe.laser].name
+                left_out.append(f"{seen.name}: no stripe{f' of laser {laser}' if laser else ''} was found")
     notes = []
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts
@@ -102,7 +107,8 @@ def _look(
             if own is None:
                 continue
             lit = read_image(own)
-        stripes.append(stripe_points(lit, laser, i))
+        with said_of(path):
+            stripes.append(stripe_points(lit, laser, i))
     return found.corners, tuple(stripes)
 
 
@@ -125,14 +131,14 @@ def _sequence(board: Board, stage: StageImages, photographs: Sequence[_Photograp
             continue
         corners = photograph.corners if previous is None else carry_order(board, previous, photograph.corners)
         previous = corners
-        views.append(View(photograph.path.name, corners))
+        views.append(View(photograph.name, corners))
         steps.append(float(count))
     return StageSequence(np.asarray(steps), tuple(views))
 
 
 def _not_found(board: Board, photographs: Sequence[_Photograph], what: str) -> list[str]:
     """Which photographs do not show the board; an error when none does."""
-    missing = [p.path.name for p in photographs if p.corners is None]
+    missing = [p.name for p in photographs if p.corners is None]
     columns, rows = board.counts
     if photographs and len(missing) == len(photographs):
         raise InputError(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.errors import InputError
+from jaxscan.errors import InputError, said_of
 from jaxscan.files.listing import common_size
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
@@ -37,10 +37,12 @@ def reconstruct(rig: RigFile | Rig, scan: Scan, advance: Callable[[int], object]
     """
     content = rig if isinstance(rig, RigFile) else RigFile(rig)
     _check(content.rig, scan)
-    kernel = Kernel.create(content.rig, scan.laser.name)
+    with said_of(scan.path):
+        kernel = Kernel.create(content.rig, scan.laser.name)
     positions, strengths, points, steps = [], [], [], []
     for frames, backgrounds, counts in _batches(scan, content.rig.camera.image_size):
-        stripe = detect_stripe(frames, scan.laser, backgrounds)
+        with said_of(scan.path):
+            stripe = detect_stripe(frames, scan.laser, backgrounds)
         position = np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).astype(np.float32)
         positions.append(position)
         strengths.append(np.asarray(stripe.strength))
@@ -50,21 +52,26 @@ def reconstruct(rig: RigFile | Rig, scan: Scan, advance: Callable[[int], object]
     if not steps:
         raise InputError(f"{scan.path}: the scan has no frames")
     image = _with_sigma(content, scan, *(np.concatenate(x) for x in (positions, strengths, points, steps)))
-    if not image.valid.any():
+    if not np.isfinite(image.pixels).any():
         raise InputError(
             f"{scan.path}: no stripe was found in any of {len(image.steps)} frames: check [laser] color "
             f'("{scan.laser.color}") and columns ({str(scan.laser.columns).lower()}), and look at one with '
             "jaxscan inspect SCAN --frame 0 --png"
+        )
+    if not image.valid.any():
+        raise InputError(
+            f"{scan.path}: a stripe was found, but no ray through it meets the rig's light plane within its lens: "
+            "check that the rig is that of this scan"
         )
     return image
 
 
 def _check(rig: Rig, scan: Scan) -> None:
     """Refuse before any long work what cannot come out right."""
-    if scan.frames:
-        size = common_size([*scan.frames, *scan.backgrounds])
+    if photographs := [*scan.frames, *scan.backgrounds]:
+        size = common_size(photographs)
         if size != rig.camera.image_size:
-            raise InputError(_wrong_size(scan.frames[0], size, rig.camera.image_size))
+            raise InputError(_wrong_size(photographs[0], size, rig.camera.image_size))
     if rig.stage is None and (scan.steps_per_frame or len(set(scan.steps)) > 1):
         raise InputError(
             f"{scan.path}: the stage moves between frames, but the rig has no stage: calibrate with a [stage] sequence"
@@ -88,21 +95,29 @@ def _batches(
     """Frames, their backgrounds and step counts, some at a time; photographs are decoded on all cores."""
     shared = read_image(scan.backgrounds[0]) if len(scan.backgrounds) == 1 else None
     own = scan.backgrounds if len(scan.backgrounds) > 1 else ()
+    done, form = 0, None
     with ThreadPoolExecutor(cpu_count()) as pool:
         for first, images in _chunks(scan, pool):
+            form = form or (images[0].shape, images[0].dtype)
             for i, image in enumerate(images):
-                if image.shape[1::-1] != size or image.shape != images[0].shape or image.dtype != images[0].dtype:
-                    path = scan.frames[first + i] if scan.frames else scan.video or scan.path
-                    if image.shape[1::-1] != size:
-                        raise InputError(_wrong_size(path, image.shape[1::-1], size))
+                path = scan.frames[first + i] if scan.frames else scan.video or scan.path
+                if image.shape[1::-1] != size:
+                    raise InputError(_wrong_size(path, image.shape[1::-1], size))
+                if (image.shape, image.dtype) != form:
                     raise InputError(
-                        f"{path}: is {image.dtype} of shape {image.shape}, the frame before it {images[0].dtype} of "
-                        f"shape {images[0].shape}: save all frames in one format"
+                        f"{path}: is {image.dtype} of shape {image.shape}, the first frame {form[1]} of shape "
+                        f"{form[0]}: save all frames in one format"
                     )
             background = shared
             if own:
                 background = np.stack(list(pool.map(read_image, own[first : first + len(images)])))
             yield np.stack(images), background, _steps(scan, first, len(images))
+            done = first + len(images)
+    if scan.steps and done < len(scan.steps):
+        raise InputError(
+            f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, but {scan.video} ends after {done} frames: "
+            "copy or record it again, or list the steps of these frames alone"
+        )
 
 
 def _chunks(scan: Scan, pool: ThreadPoolExecutor) -> Iterator[tuple[int, Sequence[Image]]]:
