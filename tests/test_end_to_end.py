@@ -1,7 +1,10 @@
 """Simulated photographs through the commands, as a user types them, and what the commands refuse."""
 
 import json
+import re
+import shlex
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -110,6 +113,32 @@ def test_a_truncated_frame_is_named_and_nothing_is_written(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["frames", "scan.toml"]
 
 
+def test_frames_of_another_depth_are_named_however_late_they_come(
+    world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(import_module("jaxscan.reconstruction.reconstruct"), "_BATCH", 1)
+    frame = cv2.imread(str(world / "scan" / "frames" / "000.png"))
+    cv2.imwrite(str(tmp_path / "0.png"), frame)
+    cv2.imwrite(str(tmp_path / "1.png"), frame.astype(np.uint16) * 257)
+    (tmp_path / "scan.toml").write_text('[scan]\nframes = "*.png"\nsteps_per_frame = 2000\n')
+    out = tmp_path / "out.ply"
+    assert main(["reconstruct", str(tmp_path), "--rig", str(world / "rig.json"), "-o", str(out)]) == 2
+    assert "1.png: is uint16" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_rig_that_sees_nothing_of_the_stripe(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A sheet above the optical axis; the stripe of the scan is below it everywhere."""
+    rig = json.loads((world / "rig.json").read_text())
+    rig = {key: rig[key] for key in ("format", "units", "camera", "stage")} | {"laser": {"plane": [0.0, -0.05, -0.01]}}
+    (tmp_path / "rig.json").write_text(json.dumps(rig))
+    (tmp_path / "frame.png").symlink_to(world / "scan" / "frames" / "000.png")
+    (tmp_path / "scan.toml").write_text('[scan]\nframes = "frame.png"\nsteps = [0]\n')
+    out = ["-o", str(tmp_path / "out.ply")]
+    assert main(["reconstruct", str(tmp_path), "--rig", str(tmp_path / "rig.json"), *out]) == 2
+    assert "no ray through it meets the rig's light plane" in capsys.readouterr().err
+
+
 def test_frames_without_a_stripe(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for i in range(2):
         cv2.imwrite(str(tmp_path / f"{i}.png"), np.zeros((480, 640, 3), np.uint8))
@@ -133,6 +162,17 @@ def test_a_video_is_read_frame_by_frame(world: Path, tmp_path: Path) -> None:
     both = video.valid & photographs.valid[:3]
     assert both.sum() > 0.9 * photographs.valid[:3].sum()
     assert np.nanmedian(np.linalg.norm(video.points - photographs.points[:3], axis=-1)[both]) < 0.2
+
+
+def test_a_video_with_fewer_frames_than_steps(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    writer = cv2.VideoWriter(str(tmp_path / "scan.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (640, 480))
+    writer.write(cv2.imread(str(world / "scan" / "frames" / "000.png")))
+    writer.release()
+    (tmp_path / "scan.toml").write_text('[scan]\nframes = "scan.avi"\nsteps = [0, 2000]\n')
+    out = tmp_path / "video.npz"
+    assert main(["reconstruct", str(tmp_path), "--rig", str(world / "rig.json"), "-o", str(out)]) == 2
+    assert "2 step counts, but" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_a_background_is_subtracted(world: Path, tmp_path: Path) -> None:
@@ -181,3 +221,36 @@ def test_an_output_that_cannot_be_written_is_refused_first(world: Path, capsys: 
     assert "create it first" in capsys.readouterr().err
     assert main(["reconstruct", str(world / "scan"), "--rig", str(world / "rig.json"), "-o", "cup.stl"]) == 2
     assert ".stl" in capsys.readouterr().err
+    toml = world / "session" / "session.toml"
+    assert main(["calibrate", str(world / "session"), "-o", str(toml)]) == 2
+    assert "end its name with .json" in capsys.readouterr().err
+    assert toml.read_text().startswith("[board]")
+
+
+def _blocks(text: str, language: str) -> list[str]:
+    """The fenced blocks of a Markdown text in one language, "" for none."""
+    return [block for name, block in re.findall(r"^```(\w*)\n(.*?)^```$", text, flags=re.M | re.S) if name == language]
+
+
+def test_what_the_readme_says(world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its two TOML files over the simulated photographs, its commands, then its Python snippet."""
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    for text, name, folders in zip(
+        _blocks(readme, "toml"), ("session", "scan"), (("boards", "stage"), ("frames",)), strict=True
+    ):
+        (tmp_path / name).mkdir()
+        for folder in folders:
+            (tmp_path / name / folder).symlink_to(world / name / folder)
+        (tmp_path / name / f"{name}.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    commands = [line for block in _blocks(readme, "") for line in block.splitlines() if line.startswith("jaxscan ")]
+    assert [shlex.split(command)[1] for command in commands] == ["calibrate", "reconstruct"]
+    for command in commands:
+        assert main(shlex.split(command)[1:]) == 0
+    by_command = (tmp_path / "rig.json").read_bytes(), (tmp_path / "cup.ply").read_bytes()
+    (snippet,) = _blocks(readme, "python")
+    exec(compile(snippet, "README.md", "exec"), {})
+    assert (tmp_path / "rig.json").read_bytes() == by_command[0]
+    assert (tmp_path / "cup.ply").read_bytes() == by_command[1]
+    found, again = read_rig(world / "rig.json").rig, read_rig(tmp_path / "rig.json").rig
+    np.testing.assert_allclose(again.camera.focal, found.camera.focal, rtol=1e-9)
