@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from jaxscan.calibration import Calibration, Observations, StageSequence, StripePoints, View, calibrate
     from jaxscan.calibration.observe import observe
     from jaxscan.errors import InputError, JaxscanError, ObservabilityError, SolveError
+    from jaxscan.files.cameras import read_camera, write_camera
     from jaxscan.files.cloud import Cloud, read_ply, write_ply
     from jaxscan.files.rig_file import RigFile, read_rig, write_rig
     from jaxscan.files.scan import Scan, read_scan
@@ -32,6 +33,8 @@ _HOME = {
     "JaxscanError": "jaxscan.errors",
     "ObservabilityError": "jaxscan.errors",
     "SolveError": "jaxscan.errors",
+    "read_camera": "jaxscan.files.cameras",
+    "write_camera": "jaxscan.files.cameras",
     "Cloud": "jaxscan.files.cloud",
     "read_ply": "jaxscan.files.cloud",
     "write_ply": "jaxscan.files.cloud",
@@ -80,11 +83,13 @@ __all__ = [
     "View",
     "calibrate",
     "observe",
+    "read_camera",
     "read_ply",
     "read_rig",
     "read_scan",
     "read_session",
     "reconstruct",
+    "write_camera",
     "write_ply",
     "write_points",
     "write_rig",

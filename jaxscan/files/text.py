@@ -16,7 +16,7 @@ def read_toml(path: Path) -> Table:
     Raises:
         InputError: the file is missing, not text, or not TOML; the text says where.
     """
-    return Table(path, "", _parse(path, "TOML", tomllib.loads))
+    return Table(path, "", parse_file(path, "TOML", tomllib.loads))
 
 
 def read_json(path: Path) -> Table:
@@ -29,13 +29,18 @@ def read_json(path: Path) -> Table:
     def parse(text: str) -> Any:
         return json.loads(text, object_pairs_hook=lambda pairs: _without_twins(path, pairs))
 
-    values = _parse(path, "JSON", parse)
+    values = parse_file(path, "JSON", parse)
     if not isinstance(values, dict):
         raise InputError(f"{path}: holds {show(values)}, but an object in braces is expected")
     return Table(path, "", values)
 
 
-def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
+def parse_file(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
+    """What `parse` makes of a text file of some kind; a `ValueError` of its own says what is wrong with the text.
+
+    Raises:
+        InputError: the file is missing, empty, not text, or not of its kind; the text says where.
+    """
     try:
         # utf-8-sig: editors on Windows put a byte order mark before the text. Newlines come out plain.
         text = path.read_text(encoding="utf-8-sig")
