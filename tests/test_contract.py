@@ -12,7 +12,7 @@ import jaxscan
 from jaxscan.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
-SLOW_IMPORTS = ("jax", "numpy", "cv2", "equinox", "trimesh", "scipy", "matplotlib")
+SLOW_IMPORTS = ("jax", "numpy", "cv2", "equinox", "trimesh", "scipy", "matplotlib", "yaml")
 
 HELP = f"""
 import contextlib, io, json, sys, time

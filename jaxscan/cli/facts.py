@@ -1,7 +1,7 @@
 """What `inspect` finds in a file, as plain numbers and texts. Imported by the command when it runs, so freely slow."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.files.cameras import format_of, read_camera_file
 from jaxscan.files.cloud import read_ply
+from jaxscan.files.formats import FORMATS
 from jaxscan.files.listing import common_size
 from jaxscan.files.range_npz import read_range_npz
 from jaxscan.files.rig_checks import image_rays
@@ -17,7 +19,7 @@ from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
-from jaxscan.rig import Rig
+from jaxscan.rig import Camera, Rig
 
 Facts = dict[str, Any]
 
@@ -68,14 +70,9 @@ def rig_facts(path: Path) -> Facts:
     rig, covariance = content.rig, content.covariance
 
     def values(name: str, leaves: Sequence[Any]) -> Facts:
-        sigma = [covariance.sigma(f"{name}.{i}") for i in range(len(leaves))] if covariance else None
-        return {"value": [float(leaf) for leaf in leaves], "sigma": sigma}
+        return _values(name, leaves, covariance.sigma if covariance else None)
 
-    camera = {
-        "image_size": list(rig.camera.image_size),
-        "lens": rig.camera.lens,
-        **{part: values(f"camera.{part}", getattr(rig.camera, part)) for part in _CAMERA_PARTS},
-    }
+    camera = _camera(rig.camera, covariance.sigma if covariance else None)
     lasers = []
     for laser, sheet in zip(rig.lasers, _sheets(rig), strict=True):
         name = f"laser.{laser.name}.plane" if laser.name else "laser.plane"
@@ -96,6 +93,22 @@ def rig_facts(path: Path) -> Facts:
         "lasers": lasers,
         "stage": stage,
         "fit": content.fit,
+    }
+
+
+def camera_facts(path: Path, name: str | None = None, image_size: tuple[int, int] | None = None) -> Facts:
+    """Facts of a camera in the format of another program; `camera` is None where it holds corners alone."""
+    content = read_camera_file(path, name=name, image_size=image_size)
+    camera = content.camera
+    return {
+        "kind": "camera",
+        "path": str(path),
+        "format": FORMATS[format_of(path)].title,
+        "image_size": list(content.image_size),
+        "camera": None if camera is None else _camera(camera, content.sigma.get if content.sigma else None),
+        "views": len(content.views),
+        "poses": sum(bool(np.isfinite(view.pose).all()) for view in content.views),
+        "corners": sum(int(np.isfinite(view.pixels).all(axis=1).sum()) for view in content.views),
     }
 
 
@@ -126,6 +139,19 @@ def range_facts(path: Path) -> Facts:
         "sigma_mm": _median(image.sigma[image.valid]),
         "strength": _median(image.strength[image.valid]),
     }
+
+
+def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Facts:
+    return {
+        "image_size": list(camera.image_size),
+        "lens": camera.lens,
+        **{part: _values(f"camera.{part}", getattr(camera, part), sigma) for part in _CAMERA_PARTS},
+    }
+
+
+def _values(name: str, leaves: Sequence[Any], sigma: Callable[[str], float | None] | None) -> Facts:
+    sigmas = [sigma(f"{name}.{i}") for i in range(len(leaves))] if sigma else None
+    return {"value": [float(leaf) for leaf in leaves], "sigma": sigmas}
 
 
 def _laser_settings(laser: StripeSettings) -> Facts:

@@ -1,13 +1,15 @@
-"""`jaxscan inspect`: a session, scan, rig, cloud or range image in words, and what is detected in one photograph."""
+"""`jaxscan inspect`: a session, scan, rig, camera, cloud or range image in words, and what a photograph shows."""
 
 import argparse
 from pathlib import Path
 from typing import Any, Final
 
+from jaxscan.cli.camera_options import add_camera_arguments
 from jaxscan.cli.words import in_words
 from jaxscan.errors import InputError
+from jaxscan.files.formats import ENDINGS
 
-HELP: Final = "say in words what a session, scan, rig, cloud or range image holds"
+HELP: Final = "say in words what a session, scan, rig, camera, cloud or range image holds"
 EXAMPLE: Final = "jaxscan inspect scans/cup --frame 12 --png cup-12.png"
 
 _DEFAULT: Final = "-"
@@ -16,7 +18,9 @@ _DEFAULT: Final = "-"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "path", type=Path, help="a folder with session.toml or scan.toml, or one .toml, .json, .ply, .npz"
+        "path",
+        type=Path,
+        help=f"a folder with session.toml or scan.toml, one .toml, .ply, .npz, or a camera: {', '.join(ENDINGS)}",
     )
     parser.add_argument("--frame", type=int, metavar="N", help="which photograph to draw, counted from 0 (default: 0)")
     parser.add_argument(
@@ -28,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw the stripe over the scan's photograph N, or corners and stripe over the session's view N "
         "(default: a file named after both, here)",
     )
+    add_camera_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -37,6 +42,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError("--frame chooses the photograph to draw: add --png, and a name for the picture if you like")
     if args.png is not None and kind not in ("session", "scan"):
         raise InputError(f"{path}: --png draws what is detected in a photograph, and a {kind} has none: leave it out")
+    if kind != "camera" and (args.name or args.image_size):
+        raise InputError(f"{path}: --name and --image-size are for cameras of other programs, not for a {kind}")
     from jaxscan.cli import facts
 
     read = {
@@ -46,7 +53,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "cloud": facts.cloud_facts,
         "range image": facts.range_facts,
     }
-    result = read[kind](path)
+    result = facts.camera_facts(path, args.name, args.image_size) if kind == "camera" else read[kind](path)
     if args.png is not None:
         from jaxscan.cli import picture
 
@@ -73,11 +80,12 @@ def _kind(path: Path) -> tuple[str, Path]:
         from jaxscan.files.text import read_toml
 
         return ("scan" if "scan" in read_toml(path) else "session"), path
-    kinds = {".json": "rig", ".ply": "cloud", ".npz": "range image"}
+    kinds = dict.fromkeys(ENDINGS, "camera") | {".json": "rig", ".ply": "cloud", ".npz": "range image"}
     if ending not in kinds:
         raise InputError(
             f'{path}: nothing is known of the ending "{ending}": '
-            "name a session or scan (folder or .toml), a rig (.json), a cloud (.ply) or a range image (.npz)"
+            "name a session or scan (folder or .toml), a rig (.json), a cloud (.ply), a range image (.npz), "
+            f"or a camera of another program ({', '.join(ENDINGS)})"
         )
     return kinds[ending], path
 

@@ -28,6 +28,7 @@ COMMANDS: Final = {
     "calibrate": "jaxscan.cli.calibrate",
     "reconstruct": "jaxscan.cli.reconstruct",
     "inspect": "jaxscan.cli.inspect",
+    "convert": "jaxscan.cli.convert",
     "simulate": "jaxscan.cli.simulate",
     "demo": "jaxscan.cli.demo",
 }

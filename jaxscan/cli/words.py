@@ -56,14 +56,7 @@ def _scan(facts: Facts) -> Iterator[Line]:
 
 
 def _rig(facts: Facts) -> Iterator[Line]:
-    camera = facts["camera"]
-    yield "camera", f"{_size(camera['image_size'])}, lens {camera['lens']}"
-    yield "focal length", _values(camera["focal"], "px")
-    yield "principal point", _values(camera["principal"], "px")
-    if camera["radial"]["value"]:
-        yield "radial terms", _values(camera["radial"])
-    if camera["tangential"]["value"]:
-        yield "tangential terms", _values(camera["tangential"])
+    yield from _intrinsics(facts["camera"])
     for laser in facts["lasers"]:
         yield _called("light plane", laser), f"ω = {_values(laser['plane'], '1/mm')}"
         yield "", f"{laser['distance_mm']:.1f} mm from the camera, {laser['angle_to_axis_deg']:.1f}° to its axis"
@@ -82,6 +75,27 @@ def _rig(facts: Facts) -> Iterator[Line]:
         yield "stage", f"{stage['mm_per_1000_steps']:.5g} mm for 1000 steps, along ({direction})"
     for name, value in facts["fit"].items():
         yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _camera(facts: Facts) -> Iterator[Line]:
+    yield "format", facts["format"]
+    if facts["camera"]:
+        yield from _intrinsics(facts["camera"])
+    else:
+        yield "camera", f"none, photographs of {_size(facts['image_size'])}"
+    if facts["views"]:
+        yield "views", f"{facts['views']} photographs of the board, {facts['poses']} of them with their pose"
+        yield "corners", str(facts["corners"])
+
+
+def _intrinsics(camera: Facts) -> Iterator[Line]:
+    yield "camera", f"{_size(camera['image_size'])}, lens {camera['lens']}"
+    yield "focal length", _values(camera["focal"], "px")
+    yield "principal point", _values(camera["principal"], "px")
+    if camera["radial"]["value"]:
+        yield "radial terms", _values(camera["radial"])
+    if camera["tangential"]["value"]:
+        yield "tangential terms", _values(camera["tangential"])
 
 
 def _cloud(facts: Facts) -> Iterator[Line]:
@@ -106,6 +120,7 @@ _WORDS: dict[str, Callable[[Facts], Iterator[Line]]] = {
     "session": _session,
     "scan": _scan,
     "rig": _rig,
+    "camera": _camera,
     "cloud": _cloud,
     "range image": _range_image,
 }
