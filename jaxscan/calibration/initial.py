@@ -12,6 +12,8 @@ _FOCAL_GRID = np.geomspace(0.3, 20.0, 24)
 # A start whose reprojection is off by more than this share of the image width is not believed.
 _POOR_START = 0.02
 _PLANE_TRIALS = 500
+# A trial is judged by so many points: enough for a median.
+_PLANE_SAMPLE = 500
 
 
 def homographies(
@@ -135,24 +137,28 @@ def robust_plane(points: Float[np.ndarray, "points 3"], group: Int[np.ndarray, "
     Args:
         points: stripe points in the camera frame, mm.
         group: which view each is from: a triple is drawn from two views, since one view's points lie on a line.
+
+    Returns:
+        NaN where no three points span a plane.
     """
     rng = np.random.default_rng(0)
-    order = rng.permutation(len(points))[:4000]
-    sample = points[order]
-    best, best_score = np.full(3, np.nan), np.inf
-    views = np.unique(group)
-    for _ in range(_PLANE_TRIALS):
-        a, b = rng.choice(views, 2, replace=False)
-        i, j = rng.choice(np.flatnonzero(group == a), 2)
-        triple = points[[i, j, rng.choice(np.flatnonzero(group == b))]]
-        normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
-        length = np.linalg.norm(normal)
-        if length < 1e-9:
-            continue
-        distance = np.abs((sample - triple[0]) @ (normal / length))
-        score = np.median(distance)
-        if score < best_score:
-            best, best_score = normal / (normal @ triple[0]), score
+    sample = points[rng.permutation(len(points))[:_PLANE_SAMPLE]]
+    # Two points of one view and one of another, for all trials at once: points sorted by view, drawn by their rank.
+    order = np.argsort(group, kind="stable")
+    views, first, count = np.unique(group[order], return_index=True, return_counts=True)
+    one = rng.integers(len(views), size=_PLANE_TRIALS)
+    other = (one + rng.integers(1, len(views), size=_PLANE_TRIALS)) % len(views)
+    at = [first[view] + rng.integers(count[view]) for view in (one, one, other)]
+    a, b, c = (points[order[i]] for i in at)
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1)
+    proper = length > 1e-9
+    if not proper.any():
+        return np.full(3, np.nan)
+    normal, a = normal[proper] / length[proper, None], a[proper]
+    score = np.median(np.abs(sample @ normal.T - (a * normal).sum(axis=1)), axis=0)
+    least = int(np.argmin(score))
+    best = normal[least] / (normal[least] @ a[least])
     for _ in range(10):
         distance = np.abs(points @ best - 1) / np.linalg.norm(best)
         near = distance <= max(3 * 1.4826 * np.median(distance), 1e-9)

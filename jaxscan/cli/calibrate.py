@@ -44,7 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read the session, find corners and stripes, solve, and write the rig."""
     from jaxscan.atomic import check_writable
-    from jaxscan.errors import InputError
 
     if args.output.suffix.lower() != ".json":
         raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")

@@ -136,6 +136,6 @@ def _bodies(args: argparse.Namespace) -> tuple[Any, str]:
     from jaxscan.simulation.rig_2003 import OBJECT_Y
 
     if args.mesh is not None:
-        return (shapes.mesh(OBJECT_Y, shapes.read_mesh(args.mesh)),), args.mesh.stem
+        return (shapes.mesh(OBJECT_Y, shapes.mesh_to_scan(args.mesh)),), args.mesh.stem
     bodies = getattr(shapes, args.object)(OBJECT_Y)
     return bodies if isinstance(bodies, tuple) else (bodies,), args.object

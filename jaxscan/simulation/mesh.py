@@ -13,16 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 from jaxtyping import Array, Bool, Float, Int
-from scipy.spatial import KDTree
 
 from jaxscan.errors import InputError
+from jaxscan.geometry.closest import ClosestOnTriangles
 from jaxscan.simulation.solids import Matrix, Shape, Vector
 from jaxscan.simulation.vector import Rays, Vec, dot, scale, subtract, vec
 
 _CREASE = np.radians(30)
 # No more triangles than keys have room for.
 _MOST_TRIANGLES = 1 << 24
-_POINTS_AT_ONCE = 2048
 
 
 class Triangles:
@@ -121,27 +120,8 @@ class Mesh(Shape):
         return Mesh(self.normals, self.corners, R @ self.R, R @ self.translation + translation, self.triangles)
 
     def closest(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
-        """The nearest point of the mesh to each point (mm).
-
-        The nearest triangle's centre is no further away than the nearest corner and the largest triangle's radius
-        together, so only the triangles within that are looked at.
-        """
-        corners = self.triangles.corners
-        centres = corners.mean(axis=1)
-        reach = np.linalg.norm(corners - centres[:, None], axis=-1).max()
-        tree, corner_tree = KDTree(centres), KDTree(corners.reshape(-1, 3))
-        local = (points - self.translation) @ self.R
-        nearest = np.empty_like(local)
-        for start in range(0, len(local), _POINTS_AT_ONCE):
-            some = local[start : start + _POINTS_AT_ONCE]
-            near = tree.query_ball_point(some, corner_tree.query(some)[0] * (1 + 1e-9) + reach)
-            count = np.array([len(ids) for ids in near])
-            ids = np.concatenate([np.asarray(ids, int) for ids in near])
-            on = trimesh.triangles.closest_point(corners[ids], np.repeat(some, count, axis=0))
-            away = np.linalg.norm(on - np.repeat(some, count, axis=0), axis=1)
-            ends = np.cumsum(count)
-            best = [a + np.argmin(away[a:b]) for a, b in zip(ends - count, ends, strict=True)]
-            nearest[start : start + _POINTS_AT_ONCE] = on[best]
+        """The nearest point of the mesh to each point (mm)."""
+        nearest, _ = ClosestOnTriangles(self.triangles.corners)((points - self.translation) @ self.R)
         return nearest @ self.R.T + self.translation
 
     def _local(self, rays: Rays) -> Rays:

@@ -12,6 +12,7 @@ import trimesh
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.files.mesh import read_mesh
 from jaxscan.images import Board
 from jaxscan.simulation.plate import Checks, Circles, Pattern, Plate
 from jaxscan.simulation.scene import Body
@@ -113,20 +114,13 @@ def mesh(y: float, triangles: trimesh.Trimesh, albedo: float = 0.6) -> Body:
     return Body(shape.moved(np.eye(3), np.array([-middle[0], y - middle[1], -low[2]])), grey(albedo))
 
 
-def read_mesh(path: Path) -> trimesh.Trimesh:
-    """A mesh to scan, from any file that trimesh reads.
+def mesh_to_scan(path: Path) -> trimesh.Trimesh:
+    """A mesh from a file, if it fits under the sheet.
 
     Raises:
-        InputError: the file is missing or holds no mesh, or the mesh does not fit under the sheet.
+        InputError: the file is missing or holds no mesh, or the mesh is too large or too small.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file: check the name")
-    try:
-        triangles = trimesh.load_mesh(path)
-    except Exception as error:  # each of its readers raises what it likes
-        raise InputError(f"{path}: cannot be read as a mesh ({error}): give an STL, PLY, OBJ or the like") from error
-    if not isinstance(triangles, trimesh.Trimesh) or not len(triangles.faces):
-        raise InputError(f"{path}: holds no triangles: give an STL, PLY, OBJ or the like")
+    triangles = read_mesh(path)
     size = triangles.extents
     if np.any(size > _LARGEST) or size.max() < _SMALLEST:
         words = " x ".join(f"{length:.4g}" for length in size)

@@ -13,7 +13,7 @@ from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.profile import true_profile
 from jaxscan.simulation.render import render
 from jaxscan.simulation.scene import Body, Scene
-from jaxscan.simulation.shapes import grey, read_mesh
+from jaxscan.simulation.shapes import grey, mesh_to_scan
 from jaxscan.simulation.solids import Box, Sphere
 from jaxscan.simulation.vector import Rays, Vec
 
@@ -88,12 +88,12 @@ def test_distance_from_a_mesh(ball: Mesh) -> None:
 
 def test_meshes_that_cannot_be_scanned(tmp_path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        read_mesh(tmp_path / "none.stl")
+        mesh_to_scan(tmp_path / "none.stl")
     (tmp_path / "text.stl").write_text("this is no mesh")
     with pytest.raises(InputError, match=r"text\.stl"):
-        read_mesh(tmp_path / "text.stl")
+        mesh_to_scan(tmp_path / "text.stl")
     trimesh.creation.box((400.0, 300.0, 200.0)).export(tmp_path / "large.stl")
     with pytest.raises(InputError, match="scale it"):
-        read_mesh(tmp_path / "large.stl")
+        mesh_to_scan(tmp_path / "large.stl")
     BOX.export(tmp_path / "box.stl")
-    assert len(read_mesh(tmp_path / "box.stl").faces) == 12
+    assert len(mesh_to_scan(tmp_path / "box.stl").faces) == 12
