@@ -108,10 +108,16 @@ def _radial_scale(radial: Coefficients, rd2: Float[Array, ""]) -> Float[Array, "
     """The factor from distorted to undistorted coordinates of a radial lens: 1 / s(r²) at r s(r²) = r_d."""
     if not radial:
         return jnp.ones_like(rd2)
-    r_limit, rd_limit = invertible_radius(radial, rd2.dtype)
-    rd = jnp.sqrt(rd2)
+    r, _ = _invert_radius(radial, jnp.sqrt(rd2))
+    return 1 / radial_factor(radial, r * r)
+
+
+def _invert_radius(radial: Coefficients, rd: Float[Array, ""]) -> tuple[Float[Array, ""], Int[Array, ""]]:
+    """The undistorted radius at a distorted one, NaN beyond the fold, and how many Newton steps it took."""
+    r_limit, rd_limit = invertible_radius(radial, rd.dtype)
     inside = rd < rd_limit
     target = jnp.where(inside, rd, 0.0)
+    tolerance = 4 * jnp.finfo(rd.dtype).eps
 
     def height(r: Float[Array, ""]) -> Float[Array, ""]:
         return r * radial_factor(radial, r * r)
@@ -124,13 +130,17 @@ def _radial_scale(radial: Coefficients, rd2: Float[Array, ""]) -> Float[Array, "
         beyond = (value > target) | (slope <= 0) | (value < 0)
         low, high = jnp.where(beyond, low, r), jnp.where(beyond, r, high)
         new = r - (value - target) / jnp.where(slope > 0, slope, 1.0)
-        new = jnp.where((slope > 0) & (value >= 0) & (new >= low) & (new <= high), new, 0.5 * (low + high))
-        return new, jnp.abs(new - r), n + 1, low, high
+        # At the root rounding may put a last Newton step just outside; halving would begin anew from there.
+        at_root = (jnp.abs(value - target) <= tolerance * (1 + target)) & (slope > 0)
+        between = (slope > 0) & (value >= 0) & (new >= low) & (new <= high)
+        new = jnp.where(at_root | between, new, 0.5 * (low + high))
+        return new, jnp.where(at_root, 0.0, jnp.abs(new - r)), n + 1, low, high
 
-    tolerance = 4 * jnp.finfo(rd2.dtype).eps
-    start = (jnp.minimum(target, r_limit), jnp.full_like(rd2, jnp.inf), 0, jnp.zeros_like(rd2), r_limit)
-    r, *_ = jax.lax.while_loop(lambda s: (s[1] > tolerance * (1 + s[0])) & (s[2] < _MAX_NEWTON_STEPS), newton, start)
-    return jnp.where(inside, 1 / radial_factor(radial, r * r), jnp.nan)
+    start = (jnp.minimum(target, r_limit), jnp.full_like(rd, jnp.inf), 0, jnp.zeros_like(rd), r_limit)
+    r, _, n, *_ = jax.lax.while_loop(
+        lambda s: (s[1] > tolerance * (1 + s[0])) & (s[2] < _MAX_NEWTON_STEPS), newton, start
+    )
+    return jnp.where(inside, r, jnp.nan), n
 
 
 def _correct_tangential(

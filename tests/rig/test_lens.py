@@ -1,11 +1,11 @@
-"""The radial inverse up to the very fold, for lenses whose coefficients pull against each other."""
+"""The inverse up to the very fold, for lenses whose coefficients pull against each other."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.rig.lens import distort, undistort
+from jaxscan.rig.lens import _invert_radius, distort, invertible_radius, undistort
 
 
 @pytest.mark.parametrize("radial", [[-0.134], [-0.28, 0.08], [0.3, -0.4], [-0.3, 0.2, -0.05], [0.1, -0.5, 0.1]])
@@ -24,3 +24,15 @@ def test_inverse_on_the_first_branch(x64, radial):
     assert rd[chosen][~inside].min(initial=np.inf) > 0.999 * rd[last]
     np.testing.assert_allclose(np.asarray(again)[inside], np.asarray(along)[inside], atol=1e-12)
     assert (np.asarray(back)[inside, 0] <= r[last] * 1.001).all()
+
+
+@pytest.mark.parametrize("x64", [False, True])
+@pytest.mark.parametrize("radial", [[-0.134], [-0.5, 0.12, -0.005], [0.47, 0.0267, 4.4e-5, 0.767, 0.0963, 0.0014]])
+def test_newton_stops_at_the_root(radial, x64):
+    """One pixel that goes on keeps all of an image waiting."""
+    with jax.enable_x64(x64):
+        k = tuple(map(jnp.asarray, radial))
+        _, rd_limit = invertible_radius(k, k[0].dtype)
+        rd = jnp.linspace(0, 0.99 * rd_limit, 50001)
+        _, steps = jax.jit(jax.vmap(lambda rd: _invert_radius(k, rd)))(rd)
+        assert int(steps.max()) <= 20
