@@ -13,11 +13,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 Coefficients = tuple[Float[Array, ""], ...]
 
 _MAX_NEWTON_STEPS = 60
+# What counts as a root: a distorted coordinate met within so many times the tolerance of a Newton step.
+_CLOSE = 100.0
 # The invertible range is looked for up to this radius: 84 degrees from the axis.
 _WIDEST_RADIUS = 10.0
 _RADIUS_SAMPLES = 512
@@ -61,8 +63,9 @@ def undistort(radial: Coefficients, tangential: Coefficients, xd: Float[Array, "
 @jax.custom_jvp
 def _undistort(lens: tuple[Coefficients, Coefficients], xd: Float[Array, "2"]) -> Float[Array, "2"]:
     radial, tangential = lens
-    x = xd * _radial_scale(radial, xd @ xd)
-    return _correct_tangential(radial, tangential, x, xd) if tangential else x
+    if tangential:
+        return _undistort_tangential(radial, tangential, xd)
+    return xd * _radial_scale(radial, xd @ xd)
 
 
 @_undistort.defjvp
@@ -85,14 +88,19 @@ def invertible_radius(radial: Coefficients, dtype: Any) -> tuple[Float[Array, ""
 
     A lens that never folds back within 84 degrees of its axis gets that radius.
     """
-    r = jnp.linspace(0.0, _WIDEST_RADIUS, _RADIUS_SAMPLES, dtype=dtype) ** 2 / _WIDEST_RADIUS
-    rd = r * radial_factor(radial, r * r)
+    r, rd = _radii(radial, dtype)
     growing = jnp.cumprod(rd[1:] > rd[:-1])
     last = growing.sum()
     # The true turn lies within one sample of the last growing one; a parabola through three samples gives its height.
     i = jnp.clip(last, 1, _RADIUS_SAMPLES - 2)
     folds = last < _RADIUS_SAMPLES - 1
     return jnp.where(folds, r[i + 1], r[-1]), jnp.where(folds, _parabola_top(r, rd, i), rd[last])
+
+
+def _radii(radial: Coefficients, dtype: Any) -> tuple[Float[Array, "samples"], Float[Array, "samples"]]:
+    """Undistorted radii from 0 to the widest, closer together near the axis, and the distorted ones."""
+    r = jnp.linspace(0.0, _WIDEST_RADIUS, _RADIUS_SAMPLES, dtype=dtype) ** 2 / _WIDEST_RADIUS
+    return r, r * radial_factor(radial, r * r)
 
 
 def _parabola_top(r: Float[Array, "n"], f: Float[Array, "n"], i: Int[Array, ""]) -> Float[Array, ""]:
@@ -140,26 +148,60 @@ def _invert_radius(radial: Coefficients, rd: Float[Array, ""]) -> tuple[Float[Ar
     r, _, n, *_ = jax.lax.while_loop(
         lambda s: (s[1] > tolerance * (1 + s[0])) & (s[2] < _MAX_NEWTON_STEPS), newton, start
     )
-    return jnp.where(inside, r, jnp.nan), n
+    # The fold's height is an estimate: just beyond the true one there is no root.
+    found = inside & (jnp.abs(height(r) - target) <= _CLOSE * tolerance * (1 + target))
+    return jnp.where(found, r, jnp.nan), n
 
 
-def _correct_tangential(
-    radial: Coefficients, tangential: Coefficients, x: Float[Array, "2"], xd: Float[Array, "2"]
-) -> Float[Array, "2"]:
-    """Newton in two dimensions from the radial solution to that of the whole lens."""
+def _undistort_tangential(radial: Coefficients, tangential: Coefficients, xd: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Damped Newton in two dimensions, from the radial solution, which never leaves the branch of the centre.
 
-    def f(x: Float[Array, "2"]) -> Float[Array, "2"]:
-        return distort(radial, tangential, x)
+    The distorted coordinates are the gradient of a potential. Where its Hessian J is positive definite around the
+    centre the potential is convex, and has one such point; beyond the fold Newton's method alone would find others.
+    """
+
+    def at(x: Float[Array, "2"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"], Float[Array, ""]]:
+        error = distort(radial, tangential, x) - xd
+        return error, jax.jacfwd(lambda x: distort(radial, tangential, x))(x), error @ error
+
+    def on_branch(x: Float[Array, "2"], J: Float[Array, "2 2"]) -> Bool[Array, ""]:
+        return (J[0, 0] > 0) & (J[0, 0] * J[1, 1] > J[0, 1] * J[1, 0]) & (x @ x <= wall**2)
 
     def newton(state: Any) -> Any:
-        x, _, n = state
-        step = _solve2(jax.jacfwd(f)(x), xd - f(x))
-        return x + step, jnp.abs(step).max(), n + 1
+        x, error, J, square, share, _, n = state
+        step = -share * _solve2(J, error)
+        new = x + step
+        error_new, J_new, square_new = at(new)
+        taken = on_branch(new, J_new) & (square_new < square)
+        x, error, J, square = jax.tree.map(
+            lambda a, b: jnp.where(taken, a, b), (new, error_new, J_new, square_new), (x, error, J, square)
+        )
+        return x, error, J, square, jnp.where(taken, 1.0, share / 4), jnp.abs(step).max(), n + 1
 
-    tolerance = 4 * jnp.finfo(x.dtype).eps
-    state = (x, jnp.full_like(x[0], jnp.inf), 0)
-    x, size, _ = jax.lax.while_loop(
-        lambda s: (s[1] > tolerance * (1 + jnp.abs(s[0]).max())) & (s[2] < _MAX_NEWTON_STEPS), newton, state
+    _, rd_limit = invertible_radius(radial, xd.dtype)
+    wall = _far_side(radial, tangential, xd.dtype)
+    # A start within the fold of the radial part, from which there is a way to wherever the tangential part moves it.
+    rd = jnp.sqrt(xd @ xd)
+    start = xd * jnp.where(rd > 0.9 * rd_limit, 0.9 * rd_limit / rd, 1.0)
+    start = start * _radial_scale(radial, start @ start)
+    start = jnp.where(on_branch(start, at(start)[1]), start, 0.0)
+    tolerance = 4 * jnp.finfo(xd.dtype).eps
+    one = jnp.ones_like(rd)
+    x, _, _, square, *_ = jax.lax.while_loop(
+        lambda s: (s[5] > tolerance * (1 + jnp.abs(s[0]).max())) & (s[6] < _MAX_NEWTON_STEPS),
+        newton,
+        (start, *at(start), one, jnp.inf * one, 0),
     )
-    upright = jnp.linalg.det(jax.jacfwd(f)(x)) > 0
-    return jnp.where(upright & (size < jnp.sqrt(tolerance)), x, jnp.nan)
+    return jnp.where(square <= (_CLOSE * tolerance * (1 + rd)) ** 2, x, jnp.nan)
+
+
+def _far_side(radial: Coefficients, tangential: Coefficients, dtype: Any) -> Float[Array, ""]:
+    """The undistorted radius beyond the fold from which the distorted one may grow again; no branch of the centre's.
+
+    The slope of the distorted radius along a direction e is d(r s)/dr + 6 r (p2, p1) · e.
+    """
+    r, rd = _radii(radial, dtype)
+    slope = jnp.diff(rd) / jnp.diff(r)
+    folded = jnp.cumsum(slope <= 6 * r[1:] * jnp.sqrt(tangential[0] ** 2 + tangential[1] ** 2)) > 0
+    again = folded[:-1] & (slope[1:] > slope[:-1])
+    return jnp.where(again.any(), r[1 + jnp.argmax(again)], r[-1])

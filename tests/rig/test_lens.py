@@ -36,3 +36,44 @@ def test_newton_stops_at_the_root(radial, x64):
         rd = jnp.linspace(0, 0.99 * rd_limit, 50001)
         _, steps = jax.jit(jax.vmap(lambda rd: _invert_radius(k, rd)))(rd)
         assert int(steps.max()) <= 20
+
+
+@pytest.mark.parametrize("x64", [False, True])
+@pytest.mark.parametrize(
+    ("radial", "tangential"),
+    [
+        # The radial part folds for good; folds and rises again; tends to a constant.
+        ([-0.134, 0.0, 0.0], [1e-2, -2e-2]),
+        ([-0.5, 0.1, 0.0], [1e-3, -2e-3]),
+        ([0.47, 0.0267, 4.4e-5, 0.767, 0.0963, 0.0014], [-1.2e-5, 9e-5]),
+    ],
+)
+def test_tangential_inverse_is_on_the_branch_of_the_centre_or_nan(radial, tangential, x64):
+    """A point is on the branch where J is positive definite all the way from the centre to it."""
+    with jax.enable_x64(True):
+        k, p = (tuple(map(jnp.asarray, c)) for c in (radial, tangential))
+        hessian = jax.jit(jax.vmap(jax.jacfwd(lambda x: distort(k, p, x))))
+        _, rd_limit = invertible_radius(k, k[0].dtype)
+
+        def least(x):
+            way = np.linspace(0, 1, 101)[1:, None, None] * x
+            return np.linalg.eigvalsh(hessian(jnp.asarray(way.reshape(-1, 2)))).min(axis=1).reshape(100, -1).min(axis=0)
+
+        random = np.random.default_rng(0)
+        rd, angle = random.uniform(0.8, 1.2, 1000) * float(rd_limit), random.uniform(0, 2 * np.pi, 1000)
+        xd = rd[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    with jax.enable_x64(x64):
+        own = [tuple(map(jnp.asarray, c)) for c in (radial, tangential)]
+        inverse = jax.jit(jax.vmap(lambda xd: undistort(*own, xd)))
+        x = np.asarray(inverse(jnp.asarray(xd)), float)
+    with jax.enable_x64(True):
+        found = np.isfinite(x).all(axis=1)
+        assert found.sum() > 300
+        assert least(x[found]).min() > (-1e-6 if x64 else -1e-2)
+        # And whatever lies on the branch, not within rounding of its edge, is found again.
+        x = x[found] * random.uniform(0.5, 1.05, (found.sum(), 1))
+        x = x[least(x) > 0.01]
+        xd = jax.jit(jax.vmap(lambda x: distort(k, p, x)))(jnp.asarray(x))
+    with jax.enable_x64(x64):
+        back = inverse(jnp.asarray(np.asarray(xd)))
+    np.testing.assert_allclose(back, x, atol=1e-11 if x64 else 1e-3)
