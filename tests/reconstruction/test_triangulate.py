@@ -45,6 +45,31 @@ def test_kernel_is_the_definition(lens):
     np.testing.assert_allclose(np.asarray(single)[near], exact[near], atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("lens", "radial", "tangential", "focal"),
+    [
+        ("radial1", [-0.3], (), 500.0),
+        ("rational", [0.47, 0.0267, 4.4e-5, 0.767, 0.0963, 0.0014], [-1e-5, 9e-5], 300.0),
+        ("brown", [-0.27, 0.05, 0.1], [1e-2, -2e-2], 697.0),
+        ("brown", [-0.3, 0.0, 0.0], [5e-3, -5e-3], 480.0),
+    ],
+)
+def test_strong_lenses_in_float32_over_the_whole_image(lens, radial, tangential, focal):
+    """Of a lens that folds back inside the image, up to the fold."""
+    with float64():
+        camera = Camera.create((640, 480), [focal, focal], [327.0, 235.0], lens, radial, tangential)
+        # A plane across the axis at the distance 1 sees the rays themselves.
+        rig = as_numpy(Rig(camera, (LightPlane.create([0.0, 0.0, 1.0]),)))
+        pixels = np.stack(np.meshgrid(np.linspace(-0.5, 639.5, 97), np.linspace(-0.5, 479.5, 73)), -1).reshape(-1, 2)
+        exact = np.asarray(jax.jit(jax.vmap(camera.ray))(jnp.asarray(pixels)))
+    u, v = jnp.asarray(pixels.T, jnp.float32)
+    points = np.asarray(triangulate(Kernel.create(rig), u, v, jnp.zeros_like(u)))
+    found = np.isfinite(points).all(axis=1)
+    assert np.isfinite(exact[found]).all()
+    assert found.sum() > 0.95 * np.isfinite(exact).all(axis=1).sum()
+    assert np.linalg.norm(points - exact, axis=1)[found].max() * focal < 2e-3
+
+
 def test_a_pixel_that_is_missing_or_sees_no_sheet_gives_nan():
     kernel = Kernel.create(rig_with("radial1"))
     points = triangulate(kernel, jnp.array([300.0, jnp.nan, 300.0]), jnp.array([100.0, 100.0, jnp.nan]), jnp.zeros(3))
