@@ -191,6 +191,11 @@ def _first_light_planes(
                 "needed: check [laser] color and columns, and that the stripe crosses the board"
             )
         omega = initial.robust_plane(points, view)
+        if np.isnan(omega).all():
+            raise ObservabilityError(
+                f"{which}the stripes of all views lie on one line, which does not make a plane: hold the board at "
+                "different distances"
+            )
         if not np.isfinite(omega).all() or np.linalg.norm(omega) > 1.0:
             raise ObservabilityError(
                 f"{which}the stripes lie on a plane through the camera's centre, which cannot measure: move the laser "

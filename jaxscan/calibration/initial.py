@@ -139,7 +139,7 @@ def robust_plane(points: Float[np.ndarray, "points 3"], group: Int[np.ndarray, "
         group: which view each is from: a triple is drawn from two views, since one view's points lie on a line.
 
     Returns:
-        NaN where no three points span a plane.
+        ω, 1/mm; NaN where no three points span a plane, infinite where it holds the origin.
     """
     rng = np.random.default_rng(0)
     sample = points[rng.permutation(len(points))[:_PLANE_SAMPLE]]
@@ -158,14 +158,14 @@ def robust_plane(points: Float[np.ndarray, "points 3"], group: Int[np.ndarray, "
     normal, a = normal[proper] / length[proper, None], a[proper]
     score = np.median(np.abs(sample @ normal.T - (a * normal).sum(axis=1)), axis=0)
     least = int(np.argmin(score))
-    best = normal[least] / (normal[least] @ a[least])
+    normal, centre = normal[least], a[least]
     for _ in range(10):
-        distance = np.abs(points @ best - 1) / np.linalg.norm(best)
+        distance = np.abs((points - centre) @ normal)
         near = distance <= max(3 * 1.4826 * np.median(distance), 1e-9)
         centre = points[near].mean(axis=0)
         normal = np.linalg.svd(points[near] - centre, full_matrices=False)[2][2]
-        best = normal / (normal @ centre)
-    return best
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return normal / (normal @ centre)
 
 
 def stage_line(

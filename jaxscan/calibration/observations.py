@@ -57,7 +57,7 @@ class StageSequence:
 
     Attributes:
         steps: motor step count of each photograph.
-        views: the photographs, all with the corners in the same order.
+        views: the photographs, all with the corners in the same order, without stripes.
     """
 
     steps: Float[np.ndarray, "images"]
@@ -100,5 +100,11 @@ class Observations:
                 if not 0 <= stripe.laser < len(self.lasers):
                     raise InputError(f"{view.name}: a stripe names laser {stripe.laser} of {len(self.lasers)}")
         for stage in self.stages:
+            for view in stage.views:
+                if view.stripes:
+                    raise InputError(
+                        f"{view.name}: a stage photograph has stripes, which are compared with boards held still: give "
+                        "this photograph as a view as well, with its stripes, and leave them out of the stage sequence"
+                    )
             if len(stage.steps) != len(stage.views):
                 raise InputError(f"{len(stage.steps)} step counts for {len(stage.views)} stage photographs")

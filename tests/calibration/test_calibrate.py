@@ -200,6 +200,13 @@ def test_shapes_that_do_not_fit_are_refused(session):
         replace(session, views=(replace(session.views[0], corners=np.zeros((5, 2))), *session.views[1:]))
 
 
+def test_stripes_on_the_stage_are_refused(session):
+    stage = session.stages[0]
+    lit = tuple(replace(view, stripes=session.views[0].stripes) for view in stage.views)
+    with pytest.raises(InputError, match="stage-0: a stage photograph has stripes"):
+        replace(session, stages=(replace(stage, views=lit),))
+
+
 def test_inside_a_float32_trace_it_says_what_to_do(session):
     with pytest.raises(InputError, match="jax_enable_x64"):
         jax.jit(lambda x: calibrate(session).corner_rms_px * x)(1.0)

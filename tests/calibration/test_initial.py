@@ -57,6 +57,13 @@ def test_robust_plane_through_two_fifths_of_strays():
     np.testing.assert_allclose(initial.robust_plane(points, view), omega, atol=2e-6)
 
 
+def test_stripes_that_make_no_plane_give_no_number():
+    line = np.c_[np.linspace(-50, 50, 40), np.zeros(40), np.full(40, 300.0)]
+    assert np.isnan(initial.robust_plane(np.concatenate([line, line]), np.repeat([0, 1], 40))).all()
+    through_the_camera = np.c_[line[:, :2], np.random.default_rng(0).uniform(200, 400, 40)]
+    assert not np.isfinite(initial.robust_plane(through_the_camera, np.repeat([0, 1], 20))).all()
+
+
 def test_stage_line_with_one_photograph_off():
     steps = np.arange(-100000, -80000, 2000.0)
     translations = np.array([1.0, 2.0, 300.0]) + (steps - steps.mean())[:, None] * [1e-5, 9e-4, -4e-4]
