@@ -8,8 +8,12 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxscan.errors import InputError
+
+# A number of a rig: JAX's in a computation, NumPy's in a rig at rest (`as_numpy`).
+Leaf = Float[Array | np.ndarray, ""]
 
 
 @contextmanager

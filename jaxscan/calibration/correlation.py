@@ -15,9 +15,7 @@ from jaxtyping import Bool, Float
 _WINDOW = 5.0
 
 
-def integrated_correlation(
-    errors: Sequence[Float[np.ndarray, "points"]], kept: Sequence[Bool[np.ndarray, "points"]]
-) -> float:
+def integrated_correlation(errors: Sequence[Float[np.ndarray, "_"]], kept: Sequence[Bool[np.ndarray, "_"]]) -> float:
     """τ of errors along stripes: 1 for independent ones.
 
     Args:

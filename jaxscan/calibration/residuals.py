@@ -98,7 +98,7 @@ def block_errors(
     R = T.matrix()
     centre = jnp.stack(rig.camera.principal)
     seen = jnp.where(block.corner_used[:, None], block.corners, 0.0)
-    corner = jax.vmap(lambda *each: corner_error(rig, warp, R, T.translation, *each))(
+    corner = jax.vmap(lambda *each: corner_error(rig, warp, R, pose[3:], *each))(
         block.points, block.relative, block.steps, seen
     )
     corner = jnp.where(block.corner_used[:, None], corner, 0.0)

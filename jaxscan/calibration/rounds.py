@@ -201,7 +201,7 @@ def _variance_components(
     candidates: tuple[Blocks, ...],
     groups: tuple[Blocks, ...],
     errors: tuple,
-    leverage: tuple[Float[Array, "blocks residuals"], ...],
+    leverage: tuple[Float[Array, "_ _"], ...],
     noise: Noise,
     board_points: int,
 ) -> tuple[Noise, tuple[_Sums, ...]]:

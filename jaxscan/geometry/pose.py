@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.geometry.rotation import matrix_to_vector, vector_to_matrix
@@ -15,8 +16,8 @@ class Pose(eqx.Module):
         translation: millimetres.
     """
 
-    rotation: Float[Array, "*stack 3"]
-    translation: Float[Array, "*stack 3"]
+    rotation: Float[Array | np.ndarray, "*stack 3"]
+    translation: Float[Array | np.ndarray, "*stack 3"]
 
     @staticmethod
     def from_matrix(R: Float[Array, "3 3"], translation: Float[Array, "3"]) -> "Pose":
@@ -34,9 +35,9 @@ class Pose(eqx.Module):
 
     def matrix(self) -> Float[Array, "3 3"]:
         """The rotation matrix of a single pose."""
-        return vector_to_matrix(self.rotation)
+        return vector_to_matrix(jnp.asarray(self.rotation))
 
-    def apply(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
+    def apply(self, point: Float[Array | np.ndarray, "3"]) -> Float[Array, "3"]:
         """A point of frame b in frame a (mm)."""
         return self.matrix() @ point + self.translation
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxscan.errors import InputError
+from jaxscan.precision import Leaf
 from jaxscan.rig.lens import Coefficients, distort, undistort
 
 # The lens ladder: how many radial and tangential coefficients each rung has.
@@ -32,8 +33,8 @@ class Camera(eqx.Module):
         image_size: columns and rows.
     """
 
-    focal: tuple[Float[Array, ""], Float[Array, ""]]
-    principal: tuple[Float[Array, ""], Float[Array, ""]]
+    focal: tuple[Leaf, Leaf]
+    principal: tuple[Leaf, Leaf]
     radial: Coefficients
     tangential: Coefficients
     image_size: tuple[int, int] = eqx.field(static=True)

@@ -15,7 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-Coefficients = tuple[Float[Array, ""], ...]
+from jaxscan.precision import Leaf
+
+Coefficients = tuple[Leaf, ...]
 
 _MAX_NEWTON_STEPS = 60
 # What counts as a root: a distorted coordinate met within so many times the tolerance of a Newton step.

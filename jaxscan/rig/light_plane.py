@@ -6,6 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from jaxscan.precision import Leaf
+
 
 class LightPlane(eqx.Module):
     """The points X of the camera frame with ω · X = 1.
@@ -15,7 +17,7 @@ class LightPlane(eqx.Module):
         name: which laser of several this is; the only one needs none.
     """
 
-    plane: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
+    plane: tuple[Leaf, Leaf, Leaf]
     name: str = eqx.field(static=True, default="")
 
     @staticmethod

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscan.geometry import Pose
+from jaxscan.precision import Leaf
 from jaxscan.rig.rig import Rig
 
 
@@ -19,13 +20,13 @@ class BoardWarp(eqx.Module):
         y: bulge along the rows, mm.
     """
 
-    x: Float[Array, ""]
-    y: Float[Array, ""]
+    x: Leaf
+    y: Leaf
 
     def height(self, relative: Float[Array, "2"]) -> Float[Array, ""]:
         """Z at relative board coordinates (mm)."""
         bulge = 4 * relative * (1 - relative)
-        return self.x * bulge[0] + self.y * bulge[1]
+        return jnp.stack([self.x, self.y]) @ bulge
 
 
 class System(eqx.Module):
@@ -43,7 +44,7 @@ class System(eqx.Module):
     stages: Pose
     warp: BoardWarp | None = None
 
-    def stage_board(self, sequence: int, steps: Float[Array, ""]) -> Pose:
+    def stage_board(self, sequence: int, steps: Leaf) -> Pose:
         """T_cam_board of a stage sequence at a motor step count: one rotation, t₀ + n · per_step."""
         moved = jnp.zeros(3) if self.rig.stage is None else self.rig.stage.displacement(steps)
         return Pose(self.stages.rotation[sequence], self.stages.translation[sequence] + moved)

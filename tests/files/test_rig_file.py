@@ -74,7 +74,7 @@ def test_every_bit_survives_the_file_whatever_the_precision_of_the_caller(tmp_pa
     camera = Camera.create((640, 480), (697.7, 690.4), (310.3, 228.1), lens, radial, tangential)
     names = ("left", "right")
     lasers = tuple(
-        LightPlane.create(w, name) for w, name in zip(([0, -0.005, 0.003], [0.1, 0, 0.01]), names, strict=True)
+        LightPlane.create(w, name) for w, name in zip(([0.0, -0.005, 0.003], [0.1, 0.0, 0.01]), names, strict=True)
     )
     rig = numpy_rig(camera, lasers, Stage.create([3e-5, 9e-4, -4e-4]))
     n = len(parameter_names(rig))
