@@ -74,41 +74,49 @@ class NormalEquations(eqx.Module):
             groups.append(Group(V=square[:, n:-1, n:-1], W=square[:, :n, n:-1], g=square[:, n:-1, -1]))
         return NormalEquations(U, g, tuple(groups))
 
-    def damped_step(self, damping: Float[Array, ""]) -> Arrow:
-        """The step of Marquardt's damping, (JᵀJ + λ diag JᵀJ) δ = −Jᵀr; NaN where that is not positive definite."""
-        eliminated = [_eliminate(group, damping) for group in self.groups]
-        S = self._without_gaps() + damping * jnp.diag(jnp.diagonal(self.U)) - sum(e.schur for e in eliminated)
-        g = self.g - sum(e.gradient for e in eliminated)
-        scale = _scale(self.U)
+    def diagonal(self) -> Arrow:
+        """The diagonal of JᵀJ."""
+        return Arrow(jnp.diagonal(self.U), tuple(jnp.diagonal(g.V, axis1=-2, axis2=-1) for g in self.groups))
+
+    def damped(self, damping: Float[Array, ""], D: Arrow) -> "NormalEquations":
+        """JᵀJ + λ diag D in place of JᵀJ."""
+        groups = tuple(
+            Group(group.V + damping * d[..., None] * jnp.eye(d.shape[-1], dtype=d.dtype)[None], group.W, group.g)
+            for group, d in zip(self.groups, D.blocks, strict=True)
+        )
+        return NormalEquations(self.U + damping * jnp.diag(D.shared), self.g, groups)
+
+    def step(self) -> Arrow:
+        """The Gauss-Newton step −(JᵀJ)⁻¹ Jᵀr; NaN where JᵀJ is not positive definite."""
+        eliminated = [_eliminate(group) for group in self.groups]
+        S, g, scale = *self._reduced(eliminated), _scale(self.U)
         factor = jnp.linalg.cholesky(scale[:, None] * S * scale[None])
-        step = -scale * jax.scipy.linalg.cho_solve((factor, True), scale * g)
-        return Arrow(step, tuple(-(e.own + e.coupling @ step) for e in eliminated))
+        return _with_blocks(-scale * jax.scipy.linalg.cho_solve((factor, True), scale * g), eliminated)
 
-    def schur_complement(self) -> tuple[Float[Array, "shared shared"], Float[Array, "shared"], Float[Array, ""]]:
-        """S = U − Σ W V⁻¹ Wᵀ, its right-hand side g_s − Σ W V⁻¹ g, and Σ gᵀ V⁻¹ g."""
-        zero = jnp.zeros_like(self.U, shape=())
-        eliminated = [_eliminate(group, zero) for group in self.groups]
-        S = self._without_gaps() - sum(e.schur for e in eliminated)
-        g = self.g - sum(e.gradient for e in eliminated)
-        decrement = sum(((group.g * e.own).sum() for group, e in zip(self.groups, eliminated, strict=True)), zero)
-        return S, g, decrement
+    def determined_step(self) -> tuple[Arrow, Float[Array, ""]]:
+        """The Gauss-Newton step along what the data determine, and gᵀ (JᵀJ)⁻¹ g, by how much ‖r‖² would fall.
 
-    def _without_gaps(self) -> Float[Array, "shared shared"]:
-        """U with 1 on the diagonal of every shared unknown that no residual depends on, which so stays where it is."""
-        return self.U + jnp.diag(jnp.where(jnp.diagonal(self.U) > 0, 0.0, 1.0).astype(self.U.dtype))
-
-    def decrement(self) -> Float[Array, ""]:
-        """gᵀ (JᵀJ)⁻¹ g: how much ‖r‖² would fall by a full Gauss-Newton step, along what the data determine.
-
-        Residuals in units of their own σ make this the squared distance from the minimum in standard deviations.
+        Residuals in units of their own σ make the latter the squared distance from the minimum in standard deviations.
         """
-        S, g, own = self.schur_complement()
-        scale = _scale(self.U)
+        eliminated = [_eliminate(group) for group in self.groups]
+        S, g, scale = *self._reduced(eliminated), _scale(self.U)
         values, vectors = jnp.linalg.eigh(scale[:, None] * S * scale[None])
         # Below this an eigenvalue is rounding: the direction is not determined, and no step along it is wanted.
         determined = values > 1e3 * jnp.finfo(values.dtype).eps
         along = vectors.T @ (scale * g)
-        return own + jnp.where(determined, along**2 / jnp.where(determined, values, 1.0), 0.0).sum()
+        length = jnp.where(determined, along / jnp.where(determined, values, 1.0), 0.0)
+        fall = along @ length + sum((group.g * e.own).sum() for group, e in zip(self.groups, eliminated, strict=True))
+        return _with_blocks(-scale * (vectors @ length), eliminated), fall
+
+    def schur_complement(self) -> Float[Array, "shared shared"]:
+        """S = U − Σ W V⁻¹ Wᵀ."""
+        return self._reduced([_eliminate(group) for group in self.groups])[0]
+
+    def _reduced(self, eliminated: "list[_Eliminated]") -> tuple[Float[Array, "shared shared"], Float[Array, "shared"]]:
+        """S, with 1 on the diagonal of a shared unknown that no residual depends on, and g_s − Σ W V⁻¹ g."""
+        gaps = jnp.diag(jnp.where(jnp.diagonal(self.U) > 0, 0.0, 1.0).astype(self.U.dtype))
+        S = self.U + gaps - sum(e.schur for e in eliminated)
+        return S, self.g - sum(e.gradient for e in eliminated)
 
 
 class _Eliminated(eqx.Module):
@@ -120,18 +128,23 @@ class _Eliminated(eqx.Module):
     gradient: Float[Array, "shared"]
 
 
-def _eliminate(group: Group, damping: Float[Array, ""]) -> _Eliminated:
+def _eliminate(group: Group) -> _Eliminated:
     right = jnp.concatenate([group.g[..., None], jnp.swapaxes(group.W, -1, -2)], axis=-1)
-    solved = solve_blocks(group.V, right, damping)
+    solved = solve_blocks(group.V, right)
     own, coupling = solved[..., 0], solved[..., 1:]
     both = jnp.einsum("bsi,bij->sj", group.W, solved)
     return _Eliminated(own, coupling, both[:, 1:], both[:, 0])
 
 
+def _with_blocks(step: Float[Array, "shared"], eliminated: list[_Eliminated]) -> Arrow:
+    """A step of the shared unknowns and those of the blocks that follow from it."""
+    return Arrow(step, tuple(-(e.own + e.coupling @ step) for e in eliminated))
+
+
 def solve_blocks(
-    V: Float[Array, "blocks size size"], right: Float[Array, "blocks size columns"], damping: Float[Array, ""]
+    V: Float[Array, "blocks size size"], right: Float[Array, "blocks size columns"]
 ) -> Float[Array, "blocks size columns"]:
-    """(V_b + λ diag V_b)⁻¹ times a right-hand side for each block.
+    """V_b⁻¹ times a right-hand side for each block.
 
     An unknown on which no residual depends (a padded block) stays where it is. Gauss-Jordan elimination, which needs no
     pivoting on a positive definite matrix, runs over the few columns of a block and over all blocks at once: LAPACK,
@@ -142,10 +155,8 @@ def solve_blocks(
     unused = diagonal <= 0
     scale = jax.lax.rsqrt(jnp.where(unused, 1.0, diagonal))
     unit = scale[..., :, None] * V * scale[..., None, :]
-    added = jnp.where(unused, 1.0, damping)
-    augmented = jnp.concatenate(
-        [unit + added[..., None] * jnp.eye(size, dtype=V.dtype)[None], scale[..., None] * right], -1
-    )
+    gaps = jnp.where(unused, 1.0, 0.0).astype(V.dtype)[..., None] * jnp.eye(size, dtype=V.dtype)[None]
+    augmented = jnp.concatenate([unit + gaps, scale[..., None] * right], -1)
 
     def eliminate(j: Array, M: Float[Array, "size columns blocks"]) -> Float[Array, "size columns blocks"]:
         row = jax.lax.dynamic_index_in_dim(M, j, 0, keepdims=False)

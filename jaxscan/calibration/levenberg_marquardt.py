@@ -1,15 +1,19 @@
 """Levenberg-Marquardt for arrow-shaped least squares, as a solver of optimistix.
 
 What differs from the stock solver: the damping is Marquardt's, λ times the diagonal of JᵀJ, so that the units of the
-unknowns do not matter; λ follows H. B. Nielsen's rule ("Damping parameter in Marquardt's method", IMM-REP-1999-05);
-the linear algebra is that of `block_arrow`, and what does not depend on λ is kept when a step is rejected; and
-the solve ends when the undamped step left to take is negligible *in units of the estimates' own standard deviation*.
+unknowns do not matter, and the largest diagonal met so far (J. J. Moré, "The Levenberg-Marquardt algorithm", 1978), so
+that an unknown whose effect fades on the way does not run off; λ follows H. B. Nielsen's rule ("Damping parameter in
+Marquardt's method", IMM-REP-1999-05); the linear algebra is that of `block_arrow`, and what does not depend on λ is
+kept when a step is rejected; and the solve ends when the undamped step left is negligible *in units of the estimates'
+own standard deviation*. That step is taken still: it costs nothing more, and derivatives through the solution are
+those of the minimum.
 """
 
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree, Scalar
@@ -27,8 +31,12 @@ _CONVERGED_WITHIN_ROUNDING = 1e-9
 
 
 class _DescentState(eqx.Module):
+    """The normal equations, the largest diagonal so far, the undamped step and the fall of ‖r‖² that it promises."""
+
     normal: NormalEquations
-    decrement: Float[Array, ""]
+    largest: Arrow
+    left: Arrow
+    fall: Float[Array, ""]
 
 
 class BlockArrowDescent(optx.AbstractDescent[Arrow, optx.FunctionInfo.ResidualJac, _DescentState]):
@@ -43,17 +51,17 @@ class BlockArrowDescent(optx.AbstractDescent[Arrow, optx.FunctionInfo.ResidualJa
             for b, d in (block.shape for block in y.blocks)
         )
         normal = NormalEquations(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), groups)
-        return _DescentState(normal, jnp.array(jnp.inf, dtype))
+        return _DescentState(normal, normal.diagonal(), normal.diagonal(), jnp.array(jnp.inf, dtype))
 
     def query(self, y: Arrow, f_info: Any, state: _DescentState) -> _DescentState:
         """The normal equations at a new point."""
-        del state
         normal = NormalEquations.create(jacobian_columns(f_info.jac.mv, y), f_info.residual)
-        return _DescentState(normal, normal.decrement())
+        largest = jax.tree.map(jnp.maximum, state.largest, normal.diagonal())
+        return _DescentState(normal, largest, *normal.determined_step())
 
     def step(self, step_size: Scalar, state: _DescentState) -> tuple[Arrow, optx.RESULTS]:
         """The step for one λ."""
-        return state.normal.damped_step(1 / step_size), optx.RESULTS.successful
+        return state.normal.damped(1 / step_size, state.largest).step(), optx.RESULTS.successful
 
 
 class _SearchState(eqx.Module):
@@ -120,13 +128,29 @@ class BlockArrowLevenbergMarquardt(optx.AbstractGaussNewton[Arrow, Any, Any]):
     ) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """Stop at the minimum, or where no step lowers the sum any more."""
         total = _sum_squares(state.f_info.residual)
-        left = state.descent_state.decrement
+        left = state.descent_state.fall
         stuck = state.search_state.damping > _LARGEST_DAMPING
         reached = (left <= _CONVERGED * total + self.negligible) | (
             stuck & (left <= _CONVERGED_WITHIN_ROUNDING * total)
         )
         failed = optx.RESULTS.where(stuck & ~reached, optx.RESULTS.nonlinear_divergence, state.result)
         return reached | stuck, failed
+
+    def postprocess(
+        self,
+        fn: Any,
+        y: Arrow,
+        aux: Any,
+        args: Any,
+        options: Any,
+        state: Any,
+        tags: frozenset[object],
+        result: optx.RESULTS,
+    ) -> tuple[Arrow, Any, dict[str, Any]]:
+        """At the minimum, take the step left: it is solved for already, and too short for ‖r‖² to tell its fall."""
+        at_minimum = result == optx.RESULTS.successful
+        y = jax.tree.map(lambda y, left: y + jnp.where(at_minimum, left, 0.0), y, state.descent_state.left)
+        return y, aux, {}
 
 
 def _negative(tree: Arrow) -> Arrow:

@@ -47,7 +47,7 @@ def precision(estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blo
 def arrow_precision(value: Arrow, jacobian: Jacobian) -> Precision:
     """The covariance of any arrow-shaped problem whose residuals are in units of their σ."""
     normal = NormalEquations.create(jacobian, value)
-    S, _, _ = normal.schur_complement()
+    S = normal.schur_complement()
     diagonal = jnp.diagonal(normal.U)
     scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
     eigenvalues, vectors = jnp.linalg.eigh(scale[:, None] * S * scale[None])
@@ -61,7 +61,7 @@ def arrow_precision(value: Arrow, jacobian: Jacobian) -> Precision:
             [jnp.broadcast_to(jnp.eye(size, dtype=J.dtype)[None], group.V.shape), jnp.swapaxes(group.W, -1, -2)],
             axis=-1,
         )
-        solved = solve_blocks(group.V, right, jnp.zeros((), J.dtype))
+        solved = solve_blocks(group.V, right)
         inverse, K = solved[..., :size], solved[..., size:]
         cross = -jnp.einsum("bis,st->bit", K, covariance)
         own = inverse - cross @ jnp.swapaxes(K, -1, -2)

@@ -45,16 +45,18 @@ def test_step_is_the_dense_one(x64):
     for damping in (0.0, 1e-3, 10.0):
         A = J.T @ J
         expected = -np.linalg.solve(A + damping * np.diag(np.diag(A)), J.T @ r)
-        step = flat(normal.damped_step(jnp.asarray(damping)))
+        step = flat(normal.damped(jnp.asarray(damping), normal.diagonal()).step())
         np.testing.assert_allclose(step, expected, rtol=1e-9)
 
 
-def test_decrement_and_covariance_are_the_dense_ones(x64):
+def test_undamped_step_and_covariance_are_the_dense_ones(x64):
     jacobian, residual = random_problem(1)
     J, r = dense(jacobian, residual)
     inverse = np.linalg.inv(J.T @ J)
     normal = NormalEquations.create(jacobian, residual)
-    np.testing.assert_allclose(normal.decrement(), (J.T @ r) @ inverse @ (J.T @ r), rtol=1e-9)
+    step, fall = normal.determined_step()
+    np.testing.assert_allclose(flat(step), -inverse @ (J.T @ r), rtol=1e-9)
+    np.testing.assert_allclose(fall, (J.T @ r) @ inverse @ (J.T @ r), rtol=1e-9)
     precision = arrow_precision(residual, jacobian)
     np.testing.assert_allclose(precision.covariance, inverse[:N, :N], rtol=1e-8)
     leverage = np.einsum("ij,jk,ik->i", J, inverse, J)[4:]
@@ -67,15 +69,15 @@ def test_a_direction_without_data_is_seen(x64):
     jacobian, residual = random_problem(2)
     twice = jax.tree.map(lambda J: J.at[..., 1].set(2 * J[..., 0]), jacobian)
     assert arrow_precision(residual, twice).eigenvalues[0] < 1e-12
-    assert np.isfinite(float(NormalEquations.create(twice, residual).decrement()))
+    step, fall = NormalEquations.create(twice, residual).determined_step()
+    assert np.isfinite(flat(step)).all()
+    assert np.isfinite(float(fall))
 
 
 def test_padded_blocks_stay_where_they_are(x64):
     V = jnp.asarray(np.stack([np.eye(3) * 2, np.zeros((3, 3))]))
-    x = solve_blocks(V, jnp.ones((2, 3, 1)), jnp.asarray(0.0))
-    np.testing.assert_allclose(x[..., 0], [[0.5] * 3, [1.0] * 3])
-    step = solve_blocks(V, jnp.zeros((2, 3, 1)).at[0].set(1.0), jnp.asarray(1e-3))
-    np.testing.assert_array_equal(step[1, :, 0], 0.0)
+    x = solve_blocks(V, jnp.ones((2, 3, 1)).at[1].set(0.0))
+    np.testing.assert_allclose(x[..., 0], [[0.5] * 3, [0.0] * 3])
 
 
 def test_columns_are_the_jacobian(x64):
