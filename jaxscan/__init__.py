@@ -8,7 +8,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jaxscan.calibration import Calibration, Observations, StageSequence, StripePoints, View, calibrate
+    from jaxscan.calibration import (
+        Adjustment,
+        Calibration,
+        Kept,
+        Observations,
+        StageSequence,
+        StripePoints,
+        View,
+        calibrate,
+        refit,
+    )
     from jaxscan.calibration.observe import observe
     from jaxscan.errors import InputError, JaxscanError, ObservabilityError, SolveError
     from jaxscan.files.cameras import read_camera, write_camera
@@ -22,12 +32,15 @@ if TYPE_CHECKING:
     from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage, System
 
 _HOME = {
+    "Adjustment": "jaxscan.calibration",
     "Calibration": "jaxscan.calibration",
+    "Kept": "jaxscan.calibration",
     "Observations": "jaxscan.calibration",
     "StageSequence": "jaxscan.calibration",
     "StripePoints": "jaxscan.calibration",
     "View": "jaxscan.calibration",
     "calibrate": "jaxscan.calibration",
+    "refit": "jaxscan.calibration",
     "observe": "jaxscan.calibration.observe",
     "InputError": "jaxscan.errors",
     "JaxscanError": "jaxscan.errors",
@@ -59,6 +72,7 @@ _HOME = {
 }
 
 __all__ = [
+    "Adjustment",
     "Board",
     "Calibration",
     "Camera",
@@ -66,6 +80,7 @@ __all__ = [
     "Covariance",
     "InputError",
     "JaxscanError",
+    "Kept",
     "LightPlane",
     "ObservabilityError",
     "Observations",
@@ -89,6 +104,7 @@ __all__ = [
     "read_scan",
     "read_session",
     "reconstruct",
+    "refit",
     "write_camera",
     "write_ply",
     "write_points",

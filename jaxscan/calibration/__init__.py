@@ -1,15 +1,19 @@
 """Calibration: from where corners and stripes were seen to a rig with its covariance."""
 
+from jaxscan.calibration.adjustment import Adjustment, refit
 from jaxscan.calibration.calibrate import calibrate
-from jaxscan.calibration.observations import Observations, StageSequence, StripePoints, View
+from jaxscan.calibration.observations import Kept, Observations, StageSequence, StripePoints, View
 from jaxscan.calibration.result import Calibration, PhotographFit
 
 __all__ = [
+    "Adjustment",
     "Calibration",
+    "Kept",
     "Observations",
     "PhotographFit",
     "StageSequence",
     "StripePoints",
     "View",
     "calibrate",
+    "refit",
 ]

@@ -10,6 +10,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.calibration.block_arrow import Arrow, Jacobian, jacobian_columns
+from jaxscan.calibration.implicit import BlockArrowSolver
 from jaxscan.calibration.levenberg_marquardt import BlockArrowLevenbergMarquardt
 from jaxscan.calibration.residuals import Blocks, Noise, block_residuals
 from jaxscan.rig import BoardWarp, Rig
@@ -81,6 +82,8 @@ def as_arrow(
 def solve(estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blocks, ...], noise: Noise) -> Outcome:
     """Refine the free parameters and all poses by Levenberg-Marquardt.
 
+    The estimate can be differentiated with respect to everything else that is given; cost, steps and result cannot.
+
     Args:
         estimate: where to start.
         free: which leaves of `estimate.shared` are refined, in their order.
@@ -93,6 +96,7 @@ def solve(estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blocks,
         BlockArrowLevenbergMarquardt(negligible=_NEGLIGIBLE),
         y0,
         max_steps=MAX_STEPS,
+        adjoint=optx.ImplicitAdjoint(BlockArrowSolver()),
         throw=False,
     )
     final = solution.state.f_info.residual

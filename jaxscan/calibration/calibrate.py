@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -14,7 +15,7 @@ from jaxscan.calibration import initial
 from jaxscan.calibration.blocks import bucket, reference_step, stage_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Estimate
 from jaxscan.calibration.observability import undetermined
-from jaxscan.calibration.observations import Observations, View
+from jaxscan.calibration.observations import Kept, Observations, View
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration, assemble
@@ -43,8 +44,11 @@ def calibrate(
     hold: Sequence[str] = (),
     board_warp: bool = False,
     reject: bool = True,
+    keep: Sequence[Kept] | None = None,
 ) -> Calibration:
     """Refine camera, lens, light planes, stage and all board poses together.
+
+    Not to be traced, since values decide what is left out; `refit` differentiates the result.
 
     Args:
         observations: corners and stripes.
@@ -54,14 +58,21 @@ def calibrate(
         hold: names of rig parameters, as in `rig.json`, that keep the value of `start`.
         board_warp: whether the board's bulge is estimated too (corners only).
         reject: whether outliers are left out; otherwise plain least squares over every observation.
+        keep: which observations take part, as the `kept` of a finished calibration says it. None of them is then
+            rejected, and nothing else is read, neither for the start nor later; σ and the photographs' weights are
+            estimated as ever.
 
     Raises:
-        InputError: too little to work with; the text says what.
+        InputError: too little to work with, or a trace; the text says what.
         ObservabilityError: the photographs do not determine the rig.
         SolveError: no minimum was reached.
     """
     if principal_point not in ("free", "centre"):
         raise InputError(f'principal_point is "{principal_point}": use "free" or "centre"')
+    _refuse_tracers(observations)
+    if keep is not None:
+        observations = observations.only(keep)
+    judge = reject and keep is None
     with float64():
         usable, left_out = _usable(observations)
         if board_warp and usable.lasers:
@@ -81,30 +92,59 @@ def calibrate(
         )
         views = view_blocks(usable)
         groups = (views, stage_blocks(usable)) if usable.stages else (views,)
+        free = _free(rig, warp, held, ("camera",))
         poses = (_poses(camera, views), *(_far_away(len(group.steps)) for group in groups[1:]))
         refined = refine(
             Estimate((rig, warp), poses),
-            _free(rig, warp, held, ("camera",)),
+            free,
             _corners_of_views(groups),
             noise,
             board_points,
-            reject,
+            reject=judge,
+            weigh=reject,
         )
-        _check(refined, usable, _free(rig, warp, held, ("camera",)))
+        _check(refined, usable, free)
 
         if usable.lasers or usable.stages:
             camera, view_poses = refined.estimate.shared[0].camera, refined.estimate.poses[0]
-            usable, off_board = stripe_on_board(usable, camera, view_poses)
-            left_out += off_board
+            if keep is None:
+                usable, off_board = stripe_on_board(usable, camera, view_poses)
+                left_out += off_board
             stage, stage_poses = _first_stage(usable, camera) if usable.stages else (None, ())
             rig = Rig(camera, _first_light_planes(usable, camera, view_poses), stage)
             groups = (view_blocks(usable), *groups[1:])
             free = _free(rig, None, held, ("camera", "laser", "stage"))
             refined = refine(
-                Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise, board_points, reject
+                Estimate((rig, None), (view_poses, *stage_poses)),
+                free,
+                groups,
+                refined.noise,
+                board_points,
+                reject=judge,
+                weigh=reject,
             )
             _check(refined, usable, free)
-        return assemble(refined, usable, held, left_out)
+        result = assemble(refined, free, usable, held, left_out)
+    kept = iter(result.kept)
+    return replace(
+        result, kept=tuple(next(kept) if _enough(view) else Kept.none(view) for view in observations.photographs())
+    )
+
+
+def _refuse_tracers(observations: Observations) -> None:
+    values = [jnp.zeros(()), *(view.corners for view in observations.photographs())]
+    values += [stripe.pixels for view in observations.photographs() for stripe in view.stripes]
+    if any(isinstance(value, jax.core.Tracer) for value in values):
+        raise InputError(
+            "calibrate decides by values what it leaves out, so jit, grad and vmap cannot go through it: put "
+            'jax.config.update("jax_enable_x64", True) before anything else, calibrate outside of them, and '
+            "differentiate jaxscan.refit(calibration.adjustment)"
+        )
+
+
+def _enough(view: View) -> bool:
+    """Whether a photograph has corners enough for its pose."""
+    return int(view.used().sum()) >= _FEWEST_CORNERS
 
 
 def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
@@ -112,7 +152,7 @@ def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
     left_out = list(observations.left_out)
 
     def enough(view: View) -> bool:
-        if view.used().sum() >= _FEWEST_CORNERS:
+        if _enough(view):
             return True
         left_out.append(f"{view.name}: {int(view.used().sum())} corners, fewer than {_FEWEST_CORNERS}")
         return False

@@ -3,7 +3,8 @@
 Plain arrays that anyone can fill in; `observe` fills them in from the photographs of a session.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -65,6 +66,40 @@ class StageSequence:
 
 
 @dataclass(frozen=True)
+class Kept:
+    """Which corners and stripe points of one photograph take part.
+
+    Attributes:
+        corners: one for each board point.
+        stripes: for each of the photograph's stripes, one for each point.
+    """
+
+    corners: Bool[np.ndarray, "corners"]
+    stripes: tuple[Bool[np.ndarray, "_"], ...] = ()
+
+    @staticmethod
+    def none(view: View) -> "Kept":
+        """Nothing of a photograph."""
+        return Kept(np.zeros(len(view.corners), bool), tuple(np.zeros(len(s.pixels), bool) for s in view.stripes))
+
+    def of(self, view: View) -> View:
+        """The photograph with NaN in place of all else."""
+        if self.corners.shape != view.corners.shape[:1] or [s.shape for s in self.stripes] != [
+            s.pixels.shape[:1] for s in view.stripes
+        ]:
+            raise InputError(
+                f"{view.name}: the mask of what to keep has {self.corners.size} corners and "
+                f"{[s.size for s in self.stripes]} stripe points, the photograph {len(view.corners)} and "
+                f"{[len(s.pixels) for s in view.stripes]}: take the mask from a calibration of the same observations"
+            )
+        stripes = tuple(
+            replace(stripe, pixels=np.where(mask[:, None], stripe.pixels, np.nan))
+            for stripe, mask in zip(view.stripes, self.stripes, strict=True)
+        )
+        return replace(view, corners=np.where(self.corners[:, None], view.corners, np.nan), stripes=stripes)
+
+
+@dataclass(frozen=True)
 class Observations:
     """All that the joint solve is given.
 
@@ -89,7 +124,7 @@ class Observations:
     def __post_init__(self) -> None:
         """Refuse arrays that do not fit together."""
         count = len(self.board.points())
-        for view in (*self.views, *(view for stage in self.stages for view in stage.views)):
+        for view in self.photographs():
             if view.corners.shape != (count, 2):
                 raise InputError(
                     f"{view.name}: corners has the shape {view.corners.shape}, the board's {count} points need another"
@@ -108,3 +143,24 @@ class Observations:
                     )
             if len(stage.steps) != len(stage.views):
                 raise InputError(f"{len(stage.steps)} step counts for {len(stage.views)} stage photographs")
+
+    def photographs(self) -> tuple[View, ...]:
+        """All photographs of the board: the views, then those of the stage, sequence by sequence."""
+        return *self.views, *(view for stage in self.stages for view in stage.views)
+
+    def only(self, keep: Sequence[Kept]) -> "Observations":
+        """The same with NaN in place of all that is not kept.
+
+        Args:
+            keep: for each photograph, in the order of `photographs`.
+        """
+        photographs = self.photographs()
+        if len(keep) != len(photographs):
+            raise InputError(
+                f"keep has masks for {len(keep)} photographs, there are {len(photographs)}: take them from a "
+                "calibration of the same observations"
+            )
+        masked = [mask.of(view) for mask, view in zip(keep, photographs, strict=True)]
+        views, rest = masked[: len(self.views)], iter(masked[len(self.views) :])
+        stages = tuple(replace(stage, views=tuple(next(rest) for _ in stage.views)) for stage in self.stages)
+        return replace(self, views=tuple(views), stages=stages)

@@ -6,13 +6,13 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
+from jaxscan.calibration.adjustment import Adjustment
 from jaxscan.calibration.blocks import reference_step
-from jaxscan.calibration.observations import Observations, View
+from jaxscan.calibration.observations import Kept, Observations, View
 from jaxscan.calibration.rounds import Refined
 from jaxscan.files.rig_file import RigFile
-from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.rig import Covariance, Rig, System
 from jaxscan.rig.rig import parameter_names
@@ -58,6 +58,9 @@ class Calibration:
         stage_fits: stage photograph by stage photograph.
         left_out: what was not used, and why, in words.
         notes: what a reader should know.
+        kept: which points of each photograph took part, in the order of `Observations.photographs`; what `calibrate`
+            takes as `keep`.
+        adjustment: the last least-squares problem, NumPy leaves; what `refit` takes.
         solves: how many solves it took until σ and outliers settled.
         steps: evaluations of the last solve.
     """
@@ -76,6 +79,8 @@ class Calibration:
     stage_fits: tuple[PhotographFit, ...]
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
+    kept: tuple[Kept, ...]
+    adjustment: Adjustment
     solves: int
     steps: int
 
@@ -96,18 +101,20 @@ class Calibration:
         return RigFile(self.rig, self.covariance, fit)
 
 
-def assemble(refined: Refined, observations: Observations, held: set[str], left_out: tuple[str, ...]) -> Calibration:
-    """The result of the last rounds, in the observations' own order; inside a `float64` block."""
-    rig, warp = refined.estimate.shared
-    n_views = len(observations.views)
-    boards = Pose.from_vector(refined.estimate.poses[0][:n_views])
-    n_stages = len(observations.stages)
-    if n_stages and rig.stage is not None:
-        at_mean = Pose.from_vector(refined.estimate.poses[1][:n_stages])
-        means = jnp.asarray([reference_step(stage) for stage in observations.stages])
-        stages = Pose(at_mean.rotation, at_mean.translation - rig.stage.displacement(means))
-    else:
-        stages = Pose(jnp.zeros((0, 3)), jnp.zeros((0, 3)))
+def assemble(
+    refined: Refined, free: Bool[Array, "shared"], observations: Observations, held: set[str], left_out: tuple[str, ...]
+) -> Calibration:
+    """The result of the last rounds, in the order of the observations that took part; inside a `float64` block."""
+    adjustment = Adjustment(
+        estimate=refined.estimate,
+        free=free,
+        groups=refined.groups,
+        noise=refined.solved_with,
+        reference=jnp.asarray([reference_step(stage) for stage in observations.stages]),
+        counts=(len(observations.views), len(observations.stages)),
+    )
+    system = adjustment.system(refined.estimate)
+    rig, (n_views, n_stages) = system.rig, adjustment.counts
     names = parameter_names(rig)
     at = [i for i, name in enumerate(names) if name not in held]
     covariance = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
@@ -123,7 +130,7 @@ def assemble(refined: Refined, observations: Observations, held: set[str], left_
     stripe = np.concatenate([fit.stripe_errors[fit.stripe_kept] for fit in fits])
     return Calibration(
         rig=as_numpy(rig),
-        system=as_numpy(System(rig, boards, stages, warp)),
+        system=as_numpy(system),
         covariance=Covariance(tuple(names[i] for i in at), covariance),
         board_covariances=_with_poses(refined, 0, n_views, names, at),
         stage_covariances=tuple(
@@ -141,6 +148,8 @@ def assemble(refined: Refined, observations: Observations, held: set[str], left_
         stage_fits=stage_fits,
         left_out=left_out + _rejected((*fits, *stage_fits)),
         notes=observations.notes,
+        kept=_kept(observations, refined),
+        adjustment=as_numpy(adjustment),
         solves=refined.solves,
         steps=int(refined.outcome.steps),
     )
@@ -164,6 +173,24 @@ def _at_step_0(covariance: Covariance, mean: float) -> Covariance:
         if name in covariance.names:
             J[covariance.names.index(f"board.translation.{i}"), covariance.names.index(name)] = -mean
     return Covariance(covariance.names, J @ covariance.matrix @ J.T)
+
+
+def _kept(observations: Observations, refined: Refined) -> tuple[Kept, ...]:
+    """What took part in the last solve, photograph by photograph."""
+    each = len(observations.board.points())
+    boards = [(view,) for view in observations.views], [stage.views for stage in observations.stages]
+    kept = []
+    for blocks, group in zip(boards, refined.groups, strict=False):
+        rows = zip(blocks, np.asarray(group.corner_used), np.asarray(group.stripe_used), strict=False)
+        for views, corners, stripe in rows:
+            at = 0
+            for i, view in enumerate(views):
+                stripes = []
+                for seen in view.stripes:
+                    stripes.append(stripe[at : at + len(seen.pixels)])
+                    at += len(seen.pixels)
+                kept.append(Kept(corners[i * each : (i + 1) * each], tuple(stripes)))
+    return tuple(kept)
 
 
 def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: int) -> tuple[PhotographFit, ...]:

@@ -42,7 +42,8 @@ class Refined:
 
     Attributes:
         estimate: the parameters.
-        noise: what residuals were divided by, in pixels: the σ of a corner, and that of a stripe point times √τ.
+        noise: σ in pixels, from the residuals: of a corner, and of a stripe point times √τ.
+        solved_with: what the last solve divided residuals by; but for a common factor the same, within 1 %.
         stripe_sigma: σ of a stripe point by itself, pixels.
         stripe_correlation: τ, how many neighbouring stripe points are worth one.
         groups: the observations with the masks of those that were kept.
@@ -55,6 +56,7 @@ class Refined:
 
     estimate: Estimate
     noise: Noise
+    solved_with: Noise
     stripe_sigma: float
     stripe_correlation: float
     groups: tuple[Blocks, ...]
@@ -71,8 +73,9 @@ def refine(
     noise: Noise,
     board_points: int,
     reject: bool,
+    weigh: bool,
 ) -> Refined:
-    """Solve with σ from the data; with `reject`, leave outliers out.
+    """Solve with σ from the data, leave outliers out and weigh photographs, as far as either is wanted.
 
     Args:
         estimate: where to start.
@@ -80,8 +83,8 @@ def refine(
         candidates: all observations that may be used.
         noise: a first guess of the two σ.
         board_points: how many corners a photograph has.
-        reject: whether observations may be left out and photographs weighted by their own σ; otherwise every candidate
-            is used as it stands, by least squares.
+        reject: whether observations may be left out; otherwise every candidate is used.
+        weigh: whether photographs are weighted by their own σ.
     """
     groups = candidates
     solves = 0
@@ -102,18 +105,16 @@ def refine(
         single, photographs = _variance_components(candidates, groups, errors, leverage, noise, board_points)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
         settled = Noise(single.corner, single.stripe * tau**0.5, single.robustness)
-        kept = groups
+        kept = _weighted(candidates, photographs, single, tau, board_points) if weigh else candidates
         if reject:
-            kept = _weighted(candidates, photographs, single, tau, board_points)
             kept = _keep(kept, errors, _at_least(single, _median_noise(groups, errors, single)))
         # Only the ratio of the two σ moves the estimate; their common scale is in the covariance alone.
         ratio = float((settled.stripe / settled.corner) / (noise.stripe / noise.corner))
         calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
-        noise = settled
         if calm or solves >= _MAX_SOLVES:
-            spread = precision(estimate, free, groups, noise)
-            return Refined(estimate, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves)
-        groups = kept
+            spread = precision(estimate, free, groups, settled)
+            return Refined(estimate, settled, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves)
+        noise, groups = settled, kept
 
 
 def _same(old: tuple[Blocks, ...], new: tuple[Blocks, ...]) -> bool:

@@ -1,0 +1,129 @@
+"""`refit` is the calibration again, and its derivatives are those of calibrating again."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import synthetic
+
+from jaxscan.calibration import refit
+from jaxscan.calibration.bundle import solve
+from jaxscan.errors import InputError
+
+PIXEL, STEPS = (300.0, 200.0), 4000.0
+
+
+def height(adjustment):
+    """Depth of a triangulated pixel, mm."""
+    return refit(adjustment).rig.triangulate(jnp.asarray(PIXEL), jnp.asarray(STEPS))[2]
+
+
+def settled_height(adjustment):
+    """The same, the solve begun once more where it ended: differences need digits that no σ needs."""
+    once = solve(adjustment.estimate, adjustment.free, adjustment.groups, adjustment.noise)
+    return height(replace(adjustment, estimate=once.estimate))
+
+
+@pytest.fixture(scope="module")
+def held(calibration):
+    """The session's adjustment with the principal point held."""
+    free = calibration.adjustment.free.copy()
+    free[2:4] = False
+    return replace(calibration.adjustment, free=free)
+
+
+@pytest.fixture(scope="module")
+def gradient(held):
+    with jax.enable_x64(True):
+        return eqx.filter_jit(eqx.filter_grad(height))(held)
+
+
+def test_refit_is_the_calibration(x64, calibration):
+    again = refit(calibration.adjustment)
+    sigma = dict(zip(calibration.covariance.names, np.sqrt(np.diagonal(calibration.covariance.matrix)), strict=True))
+    for a, b, s in zip(jax.tree.leaves(again.rig), jax.tree.leaves(calibration.rig), sigma.values(), strict=True):
+        assert abs(float(a) - float(b)) < 1e-5 * s
+    np.testing.assert_allclose(again.boards.translation, calibration.system.boards.translation, atol=1e-6)
+    np.testing.assert_allclose(again.stages.translation, calibration.system.stages.translation, atol=1e-6)
+
+
+def moved_corner(a, by):
+    return replace(a, groups=(replace(a.groups[0], corners=_add(a.groups[0].corners, (2, 7, 1), by)), a.groups[1]))
+
+
+def moved_stage_corner(a, by):
+    return replace(a, groups=(a.groups[0], replace(a.groups[1], corners=_add(a.groups[1].corners, (0, 60, 0), by))))
+
+
+def moved_stripe(a, by):
+    return replace(a, groups=(replace(a.groups[0], stripe=_add(a.groups[0].stripe, (3, 320, 1), by)), a.groups[1]))
+
+
+def reweighted(a, by):
+    return replace(a, groups=(replace(a.groups[0], weights=_add(a.groups[0].weights, (4, 11), by)), a.groups[1]))
+
+
+def scaled_board(a, by):
+    return a.with_board((1 + by) * synthetic.BOARD.points())
+
+
+def moved_principal_point(a, by):
+    return eqx.tree_at(lambda a: a.estimate.shared[0].camera.principal[1], a, replace_fn=lambda v: v + by)
+
+
+def wider_stripe_noise(a, by):
+    return replace(a, noise=replace(a.noise, stripe=a.noise.stripe + by))
+
+
+def _add(array, at, by):
+    return jnp.asarray(array).at[at].add(by)
+
+
+@pytest.mark.parametrize(
+    ("change", "step"),
+    [
+        (moved_corner, 0.1),
+        (moved_stage_corner, 0.1),
+        (moved_stripe, 0.1),
+        (reweighted, 0.02),
+        (scaled_board, 1e-3),
+        (moved_principal_point, 0.1),
+        (wider_stripe_noise, 3e-4),
+    ],
+)
+def test_gradients_are_central_differences_of_solving_again(x64, held, gradient, change, step):
+    numbers, rest = eqx.partition(jax.tree.map(jnp.asarray, held), eqx.is_inexact_array)
+    _, direction = jax.jvp(
+        lambda by: eqx.filter(change(eqx.combine(numbers, rest), by), eqx.is_inexact_array), (0.0,), (1.0,)
+    )
+    slope = sum(jax.tree.leaves(jax.tree.map(lambda g, d: (g * d).sum(), gradient, direction)))
+    at = {k: float(settled_height(change(held, k * step))) for k in (-2, -1, 1, 2)}
+    # Central differences of the fourth order.
+    numeric = (8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * step)
+    assert abs(slope) > 1e-6
+    assert float(slope) == pytest.approx(numeric, rel=1e-7), (slope, numeric)
+
+
+def test_what_is_masked_has_no_gradient(calibration, gradient):
+    views = calibration.adjustment.groups[0]
+    assert not views.stripe_used.all()
+    assert (np.asarray(gradient.groups[0].stripe)[~views.stripe_used] == 0).all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+def test_without_x64_it_says_what_to_do(calibration):
+    with pytest.raises(InputError, match="jax_enable_x64"):
+        refit(calibration.adjustment)
+    with pytest.raises(InputError, match="jax_enable_x64"):
+        eqx.filter_grad(height)(calibration.adjustment)
+
+
+def test_no_minimum_is_an_error(x64, calibration):
+    start = replace(
+        calibration.adjustment.estimate, poses=tuple(p * np.nan for p in calibration.adjustment.estimate.poses)
+    )
+    with pytest.raises(RuntimeError, match="did not reach a minimum"):
+        refit(replace(calibration.adjustment, estimate=start))
