@@ -17,6 +17,8 @@ SUITES = {
     "real": "real photographs and published answers (needs JAXSCAN_DATA)",
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
+    "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",
+    "nist": "the 27 nonlinear regression problems of NIST through the same solver (needs JAXSCAN_DATA)",
     "demo": "time and memory of the whole demo",
 }
 
