@@ -19,6 +19,7 @@ SUITES = {
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",
     "nist": "the 27 nonlinear regression problems of NIST through the same solver (needs JAXSCAN_DATA)",
+    "gauge": "a light plane 1° wrong, put right by a step block: how another block reads",
     "demo": "time and memory of the whole demo",
 }
 

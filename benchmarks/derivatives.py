@@ -62,7 +62,7 @@ def gradients(adjustment: Adjustment, repeats: int) -> list[Metric]:
 
     def solved(corners: Float[Array, "views corners 2"]) -> tuple[Float[Array, ""], Estimate]:
         found = solve(estimate, free, (replace(views, corners=corners),), noise).estimate
-        return found.shared[0].camera.focal[0], found
+        return jnp.asarray(found.shared[0].camera.focal[0]), found
 
     found, minimum = jax.jit(jax.grad(solved, has_aux=True))(views.corners)
     y, _, _ = as_arrow(minimum, free, (views,), noise)

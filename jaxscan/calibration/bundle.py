@@ -1,6 +1,7 @@
 """The joint solve: camera, lens, light planes, stage and every board pose from all residuals at once."""
 
 from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -11,8 +12,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.calibration.block_arrow import Arrow, Jacobian, jacobian_columns
 from jaxscan.calibration.implicit import BlockArrowSolver
-from jaxscan.calibration.levenberg_marquardt import BlockArrowLevenbergMarquardt
-from jaxscan.calibration.residuals import Blocks, Noise, block_residuals
+from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt, NielsenSearch
+from jaxscan.calibration.residuals import Noise
 from jaxscan.rig import BoardWarp, Rig
 
 MAX_STEPS = 200
@@ -21,6 +22,17 @@ _NEGLIGIBLE = 1e-12
 
 # Rig and board warp: what all residuals share.
 Shared = tuple[Rig, BoardWarp | None]
+
+
+@runtime_checkable
+class ObservationGroup(Protocol):
+    """Observations of one group of like blocks: boards, or gauges. A pytree."""
+
+    def residuals(
+        self, rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], noise: Noise
+    ) -> Float[Array, "residuals"]:
+        """The residuals of one block, dimensionless, given the pose of what is seen in it."""
+        ...
 
 
 class Estimate(eqx.Module):
@@ -51,8 +63,25 @@ class Outcome(eqx.Module):
     result: optx.RESULTS
 
 
+class Prior(eqx.Module):
+    """What is known of the shared parameters beforehand: normal, of a mean and a precision root rootᵀ.
+
+    Attributes:
+        mean: of the leaves of `Estimate.shared` in their order.
+        root: (rows, shared) with rootᵀ root the inverse of the covariance; a parameter of which nothing is known has
+            a column of zeros.
+    """
+
+    mean: Float[Array, "shared"]
+    root: Float[Array, "rows shared"]
+
+
 def as_arrow(
-    estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blocks, ...], noise: Noise
+    estimate: Estimate,
+    free: Bool[Array, "shared"],
+    groups: tuple[ObservationGroup, ...],
+    noise: Noise,
+    prior: Prior | None = None,
 ) -> tuple[Arrow, Callable[[Arrow], Estimate], Callable[[Arrow], Arrow]]:
     """The problem in the shape of an arrow.
 
@@ -70,16 +99,25 @@ def as_arrow(
     def residual(y: Arrow) -> Arrow:
         (rig, warp), poses = back(y).shared, y.blocks
         blocks = tuple(
-            jax.vmap(lambda pose, block: block_residuals(rig, warp, pose, block, noise))(pose, group)
+            jax.vmap(lambda pose, block: block.residuals(rig, warp, pose, noise))(pose, group)
             for pose, group in zip(poses, groups, strict=True)
         )
-        return Arrow(jnp.zeros(0, y.shared.dtype), blocks)
+        if prior is None:
+            return Arrow(jnp.zeros(0, y.shared.dtype), blocks)
+        return Arrow(prior.root @ (jnp.where(free, y.shared, start) - prior.mean), blocks)
 
     return Arrow(start, estimate.poses), back, residual
 
 
 @eqx.filter_jit
-def solve(estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blocks, ...], noise: Noise) -> Outcome:
+def solve(
+    estimate: Estimate,
+    free: Bool[Array, "shared"],
+    groups: tuple[ObservationGroup, ...],
+    noise: Noise,
+    prior: Prior | None = None,
+    first_damping: float = FIRST_DAMPING,
+) -> Outcome:
     """Refine the free parameters and all poses by Levenberg-Marquardt.
 
     The estimate can be differentiated with respect to everything else that is given; cost, steps and result cannot.
@@ -89,18 +127,21 @@ def solve(estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blocks,
         free: which leaves of `estimate.shared` are refined, in their order.
         groups: the observations.
         noise: σ and robustness.
+        prior: what is known of the shared parameters beforehand.
+        first_damping: λ to begin with: small where the start is near and the problem is ill-conditioned, for until λ
+            has come down to them nothing moves along its long valleys.
     """
-    y0, back, residual = as_arrow(estimate, free, groups, noise)
+    y0, back, residual = as_arrow(estimate, free, groups, noise, prior)
     solution = optx.least_squares(
         lambda y, _: residual(y),
-        BlockArrowLevenbergMarquardt(negligible=_NEGLIGIBLE),
+        BlockArrowLevenbergMarquardt(negligible=_NEGLIGIBLE, search=NielsenSearch(first_damping)),
         y0,
         max_steps=MAX_STEPS,
         adjoint=optx.ImplicitAdjoint(BlockArrowSolver()),
         throw=False,
     )
     final = solution.state.f_info.residual
-    cost = 0.5 * sum(((block**2).sum() for block in final.blocks), jnp.zeros((), y0.shared.dtype))
+    cost = 0.5 * sum(((block**2).sum() for block in (*final.blocks, final.shared)), jnp.zeros((), y0.shared.dtype))
     return Outcome(back(solution.value), cost, solution.stats["num_steps"], solution.result)
 
 

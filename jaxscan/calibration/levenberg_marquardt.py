@@ -20,7 +20,8 @@ from jaxtyping import Array, Bool, Float, PyTree, Scalar
 
 from jaxscan.calibration.block_arrow import Arrow, Group, NormalEquations, jacobian_columns
 
-_FIRST_DAMPING = 1e-4
+# λ to begin with, where nothing is known of how near the start is.
+FIRST_DAMPING = 1e-4
 _SMALLEST_DAMPING = 1e-15
 # Beyond this the steps are too short to change anything: no descent is left.
 _LARGEST_DAMPING = 1e14
@@ -70,13 +71,19 @@ class _SearchState(eqx.Module):
 
 
 class NielsenSearch(optx.AbstractSearch[Arrow, Any, Any, _SearchState]):
-    """Accepts what lowers ‖r‖², and moves λ by how well the linear model foretold it."""
+    """Accepts what lowers ‖r‖², and moves λ by how well the linear model foretold it.
+
+    Attributes:
+        first: λ to begin with.
+    """
+
+    first: float = FIRST_DAMPING
 
     def init(self, y: Arrow, f_info_struct: Any) -> _SearchState:
         """λ at its first value."""
         del f_info_struct
         dtype = y.shared.dtype
-        return _SearchState(jnp.array(_FIRST_DAMPING, dtype), jnp.array(2.0, dtype))
+        return _SearchState(jnp.array(self.first, dtype), jnp.array(2.0, dtype))
 
     def step(
         self,

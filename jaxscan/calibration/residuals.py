@@ -47,6 +47,17 @@ class Blocks(eqx.Module):
     stripe_columns: Bool[Array, "*blocks stripe"]
     stripe_laser: Int[Array, "*blocks stripe"]
 
+    def residuals(
+        self, rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], noise: "Noise"
+    ) -> Float[Array, "residuals"]:
+        """The residuals of one block, dimensionless: corners (u, v in turn), then stripe."""
+        corner, stripe = block_errors(rig, warp, pose, self)
+        corner = corner * (self.weights / noise.corner)[:, None]
+        corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[:, None]
+        stripe = stripe * (self.stripe_weights / noise.stripe)
+        stripe = stripe * _tamed(noise.robustness**2 * stripe**2)
+        return jnp.concatenate([corner.ravel(), stripe])
+
 
 class Noise(eqx.Module):
     """What residuals are divided by, and how far the sum trusts large ones.
@@ -110,18 +121,6 @@ def block_errors(
     pixel = jnp.where(block.stripe_used[:, None], block.stripe, centre)
     stripe = jax.vmap(lambda *each: stripe_error(rig, beta, *each))(omega, pixel, block.stripe_columns)
     return corner, jnp.where(block.stripe_used, stripe, 0.0)
-
-
-def block_residuals(
-    rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], block: Blocks, noise: Noise
-) -> Float[Array, "residuals"]:
-    """The residuals of one block, dimensionless: corners (u, v in turn), then stripe."""
-    corner, stripe = block_errors(rig, warp, pose, block)
-    corner = corner * (block.weights / noise.corner)[:, None]
-    corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[:, None]
-    stripe = stripe * (block.stripe_weights / noise.stripe)
-    stripe = stripe * _tamed(noise.robustness**2 * stripe**2)
-    return jnp.concatenate([corner.ravel(), stripe])
 
 
 def _tamed(square: Float[Array, "*any"]) -> Float[Array, "*any"]:

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, solve_blocks
-from jaxscan.calibration.bundle import Estimate, as_arrow, linearise
-from jaxscan.calibration.residuals import Blocks, Noise
+from jaxscan.calibration.bundle import Estimate, ObservationGroup, Prior, as_arrow, linearise
+from jaxscan.calibration.residuals import Noise
 
 # An eigenvalue of the Schur complement, scaled to a unit diagonal, below this is rounding: a direction not determined.
 UNDETERMINED = 1e-11
@@ -37,10 +37,16 @@ class Precision(eqx.Module):
 
 
 @eqx.filter_jit
-def precision(estimate: Estimate, free: Bool[Array, "shared"], groups: tuple[Blocks, ...], noise: Noise) -> Precision:
+def precision(
+    estimate: Estimate,
+    free: Bool[Array, "shared"],
+    groups: tuple[ObservationGroup, ...],
+    noise: Noise,
+    prior: Prior | None = None,
+) -> Precision:
     """The covariance at a solution, for least squares (whatever robustness `noise` carries)."""
     noise = Noise(noise.corner, noise.stripe, jnp.zeros_like(noise.robustness))
-    y, _, residual = as_arrow(estimate, free, groups, noise)
+    y, _, residual = as_arrow(estimate, free, groups, noise, prior)
     return arrow_precision(*linearise(residual, y))
 
 

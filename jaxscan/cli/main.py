@@ -27,6 +27,7 @@ from jaxscan.errors import InputError, JaxscanError
 COMMANDS: Final = {
     "calibrate": "jaxscan.cli.calibrate",
     "reconstruct": "jaxscan.cli.reconstruct",
+    "gauge": "jaxscan.cli.gauge",
     "inspect": "jaxscan.cli.inspect",
     "convert": "jaxscan.cli.convert",
     "simulate": "jaxscan.cli.simulate",

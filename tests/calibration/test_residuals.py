@@ -6,7 +6,7 @@ import numpy as np
 import synthetic
 
 from jaxscan.calibration.blocks import view_blocks
-from jaxscan.calibration.residuals import Noise, _tamed, block_errors, block_residuals, stripe_error
+from jaxscan.calibration.residuals import Noise, _tamed, block_errors, stripe_error
 from jaxscan.geometry import Pose, dual_plane
 from jaxscan.rig import Camera, LightPlane, Rig
 
@@ -62,7 +62,7 @@ def test_masked_entries_are_not_read(x64):
     noise = Noise(jnp.array(0.05), jnp.array(0.1), jnp.array(0.0))
 
     def cost(pose, block):
-        return (block_residuals(true_rig(), None, pose, block, noise) ** 2).sum()
+        return (block.residuals(true_rig(), None, pose, noise) ** 2).sum()
 
     import dataclasses
 

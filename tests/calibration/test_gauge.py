@@ -1,0 +1,152 @@
+"""A rig whose light plane is wrong, put right by objects of known shape; what is no gauge is refused."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+
+from jaxscan.calibration.gauge import GaugeScan, refine_by_gauge
+from jaxscan.calibration.gauge_shapes import Ball, Solid, Steps, parse_shape
+from jaxscan.errors import InputError
+from jaxscan.files.rig_file import RigFile
+from jaxscan.precision import as_numpy, float64
+from jaxscan.rig import Covariance, LightPlane
+from jaxscan.rig.rig import parameter_names
+from jaxscan.simulation import rig_2003
+from jaxscan.simulation.profile import true_profile
+from jaxscan.simulation.shapes import box, sphere, stair
+
+HEIGHTS = (1.48, 3.68, 8.94, 14.0)
+NOISE_PX = 0.05
+FRAMES, APART = 15, 4500.0
+# σ of a calibration from boards, about as they come out, in the order of the parameters' names.
+SIGMA = np.array([0.3, 0.3, 0.2, 0.2, 1e-3, 2e-6, 2e-6, 2e-6, 1e-7, 1e-7, 1e-7])
+
+
+@pytest.fixture(scope="module")
+def true_rig():
+    return rig_2003.simulated_rig(0)
+
+
+@pytest.fixture(scope="module")
+def turned(true_rig):
+    """The rig with its sheet turned by 1°, and with a covariance that knows nothing of that."""
+    omega = np.array([float(c) for c in true_rig.lasers[0].plane])
+    aside = np.cross(omega, [0.3, 1.0, 0.2])
+    aside *= np.linalg.norm(omega) / np.linalg.norm(aside)
+    wrong = np.cos(np.radians(1)) * omega + np.sin(np.radians(1)) * aside
+    with float64():
+        rig = replace(true_rig, lasers=(as_numpy(LightPlane.create(wrong)),))
+    return RigFile(rig, Covariance(tuple(parameter_names(rig)), np.diag(SIGMA**2)))
+
+
+def scan_of(rig, bodies, seed=0):
+    """What an ideal detector sees, with noise."""
+    steps = APART * np.arange(FRAMES)
+    scene = rig_2003.scan_scene(rig, bodies)
+    rows = np.stack([true_profile(rig, scene, float(n)).position for n in steps])
+    return GaugeScan(rows + NOISE_PX * np.random.default_rng(seed).normal(size=rows.shape), steps)
+
+
+@pytest.fixture(scope="module")
+def block(true_rig):
+    return scan_of(true_rig, stair(37.0, HEIGHTS))
+
+
+@pytest.fixture(scope="module")
+def by_block(turned, block):
+    return refine_by_gauge(turned, block, Steps((0.0, *HEIGHTS)))
+
+
+def test_a_step_block_puts_the_light_plane_right(by_block, true_rig):
+    # 0.05 px are about 0.04 mm on a level face; the plane 1° wrong adds several times that.
+    assert by_block.rms_after_mm < 0.06 < 2 * by_block.rms_after_mm < by_block.rms_before_mm
+    assert by_block.stripe_sigma_px == pytest.approx(NOISE_PX, rel=0.05)
+    assert by_block.points > 3000
+    values, truth = (np.array([float(x) for x in jax.tree.leaves(r)]) for r in (by_block.rig, true_rig))
+    sigma = np.sqrt(np.diagonal(by_block.covariance.matrix))
+    assert by_block.covariance.names == tuple(parameter_names(true_rig))
+    assert (np.abs(values - truth) < 4 * sigma).all()
+
+
+def test_another_block_then_reads_right(by_block, turned, true_rig):
+    """Read as a user would: the same scan by both rigs, another block that the refinement has not seen."""
+    heights = (11.5, 6.2)
+    other = scan_of(true_rig, stair(30.0, heights), seed=1)
+    errors = {}
+    for name, rig in (("turned", turned.rig), ("refined", by_block.rig)):
+        content = RigFile(rig, turned.covariance)
+        # Nothing is doubted and nothing free but the pose: a fit of the levels to the points as this rig sees them.
+        errors[name] = refine_by_gauge(content, other, Steps((0.0, *heights)), doubt=()).rms_before_mm
+    assert errors["refined"] < 0.06 < 2 * errors["refined"] < errors["turned"]
+
+
+def test_with_everything_trusted_the_gauge_only_adds(true_rig, turned, block):
+    content = RigFile(true_rig, turned.covariance)
+    fit = refine_by_gauge(content, block, Steps((0.0, *HEIGHTS)), doubt=())
+    sigma = np.sqrt(np.diagonal(fit.covariance.matrix))
+    assert (sigma <= SIGMA * (1 + 1e-9)).all()
+    assert fit.from_prior_in_sigma < 4.0
+
+
+@pytest.mark.parametrize("kind", ["ball", "mesh"])
+def test_balls_and_meshes_are_gauges_too(kind, true_rig, turned):
+    if kind == "ball":
+        scan, shape = scan_of(true_rig, (sphere(37.0, 25.0),)), Ball(25.0)
+    else:
+        low, high = trimesh.creation.box((30.0, 25.0, 10.0)), trimesh.creation.box((60.0, 40.0, 4.0))
+        low.apply_translation([8.0, 3.0, 5.0])
+        high.apply_translation([0.0, 0.0, 2.0])
+        mesh = trimesh.util.concatenate([low, high])
+        scan = scan_of(true_rig, (box(40.0, (60.0, 40.0, 4.0)), *_upper(43.0)))
+        shape = Solid(mesh)
+    fit = refine_by_gauge(turned, scan, shape)
+    assert fit.rms_after_mm < 0.06 < fit.rms_before_mm
+    values, truth = (np.array([float(x) for x in jax.tree.leaves(r)]) for r in (fit.rig, true_rig))
+    assert (np.abs(values - truth) < 4 * np.sqrt(np.diagonal(fit.covariance.matrix))).all()
+
+
+def _upper(y):
+    """A box of 30 × 25 mm, 10 mm high, 8 mm to the right."""
+    body = box(y, (30.0, 25.0, 10.0))
+    return (body.moved(np.eye(3), np.array([8.0, 0.0, 0.0])),)
+
+
+def test_a_gauge_of_another_size_is_refused(turned, block):
+    with pytest.raises(InputError, match="no ball of radius 3 mm"):
+        refine_by_gauge(turned, block, Ball(3.0))
+
+
+def test_too_few_points_are_refused(turned, block):
+    with pytest.raises(InputError, match="at least 100"):
+        refine_by_gauge(turned, replace(block, pixels=np.where(np.arange(640) < 3, block.pixels, np.nan)), Steps())
+
+
+def test_what_can_be_doubted(turned, block):
+    with pytest.raises(InputError, match="camera"):
+        refine_by_gauge(turned, block, Steps(), doubt=("camera",))
+
+
+@pytest.mark.parametrize(
+    ("text", "shape"),
+    [("plate", Steps()), ("steps:14,1.48", Steps((0.0, 1.48, 14.0))), ("ball:22.5", Ball(22.5))],
+)
+def test_shapes_by_name(text, shape):
+    assert parse_shape(text) == shape
+
+
+@pytest.mark.parametrize("text", ["steps:", "steps:1,,2", "ball:0", "ball:-3", "cube", "ball:nan"])
+def test_a_shape_that_is_none_is_refused_with_what_would_do(text):
+    with pytest.raises(InputError, match=r"plate, steps:1\.48"):
+        parse_shape(text)
+
+
+def test_a_shape_from_a_file(tmp_path):
+    path = tmp_path / "block.stl"
+    trimesh.creation.box((10.0, 10.0, 5.0)).export(path)
+    assert isinstance(parse_shape(str(path)), Solid)
+    path.write_bytes(b"no mesh")
+    with pytest.raises(InputError, match=r"block\.stl"):
+        parse_shape(str(path))
