@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
@@ -39,7 +40,7 @@ class Adjustment(eqx.Module):
     reference: Float[Array, "sequences"]
     counts: tuple[int, int] = eqx.field(static=True)
 
-    def with_board(self, points: Float[Array, "points 3"]) -> "Adjustment":
+    def with_board(self, points: Float[Array | np.ndarray, "points 3"]) -> "Adjustment":
         """The same photographs of another board.
 
         Args:
@@ -48,7 +49,7 @@ class Adjustment(eqx.Module):
 
         def moved(group: Blocks) -> Blocks:
             blocks, corners, _ = group.points.shape
-            tiled = jnp.tile(points, (corners // len(points), 1))
+            tiled = jnp.tile(jnp.asarray(points), (corners // len(points), 1))
             return replace(group, points=jnp.broadcast_to(tiled[None], (blocks, corners, 3)))
 
         return replace(self, groups=tuple(moved(group) for group in self.groups))

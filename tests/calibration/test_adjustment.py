@@ -28,11 +28,16 @@ def settled_height(adjustment):
 
 
 @pytest.fixture(scope="module")
-def held(calibration):
-    """The session's adjustment with the principal point held."""
-    free = calibration.adjustment.free.copy()
-    free[2:4] = False
-    return replace(calibration.adjustment, free=free)
+def adjustment(calibration):
+    """The session's, with leaves of JAX."""
+    with jax.enable_x64(True):
+        return jax.tree.map(jnp.asarray, calibration.adjustment)
+
+
+@pytest.fixture(scope="module")
+def held(adjustment):
+    """The same with the principal point held."""
+    return replace(adjustment, free=adjustment.free.at[2:4].set(False))
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +100,7 @@ def _add(array, at, by):
     ],
 )
 def test_gradients_are_central_differences_of_solving_again(x64, held, gradient, change, step):
-    numbers, rest = eqx.partition(jax.tree.map(jnp.asarray, held), eqx.is_inexact_array)
+    numbers, rest = eqx.partition(held, eqx.is_inexact_array)
     _, direction = jax.jvp(
         lambda by: eqx.filter(change(eqx.combine(numbers, rest), by), eqx.is_inexact_array), (0.0,), (1.0,)
     )
@@ -121,9 +126,7 @@ def test_without_x64_it_says_what_to_do(calibration):
         eqx.filter_grad(height)(calibration.adjustment)
 
 
-def test_no_minimum_is_an_error(x64, calibration):
-    start = replace(
-        calibration.adjustment.estimate, poses=tuple(p * np.nan for p in calibration.adjustment.estimate.poses)
-    )
+def test_no_minimum_is_an_error(x64, adjustment):
+    nowhere = replace(adjustment.estimate, poses=tuple(poses * jnp.nan for poses in adjustment.estimate.poses))
     with pytest.raises(RuntimeError, match="did not reach a minimum"):
-        refit(replace(calibration.adjustment, estimate=start))
+        refit(replace(adjustment, estimate=nowhere))
