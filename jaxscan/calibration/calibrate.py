@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -14,14 +13,15 @@ from jaxtyping import Array, Bool, Float
 from jaxscan.calibration import initial
 from jaxscan.calibration.blocks import bucket, reference_step, stage_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Estimate
-from jaxscan.calibration.observability import undetermined
+from jaxscan.calibration.coverage import measure_coverage
+from jaxscan.calibration.first_poses import far_away, first_poses
+from jaxscan.calibration.observability import cause_and_mend, undetermined
 from jaxscan.calibration.observations import Kept, Observations, View
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import Refined, refine
 from jaxscan.errors import InputError, ObservabilityError, SolveError
-from jaxscan.geometry import matrix_to_vector
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import BoardWarp, Camera, LightPlane, Rig, Stage
 from jaxscan.rig.rig import parameter_names
@@ -93,7 +93,7 @@ def calibrate(
         views = view_blocks(usable)
         groups = (views, stage_blocks(usable)) if usable.stages else (views,)
         free = _free(rig, warp, held, ("camera",))
-        poses = (_poses(camera, views), *(_far_away(len(group.steps)) for group in groups[1:]))
+        poses = (first_poses(camera, views), *(far_away(len(group.steps)) for group in groups[1:]))
         refined = refine(
             Estimate((rig, warp), poses),
             free,
@@ -196,28 +196,6 @@ def _first_camera(observations: Observations, lens: str) -> Camera:
     return Camera.create(observations.image_size, focal, (np.asarray(observations.image_size) - 1) / 2, lens)
 
 
-@eqx.filter_jit
-def _rays(camera: Camera, pixels: Float[Array, "blocks points 2"]) -> Float[Array, "blocks points 3"]:
-    return jax.vmap(jax.vmap(camera.ray))(pixels)
-
-
-@jax.jit
-def _pose_vectors(R: Float[Array, "blocks 3 3"], t: Float[Array, "blocks 3"]) -> Float[Array, "blocks 6"]:
-    return jnp.concatenate([jax.vmap(matrix_to_vector)(R), t], axis=-1)
-
-
-def _poses(camera: Camera, blocks: Blocks) -> Float[Array, "blocks 6"]:
-    """Poses of boards from their corners, for a camera as it is known; those of padding are far away."""
-    rays = np.asarray(_rays(camera, blocks.corners))[..., :2]
-    used = np.asarray(blocks.corner_used) & np.all(np.isfinite(rays), axis=-1)
-    real = np.any(used, axis=1)
-    R = np.broadcast_to(np.eye(3), (len(used), 3, 3)).copy()
-    t = np.zeros((len(used), 3))
-    points = np.asarray(blocks.points)[0, :, :2]
-    R[real], t[real] = initial.board_poses(points, rays[real], used[real])
-    return jnp.where(real[:, None], _pose_vectors(jnp.asarray(R), jnp.asarray(t)), _far_away(len(used)))
-
-
 def _first_light_planes(
     observations: Observations, camera: Camera, poses: Float[Array, "blocks 6"]
 ) -> tuple[LightPlane, ...]:
@@ -250,18 +228,13 @@ def _first_stage(observations: Observations, camera: Camera) -> tuple[Stage, tup
     slopes, first = [], []
     for stage in observations.stages:
         each = view_blocks(replace(observations, views=stage.views))
-        vectors = np.asarray(_poses(camera, each))[: len(stage.views)]
+        vectors = np.asarray(first_poses(camera, each))[: len(stage.views)]
         middle, per_step = initial.stage_line(np.asarray(stage.steps, float), vectors[:, 3:])
         nearest = int(np.argmin(np.abs(stage.steps - reference_step(stage))))
         slopes.append(per_step)
         first.append(np.concatenate([vectors[nearest, :3], middle]))
-    poses = _far_away(bucket(len(first))).at[: len(first)].set(np.stack(first))
+    poses = far_away(bucket(len(first))).at[: len(first)].set(np.stack(first))
     return Stage.create(np.median(slopes, axis=0)), (poses,)
-
-
-def _far_away(blocks: int) -> Float[Array, "blocks 6"]:
-    """Poses for boards that nothing is known of yet: in front of the camera, one metre away."""
-    return jnp.tile(jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0]), (blocks, 1))
 
 
 def _corners_of_views(groups: tuple[Blocks, ...]) -> tuple[Blocks, ...]:
@@ -297,9 +270,12 @@ def _check(refined: Refined, observations: Observations, free: Bool[Array, "shar
         np.asarray(refined.precision.eigenvalues),
         np.asarray(refined.precision.directions)[at],
         np.asarray(refined.precision.covariance)[np.ix_(at, at)],
+        max(float(refined.noise.corner), float(refined.noise.stripe)),
     )
     if open_question:
+        with_rig = rig if any(name.startswith("laser") for name in names[at]) else Rig(rig.camera)
+        coverage = measure_coverage(observations, with_rig, refined.estimate.poses[0])
         raise ObservabilityError(
-            f"from these {len(observations.views)} views {open_question}. Tilt the board by 30° or more, in different "
-            "directions from view to view; boards that are all nearly parallel do not show perspective"
+            f"from these {len(observations.views)} views {open_question.words}: "
+            f"{cause_and_mend(open_question, coverage)}"
         )

@@ -1,14 +1,19 @@
-"""Does the data determine what was asked? And if not, which direction is missing, in words."""
+"""Does the data determine what was asked? And if not, which direction is missing, why, and what would mend it."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.calibration.coverage import Coverage
 from jaxscan.calibration.uncertainty import UNDETERMINED
 
-# A focal length known no better than this share of itself is not a measurement.
-_LARGEST_FOCAL_SIGMA = 0.02
+# Focal length, light plane or travel of the stage known no better than this share of itself is not a measurement.
+_LARGEST_RELATIVE_SIGMA = 0.02
 # Shares of a direction below this are not worth a word.
 _WORTH_NAMING = 0.3
+# Boards whose normals differ by less do not show perspective.
+_SMALLEST_TILT_SPREAD_DEG = 20.0
 
 _IN_WORDS = {
     "camera.focal": "the focal length",
@@ -20,14 +25,28 @@ _IN_WORDS = {
 }
 
 
+@dataclass(frozen=True)
+class OpenQuestion:
+    """A direction that the data do not determine.
+
+    Attributes:
+        words: what is open, a clause of a sentence.
+        names: the parameters that take part in it, those with the largest share first.
+    """
+
+    words: str
+    names: tuple[str, ...]
+
+
 def undetermined(
     names: list[str],
     values: Float[np.ndarray, "n"],
     eigenvalues: Float[np.ndarray, "all"],
     directions: Float[np.ndarray, "n all"],
     covariance: Float[np.ndarray, "n n"],
-) -> str | None:
-    """What the data leave open, as a clause of a sentence; None when they determine everything.
+    noise_px: float,
+) -> OpenQuestion | None:
+    """What the data leave open; None when they determine everything.
 
     Args:
         names: the free parameters.
@@ -35,20 +54,67 @@ def undetermined(
         eigenvalues: of the scaled Schur complement, held parameters among them with 1.
         directions: the free parameters' rows of its eigenvectors, in units of each parameter's single σ.
         covariance: of the free parameters.
+        noise_px: the larger σ of corners and stripe points. What exceeds a pixel is bad data, not bad geometry: it is
+            for the report to say, and is not held against the photographs' arrangement here.
     """
     if eigenvalues[0] < UNDETERMINED:
         share = np.abs(directions[:, 0]) / np.linalg.norm(directions, axis=1)
-        parts = [_words(names[i]) for i in np.argsort(-share) if share[i] > _WORTH_NAMING * share.max()]
-        several = list(dict.fromkeys(parts))
-        return f"{' and '.join(several)} cannot be {'told apart' if len(several) > 1 else 'found'}"
+        parts = [names[i] for i in np.argsort(-share) if share[i] > _WORTH_NAMING * share.max()]
+        words = list(dict.fromkeys(_words(name) for name in parts))
+        what = " and ".join(words) + " cannot be told apart" if len(words) > 1 else f"{words[0]} cannot be found"
+        return OpenQuestion(what, tuple(parts))
     for i, name in enumerate(names):
         sigma = float(np.sqrt(covariance[i, i]))
-        if name.startswith("camera.focal") and sigma > _LARGEST_FOCAL_SIGMA * abs(values[i]):
-            return (
-                f"the focal length and the boards' distance cannot be told apart: it came out as "
-                f"{values[i]:.0f} ± {sigma:.0f} px ({100 * sigma / abs(values[i]):.0f} %)"
+        if name.startswith("camera.focal") and sigma > _LARGEST_RELATIVE_SIGMA * abs(values[i]):
+            return OpenQuestion(
+                f"the focal length and the boards' distance cannot be told apart, it came out as {values[i]:.0f} ± "
+                f"{sigma:.0f} px ({100 * sigma / abs(values[i]):.0f} %)",
+                (name,),
             )
+    for stem in dict.fromkeys(name.rsplit(".", 1)[0] for name in names if name.startswith(("laser", "stage"))):
+        at = [i for i, name in enumerate(names) if name.startswith(stem)]
+        # In the worst direction of the vector: of ω its length is the sheet's place, its direction the sheet's tilt.
+        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(at, at)])[-1]))
+        relative = sigma / float(np.linalg.norm(values[at])) / max(noise_px, 1.0)
+        if relative > _LARGEST_RELATIVE_SIGMA:
+            words = f"{_words(stem)} is not determined, it is known to {100 * relative:.0f} % of itself"
+            return OpenQuestion(words, tuple(names[i] for i in at))
     return None
+
+
+def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
+    """Why the direction is open, from what the photographs cover, and which photographs would close it."""
+    name = question.names[0]
+    if name.startswith("laser"):
+        which = name.split(".")[1] if name.count(".") > 2 else ""
+        stripes = next(s for s in coverage.stripes if s.laser == which)
+        near, far = stripes.depths_mm
+        return (
+            f"the stripes on the boards of {stripes.views} views lie between {near:.1f} and {far:.1f} mm from the "
+            f"camera and spread by {stripes.across_mm:.1f} mm across themselves. Hold the board at distances that "
+            "differ by a third and more, with the stripe on it"
+        )
+    if name.startswith("stage"):
+        return (
+            f"the board on the stage moved by {coverage.stage_travel_mm or 0.0:.2f} mm over {coverage.stage_images} "
+            "photographs. Photograph it along the whole travel"
+        )
+    if coverage.tilt_spread_deg < _SMALLEST_TILT_SPREAD_DEG:
+        return (
+            f"the boards are nearly parallel, their normals lie within {coverage.tilt_spread_deg:.1f}° of each other. "
+            "Tilt the board by 30° or more, in different directions from view to view"
+        )
+    if name.startswith(("camera.radial", "camera.tangential")):
+        return (
+            f"corners cover {100 * coverage.image_share:.0f} % of the image and reach {100 * coverage.reach:.0f} % of "
+            "the way from its centre to its corners. Hold the board into the corners of the image, or choose a lens "
+            "with fewer terms"
+        )
+    return (
+        f"the boards' normals lie within {coverage.tilt_spread_deg:.0f}° of each other and their corners cover "
+        f"{100 * coverage.image_share:.0f} % of the image. Tilt the board by 30° or more in different directions, and "
+        "let it fill the image"
+    )
 
 
 def _words(name: str) -> str:

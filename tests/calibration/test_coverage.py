@@ -1,0 +1,77 @@
+"""What photographs cover, and the words that follow from it where something stays open."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import synthetic
+
+from jaxscan.calibration import calibrate
+from jaxscan.calibration.coverage import Coverage, StripeCoverage, measure_coverage
+from jaxscan.calibration.observability import OpenQuestion, cause_and_mend
+from jaxscan.errors import ObservabilityError
+from jaxscan.precision import as_float64, float64
+
+
+@pytest.fixture
+def coverage(calibration):
+    with float64():
+        poses = jnp.asarray(as_float64(calibration.system.boards).as_vector())
+        return measure_coverage(calibration.observations, as_float64(calibration.rig), poses)
+
+
+def test_numbers_are_those_of_the_poses_drawn(coverage, session):
+    rng = np.random.default_rng(0)
+    tilts, distances = [], []
+    for view in session.views:
+        R, t = synthetic.board_pose(rng)
+        rng.normal(size=view.corners.shape)
+        rng.normal(size=len(view.stripes[0].pixels))
+        tilts.append(np.degrees(np.arccos(R[2, 2])))
+        distances.append(np.linalg.norm(R @ synthetic.BOARD.points().mean(axis=0) + t))
+    np.testing.assert_allclose(coverage.tilts_deg, tilts, atol=0.5)
+    np.testing.assert_allclose(coverage.distances_mm, distances, rtol=3e-3)
+    assert coverage.corners_in_cells.sum() == 11 * 54
+    assert coverage.stage_images == 5
+    assert coverage.stage_travel_mm == pytest.approx(8.0, rel=5e-3)
+    (stripe,) = coverage.stripes
+    assert stripe.views == 11
+    assert 270 < stripe.depths_mm[0] < stripe.depths_mm[1] < 420
+
+
+EMPTY = np.zeros(0)
+COVERAGE = Coverage(
+    tilts_deg=np.zeros(1),
+    normals=np.zeros((1, 3)),
+    tilt_spread_deg=4.0,
+    distances_mm=np.zeros(1),
+    corners_in_cells=np.zeros((6, 8), int),
+    image_share=0.3,
+    reach=0.4,
+    stripes=(StripeCoverage("", 2, 300, (340.0, 341.0), 2.5),),
+    stage_images=3,
+    stage_travel_mm=0.25,
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "spread", "words"),
+    [
+        ("camera.focal.0", 4.0, "normals lie within 4.0°.*Tilt the board by 30°"),
+        ("camera.radial.1", 40.0, "30 % of the image and reach 40 %.*lens with fewer terms"),
+        ("camera.principal.0", 40.0, "within 40°.*Tilt the board"),
+        ("laser.plane.0", 40.0, "2 views lie between 340.0 and 341.0 mm.*spread by 2.5 mm.*distances"),
+        ("stage.per_step.1", 40.0, "moved by 0.25 mm over 3 photographs.*whole travel"),
+    ],
+)
+def test_cause_and_mend_come_from_the_session(name, spread, words):
+    import re
+
+    text = cause_and_mend(OpenQuestion("", (name,)), replace(COVERAGE, tilt_spread_deg=spread))
+    assert re.search(words, text)
+
+
+def test_a_stage_that_hardly_moves_is_refused_in_words():
+    with pytest.raises(ObservabilityError, match=r"the stage's travel is not determined.*moved by 0\.0"):
+        calibrate(synthetic.observations(seed=0, n_stage=5, step=4))
