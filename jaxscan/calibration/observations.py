@@ -39,12 +39,14 @@ class View:
         corners: pixel of each board point, in the order of `Board.points`; NaN for one that was not found.
         weights: relative weight (1 / σ) of each corner, or None for equal ones; 0 leaves a corner out.
         stripes: the stripes seen on the board in this pose.
+        session: which session it is from; empty for the only one.
     """
 
     name: str
     corners: Float[np.ndarray, "corners 2"]
     weights: Float[np.ndarray, "corners"] | None = None
     stripes: tuple[StripePoints, ...] = ()
+    session: str = ""
 
     def used(self) -> Bool[np.ndarray, "corners"]:
         """Which corners take part."""
@@ -164,3 +166,55 @@ class Observations:
         views, rest = masked[: len(self.views)], iter(masked[len(self.views) :])
         stages = tuple(replace(stage, views=tuple(next(rest) for _ in stage.views)) for stage in self.stages)
         return replace(self, views=tuple(views), stages=stages)
+
+
+def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:
+    """Several sessions of one rig as one; photographs are then called by their session and name.
+
+    Args:
+        names: of the sessions, for messages and reports.
+        each: what was seen in each.
+
+    Raises:
+        InputError: they differ in the size of their photographs, their board or their lasers.
+    """
+    first = each[0]
+    for name, other in zip(names[1:], each[1:], strict=True):
+        if other.image_size != first.image_size:
+            raise InputError(
+                f"the photographs of {name} have {other.image_size} pixels, those of {names[0]} {first.image_size}: "
+                "sessions of one rig have one camera, so calibrate them apart"
+            )
+        if other.board != first.board:
+            raise InputError(
+                f"{name} has the board {_board(other.board)}, {names[0]} has {_board(first.board)}: one calibration "
+                "takes one board. If it is the same, measure ten squares of it with a ruler and correct [board] where it is "
+                "wrong; if not, calibrate the sessions apart"
+            )
+        if other.lasers != first.lasers:
+            raise InputError(
+                f"{name} has the lasers {list(other.lasers)}, {names[0]} has {list(first.lasers)}: give both the same "
+                "[laser] tables, or calibrate them apart"
+            )
+
+    def called(view: View, name: str) -> View:
+        return replace(view, name=f"{name}/{view.name}", session=name)
+
+    pairs = list(zip(names, each, strict=True))
+    common = [note for note in first.notes if all(note in own.notes for own in each)]
+    notes = [f"{name}: {note}" for name, own in pairs for note in own.notes if note not in common]
+    return replace(
+        first,
+        views=tuple(called(view, name) for name, own in pairs for view in own.views),
+        stages=tuple(
+            replace(stage, views=tuple(called(view, name) for view in stage.views))
+            for name, own in pairs
+            for stage in own.stages
+        ),
+        left_out=tuple(f"{name}/{line}" for name, own in pairs for line in own.left_out),
+        notes=(*common, *notes),
+    )
+
+
+def _board(board: Board) -> str:
+    return f"{board.counts[0]} x {board.counts[1]} at {board.pitch_mm:g} mm"

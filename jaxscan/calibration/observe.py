@@ -13,7 +13,16 @@ from jaxscan.calibration.observations import Observations, StageSequence, Stripe
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.session import Session, StageImages
 from jaxscan.files.settings import relative_name
-from jaxscan.images import Board, StripeSettings, carry_order, detect_stripe, find_board, read_image
+from jaxscan.images import (
+    Board,
+    BoardView,
+    StripeSettings,
+    carry_order,
+    detect_stripe,
+    find_board,
+    read_image,
+    second_board,
+)
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
@@ -24,6 +33,7 @@ class _Photograph:
     name: str
     corners: Float[np.ndarray, "corners 2"] | None
     stripes: tuple[StripePoints, ...]
+    second_board: bool
 
 
 def observe(session: Session, advance: Callable[[int], object] = lambda by: None) -> Observations:
@@ -47,8 +57,10 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
         return _Photograph(name(path), *_look(path, session, index))
 
     def along(path: Path) -> _Photograph:
-        found = find_board(session.board, read_image(path))
-        return _Photograph(name(path), None if found is None else found.corners, ())
+        image = read_image(path)
+        found = find_board(session.board, image)
+        corners = None if found is None else found.corners
+        return _Photograph(name(path), corners, (), _second(session.board, image, found))
 
     with ThreadPoolExecutor(cpu_count()) as pool:
         photographs: list[_Photograph] = []
@@ -69,6 +81,12 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
                 laser = session.lasers[stripe.laser].name
                 left_out.append(f"{seen.name}: no stripe{f' of laser {laser}' if laser else ''} was found")
     notes = []
+    twice = [p.name for p in (*photographs, *staged) if p.second_board]
+    if twice:
+        notes.append(
+            f"a second board is in view in {', '.join(twice)}: which of the two was found is chance, so cover one "
+            "of them and take these photographs again"
+        )
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts
         notes.append(
@@ -93,12 +111,12 @@ def photograph_count(session: Session) -> int:
 
 def _look(
     path: Path, session: Session, index: int
-) -> tuple[Float[np.ndarray, "corners 2"] | None, tuple[StripePoints, ...]]:
-    """Corners and stripes of one pose; the stripes from photographs of their own where there are any."""
+) -> tuple[Float[np.ndarray, "corners 2"] | None, tuple[StripePoints, ...], bool]:
+    """Corners and stripes of one pose, the latter from photographs of their own if there are any; is a second board seen?"""
     image = read_image(path)
     found = find_board(session.board, image)
     if found is None:
-        return None, ()
+        return None, (), False
     stripes = []
     for i, laser in enumerate(session.lasers):
         lit = image
@@ -109,7 +127,11 @@ def _look(
             lit = read_image(own)
         with said_of(path):
             stripes.append(stripe_points(lit, laser, i))
-    return found.corners, tuple(stripes)
+    return found.corners, tuple(stripes), _second(session.board, image, found)
+
+
+def _second(board: Board, image: np.ndarray, found: BoardView | None) -> bool:
+    return found is not None and second_board(board, image, found.corners)
 
 
 def stripe_points(image: np.ndarray, settings: StripeSettings, laser: int) -> StripePoints:

@@ -5,6 +5,7 @@ from jaxscan.images.decode import image_size, read_image, read_video, to_grey, w
 from jaxscan.images.find import BoardView, find_board
 from jaxscan.images.order import carry_order
 from jaxscan.images.overlay import draw_board, draw_stripe
+from jaxscan.images.second_board import second_board
 from jaxscan.images.stripe import Stripe, StripeSettings, detect_stripe
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "image_size",
     "read_image",
     "read_video",
+    "second_board",
     "to_grey",
     "write_image",
 ]
