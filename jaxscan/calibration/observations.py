@@ -188,8 +188,8 @@ def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:
         if other.board != first.board:
             raise InputError(
                 f"{name} has the board {_board(other.board)}, {names[0]} has {_board(first.board)}: one calibration "
-                "takes one board. If it is the same, measure ten squares of it with a ruler and correct [board] where it is "
-                "wrong; if not, calibrate the sessions apart"
+                "takes one board. If it is the same, measure ten squares of it with a ruler and correct [board] where "
+                "it is wrong; if not, calibrate the sessions apart"
             )
         if other.lasers != first.lasers:
             raise InputError(

@@ -25,17 +25,21 @@ class PhotographFit:
     Attributes:
         name: of the photograph.
         corner_errors: predicted minus seen (u, v), pixels; NaN where no corner was seen.
+        corner_sigmas: σ of each corner along each axis as it was weighted, pixels.
         corner_kept: which corners took part.
         stripe_pixels: (u, v) of the stripe points that were candidates, pixels.
         stripe_errors: predicted minus seen along the axis of detection, pixels.
+        stripe_sigmas: σ of each stripe point by itself, pixels.
         stripe_kept: which of them took part.
     """
 
     name: str
     corner_errors: Float[np.ndarray, "corners 2"]
+    corner_sigmas: Float[np.ndarray, "corners"]
     corner_kept: Bool[np.ndarray, "corners"]
     stripe_pixels: Float[np.ndarray, "points 2"]
     stripe_errors: Float[np.ndarray, "points"]
+    stripe_sigmas: Float[np.ndarray, "points"]
     stripe_kept: Bool[np.ndarray, "points"]
 
 
@@ -46,6 +50,7 @@ class Calibration:
     Attributes:
         rig: camera, light planes, stage; NumPy float64 leaves.
         system: the same with every board pose.
+        observations: what it was found from: the usable photographs, with those stripe points that lie on the board.
         covariance: of the rig's parameters; one that was held is not among them.
         board_covariances: view by view, of the rig's parameters and that board's pose together.
         stage_covariances: the same of each stage sequence's pose at motor step 0.
@@ -67,6 +72,7 @@ class Calibration:
 
     rig: Rig
     system: System
+    observations: Observations
     covariance: Covariance
     board_covariances: tuple[Covariance, ...]
     stage_covariances: tuple[Covariance, ...]
@@ -131,6 +137,7 @@ def assemble(
     return Calibration(
         rig=as_numpy(rig),
         system=as_numpy(system),
+        observations=observations,
         covariance=Covariance(tuple(names[i] for i in at), covariance),
         board_covariances=_with_poses(refined, 0, n_views, names, at),
         stage_covariances=tuple(
@@ -197,6 +204,8 @@ def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: 
     blocks = refined.groups[group]
     corner, stripe = (np.asarray(x) for x in refined.errors[group])
     corner_kept, stripe_kept = np.asarray(blocks.corner_used), np.asarray(blocks.stripe_used)
+    corner_sigmas = _sigmas(float(refined.noise.corner), blocks.weights)
+    stripe_sigmas = _sigmas(refined.stripe_sigma, blocks.stripe_weights)
     fits = []
     for i, view in enumerate(views):
         pixels = np.concatenate([s.pixels for s in view.stripes]) if view.stripes else np.zeros((0, 2))
@@ -205,9 +214,11 @@ def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: 
             PhotographFit(
                 name=view.name,
                 corner_errors=np.where(view.used()[:, None], corner[i, :each], np.nan),
+                corner_sigmas=corner_sigmas[i, :each],
                 corner_kept=corner_kept[i, :each],
                 stripe_pixels=pixels[candidate],
                 stripe_errors=stripe[i, : len(pixels)][candidate],
+                stripe_sigmas=stripe_sigmas[i, : len(pixels)][candidate],
                 stripe_kept=stripe_kept[i, : len(pixels)][candidate],
             )
         )
@@ -216,12 +227,20 @@ def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: 
 
 def _stage_fits(views: Sequence[View], refined: Refined, sequence: int, each: int) -> tuple[PhotographFit, ...]:
     corner = np.asarray(refined.errors[1][0][sequence]).reshape(-1, each, 2)
-    kept = np.asarray(refined.groups[1].corner_used[sequence]).reshape(-1, each)
-    none: Any = np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool)
+    blocks = refined.groups[1]
+    kept = np.asarray(blocks.corner_used[sequence]).reshape(-1, each)
+    sigmas = _sigmas(float(refined.noise.corner), blocks.weights[sequence]).reshape(-1, each)
+    none: Any = np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool)
     return tuple(
-        PhotographFit(view.name, np.where(view.used()[:, None], corner[i], np.nan), kept[i], *none)
+        PhotographFit(view.name, np.where(view.used()[:, None], corner[i], np.nan), sigmas[i], kept[i], *none)
         for i, view in enumerate(views)
     )
+
+
+def _sigmas(sigma: float, weights: Float[Array, "*any"]) -> Float[np.ndarray, "*any"]:
+    """The σ that weights stand for; infinite where one is zero."""
+    relative = np.asarray(weights)
+    return np.divide(sigma, relative, out=np.full(relative.shape, np.inf), where=relative > 0)
 
 
 def _rejected(fits: Sequence[PhotographFit]) -> tuple[str, ...]:

@@ -91,7 +91,7 @@ def refine(
     if reject:
         first = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
         estimate = solve(estimate, free, groups, first).estimate
-        errors = _errors(estimate, candidates)
+        errors = group_errors(estimate, candidates)
         noise = _median_noise(groups, errors, noise)
         groups = _keep(candidates, errors, noise)
         solves = 1
@@ -100,7 +100,7 @@ def refine(
         solves += 1
         outcome = solve(estimate, free, groups, noise)
         estimate = outcome.estimate
-        errors = _errors(estimate, candidates)
+        errors = group_errors(estimate, candidates)
         leverage = precision(estimate, free, groups, noise).leverage
         single, photographs = _variance_components(candidates, groups, errors, leverage, noise, board_points)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
@@ -140,9 +140,10 @@ def _stripe_correlation(groups: tuple[Blocks, ...], errors: tuple) -> float:
 
 
 @eqx.filter_jit
-def _errors(
+def group_errors(
     estimate: Estimate, groups: tuple[Blocks, ...]
 ) -> tuple[tuple[Float[Array, "_ _ 2"], Float[Array, "_ _"]], ...]:
+    """Corner and stripe errors of each group, in pixels."""
     rig, warp = estimate.shared
     return tuple(
         jax.vmap(lambda pose, block: block_errors(rig, warp, pose, block))(poses, group)
@@ -165,12 +166,12 @@ def _median_noise(groups: tuple[Blocks, ...], errors: tuple, noise: Noise) -> No
     """σ from the median of absolute errors, which half of the observations may spoil without effect."""
     corner = np.concatenate(
         [
-            np.asarray((c * g.weights[..., None])[g.corner_used]).ravel()
+            np.asarray(c * g.weights[..., None])[np.asarray(g.corner_used)].ravel()
             for g, (c, _) in zip(groups, errors, strict=True)
         ]
     )
     stripe = np.concatenate(
-        [np.asarray((s * g.stripe_weights)[g.stripe_used]) for g, (_, s) in zip(groups, errors, strict=True)]
+        [np.asarray(s * g.stripe_weights)[np.asarray(g.stripe_used)] for g, (_, s) in zip(groups, errors, strict=True)]
     )
 
     def sigma(values: np.ndarray, otherwise: Float[Array, ""]) -> Float[Array, ""]:

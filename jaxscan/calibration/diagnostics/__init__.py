@@ -1,0 +1,111 @@
+"""How far a calibration can be trusted, as numbers: nothing here is in words or drawn, that is `jaxscan.view`'s."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscan.calibration.coverage import Coverage, measure_coverage
+from jaxscan.calibration.diagnostics.halves import Agreement, halves, sessions, solve_apart
+from jaxscan.calibration.diagnostics.ladder import Ladder, climb
+from jaxscan.calibration.diagnostics.residual_statistics import (
+    ByRadius,
+    CornerResiduals,
+    Normality,
+    OverImage,
+    PhotographStatistics,
+    by_radius,
+    corner_normality,
+    corner_residuals,
+    over_image,
+    photographs,
+    stripe_normality,
+)
+from jaxscan.calibration.diagnostics.stage_errors import StageErrors, stage_errors
+from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape, stripe_shapes
+from jaxscan.calibration.diagnostics.suspects import Suspect, suspects
+from jaxscan.calibration.result import Calibration
+from jaxscan.precision import as_float64, float64
+
+# The calls of `advance` that `diagnose` makes.
+PARTS = 4
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """All of it.
+
+    Attributes:
+        photographs: each photograph, the worst first.
+        suspects: those that do not fit the others.
+        corners: every corner's residual.
+        corner_normality: of these.
+        stripe_normality: of the stripe points; None without a laser.
+        by_radius: corner residuals by distance from the principal point.
+        over_image: mean corner residuals over the image.
+        stripes: each stripe's distance from the light plane.
+        stages: errors of the stage, sequence by sequence.
+        coverage: what the photographs cover.
+        halves: two halves of the photographs solved apart; None where there are too few for two rigs.
+        sessions: each further session against the first; empty for a single one.
+        ladder: the lenses tried.
+    """
+
+    photographs: tuple[PhotographStatistics, ...]
+    suspects: tuple[Suspect, ...]
+    corners: CornerResiduals
+    corner_normality: Normality
+    stripe_normality: Normality | None
+    by_radius: ByRadius
+    over_image: OverImage
+    stripes: tuple[StripeShape, ...]
+    stages: tuple[StageErrors, ...]
+    coverage: Coverage
+    halves: Agreement | None
+    sessions: tuple[Agreement, ...]
+    ladder: Ladder
+
+    @property
+    def sigma_factor(self) -> float:
+        """By which predicted σ are to be multiplied, by the two halves; 1 where they agree."""
+        return self.halves.sigma_factor if self.halves is not None and self.halves.disagree else 1.0
+
+
+def diagnose(calibration: Calibration, advance: Callable[[int], object] = lambda by: None) -> Diagnostics:
+    """Look for whatever a small RMS hides. Solves parts of the problem some dozens of times.
+
+    Args:
+        calibration: what `calibrate` returned.
+        advance: called with 1 after each of `PARTS` parts of the work.
+    """
+    residuals = corner_residuals(calibration)
+    principal = np.stack(calibration.rig.camera.principal).astype(np.float64)
+    with float64():
+        poses = jnp.asarray(np.asarray(as_float64(calibration.system.boards).as_vector()))
+        coverage = measure_coverage(calibration.observations, as_float64(calibration.rig), poses)
+    suspected = suspects(calibration)
+    advance(1)
+    parts = halves(calibration.observations)
+    agreement = solve_apart(calibration, *parts) if parts else None
+    advance(1)
+    each = sessions(calibration.observations)
+    apart = [solve_apart(calibration, each[0], other) for other in each[1:]]
+    advance(1)
+    ladder = climb(calibration)
+    advance(1)
+    return Diagnostics(
+        photographs=photographs(calibration),
+        suspects=suspected,
+        corners=residuals,
+        corner_normality=corner_normality(residuals),
+        stripe_normality=stripe_normality(calibration.fits),
+        by_radius=by_radius(residuals, principal),
+        over_image=over_image(residuals, calibration.observations.image_size),
+        stripes=stripe_shapes(calibration),
+        stages=stage_errors(calibration),
+        coverage=coverage,
+        halves=agreement,
+        sessions=tuple(a for a in apart if a is not None),
+        ladder=ladder,
+    )

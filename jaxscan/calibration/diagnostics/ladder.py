@@ -1,0 +1,233 @@
+"""Which lens do the photographs support? Every rung of the ladder is solved, and judged on views that it has not seen.
+
+Rungs are nested (none ⊂ radial1 ⊂ radial2 ⊂ radial3 ⊂ brown ⊂ rational), and all are solved on the same corners with
+the same σ: those that the richest polynomial lens keeps. Two criteria, both of which a rung has to meet against the
+best one below it:
+
+- the F-test of nested least squares, F = ((χ²_poor − χ²_rich) / Δp) / (χ²_rich / ν), at 0.1 %;
+- cross-validation: views are dealt into folds, the camera is found from the others, the fold's boards are placed by
+  their own corners with the camera held, and each view's mean squared error has to fall, in the mean of its logarithm
+  over views by more than two standard errors, and by 5 %. What only fits noise, or the bend of a plate, does not pass.
+
+Every rung is the rational lens with what it lacks held at zero, so the whole ladder is one compiled function.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax.scipy.special import betainc
+from jaxtyping import Array, Bool, Float
+
+from jaxscan.calibration.blocks import bucket, view_blocks
+from jaxscan.calibration.bundle import Estimate, Outcome, solve
+from jaxscan.calibration.first_poses import far_away
+from jaxscan.calibration.residuals import Blocks, Noise
+from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.rounds import group_errors, refine
+from jaxscan.precision import as_float64, float64
+from jaxscan.rig import LENSES, Camera, Rig
+from jaxscan.rig.rig import parameter_names
+
+_FOLDS = 5
+_P = 1e-3
+_STANDARD_ERRORS = 2.0
+# Less than this share of the squared error is not worth a coefficient.
+_WORTH = 0.05
+# The rung whose corners count, unless the calibration's own is richer still.
+_REFERENCE = "brown"
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One lens of the ladder.
+
+    Attributes:
+        lens: its name.
+        terms: how many coefficients it has.
+        rms_px: RMS distance of the corners in the fit; NaN where no minimum was found.
+        held_out_px: RMS distance of corners in views that the camera was not fitted to, their boards placed anew.
+        p: of the F-test against the best rung below it; None for the first.
+        gain: by which share of the squared held-out error it is better than the best rung below it.
+        gain_error: its standard error, from view to view.
+        supported: whether both criteria are met.
+    """
+
+    lens: str
+    terms: int
+    rms_px: float
+    held_out_px: float
+    p: float | None
+    gain: float | None
+    gain_error: float | None
+    supported: bool
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The lenses tried.
+
+    Attributes:
+        rungs: from none to rational.
+        chosen: the calibration's own lens.
+        supported: the richest one that the photographs support.
+        views: how many views were held out in turn.
+        held_out_of_views_px: of the chosen lens, the RMS distance of each view when it was held out.
+    """
+
+    rungs: tuple[Rung, ...]
+    chosen: str
+    supported: str
+    views: int
+    held_out_of_views_px: Float[np.ndarray, "views"]
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A rung's χ² on all corners, RMS distance, and squared held-out error and its count for each view."""
+
+    chi2: float
+    rms: float
+    held_out: Float[np.ndarray, "views"]
+    count: Float[np.ndarray, "views"]
+
+
+def climb(calibration: Calibration) -> Ladder:
+    """Solve every rung on the corners of the views."""
+    chosen = calibration.rig.camera.lens
+    names = list(LENSES)
+    with float64():
+        estimate, group = _corners_alone(calibration)
+        held = {
+            name for name in parameter_names(Rig(calibration.rig.camera)) if name not in calibration.covariance.names
+        }
+        reference = max(_REFERENCE, chosen, key=names.index)
+        noise = Noise(jnp.asarray(calibration.corner_sigma_px, jnp.float64), jnp.ones(()), jnp.zeros(()))
+        each = len(calibration.observations.board.points())
+        best = refine(estimate, _free(reference, held), (group,), noise, each, reject=True, weigh=True)
+        n = len(calibration.observations.views)
+        solved = {lens: _solve_rung(estimate, _free(lens, held), best.groups[0], best.noise, n) for lens in names}
+    observations = float(2 * np.asarray(best.groups[0].corner_used).sum())
+    rungs, top = [], names[0]
+    for lens in names:
+        own, below = solved[lens], solved[top]
+        if lens == names[0]:
+            rungs.append(_rung(lens, own, None, None, None, supported=True))
+            continue
+        terms = sum(LENSES[lens]) - sum(LENSES[top])
+        dof = observations - 6 * n - 4 - sum(LENSES[lens])
+        p = f_test(below.chi2, own.chi2, terms, dof)
+        gain, error = _gain(below, own)
+        supported = bool(np.isfinite(own.chi2) and p < _P and gain > max(_WORTH, _STANDARD_ERRORS * error))
+        rungs.append(_rung(lens, own, p, gain, error, supported))
+        top = lens if supported else top
+    own = solved[chosen]
+    return Ladder(tuple(rungs), chosen, top, n, np.sqrt(2 * own.held_out / np.maximum(own.count, 1)))
+
+
+def f_test(chi2_poor: float, chi2_rich: float, terms: int, dof: float) -> float:
+    """How often so large a fall of χ² would come by chance: F's upper tail, by the incomplete beta function."""
+    if not np.isfinite(chi2_rich) or dof <= 0 or chi2_rich >= chi2_poor:
+        return 1.0
+    F = (chi2_poor - chi2_rich) / terms / (chi2_rich / dof)
+    with float64():
+        return float(betainc(jnp.asarray(dof / 2), jnp.asarray(terms / 2), jnp.asarray(dof / (dof + terms * F))))
+
+
+def _corners_alone(calibration: Calibration) -> tuple[Estimate, Blocks]:
+    """The views' corners, and the calibration's camera as a rational lens."""
+    observations = calibration.observations
+    views = tuple(replace(view, stripes=()) for view in observations.views)
+    group = view_blocks(replace(observations, views=views, stages=(), lasers=()))
+    own = as_float64(calibration.rig.camera)
+    n_radial, n_tangential = LENSES["rational"]
+    zero = jnp.zeros(())
+    camera = Camera(
+        own.focal,
+        own.principal,
+        own.radial + (zero,) * (n_radial - len(own.radial)),
+        own.tangential + (zero,) * (n_tangential - len(own.tangential)),
+        own.image_size,
+    )
+    poses = np.asarray(as_float64(calibration.system.boards).as_vector())
+    padded = far_away(bucket(len(poses))).at[: len(poses)].set(poses)
+    return Estimate((Rig(camera), None), (padded,)), group
+
+
+def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:
+    n_radial, n_tangential = LENSES[lens]
+    radial, tangential = LENSES["rational"]
+    own = [True] * 4 + [i < n_radial for i in range(radial)] + [i < n_tangential for i in range(tangential)]
+    names = ["camera.focal.0", "camera.focal.1", "camera.principal.0", "camera.principal.1"]
+    names += [f"camera.radial.{i}" for i in range(radial)] + [f"camera.tangential.{i}" for i in range(tangential)]
+    return jnp.asarray([free and name not in held for free, name in zip(own, names, strict=True)])
+
+
+def _solve_rung(estimate: Estimate, free: Bool[Array, "shared"], group: Blocks, noise: Noise, n: int) -> _Solved:
+    """One lens on all views, and fold by fold on views that it has not seen."""
+    start = _without(estimate, free)
+    whole = solve(start, free, (group,), noise)
+    folds = np.arange(len(group.steps)) % min(_FOLDS, n)
+    held_out, count = np.zeros(n), np.zeros(n)
+    for fold in range(min(_FOLDS, n)):
+        inside = jnp.asarray(folds == fold)
+        others = solve(whole.estimate, free, (_only(group, ~inside),), noise)
+        own = _only(group, inside)
+        placed = solve(others.estimate, jnp.zeros_like(free), (own,), noise)
+        square, used = _squares(placed, own, noise)
+        for outcome in (others, placed):
+            if outcome.result != optx.RESULTS.successful:
+                square = np.where(used > 0, np.nan, square)
+        held_out += square[:n]
+        count += used[:n]
+    square, used = _squares(whole, group, noise)
+    chi2 = 2 * float(whole.cost) if whole.result == optx.RESULTS.successful else np.nan
+    # Weighted errors in σ, and back to pixels.
+    pixels = float(noise.corner)
+    return _Solved(chi2, pixels * float(np.sqrt(2 * square.sum() / used.sum())), pixels**2 * held_out, count)
+
+
+def _without(estimate: Estimate, free: Bool[Array, "shared"]) -> Estimate:
+    """The estimate with those lens terms at zero that are not free; focal length and principal point stay."""
+    rig, warp = estimate.shared
+    terms = iter(np.asarray(free)[4:])
+    zero = jnp.zeros(())
+    radial = tuple(k if next(terms) else zero for k in rig.camera.radial)
+    tangential = tuple(p if next(terms) else zero for p in rig.camera.tangential)
+    camera = replace(rig.camera, radial=radial, tangential=tangential)
+    return Estimate((Rig(camera), warp), estimate.poses)
+
+
+def _only(group: Blocks, blocks: Bool[Array, "blocks"]) -> Blocks:
+    return replace(group, corner_used=group.corner_used & blocks[:, None])
+
+
+def _squares(outcome: Outcome, group: Blocks, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    """Sum over each block of squared errors in σ, and of coordinates."""
+    corner = np.asarray(group_errors(outcome.estimate, (group,))[0][0])
+    used = np.asarray(group.corner_used)
+    scaled = np.where(used, np.asarray(group.weights), 0.0)[..., None] * corner / float(noise.corner)
+    return (scaled**2).sum(axis=(1, 2)), 2.0 * used.sum(axis=1)
+
+
+def _gain(below: _Solved, own: _Solved) -> tuple[float, float]:
+    """By which share the squared held-out error falls, and the standard error of that, from view to view.
+
+    By the logarithm of each view's ratio, so that a view with large errors counts like any other.
+    """
+    seen = (below.count > 0) & (below.held_out > 0)
+    if not np.isfinite(own.held_out[seen]).all() or not np.isfinite(below.held_out[seen]).all() or seen.sum() < 2:
+        return -np.inf, np.inf
+    fall = np.log(below.held_out[seen] / np.maximum(own.held_out[seen], 1e-300))
+    remains = float(np.exp(-fall.mean()))
+    return 1 - remains, remains * float(fall.std(ddof=1) / np.sqrt(len(fall)))
+
+
+def _rung(
+    lens: str, solved: _Solved, p: float | None, gain: float | None, error: float | None, supported: bool
+) -> Rung:
+    held_out = float(np.sqrt(2 * solved.held_out.sum() / solved.count.sum()))
+    return Rung(
+        lens, sum(LENSES[lens]), solved.rms if np.isfinite(solved.chi2) else np.nan, held_out, p, gain, error, supported
+    )

@@ -1,0 +1,107 @@
+"""The distance of each stripe from the light plane along the stripe: what is not noise has a shape.
+
+On a flat board a stripe is a straight line in the light plane. A wrong pose or pitch gives it an offset and a tilt, by
+least squares d(t) = a + b t, t from −1 to 1 along the stripe. What its running mean then still does, from peak to
+valley, is the bend of the plate, or a lens that is not followed.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.on_board import stripe_points_in_space
+from jaxscan.calibration.result import Calibration
+from jaxscan.precision import as_float64, float64
+
+_FEWEST_POINTS = 20
+# The running mean is over this share of a stripe's points.
+_WINDOW = 0.1
+# The expected range of ten independent standard normal numbers (L. H. C. Tippett 1925): as many as there are windows.
+_RANGE_OF_TEN = 3.08
+
+
+@dataclass(frozen=True)
+class StripeShape:
+    """One stripe on one board; rejected points are not in it.
+
+    Attributes:
+        name: of the photograph.
+        laser: its name, "" for the only one.
+        along_px: column (or row) of each point, ascending.
+        distance_mm: of each from the light plane; positive on the far side of it from the camera.
+        smooth_mm: the running mean of the distance.
+        offset_mm: a, with the standard error of independent points.
+        offset_error_mm: see `offset_mm`.
+        tilt_mm: b, at the ends of the stripe.
+        bend_mm: the running mean about the straight line, from peak to valley.
+        bend_of_noise_mm: what noise alone gives it, expected.
+        noise_mm: RMS about the running mean.
+    """
+
+    name: str
+    laser: str
+    along_px: Float[np.ndarray, "points"]
+    distance_mm: Float[np.ndarray, "points"]
+    smooth_mm: Float[np.ndarray, "points"]
+    offset_mm: float
+    offset_error_mm: float
+    tilt_mm: float
+    bend_mm: float
+    bend_of_noise_mm: float
+    noise_mm: float
+
+
+def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
+    """Every stripe that has enough points, the most bent first."""
+    shapes = []
+    with float64():
+        camera = as_float64(calibration.rig.camera)
+        poses = np.asarray(as_float64(calibration.system.boards).as_vector())
+        for i, (view, fit) in enumerate(zip(calibration.observations.views, calibration.fits, strict=True)):
+            at = 0
+            for stripe in view.stripes:
+                pixels = stripe.pixels[np.isfinite(stripe.pixels).all(axis=1)]
+                kept = fit.stripe_kept[at : at + len(pixels)]
+                at += len(pixels)
+                if kept.sum() < _FEWEST_POINTS:
+                    continue
+                one = replace(view, stripes=(replace(stripe, pixels=pixels[kept]),))
+                X, _ = stripe_points_in_space(
+                    replace(calibration.observations, views=(one,)), camera, jnp.asarray(poses[i : i + 1]), stripe.laser
+                )
+                laser = calibration.rig.lasers[stripe.laser]
+                omega = np.stack(laser.plane)
+                along = pixels[kept][:, 0 if stripe.columns else 1]
+                shapes.append(shape(view.name, laser.name, along, (X @ omega - 1) / np.linalg.norm(omega)))
+    return tuple(sorted(shapes, key=lambda s: -s.bend_mm))
+
+
+def shape(
+    name: str, laser: str, along: Float[np.ndarray, "points"], distance: Float[np.ndarray, "points"]
+) -> StripeShape:
+    """The shape of one stripe."""
+    order = np.argsort(along)
+    along, distance = along[order], distance[order]
+    t = 2 * (along - along[0]) / max(float(np.ptp(along)), 1e-9) - 1
+    A = np.stack([np.ones_like(t), t], axis=1)
+    line = np.linalg.lstsq(A, distance, rcond=None)[0]
+    left = distance - A @ line
+    window = max(5, round(_WINDOW * len(left)))
+    whole = np.convolve(left, np.ones(window), "same") / np.convolve(np.ones(len(left)), np.ones(window), "same")
+    noise = float(np.sqrt(((left - whole) ** 2).mean()))
+    return StripeShape(
+        name=name,
+        laser=laser,
+        along_px=along,
+        distance_mm=distance,
+        smooth_mm=A @ line + whole,
+        offset_mm=float(line[0]),
+        offset_error_mm=noise / np.sqrt(len(left)),
+        tilt_mm=float(line[1]),
+        # At the ends the mean is over half a window, and so noisier.
+        bend_mm=float(np.ptp(whole[window // 2 : len(whole) - window // 2])),
+        bend_of_noise_mm=_RANGE_OF_TEN * noise / np.sqrt(window),
+        noise_mm=noise,
+    )

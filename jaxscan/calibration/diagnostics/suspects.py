@@ -1,0 +1,161 @@
+"""Photographs that do not belong: of another camera, of another board, mirrored.
+
+A photograph is suspected when much of it was rejected or its corners fit much worse than those of the others. Then the
+rig is held, its board is placed anew by its own corners, and the same is done with the photograph mirrored left to
+right, top to bottom, and turned by half: what fits then says what happened to it.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.blocks import view_blocks
+from jaxscan.calibration.bundle import Estimate, solve
+from jaxscan.calibration.diagnostics.resolve import problem
+from jaxscan.calibration.first_poses import first_poses
+from jaxscan.calibration.observations import View
+from jaxscan.calibration.residuals import Noise
+from jaxscan.calibration.result import Calibration, PhotographFit
+from jaxscan.calibration.rounds import group_errors
+from jaxscan.images import Board
+from jaxscan.precision import float64
+
+# A photograph is suspected when so much of its corners or of its stripe was rejected …
+REJECTED = 0.3
+# … or when the median error of its corners is so many times that of all photographs. The median, because where the
+# stripe crosses a corner that one is far off, and says nothing against the photograph.
+_WORSE = 2.0
+# An explanation counts when it brings corners and stripe down to so many times what is usual, and by half at least.
+_FITS = 3.0
+_FALL = 0.5
+
+_CHANGES: Final = {
+    "mirrored left to right": (True, False),
+    "mirrored top to bottom": (False, True),
+    "turned by half": (True, True),
+}
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A photograph that does not fit the others.
+
+    Attributes:
+        name: of the photograph.
+        staged: whether the board was on the stage.
+        corners_rejected: share of its corners.
+        stripe_rejected: share of its stripe points; None without any.
+        corner_median_px: median distance of its corners, with the board of a view placed anew by them alone.
+        usual_corner_median_px: the median of that over all photographs.
+        stripe_median_px: median absolute error of its stripe then; None without any.
+        explanation: what was done to it, where that makes it fit; else None.
+    """
+
+    name: str
+    staged: bool
+    corners_rejected: float
+    stripe_rejected: float | None
+    corner_median_px: float
+    usual_corner_median_px: float
+    stripe_median_px: float | None
+    explanation: str | None
+
+
+def suspects(calibration: Calibration) -> tuple[Suspect, ...]:
+    """The photographs that do not fit the others, those rejected most first."""
+    fits = [(fit, i, False) for i, fit in enumerate(calibration.fits)]
+    fits += [(fit, i, True) for i, fit in enumerate(calibration.stage_fits)]
+    usual = float(np.nanmedian([_median(fit.corner_errors) for fit, _, _ in fits]))
+    found = []
+    for fit, i, staged in fits:
+        corners, stripe = _rejected(fit)
+        if max(corners, stripe or 0.0) > REJECTED or _median(fit.corner_errors) > _WORSE * usual:
+            corner, median, explanation = _median(fit.corner_errors), None, None
+            if not staged:
+                corner, median, explanation = _explain(calibration, i, usual)
+            found.append(Suspect(fit.name, staged, corners, stripe, corner, usual, median, explanation))
+    return tuple(sorted(found, key=lambda s: -(s.corners_rejected + (s.stripe_rejected or 0.0))))
+
+
+def mirror(view: View, board: Board, image_size: tuple[int, int], u: bool, v: bool) -> View:
+    """The view as it would be with the photograph mirrored along u, v or both."""
+    last = np.asarray(image_size, float) - 1
+
+    def moved(pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
+        return np.where([u, v], last - pixels, pixels)
+
+    columns, rows = board.counts
+    corners = moved(view.corners)
+    if u != v:
+        # The order of the corners turns from x to y clockwise on any photograph; mirrored, it has to be read backwards.
+        corners = corners.reshape(rows, columns, 2)[::-1].reshape(-1, 2)
+    weights = view.weights
+    if weights is not None and u != v:
+        weights = weights.reshape(rows, columns)[::-1].ravel()
+    stripes = tuple(replace(stripe, pixels=moved(stripe.pixels)) for stripe in view.stripes)
+    return replace(view, corners=corners, weights=weights, stripes=stripes)
+
+
+def _rejected(fit: PhotographFit) -> tuple[float, float | None]:
+    seen = np.isfinite(fit.corner_errors).all(axis=1)
+    corners = 1 - fit.corner_kept.sum() / max(seen.sum(), 1)
+    return float(corners), float(1 - fit.stripe_kept.mean()) if fit.stripe_kept.size else None
+
+
+def _median(errors: Float[np.ndarray, "corners 2"]) -> float:
+    distance = np.linalg.norm(errors, axis=1)
+    return float(np.nanmedian(distance)) if np.isfinite(distance).any() else np.nan
+
+
+def _explain(calibration: Calibration, index: int, usual: float) -> tuple[float, float | None, str | None]:
+    """Median errors of the corners and of the stripe as it is, and the change that makes it fit."""
+    view = calibration.observations.views[index]
+    size, board = calibration.observations.image_size, calibration.observations.board
+    corner, stripe = _placed(calibration, index, view)
+    usual_stripe = calibration.stripe_sigma_px or 0.0
+    best, explanation = _misfit(corner, stripe, usual, usual_stripe), None
+    for words, (u, v) in _CHANGES.items():
+        changed = _placed(calibration, index, mirror(view, board, size, u, v))
+        misfit = _misfit(*changed, usual, usual_stripe)
+        if misfit < _FITS and misfit < _FALL * best:
+            best, explanation = misfit, words
+    return corner, stripe, explanation
+
+
+def _misfit(corner: float, stripe: float | None, usual: float, usual_stripe: float) -> float:
+    """The worse of the two against what is usual."""
+    if not np.isfinite(corner):
+        return np.inf
+    return max(corner / usual, stripe / usual_stripe if stripe is not None and usual_stripe else 0.0)
+
+
+def _placed(calibration: Calibration, index: int, view: View) -> tuple[float, float | None]:
+    """The board of one view placed by its corners alone with the rig held: median errors of these, and of the stripe.
+
+    The view takes its place among the others, which are masked, so that nothing compiles anew.
+    """
+    observations = calibration.observations
+    views = [*observations.views]
+    views[index] = view
+    with float64():
+        estimate, groups = problem(calibration)
+        group = view_blocks(replace(observations, views=tuple(views)))
+        only = jnp.arange(len(group.steps)) == index
+        corners = replace(
+            group, corner_used=group.corner_used & only[:, None], stripe_used=jnp.zeros_like(group.stripe_used)
+        )
+        others = tuple(replace(g, corner_used=jnp.zeros_like(g.corner_used)) for g in groups[1:])
+        start = Estimate(estimate.shared, (first_poses(estimate.shared[0].camera, corners), *estimate.poses[1:]))
+        # Robust, so that a few wild corners do not place the board.
+        one = jnp.ones((), jnp.float64)
+        noise = Noise(one * calibration.corner_sigma_px, one, one)
+        free = jnp.zeros_like(jnp.asarray(calibration.adjustment.free))
+        placed = solve(start, free, (corners, *others), noise).estimate
+        seen = replace(group, stripe_used=group.stripe_used & only[:, None])
+        corner, stripe = (np.asarray(e[index]) for e in group_errors(placed, (seen, *others))[0])
+    used = np.asarray(corners.corner_used[index])
+    on_stripe = np.abs(stripe[np.asarray(seen.stripe_used[index])])
+    return _median(corner[used]), float(np.nanmedian(on_stripe)) if on_stripe.size else None

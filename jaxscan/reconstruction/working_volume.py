@@ -1,0 +1,150 @@
+"""Predicted σ of a triangulated point over the working volume, and which part of the rig it comes from.
+
+The working volume is the part of the light sheet that the camera sees between the nearest and the farthest stripe point
+of the calibration. A point of it is given by its depth z and by its position s along the sheet, at right angles to the
+optical axis. Its σ is that along its ray, at motor step 0.
+
+If a part of the rig (camera, light plane) were known exactly, the rest would have the conditional covariance
+Σ_rr − Σ_rk Σ_kk⁻¹ Σ_kr; how much σ would fall says what limits it.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxscan.precision import as_float64, float64
+from jaxscan.reconstruction.point_sigma import point_sigma
+from jaxscan.rig import Camera, Covariance, Rig
+
+_DEPTHS, _POSITIONS = 25, 41
+_SAME_RAY = 1e-6
+
+
+@dataclass(frozen=True)
+class WorkingVolume:
+    """σ of a point over the sheet of one laser; NaN where the camera does not see it.
+
+    Attributes:
+        laser: its name, "" for the only one.
+        depths_mm: along the optical axis.
+        positions_mm: along the sheet.
+        sigma_mm: of a point along its ray, rig and pixel together.
+        pixel_mm: the pixel's part.
+        if_known_mm: for "camera" and "light plane" the median σ of a point if that part were known exactly.
+        travelled_mm: median σ after the longest travel of the calibration, along the ray too; None without a stage.
+    """
+
+    laser: str
+    depths_mm: Float[np.ndarray, "depths"]
+    positions_mm: Float[np.ndarray, "positions"]
+    sigma_mm: Float[np.ndarray, "depths positions"]
+    pixel_mm: Float[np.ndarray, "depths positions"]
+    if_known_mm: dict[str, float]
+    travelled_mm: float | None
+
+    @property
+    def median_mm(self) -> float:
+        """Of σ over the volume."""
+        return float(np.nanmedian(self.sigma_mm))
+
+    @property
+    def worst_mm(self) -> float:
+        """The largest σ in the volume."""
+        return float(np.nanmax(self.sigma_mm))
+
+    @property
+    def rig_share(self) -> float:
+        """The rig's share of the variance, in the median."""
+        return float(np.nanmedian(1 - (self.pixel_mm / self.sigma_mm) ** 2))
+
+
+def working_volume(
+    rig: Rig,
+    laser: str,
+    covariance: Covariance,
+    stripe_sigma_px: float,
+    columns: bool,
+    depths_mm: tuple[float, float],
+    steps: float = 0.0,
+) -> WorkingVolume | None:
+    """σ over the sheet of a laser; None where the camera sees none of it.
+
+    Args:
+        rig: the rig.
+        laser: which of its lasers; "" for the only one.
+        covariance: of its parameters.
+        stripe_sigma_px: σ of the stripe's position.
+        columns: whether v is measured, or u.
+        depths_mm: the nearest and the farthest stripe point.
+        steps: motor steps of the longest travel, for `travelled_mm`.
+    """
+    omega = np.stack(rig.laser(laser).plane).astype(np.float64)
+    depths = np.linspace(*depths_mm, _DEPTHS)
+    # Wide enough for the image's diagonal at the largest depth; what the camera does not see is left out below.
+    reach = 0.6 * np.hypot(*rig.camera.image_size) * depths[-1] / float(min(rig.camera.focal))
+    positions = np.linspace(-reach, reach, 8 * _POSITIONS)
+    _, seen = _seen(rig.camera, _sheet(omega, depths, positions))
+    if not seen.any():
+        return None
+    within = positions[seen.any(axis=0)]
+    positions = np.linspace(within[0], within[-1], _POSITIONS)
+    pixels, seen = _seen(rig.camera, _sheet(omega, depths, positions))
+
+    def sigma(covariance: Covariance, count: float) -> tuple[np.ndarray, np.ndarray]:
+        steps = np.full(seen.size, count)
+        parts = point_sigma(rig, laser, covariance, stripe_sigma_px, pixels.reshape(-1, 2), steps, columns)
+        total, pixel = (np.where(seen, part.reshape(seen.shape), np.nan) for part in parts)
+        return total, pixel
+
+    total, pixel = sigma(covariance, 0.0)
+    known = {
+        words: float(np.nanmedian(sigma(given(covariance, stem), 0.0)[0]))
+        for words, stem in (("camera", "camera"), ("light plane", "laser"))
+    }
+    travelled = float(np.nanmedian(sigma(covariance, steps)[0])) if rig.stage is not None else None
+    return WorkingVolume(laser, depths, positions, total, pixel, known, travelled)
+
+
+def given(covariance: Covariance, stem: str) -> Covariance:
+    """The covariance of the other parameters if those whose names begin with the stem were known exactly."""
+    known = np.array([name.startswith(stem) for name in covariance.names])
+    if not known.any():
+        return covariance
+    scale = np.sqrt(np.diagonal(covariance.matrix))
+    S = covariance.matrix / np.outer(scale, scale)
+    S = S - S[:, known] @ np.linalg.solve(S[np.ix_(known, known)], S[known])
+    S[known] = S[:, known] = 0.0
+    return Covariance(covariance.names, S * np.outer(scale, scale))
+
+
+def _sheet(
+    omega: Float[np.ndarray, "3"], depths: Float[np.ndarray, "depths"], positions: Float[np.ndarray, "positions"]
+) -> Float[np.ndarray, "depths positions 3"]:
+    """The points of the sheet at each depth and position, camera frame, mm."""
+    along = np.cross(omega, [0.0, 0.0, 1.0])
+    along /= np.linalg.norm(along)
+    aside = omega[:2] * ((1 - omega[2] * depths) / (omega[:2] @ omega[:2]))[:, None]
+    return np.concatenate([aside, depths[:, None]], axis=1)[:, None] + positions[:, None] * along
+
+
+def _seen(
+    camera: Camera, X: Float[np.ndarray, "depths positions 3"]
+) -> tuple[Float[np.ndarray, "depths positions 2"], Bool[np.ndarray, "depths positions"]]:
+    """The pixel of each point, and whether the point is in the image there."""
+    with float64():
+        pixels, back = (np.asarray(x) for x in _there_and_back(as_float64(camera), jnp.asarray(X.reshape(-1, 3))))
+    inside = ((pixels > -0.5) & (pixels < np.array(camera.image_size) - 0.5)).all(axis=-1)
+    # Beyond the fold of a lens a point has a pixel too, but that pixel's ray is another.
+    same = (np.abs(back - X.reshape(-1, 3) / X.reshape(-1, 3)[:, 2:]) < _SAME_RAY).all(axis=-1)
+    return pixels.reshape(*X.shape[:-1], 2), np.reshape(inside & same, X.shape[:-1])
+
+
+@jax.jit
+def _there_and_back(
+    camera: Camera, X: Float[Array, "points 3"]
+) -> tuple[Float[Array, "points 2"], Float[Array, "points 3"]]:
+    pixels = jax.vmap(camera.project)(X)
+    return pixels, jax.vmap(camera.ray)(pixels)
