@@ -36,7 +36,8 @@ def world(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
         session = simulate_session(folder / "session", 1)
     scan = simulate_scan(folder / "scan", session.rig, scene, 1, frames=5, steps_apart=12000)
     write_truth(folder / "truth", session, scan)
-    assert main(["calibrate", str(folder / "session"), "-o", str(folder / "rig.json")]) == 0
+    report = ["--report", str(folder / "report")]
+    assert main(["calibrate", str(folder / "session"), "-o", str(folder / "rig.json"), *report]) == 0
     points = ["-o", str(folder / "cup.ply"), "-o", str(folder / "cup.npz")]
     assert main(["reconstruct", str(folder / "scan"), "--rig", str(folder / "rig.json"), *points]) == 0
     return folder
@@ -76,6 +77,15 @@ def test_the_rig_is_the_true_one_within_its_uncertainty(world: Path) -> None:
     ):
         assert abs(float(a) - float(b)) < 6 * found.covariance.sigma(name)
     assert found.fit["views"] == 6
+
+
+def test_the_report_is_there(world: Path) -> None:
+    page = (world / "report" / "report.html").read_text()
+    values = json.loads((world / "report" / "report.json").read_text())
+    assert values["format"] == "jaxscan-calibration-report/1"
+    assert "What photograph would help most?" in page
+    assert "Do not use" not in values["verdict"]["statement"]
+    assert len(values["numbers"]["diagnostics"]["photographs"]) == 11
 
 
 def test_json_for_programs(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

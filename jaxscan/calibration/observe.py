@@ -112,7 +112,7 @@ def photograph_count(session: Session) -> int:
 def _look(
     path: Path, session: Session, index: int
 ) -> tuple[Float[np.ndarray, "corners 2"] | None, tuple[StripePoints, ...], bool]:
-    """Corners and stripes of one pose, the latter from photographs of their own if there are any; is a second board seen?"""
+    """Corners and stripes of one pose, these from photographs of their own if any; is there a second board?"""
     image = read_image(path)
     found = find_board(session.board, image)
     if found is None:

@@ -1,6 +1,7 @@
 """`jaxscan calibrate`: photographs of a board in, a rig with its covariance out."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,7 +13,12 @@ if TYPE_CHECKING:
     from jaxscan.rig import Camera
 
 HELP: Final = "find camera, lens, light plane and stage from photographs of a board, all together"
-EXAMPLE: Final = "jaxscan calibrate session -o rig.json\n  jaxscan calibrate session --camera camera.yml --hold-camera"
+EXAMPLE: Final = (
+    "jaxscan calibrate session -o rig.json --report report\n"
+    "  jaxscan calibrate session --camera camera.yml --hold-camera"
+)
+
+_PAGES: Final = ("report.html", "report.json")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,8 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "session",
         type=Path,
+        nargs="+",
         metavar="SESSION",
-        help="a folder with session.toml, that file, or the corners that Bouguet's toolbox saved: calib_data.mat",
+        help="a folder with session.toml, that file, or the corners that Bouguet's toolbox saved: calib_data.mat; "
+        "several of one rig are solved together",
     )
     parser.add_argument(
         "-o",
@@ -39,6 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--hold-camera", action="store_true", help="keep the camera of --camera as it is")
     parser.add_argument("--camera-name", metavar="CAM", help="which camera of a camchain of several: cam0, cam1, …")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="look for what a small RMS hides, and write DIR/report.html and DIR/report.json",
+    )
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -50,23 +64,33 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     check_writable(args.output)
     if args.camera is None and (args.hold_camera or args.camera_name):
         raise InputError("--hold-camera and --camera-name speak of the camera of a file: name it with --camera FILE")
+    pages = [args.report / name for name in _PAGES] if args.report else []
+    if pages:
+        from jaxscan.view.matplotlib_setup import pyplot
+
+        pyplot()
+        _make_folder(args.report)
+        for page in pages:
+            check_writable(page)
     calibration = calibrate_session(args.session, args.output, args.camera, args.camera_name, args.hold_camera)
+    verdict = write_report(calibration, *pages) if pages else None
     from jaxscan.cli.facts import rig_facts
 
     return {
         **rig_facts(args.output),
         "left_out": list(calibration.left_out),
         "notes": list(calibration.notes),
+        "report": verdict and {"html": str(pages[0]), "json": str(pages[1]), **verdict},
     }
 
 
 def calibrate_session(
-    path: Path, output: Path, camera: Path | None = None, name: str | None = None, hold: bool = False
+    paths: Sequence[Path], output: Path, camera: Path | None = None, name: str | None = None, hold: bool = False
 ) -> "Calibration":
     """Calibrate with progress bars, and write the rig.
 
     Args:
-        path: the session, or a `.mat` with corners.
+        paths: the sessions, all of one rig; or a `.mat` with corners in place of one.
         output: the rig to write.
         camera: a file with a camera to start from.
         name: which camera of that file.
@@ -76,32 +100,41 @@ def calibrate_session(
 
     keep_compiled()
     from jaxscan.calibration import calibrate
+    from jaxscan.calibration.board_views import observations_from
+    from jaxscan.calibration.observations import join
     from jaxscan.calibration.observe import observe, photograph_count
     from jaxscan.cli.progress import progress
+    from jaxscan.files.cameras import read_camera_file
     from jaxscan.files.rig_file import write_rig
-    from jaxscan.files.session import CameraSettings, read_session
+    from jaxscan.files.session import CameraSettings, Session, read_session
     from jaxscan.rig import Rig
     from jaxscan.rig.rig import parameter_names
 
-    if path.suffix.lower() == ".mat":
-        from jaxscan.calibration.board_views import observations_from
-        from jaxscan.files.cameras import read_camera_file
-
-        content, settings = read_camera_file(path), CameraSettings()
-        start = _start(camera, name, settings, content.image_size) if camera else None
-        observations = observations_from(content, path)
-    else:
-        session = read_session(path)
-        settings = session.camera
-        start = _start(camera, name, settings, session.image_size) if camera else None
-        with progress("finding boards and stripes", photograph_count(session)) as advance:
-            observations = observe(session, advance)
+    contents, settings = [], []
+    for path in paths:
+        mat = path.suffix.lower() == ".mat"
+        contents.append(read_camera_file(path) if mat else read_session(path))
+        settings.append(CameraSettings() if mat else contents[-1].camera)
+        if settings[-1] != settings[0]:
+            raise InputError(
+                f"{path}: its lens is {settings[-1].lens}, its principal point {settings[-1].principal_point}; those "
+                f"of {paths[0]} are {settings[0].lens} and {settings[0].principal_point}: sessions of one rig have one "
+                "camera, so give all the same [camera]"
+            )
+    start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
+    photographs = sum(photograph_count(content) for content in contents if isinstance(content, Session))
+    with progress("finding boards and stripes", photographs) as advance:
+        each = [
+            observe(content, advance) if isinstance(content, Session) else observations_from(content, path)
+            for content, path in zip(contents, paths, strict=True)
+        ]
+    observations = join(_names(paths), each) if len(each) > 1 else each[0]
     held = parameter_names(Rig(start)) if start and hold else ()
     with progress("solving", 1, "rig") as advance:
         calibration = calibrate(
             observations,
-            lens=settings.lens,
-            principal_point=settings.principal_point,
+            lens=settings[0].lens,
+            principal_point=settings[0].principal_point,
             start=start,
             hold=held,
         )
@@ -124,6 +157,34 @@ def _start(path: Path, name: str | None, settings: "CameraSettings", image_size:
     return camera
 
 
+def write_report(calibration: "Calibration", html: Path, json: Path) -> dict[str, Any]:
+    """Look at a calibration from every side, with a progress bar; what a reader must know of it in any case."""
+    from jaxscan.cli.progress import progress
+    from jaxscan.view.calibration_report import REPORT_PARTS, calibration_report
+    from jaxscan.view.report import write_report_html, write_report_json
+
+    with progress("judging", REPORT_PARTS, "part") as advance:
+        report = calibration_report(calibration, advance)
+    write_report_html(html, report)
+    write_report_json(json, report)
+    found = report.sections[0].boxes
+    return {"verdict": report.verdict.statement, "findings": [box.statement for box in found if box.level != "good"]}
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """What each session is called: its folder's name, or its whole path where two have the same."""
+    folders = [path if path.is_dir() else path.parent for path in paths]
+    names = [folder.resolve().name for folder in folders]
+    return names if len(set(names)) == len(names) else [str(path) for path in paths]
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--report {path}: no folder can be made there ({error.strerror}): name another") from error
+
+
 def describe(result: dict[str, Any]) -> str:
     """The rig in words, then what was left out."""
     from jaxscan.cli.words import in_words
@@ -131,4 +192,8 @@ def describe(result: dict[str, Any]) -> str:
     lines = [in_words(result)]
     for title, key in (("left out", "left_out"), ("note", "notes")):
         lines += [f"{title}: {line}" for line in result[key]]
+    if result["report"]:
+        report = result["report"]
+        lines += [f"warning: {line}" for line in report["findings"]]
+        lines += [report["verdict"], f"report: {report['html']}, {report['json']}"]
     return "\n".join(lines)

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.simulation.distance import distance
     from jaxscan.view.plots import draw_scan
 
-    calibrate_session(out / "session", out / "rig.json")
+    calibrate_session([out / "session"], out / "rig.json")
     image = reconstruct_scan(out / "scan", out / "rig.json", [out / "cup.ply", out / "cup.npz"])
     errors = cloud_errors(scene, truth.points, image.points, image.valid)
     off = distance(scene, image.points.reshape(-1, 3)).reshape(image.valid.shape)

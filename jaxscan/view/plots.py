@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.atomic import replacing
-from jaxscan.errors import InputError
+from jaxscan.view.matplotlib_setup import pyplot
 
 # From where the profiles are looked at: so far above the plane that most points lie in.
 _ELEVATION = np.radians(38.0)
@@ -34,7 +34,7 @@ def draw_scan(
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
-    plt = _matplotlib()
+    plt = pyplot()
     figure, (left, middle, right) = plt.subplots(
         1, 3, figsize=(17, 5), layout="constrained", width_ratios=[1, 1.2, 1.2]
     )
@@ -99,14 +99,3 @@ def _side_view(
     away *= -np.sign(away[1]) or 1.0
     moved = np.where(valid[..., None], points, np.nan) - centre
     return moved @ across, moved @ away, moved @ up
-
-
-def _matplotlib() -> Any:
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise InputError('pictures need matplotlib: pip install "jaxscan[plots]"') from error
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt

@@ -49,7 +49,7 @@ class Diagnostics:
         coverage: what the photographs cover.
         halves: two halves of the photographs solved apart; None where there are too few for two rigs.
         sessions: each further session against the first; empty for a single one.
-        ladder: the lenses tried.
+        ladder: the lenses tried; None where the camera was held.
     """
 
     photographs: tuple[PhotographStatistics, ...]
@@ -64,7 +64,7 @@ class Diagnostics:
     coverage: Coverage
     halves: Agreement | None
     sessions: tuple[Agreement, ...]
-    ladder: Ladder
+    ladder: Ladder | None
 
     @property
     def sigma_factor(self) -> float:
@@ -92,7 +92,8 @@ def diagnose(calibration: Calibration, advance: Callable[[int], object] = lambda
     each = sessions(calibration.observations)
     apart = [solve_apart(calibration, each[0], other) for other in each[1:]]
     advance(1)
-    ladder = climb(calibration)
+    found = any(name.startswith("camera") for name in calibration.covariance.names)
+    ladder = climb(calibration) if found else None
     advance(1)
     return Diagnostics(
         photographs=photographs(calibration),

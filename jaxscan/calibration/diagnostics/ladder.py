@@ -107,7 +107,10 @@ def climb(calibration: Calibration) -> Ladder:
         each = len(calibration.observations.board.points())
         best = refine(estimate, _free(reference, held), (group,), noise, each, reject=True, weigh=True)
         n = len(calibration.observations.views)
-        solved = {lens: _solve_rung(estimate, _free(lens, held), best.groups[0], best.noise, n) for lens in names}
+        solved = {
+            lens: _solve_rung(_without(estimate, _terms(lens)), _free(lens, held), best.groups[0], best.noise, n)
+            for lens in names
+        }
     observations = float(2 * np.asarray(best.groups[0].corner_used).sum())
     rungs, top = [], names[0]
     for lens in names:
@@ -155,19 +158,23 @@ def _corners_alone(calibration: Calibration) -> tuple[Estimate, Blocks]:
     return Estimate((Rig(camera), None), (padded,)), group
 
 
-def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:
+def _terms(lens: str) -> list[bool]:
+    """Which leaves of the rational camera a lens has."""
     n_radial, n_tangential = LENSES[lens]
     radial, tangential = LENSES["rational"]
-    own = [True] * 4 + [i < n_radial for i in range(radial)] + [i < n_tangential for i in range(tangential)]
+    return [True] * 4 + [i < n_radial for i in range(radial)] + [i < n_tangential for i in range(tangential)]
+
+
+def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:
+    radial, tangential = LENSES["rational"]
     names = ["camera.focal.0", "camera.focal.1", "camera.principal.0", "camera.principal.1"]
     names += [f"camera.radial.{i}" for i in range(radial)] + [f"camera.tangential.{i}" for i in range(tangential)]
-    return jnp.asarray([free and name not in held for free, name in zip(own, names, strict=True)])
+    return jnp.asarray([own and name not in held for own, name in zip(_terms(lens), names, strict=True)])
 
 
 def _solve_rung(estimate: Estimate, free: Bool[Array, "shared"], group: Blocks, noise: Noise, n: int) -> _Solved:
     """One lens on all views, and fold by fold on views that it has not seen."""
-    start = _without(estimate, free)
-    whole = solve(start, free, (group,), noise)
+    whole = solve(estimate, free, (group,), noise)
     folds = np.arange(len(group.steps)) % min(_FOLDS, n)
     held_out, count = np.zeros(n), np.zeros(n)
     for fold in range(min(_FOLDS, n)):
@@ -188,15 +195,14 @@ def _solve_rung(estimate: Estimate, free: Bool[Array, "shared"], group: Blocks, 
     return _Solved(chi2, pixels * float(np.sqrt(2 * square.sum() / used.sum())), pixels**2 * held_out, count)
 
 
-def _without(estimate: Estimate, free: Bool[Array, "shared"]) -> Estimate:
-    """The estimate with those lens terms at zero that are not free; focal length and principal point stay."""
+def _without(estimate: Estimate, terms: list[bool]) -> Estimate:
+    """The estimate with those lens terms at zero that the lens does not have."""
     rig, warp = estimate.shared
-    terms = iter(np.asarray(free)[4:])
+    own = iter(terms[4:])
     zero = jnp.zeros(())
-    radial = tuple(k if next(terms) else zero for k in rig.camera.radial)
-    tangential = tuple(p if next(terms) else zero for p in rig.camera.tangential)
-    camera = replace(rig.camera, radial=radial, tangential=tangential)
-    return Estimate((Rig(camera), warp), estimate.poses)
+    radial = tuple(k if next(own) else zero for k in rig.camera.radial)
+    tangential = tuple(p if next(own) else zero for p in rig.camera.tangential)
+    return Estimate((Rig(replace(rig.camera, radial=radial, tangential=tangential)), warp), estimate.poses)
 
 
 def _only(group: Blocks, blocks: Bool[Array, "blocks"]) -> Blocks:

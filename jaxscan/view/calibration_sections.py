@@ -1,0 +1,294 @@
+"""The sections of a calibration's report that show its numbers: a table and its figures each, with how to read them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscan.calibration import Calibration
+from jaxscan.calibration.diagnostics import Diagnostics, Ladder
+from jaxscan.calibration.on_board import stripe_points_in_space
+from jaxscan.precision import as_float64, float64
+from jaxscan.reconstruction.working_volume import WorkingVolume
+from jaxscan.rig.rig import parameter_names
+from jaxscan.view import calibration_plots as plots
+from jaxscan.view.report import Section, Table, draw
+
+
+def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
+    """The parameters with their σ, and how the two halves differ."""
+    values = dict(zip(parameter_names(calibration.rig), map(float, jax.tree.leaves(calibration.rig)), strict=True))
+    halves = diagnostics.halves
+    apart = dict(zip(halves.names, halves.differences_in_sigma, strict=True)) if halves else {}
+    rows = []
+    for name, value in values.items():
+        sigma = calibration.covariance.sigma(name)
+        difference = f"{apart[name]:+.1f} σ" if name in apart else "–"
+        rows.append((name, f"{value:.7g}", f"{sigma:.2g}" if sigma is not None else "held", difference))
+    columns = ("parameter", "value", "σ", "two halves differ by")
+    paragraph = (
+        f"Corners have σ = {calibration.corner_sigma_px:.3f} px along each axis"
+        + (f", stripe points {calibration.stripe_sigma_px:.3f} px" if calibration.stripe_sigma_px is not None else "")
+        + f", from the residuals. {len(calibration.fits)} views"
+        + (f", {len(calibration.stage_fits)} stage photographs." if calibration.stage_fits else ".")
+    )
+    return Section(
+        "The rig", paragraphs=(paragraph,), tables=(Table("Parameters (px, 1/mm, mm per step)", columns, tuple(rows)),)
+    )
+
+
+def volume(volume: WorkingVolume) -> Section:
+    """σ over the working volume."""
+    name = f' of laser "{volume.laser}"' if volume.laser else ""
+    caption = (
+        "σ of a point along its ray over the part of the light sheet that the camera sees, between the nearest and "
+        "the farthest stripe point of the calibration. Right: how much of it is the rig's (the same for all points "
+        "nearby, so it does not average out) and how much the pixel's (independent from point to point). Outside this "
+        "range σ grows."
+    )
+    picture = draw(f"working-volume{volume.laser and '-' + volume.laser}", caption, plots.volume(volume))
+    return Section(f"How well a point is known{name}", figures=(picture,))
+
+
+def photographs(calibration: Calibration, diagnostics: Diagnostics) -> Section:
+    """Each photograph, and all of them in space."""
+    rows = []
+    for p in diagnostics.photographs:
+        stripe = f"{p.stripe_rms_px:.3f}" if p.stripe_rms_px is not None else "–"
+        corners = f"{p.corner_rms_px:.3f}" if np.isfinite(p.corner_rms_px) else "none fits"
+        kept = f"{p.stripe_kept} of {p.stripe_points}" if p.stripe_points else "–"
+        worst = f"{p.corner_worst_px:.2f}"
+        where = "stage" if p.staged else "view"
+        rows.append((p.name, where, corners, worst, f"{p.corners_kept} of {p.corners}", stripe, kept))
+    columns = ("photograph", "", "corners RMS / px", "worst / px", "kept", "stripe RMS / px", "kept")
+    caption = (
+        "RMS of each photograph, the worst first; dashed: the median of the corners. Pale bars are stage photographs. "
+        "A photograph that stands out was blurred, moved, bent, or does not belong."
+    )
+    title = "RMS distance of the corners that took part, and RMS error of the stripe"
+    return Section(
+        "Photograph by photograph",
+        tables=(Table(title, columns, tuple(rows)),),
+        figures=(
+            draw("photographs", caption, plots.photographs(diagnostics.photographs)),
+            draw(
+                "scene",
+                "Boards, stripes, light plane, stage and camera in space. The camera stands at the origin and looks "
+                "along z. A board that stands where none was, or stripes beside the plane, would show here.",
+                plots.scene(calibration, diagnostics, _points_in_space(calibration)),
+            ),
+        ),
+    )
+
+
+def residuals(calibration: Calibration, diagnostics: Diagnostics) -> Section:
+    """Residuals over the image, by radius and against the normal."""
+    size = calibration.rig.camera.image_size
+    each = [("corner coordinates", diagnostics.corner_normality), ("stripe points", diagnostics.stripe_normality)]
+    rows = tuple(
+        (
+            name,
+            str(n.count),
+            f"{n.skewness:+.2f}",
+            f"{n.excess_kurtosis:+.2f}",
+            f"{100 * n.beyond_2:.1f} %",
+            f"{100 * n.beyond_3:.2f} %",
+        )
+        for name, n in each
+        if n is not None
+    )
+    columns = ("residuals in σ", "count", "skewness", "excess kurtosis", "beyond 2 σ", "beyond 3 σ")
+    normal = ("a normal distribution", "", "0", "0", "4.6 %", "0.27 %")
+    return Section(
+        "Residuals: what the model does not follow",
+        tables=(Table("Against the normal", columns, (*rows, normal)),),
+        figures=(
+            draw(
+                "residual-vectors",
+                "Residuals (predicted minus seen) over the image: each corner pale, the mean of each cell red and "
+                "four times as long. Noise points everywhere and the red arrows vanish; a lens that is not followed "
+                "makes them swirl or point in or out.",
+                plots.residual_vectors(diagnostics, size),
+            ),
+            draw(
+                "histograms",
+                "Residuals in units of their σ. Long tails are outliers that were not rejected or photographs of "
+                "different quality; a shoulder is a bias.",
+                plots.histograms(diagnostics.corner_normality, diagnostics.stripe_normality),
+            ),
+            draw(
+                "radius",
+                "Mean residual outwards against the distance from the principal point. A lens with too few terms "
+                "leaves a wave that the bars do not cover.",
+                plots.radius(diagnostics),
+            ),
+        ),
+    )
+
+
+def stripes(diagnostics: Diagnostics) -> Section:
+    """The shape of each stripe."""
+    rows = tuple(
+        (
+            f"{s.name} {s.laser}".strip(),
+            str(len(s.along_px)),
+            f"{s.offset_mm:+.3f}",
+            f"{s.tilt_mm:+.3f}",
+            f"{s.bend_mm:.3f}",
+            f"{s.bend_of_noise_mm:.3f}",
+            f"{s.noise_mm:.3f}",
+        )
+        for s in diagnostics.stripes
+    )
+    columns = ("photograph", "points", "offset", "tilt", "bend", "bend of noise alone", "noise")
+    caption = (
+        "Distance of each stripe from the light plane along the stripe, the most bent first (red: the running mean). "
+        "A stripe on a flat board is a level band about zero; a curve is a bent plate, an offset or tilt a wrong pose "
+        "or pitch, a step the edge of something."
+    )
+    return Section(
+        "Stripes on the boards",
+        tables=(Table("Distance from the light plane in mm; bend: running mean from peak to valley", columns, rows),),
+        figures=(draw("stripes", caption, plots.stripes(diagnostics.stripes)),),
+    )
+
+
+def stage(diagnostics: Diagnostics) -> Section:
+    """Step error and straightness."""
+    rows = []
+    for s in diagnostics.stages:
+        along = 1000 * np.sqrt((s.error_mm[:, 0] ** 2).mean())
+        across = 1000 * np.sqrt((s.error_mm[:, 1:] ** 2).mean(axis=0))
+        turned = np.abs(s.rotation_mrad).max()
+        rows.append(
+            (
+                f"{s.names[0]} … {s.names[-1]}",
+                f"{np.ptp(s.travel_mm):.2f}",
+                f"{along:.1f}",
+                f"{np.sqrt(s.chi2_along):.2f}",
+                f"{across[0]:.1f}, {across[1]:.1f}",
+                f"{np.sqrt(s.chi2_across):.2f}",
+                f"{turned:.2f} ± {s.rotation_sigma_mrad.flat[np.abs(s.rotation_mrad).argmax()]:.2f}",
+            )
+        )
+    columns = (
+        "photographs",
+        "travel / mm",
+        "step error / µm RMS",
+        "in σ",
+        "off the line / µm RMS",
+        "in σ",
+        "largest turn / mrad",
+    )
+    return Section(
+        "The stage",
+        tables=(Table("Where the board really stood against t₀ + n · per_step", columns, tuple(rows)),),
+        figures=(
+            draw(
+                "stage",
+                "Step error along the travel and distance from the straight line, with the σ that the corners leave. "
+                "A period is the lead screw's, a jump a missed step, a bow the guide's.",
+                plots.stage(diagnostics.stages),
+            ),
+        ),
+    )
+
+
+def apart(diagnostics: Diagnostics) -> Section:
+    """Halves and sessions."""
+    figures, paragraphs = [], []
+    each = [*([diagnostics.halves] if diagnostics.halves else []), *diagnostics.sessions]
+    for i, a in enumerate(each):
+        paragraphs.append(
+            f"{a.parts[0][0].upper()}{a.parts[0][1:]} ({a.views[0]} views) and {a.parts[1]} ({a.views[1]} views): "
+            f"they differ by {a.sigma_factor:.2f} times what their σ foretell (√(χ²/n), n = {len(a.names)}; by chance "
+            f"as much or more in {_percent(a.p)} of cases)."
+        )
+        caption = (
+            "Differences of the two solutions in σ. About two thirds of the bars should lie within ± 1, and all but "
+            "one in twenty in the pale band."
+        )
+        figures.append(draw(f"agreement-{i}", caption, plots.agreement(a)))
+    if diagnostics.halves is None:
+        paragraphs.append("There are too few photographs for two halves that give a rig each.")
+    return Section("Parts of the photographs, solved apart", paragraphs=tuple(paragraphs), figures=tuple(figures))
+
+
+def lens(tried: Ladder) -> Section:
+    """The ladder."""
+    rows = []
+    for r in tried.rungs:
+        gain = (
+            f"{100 * r.gain:+.1f} ± {100 * (r.gain_error or 0):.1f} %"
+            if r.gain is not None and np.isfinite(r.gain)
+            else "–"
+        )
+        p = "–" if r.p is None else "< 0.0001" if r.p < 1e-4 else f"{r.p:.4f}"
+        rows.append((r.lens, str(r.terms), _px(r.rms_px), _px(r.held_out_px), p, gain, "yes" if r.supported else "no"))
+    columns = ("lens", "terms", "RMS / px", "held out RMS / px", "F-test p", "held-out gain", "supported")
+    text = (
+        f'The photographs support the lens "{tried.supported}"; this calibration has "{tried.chosen}". A rung is '
+        "supported when against the best one below it the F-test gives p < 0.001 and the squared error of held-out "
+        "views falls by more than two standard errors."
+    )
+    caption = (
+        "Views that were fitted always fit better with more terms; views that were held out do not. Where the two "
+        "lines part, terms fit noise."
+    )
+    return Section(
+        "Which lens do the photographs support?",
+        paragraphs=(text,),
+        tables=(Table("The ladder, by corners alone", columns, tuple(rows)),),
+        figures=(draw("ladder", caption, plots.ladder(tried)),),
+    )
+
+
+def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
+    """What the photographs cover."""
+    cover = diagnostics.coverage
+    words = [
+        f"Boards: {len(cover.distances_mm)} views, {cover.distances_mm.min():.0f} to {cover.distances_mm.max():.0f} "
+        f"mm away, tilted by {cover.tilts_deg.min():.0f}° to {cover.tilts_deg.max():.0f}°, normals within "
+        f"{cover.tilt_spread_deg:.0f}° of each other.",
+        f"Corners: in {100 * cover.image_share:.0f} % of the image, as far as {100 * cover.reach:.0f} % of the way "
+        "from its centre to its corners.",
+    ]
+    for s in cover.stripes:
+        words.append(
+            f"Stripes{' of laser ' + s.laser if s.laser else ''}: {s.points} points on {s.views} boards, "
+            f"{s.depths_mm[0]:.0f} to {s.depths_mm[1]:.0f} mm away, spread by {s.across_mm:.0f} mm within the sheet."
+        )
+    if cover.stage_travel_mm is not None:
+        words.append(f"Stage: {cover.stage_images} photographs over {cover.stage_travel_mm:.1f} mm.")
+    caption = (
+        "Where corners were seen (photographs in each part of the image tie the lens down there), how the boards were "
+        "tilted (well spread is good), and how far away boards and stripes were."
+    )
+    return Section(
+        "What the photographs cover",
+        items=tuple(words),
+        figures=(draw("coverage", caption, plots.coverage(diagnostics)),),
+    )
+
+
+def left_out(calibration: Calibration) -> Section:
+    """What was not used, and notes."""
+    lines = (*calibration.notes, *calibration.left_out)
+    return Section("What was left out, and notes", items=lines or ("Nothing was left out.",))
+
+
+def _points_in_space(calibration: Calibration) -> list[np.ndarray]:
+    with float64():
+        camera = as_float64(calibration.rig.camera)
+        poses = jnp.asarray(np.asarray(as_float64(calibration.system.boards).as_vector()))
+        return [
+            stripe_points_in_space(calibration.observations, camera, poses, i)[0]
+            for i in range(len(calibration.rig.lasers))
+        ]
+
+
+def _px(value: float) -> str:
+    return f"{value:.4f}" if np.isfinite(value) else "no minimum"
+
+
+def _percent(p: float) -> str:
+    return "less than 0.1 %" if p < 1e-3 else f"{100 * p:.1f} %"

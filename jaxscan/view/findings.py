@@ -1,0 +1,412 @@
+"""What a reader of a calibration must know, in plain words, each with the threshold at which it is said.
+
+`stop` findings are reasons not to use the rig, `care` ones say what its σ do not cover. docs/report.md lists them all.
+"""
+
+import numpy as np
+
+from jaxscan.calibration import Calibration
+from jaxscan.calibration.diagnostics import Diagnostics, Suspect
+from jaxscan.calibration.diagnostics.halves import Agreement
+from jaxscan.calibration.diagnostics.suspects import REJECTED
+from jaxscan.reconstruction.working_volume import WorkingVolume
+from jaxscan.rig import LENSES
+from jaxscan.view.report import Box
+
+# A point, or a focal length, known no better than this share of itself is a reason to stop.
+_RELATIVE = 0.01
+# Halves, or sessions, that differ by so many times their σ are worth a word, by so many more a reason to stop.
+_FACTOR, _LARGE_FACTOR = 1.5, 4.0
+# A session whose millimetres are longer by this share, and by this many σ, has another pitch.
+_SCALE, _SCALE_SIGMA = 0.01, 5.0
+# A richer lens is worth a word when held-out corners are nearer by this share.
+_LENS_GAIN = 0.025
+# A mean residual of so many standard errors, and of this share of a corner's σ, is the lens's.
+_ERRORS, _SHARE = 5.0, 0.25
+# A stripe that bends by so many times what noise gives, and by so many times its noise, is on a bent plate.
+_BEND, _BEND_NOISE = 3.0, 4.0
+# A stripe that lies beside the plane by so many times its own noise and by so many times what the others do.
+_OFFSET_NOISE, _OFFSET_OTHERS = 4.0, 3.0
+# Photographs are named as worse than the others when their RMS is so many times the median.
+_WORSE = 1.5
+_NAMED = 5
+# Of normal residuals 0.27 % lie beyond 3 σ.
+_BEYOND_3 = 0.015
+# Mean square of the stage's errors in σ.
+_STAGE = 4.0
+# Share of all corners or stripe points that were rejected.
+_REJECTED = 0.05
+_TILT_SPREAD_DEG, _IMAGE_SHARE, _REACH = 30.0, 0.5, 0.6
+_STRIPE_VIEWS, _DEPTH_RATIO, _STAGE_IMAGES = 4, 1.15, 5
+
+
+def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[WorkingVolume, ...]) -> tuple[Box, ...]:
+    """Everything that is wrong or weak, the worst first; empty where nothing is."""
+    boxes = [*map(_suspect, diagnostics.suspects), *_sessions(diagnostics), *_notes(calibration)]
+    boxes += _imprecise(calibration, diagnostics.sigma_factor, volumes)
+    boxes += [*_halves(diagnostics), *_lens(diagnostics), *_camera_model(calibration, diagnostics)]
+    boxes += [
+        *_bent(diagnostics),
+        *_worse(diagnostics),
+        *_stage(diagnostics),
+        *_tails(calibration, diagnostics),
+        *_thin(diagnostics),
+    ]
+    return tuple(sorted(boxes, key=lambda box: ("stop", "care", "good").index(box.level)))
+
+
+def _suspect(suspect: Suspect) -> Box:
+    where = "Stage photograph" if suspect.staged else "Photograph"
+    what = (
+        f"{where} {suspect.name} does not fit the others: its corners are off by {suspect.corner_median_px:.2f} px in "
+        f"the median, where {suspect.usual_corner_median_px:.2f} px is usual"
+    )
+    if suspect.stripe_median_px is not None:
+        what += f", its stripe by {suspect.stripe_median_px:.2f} px"
+    what += f"; {100 * suspect.corners_rejected:.0f} % of its corners"
+    if suspect.stripe_rejected is not None:
+        what += f" and {100 * suspect.stripe_rejected:.0f} % of its stripe points"
+    what += " were rejected"
+    if suspect.explanation:
+        return Box(
+            "stop",
+            f"{what}. It fits when it is {suspect.explanation}.",
+            "Save it as the camera took it, or leave it out.",
+        )
+    # One that still takes part is a bad photograph; one that was rejected is perhaps none of this rig.
+    rejected = max(suspect.corners_rejected, suspect.stripe_rejected or 0.0) > REJECTED
+    return Box(
+        "stop" if rejected else "care",
+        f"{what}.",
+        "It may be of another camera, zoom or focus, show another board or a reflection of the stripe, or be blurred: "
+        "look at it, and leave it out or take it again."
+        if rejected
+        else "It is blurred, or the board was bent or moved: leave it out or take it again.",
+    )
+
+
+def _sessions(diagnostics: Diagnostics) -> list[Box]:
+    boxes = []
+    for each in diagnostics.sessions:
+        if _rescaled(each):
+            scale, sigma = each.scale or 0.0, each.scale_sigma or 0.0
+            boxes.append(
+                Box(
+                    "stop",
+                    f"Millimetres of the session {each.parts[1]} are {100 * abs(scale):.2f} ± {100 * sigma:.2f} % "
+                    f"{'longer' if scale > 0 else 'shorter'} than those of {each.parts[0]}: the squares of one of the "
+                    "boards are not of the size that square_mm states.",
+                    "Measure ten squares of each board with a ruler and correct square_mm in that session.toml.",
+                )
+            )
+            continue
+        if each.disagree and each.sigma_factor > _FACTOR:
+            boxes.append(
+                Box(
+                    "stop" if each.sigma_factor > _LARGE_FACTOR else "care",
+                    f"The sessions {each.parts[0]} and {each.parts[1]} disagree by {each.sigma_factor:.1f} times what "
+                    "their σ foretell.",
+                    "Something moved or was refocused between them: calibrate them apart.",
+                )
+            )
+    return boxes
+
+
+def _rescaled(each: Agreement) -> bool:
+    """Whether the difference of two sessions is that of their millimetres."""
+    if each.scale is None or each.scale_sigma is None:
+        return False
+    return abs(each.scale) > max(_SCALE, _SCALE_SIGMA * each.scale_sigma)
+
+
+def _imprecise(calibration: Calibration, factor: float, volumes: tuple[WorkingVolume, ...]) -> list[Box]:
+    boxes = []
+    for volume in volumes:
+        depth = float(np.median(volume.depths_mm))
+        share = factor * volume.median_mm / depth
+        if share > _RELATIVE:
+            boxes.append(
+                Box(
+                    "stop",
+                    f"A point {depth:.0f} mm away is known to {factor * volume.median_mm:.1f} mm, {100 * share:.1f} % "
+                    "of its distance.",
+                    "The photographs do not determine the rig well enough to measure with: see what limits it.",
+                )
+            )
+    focal = float(calibration.rig.camera.focal[0])
+    sigma = factor * (calibration.covariance.sigma("camera.focal.0") or 0.0)
+    if not volumes and sigma > _RELATIVE * focal:
+        boxes.append(
+            Box("stop", f"The focal length is known to {100 * sigma / focal:.1f} % of itself.", "See what limits it.")
+        )
+    return boxes
+
+
+def _notes(calibration: Calibration) -> list[Box]:
+    notes = [note for note in calibration.notes if "second board" in note]
+    return [Box("care", note[0].upper() + note[1:] + ".") for note in notes]
+
+
+def _halves(diagnostics: Diagnostics) -> list[Box]:
+    each = diagnostics.halves
+    if each is None:
+        return [
+            Box(
+                "care",
+                "There are too few photographs to solve two halves apart, so nothing but the residuals speaks for the "
+                "σ.",
+                "Take at least six views of the board, four of them with the stripe.",
+            )
+        ]
+    if not each.disagree or each.sigma_factor <= _FACTOR:
+        return []
+    worst = int(np.argmax(np.abs(each.differences_in_sigma)))
+    return [
+        Box(
+            "stop" if each.sigma_factor > _LARGE_FACTOR else "care",
+            f"Two halves of the photographs disagree by {each.sigma_factor:.1f} times what their σ foretell (most in "
+            f"{each.names[worst]}, {abs(each.differences_in_sigma[worst]):.1f} σ): read every σ as "
+            f"{each.sigma_factor:.1f} times as large.",
+            "Errors that do not average out are behind it: a board that is not flat or not held still, a lens that "
+            "the model does not follow, or one bad photograph.",
+        )
+    ]
+
+
+def _lens(diagnostics: Diagnostics) -> list[Box]:
+    tried, names = diagnostics.ladder, list(LENSES)
+    if tried is None:
+        return []
+    by_name = {rung.lens: rung for rung in tried.rungs}
+    chosen, supported = by_name[tried.chosen], by_name[tried.supported]
+    richer = names.index(tried.supported) > names.index(tried.chosen)
+    if richer and supported.held_out_px > (1 - _LENS_GAIN) * chosen.held_out_px:
+        return []
+    if richer:
+        return [
+            Box(
+                "care",
+                f'The lens "{tried.chosen}" is too simple: "{tried.supported}" foretells views that it has not seen to '
+                f"{supported.held_out_px:.3f} px instead of {chosen.held_out_px:.3f} px.",
+                f'Set lens = "{tried.supported}" under [camera] in session.toml.',
+            )
+        ]
+    if names.index(tried.supported) < names.index(tried.chosen):
+        terms = chosen.terms - supported.terms
+        return [
+            Box(
+                "care",
+                f'The lens "{tried.chosen}" is richer than the photographs support: beyond "{tried.supported}" its '
+                f"{terms} further term{'s' if terms > 1 else ''} only fit{'s' if terms == 1 else ''} noise. Views "
+                f"that it has not seen it foretells to {chosen.held_out_px:.3f} px, the simpler one to "
+                f"{supported.held_out_px:.3f} px, which is no clear difference.",
+                f'Set lens = "{tried.supported}" under [camera] in session.toml, or hold the board into the corners of '
+                "the image, where the terms differ.",
+            )
+        ]
+    return []
+
+
+def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
+    by = diagnostics.by_radius
+    out = np.abs(by.radial_px) / by.radial_error_px
+    worst = int(np.argmax(np.where(np.abs(by.radial_px) > _SHARE * calibration.corner_sigma_px, out, 0.0)))
+    boxes = []
+    if out[worst] > _ERRORS and abs(by.radial_px[worst]) > _SHARE * calibration.corner_sigma_px:
+        boxes.append(
+            Box(
+                "care",
+                f"Corners {by.radius_px[worst]:.0f} px from the principal point are off by {by.radial_px[worst]:+.3f} "
+                f"px outwards in the mean ({out[worst]:.0f} standard errors): the lens is not followed there.",
+                "Try the next richer lens; if that does not help, see whether the boards are flat.",
+            )
+        )
+    cells = diagnostics.over_image
+    with np.errstate(invalid="ignore"):
+        large = np.nanmax(
+            np.abs(cells.mean_px) / cells.error_px, axis=-1, initial=0.0, where=np.isfinite(cells.error_px)
+        )
+        clear = (large > _ERRORS) & (np.linalg.norm(cells.mean_px, axis=-1) > 2 * _SHARE * calibration.corner_sigma_px)
+    share = float(clear.sum() / max(np.isfinite(cells.mean_px[..., 0]).sum(), 1))
+    if share > 0.1 and not boxes:
+        boxes.append(
+            Box(
+                "care",
+                f"In {100 * share:.0f} % of the image the corners are off in the same direction in every photograph.",
+                "The model of the camera misses something: try a richer lens, and see whether the boards are flat.",
+            )
+        )
+    return boxes
+
+
+def _bent(diagnostics: Diagnostics) -> list[Box]:
+    boxes = []
+    usual = float(np.median([s.noise_mm for s in diagnostics.stripes] or [0.0]))
+    bent = [
+        s
+        for s in diagnostics.stripes
+        if s.bend_mm > max(_BEND * s.bend_of_noise_mm, _BEND_NOISE * max(s.noise_mm, usual))
+    ]
+    if bent:
+        names = _listed([f"{s.name} ({s.bend_mm:.2f} mm from peak to valley)" for s in bent])
+        boxes.append(
+            Box(
+                "care",
+                f"The stripe is not straight on {len(bent)} of {len(diagnostics.stripes)} boards: {names}. A sheet of "
+                "light meets a flat board in a straight line, so the plates are bent there.",
+                "Glue the pattern to something stiff and hold the plate without bending it. Leave out the first of "
+                "these photographs and see whether the two halves then agree better.",
+            )
+        )
+    size = np.array([abs(s.offset_mm) for s in diagnostics.stripes])
+    beside = [
+        s
+        for s in sorted(diagnostics.stripes, key=lambda s: -abs(s.offset_mm))
+        if abs(s.offset_mm) > max(_OFFSET_NOISE * s.noise_mm, _OFFSET_OTHERS * float(np.median(size)))
+    ]
+    if beside:
+        names = _listed([f"{s.name} ({s.offset_mm:+.2f} mm)" for s in beside])
+        boxes.append(
+            Box(
+                "care",
+                f"The whole stripe lies beside the light plane on {names}.",
+                "The board moved between corners and stripe, is bent as a whole, or its squares are of another size.",
+            )
+        )
+    return boxes
+
+
+def _worse(diagnostics: Diagnostics) -> list[Box]:
+    """Photographs whose corners, and whose stripe if they have one, fit worse than those of most."""
+    suspected = {suspect.name for suspect in diagnostics.suspects}
+    each = [p for p in diagnostics.photographs if np.isfinite(p.corner_rms_px) and p.name not in suspected]
+    if not each:
+        return []
+    corner = float(np.median([p.corner_rms_px for p in each]))
+    stripe = float(np.median([p.stripe_rms_px for p in each if p.stripe_rms_px is not None] or [0.0]))
+    worse = [
+        p
+        for p in each
+        if p.corner_rms_px > _WORSE * corner and (p.stripe_rms_px is None or p.stripe_rms_px > _WORSE * stripe)
+    ]
+    if not worse:
+        return []
+    names = _listed([f"{p.name} ({p.corner_rms_px:.2f} px)" for p in worse])
+    return [
+        Box(
+            "care",
+            f"Corners fit worse than elsewhere (median {corner:.2f} px), and the stripe too where there is one, on "
+            f"{names}.",
+            "Those photographs are blurred, or the plate was bent or moved: they count less in the solve already; "
+            "better, leave them out or take them again.",
+        )
+    ]
+
+
+def _listed(words: list[str]) -> str:
+    """The first few, and how many more."""
+    more = len(words) - _NAMED
+    return ", ".join(words[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _stage(diagnostics: Diagnostics) -> list[Box]:
+    boxes = []
+    for each in diagnostics.stages:
+        if each.chi2_along > _STAGE:
+            boxes.append(
+                Box(
+                    "care",
+                    "The stage's steps are uneven: places along its travel are off by "
+                    f"{np.sqrt((each.error_mm[:, 0] ** 2).mean()):.3f} mm RMS, {np.sqrt(each.chi2_along):.1f} times "
+                    "what the corners explain.",
+                    "Look for backlash (approach from one side), missed steps, and wrong step counts in session.toml.",
+                )
+            )
+        if each.chi2_across > _STAGE:
+            boxes.append(
+                Box(
+                    "care",
+                    "The stage is not straight: the board leaves the line by up to "
+                    f"{np.abs(each.error_mm[:, 1:]).max():.3f} mm, {np.sqrt(each.chi2_across):.1f} times what the "
+                    "corners explain.",
+                    "The board may not be fixed, or the guide has play.",
+                )
+            )
+    return boxes
+
+
+def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
+    boxes = []
+    for what, normality in (("corners", diagnostics.corner_normality), ("stripe points", diagnostics.stripe_normality)):
+        if normality is not None and normality.beyond_3 > _BEYOND_3:
+            boxes.append(
+                Box(
+                    "care",
+                    f"Errors of the {what} are not normal: {100 * normality.beyond_3:.1f} % lie beyond 3 σ, where 0.3 "
+                    "% should.",
+                    "A mixture of good and bad photographs looks like this; see the worst of them below.",
+                )
+            )
+    fits = (*calibration.fits, *calibration.stage_fits)
+    for what, kept, seen in (
+        (
+            "corners",
+            sum(int(f.corner_kept.sum()) for f in fits),
+            sum(int(np.isfinite(f.corner_errors[:, 0]).sum()) for f in fits),
+        ),
+        ("stripe points", sum(int(f.stripe_kept.sum()) for f in fits), sum(f.stripe_kept.size for f in fits)),
+    ):
+        if seen and 1 - kept / seen > _REJECTED:
+            boxes.append(
+                Box(
+                    "care",
+                    f"{100 * (1 - kept / seen):.0f} % of all {what} were rejected as outliers.",
+                    "See the list of what was left out for the photographs that they are from.",
+                )
+            )
+    return boxes
+
+
+def _thin(diagnostics: Diagnostics) -> list[Box]:
+    """Photographs that leave much to the model."""
+    cover, boxes = diagnostics.coverage, []
+    if cover.tilt_spread_deg < _TILT_SPREAD_DEG:
+        boxes.append(
+            Box(
+                "care",
+                f"All boards are nearly parallel: their normals lie within {cover.tilt_spread_deg:.0f}° of each "
+                "other. Focal length and distance are then known badly, and so is every length.",
+                "Tilt the board by 30° or more, in different directions from view to view.",
+            )
+        )
+    if cover.image_share < _IMAGE_SHARE and cover.reach < _REACH:
+        boxes.append(
+            Box(
+                "care",
+                f"Corners cover {100 * cover.image_share:.0f} % of the image and reach {100 * cover.reach:.0f} % of "
+                "the way to its corners: beyond, the lens is a guess.",
+                "Hold the board into the corners of the image too.",
+            )
+        )
+    for stripe in cover.stripes:
+        near, far = stripe.depths_mm
+        if stripe.views < _STRIPE_VIEWS or far < _DEPTH_RATIO * near:
+            which = f'of laser "{stripe.laser}" ' if stripe.laser else ""
+            boxes.append(
+                Box(
+                    "care",
+                    f"The light plane {which}rests on {stripe.views} boards with stripes between {near:.0f} and "
+                    f"{far:.0f} mm.",
+                    "Hold the board at the nearest and at the farthest place that will be scanned, with the stripe "
+                    "across it.",
+                )
+            )
+    if cover.stage_travel_mm is not None and cover.stage_images < _STAGE_IMAGES:
+        boxes.append(
+            Box(
+                "care",
+                f"The stage rests on {cover.stage_images} photographs: its straightness cannot be seen.",
+                f"Photograph the board at {_STAGE_IMAGES} or more places along the travel.",
+            )
+        )
+    return boxes

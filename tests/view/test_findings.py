@@ -1,0 +1,104 @@
+"""What the report says of a good calibration, and that it says what is wrong with a bad one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxscan.calibration.diagnostics import Diagnostics, Ladder, diagnose
+from jaxscan.calibration.diagnostics.halves import Agreement
+from jaxscan.calibration.diagnostics.stripe_shapes import shape
+from jaxscan.calibration.diagnostics.suspects import Suspect
+from jaxscan.view.advice import advise
+from jaxscan.view.calibration_report import compose
+from jaxscan.view.findings import findings
+
+
+@pytest.fixture(scope="module")
+def diagnostics(calibration) -> Diagnostics:
+    return diagnose(calibration)
+
+
+def words(calibration, diagnostics, volumes=()):
+    return " ".join(f"{b.level}: {b.statement} {b.advice}" for b in findings(calibration, diagnostics, volumes))
+
+
+def test_drawn_data_are_good_but_for_what_they_do_not_cover(calibration, diagnostics, report):
+    boxes = findings(calibration, diagnostics, ())
+    assert all("of the image" in box.statement for box in boxes)
+    assert report.verdict.level in ("good", "care")
+    assert report.verdict.statement.count("mm") == 2
+    assert report.sections[2].title == "What photograph would help most?"
+    assert "corner of the image" in report.sections[2].paragraphs[0]
+
+
+SUSPECT = Suspect("07.png", False, 0.96, 0.5, 0.05, 0.06, 31.0, "mirrored left to right")
+
+
+def agreement(factor: float, scale: float | None = None) -> Agreement:
+    names, values = ("camera.focal.0", "laser.plane.0"), (np.ones(2), np.ones(2))
+    p = 1e-9 if factor > 1.5 else 0.5
+    return Agreement(("monday", "tuesday"), (6, 5), names, values, np.array([0.5, -4.0]), factor**2, p, scale, 0.001)
+
+
+def better(ladder: Ladder, lens: str) -> Ladder:
+    """The ladder with a lens that halves the held-out error."""
+    rungs = [replace(r, held_out_px=r.held_out_px / 2) if r.lens == lens else r for r in ladder.rungs]
+    return replace(ladder, rungs=tuple(rungs), supported=lens)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda d: {"suspects": (SUSPECT,)}, "stop: Photograph 07.png does not fit .* fits when it is mirrored left"),
+        (lambda d: {"suspects": (replace(SUSPECT, explanation=None),)}, "stop: .* another camera"),
+        (lambda d: {"halves": agreement(2.0)}, "care: Two halves .* 2.0 times .* laser.plane.0, 4.0 σ"),
+        (lambda d: {"halves": agreement(6.0)}, "stop: Two halves"),
+        (lambda d: {"halves": None}, "care: There are too few photographs to solve two halves"),
+        (lambda d: {"sessions": (agreement(9.0, 0.05),)}, "stop: Millimetres of the session tuesday are 5.00 ± 0.10 %"),
+        (lambda d: {"sessions": (agreement(2.0, 0.0),)}, "care: The sessions monday and tuesday disagree"),
+        (lambda d: {"ladder": replace(d.ladder, chosen="brown")}, "care: The lens .brown. is richer .* only fit noise"),
+        (lambda d: {"ladder": better(d.ladder, "radial2")}, "care: The lens .radial1. is too simple"),
+        (
+            lambda d: {"by_radius": replace(d.by_radius, radial_px=d.by_radius.radial_px + 0.04)},
+            "care: Corners .* outwards in the mean",
+        ),
+        (
+            lambda d: {"stripes": (shape("03.png", "", np.arange(400.0), 1e-5 * (np.arange(400) - 200.0) ** 2),)},
+            "care: The stripe is not straight on 1 of 1 boards: 03.png",
+        ),
+        (
+            lambda d: {"coverage": replace(d.coverage, tilt_spread_deg=9.0)},
+            "care: All boards are nearly parallel: .* 9°",
+        ),
+        (
+            lambda d: {"corner_normality": replace(d.corner_normality, beyond_3=0.04)},
+            "care: Errors of the corners are not normal: 4.0 %",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said(calibration, diagnostics, change, expected):
+    import re
+
+    changed = replace(diagnostics, **change(diagnostics))
+    assert re.search(expected, words(calibration, changed))
+    assert not re.search(expected, words(calibration, diagnostics))
+
+
+def test_the_worst_comes_first_and_makes_the_verdict(calibration, diagnostics):
+    changed = replace(diagnostics, halves=agreement(2.0), suspects=(SUSPECT,))
+    boxes = findings(calibration, changed, ())
+    assert [box.level for box in boxes] == sorted((box.level for box in boxes), key=["stop", "care"].index)
+    assert compose(calibration, changed, ()).verdict.statement.startswith("Do not use this calibration yet.")
+
+
+def test_a_second_board_is_said(calibration, diagnostics):
+    noted = replace(calibration, notes=("a second board is in view in 02.png: cover one of them",))
+    assert "care: A second board is in view in 02.png" in words(noted, diagnostics)
+
+
+def test_the_tilt_that_is_missing_is_named(diagnostics):
+    # Normals point away from the camera; one that leans right belongs to a board whose right edge is nearer.
+    normals = np.array([[0.5, 0, 0.87], [-0.5, 0, 0.87], [0, 0.5, 0.87]] + 8 * [[0, 0, 1.0]])
+    coverage = replace(diagnostics.coverage, normals=normals, tilt_spread_deg=40.0)
+    assert "its upper edge nearer" in advise(coverage, ()).words[0]

@@ -1,0 +1,98 @@
+"""The page and the JSON of a report: well formed, self-contained, and the same."""
+
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import InputError
+from jaxscan.view import report as reports
+from jaxscan.view.report import Box, Figure, Report, Section, Table
+
+SMALL = Report(
+    kind="test",
+    title="A <test> & more",
+    verdict=Box("care", "Half good.", "Do the other half."),
+    sections=(
+        Section(
+            "One",
+            boxes=(Box("stop", "No."),),
+            paragraphs=("Words < and >.",),
+            items=("an item",),
+            tables=(Table("numbers", ("a", "b"), (("1", "2"), ("3", "4"))),),
+            figures=(Figure("dot", "a dot", b"\x89PNG"),),
+        ),
+    ),
+    numbers={"x": np.array([1.0, np.nan]), "n": np.int64(3)},
+)
+
+
+class Texts(HTMLParser):
+    """All that a reader sees, and every address that a page names."""
+
+    def __init__(self):
+        super().__init__()
+        self.texts: list[str] = []
+        self.addresses: list[str] = []
+
+    def handle_data(self, data):
+        if self.cdata_elem is None and data.strip():
+            self.texts.append(data.strip())
+
+    def handle_starttag(self, tag, attrs):
+        assert tag not in ("script", "link", "iframe")
+        self.addresses += [value for name, value in attrs if name in ("src", "href")]
+
+
+def strings(value):
+    """Every text in the sections of the JSON."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list):
+        for each in value:
+            yield from strings(each)
+    elif isinstance(value, dict):
+        for key, each in value.items():
+            if key not in ("level", "name"):
+                yield from strings(each)
+
+
+def check(report: Report) -> None:
+    page = reports.as_html(report)
+    ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>"))
+    parser = Texts()
+    parser.feed(page)
+    assert all(address.startswith("data:image/png;base64,") for address in parser.addresses)
+    assert "http:" not in page
+    assert "https:" not in page
+    values = json.loads(json.dumps(reports.as_dict(report), allow_nan=False))
+    shown = set(parser.texts)
+    assert {text for text in strings([values["verdict"], values["sections"]]) if text.strip()} <= shown
+    written = {text for text in strings([values["title"], values["verdict"], values["sections"]])}
+    assert shown - written == {parser.texts[-1]}  # the footer
+    assert parser.texts[-1].startswith("Written by jaxscan")
+
+
+def test_a_small_report_is_the_same_twice():
+    check(SMALL)
+    values = reports.as_dict(SMALL)
+    assert values["format"] == "jaxscan-test/1"
+    assert values["numbers"] == {"x": [1.0, None], "n": 3}
+    assert values["sections"][0]["figures"] == [{"name": "dot", "caption": "a dot"}]
+
+
+def test_the_report_of_a_calibration_is_the_same_twice(report):
+    check(report)
+    assert len({figure.name for section in report.sections for figure in section.figures}) >= 10
+
+
+def test_files_are_whole_or_not_there(tmp_path: Path):
+    reports.write_report_html(tmp_path / "report.html", SMALL)
+    reports.write_report_json(tmp_path / "report.json", SMALL)
+    assert (tmp_path / "report.html").read_text().startswith("<!DOCTYPE html>")
+    assert json.loads((tmp_path / "report.json").read_text())["title"] == SMALL.title
+    with pytest.raises(InputError):
+        reports.write_report_html(tmp_path / "none" / "report.html", SMALL)
