@@ -22,6 +22,8 @@ SUITES = {
     "gauge": "a light plane 1° wrong, put right by a step block: how another block reads",
     "demo": "time and memory of the whole demo",
 }
+# What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
+NOT_QUICK = {"montecarlo", "gauge"}
 
 
 def main() -> int:
@@ -39,7 +41,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON too")
     args = parser.parse_args()
     metrics: list[Metric] = []
-    for name in args.only or SUITES:
+    for name in args.only or [name for name in SUITES if not (args.quick and name in NOT_QUICK)]:
         print(f"\n{name}: {SUITES[name]}", flush=True)
         begin = time.monotonic()
         found = importlib.import_module(f"benchmarks.{name}").measure(args.quick)

@@ -54,7 +54,7 @@ def calibrate(
         observations: corners and stripes.
         lens: a rung of the lens ladder: none, radial1, radial2, radial3, brown, rational.
         principal_point: "free", or "centre" to hold it at the image centre.
-        start: a camera to start from; without it a closed-form start is used.
+        start: a camera to start from; its lens takes the place of `lens`. Without it a closed-form start is used.
         hold: names of rig parameters, as in `rig.json`, that keep the value of `start`.
         board_warp: whether the board's bulge is estimated too (corners only).
         reject: whether outliers are left out; otherwise plain least squares over every observation.
@@ -69,6 +69,10 @@ def calibrate(
     """
     if principal_point not in ("free", "centre"):
         raise InputError(f'principal_point is "{principal_point}": use "free" or "centre"')
+    if elsewhere := [name for name in hold if not name.startswith("camera.")]:
+        raise InputError(f"hold names {', '.join(elsewhere)}: only the camera, which start gives, can be held")
+    if hold and start is None:
+        raise InputError(f"hold names {', '.join(hold)}, but there is no start whose values they could keep: give one")
     _refuse_tracers(observations)
     if keep is not None:
         observations = observations.only(keep)

@@ -218,3 +218,9 @@ def test_noise_free_observations_give_the_truth():
     values = dict(zip(parameter_names(result.rig), map(float, jax.tree.leaves(result.rig)), strict=True))
     for name, true in TRUTH.items():
         assert values[name] == pytest.approx(true, rel=2e-6, abs=1e-9), name
+
+
+@pytest.mark.parametrize(("hold", "words"), [(["laser.plane.0"], "only the camera"), (["camera.focal.0"], "no start")])
+def test_what_cannot_be_held_is_refused(session, hold, words):
+    with pytest.raises(InputError, match=words):
+        calibrate(session, hold=hold)
