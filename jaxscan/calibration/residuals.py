@@ -86,7 +86,8 @@ def corner_error(
     """Predicted minus seen position of a board point, pixels."""
     if warp is not None:
         point = point + jnp.array([0.0, 0.0, 1.0]) * warp.height(relative)
-    X = R @ point + t
+    # Written out, here and below: XLA fuses sums with what surrounds them, but not small matrix products.
+    X = jnp.stack([R[i, 0] * point[0] + R[i, 1] * point[1] + R[i, 2] * point[2] + t[i] for i in range(3)])
     if rig.stage is not None:
         X = X + rig.stage.displacement(steps)
     return rig.camera.project(X) - corner
@@ -98,7 +99,8 @@ def stripe_error(
     """Predicted minus seen position of the stripe along the axis in which it was found, pixels."""
     axis = jnp.where(columns, jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
     x, dx = jax.jvp(rig.camera.ray, (pixel,), (axis,))
-    return -((omega - beta) @ x) / ((omega - beta) @ dx)
+    a, b, c = omega - beta
+    return -(a * x[0] + b * x[1] + c * x[2]) / (a * dx[0] + b * dx[1])
 
 
 def block_errors(

@@ -46,7 +46,7 @@ def _horner(coefficients: Coefficients, r2: Float[Array, "*any"]) -> Float[Array
 
 def distort(radial: Coefficients, tangential: Coefficients, x: Float[Array, "2"]) -> Float[Array, "2"]:
     """Undistorted to distorted normalised coordinates."""
-    r2 = x @ x
+    r2 = x[0] ** 2 + x[1] ** 2
     distorted = x * radial_factor(radial, r2)
     if tangential:
         p1, p2 = tangential
