@@ -308,7 +308,9 @@ def _facing(shape: Shape, estimate: Estimate, seen: GaugePoints) -> GaugePoints:
     away, m = local - on[at], normals[at]
     aside = np.linalg.norm(away - (away * m).sum(axis=1, keepdims=True) * m, axis=1)
     facing = m @ np.asarray(Pose.from_vector(estimate.poses[-1][0]).matrix()).T
-    ray = points[at] + np.asarray(seen.steps[0])[at, None] * _per_step(rig)
+    ray = points[at]
+    if rig.stage is not None:
+        ray = ray + np.asarray(rig.stage.displacement(seen.steps[0]))[at]
     moving = along[at]
     slope = np.abs((facing * moving).sum(axis=1)) / np.linalg.norm(moving, axis=1)
     useful[at] = (aside <= _ASIDE_MM) & ((facing * ray).sum(axis=1) < 0) & (slope >= _GRAZING)
@@ -317,10 +319,6 @@ def _facing(shape: Shape, estimate: Estimate, seen: GaugePoints) -> GaugePoints:
         seen,
         (jnp.asarray(on)[None], jnp.asarray(normals)[None], jnp.asarray(useful)[None]),
     )
-
-
-def _per_step(rig: Rig) -> Float[np.ndarray, "3"]:
-    return np.zeros(3) if rig.stage is None else np.array([float(c) for c in rig.stage.per_step])
 
 
 def _distances(shape: Shape, estimate: Estimate, seen: GaugePoints) -> Float[np.ndarray, "points"]:
@@ -344,13 +342,8 @@ def _in_gauge(
 @eqx.filter_jit
 def _on_object(rig: Rig, seen: GaugePoints) -> tuple[Float[Array, "points 3"], Float[Array, "points 3"]]:
     """The points of the object frame, mm, and how they move with the stripe, mm a pixel."""
-
-    def each(
-        laser: Int[Array, ""], pixel: Float[Array, "2"], columns: Bool[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-        return point_of_object(rig, jnp.stack([plane.omega for plane in rig.lasers])[laser], pixel, columns, steps)
-
-    return jax.vmap(each)(seen.laser[0], seen.stripe[0], seen.columns[0], seen.steps[0])
+    omegas = jnp.stack([laser.omega for laser in rig.lasers])[seen.laser[0]]
+    return jax.vmap(lambda *each: point_of_object(rig, *each))(omegas, seen.stripe[0], seen.columns[0], seen.steps[0])
 
 
 @eqx.filter_jit

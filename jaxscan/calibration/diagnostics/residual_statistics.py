@@ -137,8 +137,7 @@ def _photograph(fit: PhotographFit, staged: bool) -> PhotographStatistics:
 
 def corner_residuals(calibration: Calibration) -> CornerResiduals:
     """The corners of all views and stage photographs."""
-    observations = calibration.observations
-    views = (*observations.views, *(view for stage in observations.stages for view in stage.views))
+    views = calibration.observations.photographs()
     fits = (*calibration.fits, *calibration.stage_fits)
     return CornerResiduals(
         np.concatenate([view.corners[fit.corner_kept] for view, fit in zip(views, fits, strict=True)]),
