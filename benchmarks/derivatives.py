@@ -20,8 +20,8 @@ from jaxtyping import Array, Float
 from benchmarks.growth import observations
 from benchmarks.metric import Metric, ratio
 from jaxscan.calibration import Adjustment, calibrate
-from jaxscan.calibration.block_arrow import Arrow, NormalEquations
-from jaxscan.calibration.bundle import Estimate, as_arrow, linearise, solve
+from jaxscan.calibration.block_arrow import Arrow, NormalEquations, linearise
+from jaxscan.calibration.bundle import Estimate, as_arrow, solve
 from jaxscan.calibration.implicit import BlockArrowSolver
 from jaxscan.precision import float64
 
@@ -44,7 +44,7 @@ def step_difference(adjustment: Adjustment) -> Metric:
     off = replace(rig, camera=replace(rig.camera, focal=(1.02 * f[0], 1.02 * f[1])))
     y, _, residual = as_arrow(Estimate((off, warp), poses), adjustment.free, adjustment.groups, adjustment.noise)
     value, jacobian = jax.jit(lambda y: linearise(residual, y))(y)
-    normal = NormalEquations.create(jacobian, value)
+    normal = NormalEquations.create(value, jacobian)
     step, _ = ravel_pytree(normal.damped(jnp.asarray(_DAMPING), normal.diagonal()).step())
 
     start, back = ravel_pytree(y)

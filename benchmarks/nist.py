@@ -18,8 +18,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from benchmarks.metric import Metric
-from jaxscan.calibration.block_arrow import Arrow
-from jaxscan.calibration.bundle import linearise
+from jaxscan.calibration.block_arrow import Arrow, linearise
 from jaxscan.calibration.levenberg_marquardt import BlockArrowLevenbergMarquardt
 from jaxscan.calibration.uncertainty import arrow_precision
 from jaxscan.precision import float64

@@ -53,26 +53,39 @@ class NormalEquations(eqx.Module):
         U: Jᵀ J of the shared unknowns.
         g: Jᵀ r of the shared unknowns.
         groups: the groups of blocks.
+        total: ‖r‖².
     """
 
     U: Float[Array, "shared shared"]
     g: Float[Array, "shared"]
     groups: tuple[Group, ...]
+    total: Float[Array, ""]
 
     @staticmethod
-    def create(jacobian: "Jacobian", residual: Arrow) -> "NormalEquations":
-        """From the Jacobian's columns and the residual."""
-        Js = jacobian.shared
-        U, g = Js.T @ Js, Js.T @ residual.shared
+    def create(residual: Arrow, jacobian: "Jacobian") -> "NormalEquations":
+        """From the residual and the Jacobian's columns."""
+        Js, rs = jacobian.shared, residual.shared
+        U, g, total = Js.T @ Js, Js.T @ rs, rs @ rs
         groups = []
         for J, r in zip(jacobian.blocks, residual.blocks, strict=True):
             n = Js.shape[1]
             # One product of the whole [J_s J_b r] with itself for each block is faster than its parts.
             columns = jnp.concatenate([J, r[..., None]], axis=-1)
             square = jnp.einsum("bmi,bmj->bij", columns, columns)
-            U, g = U + square[:, :n, :n].sum(0), g + square[:, :n, -1].sum(0)
+            whole = square.sum(0)
+            U, g, total = U + whole[:n, :n], g + whole[:n, -1], total + whole[-1, -1]
             groups.append(Group(V=square[:, n:-1, n:-1], W=square[:, :n, n:-1], g=square[:, n:-1, -1]))
-        return NormalEquations(U, g, tuple(groups))
+        return NormalEquations(U, g, tuple(groups), total)
+
+    @staticmethod
+    def unknown(y: Arrow) -> "NormalEquations":
+        """Of the right shapes, with ‖r‖² infinite."""
+        n, dtype = y.shared.size, y.shared.dtype
+        groups = tuple(
+            Group(jnp.zeros((b, d, d), dtype), jnp.zeros((b, n, d), dtype), jnp.zeros((b, d), dtype))
+            for b, d in (block.shape for block in y.blocks)
+        )
+        return NormalEquations(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), groups, jnp.array(jnp.inf, dtype))
 
     def diagonal(self) -> Arrow:
         """The diagonal of JᵀJ."""
@@ -84,7 +97,13 @@ class NormalEquations(eqx.Module):
             Group(group.V + damping * d[..., None] * jnp.eye(d.shape[-1], dtype=d.dtype)[None], group.W, group.g)
             for group, d in zip(self.groups, D.blocks, strict=True)
         )
-        return NormalEquations(self.U + damping * jnp.diag(D.shared), self.g, groups)
+        return NormalEquations(self.U + damping * jnp.diag(D.shared), self.g, groups, self.total)
+
+    def fall(self, step: Arrow, damping: Float[Array, ""], D: Arrow) -> Float[Array, ""]:
+        """By how much the linear model lets ‖r‖² fall along the step δ that was damped by λ diag D: −gᵀδ + λ δᵀDδ."""
+        parts = [(self.g, step.shared, D.shared)]
+        parts += [(group.g, s, d) for group, s, d in zip(self.groups, step.blocks, D.blocks, strict=True)]
+        return sum((((damping * d * s - g) * s).sum() for g, s, d in parts), jnp.zeros_like(self.total))
 
     def step(self) -> Arrow:
         """The Gauss-Newton step −(JᵀJ)⁻¹ Jᵀr; NaN where JᵀJ is not positive definite."""
@@ -219,3 +238,9 @@ def jacobian_columns(product: Callable[[Arrow], Arrow], like: Arrow) -> Jacobian
             column[..., : n + block.shape[1]] for column, block in zip(columns.blocks, like.blocks, strict=True)
         ),
     )
+
+
+def linearise(residual: Callable[[Arrow], Arrow], y: Arrow) -> tuple[Arrow, Jacobian]:
+    """Residual and Jacobian at y."""
+    value, product = jax.linearize(residual, y)
+    return value, jacobian_columns(product, y)

@@ -10,9 +10,9 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscan.calibration.block_arrow import Arrow, Jacobian, jacobian_columns
+from jaxscan.calibration.block_arrow import Arrow
 from jaxscan.calibration.implicit import BlockArrowSolver
-from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt, NielsenSearch
+from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt
 from jaxscan.calibration.residuals import Noise
 from jaxscan.rig import BoardWarp, Rig
 
@@ -134,18 +134,11 @@ def solve(
     y0, back, residual = as_arrow(estimate, free, groups, noise, prior)
     solution = optx.least_squares(
         lambda y, _: residual(y),
-        BlockArrowLevenbergMarquardt(negligible=_NEGLIGIBLE, search=NielsenSearch(first_damping)),
+        BlockArrowLevenbergMarquardt(_NEGLIGIBLE, first_damping),
         y0,
         max_steps=MAX_STEPS,
         adjoint=optx.ImplicitAdjoint(BlockArrowSolver()),
         throw=False,
     )
-    final = solution.state.f_info.residual
-    cost = 0.5 * sum(((block**2).sum() for block in (*final.blocks, final.shared)), jnp.zeros((), y0.shared.dtype))
+    cost = 0.5 * solution.state.normal.total
     return Outcome(back(solution.value), cost, solution.stats["num_steps"], solution.result)
-
-
-def linearise(residual: Callable[[Arrow], Arrow], y: Arrow) -> tuple[Arrow, Jacobian]:
-    """Residual and Jacobian at y."""
-    value, product = jax.linearize(residual, y)
-    return value, jacobian_columns(product, y)

@@ -9,6 +9,7 @@ products, and the same elimination solves it. optimistix states the theorem (`Im
 operator; what it wants is a linear solver.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -31,7 +32,8 @@ class BlockArrowSolver(lx.AbstractLinearSolver[NormalEquations]):
             Group(V=block[..., n:], W=block[..., :n].mT, g=jnp.zeros(block.shape[:2], block.dtype))
             for block in columns.blocks
         )
-        return NormalEquations(columns.shared, jnp.zeros(n, columns.shared.dtype), groups)
+        nothing = jnp.zeros(n, columns.shared.dtype)
+        return NormalEquations(columns.shared, nothing, groups, nothing.sum())
 
     def compute(
         self, state: NormalEquations, vector: Arrow, options: dict[str, Any]
@@ -39,7 +41,7 @@ class BlockArrowSolver(lx.AbstractLinearSolver[NormalEquations]):
         """H⁻¹ b: the step where −b is the gradient."""
         del options
         groups = tuple(Group(group.V, group.W, -b) for group, b in zip(state.groups, vector.blocks, strict=True))
-        return NormalEquations(state.U, -vector.shared, groups).step(), lx.RESULTS.successful, {}
+        return replace(state, g=-vector.shared, groups=groups).step(), lx.RESULTS.successful, {}
 
     def transpose(self, state: NormalEquations, options: dict[str, Any]) -> tuple[NormalEquations, dict[str, Any]]:
         """H is symmetric."""

@@ -10,8 +10,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, solve_blocks
-from jaxscan.calibration.bundle import Estimate, ObservationGroup, Prior, as_arrow, linearise
+from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, linearise, solve_blocks
+from jaxscan.calibration.bundle import Estimate, ObservationGroup, Prior, as_arrow
 from jaxscan.calibration.residuals import Noise
 
 # An eigenvalue of the Schur complement, scaled to a unit diagonal, below this is rounding: a direction not determined.
@@ -52,7 +52,7 @@ def precision(
 
 def arrow_precision(value: Arrow, jacobian: Jacobian) -> Precision:
     """The covariance of any arrow-shaped problem whose residuals are in units of their σ."""
-    normal = NormalEquations.create(jacobian, value)
+    normal = NormalEquations.create(value, jacobian)
     S = normal.schur_complement()
     diagonal = jnp.diagonal(normal.U)
     scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)

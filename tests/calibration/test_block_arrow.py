@@ -41,7 +41,7 @@ def flat(arrow):
 def test_step_is_the_dense_one(x64):
     jacobian, residual = random_problem()
     J, r = dense(jacobian, residual)
-    normal = NormalEquations.create(jacobian, residual)
+    normal = NormalEquations.create(residual, jacobian)
     for damping in (0.0, 1e-3, 10.0):
         A = J.T @ J
         expected = -np.linalg.solve(A + damping * np.diag(np.diag(A)), J.T @ r)
@@ -53,7 +53,7 @@ def test_undamped_step_and_covariance_are_the_dense_ones(x64):
     jacobian, residual = random_problem(1)
     J, r = dense(jacobian, residual)
     inverse = np.linalg.inv(J.T @ J)
-    normal = NormalEquations.create(jacobian, residual)
+    normal = NormalEquations.create(residual, jacobian)
     step, fall = normal.determined_step()
     np.testing.assert_allclose(flat(step), -inverse @ (J.T @ r), rtol=1e-9)
     np.testing.assert_allclose(fall, (J.T @ r) @ inverse @ (J.T @ r), rtol=1e-9)
@@ -69,7 +69,7 @@ def test_a_direction_without_data_is_seen(x64):
     jacobian, residual = random_problem(2)
     twice = jax.tree.map(lambda J: J.at[..., 1].set(2 * J[..., 0]), jacobian)
     assert arrow_precision(residual, twice).eigenvalues[0] < 1e-12
-    step, fall = NormalEquations.create(twice, residual).determined_step()
+    step, fall = NormalEquations.create(residual, twice).determined_step()
     assert np.isfinite(flat(step)).all()
     assert np.isfinite(float(fall))
 
