@@ -15,6 +15,7 @@ BASELINE = HERE / "baseline.json"
 SUITES = {
     "growth": "time of a calibration over the number of views, against OpenCV's",
     "real": "real photographs and published answers (needs JAXSCAN_DATA)",
+    "corners": "corners of checkerboards: accuracy, σ and speed, beside OpenCV's, and what a calibration gains",
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",

@@ -5,16 +5,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxscan import ObservabilityError, calibrate, observe, read_rig, read_scan, read_session, reconstruct
+from benchmarks.sub_pix import with_sub_pix
+from jaxscan import Calibration, ObservabilityError, calibrate, observe, read_rig, read_scan, read_session, reconstruct
+
+LEAVES = ("focal.0", "focal.1", "principal.0", "principal.1")
 
 
 def test_opencvs_sample_photographs(data: Path) -> None:
-    session = read_session(data / "opencv-left")
-    result = calibrate(observe(session), lens=session.camera.lens)
-    found = [float(x) for x in (*result.rig.camera.focal, *result.rig.camera.principal)]
-    np.testing.assert_allclose(found, [532.795, 532.919, 342.458, 233.901], atol=0.5)
-    assert result.rig.lasers == ()
-    assert result.rig.stage is None
+    folder = data / "opencv-left"
+    session = read_session(folder)
+    published = np.array([532.795, 532.919, 342.458, 233.901])
+
+    def answer(calibration: Calibration) -> np.ndarray:
+        camera = calibration.rig.camera
+        return np.array([float(x) for x in (*camera.focal, *camera.principal)])
+
+    own = observe(session)
+    theirs = calibrate(with_sub_pix(own, folder), lens=session.camera.lens, reject=False)
+    np.testing.assert_allclose(answer(theirs), published, atol=0.1)
+    ours = calibrate(own, lens=session.camera.lens)
+    sigma = np.array([ours.covariance.sigma(f"camera.{name}") for name in LEAVES])
+    assert np.abs((answer(ours) - published) / sigma).max() < 3
+    assert ours.corner_rms_px < 0.85 * theirs.corner_rms_px
+    assert ours.rig.lasers == ()
+    assert ours.rig.stage is None
 
 
 def test_boards_lying_flat_give_no_focal_length(data: Path) -> None:

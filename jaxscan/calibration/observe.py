@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import cpu_count
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxscan.calibration.observations import Observations, StageSequence, StripePoints, View
 from jaxscan.errors import InputError, said_of
@@ -30,10 +29,18 @@ _SMEAR_PX = 1.0
 
 @dataclass(frozen=True)
 class _Photograph:
+    """What one photograph shows; `found` is None where the board is not in it."""
+
     name: str
-    corners: Float[np.ndarray, "corners 2"] | None
+    found: BoardView | None
     stripes: tuple[StripePoints, ...]
     second_board: bool
+
+
+def _view(photograph: _Photograph, found: BoardView, usual_sigma: float) -> View:
+    """The photograph with its corners weighted against a usual σ (px)."""
+    weights = None if found.sigma is None else np.nan_to_num(usual_sigma / found.sigma)
+    return View(photograph.name, found.corners, weights, photograph.stripes)
 
 
 def observe(session: Session, advance: Callable[[int], object] = lambda by: None) -> Observations:
@@ -59,8 +66,7 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
     def along(path: Path) -> _Photograph:
         image = read_image(path)
         found = find_board(session.board, image)
-        corners = None if found is None else found.corners
-        return _Photograph(name(path), corners, (), _second(session.board, image, found))
+        return _Photograph(name(path), found, (), _second(session.board, image, found))
 
     with ThreadPoolExecutor(cpu_count()) as pool:
         photographs: list[_Photograph] = []
@@ -74,7 +80,8 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
                 advance(1)
 
     left_out = _not_found(session.board, photographs, "view") + _not_found(session.board, staged, "stage photograph")
-    views = [View(p.name, p.corners, stripes=p.stripes) for p in photographs if p.corners is not None]
+    usual = _usual_sigma([p.found for p in (*photographs, *staged) if p.found is not None])
+    views = [_view(p, p.found, usual) for p in photographs if p.found is not None]
     for seen in views:
         for stripe in seen.stripes:
             if not np.isfinite(stripe.pixels).any():
@@ -97,7 +104,7 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
         image_size=session.image_size,
         board=session.board,
         views=tuple(views),
-        stages=(_sequence(session.board, stage, staged),) if stage else (),
+        stages=(_sequence(session.board, stage, staged, usual),) if stage else (),
         lasers=tuple(laser.name for laser in session.lasers),
         left_out=tuple(left_out),
         notes=tuple(notes),
@@ -109,9 +116,13 @@ def photograph_count(session: Session) -> int:
     return len(session.views.boards) + (len(session.stage.images) if session.stage else 0)
 
 
-def _look(
-    path: Path, session: Session, index: int
-) -> tuple[Float[np.ndarray, "corners 2"] | None, tuple[StripePoints, ...], bool]:
+def _usual_sigma(found: Sequence[BoardView]) -> float:
+    """The median σ of all corners, px."""
+    known = [view.sigma[np.isfinite(view.sigma)] for view in found if view.sigma is not None]
+    return float(np.median(np.concatenate(known))) if known else 1.0
+
+
+def _look(path: Path, session: Session, index: int) -> tuple[BoardView | None, tuple[StripePoints, ...], bool]:
     """Corners and stripes of one pose, these from photographs of their own if any; is there a second board?"""
     image = read_image(path)
     found = find_board(session.board, image)
@@ -127,7 +138,7 @@ def _look(
             lit = read_image(own)
         with said_of(path):
             stripes.append(stripe_points(lit, laser, i))
-    return found.corners, tuple(stripes), _second(session.board, image, found)
+    return found, tuple(stripes), _second(session.board, image, found)
 
 
 def _second(board: Board, image: np.ndarray, found: BoardView | None) -> bool:
@@ -145,22 +156,31 @@ def stripe_points(image: np.ndarray, settings: StripeSettings, laser: int) -> St
     return StripePoints(pixels, settings.columns, laser, half)
 
 
-def _sequence(board: Board, stage: StageImages, photographs: Sequence[_Photograph]) -> StageSequence:
+def _sequence(
+    board: Board, stage: StageImages, photographs: Sequence[_Photograph], usual_sigma: float
+) -> StageSequence:
     """The stage photographs on which the board was found, their corners in one order."""
     views, steps, previous = [], [], None
     for photograph, count in zip(photographs, stage.steps, strict=True):
-        if photograph.corners is None:
+        if photograph.found is None:
             continue
-        corners = photograph.corners if previous is None else carry_order(board, previous, photograph.corners)
-        previous = corners
-        views.append(View(photograph.name, corners))
+        previous = photograph.found if previous is None else _carried(board, previous, photograph.found)
+        views.append(_view(photograph, previous, usual_sigma))
         steps.append(float(count))
     return StageSequence(np.asarray(steps), tuple(views))
 
 
+def _carried(board: Board, previous: BoardView, found: BoardView) -> BoardView:
+    """The view with its points, and what is known of each, in the order nearest to the view before."""
+    if found.sigma is None:
+        return replace(found, corners=carry_order(board, previous.corners, found.corners))
+    points = carry_order(board, previous.corners, np.column_stack([found.corners, found.sigma]))
+    return replace(found, corners=points[:, :2], sigma=points[:, 2])
+
+
 def _not_found(board: Board, photographs: Sequence[_Photograph], what: str) -> list[str]:
     """Which photographs do not show the board; an error when none does."""
-    missing = [p.name for p in photographs if p.corners is None]
+    missing = [p.name for p in photographs if p.found is None]
     columns, rows = board.counts
     if photographs and len(missing) == len(photographs):
         raise InputError(

@@ -4,8 +4,8 @@ The first solve tames large residuals by a robust loss. From then on each round 
 lies beyond a fixed number of them, readmits what no longer does, and solves plain least squares on the rest, until
 neither the set nor the σ change. The σ are variance components: squared residuals over redundancy. Photographs differ
 in their light, their sharpness and how flat the board was held, so each has a σ of its own, drawn towards that of all
-by about a photograph's worth. A stripe point is weighted less than its σ alone says, by the correlation of errors along
-the stripe.
+by about a photograph's worth. Weights that corners were given are believed as far as the residuals bear them out. A
+stripe point is weighted less than its σ alone says, by the correlation of errors along the stripe.
 """
 
 from dataclasses import dataclass
@@ -31,6 +31,8 @@ _SIGMA_SETTLED = 0.01
 # one photograph has, so that only what clearly differs counts clearly less.
 _PRIOR_RESIDUALS = 100.0
 _SCALES_SETTLED = 0.03
+# Which part of a corner's variance may be the same for all.
+_COMMON_PARTS = tuple(float(c) for c in np.linspace(0, 1, 21))
 _NORMAL_MAD = 1.4826
 # No photograph is exact: a σ below this (pixels) is a computer's, not a camera's.
 _SMALLEST_SIGMA = 1e-4
@@ -102,10 +104,11 @@ def refine(
         estimate = outcome.estimate
         errors = group_errors(estimate, candidates)
         leverage = precision(estimate, free, groups, noise).leverage
-        single, photographs = _variance_components(candidates, groups, errors, leverage, noise, board_points)
+        believed = _believed(candidates, groups, errors) if weigh else candidates
+        single, photographs = _variance_components(believed, groups, errors, leverage, noise, board_points)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
         settled = Noise(single.corner, single.stripe * tau**0.5, single.robustness)
-        kept = _weighted(candidates, photographs, single, tau, board_points) if weigh else candidates
+        kept = _weighted(believed, photographs, single, tau, board_points) if weigh else candidates
         if reject:
             kept = _keep(kept, errors, _at_least(single, _median_noise(groups, errors, single)))
         # Only the ratio of the two σ moves the estimate; their common scale is in the covariance alone.
@@ -242,6 +245,33 @@ def _variance_components(
         jnp.zeros_like(noise.robustness),
     )
     return overall, tuple(sums)
+
+
+def _believed(candidates: tuple[Blocks, ...], groups: tuple[Blocks, ...], errors: tuple) -> tuple[Blocks, ...]:
+    """The candidates with the corners' weights w drawn towards equal ones: 1 / w'² = c + (1 − c) / w².
+
+    What the image tells of a corner's σ is not all: a board that bends and a lens that is not the model's move all
+    corners alike. c is that part of the variance; its value is the most likely one for normal errors with a common
+    scale.
+    """
+    given = np.concatenate(
+        [np.asarray(all_.weights[kept.corner_used]) for all_, kept in zip(candidates, groups, strict=True)]
+    )
+    squares = np.concatenate(
+        [np.asarray((error**2).sum(-1)[group.corner_used]) for group, (error, _) in zip(groups, errors, strict=True)]
+    )
+
+    def unlikeliness(common: float) -> float:
+        variances = common + (1 - common) / given**2
+        return float(np.log((squares / variances).mean()) + np.log(variances).mean())
+
+    common = min(_COMMON_PARTS, key=unlikeliness)
+
+    def drawn(weights: Float[Array, "blocks corners"]) -> Float[Array, "blocks corners"]:
+        seen = weights > 0
+        return jnp.where(seen, (common + (1 - common) / jnp.where(seen, weights, 1.0) ** 2) ** -0.5, 0.0)
+
+    return tuple(eqx.tree_at(lambda g: g.weights, group, drawn(group.weights)) for group in candidates)
 
 
 def _weighted(

@@ -20,7 +20,8 @@ from jaxscan.images.refine import refine_corners
 
 Grey = UInt[np.ndarray, "rows columns"]
 Grey8 = UInt8[np.ndarray, "rows columns"]
-Grid = Float[np.ndarray, "grid_rows grid_columns 2"]
+# u, v and, for corners, σ.
+Points = Float[np.ndarray, "grid_rows grid_columns values"]
 
 # Longer sides, in pixels, at which the board is looked for. Few boards fill so little of a large photograph that more
 # is needed, and the search costs its area.
@@ -40,11 +41,14 @@ class BoardView:
     """A board as one photograph shows it.
 
     Attributes:
-        corners: its points in the order of `Board.points`, pixels (u, v); NaN where one was not seen.
+        corners: its points in the order of `Board.points`, pixels (u, v); NaN where one was not seen, or is covered.
+        sigma: of each corner along an axis, px, as its patch of the photograph tells it; NaN where the corner is.
+            None for circles.
         ambiguous: whether half a turn of the board would fit the photograph as well.
     """
 
     corners: Float[np.ndarray, "points 2"]
+    sigma: Float[np.ndarray, "points"] | None
     ambiguous: bool
 
 
@@ -54,29 +58,30 @@ def find_board(board: Board, image: Image) -> BoardView | None:
     if min(grey.shape) < 2 * max(board.counts):
         return None
     find = {"checkerboard": _find_checkerboard, "circles": _find_circles, "charuco": _find_charuco}[board.kind]
-    grid = find(board, grey)
+    grid = find(board, image, grey)
     if grid is None or np.isfinite(grid[..., 0]).sum() < _LEAST_SEEN:
         return None
-    return BoardView(order_grid(board, grid.reshape(-1, 2), grey), board.half_turn_ambiguous)
+    points = order_grid(board, grid.reshape(-1, grid.shape[-1]), grey)
+    return BoardView(points[:, :2], points[:, 2] if points.shape[1] > 2 else None, board.half_turn_ambiguous)
 
 
-def _find_checkerboard(board: Board, grey: Grey) -> Grid | None:
+def _find_checkerboard(board: Board, image: Image, grey: Grey) -> Points | None:
     columns, rows = board.counts
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     for reduced, scale in _stretched(grey):
         found, corners = cv2.findChessboardCorners(reduced, board.counts, flags=flags)
         if found:
-            return refine_corners(grey, _full_size(corners, scale).reshape(rows, columns, 2))
+            return _refined(image, _full_size(corners, scale).reshape(rows, columns, 2))
     # The sector-based finder is slower, but bears noise, and wants even light.
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     for reduced, scale in _sizes(_even_light(grey)):
         found, corners = cv2.findChessboardCornersSB(reduced, board.counts, flags=flags)
         if found:
-            return refine_corners(grey, _full_size(corners, scale).reshape(rows, columns, 2))
+            return _refined(image, _full_size(corners, scale).reshape(rows, columns, 2))
     return None
 
 
-def _find_circles(board: Board, grey: Grey) -> Grid | None:
+def _find_circles(board: Board, _: Image, grey: Grey) -> Points | None:
     for reduced, scale in _stretched(grey):
         centres = find_circles(board.counts, reduced)
         if centres is not None:
@@ -85,7 +90,7 @@ def _find_circles(board: Board, grey: Grey) -> Grid | None:
     return None
 
 
-def _find_charuco(board: Board, grey: Grey) -> Grid | None:
+def _find_charuco(board: Board, image: Image, grey: Grey) -> Points | None:
     columns, rows = board.counts
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     squares = (columns + 1, rows + 1)
@@ -97,7 +102,13 @@ def _find_charuco(board: Board, grey: Grey) -> Grid | None:
     grid[ids.ravel().astype(int)] = corners.reshape(-1, 2)
     # Nearer than its margin, a marker brings edges of its own into a corner's window.
     margin = (1 - board.marker_mm / board.pitch_mm) / 2
-    return refine_corners(grey, grid.reshape(rows, columns, 2), widest=margin)
+    return _refined(image, grid.reshape(rows, columns, 2), clear=margin)
+
+
+def _refined(image: Image, grid: Float[np.ndarray, "grid_rows grid_columns 2"], clear: float = 1.0) -> Points:
+    """u, v and σ of each corner."""
+    corners, sigma = refine_corners(image, grid, clear)
+    return np.concatenate([corners, sigma[..., None]], axis=-1)
 
 
 def _stretched(grey: Grey) -> Iterator[tuple[Grey8, float]]:

@@ -15,21 +15,22 @@ from jaxtyping import Float, UInt
 
 from jaxscan.images.board import Board
 
-Corners = Float[np.ndarray, "points 2"]
-Grid = Float[np.ndarray, "grid_rows grid_columns 2"]
+# Pixels u and v; what else is known of a point goes along.
+Corners = Float[np.ndarray, "points values"]
+Grid = Float[np.ndarray, "grid_rows grid_columns values"]
 
 
 def order_grid(board: Board, corners: Corners, grey: UInt[np.ndarray, "rows columns"]) -> Corners:
     """The points of one photograph, found row by row from whichever end, in the order that the rules ask for."""
     columns, rows = board.counts
-    grid = corners.reshape(rows, columns, 2)
+    grid = corners.reshape(rows, columns, -1)
     along_x, along_y = grid[-1, -1] - grid[-1, 0], grid[-1, 0] - grid[0, 0]
     if along_x[0] * along_y[1] - along_x[1] * along_y[0] < 0:
         grid = grid[::-1]
     if board.kind == "checkerboard" and not _first_square_is_dark(grid, grey):
         turned = [order for order in _turns(grid) if _first_square_is_dark(order, grey)]
         grid = turned[0] if turned else grid
-    return grid.reshape(-1, 2)
+    return grid.reshape(columns * rows, -1)
 
 
 def carry_order(board: Board, previous_corners: Corners, corners: Corners) -> Corners:
@@ -40,13 +41,12 @@ def carry_order(board: Board, previous_corners: Corners, corners: Corners) -> Co
     if not board.half_turn_ambiguous:
         return corners
     columns, rows = board.counts
-    orders = _turns(corners.reshape(rows, columns, 2))
+    orders = _turns(corners.reshape(rows, columns, -1))
     if board.kind == "checkerboard" and columns % 2:
         # Quarter turns of an odd square board exchange dark and light, and the colours were right already.
         orders = orders[:2]
-    flat = [order.reshape(-1, 2) for order in orders]
-    seen = np.isfinite(previous_corners).all(axis=1)
-    distances = [np.sum(((order - previous_corners)[seen & np.isfinite(order).all(axis=1)]) ** 2) for order in flat]
+    flat = [order.reshape(len(corners), -1) for order in orders]
+    distances = [np.nansum(((order[:, :2] - previous_corners[:, :2]) ** 2).sum(axis=1)) for order in flat]
     return flat[int(np.argmin(distances))]
 
 
@@ -63,6 +63,6 @@ def _first_square_is_dark(grid: Grid, grey: UInt[np.ndarray, "rows columns"]) ->
     """
     centres = (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, :-1] + grid[1:, 1:]) / 4
     seen = np.isfinite(centres).all(axis=-1)
-    u, v = np.rint(centres[seen]).astype(int).clip(0, np.array(grey.shape)[::-1] - 1).T
+    u, v = np.rint(centres[seen][:, :2]).astype(int).clip(0, np.array(grey.shape)[::-1] - 1).T
     like_first = np.indices(seen.shape).sum(axis=0)[seen] % 2 == 0
     return bool(np.median(grey[v, u][like_first]) < np.median(grey[v, u][~like_first]))

@@ -1,9 +1,9 @@
-"""From roughly found corners to exact ones, and the check that none ran away.
+"""From roughly found corners to exact ones, each with its σ, and the check that none ran away.
 
-`cornerSubPix` brings a corner to within a few hundredths of a pixel from anywhere near it (it looks for the point where
-the gradients about it are orthogonal to their offsets: W. Förstner and E. Gülch 1987); the fit of `saddle` does the
-rest. The windows grow with the squares, up to a size beyond which more pixels bring more of the world than of the
-corner.
+`cornerSubPix` brings a corner to within a few hundredths of a pixel from anywhere near it (it looks for the point
+where the gradients about it are orthogonal to their offsets: W. Förstner and E. Gülch 1987); the fit of `saddle` does
+the rest. The photograph's noise is the median over its corners of the residual of these fits; a corner's σ is that of
+its fit, at no less than this noise.
 """
 
 import warnings
@@ -11,83 +11,197 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt
+from jaxtyping import Bool, Float, UInt
 
-from jaxscan.images.saddle import fit_saddles
+from jaxscan.images.decode import Image, to_grey
+from jaxscan.images.saddle import Saddles, fit_saddles
 
-# Half the window of the first step, and the radius of the second, as parts of the distance to the nearest neighbour.
+# Half the window of the first step, as a part of the distance to the nearest neighbour.
 _FIRST_WINDOW = 0.2
-_RADIUS = 0.22
-_RADIUS_RANGE_PX = (5.0, 12.0)
-# More than this part of a square would reach the next edge.
-_WIDEST = 0.4
-# Edges sharper than this alias: a pixel's share of dark is no longer that of its centre's neighbourhood.
-_LEAST_BLUR_PX = 0.5
 _SMALLEST_WINDOW = 2
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
+# Half the side of the second step's window in squares: what is nearer to the next corner is that one's. Beyond so many
+# pixels more of them bring more of the world than of the corner.
+_REACH = 0.45
+_LARGEST_PX = 15.0
+# What the blur of other marks reaches into a window that they border, px.
+_SMEAR_PX = 1.5
 # A corner may stand off the place that its neighbours predict by this part of a square. Strong perspective and a
 # wide-angle lens together come to a tenth.
 _FARTHEST = 0.25
 # Where it was first found may be wrong by more, where squares are small.
 _FARTHEST_FROM_START = 0.5
+# Left out: a corner of less than this part of the photograph's median contrast, of a window of which less than this
+# part was fitted, whose residual is this part of its contrast, or that is known no better than this (px).
+_LEAST_CONTRAST = 0.3
+_LEAST_SHARE = 0.35
+_MOST_RESIDUAL = 0.12
+_MOST_SIGMA_PX = 0.3
+# What no patch knows of its own errors: aliasing, a point spread that is not symmetric (px).
+_SYSTEMATIC_PX = 0.002
+# What the correlation of residuals comes to where they are white, because the fit has used up what they had in common.
+_WHITE_CORRELATION = 0.65
+# The bend of the board's lines is a polynomial of this degree over the grid; the median of what is further off is no
+# part of it.
+_BEND_DEGREE = 2
+_BEND_ROUNDS = 3
+_BEND_LIMIT = 3.0
+_NORMAL_MAD = 1.4826
+# A corner is off the board by more than so many times the median, and than so many pixels.
+_SHAPE_DEGREE = 3
+_MOST_APART = 8.0
+_LEAST_APART_PX = 0.2
 
 Grid = Float[np.ndarray, "grid_rows grid_columns 2"]
 GridScalars = Float[np.ndarray, "grid_rows grid_columns"]
 
 
-def refine_corners(grey: UInt[np.ndarray, "rows columns"], grid: Grid, widest: float = _WIDEST) -> Grid:
-    """Move each corner of a grid to its exact place; NaN stays NaN, and a corner that ran away becomes NaN.
+def refine_corners(image: Image, grid: Grid, clear: float = 1.0) -> tuple[Grid, GridScalars]:
+    """Move each corner of a grid to its exact place.
 
     Args:
-        grey: the photograph in its full size.
+        image: the photograph in its full size, grey or RGB.
         grid: corners to within a fraction of a square.
-        widest: the radius about a corner that is free of other edges, as a part of the distance to the next corner.
+        clear: how far from an edge there is no other mark, as a part of a square.
+
+    Returns:
+        The corners, and for each its σ along an axis, px; both NaN where there was no corner, where one ran away, and
+        where a stripe, a highlight, the border or something before the board leaves too little of it to be sure.
     """
-    image = grey if grey.dtype == np.uint8 else grey.astype(np.float32)
+    near = _near(to_grey(image), grid, min(clear, _FIRST_WINDOW))
+    spacing = neighbour_distance(near)
+    refined, sigma = _fit(image, near, spacing, clear)
+    strayed = distance_from_prediction(refined) > _FARTHEST * spacing
+    refined[strayed] = np.nan
+    strayed |= _off_the_board(refined, sigma)
+    strayed |= np.linalg.norm(refined - grid, axis=-1) > _FARTHEST_FROM_START * spacing
+    outside = (refined < -0.5).any(axis=-1) | (refined > np.array(image.shape[1::-1]) - 0.5).any(axis=-1)
+    lost = strayed | outside | ~np.isfinite(sigma)
+    refined[lost], sigma[lost] = np.nan, np.nan
+    return refined, sigma
+
+
+def _near(grey: UInt[np.ndarray, "rows columns"], grid: Grid, window: float) -> Grid:
+    """Each corner to within a few hundredths of a pixel, by the gradients about it."""
+    levels = grey if grey.dtype == np.uint8 else grey.astype(np.float32)
     spacing = neighbour_distance(grid)
     near = np.full_like(grid, np.nan)
-    for row, column in np.argwhere(np.isfinite(grid[..., 0]) & np.isfinite(spacing)):
-        half = max(_SMALLEST_WINDOW, round(float(min(widest, _FIRST_WINDOW) * spacing[row, column])))
+    rows, columns = grey.shape
+    inside = (grid >= 0).all(axis=-1) & (grid[..., 0] <= columns - 1) & (grid[..., 1] <= rows - 1)
+    for row, column in np.argwhere(inside & np.isfinite(spacing)):
+        half = max(_SMALLEST_WINDOW, round(float(window * spacing[row, column])))
         start = grid[row, column].astype(np.float32).reshape(1, 1, 2)
-        near[row, column] = cv2.cornerSubPix(image, start, (half, half), (-1, -1), _STOP)[0, 0]
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _LEAST_BLUR_PX)
-    spacing = neighbour_distance(near)
-    refined = _fit(smooth, near, spacing, widest)
-    strayed = distance_from_prediction(refined) > _FARTHEST * spacing
-    strayed |= np.linalg.norm(refined - grid, axis=-1) > _FARTHEST_FROM_START * spacing
-    outside = (refined < -0.5).any(axis=-1) | (refined > np.array(grey.shape)[::-1] - 0.5).any(axis=-1)
-    refined[strayed | outside] = np.nan
-    return refined
+        near[row, column] = cv2.cornerSubPix(levels, start, (half, half), (-1, -1), _STOP)[0, 0]
+    return near
 
 
-def _fit(grey: Float[np.ndarray, "rows columns"], grid: Grid, spacing: GridScalars, widest: float) -> Grid:
+def _fit(image: Image, grid: Grid, spacing: GridScalars, clear: float) -> tuple[Grid, GridScalars]:
     """Fit the saddles of all corners that have a neighbour along both lines of the grid."""
     (along_x, bend_x), (along_y, bend_y) = _lines(grid), _lines(grid.transpose(1, 0, 2))
     along_y, bend_y = along_y.transpose(1, 0, 2), bend_y.T
     known = np.isfinite(grid[..., 0]) & np.isfinite(along_x[..., 0]) & np.isfinite(along_y[..., 0])
-    fitted = np.full_like(grid, np.nan)
-    if known.any():
-        radii = np.minimum((_RADIUS * spacing[known]).clip(*_RADIUS_RANGE_PX), widest * spacing[known])
-        fitted[known] = fit_saddles(
-            grey, grid[known], (along_x[known], along_y[known]), (bend_x[known], bend_y[known]), radii
-        )
-    return fitted
+    refined, sigma = np.full_like(grid, np.nan), np.full_like(spacing, np.nan)
+    if not known.any():
+        return refined, sigma
+    saddles = fit_saddles(
+        image,
+        grid[known],
+        (along_x[known], along_y[known]),
+        (bend_x[known], bend_y[known]),
+        _REACH,
+        np.maximum(clear * spacing[known] - _SMEAR_PX, _SMEAR_PX),
+        _LARGEST_PX,
+    )
+    refined[known] = saddles.pixels
+    sigma[known] = _sigma(saddles)
+    return refined, sigma
+
+
+def _sigma(saddles: Saddles) -> Float[np.ndarray, "corners"]:
+    """σ along an axis, px; NaN for a corner that is not to be trusted."""
+    settled = np.isfinite(saddles.pixels[:, 0])
+    if not settled.any():
+        return np.full(len(settled), np.nan)
+    noise = float(np.median(saddles.residual[settled]))
+    contrast = np.abs(saddles.contrast)
+    residual = np.maximum(saddles.residual, noise)
+    tau = np.maximum(np.median(saddles.correlation[settled]) / _WHITE_CORRELATION, saddles.correlation).clip(1)
+    sigma = np.sqrt(saddles.variance.mean(axis=1) * residual**2 * tau + saddles.unrest**2 + _SYSTEMATIC_PX**2)
+    trusted = settled & (contrast > _LEAST_CONTRAST * np.median(contrast[settled]))
+    trusted &= (saddles.share > _LEAST_SHARE) & (saddles.residual < np.maximum(_MOST_RESIDUAL * contrast, 2 * noise))
+    return np.where(trusted & (sigma < _MOST_SIGMA_PX), sigma, np.nan)
 
 
 def _lines(grid: Grid) -> tuple[Grid, GridScalars]:
     """Of the line of corners through each corner: its direction, px a square, and its bend, 1/px.
 
-    The bend is the part of the second difference that stands across the line; perspective alone gives none. At the
-    ends of a line it is the neighbour's.
+    The bend is the part of the second difference that stands across the line; perspective alone gives none.
     """
     gaps = np.pad(np.diff(grid, axis=1), ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
     direction = quiet_nan(np.nanmean, np.stack([gaps[:, :-1], gaps[:, 1:]]))
     second = gaps[:, 1:] - gaps[:, :-1]
     across = direction[..., 0] * second[..., 1] - direction[..., 1] * second[..., 0]
-    bend = across / np.linalg.norm(direction, axis=-1) ** 3
-    if bend.shape[1] > 2:
-        bend[:, 0], bend[:, -1] = bend[:, 1], bend[:, -2]
-    return direction, np.nan_to_num(bend)
+    return direction, _smooth(across / np.linalg.norm(direction, axis=-1) ** 3)
+
+
+def _smooth(bend: GridScalars) -> GridScalars:
+    """A polynomial over the grid: the bend of one line alone would be known no better than three corners are."""
+    rows, columns = bend.shape
+    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
+    basis = _polynomials(x.ravel(), y.ravel(), _BEND_DEGREE)
+    kept = np.isfinite(bend.ravel())
+    values = np.nan_to_num(bend.ravel())
+    smooth = np.zeros_like(values)
+    for _ in range(_BEND_ROUNDS):
+        if kept.sum() < 2 * basis.shape[1]:
+            return np.zeros_like(bend)
+        smooth = basis @ np.linalg.lstsq(basis[kept], values[kept], rcond=None)[0]
+        off = np.abs(values - smooth)
+        kept &= off <= _BEND_LIMIT * _NORMAL_MAD * np.median(off[kept])
+    return smooth.reshape(bend.shape)
+
+
+def _off_the_board(grid: Grid, sigma: GridScalars) -> Bool[np.ndarray, "grid_rows grid_columns"]:
+    """Which corners are off what all the others say of the board.
+
+    That is a homography and, for the lens and a bent board, a polynomial over the grid on top of it. Each corner is
+    compared with the fit of the others; the worst is left out first, so that it does not accuse its neighbours.
+    """
+    off = np.zeros(sigma.shape, bool)
+    seen = np.isfinite(grid[..., 0]) & np.isfinite(sigma)
+    if seen.sum() < 2 * _terms(1):
+        return off
+    at = np.argwhere(seen)[:, ::-1].astype(np.float64)
+    pixels, weights = grid[seen], 1 / np.hypot(sigma[seen], np.median(sigma[seen]))
+    H = cv2.findHomography(at, pixels, cv2.LMEDS)[0]
+    plane = cv2.perspectiveTransform(at[:, None], H)[:, 0] if H is not None else at
+    at = 2 * at / np.maximum(at.max(axis=0), 1) - 1
+    degree = max(n for n in range(1, _SHAPE_DEGREE + 1) if len(at) >= 2 * _terms(n))
+    basis = _polynomials(at[:, 0], at[:, 1], degree)
+    kept = np.ones(len(at), bool)
+    while kept.sum() > 1.5 * basis.shape[1]:
+        Q = np.linalg.qr(basis[kept] * weights[kept, None])[0]
+        difference = (pixels - plane)[kept] * weights[kept, None]
+        left = 1 - np.minimum((Q**2).sum(axis=1), 1 - 1e-9)
+        apart = np.linalg.norm(difference - Q @ (Q.T @ difference), axis=1) / left / weights[kept]
+        # The leverage of a corner of the board makes its prediction uncertain.
+        usual = np.median(apart * np.sqrt(left))
+        excess = apart * np.sqrt(left) / np.maximum(_MOST_APART * usual, _LEAST_APART_PX * np.sqrt(left))
+        worst = int(np.argmax(excess))
+        if excess[worst] <= 1:
+            break
+        kept[np.flatnonzero(kept)[worst]] = False
+    off[seen] = ~kept
+    return off
+
+
+def _terms(degree: int) -> int:
+    return (degree + 1) * (degree + 2) // 2
+
+
+def _polynomials(x: np.ndarray, y: np.ndarray, degree: int) -> Float[np.ndarray, "points terms"]:
+    """All products of powers up to a degree."""
+    return np.stack([x**i * y**j for j in range(degree + 1) for i in range(degree + 1 - j)], axis=1)
 
 
 def neighbour_distance(grid: Grid) -> GridScalars:

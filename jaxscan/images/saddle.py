@@ -1,132 +1,349 @@
 """The exact place of a checkerboard's corner, by fitting a picture of it.
 
-OpenCV's `cornerSubPix` interpolates gradients and errs by 0.02 to 0.05 px on sharp photographs, however little noise
-there is. Here a model of the corner is fitted to the grey levels by Gauss-Newton steps:
+The model of a patch, with x counted from the corner in pixels, is
 
-    I(x) = (α + α' · x) + (β + β' · x) tanh(d₁ / s) tanh(d₂ / s),     d_i = n_i · x − κ_i (t_i · x)² / 2
+    I(x) = α + α' · x + (β + β' · x) S + η (1 − S²),      S = e₁ e₂ + cos(φ₁ − φ₂) s₁ s₂ ∂e₁ ∂e₂,
+    e_i = erf(d_i / √2 s_i),                    d_i = n_i · x − κ_i (t_i · x)² / 2
 
-with x counted from the corner, n_i and t_i the normal and the direction of the two edges, s their blur. Apart from the
-two slopes, of the light and of its contrast, the model is symmetric about the corner, as a blurred corner is, so that a
-profile of another shape does not move it. κ_i is the bend that the lens gives the edge: it is read from the grid and
-held, because a bend that is not known pulls the corner with it.
+n_i and t_i are the normal and the direction (angle φ_i) of the two edges, s_i their blur, lens and pixel together: a
+pixel is a box, whose variance of 1/12 px² adds to the lens's. Each edge has a blur of its own, because astigmatism
+and motion blur along one direction. S is the product of two edges under a Gaussian point spread, to first order in
+the correlation of their two distances (the tetrachoric series, K. Pearson 1900): squares seen aslant do not cross at
+right angles. κ_i is the bend that the lens gives an edge; it is read from the grid and held, because a bend that is
+not known pulls the corner. Perspective needs no term: lines stay lines.
+
+The ideal picture is the same after half a turn about the corner. Neither a point spread of another shape, if it is
+symmetric, nor a response curve of the camera, nor ink that spreads, changes that, so none of them moves the corner. η
+takes up the last two to first order, so that they are not taken for strangers; the slopes α', β' the gradient of the
+light, which does break the symmetry.
+
+Pixels are weighted equally within a parallelogram in the board's own directions, whose rim fades over one pixel. A
+pixel at the detector's limit says only that there is at least so much light: its residual counts where the model is
+darker. What the model cannot explain (a laser's stripe, a highlight, a finger) is weighted down by Tukey's biweight
+and then left out, with its neighbours. The covariance of the thirteen parameters is s² (Jᵀ W J)⁻¹, with s² the mean
+square of what is left, so that a patch that lost pixels, or that the model fits badly, says so. Residuals that hang
+together weigh more than as many that do
+not: `correlation` is the variance of the corner with sums over the 5 × 5 neighbours of each pixel's share in it,
+
+    τ = Σ_p (Σ_{q near p} ψ_q)² / (25 Σ_p ψ_p²),      ψ_p = (Jᵀ W J)⁻¹ J_p w_p r_p
+
+over that without (the taper is M. Bartlett's, 1950, in two dimensions).
 """
 
+from collections.abc import Callable
+from functools import partial, reduce
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jax.scipy.linalg import solve
+from jax.scipy.special import erf
+from jaxtyping import Array, Bool, Float
 
 Vectors = Float[np.ndarray, "corners 2"]
 Scalars = Float[np.ndarray, "corners"]
 
-_MOST_STEPS = 15
-_STEP_DONE_PX = 2e-4
+# Half sides of the windows, px: each size is compiled once. The larger ones serve larger squares.
+_HALF_SIDES = (8, 16)
+# As many corners as this, or a multiple, share a compilation.
+_BATCH = 64
+_PARAMETERS = 13
 _FIRST_BLUR_PX = 1.2
-_BLUR_RANGE_PX = (0.3, 8.0)
+# A photograph sharpened below this aliases; a picture that is a little too soft fits it better than one as sharp.
+_BLUR_RANGE_PX = (0.4, 8.0)
 # No step turns or moves a corner further than the linearisation holds.
-_LONGEST_STEP = np.array([1.0, 1.0, 0.2, 0.2, 0.5])
+_LONGEST_STEP = (1.0, 1.0, 0.2, 0.2, 0.5, 0.5)
 # Marquardt's damping in the first steps, where blur and direction are still guesses.
 _DAMPED_STEPS = 3
 _DAMPING = 1e-3
-_TINY = 1e-9
+_TINY = 1e-6
+_MOST_STEPS = (9, 4, 8)
+# A phase is done when no corner's last step was longer, px.
+_STEP_DONE_PX = (1e-2, 1e-2, 3e-4)
+# One that still moves by more than this has not settled, px.
+_SETTLED_PX = 0.1
+# Tukey's biweight ends, and a pixel is left out, at so many times the root mean square of the residuals.
+_LIMIT = 4.0
+# A residual below this part of the contrast is the point spread's, not a stranger's.
+_LEAST_RESIDUAL = 0.04
+# Where less than this part of a patch is at the detector's limit that is a stripe or a highlight, not light paper.
+_FEW = 0.3
 # A window whose levels spread by less than this is flat.
-_LEAST_CONTRAST = 0.5
-# Where there is a corner, β is about the spread of the levels in its window.
-_LEAST_SHARE = 0.3
+_LEAST_SPREAD = 0.5
+
+
+class Saddles(NamedTuple):
+    """Corners as their patches show them.
+
+    Attributes:
+        pixels: (u, v); NaN where the fit does not settle.
+        variance: of u and v, px², for residuals of one grey level.
+        residual: root mean square of the residuals, grey levels.
+        contrast: of light and dark, grey levels, positive where the square between the two directions is light.
+        blur: standard deviation of the two edges' blur, px.
+        share: part of the window's weight that is on the photograph and was kept.
+        unrest: how far the last step still went, px.
+        correlation: τ, how much more the residuals weigh because they hang together.
+    """
+
+    pixels: Vectors
+    variance: Vectors
+    residual: Scalars
+    contrast: Scalars
+    blur: Vectors
+    share: Scalars
+    unrest: Scalars
+    correlation: Scalars
+
+
+class _Patches(NamedTuple):
+    """What is held in one fit; all with the corners in front."""
+
+    levels: Float[Array, "*corners pixels"]
+    inside: Bool[Array, "*corners pixels"]
+    full: Bool[Array, "*corners pixels"]
+    to_lattice: Float[Array, "*corners 2 2"]
+    reach: Float[Array, "*corners 2"]
+    clear: Float[Array, "*corners 2"]
+    bends: Float[Array, "*corners 2"]
+    scale: Float[Array, "*corners"]
+
+
+class _State(NamedTuple):
+    shape: Float[Array, "*corners 6"]
+    light: Float[Array, "*corners 7"]
+    moved: Float[Array, "*corners"]
 
 
 def fit_saddles(
-    grey: Float[np.ndarray, "rows columns"],
+    image: np.ndarray,
     starts: Vectors,
-    directions: tuple[Vectors, Vectors],
+    edges: tuple[Vectors, Vectors],
     bends: tuple[Scalars, Scalars],
-    radii: Scalars,
-) -> Vectors:
-    """The corners' pixels (u, v), each fitted to the disc about its start; NaN where the fit does not settle.
+    reach: float,
+    clear: Scalars,
+    largest_px: float,
+) -> Saddles:
+    """Fit the patch about each corner.
 
     Args:
-        grey: the photograph's levels.
+        image: grey or RGB, of 8 or 16 bits; the mean of the colours is fitted.
         starts: where each corner is, to within about a pixel.
-        directions: of the edges that cross there, along the board's x and y.
+        edges: along the board's x and y, from the corner to the next one, px.
         bends: κ of these edges, 1/px, positive towards the direction's clockwise normal.
-        radii: of the discs, px; they should hold no other edge.
+        reach: half the side of the window in squares.
+        clear: how far to either side of an edge there is no other mark than the squares, px.
+        largest_px: half the side of the window at most.
     """
-    centres = np.rint(starts)
-    half = int(np.ceil(radii.max()))
-    v, u = (offset.ravel()[None] for offset in np.mgrid[-half : half + 1, -half : half + 1])
-    levels, inside = _windows(grey, centres.astype(int), u, v)
+    lengths = np.stack([np.linalg.norm(edge, axis=1) for edge in edges], axis=1)
+    reach_px = np.minimum(reach * lengths, largest_px)
+    lattice = np.stack(edges, axis=-1) / lengths[:, None, :]
+    need = np.abs(lattice * reach_px[:, None, :]).sum(axis=2).max(initial=0) + 1.5
+    half = next((h for h in _HALF_SIDES if h >= need), _HALF_SIDES[-1])
+    centres = np.rint(starts).astype(int)
+    v, u = (offset.ravel() for offset in np.mgrid[-half : half + 1, -half : half + 1])
+    levels, inside, full = _windows(image, centres, u, v)
+    middle = np.where(inside, levels, 0).sum(1) / np.maximum(inside.sum(1), 1)
     # In units of its own contrast a window of 16 bits is as well conditioned as one of 8.
-    levels -= levels.mean(axis=1, keepdims=True)
-    levels /= np.maximum(levels.std(axis=1, keepdims=True), _LEAST_CONTRAST)
-    nonlinear = np.column_stack([starts - centres, *(np.arctan2(t[:, 1], t[:, 0]) for t in directions)])
-    nonlinear = np.column_stack([nonlinear, np.full(len(starts), np.log(_FIRST_BLUR_PX))])
-    light = np.zeros((len(starts), 6))
-    moved = np.full(len(starts), np.inf)
-    for step in range(_MOST_STEPS):
-        x, y = u - nonlinear[:, :1], v - nonlinear[:, 1:2]
-        # The disc's rim fades over a pixel, so that the sum does not jump as the disc moves.
-        weights = inside * (radii[:, None] + 0.5 - np.hypot(x, y)).clip(0, 1)
-        saddle, slopes = _saddle(x, y, nonlinear[:, 2:], bends)
-        basis = _light_basis(x / radii[:, None], y / radii[:, None], saddle)
-        if step == 0:
-            light = _least_squares(basis, levels, weights, 0.0)
-        contrast = np.einsum("npk,nk->np", basis[..., :3], light[:, 3:])
-        jacobian = np.concatenate([slopes * contrast[..., None], basis], axis=-1)
-        residuals = levels - np.einsum("npk,nk->np", basis, light)
-        change = _least_squares(jacobian, residuals, weights, _DAMPING if step < _DAMPED_STEPS else 0.0)
-        nonlinear += change[:, :5].clip(-_LONGEST_STEP, _LONGEST_STEP)
-        nonlinear[:, 4] = nonlinear[:, 4].clip(*np.log(_BLUR_RANGE_PX))
-        light += change[:, 5:]
-        moved = np.abs(change[:, :2]).max(axis=1)
-        if (moved < _STEP_DONE_PX).all():
-            break
-    settled = np.isfinite(nonlinear).all(axis=1) & (moved < 100 * _STEP_DONE_PX)
-    settled &= np.abs(light[:, 3]) > _LEAST_SHARE
-    return np.where(settled[:, None], centres + nonlinear[:, :2], np.nan)
+    spread = np.sqrt(np.where(inside, (levels - middle[:, None]) ** 2, 0).sum(1) / np.maximum(inside.sum(1), 1))
+    spread = np.maximum(spread, _LEAST_SPREAD)
+    angles = np.stack([np.arctan2(edge[:, 1], edge[:, 0]) for edge in edges], axis=1)
+    shape = np.column_stack([starts - centres, angles, np.full((len(starts), 2), np.log(_FIRST_BLUR_PX))])
+    # Across an edge a part of a square is shorter than along the other one, where they do not cross at right angles.
+    sine = np.abs(np.linalg.det(lattice))[:, None]
+    pad = partial(_padded, by=-len(starts) % _BATCH)
+    patches = _Patches(
+        levels=pad((levels - middle[:, None]) / spread[:, None]),
+        inside=pad(inside),
+        full=pad(full),
+        to_lattice=pad(np.linalg.inv(lattice) * sine[:, :, None]),
+        reach=pad(reach_px * sine),
+        clear=pad(np.stack([clear, clear], axis=1)),
+        bends=pad(np.stack(bends, axis=1)),
+        scale=pad(reach_px.mean(axis=1)),
+    )
+    (shape, light, moved), variance, residual, share, correlation = jax.tree.map(
+        lambda x: np.asarray(x, np.float64)[: len(starts)],
+        _fit(patches, pad(shape), jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32), 2 * half + 1),
+    )
+    told = np.column_stack([shape, light, variance, residual, correlation])
+    settled = np.isfinite(told).all(axis=1) & (moved < _SETTLED_PX)
+    return Saddles(
+        pixels=np.where(settled[:, None], centres + shape[:, :2], np.nan),
+        variance=variance / spread[:, None] ** 2,
+        residual=residual * spread,
+        contrast=2 * light[:, 3] * spread,
+        blur=np.exp(shape[:, 4:]),
+        share=share,
+        unrest=moved,
+        correlation=correlation,
+    )
+
+
+def _padded(x: np.ndarray, by: int) -> Array:
+    """As the fit takes it, with the first corner so many times more."""
+    return jnp.asarray(np.concatenate([x, np.repeat(x[:1], by, axis=0)]), bool if x.dtype == bool else jnp.float32)
 
 
 def _windows(
-    grey: Float[np.ndarray, "rows columns"], centres: np.ndarray, u: np.ndarray, v: np.ndarray
-) -> tuple[Float[np.ndarray, "corners pixels"], np.ndarray]:
-    """Grey levels about each corner, and which of them lie on the photograph."""
+    image: np.ndarray, centres: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levels about each corner, which of them lie on the photograph, and which are at the detector's limit."""
     at_u, at_v = centres[:, :1] + u, centres[:, 1:] + v
-    rows, columns = grey.shape
+    rows, columns = image.shape[:2]
     inside = (at_u >= 0) & (at_v >= 0) & (at_u < columns) & (at_v < rows)
-    return grey[at_v.clip(0, rows - 1), at_u.clip(0, columns - 1)].astype(np.float64), inside
+    levels = image[at_v.clip(0, rows - 1), at_u.clip(0, columns - 1)]
+    full = np.asarray(levels >= np.iinfo(image.dtype).max)
+    if image.ndim == 3:
+        return levels.mean(axis=-1, dtype=np.float32), inside, np.asarray(full.any(axis=-1))
+    return levels.astype(np.float32), inside, full
 
 
-def _saddle(
-    x: np.ndarray, y: np.ndarray, shape: Float[np.ndarray, "corners 3"], bends: tuple[Scalars, Scalars]
-) -> tuple[Float[np.ndarray, "corners pixels"], Float[np.ndarray, "corners pixels 5"]]:
-    """tanh(d₁ / s) tanh(d₂ / s), and its derivatives by the corner's u, v, the two angles and log s."""
-    blur = np.exp(shape[:, 2:])
+@partial(jax.jit, static_argnames="side")
+def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tuple[_State, Array, Array, Array, Array]:
+    """All corners at once, in three phases: least squares, robust, and least squares on the pixels that are kept."""
+    n = len(shape)
+
+    def beside(mask: Array) -> Array:
+        return _over_neighbours(jnp.logical_or, mask.reshape(n, side, side), 1).reshape(n, -1)
+
+    evaluate = jax.vmap(partial(_evaluate, u=u, v=v))
+    most, step_done = jnp.asarray(_MOST_STEPS), jnp.asarray(_STEP_DONE_PX)
+
+    def again(carried: tuple[Array, Array, _State, Array]) -> tuple[Array, Array, _State, Array]:
+        phase, k, state, trusted = carried
+        residuals, jacobian, window = evaluate(patches, state.shape, state.light)
+        limit = _limit(residuals, window * trusted, state.light)
+        trusted = jax.lax.cond(
+            (phase == 2) & (k == 0), lambda: trusted & ~beside((jnp.abs(residuals) > limit) & trusted), lambda: trusted
+        )
+        biweight = jnp.clip(1 - (residuals / limit) ** 2, 0) ** 2
+        weights = window * trusted * jnp.where(phase == 1, biweight, 1.0)
+        damping = jnp.where((phase == 0) & (k < _DAMPED_STEPS), _DAMPING, 0.0)
+        state = jax.vmap(_step, in_axes=(0, 0, 0, 0, 0, None))(
+            state.shape, state.light, residuals, jacobian, weights, damping
+        )
+        done = (k + 1 >= most[phase]) | ((k > 0) & (state.moved < step_done[phase]).all())
+        return jnp.where(done, phase + 1, phase), jnp.where(done, 0, k + 1), state, trusted
+
+    few = ((patches.full & patches.inside).sum(1) < _FEW * patches.inside.sum(1))[:, None]
+    trusted = patches.inside & ~(few & beside(patches.full & patches.inside))
+    # Without contrast the shape has no derivatives, so that the first step finds the light alone.
+    start = _State(shape, jnp.zeros((n, _PARAMETERS - 6)), jnp.full(n, jnp.inf))
+    _, _, state, trusted = jax.lax.while_loop(
+        lambda carried: carried[0] < 3, again, (jnp.asarray(0), jnp.asarray(0), start, trusted)
+    )
+    residuals, jacobian, window = evaluate(patches, state.shape, state.light)
+    weights = window * trusted
+    total = weights.sum(1)
+    normal = (jacobian * weights[:, None]) @ jacobian.mT
+    # The inverse's diagonal in units of the parameters' own, which rounding needs.
+    unit = jax.lax.rsqrt(jnp.einsum("nii->ni", normal) + _TINY)
+    inverse = jnp.linalg.inv(normal * unit[:, :, None] * unit[:, None, :])
+    variance = jnp.einsum("nii->ni", inverse)[:, :2] * unit[:, :2] ** 2
+    freedom = total - _PARAMETERS
+    residual = jnp.sqrt((weights * residuals**2).sum(1) / jnp.where(freedom > 1, freedom, jnp.nan))
+    # What each pixel's residual contributes to the corner's error.
+    influence = (inverse * unit[:, :, None] * unit[:, None, :])[:, :2] @ (jacobian * (weights * residuals)[:, None])
+    square = influence.reshape(n, 2, side, side)
+    sums = _over_neighbours(jnp.add, square, 2)
+    correlation = (sums**2).sum((1, 2, 3)) / (25 * (square**2).sum((1, 2, 3)))
+    return state, jnp.where(variance > 0, variance, jnp.nan), residual, total / window.sum(1), correlation
+
+
+def _over_neighbours(combine: Callable[[Array, Array], Array], x: Array, reach: int) -> Array:
+    """`combine` over the pixels up to `reach` rows and columns away; what is outside counts as 0.
+
+    One axis after the other, by whole rows: XLA's own windows are an order of magnitude slower on a CPU.
+    """
+    for axis in (-2, -1):
+        size = x.shape[axis]
+        padded = jnp.pad(x, [(0, 0)] * (x.ndim - 2) + [(reach, reach) if a == axis else (0, 0) for a in (-2, -1)])
+        x = reduce(combine, [jax.lax.slice_in_dim(padded, k, k + size, axis=axis) for k in range(2 * reach + 1)])
+    return x
+
+
+def _limit(residuals: Array, weights: Array, light: Array) -> Array:
+    """Beyond which a pixel is a stranger's; found from the residuals within it, in a few rounds from above."""
+    least = 2 * _LEAST_RESIDUAL * jnp.abs(light[:, 3:4])
+
+    def rms(weights: Array) -> Array:
+        return jnp.sqrt((weights * residuals**2).sum(1, keepdims=True) / (weights.sum(1, keepdims=True) + _TINY))
+
+    limit = _LIMIT * jnp.maximum(rms(weights), least)
+    for _ in range(4):
+        limit = _LIMIT * jnp.maximum(rms(weights * (jnp.abs(residuals) < limit)), least)
+    return limit
+
+
+def _evaluate(patch: _Patches, shape: Array, light: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
+    """Residuals, derivatives of the model by shape and light, and the window's weights, for each pixel."""
+    x, y = u - shape[0], v - shape[1]
+    saddle, slopes = _saddle(x, y, shape[2:], patch.bends)
+    # Written out, here and below: XLA makes one pass of it, but not of small matrix products.
+    a, b, bulge = x / patch.scale, y / patch.scale, 1 - saddle**2
+    contrast = light[3] + light[4] * a + light[5] * b
+    model = light[0] + light[1] * a + light[2] * b + contrast * saddle + light[6] * bulge
+    by_saddle = contrast - 2 * light[6] * saddle
+    basis = [jnp.ones_like(x), a, b, saddle, a * saddle, b * saddle, bulge]
+    jacobian = jnp.stack([*(slope * by_saddle for slope in slopes), *basis])
+    (to_i, to_j), reach, clear = patch.to_lattice, patch.reach, patch.clear
+    i, j = jnp.abs(to_i[0] * x + to_i[1] * y), jnp.abs(to_j[0] * x + to_j[1] * y)
+    window = jnp.clip(reach[0] - i + 0.5, 0, 1) * jnp.clip(reach[1] - j + 0.5, 0, 1)
+    window = window * jnp.maximum(jnp.clip(clear[0] - i + 0.5, 0, 1), jnp.clip(clear[1] - j + 0.5, 0, 1))
+    # At the detector's limit a model that is brighter is right.
+    satisfied = patch.full & (model > patch.levels)
+    return patch.levels - model, jacobian, window * ~satisfied
+
+
+def _saddle(x: Array, y: Array, shape: Array, bends: Array) -> tuple[Array, list[Array]]:
+    """S, and its derivatives by the corner's u, v, the two angles and log s₁, log s₂.
+
+    Small shares are left out of the derivatives: the bend's, and that of the second term of S by angles and blurs.
+    """
     edges = []
-    for angle, bend in ((shape[:, :1], bends[0]), (shape[:, 1:2], bends[1])):
-        cos, sin = np.cos(angle), np.sin(angle)
-        along, across = cos * x + sin * y, cos * y - sin * x
-        d = across - bend[:, None] / 2 * along**2
-        # The bend is small: its share in the derivatives is left to the next step.
-        edges.append((np.tanh(d / blur), d, along, cos, sin))
-    (e1, d1, along1, cos1, sin1), (e2, d2, along2, cos2, sin2) = edges
-    g1, g2 = (1 - e1**2) * e2 / blur, (1 - e2**2) * e1 / blur
-    slopes = [g1 * sin1 + g2 * sin2, -(g1 * cos1 + g2 * cos2), -g1 * along1, -g2 * along2, -(g1 * d1 + g2 * d2)]
-    return e1 * e2, np.stack(slopes, axis=-1)
+    for angle, log_blur, bend in zip(shape[:2], shape[2:], bends, strict=True):
+        cos, sin, blur = jnp.cos(angle), jnp.sin(angle), jnp.exp(log_blur)
+        along = cos * x + sin * y
+        d = cos * y - sin * x - bend / 2 * along**2
+        z = d / blur
+        edges.append((erf(z / np.sqrt(2)), np.sqrt(2 / np.pi) / blur * jnp.exp(-(z**2) / 2), d, along, cos, sin, blur))
+    (e1, g1, d1, along1, cos1, sin1, s1), (e2, g2, d2, along2, cos2, sin2, s2) = edges
+    crossing = (cos1 * cos2 + sin1 * sin2) * s1 * s2 * g1 * g2
+    by_d1, by_d2 = g1 * e2 - crossing * d1 / s1**2, g2 * e1 - crossing * d2 / s2**2
+    slopes = [
+        by_d1 * sin1 + by_d2 * sin2,
+        -(by_d1 * cos1 + by_d2 * cos2),
+        -by_d1 * along1,
+        -by_d2 * along2,
+        -g1 * d1 * e2,
+        -g2 * d2 * e1,
+    ]
+    return e1 * e2 + crossing, slopes
 
 
-def _light_basis(x: np.ndarray, y: np.ndarray, saddle: np.ndarray) -> Float[np.ndarray, "corners pixels 6"]:
-    """What α, α', β, β' multiply; the first three are also what the contrast is made of."""
-    one = np.ones_like(x)
-    return np.stack([one, x, y, saddle, x * saddle, y * saddle], axis=-1)
+def _step(shape: Array, light: Array, residuals: Array, jacobian: Array, weights: Array, damping: Array) -> _State:
+    """One step of Gauss and Newton, held short.
+
+    A blur that stands at the end of its range and would leave it is held (D. Bertsekas 1982): a step that is cut off
+    afterwards would carry the corner along with a change of the blur that is not made.
+    """
+    sharpest, widest = np.log(_BLUR_RANGE_PX)
+    downhill = (jacobian[4:6] * weights[None]) @ residuals
+    held = ((shape[4:] <= sharpest) & (downhill < 0)) | ((shape[4:] >= widest) & (downhill > 0))
+    jacobian = jacobian.at[4:6].multiply(jnp.where(held, 0.0, 1.0)[:, None])
+    change = _least_squares(jacobian, residuals, weights, damping)
+    longest = jnp.asarray(_LONGEST_STEP)
+    shape = shape + jnp.clip(change[:6], -longest, longest)
+    shape = shape.at[4:].set(jnp.clip(shape[4:], sharpest, widest))
+    return _State(shape, light + change[6:], jnp.abs(change[:2]).max())
 
 
-def _least_squares(
-    jacobian: Float[np.ndarray, "corners pixels parameters"],
-    residuals: Float[np.ndarray, "corners pixels"],
-    weights: Float[np.ndarray, "corners pixels"],
-    damping: float,
-) -> Float[np.ndarray, "corners parameters"]:
-    weighted = (jacobian * weights[..., None]).transpose(0, 2, 1)
-    normal = weighted @ jacobian
-    scale = np.einsum("nii->ni", normal)
+def _least_squares(jacobian: Array, residuals: Array, weights: Array, damping: Array) -> Array:
+    weighted = jacobian * weights[None]
+    normal = weighted @ jacobian.T
+    scale = jnp.diagonal(normal)
     # A flat window has no saddle: a little on the diagonal keeps its equations solvable, and it does not settle.
-    extra = damping * scale + _TINY * (1 + scale.max(axis=1, keepdims=True))
-    normal = normal + extra[:, :, None] * np.eye(normal.shape[-1])
-    return np.linalg.solve(normal, weighted @ residuals[..., None])[..., 0]
+    extra = damping * scale + _TINY * (1 + scale.max())
+    return solve(normal + jnp.diag(extra), weighted @ residuals, assume_a="pos")

@@ -49,6 +49,19 @@ def test_corners_are_exact_to_a_few_hundredths_of_a_pixel(sharp, blur, noise, bo
     assert np.sqrt(np.mean(errors**2)) < np.sqrt(np.mean(np.sum(theirs**2, axis=1)))
 
 
+def test_sigma_tells_the_errors_and_goes_with_its_corner(sharp):
+    image = cv2.GaussianBlur(sharp, (0, 0), 0.8) + 2 * np.random.default_rng(1).standard_normal(SHAPE)
+    # A finger over the last corners, which are then not seen.
+    u, v = np.rint(render.project(placed(), BOARD.points())[-1]).astype(int)
+    image[v - 6 :, u - 6 :] = 110
+    view = find_board(BOARD, to_bytes(image))
+    seen = np.isfinite(view.sigma)
+    np.testing.assert_array_equal(seen, np.isfinite(view.corners).all(axis=1))
+    assert not seen[-1]
+    assert seen.sum() >= len(seen) - 4
+    assert 0.7 < np.sqrt(np.mean((distances(view, placed())[seen] / view.sigma[seen]) ** 2) / 2) < 1.4
+
+
 def test_depth_and_darkness_do_not_matter(sharp):
     image = cv2.GaussianBlur(sharp, (0, 0), 0.8)
     for dtype, gain in ((np.uint16, 15.0), (np.uint16, 250.0), (np.uint8, 0.15)):

@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
+import render
 
+from jaxscan.images import Board
 from jaxscan.images.refine import distance_from_prediction, neighbour_distance, refine_corners
 from jaxscan.images.saddle import fit_saddles
 
@@ -31,49 +33,99 @@ def direction(angle):
     return np.array([[np.cos(angle), np.sin(angle)]])
 
 
+def fit(image, centre, angles, *, start=(0.0, 0.0), bend=0.0, square=30.0, dtype=np.uint16):
+    """One corner, with squares so large (px)."""
+    return fit_saddles(
+        np.rint(image).clip(0, np.iinfo(dtype).max).astype(dtype),
+        centre[None] + start,
+        (square * direction(angles[0]), square * direction(angles[1])),
+        (np.array([bend]), np.zeros(1)),
+        0.45,
+        np.array([square]),
+        12.0,
+    )
+
+
 @pytest.mark.parametrize("angles", [(0.1, 1.7), (0.7, 2.0), (-0.4, 1.3)])
 def test_a_saddle_is_found_from_half_a_pixel_away(angles):
     centre = np.array([20.2, 19.7])
-    image = saddle_image(centre, angles, 1.0)
-    found = fit_saddles(
-        image,
-        centre[None] + [[0.5, -0.4]],
-        (direction(angles[0]), direction(angles[1])),
-        (np.zeros(1),) * 2,
-        np.array([9.0]),
-    )
-    np.testing.assert_allclose(found[0], centre, atol=0.012)
+    found = fit(100 * saddle_image(centre, angles, 1.0), centre, angles, start=(0.5, -0.4))
+    np.testing.assert_allclose(found.pixels[0], centre, atol=0.01)
+    # 1/12 px² of the blur is the pixel's own.
+    np.testing.assert_allclose(found.blur[0], np.sqrt(1 + 1 / 12), atol=0.02)
+    np.testing.assert_allclose(abs(found.contrast[0]), 12000, rtol=0.01)
+
+
+def test_predicted_sigma_is_the_spread_of_the_errors():
+    centre, angles, random = np.array([20.3, 19.8]), (0.2, 1.6), np.random.default_rng(0)
+    image = saddle_image(centre, angles, 0.8)
+    seen = [fit(image + 4 * random.standard_normal(image.shape), centre, angles) for _ in range(100)]
+    errors = np.concatenate([each.pixels - centre for each in seen])
+    sigma = np.concatenate([np.sqrt(each.variance) * each.residual[:, None] for each in seen])
+    # 200 numbers tell their spread to 5 %.
+    assert 0.85 < np.sqrt(np.mean(((errors - errors.mean(axis=0)) / sigma) ** 2)) < 1.15
+    np.testing.assert_allclose(np.median([each.residual for each in seen]), 4, rtol=0.05)
 
 
 def test_a_known_bend_does_not_pull_the_corner():
     centre, angles, bend = np.array([20.1, 20.3]), (0.1, 1.6), 0.004
-    image = saddle_image(centre, angles, 1.0, bend)
-    directions = (direction(angles[0]), direction(angles[1]))
-    known, ignored = (
-        fit_saddles(image, centre[None], directions, (np.array([k]), np.zeros(1)), np.array([12.0]))[0] - centre
-        for k in (bend, 0.0)
-    )
-    assert np.linalg.norm(known) < 0.02
-    assert np.linalg.norm(ignored) > 0.04
+    image = 100 * saddle_image(centre, angles, 1.0, bend)
+    known, ignored = (np.linalg.norm(fit(image, centre, angles, bend=k).pixels[0] - centre) for k in (bend, 0.0))
+    assert known < 0.01
+    assert ignored > 0.04
 
 
-def test_sixteen_bits_give_the_same_corner():
+def test_neither_the_cameras_curve_nor_its_limit_moves_the_corner():
     centre, angles = np.array([20.2, 19.9]), (0.3, 1.8)
     image = saddle_image(centre, angles, 0.8)
-    directions = (direction(angles[0]), direction(angles[1]))
-    both = [fit_saddles(image * g, centre[None], directions, (np.zeros(1),) * 2, np.array([8.0])) for g in (1, 250)]
-    np.testing.assert_allclose(*both, atol=1e-3)
+    for levels in (60000 * (image / 160) ** 0.45, image * 500):
+        np.testing.assert_allclose(fit(levels, centre, angles).pixels[0], centre, atol=0.01)
+
+
+def test_a_bright_stripe_is_left_out_and_costs_certainty():
+    centre, angles = np.array([20.2, 19.9]), (0.3, 1.8)
+    image = saddle_image(centre, angles, 0.8)
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]]
+    stripe = 1500 * np.exp(-0.5 * ((u - v - 6) / 1.5) ** 2)
+    clean, crossed = (fit(levels, centre, angles, dtype=np.uint8) for levels in (image, image + stripe))
+    np.testing.assert_allclose(crossed.pixels[0], centre, atol=0.03)
+    assert crossed.share[0] < 0.9 * clean.share[0]
+    assert (crossed.variance > clean.variance).all()
+
+
+def test_one_wild_corner_is_left_out(board_image):
+    image, truth = board_image
+    # A bar ends on the corner: what is there looks like one, a few pixels off.
+    image = image.copy()
+    u, v = np.rint(truth[2, 3]).astype(int)
+    image[v - 9 : v + 3, u - 9 : u + 9] = 120
+    corners, sigma = refine_corners(image, truth)
+    assert np.isnan(sigma[2, 3]) or np.linalg.norm(corners[2, 3] - truth[2, 3]) < 0.3
+    others = np.ones(sigma.shape, bool)
+    others[1:4, 2:5] = False
+    np.testing.assert_allclose(corners[others], truth[others], atol=0.05)
+    assert np.isfinite(sigma[others]).all()
+
+
+@pytest.fixture(scope="module")
+def board_image():
+    """Seven by six corners in perspective, and where they are."""
+    board = Board.checkerboard((7, 6), 10.0)
+    extent = [[-10, -10], [70, -10], [70, 60], [-10, 60]]
+    H = render.homography(extent, [[42, 35], [325, 50], [310, 252], [28, 230]])
+    image = render.photograph(render.checkerboard((7, 6), 10.0), H, (280, 350), blur=0.8, noise=1)
+    return np.rint(image).clip(0, 255).astype(np.uint8), render.project(H, board.points()).reshape(6, 7, 2)
 
 
 def test_where_nothing_is_to_be_seen_a_corner_is_lost_and_not_invented():
-    assert np.isnan(refine_corners(np.full((200, 200), 90, np.uint8), grid())).all()
+    assert all(np.isnan(each).all() for each in refine_corners(np.full((200, 200), 90, np.uint8), grid()))
 
 
 def test_missing_corners_stay_missing():
     corners = grid()
     corners[2, 3] = np.nan
     noise = np.random.default_rng(0).integers(0, 255, (200, 200), np.uint8)
-    assert np.isnan(refine_corners(noise, corners)[2, 3]).all()
+    assert all(np.isnan(each[2, 3]).all() for each in refine_corners(noise, corners))
 
 
 def test_neighbours():
