@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from benchmarks.calibration_rs import calibration_rs
 from benchmarks.metric import Metric
 from benchmarks.sub_pix import with_sub_pix
 from jaxscan.calibration import Calibration, Observations, View, calibrate
@@ -38,7 +39,7 @@ def measure(quick: bool) -> list[Metric]:
     data = Path(folder)
     if quick:
         return etna(data, ["etna-2"]) + opencv_left(data) + pyramid(data)
-    return etna(data, ["etna-2", "etna-3"]) + opencv_left(data) + pyramid(data) + figueroa(data)
+    return etna(data, ["etna-2", "etna-3"]) + opencv_left(data) + pyramid(data) + figueroa(data) + calibration_rs(data)
 
 
 def corners_only(observations: Observations) -> Observations:
