@@ -87,11 +87,21 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 def calibrate_session(
     paths: Sequence[Path], output: Path, camera: Path | None = None, name: str | None = None, hold: bool = False
 ) -> "Calibration":
-    """Calibrate with progress bars, and write the rig.
+    """Calibrate as `solve_sessions`, and write the rig to `output`."""
+    from jaxscan.files.rig_file import write_rig
+
+    calibration = solve_sessions(paths, camera, name, hold)
+    write_rig(output, calibration.rig_file())
+    return calibration
+
+
+def solve_sessions(
+    paths: Sequence[Path], camera: Path | None = None, name: str | None = None, hold: bool = False
+) -> "Calibration":
+    """Calibrate with progress bars.
 
     Args:
         paths: the sessions, all of one rig; or a `.mat` with corners in place of one.
-        output: the rig to write.
         camera: a file with a camera to start from.
         name: which camera of that file.
         hold: whether that camera is kept as it is.
@@ -105,7 +115,6 @@ def calibrate_session(
     from jaxscan.calibration.observe import observe, photograph_count
     from jaxscan.cli.progress import progress
     from jaxscan.files.cameras import read_camera_file
-    from jaxscan.files.rig_file import write_rig
     from jaxscan.files.session import CameraSettings, Session, read_session
     from jaxscan.rig import Rig
     from jaxscan.rig.rig import parameter_names
@@ -139,7 +148,6 @@ def calibrate_session(
             hold=held,
         )
         advance(1)
-    write_rig(output, calibration.rig_file())
     return calibration
 
 

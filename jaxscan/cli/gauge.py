@@ -1,78 +1,136 @@
-"""`jaxscan gauge`: a scan of an object of known shape puts the rig's light plane, and its stage, right."""
+"""`jaxscan gauge`: scans of objects of known shape put the rig's light planes, and its stage, right."""
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-HELP: Final = "put a rig's light plane and stage right by a scan of an object of known shape"
-EXAMPLE: Final = "jaxscan gauge scans/block --rig rig.json --shape steps:1.48,3.68,8.94,14.00 -o refined.json"
+from jaxscan.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxscan.calibration import Calibration
+    from jaxscan.calibration.gauge_points import Gauge
+    from jaxscan.calibration.gauge_shapes import Shape
+    from jaxscan.files.rig_file import RigFile
+
+HELP: Final = "put a rig's light plane and stage right by scans of objects of known shape"
+EXAMPLE: Final = (
+    "jaxscan gauge scans/block --rig rig.json --shape steps:1.48,3.68,8.94,14.00 -o refined.json\n"
+    "  jaxscan gauge scans/block scans/turned --shape steps:1.48,14.00 --session session --trust laser stage -o a.json"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "scan", type=Path, metavar="SCAN", help="the gauge's scan: a folder with scan.toml, or that file"
+        "scan",
+        type=Path,
+        nargs="+",
+        metavar="SCAN",
+        help="a gauge's scan: a folder with scan.toml, or that file; several (a gauge in several places, or several "
+        "gauges) are solved together",
     )
-    parser.add_argument("--rig", type=Path, required=True, help="the rig, as jaxscan calibrate writes it")
+    boards = parser.add_mutually_exclusive_group(required=True)
+    boards.add_argument("--rig", type=Path, help="the rig, as jaxscan calibrate writes it: what its covariance says")
+    boards.add_argument(
+        "--session",
+        type=Path,
+        nargs="+",
+        metavar="SESSION",
+        help="the calibration sessions themselves: boards and gauges in one solve",
+    )
     parser.add_argument(
         "--shape",
         required=True,
+        nargs="+",
         help="plate | steps:H1,H2,… (heights of level faces above the plate that they stand on, mm) | ball:R (radius, "
-        "mm) | a mesh file (mm, z up, standing on z = 0)",
+        "mm) | a mesh file (mm, z up, standing on z = 0); one for all scans, or one for each",
     )
     parser.add_argument(
         "--trust",
         choices=("laser", "stage"),
         nargs="*",
         default=("stage",),
-        help="what the rig's own covariance is believed of beside the camera (default: stage; the laser is taken to "
-        "have been moved). With laser and stage the gauge only adds what it tells",
+        help="what the boards are believed of beside the camera (default: stage; the laser is taken to have been "
+        "moved since). With laser and stage the gauge only adds what it tells",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG", help="the refined rig to write")
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
-    """Find the stripe on the gauge, refine the rig, and write it."""
+    """Find the stripe on the gauges, refine the rig, and write it."""
     from jaxscan.atomic import check_writable
 
     check_writable(args.output)
-    from jaxscan.calibration.gauge_shapes import parse_shape
-
-    shape = parse_shape(args.shape)
+    shapes = _shapes(args.shape, len(args.scan))
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
-    from jaxscan.calibration.gauge import GaugeScan, refine_by_gauge
+    from jaxscan.calibration.gauge import refine_by_gauge
     from jaxscan.cli.progress import progress
     from jaxscan.files.rig_file import read_rig, write_rig
     from jaxscan.files.scan import read_scan
-    from jaxscan.reconstruction import reconstruct
 
-    content, photographs = read_rig(args.rig), read_scan(args.scan)
-    with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
-        image = reconstruct(content, photographs, advance)
-    scan = GaugeScan(image.pixels, image.steps, photographs.laser.columns, photographs.laser.name)
+    scans = [read_scan(path) for path in args.scan]
+    known: RigFile | Calibration
+    if args.session:
+        from jaxscan.cli.calibrate import solve_sessions
+
+        known = solve_sessions(args.session)
+        content = known.rig_file()
+    else:
+        known = content = read_rig(args.rig)
+    gauges = [_look(content, scan, shape) for scan, shape in zip(scans, shapes, strict=True)]
     with progress("fitting the gauge", 1, "rig") as advance:
-        fit = refine_by_gauge(content, scan, shape, [part for part in ("laser", "stage") if part not in args.trust])
+        fit = refine_by_gauge(known, gauges, [part for part in ("laser", "stage") if part not in args.trust])
         advance(1)
     write_rig(args.output, fit.rig_file(content.fit))
     return {
         "path": str(args.output),
-        "points": fit.points,
-        "rejected": fit.rejected,
-        "rms_before_mm": fit.rms_before_mm,
-        "rms_after_mm": fit.rms_after_mm,
-        "stripe_sigma_px": fit.stripe_sigma_px,
+        "gauges": [
+            {
+                "scan": str(path),
+                "points": gauge.points,
+                "rejected": gauge.rejected,
+                "rms_before_mm": gauge.rms_before_mm,
+                "rms_after_mm": gauge.rms_after_mm,
+                "stripe_sigma_px": gauge.stripe_sigma_px,
+            }
+            for path, gauge in zip(args.scan, fit.gauges, strict=True)
+        ],
         "from_prior_in_sigma": fit.from_prior_in_sigma,
     }
 
 
+def _shapes(texts: list[str], scans: int) -> "list[Shape]":
+    """A shape for each scan."""
+    from jaxscan.calibration.gauge_shapes import parse_shape
+
+    shapes = [parse_shape(text) for text in texts]
+    if len(shapes) not in (1, scans):
+        raise InputError(f"--shape: {len(shapes)} shapes for {scans} scans: give one for all of them, or one for each")
+    return shapes * (scans // len(shapes))
+
+
+def _look(content: "RigFile", photographs: Any, shape: "Shape") -> "Gauge":
+    """A gauge with what is seen of it in its scan."""
+    from jaxscan.calibration.gauge_points import Gauge, GaugeScan
+    from jaxscan.cli.progress import progress
+    from jaxscan.reconstruction import reconstruct
+
+    with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
+        image = reconstruct(content, photographs, advance)
+    return Gauge(GaugeScan(image.pixels, image.steps, photographs.laser.columns, photographs.laser.name), shape)
+
+
 def describe(result: dict[str, Any]) -> str:
     """The result in words."""
-    before, after = result["rms_before_mm"], result["rms_after_mm"]
-    return (
-        f"rig {result['path']}\n"
-        f"  gauge      {result['points']} stripe points on it, {result['rejected']} elsewhere\n"
-        f"  distance   {before:.3f} mm RMS from its surface before, {after:.3f} mm now\n"
-        f"  agreement  {result['from_prior_in_sigma']:.1f} standard deviations from what was trusted"
+    lines = [f"rig {result['path']}"]
+    for gauge in result["gauges"]:
+        before, after = gauge["rms_before_mm"], gauge["rms_after_mm"]
+        lines += [
+            f"  gauge      {gauge['scan']}: {gauge['points']} stripe points on it, {gauge['rejected']} elsewhere",
+            f"  distance   {before:.3f} mm RMS from its surface before, {after:.3f} mm now",
+        ]
+    return "\n".join(
+        [*lines, f"  agreement  {result['from_prior_in_sigma']:.1f} standard deviations from what was trusted"]
     )

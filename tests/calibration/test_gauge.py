@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxscan.calibration.gauge import GaugeScan, refine_by_gauge
+from benchmarks.drawn import Noise, exact_session, redrawn
+from jaxscan import calibrate
+from jaxscan.calibration.gauge import refine_by_gauge
+from jaxscan.calibration.gauge_points import Gauge, GaugeScan
 from jaxscan.calibration.gauge_shapes import Ball, Solid, Steps, parse_shape
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
@@ -57,14 +60,15 @@ def block(true_rig):
 
 @pytest.fixture(scope="module")
 def by_block(turned, block):
-    return refine_by_gauge(turned, block, Steps((0.0, *HEIGHTS)))
+    return refine_by_gauge(turned, [Gauge(block, Steps((0.0, *HEIGHTS)))])
 
 
 def test_a_step_block_puts_the_light_plane_right(by_block, true_rig):
     # 0.05 px are about 0.04 mm on a level face; the plane 1° wrong adds several times that.
-    assert by_block.rms_after_mm < 0.06 < 2 * by_block.rms_after_mm < by_block.rms_before_mm
-    assert by_block.stripe_sigma_px == pytest.approx(NOISE_PX, rel=0.05)
-    assert by_block.points > 3000
+    (reading,) = by_block.gauges
+    assert reading.rms_after_mm < 0.06 < 2 * reading.rms_after_mm < reading.rms_before_mm
+    assert reading.stripe_sigma_px == pytest.approx(NOISE_PX, rel=0.05)
+    assert reading.points > 3000
     values, truth = (np.array([float(x) for x in jax.tree.leaves(r)]) for r in (by_block.rig, true_rig))
     sigma = np.sqrt(np.diagonal(by_block.covariance.matrix))
     assert by_block.covariance.names == tuple(parameter_names(true_rig))
@@ -79,13 +83,14 @@ def test_another_block_then_reads_right(by_block, turned, true_rig):
     for name, rig in (("turned", turned.rig), ("refined", by_block.rig)):
         content = RigFile(rig, turned.covariance)
         # Nothing is doubted and nothing free but the pose: a fit of the levels to the points as this rig sees them.
-        errors[name] = refine_by_gauge(content, other, Steps((0.0, *heights)), doubt=()).rms_before_mm
+        fit = refine_by_gauge(content, [Gauge(other, Steps((0.0, *heights)))], doubt=())
+        errors[name] = fit.gauges[0].rms_before_mm
     assert errors["refined"] < 0.06 < 2 * errors["refined"] < errors["turned"]
 
 
 def test_with_everything_trusted_the_gauge_only_adds(true_rig, turned, block):
     content = RigFile(true_rig, turned.covariance)
-    fit = refine_by_gauge(content, block, Steps((0.0, *HEIGHTS)), doubt=())
+    fit = refine_by_gauge(content, [Gauge(block, Steps((0.0, *HEIGHTS)))], doubt=())
     sigma = np.sqrt(np.diagonal(fit.covariance.matrix))
     assert (sigma <= SIGMA * (1 + 1e-9)).all()
     assert fit.from_prior_in_sigma < 4.0
@@ -102,8 +107,8 @@ def test_balls_and_meshes_are_gauges_too(kind, true_rig, turned):
         mesh = trimesh.util.concatenate([low, high])
         scan = scan_of(true_rig, (box(40.0, (60.0, 40.0, 4.0)), *_upper(43.0)))
         shape = Solid(mesh)
-    fit = refine_by_gauge(turned, scan, shape)
-    assert fit.rms_after_mm < 0.06 < fit.rms_before_mm
+    fit = refine_by_gauge(turned, [Gauge(scan, shape)])
+    assert fit.gauges[0].rms_after_mm < 0.06 < fit.gauges[0].rms_before_mm
     values, truth = (np.array([float(x) for x in jax.tree.leaves(r)]) for r in (fit.rig, true_rig))
     assert (np.abs(values - truth) < 4 * np.sqrt(np.diagonal(fit.covariance.matrix))).all()
 
@@ -116,17 +121,18 @@ def _upper(y):
 
 def test_a_gauge_of_another_size_is_refused(turned, block):
     with pytest.raises(InputError, match="no ball of radius 3 mm"):
-        refine_by_gauge(turned, block, Ball(3.0))
+        refine_by_gauge(turned, [Gauge(block, Ball(3.0))])
 
 
 def test_too_few_points_are_refused(turned, block):
+    few = replace(block, pixels=np.where(np.arange(640) < 3, block.pixels, np.nan))
     with pytest.raises(InputError, match="at least 100"):
-        refine_by_gauge(turned, replace(block, pixels=np.where(np.arange(640) < 3, block.pixels, np.nan)), Steps())
+        refine_by_gauge(turned, [Gauge(few, Steps())])
 
 
 def test_what_can_be_doubted(turned, block):
     with pytest.raises(InputError, match="camera"):
-        refine_by_gauge(turned, block, Steps(), doubt=("camera",))
+        refine_by_gauge(turned, [Gauge(block, Steps())], doubt=("camera",))
 
 
 @pytest.mark.parametrize(
@@ -150,3 +156,47 @@ def test_a_shape_from_a_file(tmp_path):
     path.write_bytes(b"no mesh")
     with pytest.raises(InputError, match=r"block\.stl"):
         parse_shape(str(path))
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    """From the boards of the same rig, drawn with noise."""
+    _, exact = exact_session(0)
+    return calibrate(redrawn(exact, Noise(), np.random.default_rng(0)))
+
+
+def values_of(rig):
+    return np.array([float(x) for x in jax.tree.leaves(rig)])
+
+
+def test_boards_and_gauge_in_one_solve(calibration, block, true_rig):
+    """Where both are near the minimum, the boards' photographs tell what their mean and covariance tell."""
+    gauge = [Gauge(block, Steps((0.0, *HEIGHTS)))]
+    joint = refine_by_gauge(calibration, gauge, doubt=())
+    by_prior = refine_by_gauge(calibration.rig_file(), gauge, doubt=())
+    sigma = np.sqrt(np.diagonal(joint.covariance.matrix))
+    assert (sigma < np.sqrt(np.diagonal(calibration.covariance.matrix))).all()
+    assert (np.abs(values_of(joint.rig) - values_of(true_rig)) < 4 * sigma).all()
+    assert (np.abs(values_of(joint.rig) - values_of(by_prior.rig)) < 0.05 * sigma).all()
+    np.testing.assert_allclose(sigma, np.sqrt(np.diagonal(by_prior.covariance.matrix)), rtol=0.02)
+    assert joint.from_prior_in_sigma == pytest.approx(by_prior.from_prior_in_sigma, abs=0.05)
+
+
+def test_boards_tell_nothing_of_a_part_that_is_doubted(calibration, turned, true_rig):
+    """The laser was pushed after the boards were photographed: their stripes lie on a sheet that is no more."""
+    pushed = replace(true_rig, lasers=turned.rig.lasers)
+    scan = scan_of(pushed, stair(37.0, HEIGHTS))
+    fit = refine_by_gauge(calibration, [Gauge(scan, Steps((0.0, *HEIGHTS)))])
+    sigma = np.sqrt(np.diagonal(fit.covariance.matrix))
+    assert (np.abs(values_of(fit.rig) - values_of(pushed)) < 4 * sigma).all()
+    assert fit.gauges[0].rms_after_mm < 0.06
+
+
+def test_a_gauge_in_two_places(turned, block, by_block, true_rig):
+    around = scan_of(true_rig, stair(37.0, HEIGHTS[::-1]), seed=3)
+    fit = refine_by_gauge(turned, [Gauge(scan, Steps((0.0, *HEIGHTS))) for scan in (block, around)])
+    one, two = (np.sqrt(np.diagonal(f.covariance.matrix)) for f in (by_block, fit))
+    assert (two < one * (1 + 1e-9)).all()
+    assert (two[-6:-3] < 0.8 * one[-6:-3]).any()
+    assert (np.abs(values_of(fit.rig) - values_of(true_rig)) < 4 * two).all()
+    assert [gauge.points > 3000 for gauge in fit.gauges] == [True, True]

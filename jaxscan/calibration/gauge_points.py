@@ -1,0 +1,147 @@
+"""From scans of gauges to `GaugePoints`: nearest points of their shapes, and which stripe points can tell of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Real
+
+from jaxscan.calibration.blocks import bucket
+from jaxscan.calibration.bundle import Estimate
+from jaxscan.calibration.gauge_residuals import GaugePoints, gauge_errors, point_of_object
+from jaxscan.calibration.gauge_shapes import Shape
+from jaxscan.geometry import Pose
+from jaxscan.rig import Rig
+
+# A surface seen at less than this angle to the way the stripe moves on it says nothing of where it is.
+_GRAZING: Final = np.sin(np.radians(12.0))
+# A nearest point that is further to the side than this is on an edge, mm.
+_ASIDE_MM: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class GaugeScan:
+    """The stripe in the frames of a scan of a gauge.
+
+    Attributes:
+        pixels: where it was seen: v for each image column, or u for each row; NaN for none.
+        steps: motor step count of each frame.
+        columns: whether v was measured, or u.
+        laser: the laser's name, "" for the only one.
+    """
+
+    pixels: Float[np.ndarray, "frames columns"]
+    steps: Real[np.ndarray, "frames"]
+    columns: bool = True
+    laser: str = ""
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """An object of known shape in one place.
+
+    Attributes:
+        scan: what was seen of it there.
+        shape: what it is.
+    """
+
+    scan: GaugeScan
+    shape: Shape
+
+
+def stripe_points(gauges: Sequence[Gauge], rig: Rig) -> GaugePoints:
+    """All stripe points, one padded block a scan, with nothing known yet of where they lie on the gauges."""
+    size = bucket(max(gauge.scan.pixels.size for gauge in gauges))
+    names = [laser.name for laser in rig.lasers]
+    stripe = np.full((len(gauges), size, 2), np.nan)
+    steps = np.zeros((len(gauges), size))
+    for i, gauge in enumerate(gauges):
+        scan = gauge.scan
+        index = np.broadcast_to(np.arange(scan.pixels.shape[1], dtype=float), scan.pixels.shape)
+        pixels = np.stack([index, scan.pixels] if scan.columns else [scan.pixels, index], axis=-1)
+        stripe[i, : scan.pixels.size] = pixels.reshape(-1, 2)
+        # Padding stands with the last frame, so that it begins none.
+        steps[i] = np.pad(
+            np.repeat(np.asarray(scan.steps, float), scan.pixels.shape[1]), (0, size - scan.pixels.size), mode="edge"
+        )
+
+    def of_scans(values: list) -> Array:
+        return jnp.asarray(np.broadcast_to(np.array(values)[:, None], stripe.shape[:2]))
+
+    return GaugePoints(
+        stripe=jnp.asarray(stripe),
+        columns=of_scans([gauge.scan.columns for gauge in gauges]),
+        steps=jnp.asarray(steps),
+        laser=of_scans([names.index(rig.laser(gauge.scan.laser).name) for gauge in gauges]),
+        surface=jnp.zeros((*stripe.shape[:2], 3)),
+        normals=jnp.zeros((*stripe.shape[:2], 3)).at[..., 2].set(1.0),
+        used=jnp.asarray(np.isfinite(stripe).all(axis=-1)),
+        weights=jnp.ones(stripe.shape[:2]),
+        laid=jnp.zeros((len(gauges), 6)),
+        laid_to=jnp.ones((len(gauges), 6)),
+    )
+
+
+def facing(gauges: Sequence[Gauge], estimate: Estimate, seen: GaugePoints) -> GaugePoints:
+    """The points with the nearest ones of the shapes and the normals there; those are used that can tell of them.
+
+    A point whose nearest one is on an edge is off to the side of the shape; a face turned from the camera is not what
+    was seen; and where the surface lies nearly along the way on which the stripe moves, it may be anywhere on it.
+    """
+    rig = estimate.shared[0]
+    points, along = (np.asarray(a) for a in on_object(rig, seen))
+    surface, normals, used = np.array(seen.surface), np.array(seen.normals), np.zeros(seen.used.shape, bool)
+    rays = points if rig.stage is None else points + np.asarray(rig.stage.displacement(seen.steps))
+    for i, gauge in enumerate(gauges):
+        local, at = _in_gauge(estimate, points, seen, i)
+        on, m = gauge.shape.nearest(local)
+        away = local - on
+        aside = np.linalg.norm(away - (away * m).sum(axis=1, keepdims=True) * m, axis=1)
+        outwards = m @ np.asarray(Pose.from_vector(estimate.poses[-1][i]).matrix()).T
+        slope = np.abs((outwards * along[i, at]).sum(axis=1)) / np.linalg.norm(along[i, at], axis=1)
+        towards = (outwards * rays[i, at]).sum(axis=1) < 0
+        surface[i, at], normals[i, at] = on, m
+        used[i, at] = (aside <= _ASIDE_MM) & towards & (slope >= _GRAZING)
+    return eqx.tree_at(
+        lambda s: (s.surface, s.normals, s.used),
+        seen,
+        (jnp.asarray(surface), jnp.asarray(normals), jnp.asarray(used)),
+    )
+
+
+def distances(gauges: Sequence[Gauge], estimate: Estimate, seen: GaugePoints) -> Float[np.ndarray, "scans points"]:
+    """From the surfaces, mm; NaN where there is no stripe."""
+    points = np.asarray(on_object(estimate.shared[0], seen)[0])
+    found = np.full(seen.used.shape, np.nan)
+    for i, gauge in enumerate(gauges):
+        local, at = _in_gauge(estimate, points, seen, i)
+        found[i, at] = np.linalg.norm(local - gauge.shape.nearest(local)[0], axis=1)
+    return found
+
+
+def _in_gauge(
+    estimate: Estimate, points: Float[np.ndarray, "scans points 3"], seen: GaugePoints, i: int
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
+    """The points of a scan where a stripe is, in the gauge's frame (mm), and which they are."""
+    T = Pose.from_vector(estimate.poses[-1][i])
+    at = np.flatnonzero(np.asarray(seen.used[i]) & np.isfinite(points[i]).all(axis=1))
+    return (points[i, at] - np.asarray(T.translation)) @ np.asarray(T.matrix()), at
+
+
+@eqx.filter_jit
+def on_object(rig: Rig, seen: GaugePoints) -> tuple[Float[Array, "scans points 3"], Float[Array, "scans points 3"]]:
+    """The points of the object frame, mm, and how they move with the stripe, mm a pixel."""
+    omegas = jnp.stack([laser.omega for laser in rig.lasers])[seen.laser]
+    each = jax.vmap(jax.vmap(lambda *point: point_of_object(rig, *point)))
+    return each(omegas, seen.stripe, seen.columns, seen.steps)
+
+
+@eqx.filter_jit
+def errors(estimate: Estimate, scans: GaugePoints) -> tuple[Float[Array, "scans points"], Float[Array, "scans points"]]:
+    """`gauge_errors` of every scan."""
+    rig = estimate.shared[0]
+    return jax.vmap(lambda pose, scan: gauge_errors(rig, pose, scan))(estimate.poses[-1], scans)
