@@ -20,11 +20,12 @@ SUITES = {
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",
     "nist": "the 27 nonlinear regression problems of NIST through the same solver (needs JAXSCAN_DATA)",
-    "gauge": "a light plane 1° wrong, put right by a step block: how another block reads",
+    "gauge": "a step block, alone and with the boards, puts a light plane right: how other blocks read",
+    "lasers": "two lasers on one camera, calibrated in one solve: do their clouds agree within σ?",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
-NOT_QUICK = {"montecarlo", "gauge"}
+NOT_QUICK = {"montecarlo", "gauge", "lasers"}
 
 
 def main() -> int:

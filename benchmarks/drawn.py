@@ -22,21 +22,19 @@ class Noise:
     stripe: float = 0.06
 
 
-def exact_session(seed: int) -> tuple[Rig, Observations]:
+def exact_session(seed: int, lasers: int = 1) -> tuple[Rig, Observations]:
     """The rig of a seed, and what is seen of its boards without any noise."""
-    rig = rig_2003.simulated_rig(seed)
+    rig = rig_2003.simulated_rig(seed, lasers)
     poses, stage = rig_2003.board_poses(rig, seed), rig_2003.stage_pose(rig, seed)
     points = rig_2003.BOARD.points()
     views = []
     for i, (rotation, translation) in enumerate(
         zip(np.asarray(poses.rotation), np.asarray(poses.translation), strict=True)
     ):
-        profile = true_profile(rig, rig_2003.board_scene(rotation, translation))
-        columns = np.where(np.isfinite(profile.position), np.arange(len(profile.position)), np.nan)
-        # No squares were drawn, so that their edges need not be kept away from.
-        stripe = StripePoints(np.stack([columns, profile.position], axis=-1), half_width_px=1e-6)
+        scene = rig_2003.board_scene(rotation, translation)
         X = points @ rig_2003.matrix_of(rotation).T + translation
-        views.append(View(f"view-{i}", _project(rig.camera, X), stripes=(stripe,)))
+        stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n) for n in range(lasers))
+        views.append(View(f"view-{i}", _project(rig.camera, X), stripes=stripes))
     steps = rig_2003.STEPS_APART * np.arange(rig_2003.STAGE_VIEWS, dtype=float)
     first = points @ rig_2003.matrix_of(np.asarray(stage.rotation)).T + stage.translation
     along = tuple(
@@ -44,8 +42,18 @@ def exact_session(seed: int) -> tuple[Rig, Observations]:
         for i, moved in enumerate(rig_2003.stage_travel(rig, steps))
     )
     return rig, Observations(
-        rig_2003.IMAGE_SIZE, rig_2003.BOARD, tuple(views), (StageSequence(steps, along),), lasers=("",)
+        rig_2003.IMAGE_SIZE,
+        rig_2003.BOARD,
+        tuple(views),
+        (StageSequence(steps, along),),
+        lasers=tuple(laser.name for laser in rig.lasers),
     )
+
+
+def _stripe(position: Float[np.ndarray, "columns"], laser: int) -> StripePoints:
+    columns = np.where(np.isfinite(position), np.arange(len(position)), np.nan)
+    # No squares were drawn, so that their edges need not be kept away from.
+    return StripePoints(np.stack([columns, position], axis=-1), laser=laser, half_width_px=1e-6)
 
 
 def redrawn(exact: Observations, noise: Noise, random: np.random.Generator) -> Observations:

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.simulation.shapes import cup
 
     out = args.output
-    scene, _, truth = simulate_into(out, args.seed, cup(OBJECT_Y), "cup")
+    scene, _, (truth,) = simulate_into(out, args.seed, cup(OBJECT_Y), "cup")
     from jaxscan.cli.calibrate import calibrate_session
     from jaxscan.cli.reconstruct import reconstruct_scan
     from jaxscan.images import draw_stripe, read_image

@@ -24,6 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--noise", type=float, default=2.0, help="of the sensor, grey levels (default: 2)")
     parser.add_argument("--blur", type=float, default=0.6, help="of the lens, pixels (default: 0.6)")
     parser.add_argument("--speckle", type=float, default=0.0, help="contrast of the laser's, 0 to 1 (default: 0)")
+    parser.add_argument(
+        "--lasers", type=int, choices=(1, 2), default=1, help="2: a second one, and a scan by each (default: 1)"
+    )
     parser.add_argument("--stripes", action="store_true", help="photograph boards and stripes separately")
     parser.add_argument("--jpeg", action="store_true", help="write JPEG in place of PNG")
 
@@ -32,13 +35,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Render the photographs and write them with their truth."""
     check_folder(args.out, args.seed)
     bodies, name = _bodies(args)
+    from jaxscan.simulation.folders import scan_name
     from jaxscan.simulation.light import Sensor
 
-    _, session, scan = simulate_into(
+    _, session, scans = simulate_into(
         args.out,
         args.seed,
         bodies,
         name,
+        lasers=args.lasers,
         sensor=Sensor(blur_px=args.blur, noise=args.noise),
         speckle=args.speckle,
         separate_stripes=args.stripes,
@@ -49,10 +54,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "path": str(args.out),
         "seed": args.seed,
         "object": name,
-        "photographs": len(session.boards.rotation) * (2 if args.stripes else 1)
+        "photographs": len(session.boards.rotation) * _each_pose(args.lasers, args.stripes)
         + len(session.stage_steps)
-        + len(scan.steps),
-        "true_points": int((scan.position == scan.position).sum()),
+        + sum(len(scan.steps) for scan in scans),
+        "scans": [scan_name(scan.laser) for scan in scans],
+        "true_points": sum(int((scan.position == scan.position).sum()) for scan in scans),
     }
 
 
@@ -62,12 +68,13 @@ def simulate_into(
     bodies: "tuple[Body, ...]",
     name: str,
     *,
+    lasers: int = 1,
     sensor: "Sensor | None" = None,
     speckle: float = 0.0,
     separate_stripes: bool = False,
     ending: str = ".png",
-) -> "tuple[Scene, SessionTruth, ScanTruth]":
-    """Write the session, the scan of some bodies and their truth into a folder, with a progress bar."""
+) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
+    """Write the session, a scan of some bodies by each laser, and their truth into a folder, with a progress bar."""
     from dataclasses import replace
 
     from jaxscan.cli.compiled import keep_compiled
@@ -77,35 +84,44 @@ def simulate_into(
     from jaxscan.cli.progress import progress
     from jaxscan.simulation import folders, rig_2003
 
-    rig = rig_2003.simulated_rig(seed)
+    rig = rig_2003.simulated_rig(seed, lasers)
     scene = rig_2003.scan_scene(rig, bodies)
     common: dict[str, Any] = {"sensor": sensor or rig_2003.SENSOR, "ending": ending}
-    boards = rig_2003.BOARD_VIEWS * (2 if separate_stripes else 1)
+    boards = rig_2003.BOARD_VIEWS * _each_pose(lasers, separate_stripes)
     with (
         replacing_folders(out) as folder,
-        progress("rendering", boards + rig_2003.STAGE_VIEWS + rig_2003.SCAN_FRAMES) as advance,
+        progress("rendering", boards + rig_2003.STAGE_VIEWS + lasers * rig_2003.SCAN_FRAMES) as advance,
     ):
         session = folders.simulate_session(
             folder / "session",
             seed,
+            rig=rig,
             lighting=replace(rig_2003.BOARD_LIGHTING, speckle=speckle),
             separate_stripes=separate_stripes,
             advance=advance,
             **common,
         )
-        scan = folders.simulate_scan(
-            folder / "scan",
-            rig,
-            scene,
-            seed,
-            name=name,
-            frames=rig_2003.SCAN_FRAMES,
-            lighting=replace(rig_2003.SCAN_LIGHTING, speckle=speckle),
-            advance=advance,
-            **common,
+        scans = tuple(
+            folders.simulate_scan(
+                folder / folders.scan_name(laser.name),
+                rig,
+                scene,
+                seed,
+                laser=i,
+                name=name,
+                lighting=replace(rig_2003.SCAN_LIGHTING, speckle=speckle),
+                advance=advance,
+                **common,
+            )
+            for i, laser in enumerate(rig.lasers)
         )
-        folders.write_truth(folder / "truth", session, scan)
-    return scene, session, scan
+        folders.write_truth(folder / "truth", session, *scans)
+    return scene, session, scans
+
+
+def _each_pose(lasers: int, separate_stripes: bool) -> int:
+    """How many photographs are taken of a board in one pose."""
+    return 1 + lasers if separate_stripes or lasers > 1 else 1
 
 
 def describe(result: dict[str, Any]) -> str:
@@ -113,7 +129,8 @@ def describe(result: dict[str, Any]) -> str:
     out = result["path"]
     return (
         f"{result['photographs']} photographs of boards and of a {result['object']}, "
-        f"{result['true_points']} true points: {out}/session, {out}/scan, {out}/truth\n"
+        f"{result['true_points']} true points: "
+        f"{', '.join(f'{out}/{folder}' for folder in ('session', *result['scans'], 'truth'))}\n"
         f"next: jaxscan calibrate {out}/session -o {out}/rig.json"
     )
 

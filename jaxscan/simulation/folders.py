@@ -1,12 +1,13 @@
 """Sessions and scans of a simulated rig as folders, with the truth beside them.
 
-The truth is three files:
+The truth is three kinds of files:
 
 - `rig.json`: the true rig, in the format of any rig.
 - `session.json`: `seed`; `boards`, T_cam_board of every view, and `stage`, that of the board on the stage at step 0, as
   rotation vector (radians) and translation (mm); `stage_steps`.
-- `scan.npz`: `steps` (frames); `position` (frames, columns), the row in which an ideal camera sees the middle of the
-  sheet; `points` (frames, columns, 3), that point in the object frame, mm; NaN where there is none.
+- `scan.npz`, or `scan-NAME.npz` for each of several lasers: `steps` (frames); `position` (frames, columns), the row in
+  which an ideal camera sees the middle of the sheet; `points` (frames, columns, 3), that point in the object frame, mm;
+  NaN where there is none.
 """
 
 import json
@@ -35,7 +36,6 @@ from jaxscan.simulation.scene import Scene
 
 TRUE_RIG: Final = "rig.json"
 TRUE_SESSION: Final = "session.json"
-TRUE_SCAN: Final = "scan.npz"
 
 # Second number of the seed: photographs of different kinds share no noise.
 _BOARD_NOISE, _STAGE_NOISE, _SCAN_NOISE, _STRIPE_NOISE = range(4)
@@ -70,11 +70,13 @@ class ScanTruth:
         steps: motor step count of every frame.
         position: row in which an ideal camera sees the middle of the sheet, NaN for none, px.
         points: that point in the object frame, mm.
+        laser: the name of the laser that was on.
     """
 
     steps: Int[np.ndarray, "frames"]
     position: Float[np.ndarray, "frames columns"]
     points: Float[np.ndarray, "frames columns 3"]
+    laser: str = ""
 
 
 def simulate_session(
@@ -147,6 +149,7 @@ def simulate_scan(
     scene: Scene,
     seed: int = 0,
     *,
+    laser: int = 0,
     name: str = "",
     frames: int = SCAN_FRAMES,
     steps_apart: int = STEPS_APART,
@@ -159,9 +162,10 @@ def simulate_scan(
 
     Args:
         folder: is made if it is not there.
-        rig: the true rig; its first laser is on.
+        rig: the true rig.
         scene: as it stands at motor step 0.
         seed: of the noise.
+        laser: which of the rig's lasers is on (an index).
         name: of the object.
         frames: how many, the first at step 0.
         steps_apart: motor steps from one to the next.
@@ -178,20 +182,25 @@ def simulate_scan(
     steps = tuple(steps_apart * i for i in range(frames))
     paths, profiles = [], []
     for i, n in enumerate(steps):
-        seeds = (2003, seed, _SCAN_NOISE, i)
-        image = render(rig, scene, steps=n, laser=0, lighting=lighting, sensor=sensor, seed=seeds)
+        seeds = (2003, seed, _SCAN_NOISE, i, *([laser] if laser else []))
+        image = render(rig, scene, steps=n, laser=laser, lighting=lighting, sensor=sensor, seed=seeds)
         paths.append(folder / "frames" / f"{i:03d}{ending}")
         write_image(paths[-1], image)
-        profiles.append(true_profile(rig, scene, n, lighting=lighting))
+        profiles.append(true_profile(rig, scene, n, laser=laser, lighting=lighting))
         advance(1)
-    settings = StripeSettings(name=rig.lasers[0].name)
+    settings = StripeSettings(name=rig.lasers[laser].name)
     write_scan(Scan(folder / SCAN_FILE, settings, frames=tuple(paths), steps=steps, name=name))
     positions, points = (np.stack([profile[k] for profile in profiles]) for k in (0, 1))
-    return ScanTruth(np.asarray(steps), positions, points)
+    return ScanTruth(np.asarray(steps), positions, points, settings.name)
 
 
-def write_truth(folder: Path, session: SessionTruth, scan: ScanTruth) -> None:
-    """Write the three files of the truth.
+def scan_name(laser: str) -> str:
+    """What the scan by a laser is called: `scan`, or `scan-NAME` for one of several lasers."""
+    return f"scan-{laser}" if laser else "scan"
+
+
+def write_truth(folder: Path, session: SessionTruth, *scans: ScanTruth) -> None:
+    """Write the files of the truth, those of each scan by the name of its laser.
 
     Raises:
         InputError: something cannot be written.
@@ -205,22 +214,23 @@ def write_truth(folder: Path, session: SessionTruth, scan: ScanTruth) -> None:
     }
     with replacing(folder / TRUE_SESSION, "w") as file:
         json.dump(values, file, indent=2)
-    with replacing(folder / TRUE_SCAN) as file:
-        np.savez(file, steps=scan.steps, position=scan.position, points=scan.points)
+    for scan in scans:
+        with replacing(folder / f"{scan_name(scan.laser)}.npz") as file:
+            np.savez(file, steps=scan.steps, position=scan.position, points=scan.points)
     write_rig(folder / TRUE_RIG, RigFile(session.rig))
 
 
-def read_scan_truth(folder: Path) -> ScanTruth:
-    """Read what `write_truth` wrote of the scan.
+def read_scan_truth(folder: Path, laser: str = "") -> ScanTruth:
+    """Read what `write_truth` wrote of the scan by a laser.
 
     Raises:
         InputError: there is no such file.
     """
-    path = folder / TRUE_SCAN
+    path = folder / f"{scan_name(laser)}.npz"
     if not path.is_file():
         raise InputError(f"{path}: there is no such file: name the folder truth of a simulation")
     with np.load(path) as arrays:
-        return ScanTruth(arrays["steps"], arrays["position"], arrays["points"])
+        return ScanTruth(arrays["steps"], arrays["position"], arrays["points"], laser)
 
 
 def _pose_values(pose: Pose, i: Any) -> dict[str, list[float]]:

@@ -4,7 +4,8 @@ Camera 640 × 480, f = (697.70833, 690.43328) px, c = (310.29604, 228.14934) px,
 ω = (0, −0.00494, 0.00303) 1/mm and stage 0.001 · unit(0.03, 0.92, −0.39) mm a step, both turned by 2° about a random
 axis; a sheet of σ 0.25 mm; 11 poses of a board of 9 × 6 inner corners of 16 mm, 310 to 380 mm away and tilted by up to
 0.6 rad about x and y, with the stripe across them; 31 photographs of that board on the stage, 2000 steps apart; a scan
-of 37 frames from step 0, 2000 steps apart.
+of 37 frames from step 0, 2000 steps apart. With two lasers the second shines from below onto the line of the platform
+where the first does.
 """
 
 from collections.abc import Sequence
@@ -42,6 +43,8 @@ _OMEGA = np.array([0.0, -0.00494, 0.00303])
 _TRAVEL = np.array([0.03, 0.92, -0.39])
 _MM_PER_STEP = 0.001
 _TURN = np.radians(2.0)
+# Makes the second sheet about as steep as the first, (0, 0.00494, 0.00268) 1/mm.
+_BEYOND_PLATFORM = 0.6
 
 _NEAREST, _FARTHEST, _TILT, _ROLL = 310.0, 380.0, 0.6, 0.15
 # How far the middle of a board may stand from the stripe and from the middle of the image, mm.
@@ -56,13 +59,26 @@ OBJECT_Y: Final = 37.0
 _PLATFORM_DEPTH = 350.0
 
 
-def simulated_rig(seed: int) -> Rig:
-    """The true rig: leaves NumPy float64."""
+def simulated_rig(seed: int, lasers: int = 1) -> Rig:
+    """The true rig: leaves NumPy float64.
+
+    Args:
+        seed: of the directions of sheet and travel.
+        lasers: 1, or 2: "upper", the one, and "lower", from the other side onto the same line of the platform.
+    """
     random = np.random.default_rng([2003, seed])
     omega, travel = _turned(_OMEGA, random), _turned(_TRAVEL / np.linalg.norm(_TRAVEL), random)
     with float64():
         camera = Camera.create(IMAGE_SIZE, np.asarray(_FOCAL), np.asarray(_PRINCIPAL), "radial1", np.asarray([_K1]))
-        return as_numpy(Rig(camera, (LightPlane.create(omega),), Stage.create(_MM_PER_STEP * travel)))
+        rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Stage.create(_MM_PER_STEP * travel)))
+        if lasers == 1:
+            return rig
+        R, origin = platform(rig)
+        beta = R[:, 2] / (R[:, 2] @ origin)
+        # The planes through the line where ω and β meet are a ω + (1 - a) β.
+        lower = beta + _BEYOND_PLATFORM * (beta - omega)
+        sheets = (LightPlane.create(omega, "upper"), LightPlane.create(lower, "lower"))
+        return as_numpy(Rig(camera, sheets, rig.stage))
 
 
 def board_poses(rig: Rig, seed: int, views: int = BOARD_VIEWS) -> Pose:

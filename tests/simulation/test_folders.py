@@ -11,8 +11,6 @@ from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.images import read_image
-from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import LightPlane, Rig
 from jaxscan.simulation import folders, rig_2003
 from jaxscan.simulation.shapes import sphere
 
@@ -56,14 +54,7 @@ def test_session_scan_and_truth(tmp_path: Path) -> None:
 
 
 def test_two_lasers_are_photographed_one_by_one(tmp_path: Path) -> None:
-    one = rig_2003.simulated_rig(0)
-    with float64():
-        planes = [
-            LightPlane.create(np.array(omega), name)
-            for omega, name in (([0.0, -0.00494, 0.00303], "upper"), ([0.0, 0.00494, 0.00303], "lower"))
-        ]
-        rig = Rig(one.camera, tuple(as_numpy(plane) for plane in planes), one.stage)
-    folders.simulate_session(tmp_path, 0, rig=rig)
+    folders.simulate_session(tmp_path, 0, rig=rig_2003.simulated_rig(0, lasers=2))
     session = read_session(tmp_path)
     assert [laser.name for laser in session.lasers] == ["upper", "lower"]
     assert session.views.stripes is not None
