@@ -19,6 +19,7 @@ SUITES = {
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",
+    "starts": "whether a calibration ends in the same minimum wherever it starts",
     "nist": "the 27 nonlinear regression problems of NIST through the same solver (needs JAXSCAN_DATA)",
     "gauge": "a step block, alone and with the boards, puts a light plane right: how other blocks read",
     "lasers": "two lasers on one camera, calibrated in one solve: do their clouds agree within σ?",

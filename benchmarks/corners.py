@@ -111,6 +111,11 @@ def accuracy(plain: list[Photograph], first_s: float) -> list[Metric]:
         Metric("corners.rms_u", u, "px", "lower", 0.012, slack=0.1),
         Metric("corners.rms_v", v, "px", "lower", 0.012, slack=0.1),
         Metric("corners.rms_over_cramer_rao", float(np.hypot(u, v) / _rms(bound) / 2**0.5), "", "lower", 2.0),
+        *(
+            []
+            if len(plain) < 2 * len(_PLAIN)
+            else [Metric("corners.together", _together(ours, len(plain)), "", "lower", 1.15)]
+        ),
         Metric("corners.left_out", float(np.isnan(ours.sigma).mean()), "", "lower", 0.0, floor=0.01),
         Metric("corners.corner_sub_pix_rms", _rms(usual), "px"),
         Metric("corners.corner_sub_pix_wide_window_rms", _rms(wide), "px"),
@@ -118,6 +123,13 @@ def accuracy(plain: list[Photograph], first_s: float) -> list[Metric]:
         Metric("corners.first_photographs", first_s, "s"),
         *_sure("corners", ours),
     ]
+
+
+def _together(errors: Errors, photographs: int) -> float:
+    """The mean error of a photograph's corners over what it is if each errs by itself, RMS: 1 if none move together."""
+    each = errors.pixels.reshape(photographs, -1, 2)
+    own = np.nanmean(each, axis=1) * np.sqrt(np.isfinite(each).sum(axis=1))
+    return float(np.sqrt((own**2).mean() / np.nanmean(each**2)))
 
 
 def variations(seeds: int, quick: bool) -> list[Metric]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.core
@@ -21,6 +22,7 @@ from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import Refined, refine
+from jaxscan.calibration.second_poses import better_poses
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import BoardWarp, Camera, LightPlane, Rig, Stage
@@ -98,15 +100,11 @@ def calibrate(
         groups = (views, stage_blocks(usable)) if usable.stages else (views,)
         free = _free(rig, warp, held, ("camera",))
         poses = (first_poses(camera, views), *(far_away(len(group.steps)) for group in groups[1:]))
-        refined = refine(
-            Estimate((rig, warp), poses),
-            free,
-            _corners_of_views(groups),
-            noise,
-            board_points,
-            reject=judge,
-            weigh=reject,
-        )
+        corners = _corners_of_views(groups)
+        rounds = partial(refine, board_points=board_points, reject=judge, weigh=reject)
+        refined = rounds(Estimate((rig, warp), poses), free, corners, noise)
+        if judge and (elsewhere := better_poses(refined.estimate, corners, refined.noise)) is not None:
+            refined = rounds(elsewhere, free, corners, refined.noise)
         _check(refined, usable, free)
 
         if usable.lasers or usable.stages:
@@ -118,15 +116,7 @@ def calibrate(
             rig = Rig(camera, _first_light_planes(usable, camera, view_poses), stage)
             groups = (view_blocks(usable), *groups[1:])
             free = _free(rig, None, held, ("camera", "laser", "stage"))
-            refined = refine(
-                Estimate((rig, None), (view_poses, *stage_poses)),
-                free,
-                groups,
-                refined.noise,
-                board_points,
-                reject=judge,
-                weigh=reject,
-            )
+            refined = rounds(Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise)
             _check(refined, usable, free)
         result = assemble(refined, free, usable, held, left_out)
     kept = iter(result.kept)

@@ -85,6 +85,7 @@ class Saddles(NamedTuple):
         share: part of the window's weight that is on the photograph and was kept.
         unrest: how far the last step still went, px.
         correlation: τ, how much more the residuals weigh because they hang together.
+        by_bends: ∂(u, v) / ∂κ of the two edges, px².
     """
 
     pixels: Vectors
@@ -95,6 +96,7 @@ class Saddles(NamedTuple):
     share: Scalars
     unrest: Scalars
     correlation: Scalars
+    by_bends: Float[np.ndarray, "corners 2 2"]
 
 
 class _Patches(NamedTuple):
@@ -120,7 +122,7 @@ def fit_saddles(
     image: np.ndarray,
     starts: Vectors,
     edges: tuple[Vectors, Vectors],
-    bends: tuple[Scalars, Scalars],
+    bends: Vectors,
     reach: float,
     clear: Scalars,
     largest_px: float,
@@ -160,10 +162,10 @@ def fit_saddles(
         to_lattice=pad(np.linalg.inv(lattice) * sine[:, :, None]),
         reach=pad(reach_px * sine),
         clear=pad(np.stack([clear, clear], axis=1)),
-        bends=pad(np.stack(bends, axis=1)),
+        bends=pad(bends),
         scale=pad(reach_px.mean(axis=1)),
     )
-    (shape, light, moved), variance, residual, share, correlation = jax.tree.map(
+    (shape, light, moved), variance, residual, share, correlation, by_bends = jax.tree.map(
         lambda x: np.asarray(x, np.float64)[: len(starts)],
         _fit(patches, pad(shape), jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32), 2 * half + 1),
     )
@@ -178,6 +180,7 @@ def fit_saddles(
         share=share,
         unrest=moved,
         correlation=correlation,
+        by_bends=by_bends,
     )
 
 
@@ -201,7 +204,7 @@ def _windows(
 
 
 @partial(jax.jit, static_argnames="side")
-def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tuple[_State, Array, Array, Array, Array]:
+def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tuple[_State, *tuple[Array, ...]]:
     """All corners at once, in three phases: least squares, robust, and least squares on the pixels that are kept."""
     n = len(shape)
 
@@ -240,16 +243,23 @@ def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tupl
     normal = (jacobian * weights[:, None]) @ jacobian.mT
     # The inverse's diagonal in units of the parameters' own, which rounding needs.
     unit = jax.lax.rsqrt(jnp.einsum("nii->ni", normal) + _TINY)
-    inverse = jnp.linalg.inv(normal * unit[:, :, None] * unit[:, None, :])
-    variance = jnp.einsum("nii->ni", inverse)[:, :2] * unit[:, :2] ** 2
+    inverse = jnp.linalg.inv(normal * unit[:, :, None] * unit[:, None, :]) * unit[:, :, None] * unit[:, None, :]
+    variance = jnp.einsum("nii->ni", inverse)[:, :2]
+    # How far a residual of one level at each pixel would move the corner.
+    pull = inverse[:, :2] @ (jacobian * weights[:, None])
+
+    def by_bends(patch: _Patches, shape: Array, light: Array) -> Array:
+        return jax.jacfwd(lambda bends: _evaluate(patch._replace(bends=bends), shape, light, u, v)[0])(patch.bends)
+
+    moved_by_bends = pull @ jax.vmap(by_bends)(patches, state.shape, state.light)
     freedom = total - _PARAMETERS
     residual = jnp.sqrt((weights * residuals**2).sum(1) / jnp.where(freedom > 1, freedom, jnp.nan))
     # What each pixel's residual contributes to the corner's error.
-    influence = (inverse * unit[:, :, None] * unit[:, None, :])[:, :2] @ (jacobian * (weights * residuals)[:, None])
-    square = influence.reshape(n, 2, side, side)
+    square = (pull * residuals[:, None]).reshape(n, 2, side, side)
     sums = _over_neighbours(jnp.add, square, 2)
     correlation = (sums**2).sum((1, 2, 3)) / (25 * (square**2).sum((1, 2, 3)))
-    return state, jnp.where(variance > 0, variance, jnp.nan), residual, total / window.sum(1), correlation
+    known = jnp.where(variance > 0, variance, jnp.nan)
+    return state, known, residual, total / window.sum(1), correlation, moved_by_bends
 
 
 def _over_neighbours(combine: Callable[[Array, Array], Array], x: Array, reach: int) -> Array:

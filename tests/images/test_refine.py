@@ -39,7 +39,7 @@ def fit(image, centre, angles, *, start=(0.0, 0.0), bend=0.0, square=30.0, dtype
         np.rint(image).clip(0, np.iinfo(dtype).max).astype(dtype),
         centre[None] + start,
         (square * direction(angles[0]), square * direction(angles[1])),
-        (np.array([bend]), np.zeros(1)),
+        np.array([[bend, 0.0]]),
         0.45,
         np.array([square]),
         12.0,
@@ -70,9 +70,12 @@ def test_predicted_sigma_is_the_spread_of_the_errors():
 def test_a_known_bend_does_not_pull_the_corner():
     centre, angles, bend = np.array([20.1, 20.3]), (0.1, 1.6), 0.004
     image = 100 * saddle_image(centre, angles, 1.0, bend)
-    known, ignored = (np.linalg.norm(fit(image, centre, angles, bend=k).pixels[0] - centre) for k in (bend, 0.0))
+    found = [fit(image, centre, angles, bend=k) for k in (bend, 0.0)]
+    known, ignored = (np.linalg.norm(each.pixels[0] - centre) for each in found)
     assert known < 0.01
     assert ignored > 0.04
+    predicted = found[1].pixels[0] + found[1].by_bends[0] @ [bend, 0.0]
+    np.testing.assert_allclose(predicted, found[0].pixels[0], atol=0.03 * ignored)
 
 
 def test_neither_the_cameras_curve_nor_its_limit_moves_the_corner():
