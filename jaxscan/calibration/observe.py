@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.calibration.observations import Observations, StageSequence, StripePoints, View
+from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.session import Session, StageImages
 from jaxscan.files.settings import relative_name
@@ -43,12 +44,15 @@ def _view(photograph: _Photograph, found: BoardView, usual_sigma: float) -> View
     return View(photograph.name, found.corners, weights, photograph.stripes)
 
 
-def observe(session: Session, advance: Callable[[int], object] = lambda by: None) -> Observations:
+def observe(
+    session: Session, advance: Callable[[int], object] = lambda by: None, detector: Detector = DEFAULT
+) -> Observations:
     """Find corners and stripes in every photograph of a session.
 
     Args:
         session: what `read_session` returns.
         advance: called with 1 after each photograph, `photograph_count` times in all.
+        detector: how the stripe's centre is measured.
 
     Raises:
         InputError: a photograph that cannot be read, or a board that is found in none of them.
@@ -61,7 +65,7 @@ def observe(session: Session, advance: Callable[[int], object] = lambda by: None
 
     def view(index: int) -> _Photograph:
         path = session.views.boards[index]
-        return _Photograph(name(path), *_look(path, session, index))
+        return _Photograph(name(path), *_look(path, session, index, detector))
 
     def along(path: Path) -> _Photograph:
         image = read_image(path)
@@ -122,7 +126,9 @@ def _usual_sigma(found: Sequence[BoardView]) -> float:
     return float(np.median(np.concatenate(known))) if known else 1.0
 
 
-def _look(path: Path, session: Session, index: int) -> tuple[BoardView | None, tuple[StripePoints, ...], bool]:
+def _look(
+    path: Path, session: Session, index: int, detector: Detector
+) -> tuple[BoardView | None, tuple[StripePoints, ...], bool]:
     """Corners and stripes of one pose, these from photographs of their own if any; is there a second board?"""
     image = read_image(path)
     found = find_board(session.board, image)
@@ -137,7 +143,7 @@ def _look(path: Path, session: Session, index: int) -> tuple[BoardView | None, t
                 continue
             lit = read_image(own)
         with said_of(path):
-            stripes.append(stripe_points(lit, laser, i))
+            stripes.append(stripe_points(lit, laser, i, detector))
     return found, tuple(stripes), _second(session.board, image, found)
 
 
@@ -145,9 +151,11 @@ def _second(board: Board, image: np.ndarray, found: BoardView | None) -> bool:
     return found is not None and second_board(board, image, found.corners)
 
 
-def stripe_points(image: np.ndarray, settings: StripeSettings, laser: int) -> StripePoints:
+def stripe_points(
+    image: np.ndarray, settings: StripeSettings, laser: int, detector: Detector = DEFAULT
+) -> StripePoints:
     """The stripe of one photograph as pixels (u, v); NaN where there is none."""
-    stripe = detect_stripe(image, settings)
+    stripe = detect_stripe(image, settings, detector=detector)
     position = np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).astype(np.float64).ravel()
     index = np.where(np.isfinite(position), np.arange(position.size), np.nan)
     pixels = np.stack([index, position] if settings.columns else [position, index], axis=-1)

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.cli.detector_options import add_detector_argument
+from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="look for what a small RMS hides, and write DIR/report.html and DIR/report.json",
     )
+    add_detector_argument(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -72,7 +75,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         _make_folder(args.report)
         for page in pages:
             check_writable(page)
-    calibration = calibrate_session(args.session, args.output, args.camera, args.camera_name, args.hold_camera)
+    calibration = calibrate_session(
+        args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector
+    )
     verdict = write_report(calibration, *pages) if pages else None
     from jaxscan.cli.facts import rig_facts
 
@@ -85,18 +90,27 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def calibrate_session(
-    paths: Sequence[Path], output: Path, camera: Path | None = None, name: str | None = None, hold: bool = False
+    paths: Sequence[Path],
+    output: Path,
+    camera: Path | None = None,
+    name: str | None = None,
+    hold: bool = False,
+    detector: Detector = DEFAULT,
 ) -> "Calibration":
     """Calibrate as `solve_sessions`, and write the rig to `output`."""
     from jaxscan.files.rig_file import write_rig
 
-    calibration = solve_sessions(paths, camera, name, hold)
+    calibration = solve_sessions(paths, camera, name, hold, detector)
     write_rig(output, calibration.rig_file())
     return calibration
 
 
 def solve_sessions(
-    paths: Sequence[Path], camera: Path | None = None, name: str | None = None, hold: bool = False
+    paths: Sequence[Path],
+    camera: Path | None = None,
+    name: str | None = None,
+    hold: bool = False,
+    detector: Detector = DEFAULT,
 ) -> "Calibration":
     """Calibrate with progress bars.
 
@@ -105,6 +119,7 @@ def solve_sessions(
         camera: a file with a camera to start from.
         name: which camera of that file.
         hold: whether that camera is kept as it is.
+        detector: how the stripe's centre is measured.
     """
     from jaxscan.cli.compiled import keep_compiled
 
@@ -134,7 +149,7 @@ def solve_sessions(
     photographs = sum(photograph_count(content) for content in contents if isinstance(content, Session))
     with progress("finding boards and stripes", photographs) as advance:
         each = [
-            observe(content, advance) if isinstance(content, Session) else observations_from(content, path)
+            observe(content, advance, detector) if isinstance(content, Session) else observations_from(content, path)
             for content, path in zip(contents, paths, strict=True)
         ]
     observations = join(_names(paths), each) if len(each) > 1 else each[0]

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from jaxscan.cli.camera_options import add_camera_arguments
+from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
 from jaxscan.cli.words import in_words
 from jaxscan.errors import InputError
 from jaxscan.files.formats import ENDINGS
@@ -32,6 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw the stripe over the scan's photograph N, or corners and stripe over the session's view N "
         "(default: a file named after both, here)",
     )
+    add_detector_argument(parser)
+    add_choice_argument(parser)
     add_camera_arguments(parser)
 
 
@@ -60,7 +63,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         frame = args.frame or 0
         out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.absolute().parent.name}-{frame}.png")
         draw = picture.draw_view if kind == "session" else picture.draw_frame
-        result["picture"] = draw(path, frame, out)
+        result["picture"] = draw(path, frame, out, args.detector, args.stripe)
     return result
 
 

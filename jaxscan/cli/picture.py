@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.atomic import check_writable
+from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.scan import Scan, read_scan
 from jaxscan.files.session import Session, read_session
@@ -16,7 +17,9 @@ from jaxscan.images.decode import Image
 from jaxscan.images.overlay import draw_board, draw_stripe
 
 
-def draw_frame(path: Path, index: int, out: Path) -> dict[str, Any]:
+def draw_frame(
+    path: Path, index: int, out: Path, detector: Detector = DEFAULT, choice: Choice = "strongest"
+) -> dict[str, Any]:
     """Draw the stripe over frame `index` of a scan.
 
     Raises:
@@ -25,12 +28,14 @@ def draw_frame(path: Path, index: int, out: Path) -> dict[str, Any]:
     scan = read_scan(path)
     _spare(out, [*scan.frames, *scan.backgrounds])
     image, background = _frame(scan, index)
-    position = _stripe(scan.path, image, scan.laser, background)
+    position = _stripe(scan.path, image, scan.laser, background, detector, choice)
     write_image(out, draw_stripe(image, position, scan.laser.columns))
     return {"path": str(out), **_found(position, scan.laser)}
 
 
-def draw_view(path: Path, index: int, out: Path) -> dict[str, Any]:
+def draw_view(
+    path: Path, index: int, out: Path, detector: Detector = DEFAULT, choice: Choice = "strongest"
+) -> dict[str, Any]:
     """Draw the corners, and the stripe of each laser, over view `index` of a session.
 
     Raises:
@@ -47,7 +52,7 @@ def draw_view(path: Path, index: int, out: Path) -> dict[str, Any]:
     for laser in session.lasers:
         lit = _lit(session, laser, index, photograph)
         if lit is not None:
-            position = _stripe(session.path, lit, laser, None)
+            position = _stripe(session.path, lit, laser, None, detector, choice)
             picture = draw_stripe(picture, position, laser.columns)
             lasers.append({"name": laser.name, **_found(position, laser)})
     write_image(out, picture)
@@ -76,9 +81,11 @@ def _lit(session: Session, laser: StripeSettings, index: int, photograph: Image)
     return None if path is None else read_image(path)
 
 
-def _stripe(path: Path, image: Image, laser: StripeSettings, background: Image | None) -> Float[np.ndarray, "lines"]:
+def _stripe(
+    path: Path, image: Image, laser: StripeSettings, background: Image | None, detector: Detector, choice: Choice
+) -> Float[np.ndarray, "lines"]:
     with said_of(path):
-        stripe = detect_stripe(image, laser, background)
+        stripe = detect_stripe(image, laser, background, detector=detector, choice=choice)
     return np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).ravel()
 
 

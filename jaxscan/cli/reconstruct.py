@@ -4,6 +4,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
+from jaxscan.detectors import DEFAULT, Choice, Detector
+
 if TYPE_CHECKING:
     from jaxscan.reconstruction import RangeImage
 
@@ -24,6 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="POINTS",
         help="what to write: .ply (points) or .npz (the organised range image); may be given more than once",
     )
+    add_detector_argument(parser)
+    add_choice_argument(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -36,7 +41,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     for path in args.output:
         check_writable(path)
-    image = reconstruct_scan(args.scan, args.rig, args.output)
+    image = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe)
     return {
         "kind": "points",
         "path": [str(path) for path in args.output],
@@ -46,7 +51,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def reconstruct_scan(scan: Path, rig: Path, outputs: list[Path]) -> "RangeImage":
+def reconstruct_scan(
+    scan: Path, rig: Path, outputs: list[Path], detector: Detector = DEFAULT, choice: Choice = "strongest"
+) -> "RangeImage":
     """Reconstruct with a progress bar, and write the points to each output."""
     from jaxscan.cli.compiled import keep_compiled
 
@@ -58,7 +65,7 @@ def reconstruct_scan(scan: Path, rig: Path, outputs: list[Path]) -> "RangeImage"
 
     calibrated, photographs = read_rig(rig), read_scan(scan)
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
-        image = reconstruct(calibrated, photographs, advance)
+        image = reconstruct(calibrated, photographs, advance, detector, choice)
     for path in outputs:
         write_points(path, image)
     return image

@@ -6,7 +6,7 @@ from jaxscan.images.find import BoardView, find_board
 from jaxscan.images.order import carry_order
 from jaxscan.images.overlay import draw_board, draw_stripe
 from jaxscan.images.second_board import second_board
-from jaxscan.images.stripe import Stripe, StripeSettings, detect_stripe
+from jaxscan.images.stripes.detect import Stripe, StripeSettings, detect_stripe
 
 __all__ = [
     "Board",

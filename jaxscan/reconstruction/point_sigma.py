@@ -70,14 +70,14 @@ def point_sigma(
     rig: Rig,
     laser: str,
     covariance: Covariance,
-    stripe_sigma_px: float,
+    stripe_sigma_px: float | Float[np.ndarray, "points"],
     pixels: Float[np.ndarray, "points 2"],
     steps: Float[np.ndarray, "points"],
     columns: bool,
 ) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
     """σ of each point along its ray, of rig and pixel together and of the pixel alone (mm).
 
-    The arguments are those of `point_covariance`.
+    The arguments are those of `point_covariance`; σ of the stripe may be one for each point.
     """
     with float64():
         of_rig, of_pixel = (

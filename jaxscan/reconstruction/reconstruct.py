@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.listing import common_size
 from jaxscan.files.rig_file import RigFile
@@ -24,13 +25,21 @@ from jaxscan.rig import Rig
 _BATCH = 16
 
 
-def reconstruct(rig: RigFile | Rig, scan: Scan, advance: Callable[[int], object] = lambda by: None) -> RangeImage:
+def reconstruct(
+    rig: RigFile | Rig,
+    scan: Scan,
+    advance: Callable[[int], object] = lambda by: None,
+    detector: Detector = DEFAULT,
+    choice: Choice = "strongest",
+) -> RangeImage:
     """Find the stripe in every frame and triangulate it.
 
     Args:
         rig: the rig, as `read_rig` gives it; with its covariance the points carry their σ.
         scan: as `read_scan` gives it.
         advance: called with the number of frames done, batch after batch.
+        detector: how the stripe's centre is measured.
+        choice: which stripe is taken where a line has several.
 
     Raises:
         InputError: the scan does not fit the rig, a photograph cannot be read, or there is no stripe in any frame.
@@ -39,19 +48,20 @@ def reconstruct(rig: RigFile | Rig, scan: Scan, advance: Callable[[int], object]
     _check(content.rig, scan)
     with said_of(scan.path):
         kernel = Kernel.create(content.rig, scan.laser.name)
-    positions, strengths, points, steps = [], [], [], []
+    positions, sigmas, strengths, points, steps = [], [], [], [], []
     for frames, backgrounds, counts in _batches(scan, content.rig.camera.image_size):
         with said_of(scan.path):
-            stripe = detect_stripe(frames, scan.laser, backgrounds)
+            stripe = detect_stripe(frames, scan.laser, backgrounds, detector=detector, choice=choice)
         position = np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).astype(np.float32)
         positions.append(position)
+        sigmas.append(np.asarray(stripe.sigma))
         strengths.append(np.asarray(stripe.strength))
         points.append(_triangulate(kernel, position, counts, scan.laser.columns))
         steps.append(counts)
         advance(len(frames))
     if not steps:
         raise InputError(f"{scan.path}: the scan has no frames")
-    image = _with_sigma(content, scan, *(np.concatenate(x) for x in (positions, strengths, points, steps)))
+    image = _with_sigma(content, scan, *(np.concatenate(x) for x in (positions, sigmas, strengths, points, steps)))
     if not np.isfinite(image.pixels).any():
         raise InputError(
             f"{scan.path}: no stripe was found in any of {len(image.steps)} frames: check [laser] color "
@@ -168,19 +178,26 @@ def _with_sigma(
     content: RigFile,
     scan: Scan,
     positions: Float[np.ndarray, "frames columns"],
+    sigmas: Float[np.ndarray, "frames columns"],
     strengths: Float[np.ndarray, "frames columns"],
     points: Float[np.ndarray, "frames columns 3"],
     steps: Int[np.ndarray, "frames"],
 ) -> RangeImage:
+    """The range image with each point's σ.
+
+    How large the errors of stripes are, the calibration has found from its residuals; how they differ from point to
+    point, the detector says.
+    """
     valid: Bool[np.ndarray, "frames columns"] = np.all(np.isfinite(points), axis=-1)
     sigma = np.full(valid.shape, np.nan, np.float32)
     sigma_pixel = sigma.copy()
     stripe_sigma = content.fit.get("stripe_sigma_px", content.fit.get("stripe_rms_px"))
     if content.covariance is not None and stripe_sigma is not None and valid.any():
         pixels = np.stack(_pixels(positions, scan.laser.columns), axis=-1)[valid.ravel()]
+        each = stripe_sigma * (sigmas[valid] / np.median(sigmas[valid])).astype(np.float64)
         count = np.broadcast_to(steps[:, None], valid.shape)[valid].astype(np.float64)
         sigma[valid], sigma_pixel[valid] = point_sigma(
-            content.rig, scan.laser.name, content.covariance, stripe_sigma, pixels, count, scan.laser.columns
+            content.rig, scan.laser.name, content.covariance, each, pixels, count, scan.laser.columns
         )
     return RangeImage(
         points=np.where(valid[..., None], points, np.float32(np.nan)),

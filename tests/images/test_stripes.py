@@ -196,10 +196,12 @@ def test_the_bare_bed_is_straight(data):
     stripe = detect_stripe(frames, StripeSettings("red", columns=False))
     assert np.asarray(stripe.valid).mean() > 0.99
     rows = np.arange(frames.shape[1])
+    rms = []
     for position in np.asarray(stripe.position, np.float64):
         seen = np.isfinite(position)
         line = np.polyval(np.polyfit(rows[seen], position[seen], 1), rows)
-        assert np.sqrt(np.mean((position - line)[seen] ** 2)) < 0.32
+        rms.append(np.sqrt(np.mean((position - line)[seen] ** 2)))
+    assert np.median(rms) < 0.28
 
 
 def test_every_frame_of_the_pyramid_gives_a_profile(data):

@@ -1,13 +1,15 @@
 """Where the laser stripe is: one position for each image column (or row), to a fraction of a pixel.
 
-`coarse` reduces the images to a peak for each block of rows and chooses among them; `measure` gathers a window about
-the peak and takes the centre of gravity there. They are compiled apart, for in one piece a compiler on a CPU computes
-each step again for every use of it in the next. Where the window was too narrow for the stripe, in few columns as a
-rule, these are measured again with a wide one.
+`coarse` reduces the images to a peak for each block of rows and chooses among them; `windows` gathers the pixels about
+the peak, `survey` learns from some of them what the sensor is like, and a detector measures the centre. They are
+compiled apart, for in one piece a compiler on a CPU computes each step again for every use of it in the next. Where
+the window was too narrow for the stripe, the stripe is burnt out or an edge runs along it, lines are measured again by
+themselves.
 
 There is a stripe where the peak stands above its background by so many times the frame's noise, with both its flanks.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,20 +19,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float32, Int
 
+from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError
-from jaxscan.images.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.decode import to_grey
-from jaxscan.images.measure import frame_noise, gather_windows, measure
-from jaxscan.images.response import CHANNELS, COLORS
+from jaxscan.images.stripes.candidates import candidates, choose
+from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
+from jaxscan.images.stripes.detectors import Measured, Model, measure
+from jaxscan.images.stripes.response import CHANNELS, COLORS
+from jaxscan.images.stripes.survey import survey
+from jaxscan.images.stripes.windows import gather_windows
 
 # Half windows, px: the wide one holds stripes up to some 60 px wide.
 _NARROW, _WIDE = 12, 40
 # Smoothed as it is, the greatest of a thousand rows of noise stands out by two or three σ.
-_LEAST_SIGNAL = 5.0
+_LEAST_SIGNAL = 4.5
 _LEAST_STRENGTH = 10.0
 # Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from every so many pixels.
 _AMBIENT_QUANTILE = 0.97
 _EVERY = 16
+# The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
+_MOSTLY_BURNT = 0.3
 # Columns measured again come in so many at a time, or a power of four more, so that few sizes are compiled.
 _LEAST_BUCKET = 256
 # A stripe point has so many others within so many lines to either side, off by no more than so much and a steep slope.
@@ -65,6 +73,7 @@ class Stripe(eqx.Module):
 
     Attributes:
         position: its centre, the row v of each column (the column u of each row), px; NaN where it is not valid.
+        sigma: the predicted standard deviation of the position, px; NaN where it is not valid.
         strength: its peak, smoothed over five pixels, above the local background: grey levels of 2 L − (M + N), L the
             laser's channel, or of the intensity.
         width: full width at half the height, px; NaN where it is not valid.
@@ -72,6 +81,7 @@ class Stripe(eqx.Module):
     """
 
     position: Float32[Array, "frames lines"]
+    sigma: Float32[Array, "frames lines"]
     strength: Float32[Array, "frames lines"]
     width: Float32[Array, "frames lines"]
     valid: Bool[Array, "frames lines"]
@@ -81,6 +91,9 @@ def detect_stripe(
     images: np.ndarray | Array,
     settings: StripeSettings,
     background: np.ndarray | Array | None = None,
+    *,
+    detector: Detector = DEFAULT,
+    choice: Choice = "strongest",
 ) -> Stripe:
     """Find the laser stripe in one photograph or in a batch of them.
 
@@ -88,6 +101,8 @@ def detect_stripe(
         images: (rows, columns) grey, (rows, columns, 3) RGB, or a batch of either with the frames first; 8 or 16 bits.
         settings: the laser's colour, and whether there is one point for each column or for each row.
         background: the scene with the laser off: one image for all frames, or one for each.
+        detector: how the centre is measured.
+        choice: which is taken where there are several in a line.
 
     Raises:
         InputError: shapes, depths or colour do not go together.
@@ -102,21 +117,50 @@ def detect_stripe(
     ambient = jnp.asarray(_ambient(np.asarray(frames), None if dark is None else np.asarray(dark), color))
     # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
     frames, dark = jax.device_put((frames, dark))
-    peak = choose_peaks(coarse_peaks(frames, dark, ambient, color, columns), length, columns)
+    peaks = coarse_peaks(frames, dark, ambient, color, columns)
+    if choice == "strongest":
+        peak = choose_peaks(peaks, length, columns)
+    else:
+        rows, strength = candidates(peaks, length, columns)
+        peak = jnp.asarray(choose(np.asarray(rows), np.asarray(strength), choice))
+    sensor = survey(frames, dark, ambient, peak, color, columns, narrow)
+
+    def look(at: Sequence[np.ndarray | Array], half: int, model: Model) -> Measured:
+        windows = gather_windows(frames, dark, sensor, *at, color, columns, half)
+        return measure(windows, sensor, at[0], detector, model)
+
+    def look_again(measured: Measured, which: Bool[np.ndarray, "frames lines"], half: int, model: Model) -> Measured:
+        places = np.nonzero(which)
+        if not places[0].size:
+            return measured
+        found = look(_padded(places[0], places[1], np.asarray(peak)[places]), half, model)
+        found = jax.tree.map(lambda x: np.asarray(x)[0, : places[0].size], found)
+        # Where there is no edge in the stripe, what was measured without one stands.
+        taken = found.whole if model == "torn" else np.ones_like(found.whole)
+        at = tuple(index[taken] for index in places)
+        return jax.tree.map(lambda old, new: _replaced(old, at, new[taken]), measured, found)
+
     frame, line = np.indices(peak.shape, np.int32)
-    windows, first = gather_windows(frames, dark, ambient, frame, line, peak, color, columns, narrow)
-    measured = measure(windows, first)
-    least = np.maximum(_LEAST_SIGNAL * np.asarray(frame_noise(windows)), _LEAST_STRENGTH)[:, None]
+    measured = look((frame, line, peak), narrow, "plain")
+    least = np.maximum(_LEAST_SIGNAL * np.asarray(sensor.ground), _LEAST_STRENGTH)[:, None]
     # A window inside a burnt-out stripe sees no background, but it sees one end of it.
-    again = np.nonzero(np.asarray(measured.cramped) & (np.asarray(measured.relief) > least))
-    if again[0].size and wide > narrow:
-        at = _padded(again[0], again[1], np.asarray(peak)[again])
-        better = measure(*gather_windows(frames, dark, ambient, *at, color, columns, wide))
-        measured = jax.tree.map(lambda old, new: _replaced(old, again, new), measured, better)
+    strong = np.asarray(measured.relief) > least
+    cramped = np.asarray(measured.cramped) & strong & (wide > narrow)
+    burnt = np.asarray(measured.burnt) & strong & ~cramped
+    if detector == "likelihood":
+        measured = look_again(measured, cramped, wide, "censored")
+        measured = look_again(measured, burnt, narrow, "censored")
+        # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.
+        halo = burnt | (burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
+        strained = np.asarray(measured.strained) & strong & ~cramped & ~halo
+        measured = look_again(measured, strained, narrow, "torn")
+    else:
+        measured = look_again(measured, cramped, wide, "plain")
     valid = np.asarray(measured.whole & (measured.strength > least))
     valid = valid & _in_a_line(np.where(valid, np.asarray(measured.position), np.nan))
     return Stripe(
         position=jnp.where(valid, measured.position, jnp.nan),
+        sigma=jnp.where(valid, measured.sigma, jnp.nan),
         strength=jnp.asarray(measured.strength),
         width=jnp.where(valid, measured.width, jnp.nan),
         valid=jnp.asarray(valid),
@@ -160,9 +204,9 @@ def _padded(
     return [np.resize(index, (1, bucket)).astype(np.int32) for index in (frame, line, peak)]
 
 
-def _replaced(old: Array, at: tuple[np.ndarray, ...], new: Array) -> np.ndarray:
+def _replaced(old: Array, at: tuple[np.ndarray, ...], new: np.ndarray) -> np.ndarray:
     values = np.array(old)
-    values[at] = np.asarray(new)[0, : at[0].size]
+    values[at] = new
     return values
 
 

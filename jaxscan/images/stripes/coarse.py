@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from jaxscan.images.response import Backgrounds, Images, split
+from jaxscan.images.stripes.response import Backgrounds, Images, channels, coarse_response
 
 # Five bits hold the place in a block.
 _BITS = 5
@@ -40,8 +40,7 @@ def coarse_peaks(
 
     Blocks run down the columns and come out as (frames, blocks, columns), or along the rows: (frames, rows, blocks).
     """
-    laser, others = split(images, background, color)
-    level = laser - jnp.minimum(others, ambient.astype(others.dtype)[:, None, None])
+    level = coarse_response(channels(images, background, color), ambient[:, None, None])
     axis = 1 if columns else 2
     length = level.shape[axis]
     block = block_size(length)
@@ -60,12 +59,11 @@ def _reduce_blocks(level: Int[Array, "frames rows columns"], block: int, axis: i
     return (split * 2**_BITS + place).max(axis + 1)
 
 
-@partial(jax.jit, static_argnames=("length", "columns"))
-def choose_peaks(peaks: Int[Array, "frames across down"], length: int, columns: bool) -> Int[Array, "frames lines"]:
-    """The row (or column) of the peak, for each column (or row): in the block that stands out most.
+def stand_out(peaks: Int[Array, "frames across down"], length: int, columns: bool) -> tuple[Array, Array]:
+    """How much each block stands out from its surroundings, and the row (or column) of its peak.
 
     A stripe is narrow and a glare is broad: half the level of the brighter of the surroundings is taken off. What lies
-    beyond the image's edge is taken to be as bright as the last block. Of equals the first is taken.
+    beyond the image's edge is taken to be as bright as the last block.
     """
     axis = 1 if columns else 2
     level = (peaks >> _BITS).astype(jnp.int32)
@@ -74,11 +72,21 @@ def choose_peaks(peaks: Int[Array, "frames across down"], length: int, columns: 
     far[axis] = (_SURROUNDINGS, _SURROUNDINGS)
     padded = jnp.pad(level, far, mode="edge")
     before, after = (jax.lax.slice_in_dim(padded, i, i + n, axis=axis) for i in (0, 2 * _SURROUNDINGS))
-    stands_out = 2 * level - jnp.maximum(before, after)
     starts = jnp.asarray(block_starts(length), jnp.int32).reshape(_along(axis, 3))
     row = starts + 2**_BITS - 1 - (peaks & (2**_BITS - 1)).astype(jnp.int32)
+    return 2 * level - jnp.maximum(before, after), row
+
+
+@partial(jax.jit, static_argnames=("length", "columns"))
+def choose_peaks(peaks: Int[Array, "frames across down"], length: int, columns: bool) -> Int[Array, "frames lines"]:
+    """The row (or column) of the peak, for each column (or row): in the block that stands out most.
+
+    Of equals the first is taken.
+    """
+    axis = 1 if columns else 2
+    score, row = stand_out(peaks, length, columns)
     # Two plain reductions: one that returns the place of a maximum is ten times slower.
-    return jnp.where(stands_out == stands_out.max(axis, keepdims=True), row, length).min(axis)
+    return jnp.where(score == score.max(axis, keepdims=True), row, length).min(axis)
 
 
 def _along(axis: int, rank: int) -> list[int]:

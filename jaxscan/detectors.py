@@ -1,0 +1,23 @@
+"""What detectors and rules are called, in words for a person; without JAX, so that help is quick."""
+
+from typing import Final, Literal
+
+Detector = Literal["likelihood", "gravity", "derivative", "ridge", "gaussian", "parabola", "threshold"]
+Choice = Literal["strongest", "first", "last", "continuous"]
+
+DETECTORS: Final[dict[Detector, str]] = {
+    "likelihood": "fit of the profile, burnt-out cores too; the most accurate",
+    "gravity": "centre of gravity",
+    "derivative": "zero crossing of the smoothed derivative; the fastest",
+    "ridge": "Steger's ridge, in each line",
+    "gaussian": "Gaussian through the greatest three",
+    "parabola": "parabola through the greatest three",
+    "threshold": "mean of what reaches a threshold, whole rows: the method of 2003, to compare with",
+}
+CHOICES: Final[dict[Choice, str]] = {
+    "strongest": "the one that stands out most",
+    "first": "the topmost (leftmost)",
+    "last": "the lowest (rightmost)",
+    "continuous": "those that go on from line to line, strong ones first",
+}
+DEFAULT: Final[Detector] = "likelihood"

@@ -1,0 +1,74 @@
+"""Several stripes in a column: reflections, or two lit surfaces. Candidates with strengths, and rules to choose by.
+
+A candidate is a block that stands out at least as much as either neighbour, and a quarter as much as the line's best:
+two stripes in neighbouring blocks, some 16 rows apart, count as one.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxscan.detectors import Choice
+from jaxscan.images.stripes.coarse import stand_out
+
+# How many candidates of a line are kept.
+_MOST = 4
+_LEAST_OF_BEST = 0.25
+# A step of so many pixels from one line to the next costs as much as the best candidate's strength; a jump, however
+# far, so many times as much: two jumps, there and back, do not pay for a reflection a few lines long.
+_STEP_PX, _JUMP = 12.0, 4.0
+
+
+@partial(jax.jit, static_argnames=("length", "columns"))
+def candidates(
+    peaks: Int[Array, "frames across down"], length: int, columns: bool
+) -> tuple[Int[Array, "frames lines most"], Float[Array, "frames lines most"]]:
+    """The rows (or columns) of each line's candidates and their strengths, the strongest first.
+
+    A strength is how much the candidate stands out, in parts of the line's best; 0 where there are fewer.
+    """
+    score, row = (jnp.moveaxis(x, 1 if columns else 2, 2) for x in stand_out(peaks, length, columns))
+    beyond = [(0, 0), (0, 0), (1, 1)]
+    around = jnp.pad(score, beyond, constant_values=jnp.iinfo(score.dtype).min)
+    best = score.max(2, keepdims=True)
+    stands = (score >= around[..., :-2]) & (score > around[..., 2:]) & (score > 0)
+    part = jnp.where(stands, score / jnp.maximum(best, 1), 0.0).astype(jnp.float32)
+    strength, at = jax.lax.top_k(jnp.where(part >= _LEAST_OF_BEST, part, 0.0), min(_MOST, score.shape[2]))
+    return jnp.take_along_axis(row, at, axis=2), strength
+
+
+def choose(
+    rows: Int[np.ndarray, "frames lines most"], strength: Float[np.ndarray, "frames lines most"], rule: Choice
+) -> Int[np.ndarray, "frames lines"]:
+    """One candidate of each line, by a rule of `CHOICES`."""
+    if rule == "strongest":
+        which = np.zeros(rows.shape[:2], np.int64)
+    elif rule == "continuous":
+        which = _continuous(rows, strength)
+    else:
+        far = np.iinfo(rows.dtype).max if rule == "first" else -1
+        at = np.where(strength > 0, rows, far)
+        which = at.argmin(axis=2) if rule == "first" else at.argmax(axis=2)
+    return np.take_along_axis(rows, which[..., None], axis=2)[..., 0]
+
+
+def _continuous(
+    rows: Int[np.ndarray, "frames lines most"], strength: Float[np.ndarray, "frames lines most"]
+) -> Int[np.ndarray, "frames lines"]:
+    """The sequence with the greatest sum of strengths less the cost of its steps, by dynamic programming."""
+    frames, lines, most = rows.shape
+    gain = np.where(strength > 0, strength, -1.0)
+    total, came_from = gain[:, 0], np.zeros((frames, lines, most), np.int64)
+    for i in range(1, lines):
+        step = np.abs(rows[:, i, :, None] - rows[:, i - 1, None, :]) / _STEP_PX
+        reached = total[:, None, :] - np.minimum(step, _JUMP)
+        came_from[:, i] = reached.argmax(axis=2)
+        total = gain[:, i] + reached.max(axis=2)
+    which = np.zeros((frames, lines), np.int64)
+    which[:, -1] = total.argmax(axis=1)
+    for i in range(lines - 1, 0, -1):
+        which[:, i - 1] = np.take_along_axis(came_from[:, i], which[:, i, None], axis=1)[:, 0]
+    return which

@@ -1,0 +1,95 @@
+"""The detectors, behind one interface: windows in; position, its σ, strength, width and validity of each line out."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Final, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxscan.detectors import Detector
+from jaxscan.images.stripes import classical
+from jaxscan.images.stripes.classical import Estimate
+from jaxscan.images.stripes.likelihood import likelihood
+from jaxscan.images.stripes.torn import torn
+from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bump, outline
+
+Model = Literal["plain", "censored", "torn"]
+
+_CLOSED: Final[dict[str, Callable[[Windows, Outline, Sensor], Estimate]]] = {
+    "gravity": classical.gravity,
+    "derivative": classical.derivative,
+    "ridge": classical.ridge,
+    "gaussian": classical.gaussian,
+    "parabola": classical.parabola,
+    "threshold": classical.threshold,
+}
+# Beyond so many pixels from the window's end an outline is free of it.
+_MARGIN = 5
+
+
+class Measured(eqx.Module):
+    """What the windows tell of the stripe, for each line.
+
+    Attributes:
+        position: the stripe's centre, rows (or columns).
+        sigma: its predicted standard deviation, px.
+        strength: its smoothed peak above the background, grey levels of the neutral response. Weights of a photograph
+            without texture let neutral light through, and a shining rim would be a stripe.
+        width: full width at half height, px.
+        relief: height of the peak above the lowest point of the window, whatever lies between.
+        whole: whether both its flanks are on the image and in the window, and a centre was found between them.
+        cramped: whether a wider window would tell more.
+        burnt: whether some pixel of the window is full.
+        strained: whether the pixels are off the detector's profile by more than noise; it may be torn.
+    """
+
+    position: Float[Array, "groups lines"]
+    sigma: Float[Array, "groups lines"]
+    strength: Float[Array, "groups lines"]
+    width: Float[Array, "groups lines"]
+    relief: Float[Array, "groups lines"]
+    whole: Bool[Array, "groups lines"]
+    cramped: Bool[Array, "groups lines"]
+    burnt: Bool[Array, "groups lines"]
+    strained: Bool[Array, "groups lines"]
+
+
+@partial(jax.jit, static_argnames=("detector", "model"))
+def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector, model: Model = "plain") -> Measured:
+    """The stripe in each window.
+
+    Args:
+        windows: as `gather_windows` gives them.
+        sensor: as `survey` gives it.
+        frame: of each window.
+        detector: which.
+        model: of the profile, for the likelihood fit.
+    """
+    r = windows.response
+    size = r.shape[1]
+    around, here = outline(r), sensor.of(frame)
+    strained = jnp.zeros_like(around.whole)
+    if model == "torn":
+        found = torn(windows, around, here)
+    elif detector == "likelihood":
+        found, strained = likelihood(windows, around, here, model == "censored")
+    else:
+        found = _CLOSED[detector](windows, around, here)
+    seen = bump(windows.neutral) if windows.neutral is not None else around
+    # Where a stripe is torn its centre may lie on the dark side, below half the height of what is seen.
+    between = (found.centre > around.start) & (found.centre < around.end) | (model == "torn")
+    whole = around.whole & found.found & between
+    return Measured(
+        position=windows.first.astype(r.dtype) + found.centre[:, 0],
+        sigma=found.sigma[:, 0],
+        strength=(seen.top - seen.floor)[:, 0],
+        width=found.width[:, 0],
+        relief=(around.top - r.min(1, keepdims=True))[:, 0],
+        whole=whole[:, 0],
+        cramped=((around.start < _MARGIN) | (around.end >= size - _MARGIN))[:, 0],
+        burnt=windows.full.any(1),
+        strained=strained[:, 0],
+    )

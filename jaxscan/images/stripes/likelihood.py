@@ -1,0 +1,260 @@
+"""The maximum-likelihood fit of a stripe's profile.
+
+A sheet of Gaussian cross-section, blurred by a lens and averaged over pixels of unit width, is seen in pixel k as
+
+    μ_k = b + A P_k,    P_k = √(π/2) s [erf(x₊ / √2) − erf(x₋ / √2)],    x± = (k ± ½ − c) / s
+
+with centre c, standard deviation s, height A and background b. The pixel reads y_k = μ_k + noise of variance
+v_k = read² + shot · A P_k, unless it is full: then all that is known is y_k ≥ z_k, and its likelihood is that of a
+censored datum, Φ(t_k) with t_k = (μ_k − z_k) / √v_k (J. Tobin 1958). With q = φ / Φ, the inverse Mills ratio, score
+and information of μ are
+
+    (y − μ) / v,  1 / v               q(t) / √v,  q (q + t) / v       of a full pixel
+
+and θ = (b, ln A, ln s, c) is refined by Newton's steps, with J = ∂μ / ∂θ, v as it stands, g and w these two,
+
+    (Jᵀ diag(w) J + Λ) Δθ = Jᵀ g − Λ (θ − θ₀)
+
+The weights Λ are those of a prior. That of s is what the other lines of the photograph say, that of A a factor of e²
+either way about the start: they decide what the pixels leave open, where the whole core is full. The last pivot of the
+Cholesky factor, c being last, is 1 / σ_c with the other three unknown.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxscan.images.stripes.classical import Estimate
+from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
+
+# Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
+_STEPS, _STEPS_CENSORED = 3, 8
+# The model holds about the stripe, not for what else is in the window: so many standard deviations, and pixels, beyond
+# where it falls to half its seen height. What lies further out holds 1 % of what is known of the centre.
+_REACH, _REACH_PX = 1.3, 2.0
+LN_HEIGHT_SPREAD = 2.0
+# The longest step: in c, of s; in the logarithms.
+_LONGEST = 0.7
+FWHM = 2.354820
+_HALF_MAXIMUM = 5.545177  # 8 ln 2
+_PIXEL_VARIANCE = 1 / 12
+_LEAST_S, _MOST_OVER = 0.35, 100.0
+# The fit's own scatter tells as much of its σ as so many degrees of freedom of the sensor's noise.
+_FREEDOM_OF_NOISE = 10.0
+# Pixels are strained that are off by this part of the peak, and by so many standard deviations.
+_USUAL_MISFIT, _STRAIN = 0.03, 1.5
+_ROOT_HALF, _ROOT_HALF_PI, _ROOT_2_OVER_PI = 0.70710678, 1.2533141, 0.79788456
+# Φ of less is 1e-9: there float32 has few digits of it left.
+_LEAST_T = -6.0
+_LEAST_PIVOT = 1e-12
+
+
+class Profile(NamedTuple):
+    """θ, for each line: b, ln A, ln s, c."""
+
+    background: Lines
+    ln_height: Lines
+    ln_s: Lines
+    centre: Lines
+
+
+class Fit(NamedTuple):
+    """A profile and what tells how well it is known.
+
+    Attributes:
+        profile: θ.
+        height: A P of each pixel.
+        jacobian: J of each pixel.
+        weight: w of each pixel; 0 of those beyond the model's reach.
+        residual: y − μ of each pixel, 0 of those that are full or beyond the model's reach.
+        used: which pixels are within it.
+        factor: the Cholesky factor, row by row.
+    """
+
+    profile: Profile
+    height: Pixels
+    jacobian: tuple[Pixels, ...]
+    weight: Pixels
+    residual: Pixels
+    used: Bool[Array, "groups window lines"]
+    factor: list[list[Lines]]
+
+
+def likelihood(
+    windows: Windows, outline: Outline, sensor: Sensor, censored: bool
+) -> tuple[Estimate, Bool[Array, "groups 1 lines"]]:
+    """The maximum-likelihood centre of each stripe, and which are strained: off the profile by more than noise.
+
+    σ is that of the fit, scaled by how the line's own residuals compare with the sensor's noise: a profile that is not
+    the model's is known less well.
+
+    Args:
+        windows: the response.
+        outline: where to start.
+        sensor: its noise.
+        censored: whether there are full pixels.
+    """
+    found = fit(windows, outline, sensor, censored)
+    free = found.used & ~windows.full if censored else found.used
+    squares = (found.residual**2 / sensor.variance(found.height)).sum(1, keepdims=True)
+    freedom = jnp.maximum(free.sum(1, keepdims=True) - len(Profile._fields), 0)
+    scatter = (_FREEDOM_OF_NOISE + squares) / (_FREEDOM_OF_NOISE + freedom)
+    sigma = jnp.sqrt(scatter) / found.factor[-1][-1]
+    profile = found.profile
+    s = jnp.exp(profile.ln_s)
+    within = (profile.centre > outline.start) & (profile.centre < outline.end)
+    # The shot noise is itself taken from residuals, so it is not asked here.
+    usual = sensor.read**2 + (_USUAL_MISFIT * (outline.top - outline.floor)) ** 2
+    squares = (jnp.where(free, found.residual, 0.0) ** 2).sum(1, keepdims=True)
+    strained = squares > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
+    return Estimate(profile.centre, sigma, FWHM * s, jnp.isfinite(sigma) & within), strained
+
+
+def fit(
+    windows: Windows,
+    outline: Outline,
+    sensor: Sensor,
+    censored: bool,
+    steps: int | None = None,
+    further_px: float = 0.0,
+) -> Fit:
+    """The profile that makes the pixels likeliest, after so many of Newton's steps, and so much further out."""
+    start = first_guess(windows, outline, sensor, censored)
+    mean = start._replace(ln_s=sensor.ln_s)
+    precision = Profile(*(jnp.zeros(()), jnp.asarray(LN_HEIGHT_SPREAD**-2), sensor.ln_s_spread**-2, jnp.zeros(())))
+    reach = outline.width / 2 + _REACH * jnp.exp(start.ln_s) + _REACH_PX + further_px
+    used = jnp.abs(places(windows.response.shape[1]) - start.centre) <= reach
+
+    def newton(step: int, profile: Profile) -> Profile:
+        height, jacobian = _pixels(profile, windows.response.shape[1])
+        seen = weigh(profile.background, height, windows, used, sensor, censored)
+        background, ln_height, ln_s, centre = solve(
+            factor(jacobian, seen.weight, precision), gradient(jacobian, seen.score, precision, profile, mean)
+        )
+        longest = _LONGEST * jnp.exp(profile.ln_s)
+        return Profile(
+            profile.background + background,
+            profile.ln_height + jnp.clip(ln_height, -2 * _LONGEST, 2 * _LONGEST),
+            profile.ln_s + jnp.clip(ln_s, -_LONGEST, _LONGEST),
+            profile.centre + jnp.clip(centre, -longest, longest),
+        )
+
+    if steps is None:
+        steps = _STEPS_CENSORED if censored else _STEPS
+    profile = jax.lax.fori_loop(0, steps, newton, start)
+    height, jacobian = _pixels(profile, windows.response.shape[1])
+    seen = weigh(profile.background, height, windows, used, sensor, censored)
+    return Fit(profile, height, jacobian, seen.weight, seen.residual, used, factor(jacobian, seen.weight, precision))
+
+
+def _pixels(profile: Profile, size: int) -> tuple[Pixels, tuple[Pixels, ...]]:
+    """A P and J of each pixel."""
+    A, s = jnp.exp(profile.ln_height), jnp.exp(profile.ln_s)
+    edge = jnp.arange(size + 1, dtype=jnp.float32)[None, :, None] - 0.5
+    x = (edge - profile.centre) / s
+    bell = jnp.exp(-0.5 * x * x)
+    below = jax.lax.erf(_ROOT_HALF * x)
+    P = _ROOT_HALF_PI * A * s * _between(below)
+    return P, (jnp.ones_like(P), P, P - A * s * _between(x * bell), -A * _between(bell))
+
+
+class Weighed(NamedTuple):
+    """What each pixel says of μ; 0 of those that are not used, and the residual of full ones too.
+
+    Attributes:
+        score: derivative of its log-likelihood by μ.
+        weight: its information.
+        residual: y − μ.
+    """
+
+    score: Pixels
+    weight: Pixels
+    residual: Pixels
+
+
+def weigh(
+    background: Lines,
+    height: Pixels,
+    windows: Windows,
+    used: Bool[Array, "groups window lines"],
+    sensor: Sensor,
+    censored: bool,
+) -> Weighed:
+    """Compare μ = background + height with the pixels."""
+    v = sensor.variance(height)
+    residual = windows.response - background - height
+    score, weight = residual / v, 1 / v
+    if censored:
+        t = jnp.maximum(-residual / jnp.sqrt(v), _LEAST_T)
+        q = _ROOT_2_OVER_PI * jnp.exp(-0.5 * t * t) / jax.lax.erfc(-_ROOT_HALF * t)
+        score = jnp.where(windows.full, q / jnp.sqrt(v), score)
+        weight = jnp.where(windows.full, q * (q + t) / v, weight)
+        residual = jnp.where(windows.full, 0.0, residual)
+    return Weighed(*(jnp.where(used, value, 0.0) for value in (score, weight, residual)))
+
+
+def _between(at_edges: Float[Array, "groups edges lines"]) -> Pixels:
+    return at_edges[:, 1:] - at_edges[:, :-1]
+
+
+def first_guess(windows: Windows, outline: Outline, sensor: Sensor, censored: bool) -> Profile:
+    """θ₀ from the outline: a Gaussian's width at two heights tells s and A.
+
+    Of a full stripe these are the width d₁ of its full core, at the height z, and d₂ at z / 2: d₂² − d₁² = 8 ln 2 s²,
+    which is taken only where the other lines do not tell s, and A = z e^(d₁² / 8 s²).
+    """
+    z = outline.top - outline.floor
+    s2 = outline.width**2 / _HALF_MAXIMUM
+    # What smoothing and pixel took from the peak.
+    A = z * jnp.sqrt(1 + 1 / s2)
+    if censored:
+        core2 = windows.full.sum(1, keepdims=True).astype(jnp.float32) ** 2
+        own = (outline.width**2 - core2) / _HALF_MAXIMUM
+        known = sensor.ln_s_spread < 1
+        burnt2 = jnp.where(known, jnp.exp(2 * sensor.ln_s), jnp.maximum(own, _LEAST_S**2))
+        burnt = core2 > 0
+        A = jnp.where(burnt, z * jnp.exp(jnp.minimum(core2 / (8 * burnt2), jnp.log(_MOST_OVER))), A)
+        s2 = jnp.where(burnt, burnt2 + _PIXEL_VARIANCE, s2)
+    s2 = jnp.maximum(s2 - _PIXEL_VARIANCE, _LEAST_S**2)
+    return Profile(outline.floor, jnp.log(jnp.maximum(A, 1.0)), 0.5 * jnp.log(s2), outline.middle)
+
+
+def gradient(
+    jacobian: Sequence[Pixels], score: Pixels, precision: Sequence[Array], now: Sequence[Array], usual: Sequence[Array]
+) -> list[Lines]:
+    """Jᵀ g − Λ (θ − θ₀)."""
+    return [
+        (J * score).sum(1, keepdims=True) - prior * (here - there)
+        for J, prior, here, there in zip(jacobian, precision, now, usual, strict=True)
+    ]
+
+
+def factor(jacobian: Sequence[Pixels], weight: Pixels, precision: Sequence[Array]) -> list[list[Lines]]:
+    """The Cholesky factor of Jᵀ diag(w) J + Λ."""
+    L: list[list[Lines]] = []
+    for i, J in enumerate(jacobian):
+        row: list[Lines] = []
+        for j in range(i):
+            rest = (J * jacobian[j] * weight).sum(1, keepdims=True) - _dot(row, L[j][:j])
+            row.append(rest / L[j][j])
+        pivot = (J * J * weight).sum(1, keepdims=True) + precision[i] - _dot(row, row)
+        L.append([*row, jnp.sqrt(jnp.maximum(pivot, _LEAST_PIVOT))])
+    return L
+
+
+def _dot(a: list[Lines], b: list[Lines]) -> Lines | float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def solve(L: list[list[Lines]], right: list[Lines]) -> list[Lines]:
+    """Substitution forwards, then backwards."""
+    y: list[Lines] = []
+    for i, value in enumerate(right):
+        y.append((value - _dot(L[i][:i], y)) / L[i][i])
+    x: list[Lines] = []
+    for i in reversed(range(len(y))):
+        x.insert(0, (y[i] - _dot([row[i] for row in L[i + 1 :]], x)) / L[i][i])
+    return x

@@ -1,0 +1,174 @@
+"""What a photograph tells of its sensor: its colours' weights, its noise, and where it is full.
+
+All of it is estimated from some of the windows about the coarse peaks, frame by frame, so that a frame's points do not
+depend on what else is in the batch.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxscan.images.stripes.likelihood import Fit, fit
+from jaxscan.images.stripes.response import CHANNELS, NEUTRAL, Backgrounds, Images, channel_weights, channels, response
+from jaxscan.images.stripes.windows import Outline, Pixels, Places, Sensor, Windows, gather_pixels, outline
+
+# Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
+_LINES, _GROUPS = 96, 8
+# Newton's steps: as far as the noise need be known.
+_STEPS = 5
+# Rows at each end of the window that tell the noise without laser.
+_FLANK = 5
+# Of a normal distribution: σ over its mean absolute deviation from the mean of five.
+_DEVIATION_TO_SIGMA = 1.2533 / (1 - 1 / _FLANK) ** 0.5
+# A pixel is full from its greatest number on, and what a JPEG makes of it.
+_FULL = 0.99
+# Numbers of 16 bits may come from a sensor of fewer.
+_DEPTHS = (10, 12, 14)
+# Rounding's own σ, grey levels: no noise is smaller.
+_ROUNDING = 12**-0.5
+# A stripe's tails are lower than this part of what is seen of its peak.
+_TAIL = 0.1
+# Up to this full width at half height the last five of 25 pixels are free of it: 2.5 px is 2.1 σ less than 8 px away.
+_CLEAR_WIDTH_PX = 5.0
+# A residual that the fit all but removes tells nothing of the noise.
+_LEAST_REDUNDANCY = 0.25
+# Chance, in standard deviations: the median of groups scatters 1.25 times as much as a mean.
+_CHANCE = 3.0
+_NORMAL_MAD = 1.4826
+# How far ln s of a line may be from that of the others: no less than this, and before anything is known a factor of e.
+_LEAST_SPREAD, _UNKNOWN = 0.1, 1.0
+
+
+def survey(
+    images: Images,
+    background: Backgrounds | None,
+    ambient: Int[Array, "frames"],
+    peak: Places,
+    color: str,
+    columns: bool,
+    half: int,
+) -> Sensor:
+    """Look at each frame's sensor.
+
+    Args:
+        images: the photographs.
+        background: the same with the laser off, one for all or one for each, or None.
+        ambient: c of the response.
+        peak: the coarse peak of every line.
+        color: of the laser, or grey.
+        columns: whether lines are columns.
+        half: half the window's length.
+    """
+    frames, lines = peak.shape
+    some = np.linspace(0, lines - 1, min(_LINES, lines)).astype(np.int32)
+    frame = np.broadcast_to(np.arange(frames, dtype=np.int32)[:, None], (frames, some.size))
+    line = np.broadcast_to(some, frame.shape)
+    at = (frame, line, peak[:, some], columns, half)
+    lit = gather_pixels(images, *at)
+    dark = None if background is None else gather_pixels(background, *at)
+    return _survey(lit, dark, ambient, color)
+
+
+@partial(jax.jit, static_argnames="color")
+def _survey(lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str) -> Sensor:
+    levels = channels(lit, dark, color)
+    laser = lit if color == "grey" else lit[..., CHANNELS[color][0]]
+    full = _full_number(laser)
+    burnt = laser >= full[:, None, None].astype(laser.dtype)
+    one = jnp.ones(len(lit), jnp.float32)
+    plain = response(levels, NEUTRAL, ambient[:, None, None])
+    weights = (one, one) if color == "grey" else _weights(levels, plain, burnt)
+    r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
+    span = full.astype(jnp.float32) * (1 if color == "grey" else 2)
+    rounding = _ROUNDING * (one if color == "grey" else jnp.sqrt(4 + weights[0] ** 2 + weights[1] ** 2))
+    ground = _ground(plain)
+    first = Sensor(
+        weights, ambient, full, span, ground, jnp.maximum(_ground(r), rounding), 0 * one, 0 * one, _UNKNOWN * one
+    )
+    around, here = outline(r), jax.tree.map(lambda x: x[:, None, None], first)
+    windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32))
+    found = fit(windows, around, here, censored=True, steps=_STEPS)
+    known = (around.whole & jnp.isfinite(found.factor[-1][-1]))[:, 0]
+    read, shot = _noise(found, windows, around, known, first)
+    ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
+    usual = jnp.nanmedian(ln_s, axis=1)
+    spread = jnp.maximum(_NORMAL_MAD * jnp.nanmedian(jnp.abs(ln_s - usual[:, None]), axis=1), _LEAST_SPREAD)
+    any_ = known.any(1)
+    return Sensor(
+        weights, ambient, full, span, ground, read, shot, jnp.where(any_, usual, 0.0), jnp.where(any_, spread, _UNKNOWN)
+    )
+
+
+def _full_number(laser: Int[Array, "frames window lines"]) -> Int[Array, "frames"]:
+    """From which number on a pixel is full: near the greatest that the sensor can have given."""
+    bits = jnp.iinfo(laser.dtype).bits
+    depths = jnp.asarray([2**b - 1 for b in (*(d for d in _DEPTHS if d < bits), bits)], jnp.int32)
+    top = laser.astype(jnp.int32).max((1, 2))
+    greatest = jnp.where(depths[None] >= top[:, None], depths[None], depths[-1]).min(1)
+    return jnp.floor(_FULL * greatest).astype(jnp.int32)
+
+
+def _weights(
+    levels: tuple[Array, ...], r: Float[Array, "frames window lines"], burnt: Array
+) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
+    around = outline(r)
+    k = jnp.arange(r.shape[1])[None, :, None]
+    beside = (k < _FLANK) | (k >= r.shape[1] - _FLANK)
+    core = (k > around.start) & (k < around.end) & around.whole & ~burnt
+    return channel_weights(levels, jnp.where(core, r - around.floor, 0.0), jnp.broadcast_to(beside, r.shape))
+
+
+def _ground(r: Float[Array, "frames window lines"]) -> Float[Array, "frames"]:
+    """What stands out without a laser: noise and texture (σ), from the ends of each frame's windows."""
+    flanks = jnp.stack([r[:, :_FLANK], r[:, -_FLANK:]])
+    deviation = jnp.abs(flanks - flanks.mean(-2, keepdims=True)).mean((0, -2))
+    return _DEVIATION_TO_SIGMA * jnp.median(deviation, axis=-1)
+
+
+def _noise(
+    found: Fit, windows: Windows, around: Outline, known: Bool[Array, "frames lines"], first: Sensor
+) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
+    """Read and shot noise, from what is left of the stripes when their profiles have been taken off.
+
+    A residual e has the expected square v (1 − h), v = read² + shot · A P, with h = w Jᵀ (Jᵀ W J)⁻¹ J its leverage.
+    Summed over the stripe's tails, where A P is small, and over its core, these are two equations; solved for groups of
+    lines, of which the median is taken, for where a stripe meets an edge its profile is no Gaussian. Where stripes are
+    so narrow that the ends of the windows are free of them, these tell `read` better.
+    """
+    rest = 1 - found.weight * _leverage(found.jacobian, found.factor)
+    free = (found.weight > 0) & ~windows.full & known[:, None] & (rest > _LEAST_REDUNDANCY)
+    tail = found.height < _TAIL * (around.top - around.floor)
+
+    def grouped(where: Array, values: Pixels) -> Float[Array, "frames groups"]:
+        each = jnp.where(free & where, values, 0.0).sum(1)
+        groups = min(_GROUPS, each.shape[1])
+        use = each.shape[1] // groups * groups
+        return each[:, :use].reshape(each.shape[0], groups, -1).sum(2)
+
+    def usual(above: Float[Array, "frames groups"], below: Float[Array, "frames groups"]) -> Float[Array, "frames"]:
+        return jnp.nanmedian(jnp.where(below > 0, above / jnp.where(below > 0, below, 1.0), jnp.nan), axis=1)
+
+    (e_tail, e_core), (n_tail, n_core), (p_tail, p_core) = (
+        [grouped(where, values) for where in (tail, ~tail)] for values in (found.residual**2, rest, rest * found.height)
+    )
+    read2 = usual(e_tail * p_core - e_core * p_tail, n_tail * p_core - n_core * p_tail)
+    clear = jnp.nanmedian(jnp.where(known, around.width[:, 0], jnp.nan), axis=1) < _CLEAR_WIDTH_PX
+    read2 = jnp.where(clear | ~(read2 > 0), first.read**2, jnp.minimum(read2, first.read**2))
+    # Steep flanks beside a full core say more of the model than of photons.
+    fair = ~windows.full.any(1, keepdims=True)
+    n, p, e = (grouped(fair, values) for values in (rest, rest * found.height, found.residual**2))
+    shot = usual(e - read2[:, None] * n, p)
+    # Drawn towards none where it is within what chance alone makes of so many residuals.
+    chance = _CHANCE**2 * 2 * read2**2 * n.sum(1) / jnp.maximum((shot * p.sum(1)) ** 2, jnp.finfo(jnp.float32).tiny)
+    return jnp.sqrt(read2), jnp.where((shot > 0) & (chance < 1), shot * (1 - chance), 0.0)
+
+
+def _leverage(jacobian: tuple[Pixels, ...], factor: list[list[Array]]) -> Pixels:
+    """Jᵀ (L Lᵀ)⁻¹ J of each pixel: the square of L⁻¹ J."""
+    y: list[Pixels] = []
+    for i, J in enumerate(jacobian):
+        y.append((J - sum(factor[i][m] * y[m] for m in range(i))) / factor[i][i])
+    return sum((value**2 for value in y), start=jnp.zeros_like(jacobian[0]))
