@@ -79,13 +79,26 @@ def point_sigma(
 
     The arguments are those of `point_covariance`; σ of the stripe may be one for each point.
     """
-    with float64():
-        of_rig, of_pixel = (
-            np.asarray(J)[:, 0] for J in _jacobians(as_float64(rig), laser, *_as_arrays(pixels, steps, columns), True)
-        )
+    of_rig, of_pixel = ray_jacobian(rig, laser, pixels, steps, columns)
     variance = np.einsum("pi,ij,pj->p", of_rig, covariance.of_leaves(rig), of_rig)
     pixel = np.abs(of_pixel) * stripe_sigma_px
     return np.sqrt(variance + pixel**2), pixel
+
+
+def ray_jacobian(
+    rig: Rig,
+    laser: str,
+    pixels: Float[np.ndarray, "points 2"],
+    steps: Float[np.ndarray, "points"],
+    columns: bool,
+) -> tuple[Float[np.ndarray, "points leaves"], Float[np.ndarray, "points"]]:
+    """How far each point moves along its ray with the rig's leaves, in their order, and with the stripe's position.
+
+    The arguments are those of `point_covariance`; mm for each unit of the parameters, mm for each pixel.
+    """
+    with float64():
+        of_rig, of_pixel = _jacobians(as_float64(rig), laser, *_as_arrays(pixels, steps, columns), True)
+        return np.asarray(of_rig)[:, 0], np.asarray(of_pixel)[:, 0]
 
 
 def _as_arrays(

@@ -29,6 +29,7 @@ class WorkingVolume:
 
     Attributes:
         laser: its name, "" for the only one.
+        columns: whether its stripe is found column by column.
         depths_mm: along the optical axis.
         positions_mm: along the sheet.
         sigma_mm: of a point along its ray, rig and pixel together.
@@ -38,6 +39,7 @@ class WorkingVolume:
     """
 
     laser: str
+    columns: bool
     depths_mm: Float[np.ndarray, "depths"]
     positions_mm: Float[np.ndarray, "positions"]
     sigma_mm: Float[np.ndarray, "depths positions"]
@@ -105,7 +107,7 @@ def working_volume(
         for words, stem in (("camera", "camera"), ("light plane", "laser"))
     }
     travelled = float(np.nanmedian(sigma(covariance, steps)[0])) if rig.stage is not None else None
-    return WorkingVolume(laser, depths, positions, total, pixel, known, travelled)
+    return WorkingVolume(laser, columns, depths, positions, total, pixel, known, travelled)
 
 
 def given(covariance: Covariance, stem: str) -> Covariance:
@@ -118,6 +120,13 @@ def given(covariance: Covariance, stem: str) -> Covariance:
     S = S - S[:, known] @ np.linalg.solve(S[np.ix_(known, known)], S[known])
     S[known] = S[:, known] = 0.0
     return Covariance(covariance.names, S * np.outer(scale, scale))
+
+
+def volume_pixels(rig: Rig, volume: WorkingVolume) -> tuple[Float[np.ndarray, "points 2"], Bool[np.ndarray, "points"]]:
+    """The pixel of each point of a working volume, in the order of its ravelled σ, and whether the camera sees it."""
+    omega = np.stack(rig.laser(volume.laser).plane).astype(np.float64)
+    pixels, seen = _seen(rig.camera, _sheet(omega, volume.depths_mm, volume.positions_mm))
+    return pixels.reshape(-1, 2), seen.ravel()
 
 
 def _sheet(

@@ -61,12 +61,18 @@ class Covariance:
 
     def of_projected(self, rig: Rig, points: Float[np.ndarray, "points 3"]) -> Float64[np.ndarray, "points 2 2"]:
         """The covariance of the pixels (u, v) at which the rig's camera sees points of its frame (mm), px²."""
-        with float64():
-            camera = as_float64(rig.camera)
-            J = np.asarray(_projection_jacobian(camera, jnp.asarray(points, jnp.float64)))
-        n = J.shape[2]
-        # The camera's leaves are the rig's first.
-        return J @ self.of_leaves(rig)[:n, :n] @ np.swapaxes(J, 1, 2)
+        J = projection_jacobian(rig, points)
+        return J @ self.of_leaves(rig) @ np.swapaxes(J, 1, 2)
+
+
+def projection_jacobian(rig: Rig, points: Float[np.ndarray, "points 3"]) -> Float64[np.ndarray, "points 2 leaves"]:
+    """How the pixels (u, v) at which the rig's camera sees points of its frame (mm) move with the rig's leaves."""
+    with float64():
+        of_camera = _projection_jacobian(as_float64(rig.camera), jnp.asarray(points, jnp.float64))
+    # The camera's leaves are the rig's first.
+    J = np.zeros((*of_camera.shape[:2], len(parameter_names(rig))))
+    J[..., : of_camera.shape[2]] = of_camera
+    return J
 
 
 @jax.jit
