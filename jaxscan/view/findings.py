@@ -10,7 +10,7 @@ from jaxscan.calibration.diagnostics import Diagnostics, Suspect
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.suspects import REJECTED
 from jaxscan.reconstruction.working_volume import WorkingVolume
-from jaxscan.rig import LENSES
+from jaxscan.view.model_findings import listed, model_findings
 from jaxscan.view.report import Box
 
 # A point, or a focal length, known no better than this share of itself is a reason to stop.
@@ -19,23 +19,8 @@ _RELATIVE = 0.01
 _FACTOR, _LARGE_FACTOR = 1.5, 4.0
 # A session whose millimetres are longer by this share, and by this many σ, has another pitch.
 _SCALE, _SCALE_SIGMA = 0.01, 5.0
-# A richer lens is worth a word when held-out corners are nearer by this share.
-_LENS_GAIN = 0.025
-# A mean residual of so many standard errors, and of this share of a corner's σ, is the lens's.
-_ERRORS, _SHARE = 5.0, 0.25
-# A stripe that bends by so many times what noise gives, and by so many times its noise, is on a bent plate.
-_BEND, _BEND_NOISE = 3.0, 4.0
-# A stripe that lies beside the plane by so many times its own noise and by so many times what the others do.
-_OFFSET_NOISE, _OFFSET_OTHERS = 4.0, 3.0
 # Photographs are named as worse than the others when their RMS is so many times the median.
 _WORSE = 1.5
-_NAMED = 5
-# Of normal residuals 0.27 % lie beyond 3 σ.
-_BEYOND_3 = 0.015
-# Mean square of the stage's errors in σ.
-_STAGE = 4.0
-# Share of all corners or stripe points that were rejected.
-_REJECTED = 0.05
 _TILT_SPREAD_DEG, _IMAGE_SHARE, _REACH = 30.0, 0.5, 0.6
 _STRIPE_VIEWS, _DEPTH_RATIO, _STAGE_IMAGES = 4, 1.15, 5
 
@@ -44,14 +29,8 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     """Everything that is wrong or weak, the worst first; empty where nothing is."""
     boxes = [*map(_suspect, diagnostics.suspects), *_sessions(diagnostics), *_notes(calibration)]
     boxes += _imprecise(calibration, diagnostics.sigma_factor, volumes)
-    boxes += [*_halves(diagnostics), *_lens(diagnostics), *_camera_model(calibration, diagnostics)]
-    boxes += [
-        *_bent(diagnostics),
-        *_worse(diagnostics),
-        *_stage(diagnostics),
-        *_tails(calibration, diagnostics),
-        *_thin(diagnostics),
-    ]
+    boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics), *_worse(diagnostics)]
+    boxes += _thin(diagnostics)
     return tuple(sorted(boxes, key=lambda box: ("stop", "care", "good").index(box.level)))
 
 
@@ -173,109 +152,6 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
     ]
 
 
-def _lens(diagnostics: Diagnostics) -> list[Box]:
-    tried, names = diagnostics.ladder, list(LENSES)
-    if tried is None:
-        return []
-    by_name = {rung.lens: rung for rung in tried.rungs}
-    chosen, supported = by_name[tried.chosen], by_name[tried.supported]
-    richer = names.index(tried.supported) > names.index(tried.chosen)
-    if richer and supported.held_out_px > (1 - _LENS_GAIN) * chosen.held_out_px:
-        return []
-    if richer:
-        return [
-            Box(
-                "care",
-                f'The lens "{tried.chosen}" is too simple: "{tried.supported}" foretells views that it has not seen to '
-                f"{supported.held_out_px:.3f} px instead of {chosen.held_out_px:.3f} px.",
-                f'Set lens = "{tried.supported}" under [camera] in session.toml.',
-            )
-        ]
-    if names.index(tried.supported) < names.index(tried.chosen):
-        terms = chosen.terms - supported.terms
-        return [
-            Box(
-                "care",
-                f'The lens "{tried.chosen}" is richer than the photographs support: beyond "{tried.supported}" its '
-                f"{terms} further term{'s' if terms > 1 else ''} only fit{'s' if terms == 1 else ''} noise. Views "
-                f"that it has not seen it foretells to {chosen.held_out_px:.3f} px, the simpler one to "
-                f"{supported.held_out_px:.3f} px, which is no clear difference.",
-                f'Set lens = "{tried.supported}" under [camera] in session.toml, or hold the board into the corners of '
-                "the image, where the terms differ.",
-            )
-        ]
-    return []
-
-
-def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
-    by = diagnostics.by_radius
-    out = np.abs(by.radial_px) / by.radial_error_px
-    worst = int(np.argmax(np.where(np.abs(by.radial_px) > _SHARE * calibration.corner_sigma_px, out, 0.0)))
-    boxes = []
-    if out[worst] > _ERRORS and abs(by.radial_px[worst]) > _SHARE * calibration.corner_sigma_px:
-        boxes.append(
-            Box(
-                "care",
-                f"Corners {by.radius_px[worst]:.0f} px from the principal point are off by {by.radial_px[worst]:+.3f} "
-                f"px outwards in the mean ({out[worst]:.0f} standard errors): the lens is not followed there.",
-                "Try the next richer lens; if that does not help, see whether the boards are flat.",
-            )
-        )
-    cells = diagnostics.over_image
-    with np.errstate(invalid="ignore"):
-        large = np.nanmax(
-            np.abs(cells.mean_px) / cells.error_px, axis=-1, initial=0.0, where=np.isfinite(cells.error_px)
-        )
-        clear = (large > _ERRORS) & (np.linalg.norm(cells.mean_px, axis=-1) > 2 * _SHARE * calibration.corner_sigma_px)
-    share = float(clear.sum() / max(np.isfinite(cells.mean_px[..., 0]).sum(), 1))
-    if share > 0.1 and not boxes:
-        boxes.append(
-            Box(
-                "care",
-                f"In {100 * share:.0f} % of the image the corners are off in the same direction in every photograph.",
-                "The model of the camera misses something: try a richer lens, and see whether the boards are flat.",
-            )
-        )
-    return boxes
-
-
-def _bent(diagnostics: Diagnostics) -> list[Box]:
-    boxes = []
-    usual = float(np.median([s.noise_mm for s in diagnostics.stripes] or [0.0]))
-    bent = [
-        s
-        for s in diagnostics.stripes
-        if s.bend_mm > max(_BEND * s.bend_of_noise_mm, _BEND_NOISE * max(s.noise_mm, usual))
-    ]
-    if bent:
-        names = _listed([f"{s.name} ({s.bend_mm:.2f} mm from peak to valley)" for s in bent])
-        boxes.append(
-            Box(
-                "care",
-                f"The stripe is not straight on {len(bent)} of {len(diagnostics.stripes)} boards: {names}. A sheet of "
-                "light meets a flat board in a straight line, so the plates are bent there.",
-                "Glue the pattern to something stiff and hold the plate without bending it. Leave out the first of "
-                "these photographs and see whether the two halves then agree better.",
-            )
-        )
-    size = np.array([abs(s.offset_mm) for s in diagnostics.stripes])
-    beside = [
-        s
-        for s in sorted(diagnostics.stripes, key=lambda s: -abs(s.offset_mm))
-        if abs(s.offset_mm) > max(_OFFSET_NOISE * s.noise_mm, _OFFSET_OTHERS * float(np.median(size)))
-    ]
-    if beside:
-        names = _listed([f"{s.name} ({s.offset_mm:+.2f} mm)" for s in beside])
-        boxes.append(
-            Box(
-                "care",
-                f"The whole stripe lies beside the light plane on {names}.",
-                "The board moved between corners and stripe, is bent as a whole, or its squares are of another size.",
-            )
-        )
-    return boxes
-
-
 def _worse(diagnostics: Diagnostics) -> list[Box]:
     """Photographs whose corners, and whose stripe if they have one, fit worse than those of most."""
     suspected = {suspect.name for suspect in diagnostics.suspects}
@@ -291,7 +167,7 @@ def _worse(diagnostics: Diagnostics) -> list[Box]:
     ]
     if not worse:
         return []
-    names = _listed([f"{p.name} ({p.corner_rms_px:.2f} px)" for p in worse])
+    names = listed([f"{p.name} ({p.corner_rms_px:.2f} px)" for p in worse])
     return [
         Box(
             "care",
@@ -301,70 +177,6 @@ def _worse(diagnostics: Diagnostics) -> list[Box]:
             "better, leave them out or take them again.",
         )
     ]
-
-
-def _listed(words: list[str]) -> str:
-    """The first few, and how many more."""
-    more = len(words) - _NAMED
-    return ", ".join(words[:_NAMED]) + (f" and {more} more" if more > 0 else "")
-
-
-def _stage(diagnostics: Diagnostics) -> list[Box]:
-    boxes = []
-    for each in diagnostics.stages:
-        if each.chi2_along > _STAGE:
-            boxes.append(
-                Box(
-                    "care",
-                    "The stage's steps are uneven: places along its travel are off by "
-                    f"{np.sqrt((each.error_mm[:, 0] ** 2).mean()):.3f} mm RMS, {np.sqrt(each.chi2_along):.1f} times "
-                    "what the corners explain.",
-                    "Look for backlash (approach from one side), missed steps, and wrong step counts in session.toml.",
-                )
-            )
-        if each.chi2_across > _STAGE:
-            boxes.append(
-                Box(
-                    "care",
-                    "The stage is not straight: the board leaves the line by up to "
-                    f"{np.abs(each.error_mm[:, 1:]).max():.3f} mm, {np.sqrt(each.chi2_across):.1f} times what the "
-                    "corners explain.",
-                    "The board may not be fixed, or the guide has play.",
-                )
-            )
-    return boxes
-
-
-def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
-    boxes = []
-    for what, normality in (("corners", diagnostics.corner_normality), ("stripe points", diagnostics.stripe_normality)):
-        if normality is not None and normality.beyond_3 > _BEYOND_3:
-            boxes.append(
-                Box(
-                    "care",
-                    f"Errors of the {what} are not normal: {100 * normality.beyond_3:.1f} % lie beyond 3 σ, where 0.3 "
-                    "% should.",
-                    "A mixture of good and bad photographs looks like this; see the worst of them below.",
-                )
-            )
-    fits = (*calibration.fits, *calibration.stage_fits)
-    for what, kept, seen in (
-        (
-            "corners",
-            sum(int(f.corner_kept.sum()) for f in fits),
-            sum(int(np.isfinite(f.corner_errors[:, 0]).sum()) for f in fits),
-        ),
-        ("stripe points", sum(int(f.stripe_kept.sum()) for f in fits), sum(f.stripe_kept.size for f in fits)),
-    ):
-        if seen and 1 - kept / seen > _REJECTED:
-            boxes.append(
-                Box(
-                    "care",
-                    f"{100 * (1 - kept / seen):.0f} % of all {what} were rejected as outliers.",
-                    "See the list of what was left out for the photographs that they are from.",
-                )
-            )
-    return boxes
 
 
 def _thin(diagnostics: Diagnostics) -> list[Box]:
