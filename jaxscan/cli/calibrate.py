@@ -190,8 +190,12 @@ def write_report(calibration: "Calibration", html: Path, json: Path) -> dict[str
         report = calibration_report(calibration, advance)
     write_report_html(html, report)
     write_report_json(json, report)
-    found = report.sections[0].boxes
-    return {"verdict": report.verdict.statement, "findings": [box.statement for box in found if box.level != "good"]}
+    found, helps = report.sections[0].boxes, report.sections[2].paragraphs[0]
+    return {
+        "verdict": report.verdict.statement,
+        "findings": [box.statement for box in found if box.level != "good"],
+        "next_photograph": helps,
+    }
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -218,5 +222,6 @@ def describe(result: dict[str, Any]) -> str:
     if result["report"]:
         report = result["report"]
         lines += [f"warning: {line}" for line in report["findings"]]
-        lines += [report["verdict"], f"report: {report['html']}, {report['json']}"]
+        lines += [report["verdict"], f"next photograph: {report['next_photograph']}"]
+        lines += [f"report: {report['html']}, {report['json']}"]
     return "\n".join(lines)

@@ -1,20 +1,21 @@
-"""What photograph would help most: the one place of the report where that is said.
-
-Plain rules from what the photographs cover and from which part of the rig limits a point.
-"""
+"""What photograph would help most: the one place of the report where that is said."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from jaxscan.calibration.coverage import Coverage
+from jaxscan.calibration import Observations
+from jaxscan.calibration.next_pose import NextPose
+from jaxscan.reconstruction.next_photographs import NextPhotographs
 from jaxscan.reconstruction.working_volume import WorkingVolume
-from jaxscan.view.report import Figure
+from jaxscan.view import calibration_plots as plots
+from jaxscan.view.report import Figure, draw
 
-# More than this brings little: boards this far apart in tilt, corners reaching so far into the corners of the image.
-_TILT_SPREAD_DEG = 50.0
-_REACH = 0.85
-_ENOUGH_STRIPES = 8
+# A gain of less is not worth a photograph.
+_WORTH = 0.02
+# Tilts and turns of less are not worth a word.
+_LEVEL_DEG = 8.0
+_SIDES = ("right", "lower right", "lower", "lower left", "left", "upper left", "upper", "upper right")
 
 
 @dataclass(frozen=True)
@@ -30,73 +31,61 @@ class Advice:
     figures: tuple[Figure, ...] = ()
 
 
-def advise(coverage: Coverage, volumes: tuple[WorkingVolume, ...]) -> Advice:
-    """From the weakest part of the coverage, in the order of what limits a point."""
-    camera, plane = _camera(coverage), _plane(coverage)
-    if not volumes:
-        return Advice(tuple(camera) or ("more views like those there are: each σ falls with the root of their number",))
-    worst = max(volumes, key=lambda v: v.median_mm)
-    if worst.rig_share < 0.5:
-        share = 100 * (1 - worst.rig_share)
-        words = [
-            f"none: {share:.0f} % of a point's variance is the stripe's own, which calibration does not change. A "
-            "finer or brighter stripe and a longer exposure in the scans would"
-        ]
-        return Advice((*words, *camera, *plane))
-    first, then = (camera, plane) if worst.if_known_mm["camera"] < worst.if_known_mm["light plane"] else (plane, camera)
-    words = [*first, *then]
-    return Advice(
-        tuple(words) or ("more views like those there are, with the stripe: σ falls with the root of their number",)
+def advise(planned: NextPhotographs, volumes: tuple[WorkingVolume, ...], observations: Observations) -> Advice:
+    """In words and as a picture.
+
+    Args:
+        planned: the poses that lower σ most.
+        volumes: for the share of a point's variance that calibration does not change.
+        observations: the photographs that there are.
+    """
+    limit = []
+    if volumes and (share := 1 - max(volumes, key=lambda v: v.median_mm).rig_share) > 0.5:
+        limit.append(
+            f"none: {100 * share:.0f} % of a point's variance is the stripe's own, which calibration does not change. "
+            "A finer or brighter stripe and a longer exposure in the scans would"
+        )
+    before = (planned.median_now, *planned.medians)
+    if not planned.poses or planned.medians[-1] > (1 - _WORTH) * planned.median_now:
+        return Advice((*limit, "more views like those there are: each σ falls with the root of their number"))
+    words = []
+    for i, (pose, sigma) in enumerate(zip(planned.poses, planned.medians, strict=True)):
+        what = "a point" if planned.unit == "mm" else "where a point is seen"
+        falls = f"the median σ of {what} would fall from {before[i]:.3g} to {sigma:.3g} {planned.unit}"
+        words.append(f"{'then ' if i else ''}{place(pose, observations.image_size)} (outline {i + 1}): {falls}")
+    caption = (
+        "Where to hold the board, as the camera sees it (outline 1 first; dotted: the stripe on it), over the boards "
+        "that there are (pale: their outermost points). A centimetre and five degrees beside is nearly as good."
     )
+    picture = draw("next-photographs", caption, plots.next_photographs(planned.poses, observations))
+    return Advice((*limit, *words), (picture,))
 
 
-def _camera(coverage: Coverage) -> list[str]:
-    words = []
-    if coverage.tilt_spread_deg < _TILT_SPREAD_DEG:
-        turn = _rarest_tilt(coverage)
+def place(pose: NextPose, image_size: tuple[int, int]) -> str:
+    """Where and how to hold the board, in words."""
+    middle = (pose.outline_px.mean(axis=0) + 0.5) / image_size
+    across = ("left", "", "right")[int(np.clip(3 * middle[0], 0, 2))]
+    down = ("upper", "", "lower")[int(np.clip(3 * middle[1], 0, 2))]
+    where = f"{down} {across}".strip() or "middle"
+    words = [f"the board {pose.distance_mm:.0f} mm away in the {where} part of the image"]
+    angle = float(np.linalg.norm(pose.tilt_deg))
+    if angle > _LEVEL_DEG:
+        eighth = round(float(np.degrees(np.arctan2(pose.tilt_deg[1], pose.tilt_deg[0]))) / 45) % 8
+        words.append(f"tilted by {angle:.0f}° with its {_SIDES[eighth]} side nearer")
+    else:
+        words.append("facing the camera")
+    row = pose.outline_px[1] - pose.outline_px[0]
+    # Half a turn shows the same points again.
+    turn = (np.degrees(np.arctan2(row[1], row[0])) + 90) % 180 - 90
+    if abs(turn) > _LEVEL_DEG:
+        words.append(f"its rows turned by {abs(turn):.0f}° {'clockwise' if turn > 0 else 'anticlockwise'}")
+    crossed = np.isfinite(pose.stripes_px).all(axis=(1, 2))
+    if crossed.size:
         words.append(
-            f"the board tilted by 30° to 45°, {turn}: so far the boards' normals lie within "
-            f"{coverage.tilt_spread_deg:.0f}° of each other"
+            "the laser on and its stripe across the board"
+            if crossed.all()
+            else "one laser's stripe across it"
+            if crossed.any()
+            else "the stripe beside it: its corners are what is wanted"
         )
-    if coverage.reach < _REACH:
-        words.append(
-            f"the board held into the {_emptiest_corner(coverage)} corner of the image and into the others after it: "
-            f"corners reach {100 * coverage.reach:.0f} % of the way there"
-        )
-    return words
-
-
-def _plane(coverage: Coverage) -> list[str]:
-    words = []
-    for stripe in coverage.stripes:
-        if stripe.views and stripe.views < _ENOUGH_STRIPES:
-            near, far = stripe.depths_mm
-            which = f' of laser "{stripe.laser}"' if stripe.laser else ""
-            words.append(
-                f"the board with the stripe{which} across it at the nearest and at the farthest place that you will "
-                f"scan: so far {stripe.views} boards between {near:.0f} and {far:.0f} mm show it"
-            )
-    return words
-
-
-def _rarest_tilt(coverage: Coverage) -> str:
-    """The direction in which boards were tilted least. A normal, which points away, leans towards the nearer edge."""
-    tilted = {
-        "its right edge nearer": coverage.normals[:, 0].max(),
-        "its left edge nearer": -coverage.normals[:, 0].min(),
-        "its lower edge nearer": coverage.normals[:, 1].max(),
-        "its upper edge nearer": -coverage.normals[:, 1].min(),
-    }
-    return min(tilted, key=lambda words: tilted[words])
-
-
-def _emptiest_corner(coverage: Coverage) -> str:
-    counts = coverage.corners_in_cells
-    rows, columns = counts.shape[0] // 2, counts.shape[1] // 2
-    quarters = {
-        "upper left": counts[:rows, :columns],
-        "upper right": counts[:rows, -columns:],
-        "lower left": counts[-rows:, :columns],
-        "lower right": counts[-rows:, -columns:],
-    }
-    return min(quarters, key=lambda words: int(np.sum(quarters[words])))
+    return ", ".join(words)

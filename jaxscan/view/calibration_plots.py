@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan.calibration import Calibration
+from jaxscan.calibration import Calibration, Observations
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder, Normality, PhotographStatistics, StageErrors
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
+from jaxscan.calibration.next_pose import NextPose
 from jaxscan.reconstruction.working_volume import WorkingVolume
 from jaxscan.view.matplotlib_setup import pyplot
 
@@ -196,6 +197,27 @@ def volume(each: WorkingVolume) -> Any:
     right.set(xlabel=f"median σ / {unit}", xlim=(0, None))
     right.invert_yaxis()
     right.legend(fontsize=8)
+    return figure
+
+
+def next_photographs(poses: Sequence[NextPose], observations: Observations) -> Any:
+    """Outlines of the boards to photograph, numbered, over those that there are, in the frame of the image."""
+    columns, rows = observations.image_size
+    figure, axes = _figure(_WIDTH * 0.8 * rows / columns + 0.6)
+    across, down = observations.board.counts
+    outermost = [0, across - 1, across * down - 1, across * (down - 1), 0]
+    for view in observations.views:
+        axes.plot(*view.corners[outermost].T, color=LIGHT, linewidth=0.8)
+    for i, pose in enumerate(poses, start=1):
+        colour = f"C{i % 10}"
+        axes.fill(*pose.outline_px.T, facecolor=colour, edgecolor=colour, alpha=0.15)
+        axes.plot(*pose.outline_px[[0, 1, 2, 3, 0]].T, color=colour, linewidth=2)
+        axes.text(*pose.outline_px.mean(axis=0), str(i), color=colour, fontsize=18, ha="center", va="bottom")
+        for stripe in pose.stripes_px:
+            axes.plot(*stripe.T, color=colour, linestyle=":", linewidth=1.5)
+        what = f"\n{pose.distance_mm:.0f} mm\n{np.linalg.norm(pose.tilt_deg):.0f}°"
+        axes.text(*pose.outline_px.mean(axis=0), what, color=colour, fontsize=7, ha="center", va="top")
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal", xlabel="u / px", ylabel="v / px")
     return figure
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import PARTS, Diagnostics, diagnose
+from jaxscan.reconstruction.next_photographs import NextPhotographs, next_photographs
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volume
 from jaxscan.view import calibration_sections as sections
 from jaxscan.view.advice import advise
@@ -13,7 +14,7 @@ from jaxscan.view.findings import findings
 from jaxscan.view.report import Box, Report, Section
 
 # The calls of `advance` that `calibration_report` makes.
-REPORT_PARTS = PARTS + 2
+REPORT_PARTS = PARTS + 3
 _GRAVEST = {
     "stop": "Do not use this calibration yet",
     "care": "Usable, with care",
@@ -45,18 +46,25 @@ def calibration_report(calibration: Calibration, advance: Callable[[int], object
     ]
     volumes = tuple(volume for volume in each if volume is not None)
     advance(1)
-    report = compose(calibration, diagnostics, volumes)
+    planned = next_photographs(calibration, volumes)
+    advance(1)
+    report = compose(calibration, diagnostics, volumes, planned)
     advance(1)
     return report
 
 
-def compose(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[WorkingVolume, ...]) -> Report:
+def compose(
+    calibration: Calibration,
+    diagnostics: Diagnostics,
+    volumes: tuple[WorkingVolume, ...],
+    planned: NextPhotographs,
+) -> Report:
     """Words, tables and figures from the numbers."""
     found = findings(calibration, diagnostics, volumes)
     level = found[0].level if found else "good"
     factor = diagnostics.sigma_factor
     verdict = Box(level, f"{_GRAVEST[level]}. {_precision(calibration, volumes, factor)}", _count(found))
-    advice = advise(diagnostics.coverage, volumes)
+    advice = advise(planned, volumes, calibration.observations)
     first = advice.words[0]
     return Report(
         kind="calibration-report",
@@ -82,7 +90,7 @@ def compose(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[W
             sections.coverage(calibration, diagnostics),
             sections.left_out(calibration),
         ),
-        numbers={"diagnostics": diagnostics, "working_volumes": volumes},
+        numbers={"diagnostics": diagnostics, "working_volumes": volumes, "next_photographs": planned},
     )
 
 
