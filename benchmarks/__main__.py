@@ -24,10 +24,11 @@ SUITES = {
     "nist": "the 27 nonlinear regression problems of NIST through the same solver (needs JAXSCAN_DATA)",
     "gauge": "a step block, alone and with the boards, puts a light plane right: how other blocks read",
     "lasers": "two lasers on one camera, calibrated in one solve: do their clouds agree within σ?",
+    "next_pose": "three photographs as suggested against three more like those there are, really added and solved",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
-NOT_QUICK = {"montecarlo", "gauge", "lasers"}
+NOT_QUICK = {"next_pose", "montecarlo", "gauge", "lasers"}
 
 
 def main() -> int:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.calibration import Observations, StageSequence, StripePoints, View
+from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Camera, Rig
 from jaxscan.simulation import rig_2003
@@ -27,14 +28,6 @@ def exact_session(seed: int, lasers: int = 1) -> tuple[Rig, Observations]:
     rig = rig_2003.simulated_rig(seed, lasers)
     poses, stage = rig_2003.board_poses(rig, seed), rig_2003.stage_pose(rig, seed)
     points = rig_2003.BOARD.points()
-    views = []
-    for i, (rotation, translation) in enumerate(
-        zip(np.asarray(poses.rotation), np.asarray(poses.translation), strict=True)
-    ):
-        scene = rig_2003.board_scene(rotation, translation)
-        X = points @ rig_2003.matrix_of(rotation).T + translation
-        stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n) for n in range(lasers))
-        views.append(View(f"view-{i}", _project(rig.camera, X), stripes=stripes))
     steps = rig_2003.STEPS_APART * np.arange(rig_2003.STAGE_VIEWS, dtype=float)
     first = points @ rig_2003.matrix_of(np.asarray(stage.rotation)).T + stage.translation
     along = tuple(
@@ -44,10 +37,23 @@ def exact_session(seed: int, lasers: int = 1) -> tuple[Rig, Observations]:
     return rig, Observations(
         rig_2003.IMAGE_SIZE,
         rig_2003.BOARD,
-        tuple(views),
+        exact_views(rig, poses),
         (StageSequence(steps, along),),
         lasers=tuple(laser.name for laser in rig.lasers),
     )
+
+
+def exact_views(rig: Rig, poses: Pose) -> tuple[View, ...]:
+    """What is seen of the board in some poses, stacked, with each laser on it."""
+    points, views = rig_2003.BOARD.points(), []
+    for i, (rotation, translation) in enumerate(
+        zip(np.asarray(poses.rotation), np.asarray(poses.translation), strict=True)
+    ):
+        scene = rig_2003.board_scene(rotation, translation)
+        X = points @ rig_2003.matrix_of(rotation).T + translation
+        stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n) for n in range(len(rig.lasers)))
+        views.append(View(f"view-{i}", _project(rig.camera, X), stripes=stripes))
+    return tuple(views)
 
 
 def _stripe(position: Float[np.ndarray, "columns"], laser: int) -> StripePoints:

@@ -90,7 +90,7 @@ def board_poses(rig: Rig, seed: int, views: int = BOARD_VIEWS) -> Pose:
         aside = np.array([random.uniform(-_ASIDE, _ASIDE), random.uniform(-_OFF_STRIPE, _OFF_STRIPE), 0.0])
         middle = _sheet_point(rig, random.uniform(_NEAREST, _FARTHEST)) + aside
         R, translation = _about_middle(rotation, middle)
-        if _in_view(rig.camera, R, translation[None]):
+        if in_view(rig.camera, R, translation[None]):
             rotations.append(rotation)
             translations.append(translation)
     return pose_of(np.stack(rotations), np.stack(translations))
@@ -104,7 +104,7 @@ def stage_pose(rig: Rig, seed: int) -> Pose:
         rotation = random.uniform(-_STAGE_TILT, _STAGE_TILT, 3) * [1, 1, 0.3]
         middle = np.array([random.uniform(-5, 5), random.uniform(-3, 3), _STAGE_DISTANCE]) - travel[-1] / 2
         R, translation = _about_middle(rotation, middle)
-        if _in_view(rig.camera, R, translation + travel[[0, -1]]):
+        if in_view(rig.camera, R, translation + travel[[0, -1]]):
             return pose_of(rotation, translation)
 
 
@@ -173,7 +173,7 @@ def _about_middle(
     return R, middle - R @ BOARD.points().mean(axis=0)
 
 
-def _in_view(camera: Camera, R: Float[np.ndarray, "3 3"], translations: Float[np.ndarray, "places 3"]) -> bool:
+def in_view(camera: Camera, R: Float[np.ndarray, "3 3"], translations: Float[np.ndarray, "places 3"]) -> bool:
     """Whether the pattern, with the squares around its points, is within the image at each place."""
     points = BOARD.points()
     low, high = points.min(axis=0) - BOARD.pitch_mm, points.max(axis=0) + BOARD.pitch_mm
