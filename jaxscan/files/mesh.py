@@ -1,24 +1,122 @@
-"""Triangle meshes from files, by trimesh."""
+"""Triangle meshes: read from any file that trimesh reads, PLY by our own reader; written as STL, OBJ, GLB and PLY."""
 
+import os
 from pathlib import Path
+from typing import Final
 
+import numpy as np
 import trimesh
+from jaxtyping import Int
 
+from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
+from jaxscan.files.cloud import Cloud, cloud_of, vertices_of
+from jaxscan.files.ply import Column, Element, Lists, Ply
+from jaxscan.files.ply_read import read_ply_file
+from jaxscan.files.ply_write import write_ply_file
+
+ENDINGS: Final = (".stl", ".obj", ".glb", ".ply")
+_INDICES: Final = ("vertex_indices", "vertex_index")
 
 
-def read_mesh(path: Path) -> trimesh.Trimesh:
-    """A triangle mesh, from any file that trimesh reads.
+def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
+    """A triangle mesh; larger faces are cut into triangles.
 
     Raises:
-        InputError: the file is missing, cannot be read, or holds no triangles.
+        InputError: the file is missing, cannot be read, holds no triangles, or a vertex that is no point.
     """
+    path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file: check the name")
+    if path.suffix.lower() == ".ply":
+        return mesh_of(path, read_ply_file(path))
     try:
-        mesh = trimesh.load_mesh(path)
+        mesh = trimesh.load_mesh(path, process=False)
     except Exception as error:  # each of its readers raises what it likes
         raise InputError(f"{path}: cannot be read as a mesh ({error}): give an STL, PLY, OBJ or the like") from error
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise InputError(f"{path}: holds no triangles: give an STL, PLY, OBJ or the like")
+        raise _no_triangles(path)
+    return _checked(path, mesh)
+
+
+def has_faces(content: Ply) -> bool:
+    """Whether a PLY file holds a surface, and not points alone."""
+    return "face" in content.elements and content.elements["face"].count > 0
+
+
+def mesh_of(path: str | os.PathLike[str], content: Ply) -> trimesh.Trimesh:
+    """The triangles of what was read from a PLY file.
+
+    Raises:
+        InputError: there are none, or a face names a vertex that there is not.
+    """
+    if not has_faces(content):
+        raise _no_triangles(path)
+    cloud = cloud_of(path, content)
+    columns = content.elements["face"].columns
+    faces = next((columns[name] for name in _INDICES if name in columns), None)
+    if not isinstance(faces, Lists):
+        raise InputError(f"{path}: its faces have no list {_INDICES[0]}: check which file it is")
+    triangles = _fans(faces)
+    if not len(triangles):
+        raise _no_triangles(path)
+    if triangles.min() < 0 or triangles.max() >= len(cloud.points):
+        raise InputError(
+            f"{path}: a face names vertex {triangles.max()}, there are {len(cloud.points)}: copy or write it again"
+        )
+    return _checked(path, trimesh.Trimesh(cloud.points, triangles, process=False))
+
+
+def write_mesh_ply(
+    path: str | os.PathLike[str],
+    vertices: Cloud,
+    triangles: Int[np.ndarray, "triangles 3"],
+    quads: Int[np.ndarray, "quads 4"] | None = None,
+) -> None:
+    """Write a mesh with what is known of its vertices, as PLY, whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    faces = Lists.equal(triangles.astype(np.int32, copy=False))
+    if quads is not None:
+        more = Lists.equal(quads.astype(np.int32, copy=False))
+        faces = Lists(np.concatenate([more.counts, faces.counts]), np.concatenate([more.values, faces.values]))
+    columns: dict[str, Column] = {_INDICES[0]: faces}
+    elements = {"vertex": vertices_of(vertices), "face": Element(len(faces), columns)}
+    write_ply_file(path, Ply(elements, comments=("comment units mm",)))
+
+
+def write_trimesh(path: str | os.PathLike[str], mesh: trimesh.Trimesh) -> None:
+    """Write a mesh as .stl, .obj or .glb, by the path's ending, whole or not at all; numbers are millimetres.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    content = mesh.export(file_type=Path(path).suffix.lower()[1:])
+    with replacing(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+def _fans(faces: Lists) -> Int[np.ndarray, "triangles 3"]:
+    """Every polygon of n corners as the n − 2 triangles that its first corner spans."""
+    counts, values = faces.counts.astype(np.int64), faces.values.astype(np.int64)
+    first = np.cumsum(counts) - counts
+    each = np.maximum(counts - 2, 0)
+    start = np.repeat(first, each)
+    step = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
+    return values[np.stack([start, start + step + 1, start + step + 2], axis=1)]
+
+
+def _checked(path: str | os.PathLike[str], mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
+    if bad:
+        raise InputError(
+            f"{path}: {bad} of {len(mesh.vertices)} vertices have a coordinate that is not a finite number: repair it"
+        )
+    mesh.merge_vertices()
     return mesh
+
+
+def _no_triangles(path: str | os.PathLike[str]) -> InputError:
+    return InputError(f"{path}: holds no triangles: give an STL, PLY, OBJ or the like")
