@@ -16,8 +16,8 @@ from jaxtyping import Float
 from jaxscan.errors import InputError
 from jaxscan.files.mesh import read_mesh
 from jaxscan.geometry.closest import ClosestOnTriangles
+from jaxscan.geometry.robust_plane import Frame, dominant_plane
 
-_NORMAL_MAD: Final = 1.4826
 _TRIALS: Final = 400
 _SAMPLE: Final = 1500
 _SEED: Final = 2003
@@ -25,8 +25,6 @@ _SEED: Final = 2003
 _ROUGHLY_SHARE, _ROUGHLY_MM = 0.08, 0.3
 # Turns about the vertical that are tried for a mesh, and rounds of nearest points for each.
 _TURNS, _ROUNDS = 24, 12
-
-Frame = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 
 
 @runtime_checkable
@@ -225,36 +223,6 @@ class Solid:
             turn[:2, :2] = U @ np.diag([1.0, np.linalg.det(U @ Vt)]) @ Vt
             move[:2] = b.mean(axis=0) - turn[:2, :2] @ a.mean(axis=0)
         return float(np.minimum(away, np.quantile(away, 0.9)).mean()), turn, move
-
-
-def dominant_plane(cloud: Float[np.ndarray, "points 3"]) -> Frame:
-    """The plane that the most points lie on, z of its frame toward the origin: R, t.
-
-    Raises:
-        InputError: the points lie on no plane.
-    """
-    rng = np.random.default_rng(_SEED)
-    sample = cloud[rng.permutation(len(cloud))[:_SAMPLE]]
-    a, b, c = (sample[rng.integers(len(sample), size=_TRIALS)] for _ in range(3))
-    normals = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1)
-    proper = length > 1e-9
-    if not proper.any():
-        raise InputError("the scan's points lie on one line: scan more frames")
-    normals, a = normals[proper] / length[proper, None], a[proper]
-    away = np.abs(sample @ normals.T - (a * normals).sum(axis=1))
-    near = (away < _ROUGHLY_MM).sum(axis=0)
-    best = int(near.argmax())
-    centre, normal = a[best], normals[best]
-    for _ in range(5):
-        height = (cloud - centre) @ normal
-        inside = np.abs(height) <= max(3 * _NORMAL_MAD * float(np.median(np.abs(height[np.abs(height) < 1]))), 1e-6)
-        centre = cloud[inside].mean(axis=0)
-        normal = np.linalg.svd(cloud[inside] - centre, full_matrices=False)[2][2]
-    normal = -normal if normal @ centre > 0 else normal
-    x = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [1.0, 0.0, 0.0], normal)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(normal, x), normal], axis=1), centre
 
 
 def parse_shape(text: str) -> Shape:

@@ -8,6 +8,8 @@ known (Z. Zhang, PAMI 2000); it starts at the image centre. Everything here is N
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.geometry.robust_plane import planes_through, refined_plane
+
 _FOCAL_GRID = np.geomspace(0.3, 20.0, 24)
 # A start whose reprojection is off by more than this share of the image width is not believed.
 _POOR_START = 0.02
@@ -150,20 +152,12 @@ def robust_plane(points: Float[np.ndarray, "points 3"], group: Int[np.ndarray, "
     other = (one + rng.integers(1, len(views), size=_PLANE_TRIALS)) % len(views)
     at = [first[view] + rng.integers(count[view]) for view in (one, one, other)]
     a, b, c = (points[order[i]] for i in at)
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1)
-    proper = length > 1e-9
-    if not proper.any():
+    centres, normals = planes_through(a, b, c)
+    if not len(normals):
         return np.full(3, np.nan)
-    normal, a = normal[proper] / length[proper, None], a[proper]
-    score = np.median(np.abs(sample @ normal.T - (a * normal).sum(axis=1)), axis=0)
+    score = np.median(np.abs(sample @ normals.T - (centres * normals).sum(axis=1)), axis=0)
     least = int(np.argmin(score))
-    normal, centre = normal[least], a[least]
-    for _ in range(10):
-        distance = np.abs((points - centre) @ normal)
-        near = distance <= max(3 * 1.4826 * np.median(distance), 1e-9)
-        centre = points[near].mean(axis=0)
-        normal = np.linalg.svd(points[near] - centre, full_matrices=False)[2][2]
+    centre, normal = refined_plane(points, centres[least], normals[least])
     with np.errstate(divide="ignore", invalid="ignore"):
         return normal / (normal @ centre)
 

@@ -34,7 +34,10 @@ class ClosestOnTriangles:
             ids = np.concatenate([np.asarray(ids, int) for ids in near])
             on = trimesh.triangles.closest_point(self.corners[ids], np.repeat(some, count, axis=0))
             away = np.linalg.norm(on - np.repeat(some, count, axis=0), axis=1)
-            ends = np.cumsum(count)
-            best = [a + int(np.argmin(away[a:b])) for a, b in zip(ends - count, ends, strict=True)]
+            first = np.cumsum(count) - count
+            least = np.repeat(np.minimum.reduceat(away, first), count)
+            # Of a point's candidates the first that is as near as any.
+            hits = np.flatnonzero(away == least)
+            best = hits[np.searchsorted(hits, first)]
             nearest[here], triangle[here] = on[best], ids[best]
         return nearest, triangle
