@@ -9,18 +9,24 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 
-_DTYPES: Final = {
+_ALWAYS: Final = {
     "points": np.dtype(np.float32),
     "strength": np.dtype(np.float32),
     "sigma": np.dtype(np.float32),
     "valid": np.dtype(np.bool_),
     "steps": np.dtype(np.int64),
 }
+_WHERE_KNOWN: Final = {
+    "pixels": np.dtype(np.float32),
+    "sigma_pixel": np.dtype(np.float32),
+    "per_step": np.dtype(np.float64),
+}
+_DTYPES: Final = _ALWAYS | _WHERE_KNOWN
 
 # What zipfile, its decompressors and NumPy raise for a file that is damaged, encrypted, or promises more than there is.
 _NOT_WHOLE: Final = (
@@ -45,6 +51,9 @@ class RangeArrays:
         sigma: standard deviation of each point along its ray, mm; NaN where it is not known.
         valid: where there is a point.
         steps: motor step count of each frame.
+        pixels: where the stripe was seen, in rows (or columns) of the photograph, where the file says so.
+        sigma_pixel: the pixel's part of sigma, mm, where the file has it.
+        per_step: how far what stands on the stage moves for one step, object frame, mm, where the file has it.
     """
 
     points: Float32[np.ndarray, "frames columns 3"]
@@ -52,6 +61,9 @@ class RangeArrays:
     sigma: Float32[np.ndarray, "frames columns"]
     valid: Bool[np.ndarray, "frames columns"]
     steps: Int64[np.ndarray, "frames"]
+    pixels: Float32[np.ndarray, "frames columns"] | None = None
+    sigma_pixel: Float32[np.ndarray, "frames columns"] | None = None
+    per_step: Float64[np.ndarray, "3"] | None = None
 
 
 def write_range_npz(path: str | os.PathLike[str], image: RangeArrays) -> None:
@@ -60,7 +72,8 @@ def write_range_npz(path: str | os.PathLike[str], image: RangeArrays) -> None:
     Raises:
         InputError: the arrays do not fit one another, or the file cannot be written.
     """
-    arrays = {name: np.asarray(getattr(image, name), dtype=dtype) for name, dtype in _DTYPES.items()}
+    known = {name: dtype for name, dtype in _DTYPES.items() if getattr(image, name) is not None}
+    arrays = {name: np.asarray(getattr(image, name), dtype=dtype) for name, dtype in known.items()}
     _check(path, arrays)
     with replacing(path, "wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
@@ -85,6 +98,8 @@ def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
     except _NOT_WHOLE as error:
         raise InputError(f"{path}: is not a whole NPZ file ({error}): copy or write it again") from error
     for name, dtype in _DTYPES.items():
+        if name not in arrays and name in _WHERE_KNOWN:
+            continue
         if name not in arrays:
             raise InputError(f'{path}: has no array "{name}", so it is not a range image: reconstruct again')
         if arrays[name].dtype != dtype:
@@ -96,6 +111,7 @@ def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
 def _check(path: str | os.PathLike[str], arrays: dict[str, np.ndarray]) -> None:
     shape = arrays["valid"].shape
     expected = {"points": (*shape, 3), "strength": shape, "sigma": shape, "valid": shape, "steps": shape[:1]}
+    expected |= {"pixels": shape, "sigma_pixel": shape, "per_step": (3,)}
     for name, array in arrays.items():
         if len(shape) != 2 or array.shape != expected[name]:
             raise InputError(

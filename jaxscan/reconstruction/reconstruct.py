@@ -199,6 +199,7 @@ def _with_sigma(
         sigma[valid], sigma_pixel[valid] = point_sigma(
             content.rig, scan.laser.name, content.covariance, each, pixels, count, scan.laser.columns
         )
+    stage = content.rig.stage
     return RangeImage(
         points=np.where(valid[..., None], points, np.float32(np.nan)),
         pixels=positions,
@@ -207,4 +208,5 @@ def _with_sigma(
         sigma_pixel=sigma_pixel,
         valid=valid,
         steps=steps,
+        per_step=None if stage is None else np.array([float(c) for c in stage.per_step]),
     )

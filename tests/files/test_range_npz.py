@@ -19,14 +19,29 @@ def image(frames: int = 4, columns: int = 7) -> RangeArrays:
     return RangeArrays(points, numbers[0], numbers[1], valid, np.arange(frames) * 2000 - 100_000)
 
 
+def whole(frames: int = 4) -> RangeArrays:
+    """With what a file may leave out."""
+    rng, bare = np.random.default_rng(3), image(frames)
+    pixels, sigma_pixel = rng.random((2, *bare.valid.shape), dtype=np.float32)
+    return dataclasses.replace(bare, pixels=pixels, sigma_pixel=sigma_pixel, per_step=rng.random(3))
+
+
 @pytest.mark.parametrize("frames", [0, 1, 4])
 def test_round_trip_is_exact(tmp_path, frames):
-    write_range_npz(tmp_path / "a.npz", image(frames))
+    write_range_npz(tmp_path / "a.npz", whole(frames))
     read = read_range_npz(tmp_path / "a.npz")
     for field in dataclasses.fields(RangeArrays):
-        a, b = getattr(image(frames), field.name), getattr(read, field.name)
+        a, b = getattr(whole(frames), field.name), getattr(read, field.name)
         assert a.dtype == b.dtype
         np.testing.assert_array_equal(a, b)
+
+
+def test_what_is_not_known_is_left_out(tmp_path):
+    write_range_npz(tmp_path / "a.npz", image())
+    read = read_range_npz(tmp_path / "a.npz")
+    assert read.pixels is None
+    assert read.sigma_pixel is None
+    assert read.per_step is None
     with np.load(tmp_path / "a.npz") as archive:
         assert set(archive) == {"points", "strength", "sigma", "valid", "steps"}
 
@@ -47,9 +62,10 @@ def test_what_is_no_range_image(tmp_path):
     path = tmp_path / "a.npz"
     write_range_npz(path, image())
     whole = path.read_bytes()
-    arrays = vars(image())
+    arrays = {name: array for name, array in vars(image()).items() if array is not None}
     np.savez(tmp_path / "some.npz", points=arrays["points"])
     np.savez(tmp_path / "types.npz", **{**arrays, "valid": arrays["valid"].astype(float)})
+    np.savez(tmp_path / "travel.npz", **arrays, per_step=np.zeros(2))
     np.savez(tmp_path / "objects.npz", **{**arrays, "steps": np.array([{}] * 4)})
     np.save(tmp_path / "plain.npy", arrays["points"])
     (tmp_path / "plain.npy").rename(tmp_path / "plain.npz")
@@ -66,6 +82,7 @@ def test_what_is_no_range_image(tmp_path):
     for name, text in {
         "some": 'no array "',
         "types": '"valid" is float64',
+        "travel": '"per_step" has the shape',
         "objects": "not a whole NPZ",
         "plain": "not a whole NPZ",
         "short": "not a whole NPZ",
