@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 import trimesh
-from jaxtyping import Int
+from jaxtyping import Float32, Int
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
@@ -15,7 +15,6 @@ from jaxscan.files.ply import Column, Element, Lists, Ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import write_ply_file
 
-ENDINGS: Final = (".stl", ".obj", ".glb", ".ply")
 _INDICES: Final = ("vertex_indices", "vertex_index")
 
 
@@ -72,6 +71,7 @@ def write_mesh_ply(
     vertices: Cloud,
     triangles: Int[np.ndarray, "triangles 3"],
     quads: Int[np.ndarray, "quads 4"] | None = None,
+    normals: Float32[np.ndarray, "vertices 3"] | None = None,
 ) -> None:
     """Write a mesh with what is known of its vertices, as PLY, whole or not at all.
 
@@ -83,7 +83,10 @@ def write_mesh_ply(
         more = Lists.equal(quads.astype(np.int32, copy=False))
         faces = Lists(np.concatenate([more.counts, faces.counts]), np.concatenate([more.values, faces.values]))
     columns: dict[str, Column] = {_INDICES[0]: faces}
-    elements = {"vertex": vertices_of(vertices), "face": Element(len(faces), columns)}
+    vertex = vertices_of(vertices)
+    if normals is not None:
+        vertex.columns.update(zip(("nx", "ny", "nz"), normals.T, strict=True))
+    elements = {"vertex": vertex, "face": Element(len(faces), columns)}
     write_ply_file(path, Ply(elements, comments=("comment units mm",)))
 
 

@@ -1,0 +1,136 @@
+"""The surface of a range image: triangles between neighbours in frame and column.
+
+Each cell of the grid has the corners a, b of one frame and c, d of the next, in the same two columns. A triangle stands
+where two of the cell's sides that meet are linked (`jaxscan.surface.links`); where both diagonals give as many
+triangles, the shorter one is taken. All triangles turn the same way round, for neighbours on a surface that the light
+and the camera see have the same order everywhere; which way faces the camera is seen from all of them together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from jaxscan.errors import InputError
+from jaxscan.reconstruction import RangeImage
+from jaxscan.surface.links import Links, Sampling, links
+
+# Corners a, b, c, d of a cell are 0 to 3. The diagonal a d: a b d and a d c; the diagonal b c: a b c and b d c.
+_OF_DIAGONAL = (((0, 1, 3), (0, 3, 2)), ((0, 1, 2), (1, 3, 2)))
+_FIRST, _SECOND, _OTHER = 1, 2, 4
+# Frames whose cells are looked at together: they stay in the processor's cache.
+_FRAMES_AT_ONCE = 32
+_MOST_TURNED_ON = 100_000
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles between the points of a range image.
+
+    Attributes:
+        vertices: object frame, mm.
+        triangles: three vertices each, anticlockwise as the camera sees them.
+        place: of each vertex in the flattened grid of the range image.
+        cells: a number for each triangle: two of one number are the halves of one cell.
+    """
+
+    vertices: Float[np.ndarray, "vertices 3"]
+    triangles: Int[np.ndarray, "triangles 3"]
+    place: Int[np.ndarray, "vertices"]
+    cells: Int[np.ndarray, "triangles"]
+
+    def faces(self) -> tuple[Int[np.ndarray, "triangles 3"], Int[np.ndarray, "quads 4"]]:
+        """Triangles that are alone in their cell, and quadrilaterals of those that are not."""
+        order = np.argsort(self.cells, kind="stable")
+        cell, triangles = self.cells[order], self.triangles[order]
+        pair = np.flatnonzero(cell[1:] == cell[:-1])
+        alone = np.ones(len(cell), bool)
+        alone[pair] = alone[pair + 1] = False
+        a, b = triangles[pair], triangles[pair + 1]
+        # The corner of a that b has not; the others are the diagonal, and b's own corner stands opposite.
+        own = ~(a[:, :, None] == b[:, None]).any(axis=2)
+        turned = np.take_along_axis(a, (own.argmax(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+        other = b[~(b[:, :, None] == a[:, None]).any(axis=2)]
+        return triangles[alone], np.column_stack([turned[:, :2], other, turned[:, 2]])
+
+
+def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
+    """The triangles of a range image.
+
+    Args:
+        image: the range image.
+        how: its spacing and noise; by default as `sampling` finds them.
+
+    Raises:
+        InputError: there is one frame, or no three neighbouring points.
+    """
+    code = _cells(image, links(image, how))
+    # Cells are numbered by their corner a, so the last column and the last frame have none.
+    columns = image.valid.shape[1]
+    kinds = [
+        (bit | _OTHER * diagonal, corners)
+        for diagonal, pair in enumerate(_OF_DIAGONAL)
+        for bit, corners in zip((_FIRST, _SECOND), pair, strict=True)
+    ]
+    corner = (0, 1, columns, columns + 1)
+    at = []
+    used = np.zeros(code.size + columns + 1, bool)
+    for kind, corners in kinds:
+        here = (code & (kind | _OTHER)) == kind
+        at.append(np.flatnonzero(here))
+        for i in corners:
+            used[corner[i] : corner[i] + code.size] |= here
+    place = np.flatnonzero(used)
+    if not len(place):
+        raise InputError("no three neighbouring points make a triangle: scan with smaller steps, or clean less")
+    number = np.cumsum(used, dtype=np.int32)
+    number -= 1
+    triangles = np.empty((sum(map(len, at)), 3), np.int32)
+    done = 0
+    for cells, (_, corners) in zip(at, kinds, strict=True):
+        for k, i in enumerate(corners):
+            number[corner[i] :].take(cells, out=triangles[done : done + len(cells), k], mode="clip")
+        done += len(cells)
+    surface = Surface(image.points.reshape(-1, 3)[place], triangles, place, np.concatenate(at))
+    return surface if facing_away(surface, image) <= 0.5 else _turned(surface)
+
+
+def _cells(image: RangeImage, linked: Links) -> UInt8[np.ndarray, "cells"]:
+    """Which of its two triangles each cell has, and which diagonal; a cell for each point."""
+    code = np.zeros(image.valid.shape, np.uint8)
+    for start in range(0, len(code) - 1, _FRAMES_AT_ONCE):
+        stop = min(start + _FRAMES_AT_ONCE, len(code) - 1)
+        ab, cd = linked.across[start:stop], linked.across[start + 1 : stop + 1]
+        ac, bd = linked.along[start:stop, :-1], linked.along[start:stop, 1:]
+        ad, bc = ((ab & bd), (ac & cd)), ((ab & ac), (bd & cd))
+        count_ad, count_bc = (one.view(np.int8) + two.view(np.int8) for one, two in (ad, bc))
+        P = image.points[start : stop + 1]
+        longer = np.zeros(ab.shape, np.float32)
+        with np.errstate(invalid="ignore"):
+            for i in range(3):
+                longer += (P[1:, 1:, i] - P[:-1, :-1, i]) ** 2
+                longer -= (P[1:, :-1, i] - P[:-1, 1:, i]) ** 2
+            other = (count_bc > count_ad) | ((count_bc == count_ad) & (longer > 0))
+        own = code[start:stop, :-1]
+        for bit, of_ad, of_bc in zip((_FIRST, _SECOND), ad, bc, strict=True):
+            own |= np.where(other, of_bc, of_ad).view(np.uint8) * np.uint8(bit)
+        own |= other.view(np.uint8) * np.uint8(_OTHER)
+    return code.ravel()
+
+
+def facing_away(surface: Surface, image: RangeImage) -> float:
+    """The part of the surface's area that the camera would have seen from behind.
+
+    Triangles that all turn the same way round have fronts and backs only if the surface is folded, and no scanner sees
+    a fold: a part that is not small says that the stage moved the other way than the rig has it.
+    """
+    some = surface.triangles[:: max(1, len(surface.triangles) // _MOST_TURNED_ON)]
+    a, b, c = (surface.vertices[some[:, i]].astype(np.float64) for i in range(3))
+    camera = image.cameras()[surface.place[some[:, 0]] // image.valid.shape[1]]
+    normal = np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)
+    return float(area[(normal * (camera - a)).sum(axis=1) < 0].sum() / max(area.sum(), 1e-300))
+
+
+def _turned(surface: Surface) -> Surface:
+    return Surface(surface.vertices, surface.triangles[:, [0, 2, 1]], surface.place, surface.cells)
