@@ -1,0 +1,126 @@
+"""Distances from meshes and clouds with their sign, the rigid fit, steps and flatness."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from jaxscan.errors import InputError
+from jaxscan.surface.colours import diverging
+from jaxscan.surface.compare import compare, region
+from jaxscan.surface.fit import rigid_fit_to
+from jaxscan.surface.reference import CloudReference, MeshReference, signed_distance
+
+
+@pytest.fixture(scope="module")
+def thing() -> trimesh.Trimesh:
+    """A thing without any symmetry, 300 mm in front of the camera."""
+    parts = [
+        trimesh.creation.box((40, 30, 10)),
+        trimesh.creation.box((10, 12, 20), trimesh.transformations.translation_matrix((10, 5, -12))),
+        trimesh.creation.box((6, 8, 8), trimesh.transformations.translation_matrix((-12, 9, -8))),
+    ]
+    mesh = trimesh.util.concatenate(parts)
+    mesh.apply_translation([0, 0, 300])
+    return mesh
+
+
+def scanned(mesh: trimesh.Trimesh, count: int = 3000, noise: float = 0.02) -> np.ndarray:
+    """Points on what of it faces the camera."""
+    rng = np.random.default_rng(3)
+    points, face = trimesh.sample.sample_surface(mesh, 4 * count, seed=3)
+    outside = np.abs(points - [0, 0, 300]).max(axis=1) < 99
+    seen = (mesh.face_normals[face] * -points).sum(axis=1) > 0
+    points = points[seen & outside][:count]
+    return points + noise * rng.normal(size=points.shape)
+
+
+def test_signed_distance_from_a_box_in_closed_form():
+    half = np.array([3.0, 2.0, 1.0])
+    points = np.random.default_rng(0).uniform(-5, 5, (4000, 3))
+    q = np.abs(points) - half
+    exact = np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
+    box = trimesh.creation.box(2 * half)
+    np.testing.assert_allclose(signed_distance(MeshReference(box), points), exact, atol=1e-9)
+    box.invert()
+    turned = MeshReference(box)
+    assert turned.inside_out
+    np.testing.assert_allclose(signed_distance(turned, points), exact, atol=1e-9)
+
+
+def test_signed_distance_from_the_points_of_a_ball():
+    directions = trimesh.creation.icosphere(subdivisions=5).vertices
+    # The part of the ball that is seen from the origin.
+    directions = directions[directions[:, 2] < -0.2]
+    reference = CloudReference(20 * directions + [0, 0, 300])
+    inner = directions[directions[:, 2] < -0.5]
+    for r in (19.0, 19.9, 20.5, 23.0):
+        np.testing.assert_allclose(signed_distance(reference, r * inner + [0, 0, 300]), r - 20, atol=0.02)
+
+
+def test_figures_and_what_is_beyond():
+    plate = MeshReference(trimesh.creation.box((10, 10, 1)))
+    points = np.array([[x, 0.0, 0.5 + d] for x, d in ((0, 0.1), (1, -0.1), (2, 0.3), (3, 4.0))])
+    figures = compare(points, plate, within_mm=1.0).figures()
+    assert figures["points"] == 3
+    assert figures["points_beyond"] == 1
+    assert figures["mean_mm"] == pytest.approx(0.1)
+    assert figures["rms_mm"] == pytest.approx(np.sqrt(0.11 / 3))
+    assert figures["median_mm"] == pytest.approx(0.1)
+    assert figures["largest_mm"] == pytest.approx(0.3)
+    with pytest.raises(InputError, match=r"no point is within 0\.01 mm"):
+        compare(points[2:], plate, within_mm=0.01)
+    with pytest.raises(InputError, match="cloud and reference lie apart"):
+        compare(points + 100, plate)
+
+
+def test_the_rigid_fit_finds_its_way_from_anywhere(thing):
+    points = scanned(thing)
+    R = Rotation.from_rotvec([0.9, -1.7, 0.6]).as_matrix()
+    t = np.array([80.0, -40.0, 120.0])
+    moved = points @ R.T + t
+    found = compare(moved, MeshReference(thing), fit=True)
+    assert found.motion is not None
+    back, shift = found.motion
+    angle = np.degrees(Rotation.from_matrix(back @ R).magnitude())
+    assert angle < 0.02
+    assert np.linalg.norm(back @ (R @ [0, 0, 300] + t) + shift - [0, 0, 300]) < 0.01
+    assert found.figures()["rms_mm"] == pytest.approx(0.02, rel=0.1)
+
+
+def test_outliers_do_not_pull(thing):
+    points = scanned(thing)
+    stray = points[:400] + np.random.default_rng(1).uniform(-30, 30, (400, 3))
+    R, t = rigid_fit_to(MeshReference(thing), np.concatenate([points, stray]))
+    assert np.degrees(Rotation.from_matrix(R).magnitude()) < 0.05
+    assert np.linalg.norm(R @ [0, 0, 300] + t - [0, 0, 300]) < 0.02
+
+
+def test_a_mirrored_reference_is_not_fitted(thing):
+    mirrored = thing.copy()
+    mirrored.apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0]))
+    with pytest.raises(InputError, match="the mirror image fits better"):
+        compare(scanned(thing), MeshReference(mirrored), fit=True)
+
+
+def test_steps_and_flatness():
+    rng = np.random.default_rng(5)
+    base = np.column_stack([rng.uniform(-5, 5, (3000, 2)), 300 + 0.01 * rng.normal(size=3000)])
+    top = np.column_stack([rng.uniform(15, 25, (3000, 2)), 292.5 + 0.01 * rng.normal(size=3000)])
+    tilt = Rotation.from_rotvec([0.1, 0.2, 0.0]).as_matrix()
+    cloud = np.concatenate([base, top]) @ tilt.T
+    one, two = (region(cloud, tilt @ pick, 4.0) for pick in ([0.0, 0.0, 300.0], [20.0, 20.0, 292.5]))
+    assert two.above(one) == pytest.approx(7.5, abs=0.01)
+    assert one.above(one) == pytest.approx(0, abs=1e-9)
+    assert one.rms_mm == pytest.approx(0.01, rel=0.1)
+    assert 0.04 < one.flatness_mm < 0.1
+    with pytest.raises(InputError, match=r"0 points lie within 4 mm"):
+        region(cloud, [0.0, 0.0, 0.0], 4.0)
+
+
+def test_colours():
+    colours = diverging(np.array([-2.0, -1.0, 0.0, 1.0, np.nan]), 1.0)
+    np.testing.assert_array_equal(colours[0], colours[1])
+    assert colours[1, 2] > 150 > colours[1, 0]
+    assert colours[3, 0] > 150 > colours[3, 2]
+    assert len(np.unique(colours[4])) == 1
