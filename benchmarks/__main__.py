@@ -25,6 +25,7 @@ SUITES = {
     "gauge": "a step block, alone and with the boards, puts a light plane right: how other blocks read",
     "lasers": "two lasers on one camera, calibrated in one solve: do their clouds agree within σ?",
     "next_pose": "three photographs as suggested against three more like those there are, really added and solved",
+    "hardware": "serial sessions with faults, scans killed and resumed, a simulated scanner from hardware to points",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.

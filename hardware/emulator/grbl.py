@@ -1,0 +1,89 @@
+"""GRBL 1.1, as much of it as moves one axis: `$H`, `$J=`, `$X`, `$G`, M3, M5; `?`, `!`, jog cancel, reset at once."""
+
+from hardware.emulator.axis import Axis
+from hardware.emulator.lines import LineController, words
+
+_PULL_OFF_MM = 1.0
+_STATUS, _HOLD, _RESET, _JOG_CANCEL = ord("?"), ord("!"), 0x18, 0x85
+
+
+class Grbl(LineController):
+    """The controller; X counts from the switch, and its switch is below."""
+
+    def __init__(self, axis: Axis, steps_per_mm: float = 250.0):
+        super().__init__(axis, steps_per_mm, b"\r\n", _PULL_OFF_MM)
+        self._alarm = True
+        self._power = 0.0
+
+    def _at_once(self, byte: int, now_s: float) -> bytes | None:
+        moving = self.axis.moving(now_s)
+        if byte == _STATUS:
+            return b"" if self._homing else self._status(now_s)
+        if byte in (_HOLD, _JOG_CANCEL):
+            if not self._homing:
+                self.axis.halt(now_s)
+            return b""
+        if byte == _RESET:
+            self._alarm |= moving
+            self.axis.halt(now_s)
+            self._homing, self.laser = False, False
+            self._line.clear()
+            self._held.clear()
+            return self._say("") + self._say("Grbl 1.1h ['$' for help]")
+        return None if byte < 128 else b""
+
+    def _status(self, now_s: float) -> bytes:
+        moving = self.axis.moving(now_s)
+        at_switch = self.axis.at_switch(now_s)
+        if at_switch and not self._alarm:
+            self._alarm = True
+        state = "Alarm" if self._alarm else ("Jog" if moving else "Idle")
+        pins = "|Pn:X" if at_switch else ""
+        return self._say(f"<{state}|MPos:{self._x_mm(now_s):.3f},0.000,0.000|FS:0,0{pins}>")
+
+    def _obey(self, line: str, now_s: float) -> bytes:
+        plain = line.split(";")[0].strip()
+        if not plain or plain.startswith("("):
+            return self._say("ok")
+        if plain == "$H":
+            self._home(now_s)
+            return b""
+        if plain == "$X":
+            self._alarm = False
+            return self._say("[MSG:Caution: Unlocked]") + self._say("ok")
+        if plain == "$G":
+            code = "M3" if self.laser else "M5"
+            return self._say(f"[GC:G0 G54 G17 G21 G90 G94 {code} M9 T0 F0 S{self._power:.0f}]") + self._say("ok")
+        if plain.startswith("$J="):
+            return self._say(self._jog(plain[3:], now_s))
+        if plain.startswith("$"):
+            return self._say("error:3")
+        return self._say(self._code(plain))
+
+    def _jog(self, text: str, now_s: float) -> str:
+        found = words(text)
+        if found is None or not set(found) <= {"G", "X", "F"} or not set(found.get("G", [])) <= {90, 91, 21}:
+            return "error:20"
+        if self._alarm:
+            return "error:9"
+        if "X" not in found or "F" not in found:
+            return "error:22"
+        start = self._x_mm(now_s) if 91 in found["G"] else 0.0
+        self._go(start + found["X"][0], found["F"][0], now_s)
+        return "ok"
+
+    def _code(self, text: str) -> str:
+        found = words(text)
+        if found is None or not set(found) <= {"M", "S"}:
+            return "error:20"
+        if self._alarm:
+            return "error:9"
+        self._power = found.get("S", [self._power])[0]
+        for code in found.get("M", []):
+            if code not in (3, 5):
+                return "error:20"
+            self.laser = code == 3 and self._power > 0
+        return "ok"
+
+    def _homed(self) -> None:
+        self._alarm = False

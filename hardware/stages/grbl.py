@@ -1,0 +1,69 @@
+"""Stages driven by GRBL 1.1 or FluidNC.
+
+`MPos` is the machine's own position: no offset changes it. Moves are jogs (`$J=`), which leave no mode behind. Stopping
+is a soft reset: a single byte that ends a homing too, and switches the laser off.
+"""
+
+import re
+
+from hardware.errors import NoAnswerError
+from hardware.stages.gcode import LOST, MOVING, STILL, GcodeStage, Report
+
+_STATUS = re.compile(rb"<(\w+)(?::\d)?\|MPos:(-?\d+\.\d+),[^<>]*>")
+_OK = re.compile(rb"(ok|error:\d+|ALARM:\d+)\r?\n")
+# Nothing but the answer itself: `$X` instead of `$H` would say more.
+_BARE_OK = re.compile(rb"^\s*ok\r?\n")
+_MODES = re.compile(rb"\[GC:[^\[\]]*\b(M[345])\b[^\[\]]* S(\d+)(?:\.\d+)?\]")
+_RESET = b"\x18"
+
+
+class Grbl(GcodeStage):
+    """Axis X of a controller with GRBL; homing ($22) has to be on."""
+
+    def _home_once(self) -> None:
+        # What a garbled byte left in the controller's line ends here.
+        self.line.send(b"\r\n")
+        self._pause(0.1)
+        self.line.forget()
+        self.line.send(b"$H\r\n")
+        answer = self.line.expect(_OK, 4, 2 * self.travel.allowed_s(self.travel.span), self._stopping.is_set)
+        self._check_stop()
+        if answer is None or answer[1] != b"ok" or not _BARE_OK.match(answer.string[: answer.end()]):
+            said = b"nothing" if answer is None else answer.string[: answer.end()].strip()
+            raise NoAnswerError(
+                f"{self.line.name}: $H was answered by {said.decode('latin-1')!r}: check the switch, that homing is on "
+                "($22=1), and that no alarm is left"
+            )
+
+    def _send_to(self, own: int) -> None:
+        self.line.forget()
+        order = b"$J=G90G21X%.3fF%.1f\r\n" % (self._x_mm(own), self._feed_mm_min)
+        self.line.send(order)
+        self.line.expect(_OK, len(order), given_up=self._stopping.is_set)
+        self._check_stop()
+
+    def _report(self) -> Report | None:
+        self.line.forget()
+        self.line.send(b"?")
+        status = self.line.expect(_STATUS, 1, given_up=self._stopping.is_set)
+        self._check_stop()
+        if status is None:
+            return None
+        # In an alarm the motor stands, but may have lost steps.
+        state = {b"Idle": STILL, b"Alarm": LOST}.get(status[1], MOVING)
+        return Report(state, round(float(status[2]) * abs(self._per_mm)))
+
+    def _switched(self, on: bool) -> bool:
+        self.line.forget()
+        self.line.send(b"M3 S1000\r\n" if on else b"M5\r\n")
+        self.line.expect(_OK, 10)
+        self.line.forget()
+        self.line.send(b"$G\r\n")
+        modes = self.line.expect(_MODES, 4)
+        if modes is None:
+            self.line.send(b"\r\n")
+            return False
+        return (modes[1] == b"M3" and int(modes[2]) == 1000) if on else modes[1] == b"M5"
+
+    def _halt(self) -> None:
+        self.line.send(3 * _RESET)

@@ -1,0 +1,208 @@
+"""What every stage at the end of a serial line does alike: one order at a time, checked before and after, and `stop`.
+
+The controller's count is believed only as far as it has been checked since the reference switch was found. Whatever
+contradicts it ends in `PositionUncertainError`, and then only homing helps.
+"""
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from hardware.errors import (
+    HardwareError,
+    LineLostError,
+    NotHomedError,
+    PositionUncertainError,
+    SettingsError,
+    StoppedError,
+)
+from hardware.stages.line import Line
+from hardware.stages.travel_settings import Travel
+
+_HOMINGS = 3
+# How long `stop` waits for the thread that moves to notice.
+_NOTICE_S = 5.0
+_SLICE_S = 0.1
+
+
+class SerialStage(ABC):
+    """A stage driven over a serial line.
+
+    Args:
+        port: a port, or any URL that pyserial opens.
+        travel: the stage's way and pace.
+        baud: of the line.
+        homed: take it that the controller has kept its count since it was last homed.
+
+    Raises:
+        SettingsError: the port cannot be opened.
+    """
+
+    def __init__(self, port: str, travel: Travel | None = None, *, baud: int, homed: bool = False):
+        self.travel = travel or Travel()
+        self.line = Line(port, baud)
+        self._take_over = homed
+        self._believed: int | None = None
+        self._busy = threading.RLock()
+        self._stopping = threading.Event()
+
+    def home(self) -> None:
+        """Find the reference switch, count from it, and go to step 0 (or `travel.first`).
+
+        Raises:
+            HardwareError: the switch was not found, or the line is too bad; the text says whether the stage stands.
+        """
+        with self._order():
+            self._believed = None
+            for attempt in range(_HOMINGS):
+                try:
+                    self._find_switch()
+                    self._believed = self.travel.switch
+                    self._go(max(0, self.travel.first))
+                    return
+                except (LineLostError, StoppedError):
+                    raise
+                except HardwareError:
+                    self._believed = None
+                    if attempt == _HOMINGS - 1:
+                        raise
+                    self._halt()
+                    self._standing()
+
+    def move_to(self, step_count: int) -> None:
+        """Go there, from below, and return when the controller has twice reported that it stands there.
+
+        Raises:
+            HardwareError: it did not arrive, or may not be where it says; the text says whether it stands.
+        """
+        low, high = self.travel.first, self.travel.last
+        if not low <= step_count <= high:
+            raise SettingsError(f"{step_count} steps: the stage goes from {low} to {high}: choose a place between them")
+        with self._order():
+            self._check_place()
+            self._go(step_count)
+
+    def position(self) -> int:
+        """The step count that the controller reports, twice.
+
+        Raises:
+            HardwareError: it does not answer, or has another count than that to which it was sent.
+        """
+        with self._order(halting=False):
+            return self._check_place()
+
+    def stop(self) -> None:
+        """Stand still, and be homed before the next move; from any thread.
+
+        Raises:
+            LineLostError: the line does not carry the order, or the controller does not say that it stands.
+        """
+        self._stopping.set()
+        with suppress(LineLostError):
+            self._halt()
+        # Whoever moves sees the flag within a slice of time and lets go.
+        if not self._busy.acquire(timeout=_NOTICE_S):
+            raise LineLostError(f"{self.line.name}: {_MAY_MOVE}")
+        try:
+            self._believed, self._take_over = None, False
+            self._stopping.clear()
+            if (words := self._make_stand()) == _MAY_MOVE:
+                raise LineLostError(f"{self.line.name}: the order to stop was given, but {words}")
+        finally:
+            self._busy.release()
+
+    def close(self) -> None:
+        """Disconnect; safe to call twice."""
+        self.line.close()
+
+    def _check_place(self) -> int:
+        """The place, if the controller agrees with what is believed."""
+        if self._believed is None and self._take_over:
+            self._believed = self._settled(None)
+        if self._believed is None:
+            raise NotHomedError(f"{self.line.name}: the stage has no reference yet: home it (`scanner home`)")
+        count = self._settled(self._believed)
+        if count != self._believed:
+            raise PositionUncertainError(
+                f"{self.line.name}: the controller says {count} steps, but it was left at {self._believed}: it was "
+                "reset, moved by hand or another program, or a byte of the line was garbled: home it"
+            )
+        return count
+
+    def _go(self, target: int) -> None:
+        """The legs to a place; `_believed` is there or None at any time."""
+        start = self._believed
+        if start is None:
+            raise NotHomedError(f"{self.line.name}: home it")
+        for end in self.travel.legs(start, target):
+            self._believed = None
+            self._leg(start, end)
+            self._believed = start = end
+
+    def _pause(self, seconds: float) -> None:
+        """Let time pass, in slices.
+
+        Raises:
+            StoppedError: somebody called `stop`.
+        """
+        clock = self.line.clock
+        until_s = clock.now_s() + seconds
+        while (left_s := until_s - clock.now_s()) > 0:
+            self._check_stop()
+            clock.sleep(min(left_s, _SLICE_S))
+        self._check_stop()
+
+    def _check_stop(self) -> None:
+        if self._stopping.is_set():
+            raise StoppedError(f"{self.line.name}: stopped; home the stage before it moves again")
+
+    @contextmanager
+    def _order(self, halting: bool = True) -> Iterator[None]:
+        """One order at a time; when it fails the stage is halted, and the error says whether it stands."""
+        with self._busy:
+            try:
+                yield
+            except (SettingsError, NotHomedError, StoppedError):
+                raise
+            except HardwareError as error:
+                self._believed, self._take_over = None, False
+                if not halting:
+                    raise
+                raise type(error)(f"{error}; {self._make_stand()}") from error
+            except BaseException:
+                self._believed, self._take_over = None, False
+                self._make_stand()
+                raise
+
+    def _make_stand(self) -> str:
+        """Halt, and say in words whether it stands."""
+        try:
+            self._halt()
+            standing = self._standing()
+        except HardwareError:
+            standing = False
+        return "the stage stands still" if standing else _MAY_MOVE
+
+    @abstractmethod
+    def _find_switch(self) -> None:
+        """Leave the stage standing on its switch, with a count of `travel.switch` there."""
+
+    @abstractmethod
+    def _leg(self, start: int, end: int) -> None:
+        """Go from one place, where it stands, straight to another, at least an approach away."""
+
+    @abstractmethod
+    def _settled(self, expected: int | None) -> int:
+        """The count at rest, read twice; None for one of which nothing is known."""
+
+    @abstractmethod
+    def _halt(self) -> None:
+        """Send the order to stand still, no matter who else is sending."""
+
+    @abstractmethod
+    def _standing(self) -> bool:
+        """Whether the controller shows that the motor stands."""
+
+
+_MAY_MOVE = "whether the stage stands is not known, it MAY STILL BE MOVING: switch its motor supply off if in doubt"

@@ -1,0 +1,86 @@
+"""What a driver has to know of the stage that it drives."""
+
+import math
+from dataclasses import dataclass
+
+from hardware.errors import SettingsError
+from hardware.travel import Trapezoid
+
+# The last leg of a move takes at least this long, so that it can be watched.
+_LEAST_LEG_S = 1.0
+# A move may take so many times as long as its distance and rate say, and this much more.
+_SLOWER, _SLACK_S = 1.25, 1.0
+# A motor may run so many times as fast as it was told, and be so many steps further by jitter of the line.
+_FASTER, _JITTER_STEPS = 1.1, 10
+
+
+@dataclass(frozen=True)
+class Travel:
+    """A stage's way and pace, in motor steps.
+
+    Attributes:
+        rate_steps_s: speed of all moves.
+        ramp_steps_s2: acceleration and deceleration.
+        first, last: the step counts between which it may be sent.
+        switch: the step count of the reference switch, below `first` by more than an approach.
+        backlash: play of the screw; a move ends with at least this much from below.
+    """
+
+    rate_steps_s: float = 800.0
+    ramp_steps_s2: float = 2000.0
+    first: int = 0
+    last: int = 250_000
+    switch: int = -1000
+    backlash: int = 200
+
+    def __post_init__(self) -> None:
+        """Refuse what no stage can be.
+
+        Raises:
+            SettingsError: which value, and why.
+        """
+        if not 0 < self.rate_steps_s < math.inf or not 0 < self.ramp_steps_s2 < math.inf:
+            raise SettingsError(
+                f"rate_steps_s = {self.rate_steps_s}, ramp_steps_s2 = {self.ramp_steps_s2}: both are positive"
+            )
+        if self.backlash < 0 or self.first >= self.last:
+            raise SettingsError(
+                f"first = {self.first}, last = {self.last}, backlash = {self.backlash}: a stage has some way to go, "
+                "and no negative play"
+            )
+        if self.switch > self.first - self.approach:
+            raise SettingsError(
+                f"switch = {self.switch}: moves end from below, so the switch has to be at least {self.approach} steps "
+                f"below the first place, {self.first}: give {self.first - self.approach} or less"
+            )
+
+    @property
+    def approach(self) -> int:
+        """Steps of the shortest leg that ends a move: all of the play, and long enough to be watched."""
+        watched = Trapezoid(1e9, self.rate_steps_s, self.ramp_steps_s2).gone(_LEAST_LEG_S)
+        return max(self.backlash, math.ceil(watched), 4)
+
+    @property
+    def span(self) -> int:
+        """Steps from the switch to the last place."""
+        return self.last - self.switch
+
+    def legs(self, start: int, target: int) -> list[int]:
+        """Where to go one after the other: the last leg comes from below, and none is too short to be watched."""
+        if target - start >= self.approach:
+            return [target]
+        if target == start:
+            return []
+        return [min(target, start) - self.approach, target]
+
+    def move(self, distance: int) -> Trapezoid:
+        """A move over so many steps."""
+        return Trapezoid(abs(distance), self.rate_steps_s, self.ramp_steps_s2)
+
+    def allowed_s(self, distance: int) -> float:
+        """How long a move may take before something is wrong."""
+        return _SLOWER * self.move(distance).duration_s + _SLACK_S
+
+    def reach(self, seconds: float) -> float:
+        """How far the motor can have gone in some time, steps."""
+        return _FASTER * self.rate_steps_s * seconds + _JITTER_STEPS
