@@ -111,7 +111,7 @@ def run(kind: str, url: str, places: list[int], seed: int = 0) -> Outcome:
     def check(count: int) -> None:
         nonlocal believed
         believed += 1
-        true = port.controller.axis.load(port.clock.now_s()) - _AT_SWITCH[kind] + TRAVEL.switch
+        true = port.axis.load(port.clock.now_s()) - _AT_SWITCH[kind] + TRAVEL.switch
         if abs(true - count) > 0.01:
             wrong.append((count, true))
 
@@ -134,7 +134,7 @@ def run(kind: str, url: str, places: list[int], seed: int = 0) -> Outcome:
         error=error,
         places=believed,
         wrong=tuple(wrong),
-        moving=port.controller.axis.moving(now_s),
+        moving=port.axis.moving(now_s),
         laser=port.laser,
         pulled=port.pulled,
         seconds=now_s,

@@ -10,7 +10,7 @@ class Frame:
     """A photograph and the state of the scanner when it was taken.
 
     Attributes:
-        image: (rows, columns) grey or (rows, columns, 3) in OpenCV's order blue, green, red; uint8 or uint16.
+        image: (rows, columns) grey or (rows, columns, 3) in the order red, green, blue; uint8 or uint16.
         step_count: motor steps at which the stage stood, as it reported them.
         time_s: when the exposure began, seconds since the epoch.
         exposure_s: how long it was.

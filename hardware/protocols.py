@@ -1,12 +1,13 @@
 """What a scan asks of a camera, a stage and a laser. Anything with these methods will do; nothing has to inherit.
 
-Every call returns within a time that follows from what was asked, or raises `TimeoutError`. `Stage.stop` may be called
-from another thread, at any time.
+Every call returns within a time that follows from what was asked, or raises a `hardware.errors.HardwareError`; one that
+ran out of time is a `TimeoutError` too. `Stage.stop` may be called from another thread, at any time.
 """
 
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from hardware.frame import Frame
+if TYPE_CHECKING:
+    from hardware.frame import Frame
 
 
 @runtime_checkable
@@ -21,7 +22,7 @@ class Camera(Protocol):
         """Set exposure time and gain for the photographs to come."""
         ...
 
-    def expose(self, step_count: int) -> Frame:
+    def expose(self, step_count: int) -> "Frame":
         """Take one photograph, at the step count at which the stage stands."""
         ...
 
@@ -46,8 +47,16 @@ class Stage(Protocol):
         """The step count that the controller reports, read anew each time."""
         ...
 
+    def settle(self, seconds: float) -> None:
+        """Let the load come to rest, for so long in the stage's own time."""
+        ...
+
     def stop(self) -> None:
         """Stand still as soon as the line carries the order; from any thread."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect; safe to call twice."""
         ...
 
 

@@ -20,7 +20,7 @@ from hardware.emulator.axis import Axis
 from hardware.emulator.bistep import BiStep
 from hardware.emulator.grbl import Grbl
 from hardware.emulator.marlin import Marlin
-from hardware.emulator.wire import Controller, Faults, Wire
+from hardware.emulator.wire import Faults, Wire
 
 _CONTROLLERS = {"bistep": BiStep, "grbl": Grbl, "marlin": Marlin}
 _AXIS = ("length", "start", "play", "stall_rate")
@@ -53,7 +53,7 @@ class EmulatedPort(serial.SerialBase):
     """
 
     clock: Clock
-    controller: Controller
+    controller: Any
 
     def open(self) -> None:
         """Connect."""
@@ -107,8 +107,17 @@ class EmulatedPort(serial.SerialBase):
         """Everything is on the wire already."""
 
     @property
+    def axis(self) -> Axis:
+        """The motor, with all that has happened to it until now."""
+        with self._changed:
+            self._came += self._wire.pump(self.clock.now_s())
+            return self.controller.axis
+
+    @property
     def laser(self) -> bool:
         """Whether a laser shines: one on the RTS line, or one that the controller switches."""
+        with self._changed:
+            self._came += self._wire.pump(self.clock.now_s())
         return bool(getattr(self.controller, "laser", self.rts))
 
     @property

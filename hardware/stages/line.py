@@ -111,6 +111,18 @@ class Line:
                 break
         return None
 
+    def listen(self, seconds: float) -> bytes:
+        """All that comes in some time.
+
+        Raises:
+            LineLostError: the port is gone.
+        """
+        came, until_s = bytearray(), self.clock.now_s() + seconds
+        while self.clock.now_s() < until_s:
+            with self._carried():
+                came += self.port.read(max(1, self.port.in_waiting))
+        return bytes(came)
+
     def drain(self) -> None:
         """Wait until nothing has come for a while, so that no late answer is taken for that to the next question.
 

@@ -92,6 +92,15 @@ class SerialStage(ABC):
         with self._order(halting=False):
             return self._check_place()
 
+    def settle(self, seconds: float) -> None:
+        """Let the load come to rest.
+
+        Raises:
+            StoppedError: somebody called `stop`.
+        """
+        with self._busy:
+            self._pause(seconds)
+
     def stop(self) -> None:
         """Stand still, and be homed before the next move; from any thread.
 

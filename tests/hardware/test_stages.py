@@ -35,7 +35,7 @@ def make(kind: str, faults: str = "", **how):
 
 def true_steps(stage, kind: str) -> float:
     port = stage.line.port
-    return port.controller.axis.load(port.clock.now_s()) - KINDS[kind][1] + TRAVEL.switch
+    return port.axis.load(port.clock.now_s()) - KINDS[kind][1] + TRAVEL.switch
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -93,7 +93,7 @@ def test_stop_from_another_thread(kind):
     mover.start()
     time.sleep(0.3)
     stage.stop()
-    axis, now_s = stage.line.port.controller.axis, stage.line.clock.now_s()
+    axis, now_s = stage.line.port.axis, stage.line.clock.now_s()
     assert not axis.moving(now_s)
     assert 500 < true_steps(stage, kind) < 11000
     mover.join(2)
@@ -123,7 +123,7 @@ def test_a_stage_without_a_switch_ends_in_time(kind):
     stage = make(kind, "&length=9000000&start=8000000")
     with pytest.raises(NoAnswerError, match="switch"):
         stage.home()
-    assert not stage.line.port.controller.axis.moving(stage.line.clock.now_s())
+    assert not stage.line.port.axis.moving(stage.line.clock.now_s())
 
 
 def test_nobody_at_the_other_end():

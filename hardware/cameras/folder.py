@@ -1,0 +1,68 @@
+"""Photographs that were taken before, in the place of a camera."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from hardware.errors import CameraError
+from hardware.frame import Frame
+
+
+class FolderCamera:
+    """Photographs from files.
+
+    Args:
+        paths: in their order.
+        steps: the step count of each, by which it is chosen; without them each is the next.
+    """
+
+    def __init__(self, paths: Sequence[Path], steps: Sequence[int] | None = None):
+        self._paths = tuple(paths)
+        self._by_step = None if steps is None else dict(zip(steps, paths, strict=True))
+        self._next = 0
+        self._exposure_s = 1 / 30
+
+    def open(self) -> None:
+        """See that there are any.
+
+        Raises:
+            CameraError: there are none.
+        """
+        if not self._paths:
+            raise CameraError("the folder camera has no photographs: name a folder with PNG or JPEG files")
+
+    def configure(self, exposure_s: float, gain: float = 1.0) -> None:
+        """They were exposed long ago."""
+        self._exposure_s = exposure_s
+
+    def expose(self, step_count: int) -> Frame:
+        """The next photograph, or that of this step count.
+
+        Raises:
+            CameraError: there is none, or it cannot be read.
+        """
+        if self._by_step is None:
+            path = self._paths[self._next] if self._next < len(self._paths) else None
+            self._next += 1
+        else:
+            path = self._by_step.get(step_count)
+        if path is None:
+            raise CameraError(
+                f"the folder camera has no photograph for step {step_count}, and {len(self._paths)} in all"
+            )
+        try:
+            data = np.fromfile(path, np.uint8)
+        except OSError as error:
+            raise CameraError(f"{path}: cannot be read ({error.strerror})") from error
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_ANYDEPTH) if data.size else None
+        if image is None:
+            raise CameraError(f"{path}: is not an image that can be decoded")
+        if image.ndim == 3:
+            image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB)
+        return Frame(image, step_count, time.time(), self._exposure_s)
+
+    def close(self) -> None:
+        """Nothing to do."""

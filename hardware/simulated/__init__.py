@@ -1,0 +1,1 @@
+"""A whole scanner in software: the embedded default, and the one on which the others are tested."""
