@@ -11,10 +11,20 @@ import cv2
 import numpy as np
 import pytest
 
+from hardware.guide import guided_session
+from hardware.lasers import FixedLaser
+from hardware.scan import Devices, take
+from hardware.scan_plan import Plan, ScanFolder
+from hardware.simulated.camera import SimulatedCamera, SimulatedWorld
+from hardware.simulated.laser import SimulatedLaser
+from hardware.simulated.operator import SimulatedOperator
+from hardware.simulated.stage import SimulatedStage
+from hardware.stages import Travel
 from jaxscan.cli.main import main
 from jaxscan.files.cloud import read_ply
 from jaxscan.files.range_npz import read_range_npz
 from jaxscan.files.rig_file import read_rig, write_rig
+from jaxscan.files.session import read_session
 from jaxscan.simulation import distance, rig_2003
 from jaxscan.simulation.folders import read_scan_truth, simulate_scan, simulate_session, write_truth
 from jaxscan.simulation.scene import Scene
@@ -41,6 +51,29 @@ def world(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
     points = ["-o", str(folder / "cup.ply"), "-o", str(folder / "cup.npz")]
     assert main(["reconstruct", str(folder / "scan"), "--rig", str(folder / "rig.json"), *points]) == 0
     return folder
+
+
+def test_hardware_to_file_to_points(world: Path, scene: Scene, tmp_path: Path) -> None:
+    """The simulated scanner, its stage with play: a guided session, a scan, and the points that come of them."""
+    stage, laser = SimulatedStage(Travel(last=80000, backlash=900), play=900), SimulatedLaser()
+    simulated = SimulatedWorld(1, cup(rig_2003.OBJECT_Y))
+    laser.on()
+    devices = Devices(SimulatedCamera(simulated, stage, laser), stage, FixedLaser())
+    said: list[str] = []
+    operator = SimulatedOperator(simulated, 6, said.append)
+    how = {"views": 6, "stage_steps": range(0, 60001, 15000)}
+    session = guided_session(tmp_path / "session", devices, rig_2003.BOARD, operator, **how)
+    assert read_session(tmp_path / "session") == session
+    assert any("now tilt the board" in words for words in said)
+    simulated.put_object()
+    plan = Plan(tuple(range(0, 48001, 12000)), name="cup")
+    take(ScanFolder.create(tmp_path / "scan", plan), devices)
+    assert main(["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "rig.json")]) == 0
+    out = tmp_path / "cup.ply"
+    assert main(["reconstruct", str(tmp_path / "scan"), "--rig", str(tmp_path / "rig.json"), "-o", str(out)]) == 0
+    points = read_ply(out).points.astype(np.float64)
+    assert len(points) > 0.95 * len(read_ply(world / "cup.ply").points)
+    assert np.sqrt((distance(scene, points) ** 2).mean()) < 0.16
 
 
 def test_the_cloud_lies_on_the_cup(world: Path, scene: Scene) -> None:

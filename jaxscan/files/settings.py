@@ -10,7 +10,7 @@ from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.table import Table
 from jaxscan.images import StripeSettings
-from jaxscan.images.stripes.response import COLORS
+from jaxscan.images.stripe_settings import COLORS
 
 
 def toml_in(path: Path, name: str) -> Path:

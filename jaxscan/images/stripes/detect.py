@@ -10,8 +10,6 @@ There is a stripe where the peak stands above its background by so many times th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import equinox as eqx
 import jax
@@ -22,10 +20,10 @@ from jaxtyping import Array, Bool, Float32, Int
 from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.images.decode import to_grey
+from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Measured, Model, measure
-from jaxscan.images.stripes.response import CHANNELS, COLORS
 from jaxscan.images.stripes.survey import survey
 from jaxscan.images.stripes.windows import gather_windows
 
@@ -44,28 +42,6 @@ _LEAST_BUCKET = 256
 # A stripe point has so many others within so many lines to either side, off by no more than so much and a steep slope.
 _LEAST_COMPANY, _COMPANY_WITHIN = 2, 4
 _COMPANY_PX, _STEEPEST = 2.0, 4.0
-
-
-@dataclass(frozen=True)
-class StripeSettings:
-    """How the stripe is looked for: the `[laser]` section of a session or scan.
-
-    Attributes:
-        color: of the laser; grey for a monochrome camera.
-        columns: one point for each image column (True) or for each row (False).
-        name: which laser of several this is.
-    """
-
-    color: Literal["red", "green", "blue", "grey"] = "red"
-    columns: bool = True
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be meant."""
-        if self.color not in COLORS:
-            raise InputError(f'color = "{self.color}": use one of {", ".join(COLORS)}')
-        if not isinstance(self.columns, bool):
-            raise InputError(f"columns = {self.columns}: write true (a point for each column) or false (for each row)")
 
 
 class Stripe(eqx.Module):

@@ -22,12 +22,11 @@ from typing import Final
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
+from jaxscan.images.stripe_settings import CHANNELS
+
 Images = UInt[Array, "frames rows columns *rgb"]
 # One for all frames, or one for each.
 Backgrounds = UInt[Array, "backgrounds rows columns *rgb"]
-
-CHANNELS: Final = {"red": (0, 1, 2), "green": (1, 0, 2), "blue": (2, 0, 1)}
-COLORS: Final = (*CHANNELS, "grey")
 
 # The weights m and n with which neutral light cancels.
 NEUTRAL: Final = (1.0, 1.0)

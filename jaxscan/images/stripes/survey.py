@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxscan.images.stripe_settings import CHANNELS
 from jaxscan.images.stripes.likelihood import Fit, fit
-from jaxscan.images.stripes.response import CHANNELS, NEUTRAL, Backgrounds, Images, channel_weights, channels, response
+from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channel_weights, channels, response
 from jaxscan.images.stripes.windows import Outline, Pixels, Places, Sensor, Windows, gather_pixels, outline
 
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from jaxscan.images.stripes.response import CHANNELS, NEUTRAL, Backgrounds, Images, channels, response
+from jaxscan.images.stripe_settings import CHANNELS
+from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channels, response
 
 Pixels = Float[Array, "groups window lines"]
 Lines = Float[Array, "groups 1 lines"]

@@ -1,0 +1,175 @@
+"""What a scan is to do, and what of it is done: the folder of a scan under way.
+
+`scan.toml`, as every scan has it, lists the frames that are whole; `plan.json` beside it says where the others are to
+be taken. Both are written beside and renamed.
+"""
+
+import json
+import math
+import warnings
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from hardware.frame import Frame
+from jaxscan.atomic import check_writable, replacing
+from jaxscan.errors import InputError
+from jaxscan.files.listing import common_size
+from jaxscan.files.scan import SCAN_FILE, Scan, read_scan, write_scan
+from jaxscan.files.table import PassedOverWarning
+from jaxscan.files.text import read_json
+from jaxscan.images import StripeSettings, read_image, write_image
+
+PLAN_FILE: Final = "plan.json"
+_FRAMES: Final = "frames"
+_FORMAT: Final = "jaxscan-plan/1"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A scan to take.
+
+    Attributes:
+        steps: where the stage is to stand, in motor steps, one frame each.
+        settle_s: how long to wait at each place before the photograph.
+        dark: whether every frame comes with one with the laser off.
+        exposure_s: of every photograph; None leaves the camera as it is.
+        gain: of the camera, with `exposure_s`.
+        name: what is scanned.
+        laser: how its stripe is looked for afterwards.
+    """
+
+    steps: tuple[int, ...]
+    settle_s: float = 0.2
+    dark: bool = False
+    exposure_s: float | None = None
+    gain: float = 1.0
+    name: str = ""
+    laser: StripeSettings = field(default_factory=StripeSettings)
+
+    def __post_init__(self) -> None:
+        """Refuse what is no scan.
+
+        Raises:
+            InputError: no step, one twice, or a time that is none.
+        """
+        if not self.steps or len(set(self.steps)) < len(self.steps):
+            raise InputError(f"steps = {self.steps}: a scan has one frame or more, each at a place of its own")
+        if not 0 <= self.settle_s < math.inf:
+            raise InputError(f"settle_s = {self.settle_s}: give 0 seconds or more")
+        if self.exposure_s is not None and not 0 < self.exposure_s < math.inf:
+            raise InputError(f"exposure_s = {self.exposure_s}: give a positive number of seconds")
+
+
+class ScanFolder:
+    """A scan under way: what is in `done` is on the disk, whole, and stays.
+
+    Attributes:
+        plan: all that is to be done.
+        done: the frames that are.
+    """
+
+    def __init__(self, plan: Plan, done: Scan):
+        self.plan, self.done = plan, done
+
+    @staticmethod
+    def create(folder: Path, plan: Plan) -> "ScanFolder":
+        """Begin a scan in a folder that is new or empty.
+
+        Raises:
+            InputError: the folder holds something, or cannot be made.
+        """
+        if folder.is_dir() and any(folder.iterdir()):
+            hint = (
+                "go on with it by --resume" if (folder / PLAN_FILE).exists() else "name a folder that is new or empty"
+            )
+            raise InputError(f"{folder}: is not empty: {hint}")
+        try:
+            (folder / _FRAMES).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
+        check_writable(folder / SCAN_FILE)
+        # The scan first: a folder with a plan has one that reads.
+        done = Scan(folder / SCAN_FILE, plan.laser, exposures_s=None if plan.exposure_s is None else (), name=plan.name)
+        write_scan(done)
+        values = {"format": _FORMAT, **asdict(plan)}
+        with replacing(folder / PLAN_FILE, "w") as file:
+            json.dump(values, file, indent=2)
+        return ScanFolder(plan, done)
+
+    @staticmethod
+    def resume(folder: Path) -> "ScanFolder":
+        """Go on with a scan that ended early, wherever that was.
+
+        Raises:
+            InputError: there is none, or a frame that it lists is not whole.
+        """
+        if not (folder / PLAN_FILE).is_file():
+            raise InputError(f"{folder}: has no {PLAN_FILE}: begin a scan there without --resume")
+        plan = _read_plan(folder / PLAN_FILE)
+        for path in (*folder.glob(".*.part"), *(folder / _FRAMES).glob(".*.part")):
+            path.unlink()
+        with warnings.catch_warnings():
+            # A frame that was cut off before it was listed is taken again, under the same name.
+            warnings.simplefilter("ignore", PassedOverWarning)
+            done = read_scan(folder)
+        if done.steps != plan.steps[: len(done.steps)]:
+            raise InputError(
+                f"{folder / SCAN_FILE}: its steps are not the first of those in {PLAN_FILE}: it was changed by hand; "
+                "keep it as it is, and begin another"
+            )
+        for path in (*done.frames, *done.backgrounds):
+            read_image(path)
+        if done.frames:
+            common_size([*done.frames, *done.backgrounds])
+        return ScanFolder(plan, done)
+
+    @property
+    def left(self) -> tuple[int, ...]:
+        """The steps whose frames are still to be taken."""
+        return self.plan.steps[len(self.done.steps) :]
+
+    def add(self, frame: Frame, dark: Frame | None = None) -> Path:
+        """Make a frame durable, then list it; when this returns it counts.
+
+        Raises:
+            InputError: the disk is full or gone, or the frame is not like those before it.
+        """
+        folder, number = self.done.path.parent, len(self.done.frames)
+        path = folder / _FRAMES / f"{number:04d}.png"
+        backgrounds = self.done.backgrounds
+        if dark is not None:
+            beside = folder / _FRAMES / f"{number:04d}-dark.png"
+            write_image(beside, dark.image)
+            backgrounds = (*backgrounds, beside)
+        write_image(path, frame.image)
+        exposures = self.done.exposures_s
+        done = replace(
+            self.done,
+            frames=(*self.done.frames, path),
+            steps=(*self.done.steps, frame.step_count),
+            backgrounds=backgrounds,
+            exposures_s=None if exposures is None else (*exposures, frame.exposure_s),
+        )
+        write_scan(done)
+        self.done = done
+        return path
+
+
+def _read_plan(path: Path) -> Plan:
+    """Read back what `create` wrote.
+
+    Raises:
+        InputError: it was changed.
+    """
+    keys = tuple(Plan.__dataclass_fields__)
+    table = read_json(path).only("format", *keys)
+    if table.string("format") != _FORMAT:
+        raise table.error("format", f"only {_FORMAT} is read here")
+    laser = table.table("laser", "laser.").only("color", "columns", "name").values
+    values: dict[str, Any] = {key: table.values[key] for key in keys if key in table}
+    values.update(steps=table.wholes("steps"), laser=StripeSettings(**laser))
+    try:
+        return Plan(**values)
+    except TypeError as error:
+        raise InputError(f"{path}: is not what a scan writes ({error}): begin another scan") from error

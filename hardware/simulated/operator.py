@@ -1,0 +1,28 @@
+"""Who holds the board of the simulated scanner."""
+
+from collections.abc import Callable
+
+from hardware.guide import ON_STAGE
+from hardware.simulated.camera import SimulatedWorld
+
+
+class SimulatedOperator:
+    """Holds the board in one pose of the simulated session after the other, and fixes it on the stage when asked."""
+
+    def __init__(self, world: SimulatedWorld, views: int, say: Callable[[str], object] = lambda words: None):
+        self._world, self._views, self._say = world, views, say
+        self._next = 0
+
+    def ready(self, wish: str) -> bool:
+        """Do it."""
+        self._say(wish)
+        if wish == ON_STAGE:
+            self._world.put_board()
+        else:
+            self._world.hold_board(self._next % self._views, self._views)
+            self._next += 1
+        return True
+
+    def say(self, words: str) -> None:
+        """Pass it on."""
+        self._say(words)
