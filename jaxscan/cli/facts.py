@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from jaxtyping import Float
 
 from jaxscan.files.cameras import format_of, read_camera_file
-from jaxscan.files.cloud import read_ply
+from jaxscan.files.cloud import cloud_of
 from jaxscan.files.formats import FORMATS
 from jaxscan.files.listing import common_size
+from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
+from jaxscan.files.ply import Element
+from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.range_npz import read_range_npz
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.files.rig_file import read_rig
@@ -112,9 +116,15 @@ def camera_facts(path: Path, name: str | None = None, image_size: tuple[int, int
     }
 
 
-def cloud_facts(path: Path) -> Facts:
-    """Facts of the points of a PLY file."""
-    cloud = read_ply(path)
+def ply_facts(path: Path) -> Facts:
+    """Facts of a PLY file: of a mesh, of points, or of whatever elements it has."""
+    content = read_ply_file(path)
+    if has_faces(content):
+        return _mesh(path, mesh_of(path, content))
+    if not content.elements.get("vertex", Element(0)).count:
+        elements = {name: [element.count, list(element.columns)] for name, element in content.elements.items()}
+        return {"kind": "PLY", "path": str(path), "format": content.format, "elements": elements}
+    cloud = cloud_of(path, content)
     return {
         "kind": "cloud",
         "path": str(path),
@@ -123,6 +133,26 @@ def cloud_facts(path: Path) -> Facts:
         "sigma_mm": _median(cloud.sigma),
         "sigma_pixel_mm": _median(cloud.sigma_pixel),
         "colours": cloud.colours is not None,
+    }
+
+
+def mesh_facts(path: Path) -> Facts:
+    """Facts of a triangle mesh."""
+    return _mesh(path, read_mesh(path))
+
+
+def _mesh(path: Path, mesh: trimesh.Trimesh) -> Facts:
+    return {
+        "kind": "mesh",
+        "path": str(path),
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.faces),
+        "box_mm": _box(np.asarray(mesh.vertices)),
+        "sigma_mm": None,
+        "area_mm2": float(mesh.area),
+        "consistent": bool(mesh.is_winding_consistent),
+        "closed": bool(mesh.is_watertight),
+        "volume_mm3": float(mesh.volume) if mesh.is_watertight else None,
     }
 
 

@@ -1,4 +1,4 @@
-"""`jaxscan inspect`: a session, scan, rig, camera, cloud or range image in words, and what a photograph shows."""
+"""`jaxscan inspect`: a session, scan, rig, camera, cloud, range image or mesh in words, and in a picture."""
 
 import argparse
 from pathlib import Path
@@ -10,7 +10,7 @@ from jaxscan.cli.words import in_words
 from jaxscan.errors import InputError
 from jaxscan.files.formats import ENDINGS
 
-HELP: Final = "say in words what a session, scan, rig, camera, cloud or range image holds"
+HELP: Final = "say in words what a session, scan, rig, camera, cloud, range image or mesh holds"
 EXAMPLE: Final = "jaxscan inspect scans/cup --frame 12 --png cup-12.png"
 
 _DEFAULT: Final = "-"
@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "path",
         type=Path,
-        help=f"a folder with session.toml or scan.toml, one .toml, .ply, .npz, or a camera: {', '.join(ENDINGS)}",
+        help="a folder with session.toml or scan.toml, one .toml, .ply, .npz, .stl, .obj, .glb, or a camera: "
+        f"{', '.join(ENDINGS)}",
     )
     parser.add_argument("--frame", type=int, metavar="N", help="which photograph to draw, counted from 0 (default: 0)")
     parser.add_argument(
@@ -30,8 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         const=Path(_DEFAULT),
         metavar="OUT",
-        help="draw the stripe over the scan's photograph N, or corners and stripe over the session's view N "
-        "(default: a file named after both, here)",
+        help="draw the stripe over the scan's photograph N, or corners and stripe over the session's view N, "
+        "or a range image in its views (default: a file named after both, here)",
     )
     add_detector_argument(parser)
     add_choice_argument(parser)
@@ -43,8 +44,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     kind, path = _kind(args.path)
     if args.frame is not None and args.png is None:
         raise InputError("--frame chooses the photograph to draw: add --png, and a name for the picture if you like")
-    if args.png is not None and kind not in ("session", "scan"):
+    if args.png is not None and kind not in ("session", "scan", "range image"):
         raise InputError(f"{path}: --png draws what is detected in a photograph, and a {kind} has none: leave it out")
+    if args.frame is not None and kind == "range image":
+        raise InputError(f"{path}: --frame chooses a photograph, and a range image is drawn whole: leave it out")
     if kind != "camera" and (args.name or args.image_size):
         raise InputError(f"{path}: --name and --image-size are for cameras of other programs, not for a {kind}")
     from jaxscan.cli import facts
@@ -53,7 +56,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "session": facts.session_facts,
         "scan": facts.scan_facts,
         "rig": facts.rig_facts,
-        "cloud": facts.cloud_facts,
+        "PLY": facts.ply_facts,
+        "mesh": facts.mesh_facts,
         "range image": facts.range_facts,
     }
     result = facts.camera_facts(path, args.name, args.image_size) if kind == "camera" else read[kind](path)
@@ -62,8 +66,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
         frame = args.frame or 0
         out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.absolute().parent.name}-{frame}.png")
-        draw = picture.draw_view if kind == "session" else picture.draw_frame
-        result["picture"] = draw(path, frame, out, args.detector, args.stripe)
+        if kind == "range image":
+            out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.stem}.png")
+            result["picture"] = picture.draw_range_image(path, out)
+        else:
+            draw = picture.draw_view if kind == "session" else picture.draw_frame
+            result["picture"] = draw(path, frame, out, args.detector, args.stripe)
     return result
 
 
@@ -83,11 +91,13 @@ def _kind(path: Path) -> tuple[str, Path]:
         from jaxscan.files.text import read_toml
 
         return ("scan" if "scan" in read_toml(path) else "session"), path
-    kinds = dict.fromkeys(ENDINGS, "camera") | {".json": "rig", ".ply": "cloud", ".npz": "range image"}
+    kinds = dict.fromkeys(ENDINGS, "camera") | {".json": "rig", ".ply": "PLY", ".npz": "range image"}
+    kinds |= dict.fromkeys((".stl", ".obj", ".glb"), "mesh")
     if ending not in kinds:
         raise InputError(
             f'{path}: nothing is known of the ending "{ending}": '
-            "name a session or scan (folder or .toml), a rig (.json), a cloud (.ply), a range image (.npz), "
+            "name a session or scan (folder or .toml), a rig (.json), "
+            "points or a mesh (.ply, .stl, .obj, .glb), a range image (.npz), "
             f"or a camera of another program ({', '.join(ENDINGS)})"
         )
     return kinds[ending], path

@@ -27,6 +27,8 @@ from jaxscan.errors import InputError, JaxscanError
 COMMANDS: Final = {
     "calibrate": "jaxscan.cli.calibrate",
     "reconstruct": "jaxscan.cli.reconstruct",
+    "mesh": "jaxscan.cli.mesh",
+    "compare": "jaxscan.cli.compare",
     "gauge": "jaxscan.cli.gauge",
     "inspect": "jaxscan.cli.inspect",
     "convert": "jaxscan.cli.convert",

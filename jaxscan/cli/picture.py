@@ -15,6 +15,7 @@ from jaxscan.files.session import Session, read_session
 from jaxscan.images import StripeSettings, detect_stripe, find_board, read_image, read_video, write_image
 from jaxscan.images.decode import Image
 from jaxscan.images.overlay import draw_board, draw_stripe
+from jaxscan.reconstruction import read_range_image
 
 
 def draw_frame(
@@ -57,6 +58,23 @@ def draw_view(
             lasers.append({"name": laser.name, **_found(position, laser)})
     write_image(out, picture)
     return {"path": str(out), "corners": corners, "of_corners": len(session.board.points()), "lasers": lasers}
+
+
+def draw_range_image(path: Path, out: Path) -> dict[str, Any]:
+    """Draw a range image in its views, with what cleaning would take of it.
+
+    Raises:
+        InputError: there is no surface, or the picture cannot be written.
+    """
+    from jaxscan.surface.clean import clean
+    from jaxscan.view.surface_plots import draw_range
+
+    check_writable(out)
+    image = read_range_image(path)
+    with said_of(path):
+        cleaned = clean(image)
+        draw_range(out, image, removed=cleaned.removed)
+    return {"path": str(out), "removed": cleaned.counts()}
 
 
 def _frame(scan: Scan, index: int) -> tuple[Image, Image | None]:

@@ -105,6 +105,19 @@ def _cloud(facts: Facts) -> Iterator[Line]:
         yield "", f"of which the pixel's part is {facts['sigma_pixel_mm']:.4f} mm"
 
 
+def _mesh(facts: Facts) -> Iterator[Line]:
+    yield "triangles", f"{facts['triangles']} between {facts['vertices']} vertices"
+    yield from _extent(facts)
+    yield "surface", f"{facts['area_mm2']:.6g} mm²" + ("" if facts["consistent"] else ", not all turned the same way")
+    yield "volume", f"{facts['volume_mm3']:.6g} mm³" if facts["closed"] else "none: it is open"
+
+
+def _ply(facts: Facts) -> Iterator[Line]:
+    yield "format", facts["format"]
+    for name, (count, properties) in facts["elements"].items():
+        yield f"element {name}", f"{count}: {', '.join(properties)}"
+
+
 def _range_image(facts: Facts) -> Iterator[Line]:
     frames = facts["frames"]
     cells = frames["count"] * facts["columns"]
@@ -122,6 +135,8 @@ _WORDS: dict[str, Callable[[Facts], Iterator[Line]]] = {
     "rig": _rig,
     "camera": _camera,
     "cloud": _cloud,
+    "mesh": _mesh,
+    "PLY": _ply,
     "range image": _range_image,
 }
 
@@ -131,6 +146,10 @@ def _picture(facts: Facts) -> Iterator[Line]:
     if picture is None:
         return
     found = []
+    if "removed" in picture:
+        taken = ", ".join(f"{count} {rule}" for rule, count in picture["removed"].items())
+        yield "picture", f"{picture['path']}: cleaning would take {taken} points"
+        return
     if "corners" in picture:
         found.append(f"{picture['corners']} of {picture['of_corners']} points of the board")
     for stripe in picture.get("lasers", [picture]):

@@ -1,0 +1,189 @@
+"""`jaxscan compare`: how far a cloud is from a mesh or from another cloud, and steps and flatness of picked regions."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from jaxscan.cli.options import numbers
+from jaxscan.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from jaxscan.surface.reference import Reference
+
+HELP: Final = "say how far a cloud is from a reference: signed distances, steps, flatness"
+EXAMPLE: Final = "jaxscan compare cup.ply cup-cad.stl --fit -o difference.ply --png difference.png"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("cloud", type=Path, metavar="CLOUD", help="points (.ply, .npz), or a mesh, whose corners count")
+    parser.add_argument(
+        "reference",
+        type=Path,
+        nargs="?",
+        metavar="REFERENCE",
+        help="a mesh (.stl, .ply, .obj …) or a cloud (.ply, .npz)",
+    )
+    parser.add_argument("--fit", action="store_true", help="move the cloud rigidly onto the reference first")
+    parser.add_argument(
+        "--within", type=float, default=float("inf"), metavar="MM", help="points further away do not count"
+    )
+    parser.add_argument(
+        "--region",
+        type=numbers(4),
+        action="append",
+        default=[],
+        metavar="X,Y,Z,R",
+        help="a flat piece of the cloud, as a ball around a point (mm): its flatness, and its height above the first "
+        "one's plane; may be given more than once, and without a reference",
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="PLY", help="write the points, coloured, with `distance`")
+    parser.add_argument("--png", type=Path, metavar="OUT", help="draw the distances")
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Read, compare, and write."""
+    if args.reference is None and not args.region:
+        raise InputError("give a REFERENCE to compare the cloud with, or a --region to measure")
+    if args.reference is None and (args.fit or args.output or args.png):
+        raise InputError("--fit, --output and --png are about a REFERENCE: name one")
+    if not args.within > 0:
+        raise InputError(f"--within {args.within:g}: give a distance that is more than 0")
+    if args.output and args.output.suffix.lower() != ".ply":
+        raise InputError(f"{args.output}: write .ply")
+    from jaxscan.atomic import check_writable
+
+    for path in (args.output, args.png):
+        if path:
+            check_writable(path)
+    from jaxscan.errors import said_of
+    from jaxscan.surface.compare import region
+
+    points = read_points(args.cloud)
+    result: dict[str, Any] = {"kind": "comparison", "path": str(args.cloud)}
+    if args.reference is not None:
+        result |= _compared(points, args)
+    with said_of(args.cloud):
+        regions = [region(points, pick[:3], pick[3]) for pick in args.region]
+    result["regions"] = [
+        {
+            "points": found.points,
+            "centre_mm": found.centre.tolist(),
+            "rms_mm": found.rms_mm,
+            "flatness_mm": found.flatness_mm,
+            "height_over_first_mm": found.above(regions[0]),
+        }
+        for found in regions
+    ]
+    return result
+
+
+def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
+    from jaxscan.errors import said_of
+    from jaxscan.surface.compare import compare
+
+    reference = read_reference(args.reference)
+    with said_of(f"{args.cloud} against {args.reference}"):
+        found = compare(points, reference, fit=args.fit, within_mm=args.within)
+    figures = found.figures()
+    if args.output:
+        write_coloured(args.output, found.points, found.distance, float(figures["p95_mm"]))
+    if args.png:
+        from jaxscan.view.surface_plots import draw_comparison
+
+        words = f"{figures['points']} points, {figures['rms_mm']:.3f} mm RMS, median {figures['median_mm']:.3f} mm"
+        draw_comparison(args.png, found, f"{args.cloud.name} against {args.reference.name}: {words}")
+    motion = None
+    if found.motion is not None:
+        motion = {"rotation": found.motion[0].tolist(), "translation_mm": found.motion[1].tolist()}
+    return {
+        "reference": str(args.reference),
+        "reference_inside_out": bool(getattr(reference, "inside_out", False)),
+        "figures": figures,
+        "fit": motion,
+        "written": [str(path) for path in (args.output, args.png) if path],
+    }
+
+
+def read_points(path: Path) -> "np.ndarray":
+    """The points of a cloud, of a range image, or the corners of a mesh."""
+    import numpy as np
+
+    if path.suffix.lower() == ".npz":
+        from jaxscan.reconstruction import read_range_image
+
+        image = read_range_image(path)
+        if not image.valid.any():
+            raise InputError(f"{path}: has no points: check that the photographs show the stripe")
+        return image.points[image.valid].astype(np.float64)
+    if path.suffix.lower() == ".ply":
+        from jaxscan.files.cloud import read_ply
+
+        return read_ply(path).points.astype(np.float64)
+    from jaxscan.files.mesh import read_mesh
+
+    return np.asarray(read_mesh(path).vertices)
+
+
+def read_reference(path: Path) -> "Reference":
+    """A mesh where the file holds one, else a cloud."""
+    from jaxscan.surface.reference import CloudReference, MeshReference
+
+    if path.suffix.lower() == ".ply":
+        from jaxscan.files.cloud import cloud_of
+        from jaxscan.files.mesh import has_faces, mesh_of
+        from jaxscan.files.ply_read import read_ply_file
+
+        content = read_ply_file(path)
+        return (
+            MeshReference(mesh_of(path, content))
+            if has_faces(content)
+            else CloudReference(cloud_of(path, content).points)
+        )
+    if path.suffix.lower() == ".npz":
+        return CloudReference(read_points(path))
+    from jaxscan.files.mesh import read_mesh
+
+    return MeshReference(read_mesh(path))
+
+
+def write_coloured(path: Path, points: "np.ndarray", distance: "np.ndarray", limit: float) -> None:
+    """The points with their signed distance, blue behind the reference and red in front of it."""
+    import numpy as np
+
+    from jaxscan.files.cloud import Cloud, vertices_of
+    from jaxscan.files.ply import Element, Ply
+    from jaxscan.files.ply_write import write_ply_file
+    from jaxscan.surface.colours import diverging
+
+    vertices = vertices_of(Cloud(points.astype(np.float32), colours=diverging(distance, max(limit, 1e-12))))
+    columns = {**vertices.columns, "distance": distance.astype(np.float32)}
+    comments = ("comment units mm", f"comment blue and red are {limit:.4g} mm behind and in front of the reference")
+    write_ply_file(path, Ply({"vertex": Element(vertices.count, columns)}, comments=comments))
+
+
+def describe(result: dict[str, Any]) -> str:
+    """The result in words."""
+    lines = []
+    if "figures" in result:
+        figures = result["figures"]
+        fitted = "after a rigid fit" if result["fit"] else "as they stand"
+        lines += [
+            f"{result['path']} against {result['reference']}, {fitted}: {figures['points']} points"
+            + (f", {figures['points_beyond']} beyond" if figures["points_beyond"] else ""),
+            f"  distance   {figures['rms_mm']:.4f} mm RMS, median {figures['median_mm']:.4f}, "
+            f"95 % {figures['p95_mm']:.4f}, largest {figures['largest_mm']:.4f} mm",
+            f"  mean       {figures['mean_mm']:+.4f} mm, positive in front of the reference",
+        ]
+        if result["reference_inside_out"]:
+            lines.append("  reference  is inside out, and was turned")
+        if result["written"]:
+            lines.append(f"  written    {', '.join(result['written'])}")
+    for number, found in enumerate(result["regions"], 1):
+        lines.append(
+            f"  region {number}   {found['points']} points, {found['rms_mm']:.4f} mm RMS about a plane, flat within "
+            f"{found['flatness_mm']:.4f} mm, {found['height_over_first_mm']:+.4f} mm over region 1"
+        )
+    return "\n".join(lines)

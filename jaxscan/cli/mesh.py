@@ -1,0 +1,299 @@
+"""`jaxscan mesh`: from the points of a scan to a surface, without what is no part of the object."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from jaxscan.cli.options import numbers
+from jaxscan.errors import InputError
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from jaxscan.files.cloud import Cloud
+    from jaxscan.reconstruction import RangeImage
+    from jaxscan.surface.floor import Floor
+
+HELP: Final = "make a surface of a scan's points: cleaned, without the floor, as STL, OBJ, PLY or GLB"
+EXAMPLE: Final = "jaxscan mesh cup.npz -o cup.stl --png cup.png"
+
+# A part of the surface that faces away from the camera, beyond which it is folded.
+_FOLDED: Final = 0.01
+_ENDINGS: Final = (".stl", ".obj", ".ply", ".glb", ".npz")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("points", type=Path, metavar="POINTS", help="a range image (.npz), or a cloud (.ply)")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        action="append",
+        metavar="MESH",
+        help="what to write: .stl, .obj, .ply, .glb, or what is left of the range image, .npz; may be repeated",
+    )
+    parser.add_argument(
+        "--floor",
+        default="auto",
+        metavar="FLOOR",
+        help="auto (default): found and taken away | keep | a scan of the bare stage (.npz) | three or more points of "
+        "it, X,Y,Z:X,Y,Z:X,Y,Z (mm)",
+    )
+    parser.add_argument("--raw", action="store_true", help="keep mixed, grazing and isolated points")
+    parser.add_argument("--crop", type=numbers(6), metavar="X,Y,Z,X,Y,Z", help="the points within this box alone (mm)")
+    parser.add_argument(
+        "--every", type=numbers(2, int), metavar="F,C", help="every F-th frame and every C-th column alone"
+    )
+    parser.add_argument("--grid", type=float, metavar="MM", help="resample from above on a regular grid")
+    parser.add_argument("--fill", type=float, metavar="MM", help="fill holes of up to this size")
+    parser.add_argument(
+        "--method",
+        choices=("grid", "delaunay", "poisson"),
+        help="grid: neighbours in frame and column (default for .npz) | delaunay: seen along the light (default for "
+        ".ply) | poisson: a closed surface, by the extra poisson",
+    )
+    parser.add_argument(
+        "--rig", type=Path, help="whose light delaunay looks along (default: at right angles to the floor)"
+    )
+    parser.add_argument("--quads", action="store_true", help="write .ply with quadrilaterals where the grid has them")
+    parser.add_argument("--simplify", type=int, metavar="N", help="to so many triangles, by the extra simplify")
+    parser.add_argument("--png", type=Path, metavar="OUT", help="draw the mesh")
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Read, clean, take the floor away, join and write."""
+    _check(args)
+    from jaxscan.atomic import check_writable
+
+    for path in [*args.output, *([args.png] if args.png else [])]:
+        check_writable(path)
+    from jaxscan.errors import said_of
+
+    result: dict[str, Any] = {"kind": "mesh", "path": [str(path) for path in args.output]}
+    with said_of(args.points):
+        if args.points.suffix.lower() == ".npz":
+            from jaxscan.reconstruction import read_range_image
+
+            image, floor = _prepared(read_range_image(args.points), args, result)
+            mesh, cloud, quads = _of_image(image, args, result)
+        else:
+            from jaxscan.files.cloud import read_ply
+
+            image, floor, quads = None, None, None
+            cloud = read_ply(args.points)
+            mesh = _of_cloud(cloud, args)
+        if args.simplify is not None:
+            mesh = simplified(mesh, args.simplify)
+            cloud, quads = None, None
+    for path in args.output:
+        _write(path, mesh, cloud, quads if args.quads else None, image)
+    if args.png:
+        import numpy as np
+
+        from jaxscan.geometry.robust_plane import dominant_plane
+        from jaxscan.view.surface_plots import draw_mesh
+
+        up = floor.R[:, 2] if floor else dominant_plane(np.asarray(mesh.vertices))[0][:, 2]
+        draw_mesh(args.png, np.asarray(mesh.vertices), np.asarray(mesh.faces), up, f"{len(mesh.faces)} triangles")
+        result["picture"] = str(args.png)
+    return result | {
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.faces),
+        "area_mm2": float(mesh.area),
+        "closed": bool(mesh.is_watertight),
+        "volume_mm3": float(mesh.volume) if mesh.is_watertight else None,
+    }
+
+
+def simplified(mesh: "trimesh.Trimesh", triangles: int) -> "trimesh.Trimesh":
+    """A mesh of at most so many triangles (Garland and Heckbert 1997, by fast-simplification).
+
+    Raises:
+        InputError: the extra is not installed.
+    """
+    if triangles >= len(mesh.faces):
+        return mesh
+    try:
+        return mesh.simplify_quadric_decimation(face_count=triangles)
+    except ImportError as error:
+        raise InputError('--simplify needs fast-simplification: pip install "jaxscan[simplify]"') from error
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together, before any work."""
+    ending = args.points.suffix.lower()
+    if ending not in (".npz", ".ply"):
+        raise InputError(f"{args.points}: give a range image (.npz) or a cloud (.ply)")
+    for path in args.output:
+        if path.suffix.lower() not in _ENDINGS:
+            raise InputError(f"{path}: the ending is not known: write {', '.join(_ENDINGS)}")
+    if ending == ".ply":
+        given = [name for name in ("crop", "every", "grid", "fill", "raw", "quads") if getattr(args, name)]
+        given += ["floor"] if args.floor not in ("auto", "keep") else []
+        given += ["-o .npz"] if any(path.suffix.lower() == ".npz" for path in args.output) else []
+        if given:
+            raise InputError(
+                f"{args.points}: --{given[0].removeprefix('--')} needs the order of a range image: give the .npz"
+            )
+        if args.method == "grid":
+            raise InputError(f"{args.points}: a cloud has no grid: give the .npz, or --method delaunay")
+    if args.every and min(args.every) < 1:
+        raise InputError(f"--every {args.every[0]},{args.every[1]}: give whole numbers from 1")
+    if args.simplify is not None and args.simplify < 4:
+        raise InputError(f"--simplify {args.simplify}: give 4 triangles or more")
+    if args.quads and args.method not in (None, "grid"):
+        raise InputError("--quads: only the grid has quadrilaterals: leave --method out")
+    if args.rig and args.method != "delaunay":
+        raise InputError("--rig: only --method delaunay looks along the light of a rig: add it, or leave --rig out")
+
+
+def _prepared(
+    image: "RangeImage", args: argparse.Namespace, result: dict[str, Any]
+) -> "tuple[RangeImage, Floor | None]":
+    """Cropped, thinned, cleaned, without the floor, filled and resampled, as was asked for."""
+    from jaxscan.surface.clean import clean
+    from jaxscan.surface.floor import stands_on
+    from jaxscan.surface.holes import fill_holes
+    from jaxscan.surface.links import sampling
+    from jaxscan.surface.resample import resample
+
+    if not image.valid.any():
+        raise InputError("has no points: check that the photographs show the stripe")
+    if args.crop:
+        image = image.cropped(args.crop[:3], args.crop[3:])
+    if args.every:
+        image = image[:: args.every[0], :: args.every[1]]
+    result["points_read"] = int(image.valid.sum())
+    if not args.raw:
+        cleaned = clean(image, sampling(image))
+        result["removed"] = cleaned.counts()
+        image = cleaned.image
+    floor = _floor(image, args.floor)
+    if floor is not None:
+        kept = stands_on(image, floor)
+        result["floor"] = {
+            "sigma_mm": floor.sigma_mm,
+            "tolerance_mm": floor.tolerance_mm,
+            "flatness_mm": floor.flatness_mm,
+            "normal": floor.R[:, 2].tolist(),
+            "points": int((image.valid & ~kept).sum()),
+        }
+        image = image.where(kept)
+    if args.fill is not None:
+        image = fill_holes(image, args.fill)
+    if args.grid is not None:
+        from jaxscan.geometry.robust_plane import dominant_plane
+
+        frame = (floor.R, floor.origin) if floor else dominant_plane(image.points[image.valid])
+        image = resample(image, args.grid, frame)
+    return image, floor
+
+
+def _floor(image: "RangeImage", how: str) -> "Floor | None":
+    from jaxscan.surface.floor import find_floor, floor_from_picks
+
+    if how == "keep":
+        return None
+    if how == "auto":
+        return find_floor(image)
+    if Path(how).suffix.lower() == ".npz":
+        from jaxscan.errors import said_of
+        from jaxscan.reconstruction import read_range_image
+
+        with said_of(how):
+            return find_floor(read_range_image(how))
+    try:
+        picks = [numbers(3)(pick) for pick in how.split(":")]
+    except argparse.ArgumentTypeError as error:
+        raise InputError(f"--floor {how}: is none of auto, keep, a .npz file, or points X,Y,Z:X,Y,Z:X,Y,Z") from error
+    return floor_from_picks(image, picks)
+
+
+def _of_image(
+    image: "RangeImage", args: argparse.Namespace, result: dict[str, Any]
+) -> "tuple[trimesh.Trimesh, Cloud | None, Any]":
+    import numpy as np
+    import trimesh
+
+    from jaxscan.files.cloud import Cloud
+
+    if args.method in (None, "grid"):
+        from jaxscan.surface.triangles import facing_away, grid_surface
+
+        surface = grid_surface(image)
+        result["facing_away"] = facing_away(surface, image)
+        known = [getattr(image, name).ravel()[surface.place] for name in ("sigma", "sigma_pixel")]
+        sigma, pixel = (values if np.isfinite(values).all() else None for values in known)
+        mesh = trimesh.Trimesh(surface.vertices, surface.triangles, process=False)
+        return mesh, Cloud(surface.vertices, sigma, pixel), surface.faces()
+    cloud = image.cloud()
+    if args.method == "poisson":
+        from jaxscan.surface.links import links
+        from jaxscan.surface.normals import normals
+        from jaxscan.surface.scattered import poisson_surface
+
+        return poisson_surface(cloud.points, normals(image, links(image))[image.valid]), None, None
+    return _of_cloud(cloud, args), cloud, None
+
+
+def _of_cloud(cloud: "Cloud", args: argparse.Namespace) -> "trimesh.Trimesh":
+    import numpy as np
+    import trimesh
+
+    from jaxscan.surface.scattered import delaunay_surface, light_direction, poisson_surface, scattered_normals
+
+    if args.method == "poisson":
+        return poisson_surface(cloud.points, scattered_normals(cloud.points, np.zeros(3)))
+    direction = None
+    if args.rig:
+        from jaxscan.files.rig_file import read_rig
+
+        direction = light_direction(read_rig(args.rig).rig)
+    return trimesh.Trimesh(cloud.points, delaunay_surface(cloud.points, direction), process=False)
+
+
+def _write(path: Path, mesh: "trimesh.Trimesh", cloud: "Cloud | None", quads: Any, image: "RangeImage | None") -> None:
+    import numpy as np
+
+    from jaxscan.files.cloud import Cloud
+    from jaxscan.files.mesh import write_mesh_ply, write_trimesh
+
+    ending = path.suffix.lower()
+    if ending == ".npz" and image is not None:
+        from jaxscan.reconstruction import write_points
+
+        write_points(path, image)
+    elif ending == ".ply":
+        triangles, four = quads if quads is not None else (np.asarray(mesh.faces), None)
+        vertices = cloud or Cloud(np.asarray(mesh.vertices, np.float32))
+        write_mesh_ply(path, vertices, triangles, four, np.asarray(mesh.vertex_normals, np.float32))
+    else:
+        write_trimesh(path, mesh)
+
+
+def describe(result: dict[str, Any]) -> str:
+    """The result in words."""
+    closed = f"closed, {result['volume_mm3']:.6g} mm³" if result["closed"] else "open"
+    lines = [
+        f"{result['triangles']} triangles between {result['vertices']} points: {', '.join(result['path'])}",
+        f"  surface    {result['area_mm2']:.6g} mm², {closed}",
+    ]
+    if "removed" in result:
+        words = ", ".join(f"{count} {rule}" for rule, count in result["removed"].items())
+        lines.append(f"  removed    {words}, of {result['points_read']} points")
+    if "floor" in result:
+        floor = result["floor"]
+        lines.append(
+            f"  floor      {floor['points']} points within {floor['tolerance_mm']:.3f} mm or loose above it; "
+            f"σ {floor['sigma_mm']:.3f} mm, flat within {floor['flatness_mm']:.3f} mm"
+        )
+    if result.get("facing_away", 0.0) > _FOLDED:
+        lines.append(
+            f"  folded     {100 * result['facing_away']:.0f} % of the surface face away from the camera, as when the "
+            "stage moves the other way than stage.per_step of the rig says"
+        )
+    if "picture" in result:
+        lines.append(f"  picture    {result['picture']}")
+    return "\n".join(lines)

@@ -1,0 +1,186 @@
+"""Still pictures of range images, meshes and comparisons, by matplotlib (extra `plots`), drawn without a display."""
+
+import os
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from jaxscan.atomic import replacing
+from jaxscan.errors import InputError
+from jaxscan.reconstruction import RangeImage
+from jaxscan.surface import views
+from jaxscan.surface.clean import RULES
+from jaxscan.surface.compare import Comparison
+from jaxscan.surface.floor import Floor, find_floor
+from jaxscan.surface.links import sampling
+from jaxscan.view.matplotlib_setup import pyplot
+
+# Values beyond these percentiles are shown in the colours of the ends.
+_SHOWN: Final = (1.0, 99.0)
+# Of what stayed, and of what each rule took.
+_REMOVED: Final = ("0.85", "tab:red", "tab:orange", "tab:blue")
+# From where meshes are looked at: so far above the floor, and so far to the side of the camera's up.
+_ELEVATION, _AZIMUTH = np.radians(35.0), np.radians(25.0)
+_MOST_TRIANGLES: Final = 60_000
+
+
+def draw_range(
+    path: str | os.PathLike[str],
+    image: RangeImage,
+    floor: Floor | None = None,
+    removed: UInt8[np.ndarray, "frames columns"] | None = None,
+) -> None:
+    """A range image in its views: shaded, height over the floor, depth, strength, σ, and what cleaning took.
+
+    Args:
+        path: the PNG to write.
+        image: before anything was taken from it.
+        floor: as it was found; by default it is looked for, and the height is left out where there is none.
+        removed: as `Cleaned` has it.
+
+    Raises:
+        InputError: matplotlib is not installed, there is no surface, or the file cannot be written.
+    """
+    how = sampling(image)
+    panels: list[tuple[str, Any, str]] = [("shaded", views.shaded(image), "")]
+    if floor is None:
+        try:
+            floor = find_floor(image)
+        except InputError:
+            floor = None
+    if floor is not None:
+        panels.append(("height over the floor", views.height(image, floor), "mm"))
+    panels += [("depth", views.depth(image), "mm"), ("strength", views.strength(image), "grey levels")]
+    if np.isfinite(image.sigma[image.valid]).any():
+        panels.append(("σ along the ray", 1000 * views.sigma(image), "µm"))
+    if removed is not None:
+        panels.append(("removed", np.where(image.valid, removed, np.nan), ""))
+    plt = pyplot()
+    from matplotlib.colors import ListedColormap
+
+    rows = -(-len(panels) // 2)
+    frames, columns = (np.flatnonzero(image.valid.any(axis=axis)) for axis in (1, 0))
+    tall = how.along_mm * np.ptp(frames) / max(how.across_mm * np.ptp(columns), how.across_mm)
+    size = (14, rows * (1.0 + np.clip(5.2 * tall, 1.2, 6.0)))
+    figure, axes = plt.subplots(rows, 2, figsize=size, layout="constrained", squeeze=False)
+    for ax in axes.flat[len(panels) :]:
+        ax.axis("off")
+    for ax, (title, values, unit) in zip(axes.flat, panels, strict=False):
+        known = values[np.isfinite(values)]
+        look: dict[str, Any] = {"cmap": "viridis"}
+        if len(known):
+            look |= dict(zip(("vmin", "vmax"), np.percentile(known, _SHOWN), strict=True))
+        if title == "shaded":
+            look = {"cmap": "gray", "vmin": 0.0, "vmax": 1.0}
+        if title == "removed":
+            look = {"cmap": ListedColormap(_REMOVED), "vmin": -0.5, "vmax": len(RULES) + 0.5}
+        shown = ax.imshow(values, aspect=how.along_mm / how.across_mm, interpolation="nearest", **look)
+        ax.set(title=title, xlabel="column", ylabel="frame")
+        ax.set(xlim=(columns[0] - 0.5, columns[-1] + 0.5), ylim=(frames[-1] + 0.5, frames[0] - 0.5))
+        if title == "removed":
+            bar = figure.colorbar(shown, ax=ax, shrink=0.8, ticks=range(len(RULES) + 1))
+            bar.ax.set_yticklabels(["kept", *RULES])
+        elif title != "shaded":
+            figure.colorbar(shown, ax=ax, label=unit, shrink=0.8)
+    _save(plt, figure, path)
+
+
+def draw_mesh(
+    path: str | os.PathLike[str],
+    vertices: Float[np.ndarray, "vertices 3"],
+    triangles: Int[np.ndarray, "triangles 3"],
+    up: Float[np.ndarray, "3"],
+    title: str,
+) -> None:
+    """A mesh from two sides, shaded, its nearer triangles over the farther ones.
+
+    Args:
+        path: the PNG to write.
+        vertices: object frame, mm.
+        triangles: three vertices each, anticlockwise from outside.
+        up: the direction that is up in the picture.
+        title: over the picture.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    from matplotlib.collections import PolyCollection
+
+    plt = pyplot()
+    figure, axes = plt.subplots(1, 2, figsize=(15, 6.5), layout="constrained")
+    # A picture has no room for more: then only every so many-th is drawn, larger.
+    every = max(1, len(triangles) // _MOST_TRIANGLES)
+    corners = vertices[triangles[::every]].astype(np.float64)
+    if every > 1:
+        middle = corners.mean(axis=1, keepdims=True)
+        corners = middle + np.sqrt(every) * (corners - middle)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    for ax, turn in zip(axes, (_AZIMUTH, _AZIMUTH + np.pi), strict=True):
+        across, above, toward = _look(up, turn)
+        seen = corners - corners.reshape(-1, 3).mean(axis=0)
+        flat = np.stack([seen @ across, seen @ above], axis=-1)
+        order = np.argsort((seen @ toward).mean(axis=1))
+        light = toward + 0.6 * above - 0.5 * across
+        shade = normals @ (light / np.linalg.norm(light))
+        # The back of a surface is shown too, and darker.
+        grey = np.where(normals @ toward > 0, 0.2 + 0.8 * np.clip(shade, 0, 1), 0.12)
+        colours = np.repeat(grey[order, None], 3, axis=1) * [0.95, 0.9, 0.8]
+        ax.add_collection(PolyCollection(flat[order].tolist(), facecolors=colours, edgecolors=colours, linewidths=0.3))
+        ax.autoscale_view()
+        ax.set(aspect="equal", xlabel="mm", ylabel="mm")
+    figure.suptitle(title)
+    _save(plt, figure, path)
+
+
+def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title: str) -> None:
+    """Signed distances as colours from two sides, and how they are spread.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    plt = pyplot()
+    known = np.isfinite(comparison.distance)
+    points, micrometres = comparison.points[known], 1000 * comparison.distance[known]
+    limit = max(float(np.percentile(np.abs(micrometres), 98)), 1e-9)
+    figure, (front, side, right) = plt.subplots(
+        1, 3, figsize=(17, 5), layout="constrained", width_ratios=[1.2, 1.2, 0.8]
+    )
+    shown = None
+    for ax, axis, label in ((front, 1, "y / mm"), (side, 2, "z / mm")):
+        shown = ax.scatter(
+            points[:, 0],
+            points[:, axis],
+            c=micrometres,
+            s=2.0,
+            linewidths=0,
+            cmap="coolwarm",
+            vmin=-limit,
+            vmax=limit,
+        )
+        ax.set(xlabel="x / mm", ylabel=label, aspect="equal")
+        ax.invert_yaxis()
+    figure.colorbar(shown, ax=side, label="in front (+) or behind (−), µm", shrink=0.8)
+    right.hist(np.clip(micrometres, -1.5 * limit, 1.5 * limit), bins=80, color="0.4")
+    right.set(xlabel="signed distance / µm", ylabel="points")
+    figure.suptitle(title)
+    _save(plt, figure, path)
+
+
+def _look(up: Float[np.ndarray, "3"], turn: float) -> tuple[Float[np.ndarray, "3"], ...]:
+    """The directions to the right, up and toward the viewer, at an elevation and turned about `up`."""
+    start = np.array([0.0, 1.0, 0.0]) if abs(up[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    start = start - (start @ up) * up
+    start /= np.linalg.norm(start)
+    level = np.cos(turn) * start + np.sin(turn) * np.cross(up, start)
+    toward = np.cos(_ELEVATION) * level + np.sin(_ELEVATION) * up
+    across = np.cross(up, toward)
+    across /= np.linalg.norm(across)
+    return across, np.cross(toward, across), toward
+
+
+def _save(plt: Any, figure: Any, path: str | os.PathLike[str]) -> None:
+    with replacing(path) as file:
+        figure.savefig(file, format="png", dpi=90)
+    plt.close(figure)

@@ -1,0 +1,179 @@
+"""`jaxscan mesh`, `compare` and `inspect` on range images, clouds and meshes, from the command line."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from jaxscan.cli.main import main
+from jaxscan.files.ply import Lists
+from jaxscan.files.ply_read import read_ply_file
+from jaxscan.reconstruction import RangeImage, read_range_image, write_points
+
+
+def drawn(noise: float = 0.02) -> RangeImage:
+    """A block of 12 × 12 × 5 mm on a floor, with some glints."""
+    y, x = np.meshgrid(0.4 * np.arange(60) - 12, 0.2 * np.arange(120) - 12, indexing="ij")
+    on = (np.abs(x) < 6) & (np.abs(y) < 6)
+    rng = np.random.default_rng(0)
+    points = np.stack([x, -y, 300 - 5.0 * on + noise * rng.normal(size=x.shape)], axis=-1).astype(np.float32)
+    points[3:5, 3, 2] -= 30
+    full = np.full(x.shape, 1.0, np.float32)
+    return RangeImage(
+        points,
+        100 * full,
+        250 * full,
+        0.05 * full,
+        0.02 * full,
+        on | True,
+        400 * np.arange(60),
+        np.array([0, 0.001, 0]),
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("surfaces")
+    image = drawn()
+    write_points(folder / "block.npz", image)
+    write_points(folder / "block.ply", image)
+    write_points(folder / "bare.npz", image.where(image.points[..., 2] > 299))
+    write_points(folder / "one.npz", image[:1, :])
+    write_points(folder / "none.npz", image.where(image.points[..., 2] > 999))
+    return folder
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
+    assert main([str(word) for word in (*words, "--json")]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_mesh_in_every_format(folder, capsys):
+    endings = (".stl", ".obj", ".glb", ".ply", ".npz")
+    outputs = [word for ending in endings for word in ("-o", folder / f"out{ending}")]
+    result = run(capsys, "mesh", folder / "block.npz", *outputs, "--quads", "--png", folder / "out.png")
+    assert result["removed"] == {"mixed": 0, "grazing": 0, "isolated": 2}
+    assert result["floor"]["sigma_mm"] == pytest.approx(0.02, rel=0.1)
+    assert result["triangles"] == 2 * 28 * 58
+    assert result["area_mm2"] == pytest.approx(28 * 0.4 * 58 * 0.2, rel=0.03)
+    for ending in endings[:4]:
+        mesh = trimesh.load(folder / f"out{ending}", force="mesh")
+        assert mesh.area == pytest.approx(result["area_mm2"], rel=1e-4)
+        assert (mesh.face_normals[:, 2] < 0).all()
+    content = read_ply_file(folder / "out.ply")
+    assert {"sigma", "sigma_pixel", "nx"} <= set(content.elements["vertex"].columns)
+    faces = content.elements["face"].columns["vertex_indices"]
+    assert isinstance(faces, Lists)
+    assert faces.length == 4
+    assert read_range_image(folder / "out.npz").valid.sum() == 29 * 59
+    assert (folder / "out.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["mesh", str(folder / "block.npz"), "-o", str(folder / "out.stl")]) == 0
+    assert "3248 triangles between 1711 points" in capsys.readouterr().out
+
+
+def test_floors_methods_and_options(folder, capsys):
+    def triangles(*words: object) -> int:
+        return run(capsys, "mesh", folder / "block.npz", "-o", folder / "x.stl", *words)["triangles"]
+
+    alone = triangles()
+    picks = "-10,-2,300:10,-2,300:0,10,300"
+    assert triangles("--floor", folder / "bare.npz") == triangles(f"--floor={picks}") == alone
+    assert triangles("--floor", "keep") > 3 * alone
+    assert triangles("--every", "2,2") == pytest.approx(alone / 4, rel=0.2)
+    assert triangles("--floor=keep", "--crop=-5,-5,290,5,5,298") < alone
+    assert triangles("--grid", "0.4") == pytest.approx(alone / 2, rel=0.1)
+    assert triangles("--simplify", "200") <= 200
+    assert triangles("--method", "delaunay") == pytest.approx(alone, rel=0.05)
+    cloud = run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply")
+    assert cloud["triangles"] > 3 * alone
+
+
+def test_compare_with_a_mesh_and_with_a_cloud(folder, capsys):
+    box = trimesh.creation.box((12, 12, 5), trimesh.transformations.translation_matrix((0, 0, 297.5)))
+    box.export(folder / "box.stl")
+    run(capsys, "mesh", folder / "block.npz", "-o", folder / "top.npz")
+    out = ("-o", folder / "difference.ply", "--png", folder / "difference.png")
+    found = run(capsys, "compare", folder / "top.npz", folder / "box.stl", *out)
+    assert found["figures"]["rms_mm"] == pytest.approx(0.02, rel=0.1)
+    assert abs(found["figures"]["mean_mm"]) < 0.003
+    vertex = read_ply_file(folder / "difference.ply").elements["vertex"].columns
+    assert {"distance", "red"} <= set(vertex)
+    assert (folder / "difference.png").stat().st_size > 10_000
+    same = run(
+        capsys, "compare", folder / "block.ply", folder / "block.npz", "--region=0,0,295,4", "--region=-9,0,300,2"
+    )
+    assert same["figures"]["rms_mm"] < 0.1
+    assert same["regions"][1]["height_over_first_mm"] == pytest.approx(-5.0, abs=0.02)
+    assert same["regions"][0]["rms_mm"] == pytest.approx(0.02, rel=0.1)
+    assert main(["compare", str(folder / "block.ply"), "--region=0,0,295,4"]) == 0
+    assert "region 1" in capsys.readouterr().out
+
+
+def test_inspect_meshes_clouds_and_views(folder, capsys):
+    run(capsys, "mesh", folder / "block.npz", "-o", folder / "seen.ply", "-o", folder / "seen.stl")
+    for ending in ("ply", "stl"):
+        facts = run(capsys, "inspect", folder / f"seen.{ending}")
+        assert facts["kind"] == "mesh"
+        assert facts["triangles"] == 3248
+        assert main(["inspect", str(folder / f"seen.{ending}")]) == 0
+        assert "triangles" in capsys.readouterr().out
+    assert run(capsys, "inspect", folder / "block.ply")["kind"] == "cloud"
+    facts = run(capsys, "inspect", folder / "block.npz", "--png", folder / "views.png")
+    assert facts["picture"]["path"] == str(folder / "views.png")
+    assert facts["picture"]["removed"] == {"mixed": 0, "grazing": 0, "isolated": 2}
+    assert (folder / "views.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ("mesh one.npz -o x.stl", "one.npz: a surface takes at least two frames, and there is one"),
+        ("mesh none.npz -o x.stl", "none.npz: has no points"),
+        ("mesh bare.npz -o x.stl", "bare.npz: nothing stands on the floor"),
+        ("mesh gone.npz -o x.stl", "gone.npz: there is no such file"),
+        ("mesh box.obj -o x.stl", "box.obj: give a range image (.npz) or a cloud (.ply)"),
+        ("mesh block.npz -o x.step", "x.step: the ending is not known"),
+        ("mesh block.ply -o x.npz", "needs the order of a range image"),
+        ("mesh block.ply -o x.stl --fill 3", "--fill needs the order of a range image"),
+        ("mesh block.npz -o x.stl --floor maybe", "--floor maybe: is none of auto, keep"),
+        ("mesh block.npz -o x.stl --fill -1", "holes of up to -1 mm"),
+        ("mesh block.npz -o x.stl --grid 0", "a grid of 0 mm"),
+        ("mesh block.npz -o x.stl --simplify 2", "--simplify 2: give 4"),
+        ("mesh block.npz -o x.stl --every 0,1", "--every 0,1: give whole numbers"),
+        ("mesh block.npz -o x.stl --every 1", "is not 2 numbers"),
+        ("mesh block.npz -o nowhere/x.stl", "there is no folder"),
+        ("inspect one.npz --png x.png --frame 1", "--frame chooses a photograph, and a range image is drawn whole"),
+        ("inspect one.npz --png x.png", "one.npz: a surface takes at least two frames"),
+        ("compare block.ply", "give a REFERENCE"),
+        ("compare block.ply gone.stl", "gone.stl: there is no such file"),
+        ("compare block.ply nan.ply", "nan.ply: 1 of 1711 points have a coordinate that is not a finite number"),
+        ("compare block.ply far.stl", "block.ply against far.stl: cloud and reference lie apart"),
+        ("compare block.ply block.npz --within -1", "--within -1"),
+        ("compare block.ply --region=0,0,0,1", "block.ply: 0 points lie within 1 mm"),
+    ],
+)
+def test_bad_input(folder, capsys, monkeypatch, words, problem):
+    monkeypatch.chdir(folder)
+    if "far.stl" in words:
+        trimesh.creation.box((1, 1, 1)).export("far.stl")
+    if "nan.ply" in words:
+        main(["mesh", "block.npz", "-o", "nan.ply"])
+        content = Path("nan.ply").read_bytes()
+        start = content.index(b"end_header\n") + 11
+        Path("nan.ply").write_bytes(content[:start] + np.float32(np.nan).tobytes() + content[start + 4 :])
+        capsys.readouterr()
+    assert main(words.split()) == 2
+    assert problem in capsys.readouterr().err
+    assert not Path("x.stl").exists() or "x.stl" not in words or Path("x.stl").stat().st_size > 0
+
+
+def test_a_folded_surface_is_said(folder, capsys):
+    image = drawn()
+    y = image.points[..., 1]
+    wrong = replace(image, points=np.stack([image.points[..., 0], y - 2.0 * np.abs(y), 300 - 3 * np.abs(y)], axis=-1))
+    write_points(folder / "folded.npz", wrong)
+    assert main(["mesh", str(folder / "folded.npz"), "-o", str(folder / "f.stl"), "--floor", "keep", "--raw"]) == 0
+    assert "as when the stage moves the other way" in capsys.readouterr().out
