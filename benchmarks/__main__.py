@@ -26,6 +26,7 @@ SUITES = {
     "lasers": "two lasers on one camera, calibrated in one solve: do their clouds agree within σ?",
     "next_pose": "three photographs as suggested against three more like those there are, really added and solved",
     "hardware": "serial sessions with faults, scans killed and resumed, a simulated scanner from hardware to points",
+    "surface": "cleaning, floor, mesh and PLY: accuracy and speed (a real pyramid with JAXSCAN_DATA)",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
