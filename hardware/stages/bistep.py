@@ -100,7 +100,7 @@ class BiStep2A04(SerialStage):
             "the cable if it happens again"
         )
 
-    def _settled(self, expected: int | None) -> int:
+    def _settled(self) -> int:
         last = None
         for _ in range(_ASKED_TWICE):
             count = self._ask(None)
@@ -139,7 +139,7 @@ class BiStep2A04(SerialStage):
         travel = self.travel
         self.line.send(b"x%dr%dp" % (round(travel.rate_steps_s), round(travel.ramp_steps_s2)))
         self._pause(_BETWEEN_S)
-        if expected is not None and self._settled(expected) != expected:
+        if expected is not None and self._settled() != expected:
             raise PositionUncertainError(f"{self.line.name}: setting the rate changed the position: home it")
 
     def _find_switch(self) -> None:
@@ -151,7 +151,7 @@ class BiStep2A04(SerialStage):
             self._define(count)
         self.line.send(b"%dg" % (travel.switch - travel.approach))
         self._pause(travel.allowed_s(travel.approach))
-        if self._settled(travel.switch) != travel.switch:
+        if self._settled() != travel.switch:
             raise PositionUncertainError(
                 f"{self.line.name}: the stage was not on its switch when its count was set: check switch and cable"
             )
@@ -161,14 +161,14 @@ class BiStep2A04(SerialStage):
         for _ in range(_ASKED_TWICE):
             self.line.send(b"%d=" % count)
             self._pause(_BETWEEN_S)
-            if self._settled(count) == count:
+            if self._settled() == count:
                 return
         raise PositionUncertainError(f"{self.line.name}: the reference could not be set: check the cable")
 
     def _against_switch(self) -> None:
         """Drive down until the switch stops it."""
         travel, clock = self.travel, self.line.clock
-        first = last = self._settled(None)
+        first = last = self._settled()
         distance = travel.span + travel.span // 10
         until_s = clock.now_s() + travel.allowed_s(distance)
         self.line.send(b"%dg" % (first - distance))

@@ -142,7 +142,7 @@ class GcodeStage(SerialStage):
             "cable, rate and acceleration (GRBL $120, Marlin M201), and that no alarm is left"
         )
 
-    def _settled(self, expected: int | None) -> int:
+    def _settled(self) -> int:
         return round((self._own_settled() - self._own_at_switch) * self._way) + self.travel.switch
 
     def _own_settled(self) -> int:

@@ -128,10 +128,10 @@ class SerialStage(ABC):
     def _check_place(self) -> int:
         """The place, if the controller agrees with what is believed."""
         if self._believed is None and self._take_over:
-            self._believed = self._settled(None)
+            self._believed = self._settled()
         if self._believed is None:
             raise NotHomedError(f"{self.line.name}: the stage has no reference yet: home it (`scanner home`)")
-        count = self._settled(self._believed)
+        count = self._settled()
         if count != self._believed:
             raise PositionUncertainError(
                 f"{self.line.name}: the controller says {count} steps, but it was left at {self._believed}: it was "
@@ -202,8 +202,8 @@ class SerialStage(ABC):
         """Go from one place, where it stands, straight to another, at least an approach away."""
 
     @abstractmethod
-    def _settled(self, expected: int | None) -> int:
-        """The count at rest, read twice; None for one of which nothing is known."""
+    def _settled(self) -> int:
+        """The count at rest, read twice."""
 
     @abstractmethod
     def _halt(self) -> None:

@@ -1,4 +1,4 @@
-"""The command `jaxscan`: finds the command that was asked for, runs it, and turns its errors into words and statuses.
+"""A program of commands: finds the one that was asked for, runs it, and turns its errors into words and statuses.
 
 Each command is a module of its own with
 
@@ -18,8 +18,9 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from jaxscan.errors import InputError, JaxscanError
@@ -61,17 +62,40 @@ class Command(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Program:
+    """A program.
+
+    Attributes:
+        name: as it is typed.
+        description: one sentence.
+        commands: the module of each.
+        errors: what its commands raise on purpose, beside `JaxscanError`.
+    """
+
+    name: str
+    description: str
+    commands: Mapping[str, str]
+    errors: tuple[type[Exception], ...] = ()
+
+
 def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line of `jaxscan` and return its exit status, as `run_program`."""
+    description = "Calibrate a laser line scanner, and turn its photographs into points."
+    return run_program(Program("jaxscan", description, COMMANDS), argv)
+
+
+def run_program(program: Program, argv: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit status: 0 done, 1 failed, 2 bad input or usage, 130 interrupted."""
     try:
-        args = _parser().parse_args(argv)
+        args = _parser(program).parse_args(argv)
     except SystemExit as ended:  # argparse has said what was wrong, or has printed the help
         return ended.code if isinstance(ended.code, int) else DONE
     try:
-        with _warnings_in_words():
+        with _warnings_in_words(program):
             _run(args)
     except KeyboardInterrupt:
-        return _complain("interrupted", INTERRUPTED)
+        return _complain(program, "interrupted", INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has gone, `| head` for one; Python would complain again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -79,7 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:  # noqa: BLE001 (the outermost boundary: nothing may reach the user as a traceback)
         if args.debug or os.environ.get("JAXSCAN_DEBUG"):
             traceback.print_exc()
-        return _complain(_in_words(error), BAD_INPUT if isinstance(error, InputError) else FAILED)
+        return _complain(program, _in_words(program, error), BAD_INPUT if isinstance(error, InputError) else FAILED)
     return DONE
 
 
@@ -93,34 +117,34 @@ def _run(args: argparse.Namespace) -> None:
     sys.stdout.flush()
 
 
-def _complain(text: str, status: int) -> int:
-    print(f"jaxscan: {text}", file=sys.stderr)
+def _complain(program: Program, text: str, status: int) -> int:
+    print(f"{program.name}: {text}", file=sys.stderr)
     return status
 
 
-def _in_words(error: Exception) -> str:
-    if isinstance(error, JaxscanError):
+def _in_words(program: Program, error: Exception) -> str:
+    if isinstance(error, (JaxscanError, *program.errors)):
         return f"error: {error}"
     if isinstance(error, OSError):
         return f"error: {error.filename or ''}{': ' if error.filename else ''}{error.strerror or error}"
     return (
         f"unexpected error: {type(error).__name__}: {error}\n"
-        "This is a fault of jaxscan. Run the command again with --debug and report what it prints."
+        f"This is a fault of {program.name}. Run the command again with --debug and report what it prints."
     )
 
 
 @contextmanager
-def _warnings_in_words() -> Iterator[None]:
+def _warnings_in_words(program: Program) -> Iterator[None]:
     """Warnings as one line each, without the place in the source that only a programmer needs."""
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: print(f"jaxscan: warning: {message}", file=sys.stderr)
+        warnings.showwarning = lambda message, *_: print(f"{program.name}: warning: {message}", file=sys.stderr)
         yield
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(program: Program) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="jaxscan",
-        description="Calibrate a laser line scanner, and turn its photographs into points.",
+        prog=program.name,
+        description=program.description,
         epilog="exit status: 0 done, 1 failed, 2 bad input or usage",
     )
     parser.add_argument("--version", action=_Version)
@@ -128,7 +152,7 @@ def _parser() -> argparse.ArgumentParser:
     common.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
     common.add_argument("--debug", action="store_true", help="show where an error arose (as does JAXSCAN_DEBUG=1)")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, module in COMMANDS.items():
+    for name, module in program.commands.items():
         command: Any = importlib.import_module(module)
         sub = commands.add_parser(
             name,
@@ -153,7 +177,7 @@ class _Version(argparse.Action):
         """Print the version and exit."""
         from importlib.metadata import version
 
-        print(f"jaxscan {version('jaxscan')}")
+        print(f"{parser.prog} {version('jaxscan')}")
         parser.exit()
 
 

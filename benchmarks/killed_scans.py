@@ -1,0 +1,96 @@
+"""Scans killed by SIGKILL at random moments, then gone on with: what was reported as taken, and what comes of it."""
+
+import random
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from hardware.cli.main import main
+from jaxscan.files.scan import Scan, read_scan, write_scan
+from jaxscan.images import StripeSettings, read_image, write_image
+
+FRAMES, APART = 12, 1000
+_SIZE = (96, 128)
+# Between two reports, or a little later.
+_LATEST_S = 0.03
+
+
+@dataclass(frozen=True)
+class Killed:
+    """What a kill left.
+
+    Attributes:
+        reported: frames that the scan had reported as taken.
+        listed: frames that its folder lists.
+        whole: whether all that it reported are listed, and all that it lists are whole and the right ones.
+        same: whether the scan that was gone on with equals the one that was not killed.
+        running: whether it was still running when it was killed.
+    """
+
+    reported: int
+    listed: int
+    whole: bool
+    same: bool
+    running: bool
+
+
+def prepare(folder: Path) -> Path:
+    """A recorded scan for the camera to show, a scanner that has it, and an uninterrupted scan to compare with."""
+    recorded = folder / "recorded"
+    (recorded / "frames").mkdir(parents=True)
+    paths = tuple(recorded / "frames" / f"{i}.png" for i in range(FRAMES))
+    for i, path in enumerate(paths):
+        noise = np.random.default_rng(i).integers(0, 255, (*_SIZE, 3), np.uint8)
+        write_image(path, cv2.GaussianBlur(noise, (5, 5), 0))
+    steps = tuple(APART * i for i in range(FRAMES))
+    write_scan(Scan(recorded / "scan.toml", StripeSettings(), frames=paths, steps=steps))
+    scanner = folder / "scanner.toml"
+    scanner.write_text(
+        '[camera]\nkind = "folder"\nsource = "recorded"\n[stage]\nkind = "simulated"\n[laser]\nkind = "simulated"\n'
+    )
+    if main(command(folder, folder / "whole")) != 0:
+        raise RuntimeError("the uninterrupted scan failed")
+    return folder
+
+
+def command(folder: Path, scan: Path, resume: bool = False) -> list[str]:
+    """The arguments of `scanner` for one scan."""
+    what = ["--resume"] if resume else ["--frames", str(FRAMES), "--apart", str(APART), "--settle", "0"]
+    return ["scan", str(scan), "--scanner", str(folder / "scanner.toml"), *what]
+
+
+def kill_and_resume(folder: Path, seed: int) -> Killed:
+    """Begin a scan, kill it, look, go on with it, compare."""
+    random_ = random.Random(seed)
+    scan = folder / f"killed-{seed}"
+    argv = [sys.executable, "-m", "hardware.cli.main", *command(folder, scan)]
+    child = subprocess.Popen(argv, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    assert child.stderr is not None
+    lines = [child.stderr.readline() for _ in range(random_.randrange(FRAMES))]
+    while not lines and not (scan / "plan.json").exists() and child.poll() is None:
+        time.sleep(0.001)
+    time.sleep(random_.uniform(0, _LATEST_S))
+    running = child.poll() is None
+    child.kill()
+    lines += child.stderr.read().splitlines()
+    child.wait()
+    child.stderr.close()
+    reported = sum(line.startswith("taken ") for line in lines)
+    listed = read_scan(scan)
+    whole = len(listed.frames) >= reported and all(
+        np.array_equal(read_image(path), read_image(folder / "recorded" / "frames" / f"{i}.png"))
+        for i, path in enumerate(listed.frames)
+    )
+    if main(command(folder, scan, resume=True)) != 0:
+        raise RuntimeError(f"{scan}: --resume failed")
+    return Killed(reported, len(listed.frames), whole, contents(scan) == contents(folder / "whole"), running)
+
+
+def contents(scan: Path) -> dict[str, bytes]:
+    """Every file of a scan folder, hidden ones too."""
+    return {str(path.relative_to(scan)): path.read_bytes() for path in scan.rglob("*") if path.is_file()}

@@ -1,0 +1,37 @@
+"""The command `scanner`."""
+
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import Final
+
+from hardware.errors import HardwareError
+from jaxscan.cli.main import Program, run_program
+
+COMMANDS: Final = {
+    "devices": "hardware.cli.devices",
+    "home": "hardware.cli.home",
+    "move": "hardware.cli.move",
+    "shoot": "hardware.cli.shoot",
+    "scan": "hardware.cli.scan",
+    "calibrate": "hardware.cli.calibrate",
+    "console": "hardware.cli.console",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line of `scanner`; a signal that ends it switches laser and motor off first, as Ctrl-C does."""
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _interrupt)
+    description = "Drive a laser line scanner: its stage, its laser and its camera, or simulated ones."
+    return run_program(Program("scanner", description, COMMANDS, (HardwareError,)), argv)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    sys.exit(main())

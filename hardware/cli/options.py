@@ -1,0 +1,57 @@
+"""Arguments that several commands share."""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hardware.protocols import Stage
+    from hardware.scan import Devices
+
+
+def add_scanner_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which scanner."""
+    parser.add_argument(
+        "--scanner", type=Path, metavar="FILE", help="its description (default: scanner.toml here, else simulated)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated scanner (default: 0)")
+    parser.add_argument(
+        "--homed",
+        action="store_true",
+        help="trust a BiStep2A04's count since it was last homed, and do not home it again",
+    )
+
+
+@contextmanager
+def scanner(args: argparse.Namespace) -> "Iterator[Devices]":
+    """The scanner, open for the length of the block."""
+    from hardware.devices import open_scanner, read_scanner
+
+    devices = open_scanner(read_scanner(args.scanner), args.seed, args.homed)
+    try:
+        yield devices
+    finally:
+        devices.camera.close()
+        devices.stage.close()
+
+
+@contextmanager
+def stage_alone(args: argparse.Namespace) -> "Iterator[Stage]":
+    """The stage without camera and laser; halted when the block ends in an error."""
+    from hardware.devices import open_stage, read_scanner
+    from hardware.safety import safely
+
+    stage = open_stage(read_scanner(args.scanner), args.homed)
+    try:
+        with safely(stage, None):
+            yield stage
+    finally:
+        stage.close()
+
+
+def say(words: str) -> None:
+    """One line to standard error, at once."""
+    print(words, file=sys.stderr, flush=True)

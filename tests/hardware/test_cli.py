@@ -1,0 +1,164 @@
+"""`scanner`, as a user types it, on emulated controllers and recorded photographs."""
+
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hardware.cli.main import COMMANDS, main
+from hardware.devices import folder_camera, read_scanner
+from jaxscan.errors import InputError
+from jaxscan.files.scan import read_scan
+
+SCANNER = """
+[camera]
+kind = "folder"
+source = "recorded"
+exposure_s = 0.01
+[stage]
+kind = "bistep"
+port = "emulator://bistep?length=21000"
+last = 20000
+[laser]
+kind = "rts"
+color = "green"
+"""
+
+
+@pytest.fixture
+def scanner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a scanner, as the working folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "recorded").mkdir()
+    for i in range(4):
+        cv2.imwrite(f"recorded/{i}.png", np.full((6, 8, 3), 20 * i, np.uint8))
+    (tmp_path / "scanner.toml").write_text(SCANNER)
+    return tmp_path
+
+
+def test_home_move_shoot_scan(scanner: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["home"]) == 0
+    assert "stands at step 0" in capsys.readouterr().out
+    assert main(["move", "1234", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"step_count": 1234}
+    assert main(["shoot", "one.png", "--step", "700"]) == 0
+    assert "8 × 6 pixels" in capsys.readouterr().out
+    assert main(["scan", "cup", "--frames", "3", "--apart", "2000", "--dark", "--name", "cup"]) == 1
+    captured = capsys.readouterr()
+    assert "has no photograph for step 4000, and 4 in all" in captured.err
+    assert captured.err.count("taken ") == 2
+    assert main(["scan", "cup", "--resume"]) == 0
+    assert "next: jaxscan reconstruct cup" in capsys.readouterr().out
+    scan = read_scan("cup")
+    assert (scan.steps, scan.name, scan.laser.color) == ((0, 2000, 4000), "cup", "green")
+    assert len(scan.backgrounds) == 3
+
+
+def test_a_folder_of_photographs_in_its_order_and_a_scan_by_its_steps(scanner: Path):
+    camera = folder_camera(scanner / "recorded")
+    assert [int(camera.expose(0).image[0, 0, 0]) for _ in range(4)] == [0, 20, 40, 60]
+    steps = "steps = [30, 20, 10, 0]"
+    (scanner / "recorded" / "scan.toml").write_text(f'[scan]\nframes = "*.png"\n{steps}\n')
+    camera = folder_camera(scanner / "recorded")
+    assert [int(camera.expose(step).image[0, 0, 0]) for step in (20, 0, 20)] == [20, 60, 20]
+    with pytest.raises(InputError, match="no such folder"):
+        folder_camera(scanner / "nowhere")
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        (["move", "90000"], "the stage goes from 0 to 20000"),
+        (["scan", "new", "--frames", "12", "--apart", "2000"], "the stage goes from 0 to 20000"),
+        (["scan", "new", "--frames", "12"], "--frames and --apart"),
+        (["scan", "new", "--frames", "2", "--apart", "0"], "places of their own"),
+        (["scan", "recorded", "--frames", "2", "--apart", "5"], "is not empty"),
+        (["scan", "recorded", "--resume"], "without --resume"),
+        (["shoot", "no/one.png"], "create it first"),
+        (["calibrate", "session", "--board", "nine"], "as 9x6"),
+        (["home", "--scanner", "other.toml"], "no such file"),
+    ],
+)
+def test_what_cannot_be_is_refused(scanner: Path, capsys: pytest.CaptureFixture[str], argv: list[str], says: str):
+    before = sorted(scanner.rglob("*"))
+    assert main(argv) in (1, 2)
+    assert says in capsys.readouterr().err
+    assert sorted(scanner.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"folder"', '"pinhole"', "one of opencv, folder"),
+        ("last = 20000", "last = 0", "first = 0, last = 0"),
+        ("last = 20000", "lasst = 20000", 'did you mean "last"'),
+        ("last = 20000", "last = 20000.5", "whole number"),
+        ('kind = "rts"', 'kind = "controller"', "use rts, or fixed"),
+        ('"green"', '"infrared"', "one of red"),
+    ],
+)
+def test_a_description_that_is_wrong_is_named(scanner: Path, old: str, new: str, says: str):
+    (scanner / "scanner.toml").write_text(SCANNER.replace(old, new))
+    with pytest.raises(InputError, match=says):
+        read_scanner(None)
+
+
+def test_a_line_that_is_dead(scanner: Path, capsys: pytest.CaptureFixture[str]):
+    (scanner / "scanner.toml").write_text(SCANNER.replace("21000", "21000&drop=1"))
+    assert main(["home"]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith("scanner: error: ")
+    assert "MAY STILL BE MOVING" in err
+    assert main(["devices"]) == 0
+    assert "check that it is on, cable and baud rate" in capsys.readouterr().out
+
+
+def test_devices_that_answer(scanner: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["devices", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["stage"], found["camera"], found["described"]) == ("answers", "opens", "scanner.toml")
+
+
+def test_console(scanner: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO("-1?\n70=\n-1?\n"))
+    assert main(["console"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["X,-1,0", "*", "*", "X,-1,70", "*"]
+    monkeypatch.setattr(sys, "stdin", io.StringIO("?\n"))
+    assert main(["console", "--port", "emulator://grbl", "--baud", "115200"]) == 0
+    assert "<Alarm|MPos:0.000" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_quick_and_imports_nothing_slow(command: str):
+    code = "import sys; from hardware.cli.main import main; main(sys.argv[1:]); print(*sys.modules)"
+    argv = [sys.executable, "-c", code, command, "--help"]
+    done = subprocess.run(argv, capture_output=True, text=True, timeout=60, check=True)
+    assert "example:" in done.stdout
+    assert not {"jax", "numpy", "cv2", "serial"} & set(done.stdout.splitlines()[-1].split())
+
+
+def test_a_scan_by_command_needs_no_jax(scanner: Path):
+    code = "import sys; from hardware.cli.main import main; main(sys.argv[1:]); print('jax' in sys.modules)"
+    argv = [sys.executable, "-c", code, "scan", "cup", "--frames", "1", "--apart", "1"]
+    done = subprocess.run(argv, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "False"
+
+
+def test_a_signal_switches_the_laser_off(scanner: Path):
+    """SIGTERM in mid-move ends as Ctrl-C does: the block that guards the laser is left."""
+    (scanner / "scanner.toml").write_text(SCANNER.replace("21000", "21000&speed=1"))
+    argv = [sys.executable, "-m", "hardware.cli.main", "home"]
+    root = Path(__file__).parents[2]
+    child = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True, env={"PYTHONPATH": str(root)})
+    try:
+        child.wait(1.0)
+    except subprocess.TimeoutExpired:
+        child.terminate()
+    _, err = child.communicate(timeout=20)
+    assert child.returncode == 130
+    assert err == "scanner: interrupted\n"
