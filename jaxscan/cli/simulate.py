@@ -108,6 +108,7 @@ def simulate_into(
                 scene,
                 seed,
                 laser=i,
+                frames=rig_2003.SCAN_FRAMES,
                 name=name,
                 lighting=replace(rig_2003.SCAN_LIGHTING, speckle=speckle),
                 advance=advance,
