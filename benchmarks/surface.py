@@ -275,7 +275,11 @@ def pyramid() -> list[Metric]:
         print("  JAXSCAN_DATA is not set: no pyramid")
         return []
     data = Path(folder) / "stage-pyramid"
-    seen = reconstruct(read_rig(data / "rig.json"), read_scan(data))
+    return pyramid_of(reconstruct(read_rig(data / "rig.json"), read_scan(data)))
+
+
+def pyramid_of(seen: RangeImage) -> list[Metric]:
+    """The same of its range image, by the rig as it was published."""
     if seen.per_step is None:
         raise ValueError("the rig has no stage")
     turned = (2 * seen.steps[:, None] * seen.per_step).astype(np.float32)

@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks import calibration_rs
 from benchmarks.sub_pix import with_sub_pix
+from benchmarks.surface import pyramid_of
 from jaxscan import Calibration, ObservabilityError, calibrate, observe, read_rig, read_scan, read_session, reconstruct
 
 LEAVES = ("focal.0", "focal.1", "principal.0", "principal.1")
@@ -74,3 +75,10 @@ def test_a_pyramid(data: Path) -> None:
     depth = image.points[image.valid][:, 2]
     assert depth.max() < 84
     assert depth.min() > 40
+    found = {metric.name.removeprefix("surface.pyramid."): metric.value for metric in pyramid_of(image)}
+    # As published the stage moves the wrong way, which folds the surface.
+    assert found["facing_away.stage_plus"] > 0.05
+    assert found["facing_away.stage_minus"] < 0.01
+    assert found["share_further_than_1_mm"] < 0.02
+    assert max(found[f"{name}.rms"] for name in ("top", "face_0", "face_1", "face_2", "face_3")) < 0.3
+    assert max(found["slopes_0_and_2_apart"], found["slopes_1_and_3_apart"]) < 3.0

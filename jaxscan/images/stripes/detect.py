@@ -30,7 +30,7 @@ from jaxscan.images.stripes.windows import gather_windows
 # Half windows, px: the wide one holds stripes up to some 60 px wide.
 _NARROW, _WIDE = 12, 40
 # Smoothed as it is, the greatest of a thousand rows of noise stands out by two or three σ.
-_LEAST_SIGNAL = 5.0
+_LEAST_SIGNAL = 4.7
 _LEAST_STRENGTH = 10.0
 # Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from every so many pixels.
 _AMBIENT_QUANTILE = 0.97
