@@ -30,7 +30,7 @@ SUITES = {
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
-NOT_QUICK = {"starts", "next_pose", "montecarlo", "gauge", "lasers"}
+NOT_QUICK = {"derivatives", "starts", "next_pose", "montecarlo", "gauge", "lasers"}
 
 
 def main() -> int:
