@@ -66,14 +66,15 @@ def stand_out(peaks: Int[Array, "frames across down"], length: int, columns: boo
     beyond the image's edge is taken to be as bright as the last block.
     """
     axis = 1 if columns else 2
-    level = (peaks >> _BITS).astype(jnp.int32)
+    # Twice a level and its difference from another still fit the integers of the peaks, that hold 32 of them.
+    level = peaks >> _BITS
     n = level.shape[axis]
     far = [(0, 0)] * 3
     far[axis] = (_SURROUNDINGS, _SURROUNDINGS)
     padded = jnp.pad(level, far, mode="edge")
     before, after = (jax.lax.slice_in_dim(padded, i, i + n, axis=axis) for i in (0, 2 * _SURROUNDINGS))
-    starts = jnp.asarray(block_starts(length), jnp.int32).reshape(_along(axis, 3))
-    row = starts + 2**_BITS - 1 - (peaks & (2**_BITS - 1)).astype(jnp.int32)
+    starts = jnp.asarray(block_starts(length), peaks.dtype).reshape(_along(axis, 3))
+    row = starts + (2**_BITS - 1) - (peaks & (2**_BITS - 1))
     return 2 * level - jnp.maximum(before, after), row
 
 
@@ -86,7 +87,7 @@ def choose_peaks(peaks: Int[Array, "frames across down"], length: int, columns: 
     axis = 1 if columns else 2
     score, row = stand_out(peaks, length, columns)
     # Two plain reductions: one that returns the place of a maximum is ten times slower.
-    return jnp.where(score == score.max(axis, keepdims=True), row, length).min(axis)
+    return jnp.where(score == score.max(axis, keepdims=True), row, length).min(axis).astype(jnp.int32)
 
 
 def _along(axis: int, rank: int) -> list[int]:

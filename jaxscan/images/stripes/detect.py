@@ -9,11 +9,12 @@ themselves.
 There is a stripe where the peak stands above its background by so many times the frame's noise, with both its flanks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from math import prod
+from typing import Final
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float32, Int
 
@@ -27,6 +28,8 @@ from jaxscan.images.stripes.detectors import Measured, Model, measure
 from jaxscan.images.stripes.survey import survey
 from jaxscan.images.stripes.windows import gather_windows
 
+# Frames that are looked at together.
+FRAMES_AT_ONCE: Final = 16
 # Half windows, px: the wide one holds stripes up to some 60 px wide.
 _NARROW, _WIDE = 12, 40
 # Smoothed as it is, the greatest of a thousand rows of noise stands out by two or three σ.
@@ -34,17 +37,18 @@ _LEAST_SIGNAL = 4.7
 _LEAST_STRENGTH = 10.0
 # Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from every so many pixels.
 _AMBIENT_QUANTILE = 0.97
-_EVERY = 16
+_EVERY = 24
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
-# Columns measured again come in so many at a time, or a power of four more, so that few sizes are compiled.
-_LEAST_BUCKET = 256
+# Lines are measured in groups of so many, whatever the image: few sizes are compiled, and one stays in the cache.
+_SMALL_GROUP, _GROUP = (4, 64), (8, 512)
 # A stripe point has so many others within so many lines to either side, off by no more than so much and a steep slope.
 _LEAST_COMPANY, _COMPANY_WITHIN = 2, 4
 _COMPANY_PX, _STEEPEST = 2.0, 4.0
 
 
-class Stripe(eqx.Module):
+@dataclass(frozen=True)
+class Stripe:
     """The stripe in a batch of frames, one entry for each image column (or for each row, as the settings say).
 
     Attributes:
@@ -56,11 +60,11 @@ class Stripe(eqx.Module):
         valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
     """
 
-    position: Float32[Array, "frames lines"]
-    sigma: Float32[Array, "frames lines"]
-    strength: Float32[Array, "frames lines"]
-    width: Float32[Array, "frames lines"]
-    valid: Bool[Array, "frames lines"]
+    position: Float32[np.ndarray, "frames lines"]
+    sigma: Float32[np.ndarray, "frames lines"]
+    strength: Float32[np.ndarray, "frames lines"]
+    width: Float32[np.ndarray, "frames lines"]
+    valid: Bool[np.ndarray, "frames lines"]
 
 
 def detect_stripe(
@@ -87,60 +91,84 @@ def detect_stripe(
     dark = None if background is None else _batch(background, settings, "the background")
     if dark is not None:
         _check_background(frames, dark)
+    found = []
+    for first in range(0, len(frames), FRAMES_AT_ONCE):
+        some = slice(first, first + FRAMES_AT_ONCE)
+        found.append(
+            _detect(frames[some], dark if dark is None or len(dark) == 1 else dark[some], settings, detector, choice)
+        )
+    return (
+        found[0]
+        if len(found) == 1
+        else Stripe(*(np.concatenate([getattr(s, f.name) for s in found]) for f in fields(Stripe)))
+    )
+
+
+def _detect(
+    frames: np.ndarray | Array,
+    dark: np.ndarray | Array | None,
+    settings: StripeSettings,
+    detector: Detector,
+    choice: Choice,
+) -> Stripe:
+    """The stripe in no more frames than `FRAMES_AT_ONCE`."""
     color, columns = settings.color, settings.columns
     length = frames.shape[1 if columns else 2]
     narrow, wide = (min(half, (length - 1) // 2) for half in (_NARROW, _WIDE))
-    ambient = jnp.asarray(_ambient(np.asarray(frames), None if dark is None else np.asarray(dark), color))
+    ambient = _ambient(np.asarray(frames), None if dark is None else np.asarray(dark), color)
     # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
     frames, dark = jax.device_put((frames, dark))
     peaks = coarse_peaks(frames, dark, ambient, color, columns)
     if choice == "strongest":
-        peak = choose_peaks(peaks, length, columns)
+        peak = np.asarray(choose_peaks(peaks, length, columns))
     else:
         rows, strength = candidates(peaks, length, columns)
-        peak = jnp.asarray(choose(np.asarray(rows), np.asarray(strength), choice))
-    sensor = survey(frames, dark, ambient, peak, color, columns, narrow)
+        peak = choose(np.asarray(rows), np.asarray(strength), choice)
+    sensor = survey(frames, dark, ambient, peak, color, columns, narrow, FRAMES_AT_ONCE)
 
-    def look(at: Sequence[np.ndarray | Array], half: int, model: Model) -> Measured:
-        windows = gather_windows(frames, dark, sensor, *at, color, columns, half)
-        return measure(windows, sensor, at[0], detector, model)
+    def look(at: tuple[np.ndarray, ...], half: int, model: Model) -> Measured:
+        """The lines of frames `at[0]` and numbers `at[1]`, in groups of few sizes: each size compiles anew."""
+        found = []
+        for group, count in _groups(*at, peak[at]):
+            windows = gather_windows(frames, dark, sensor, *group, color, columns, half)
+            found.append(
+                jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measure(windows, sensor, group[0], detector, model))
+            )
+        return found[0] if len(found) == 1 else jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
     def look_again(measured: Measured, which: Bool[np.ndarray, "frames lines"], half: int, model: Model) -> Measured:
         places = np.nonzero(which)
         if not places[0].size:
             return measured
-        found = look(_padded(places[0], places[1], np.asarray(peak)[places]), half, model)
-        found = jax.tree.map(lambda x: np.asarray(x)[0, : places[0].size], found)
+        found = look(places, half, model)
         # Where there is no edge in the stripe, what was measured without one stands.
         taken = found.whole if model == "torn" else np.ones_like(found.whole)
         at = tuple(index[taken] for index in places)
         return jax.tree.map(lambda old, new: _replaced(old, at, new[taken]), measured, found)
 
-    frame, line = np.indices(peak.shape, np.int32)
-    measured = look((frame, line, peak), narrow, "plain")
-    least = np.maximum(_LEAST_SIGNAL * np.asarray(sensor.ground), _LEAST_STRENGTH)[:, None]
+    everywhere = tuple(index.ravel() for index in np.indices(peak.shape, np.int32))
+    measured = jax.tree.map(lambda x: x.reshape(peak.shape), look(everywhere, narrow, "plain"))
+    ground = np.asarray(sensor.ground)[: len(peak), None]
+    least = np.maximum(_LEAST_SIGNAL * ground, _LEAST_STRENGTH)
     # A window inside a burnt-out stripe sees no background, but it sees one end of it.
-    strong = np.asarray(measured.relief) > least
-    cramped = np.asarray(measured.cramped) & strong & (wide > narrow)
-    burnt = np.asarray(measured.burnt) & strong & ~cramped
+    strong = measured.relief > least
+    cramped = measured.cramped & strong & (wide > narrow)
+    burnt = measured.burnt & strong & ~cramped
     if detector == "likelihood":
         measured = look_again(measured, cramped, wide, "censored")
         measured = look_again(measured, burnt, narrow, "censored")
         # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.
         halo = burnt | (burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
-        strained = np.asarray(measured.strained) & strong & ~cramped & ~halo
+        strained = measured.strained & strong & ~cramped & ~halo
         measured = look_again(measured, strained, narrow, "torn")
     else:
         measured = look_again(measured, cramped, wide, "plain")
-    valid = np.asarray(measured.whole & (measured.strength > least))
-    valid = valid & _in_a_line(np.where(valid, np.asarray(measured.position), np.nan))
-    return Stripe(
-        position=jnp.where(valid, measured.position, jnp.nan),
-        sigma=jnp.where(valid, measured.sigma, jnp.nan),
-        strength=jnp.asarray(measured.strength),
-        width=jnp.where(valid, measured.width, jnp.nan),
-        valid=jnp.asarray(valid),
+    valid = measured.whole & (measured.strength > least)
+    valid &= _in_a_line(np.where(valid, measured.position, np.nan))
+    position, sigma, width = (
+        np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
+    return Stripe(position, sigma, measured.strength, width, valid)
 
 
 def _in_a_line(position: Float32[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
@@ -170,14 +198,13 @@ def _ambient(frames: np.ndarray, dark: np.ndarray | None, color: str) -> Int[np.
     return np.partition(flat, rank, axis=1)[:, rank].astype(np.int32)
 
 
-def _padded(
-    frame: Int[np.ndarray, "some"], line: Int[np.ndarray, "some"], peak: Int[np.ndarray, "some"]
-) -> list[Int[np.ndarray, "1 bucket"]]:
-    """Indices repeated up to the next bucket, so that each number of columns does not compile anew."""
-    bucket = _LEAST_BUCKET
-    while bucket < len(frame):
-        bucket *= 4
-    return [np.resize(index, (1, bucket)).astype(np.int32) for index in (frame, line, peak)]
+def _groups(*at: Int[np.ndarray, "some"]) -> Iterator[tuple[list[Int[np.ndarray, "groups lines"]], int]]:
+    """The indices in groups of one of two shapes, the last one filled up by repetition; and how many of each count."""
+    most = prod(_GROUP)
+    for first in range(0, len(at[0]), most):
+        count = min(most, len(at[0]) - first)
+        shape = _SMALL_GROUP if count <= prod(_SMALL_GROUP) else _GROUP
+        yield [np.resize(index[first : first + count], shape).astype(np.int32, copy=False) for index in at], count
 
 
 def _replaced(old: Array, at: tuple[np.ndarray, ...], new: np.ndarray) -> np.ndarray:

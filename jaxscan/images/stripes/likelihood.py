@@ -31,7 +31,7 @@ from jaxscan.images.stripes.classical import Estimate
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
-_STEPS, _STEPS_CENSORED = 3, 8
+_STEPS, _STEPS_CENSORED = 2, 8
 # The model holds about the stripe, not for what else is in the window: so many standard deviations, and pixels, beyond
 # where it falls to half its seen height. What lies further out holds 1 % of what is known of the centre.
 _REACH, _REACH_PX = 1.3, 2.0

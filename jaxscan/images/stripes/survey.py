@@ -19,7 +19,7 @@ from jaxscan.images.stripes.windows import Outline, Pixels, Places, Sensor, Wind
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
 _LINES, _GROUPS = 96, 8
 # Newton's steps: as far as the noise need be known.
-_STEPS = 5
+_STEPS = 4
 # Rows at each end of the window that tell the noise without laser.
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
@@ -51,6 +51,7 @@ def survey(
     color: str,
     columns: bool,
     half: int,
+    most: int,
 ) -> Sensor:
     """Look at each frame's sensor.
 
@@ -62,12 +63,15 @@ def survey(
         color: of the laser, or grey.
         columns: whether lines are columns.
         half: half the window's length.
+        most: how many frames there may be: so many entries has each number of the answer, the last one repeated, so
+            that no number of frames compiles anew.
     """
     frames, lines = peak.shape
     some = np.linspace(0, lines - 1, min(_LINES, lines)).astype(np.int32)
-    frame = np.broadcast_to(np.arange(frames, dtype=np.int32)[:, None], (frames, some.size))
-    line = np.broadcast_to(some, frame.shape)
-    at = (frame, line, peak[:, some], columns, half)
+    of = np.minimum(np.arange(most, dtype=np.int32), frames - 1)
+    frame, line = (np.ascontiguousarray(x) for x in np.broadcast_arrays(of[:, None], some))
+    ambient = ambient[of]
+    at = (frame, line, peak[of][:, some], columns, half)
     lit = gather_pixels(images, *at)
     dark = None if background is None else gather_pixels(background, *at)
     return _survey(lit, dark, ambient, color)
