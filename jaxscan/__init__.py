@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from jaxscan.files.session import Session, read_session
     from jaxscan.geometry import Pose
     from jaxscan.images import Board
-    from jaxscan.reconstruction import RangeImage, reconstruct, write_points
+    from jaxscan.reconstruction import RangeImage, Scanner, reconstruct, write_points, write_stream
     from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage, System
 
 _HOME = {
@@ -62,8 +62,10 @@ _HOME = {
     "Pose": "jaxscan.geometry",
     "Board": "jaxscan.images",
     "RangeImage": "jaxscan.reconstruction",
+    "Scanner": "jaxscan.reconstruction",
     "reconstruct": "jaxscan.reconstruction",
     "write_points": "jaxscan.reconstruction",
+    "write_stream": "jaxscan.reconstruction",
     "Camera": "jaxscan.rig",
     "LightPlane": "jaxscan.rig",
     "Rig": "jaxscan.rig",
@@ -89,6 +91,7 @@ __all__ = [
     "Rig",
     "RigFile",
     "Scan",
+    "Scanner",
     "Session",
     "SolveError",
     "Stage",
@@ -109,6 +112,7 @@ __all__ = [
     "write_ply",
     "write_points",
     "write_rig",
+    "write_stream",
 ]
 
 

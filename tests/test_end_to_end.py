@@ -159,7 +159,7 @@ def test_a_truncated_frame_is_named_and_nothing_is_written(
 def test_frames_of_another_depth_are_named_however_late_they_come(
     world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(import_module("jaxscan.reconstruction.reconstruct"), "_BATCH", 1)
+    monkeypatch.setattr(import_module("jaxscan.reconstruction.frames"), "FRAMES_AT_ONCE", 1)
     frame = cv2.imread(str(world / "scan" / "frames" / "000.png"))
     cv2.imwrite(str(tmp_path / "0.png"), frame)
     cv2.imwrite(str(tmp_path / "1.png"), frame.astype(np.uint16) * 257)

@@ -22,12 +22,14 @@ class StripePoints:
         columns: True where the stripe was found column by column (v is measured), False for row by row (u is).
         laser: which of the observations' lasers.
         half_width_px: how far the stripe's light reaches to either side; within it the board must have one colour.
+        sigmas: σ of each as the detector predicts it, px, where there was one.
     """
 
     pixels: Float[np.ndarray, "points 2"]
     columns: bool = True
     laser: int = 0
     half_width_px: float = 3.0
+    sigmas: Float[np.ndarray, "points"] | None = None
 
 
 @dataclass(frozen=True)

@@ -156,12 +156,12 @@ def stripe_points(
 ) -> StripePoints:
     """The stripe of one photograph as pixels (u, v); NaN where there is none."""
     stripe = detect_stripe(image, settings, detector=detector)
-    position = np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).astype(np.float64).ravel()
+    position = stripe.position.astype(np.float64).ravel()
     index = np.where(np.isfinite(position), np.arange(position.size), np.nan)
     pixels = np.stack([index, position] if settings.columns else [position, index], axis=-1)
-    width = np.asarray(stripe.width).ravel()[np.isfinite(position)]
+    width = stripe.width.ravel()[np.isfinite(position)]
     half = 0.5 * float(np.median(width)) + _SMEAR_PX if width.size else _SMEAR_PX
-    return StripePoints(pixels, settings.columns, laser, half)
+    return StripePoints(pixels, settings.columns, laser, half, np.asarray(stripe.sigma, np.float64).ravel())
 
 
 def _sequence(

@@ -57,6 +57,7 @@ class Calibration:
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
         stripe_correlation: how many neighbouring stripe points are worth one, by the correlation of their errors.
+        stripe_sigma_ratio: `stripe_sigma_px` in parts of what the detector predicted of these points, where it did.
         corner_rms_px: root mean square distance of the corners that were kept.
         stripe_rms_px: root mean square stripe error of the points that were kept; None without stripes.
         fits: view by view.
@@ -79,6 +80,7 @@ class Calibration:
     corner_sigma_px: float
     stripe_sigma_px: float | None
     stripe_correlation: float | None
+    stripe_sigma_ratio: float | None
     corner_rms_px: float
     stripe_rms_px: float | None
     fits: tuple[PhotographFit, ...]
@@ -104,6 +106,8 @@ class Calibration:
                 "stripe_sigma_px": self.stripe_sigma_px,
                 "stripe_correlation": self.stripe_correlation,
             }
+        if self.stripe_sigma_ratio is not None:
+            fit["stripe_sigma_ratio"] = self.stripe_sigma_ratio
         return RigFile(self.rig, self.covariance, fit)
 
 
@@ -149,6 +153,7 @@ def assemble(
         corner_sigma_px=float(refined.noise.corner),
         stripe_sigma_px=refined.stripe_sigma if stripe.size else None,
         stripe_correlation=refined.stripe_correlation if stripe.size else None,
+        stripe_sigma_ratio=_sigma_ratio(observations.views, fits, refined.stripe_sigma),
         corner_rms_px=float(np.sqrt((corners**2).sum(axis=1).mean())),
         stripe_rms_px=float(np.sqrt((stripe**2).mean())) if stripe.size else None,
         fits=fits,
@@ -223,6 +228,19 @@ def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: 
             )
         )
     return tuple(fits)
+
+
+def _sigma_ratio(views: Sequence[View], fits: Sequence[PhotographFit], sigma: float) -> float | None:
+    """How the σ that the residuals tell compares with the detector's own, over the points that were kept."""
+    squares = []
+    for view, fit in zip(views, fits, strict=True):
+        predicted = [s.sigmas if s.sigmas is not None else np.full(len(s.pixels), np.nan) for s in view.stripes]
+        if predicted:
+            candidate = np.isfinite(np.concatenate([s.pixels for s in view.stripes])).all(axis=1)
+            squares.append(np.concatenate(predicted)[candidate][fit.stripe_kept] ** 2)
+    known = np.concatenate(squares) if squares else np.zeros(0)
+    known = known[np.isfinite(known)]
+    return float(sigma / np.sqrt(known.mean())) if known.size else None
 
 
 def _stage_fits(views: Sequence[View], refined: Refined, sequence: int, each: int) -> tuple[PhotographFit, ...]:

@@ -32,12 +32,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.cli.calibrate import calibrate_session
     from jaxscan.cli.reconstruct import reconstruct_scan
     from jaxscan.images import draw_stripe, read_image
+    from jaxscan.reconstruction import read_range_image
     from jaxscan.simulation.accuracy import cloud_errors
     from jaxscan.simulation.distance import distance
     from jaxscan.view.plots import draw_scan
 
     calibrate_session([out / "session"], out / "rig.json")
-    image = reconstruct_scan(out / "scan", out / "rig.json", [out / "cup.ply", out / "cup.npz"])
+    reconstruct_scan(out / "scan", out / "rig.json", [out / "cup.ply", out / "cup.npz"])
+    image = read_range_image(out / "cup.npz")
     errors = cloud_errors(scene, truth.points, image.points, image.valid)
     off = distance(scene, image.points.reshape(-1, 3)).reshape(image.valid.shape)
     title = f"{int(image.valid.sum())} points, {errors.absolute:.3f} mm RMS from the true surface"

@@ -8,7 +8,7 @@ from jaxscan.cli.detector_options import add_choice_argument, add_detector_argum
 from jaxscan.detectors import DEFAULT, Choice, Detector
 
 if TYPE_CHECKING:
-    from jaxscan.reconstruction import RangeImage
+    from jaxscan.reconstruction import Written
 
 HELP: Final = "turn the photographs of a scan into points"
 EXAMPLE: Final = "jaxscan reconstruct scans/cup --rig rig.json -o cup.ply"
@@ -41,34 +41,31 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     for path in args.output:
         check_writable(path)
-    image = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe)
+    done = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe)
     return {
         "kind": "points",
         "path": [str(path) for path in args.output],
-        "frames": len(image.steps),
-        "frames_without_stripe": int((~image.valid.any(axis=1)).sum()),
-        "points": int(image.valid.sum()),
+        "frames": done.frames,
+        "frames_without_stripe": done.empty,
+        "points": done.points,
     }
 
 
 def reconstruct_scan(
     scan: Path, rig: Path, outputs: list[Path], detector: Detector = DEFAULT, choice: Choice = "strongest"
-) -> "RangeImage":
-    """Reconstruct with a progress bar, and write the points to each output."""
+) -> "Written":
+    """Reconstruct with a progress bar, writing the points to each output."""
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
     from jaxscan.cli.progress import progress
     from jaxscan.files.rig_file import read_rig
     from jaxscan.files.scan import read_scan
-    from jaxscan.reconstruction import reconstruct, write_points
+    from jaxscan.reconstruction import Scanner, write_stream
 
     calibrated, photographs = read_rig(rig), read_scan(scan)
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
-        image = reconstruct(calibrated, photographs, advance, detector, choice)
-    for path in outputs:
-        write_points(path, image)
-    return image
+        return write_stream(outputs, Scanner(calibrated, detector, choice).scan(photographs), advance)
 
 
 def describe(result: dict[str, Any]) -> str:

@@ -1,6 +1,8 @@
 """Points as a PLY file: binary, little endian, `float x y z`, then what is known of each point."""
 
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -11,7 +13,7 @@ from jaxtyping import Float32, UInt8
 from jaxscan.errors import InputError
 from jaxscan.files.ply import Column, Element, Ply
 from jaxscan.files.ply_read import read_ply_file
-from jaxscan.files.ply_write import write_ply_file
+from jaxscan.files.ply_write import writing_ply_file
 
 COLOURS: Final = ("red", "green", "blue")
 _NEEDS_SURFACE: Final = (".stl", ".obj", ".glb", ".gltf", ".off", ".3mf")
@@ -54,11 +56,33 @@ def write_ply(path: str | os.PathLike[str], cloud: Cloud) -> None:
     Raises:
         InputError: there are no points, a coordinate is not finite, or the file cannot be written.
     """
-    if not len(cloud.points):
-        raise InputError(f"{path}: there are no points to write: check that the photographs show the stripe")
-    if not np.isfinite(cloud.points).all():
-        raise InputError(f"{path}: a point has a coordinate that is not a finite number: leave missing points out")
-    write_ply_file(path, Ply({"vertex": vertices_of(cloud)}, comments=("comment units mm",)))
+    with writing_ply(path) as add:
+        add(cloud)
+
+
+@contextmanager
+def writing_ply(path: str | os.PathLike[str]) -> Iterator[Callable[[Cloud], None]]:
+    """Write a cloud whose points come some at a time, whole or not at all: the block is given what adds them.
+
+    Raises:
+        InputError: there were no points, a coordinate is not finite, or the file cannot be written.
+    """
+    points = 0
+    with writing_ply_file(path, "vertex", ("comment units mm",)) as add_rows:
+
+        def add(cloud: Cloud) -> None:
+            nonlocal points
+            if not np.isfinite(cloud.points).all():
+                raise InputError(
+                    f"{path}: a point has a coordinate that is not a finite number: leave missing points out"
+                )
+            if len(cloud.points):
+                points += len(cloud.points)
+                add_rows(vertices_of(cloud))
+
+        yield add
+        if not points:
+            raise InputError(f"{path}: there are no points to write: check that the photographs show the stripe")
 
 
 def vertices_of(cloud: Cloud) -> Element:

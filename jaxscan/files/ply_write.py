@@ -1,8 +1,11 @@
 """PLY files written: ASCII in the shortest words that read back as the same numbers, and binary in both byte orders."""
 
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
+from tempfile import TemporaryFile
 from typing import Final
 
 import numpy as np
@@ -14,6 +17,7 @@ from jaxscan.files.ply import WORDS, Element, Format, Lists, Order, Ply, byte_or
 
 # Rows that are packed at a time: they stay in the processor's cache.
 _ROWS_AT_ONCE: Final = 1 << 14
+_COPIED_AT_ONCE: Final = 1 << 20
 
 
 def write_ply_file(path: str | os.PathLike[str], content: Ply) -> None:
@@ -23,15 +27,50 @@ def write_ply_file(path: str | os.PathLike[str], content: Ply) -> None:
         InputError: an element's columns differ in length or have a type that PLY has no word for, or the file cannot be
             written.
     """
-    header = ["ply", f"format {content.format} 1.0", *content.comments]
-    for name, element in content.elements.items():
-        header += [f"element {name} {element.count}", *_declarations(path, name, element)]
+    elements = [(name, e.count, list(_declarations(path, name, e))) for name, e in content.elements.items()]
     with replacing(path, "wb") as file:
-        file.write(("\n".join([*header, "end_header"]) + "\n").encode())
+        file.write(_header(content.format, content.comments, elements))
         for element in content.elements.values():
             chunks = _lines(element) if content.format == "ascii" else _packed(element, content.format)
             for chunk in chunks:
                 file.write(chunk)
+
+
+@contextmanager
+def writing_ply_file(
+    path: str | os.PathLike[str], name: str, comments: Sequence[str] = ()
+) -> Iterator[Callable[[Element], None]]:
+    """Write a binary PLY file of one element whose rows come some at a time: the block is given what adds them.
+
+    How many there are is said at a file's beginning and known at its end: till then they wait beside it, on the disk.
+
+    Raises:
+        InputError: as `write_ply_file`, or later rows have other columns than the first.
+    """
+    form: Format = "binary_little_endian"
+    count, declared = 0, None
+    with replacing(path, "wb") as file, TemporaryFile(dir=os.path.dirname(os.path.realpath(path))) as rows:
+
+        def add(element: Element) -> None:
+            nonlocal count, declared
+            own = list(_declarations(path, name, element))
+            if declared not in (None, own):
+                raise InputError(f"{path}: rows with {own} cannot follow rows with {declared}: write two files")
+            count, declared = count + element.count, own
+            for chunk in _packed(element, form):
+                rows.write(chunk)
+
+        yield add
+        file.write(_header(form, comments, [(name, count, declared or [])]))
+        rows.seek(0)
+        shutil.copyfileobj(rows, file, _COPIED_AT_ONCE)
+
+
+def _header(form: Format, comments: Sequence[str], elements: Sequence[tuple[str, int, list[str]]]) -> bytes:
+    lines = ["ply", f"format {form} 1.0", *comments]
+    for name, count, declarations in elements:
+        lines += [f"element {name} {count}", *declarations]
+    return ("\n".join([*lines, "end_header"]) + "\n").encode()
 
 
 def _declarations(path: str | os.PathLike[str], name: str, element: Element) -> Iterator[str]:

@@ -2,11 +2,15 @@
 
 import lzma
 import os
+import shutil
 import zipfile
 import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from tempfile import TemporaryFile
+from typing import IO, Final
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -27,6 +31,9 @@ _WHERE_KNOWN: Final = {
     "per_step": np.dtype(np.float64),
 }
 _DTYPES: Final = _ALWAYS | _WHERE_KNOWN
+# The one array that has no entry for each frame.
+_OF_THE_SCAN: Final = "per_step"
+_COPIED_AT_ONCE: Final = 1 << 20
 
 # What zipfile, its decompressors and NumPy raise for a file that is damaged, encrypted, or promises more than there is.
 _NOT_WHOLE: Final = (
@@ -72,11 +79,55 @@ def write_range_npz(path: str | os.PathLike[str], image: RangeArrays) -> None:
     Raises:
         InputError: the arrays do not fit one another, or the file cannot be written.
     """
-    known = {name: dtype for name, dtype in _DTYPES.items() if getattr(image, name) is not None}
-    arrays = {name: np.asarray(getattr(image, name), dtype=dtype) for name, dtype in known.items()}
-    _check(path, arrays)
-    with replacing(path, "wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+    with writing_range_npz(path) as add:
+        add(image)
+
+
+@contextmanager
+def writing_range_npz(path: str | os.PathLike[str]) -> Iterator[Callable[[RangeArrays], None]]:
+    """Write a range image whose frames come some at a time, whole or not at all: the block is given what adds them.
+
+    Each array waits in a file of its own beside `path` until its length is known.
+
+    Raises:
+        InputError: the arrays do not fit one another, or the file cannot be written.
+    """
+    folder = os.path.dirname(os.path.realpath(path))
+    shapes: dict[str, tuple[int, ...]] = {}
+    with replacing(path, "wb") as file, ExitStack() as stack:
+        parts: dict[str, IO[bytes]] = {}
+
+        def add(image: RangeArrays) -> None:
+            arrays = {
+                name: np.ascontiguousarray(value, dtype=dtype)
+                for name, dtype in _DTYPES.items()
+                if (value := getattr(image, name)) is not None
+            }
+            _check(path, arrays)
+            for name in arrays if not parts else ():
+                parts[name] = stack.enter_context(TemporaryFile(dir=folder))
+            if arrays.keys() != parts.keys():
+                raise InputError(f"{path}: frames with {sorted(arrays)} cannot follow frames with {sorted(parts)}")
+            for name, array in arrays.items():
+                frames, *rest = shapes.get(name, (0, *array.shape[1:]))
+                if tuple(rest) != array.shape[1:]:
+                    raise InputError(f"{path}: {array.shape[1]} columns cannot follow {rest[0]}: they are two scans")
+                if name == _OF_THE_SCAN:
+                    # It is the same for all frames.
+                    parts[name].seek(0)
+                    frames = 0
+                shapes[name] = (frames + len(array), *rest)
+                parts[name].write(array.data)
+
+        yield add
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, part in parts.items():
+                header = {"descr": _DTYPES[name].str, "fortran_order": False, "shape": shapes[name]}
+                # Of no date, so that the same points are the same bytes.
+                with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as entry:
+                    np.lib.format.write_array_header_1_0(entry, header)
+                    part.seek(0)
+                    shutil.copyfileobj(part, entry, _COPIED_AT_ONCE)
 
 
 def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:

@@ -112,7 +112,7 @@ def _check_finite(table: Table) -> None:
 
 
 # What reconstruction takes a pixel's σ from.
-_STRIPE_ERRORS: Final = ("stripe_rms_px", "stripe_sigma_px")
+_STRIPE_ERRORS: Final = ("stripe_rms_px", "stripe_sigma_px", "stripe_sigma_ratio")
 _CAMERA_KEYS: Final = ("image_size", "focal", "principal", "lens", "radial", "tangential")
 
 
@@ -191,7 +191,7 @@ def _fit(table: Table) -> dict[str, Any]:
     fit = table.table("fit", "fit.")
     for key in _STRIPE_ERRORS:
         if key in fit and fit.number(key) < 0:
-            raise fit.error(key, "must be a number of pixels that is not negative: calibrate again")
+            raise fit.error(key, "must be a number that is not negative: calibrate again")
     return dict(fit.values)
 
 

@@ -5,6 +5,8 @@ there. So the file is read here, its end marker is looked for, and only then is 
 camera in the file's metadata is not applied: calibration is about the pixels of the detector.
 """
 
+import contextlib
+import io
 import os
 import warnings
 from collections.abc import Iterator
@@ -14,6 +16,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import simplejpeg
 from jaxtyping import UInt
 
 from jaxscan.atomic import replacing
@@ -23,6 +26,7 @@ Image = UInt[np.ndarray, "rows columns *rgb"]
 
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB`\x82"
+_NPY_START = b"\x93NUMPY"
 _JPEG_START = b"\xff\xd8\xff"
 _JPEG_END = b"\xff\xd9"
 # Start-of-frame markers hold the size; the codes left out are tables and reserved ones.
@@ -41,8 +45,12 @@ class _Header:
     pixels_at: int
 
 
-def read_image(path: str | os.PathLike[str]) -> Image:
+def read_image(path: str | os.PathLike[str], out: Image | None = None) -> Image:
     """A photograph, uint8 or uint16 as stored; grey stays grey, and an alpha channel is dropped.
+
+    Args:
+        path: a PNG, JPEG, TIFF or the like, or an array in NumPy's own format.
+        out: where to put it, where its shape and depth are the photograph's; it is then what is returned.
 
     Raises:
         InputError: the file is missing, is not an image, is cut off, or has pixels that are not 8 or 16 bit integers.
@@ -54,6 +62,22 @@ def read_image(path: str | os.PathLike[str]) -> Image:
         # Bytes after the end marker are allowed: some cameras append a preview.
         if data.rfind(end) < header.pixels_at:
             raise InputError(f"{path}: the image is cut off after {len(data)} bytes: copy or record it again")
+    image = _decoded(path, data, header, out)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{path}: its pixels are {image.dtype}: save it with 8 or 16 bits a channel")
+    if out is None or image is out or image.shape != out.shape or image.dtype != out.dtype:
+        return image
+    np.copyto(out, image)
+    return out
+
+
+def _decoded(path: str | os.PathLike[str], data: bytes, header: _Header | None, out: Image | None) -> Image:
+    if data.startswith(_JPEG_START) and header is not None and header.channels in (1, 3):
+        # Straight to where it is wanted; what this decoder finds fault with, the other may still read.
+        with contextlib.suppress(ValueError):
+            return _decode_jpeg(data, header, out)
+    if data.startswith(_NPY_START):
+        return _array(path, data)
     keep = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     known_colour = header is not None and header.channels >= 3
     colour = cv2.IMREAD_COLOR_RGB if known_colour else cv2.IMREAD_ANYCOLOR
@@ -63,10 +87,27 @@ def read_image(path: str | os.PathLike[str]) -> Image:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), keep | colour)
     if image is None:
         raise InputError(f"{path}: is not an image that can be decoded: give a PNG, JPEG, TIFF or the like")
-    if image.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"{path}: its pixels are {image.dtype}: save it with 8 or 16 bits a channel")
     if image.ndim == 3 and not known_colour:
         image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return image
+
+
+def _decode_jpeg(data: bytes, header: _Header, out: Image | None) -> Image:
+    columns, rows = header.size
+    shape = (rows, columns) if header.channels == 1 else (rows, columns, 3)
+    if out is None or out.shape != shape or out.dtype != np.uint8 or not out.flags.c_contiguous:
+        out = np.empty(shape, np.uint8)
+    simplejpeg.decode_jpeg(data, "GRAY" if header.channels == 1 else "RGB", buffer=out)
+    return out
+
+
+def _array(path: str | os.PathLike[str], data: bytes) -> Image:
+    try:
+        image = np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"{path}: is no whole NumPy array ({error}): write it again") from error
+    if (image.ndim != 2 and (image.ndim != 3 or image.shape[2] != 3)) or 0 in image.shape:
+        raise InputError(f"{path}: is an array of shape {image.shape}: give (rows, columns) or (rows, columns, 3)")
     return image
 
 

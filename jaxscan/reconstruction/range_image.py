@@ -1,15 +1,16 @@
 """The range image: one point for each frame and each image column (or row), organised as the scanner saw them."""
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.errors import InputError
-from jaxscan.files.cloud import Cloud, check_ending, write_ply
-from jaxscan.files.range_npz import RangeArrays, read_range_npz, write_range_npz
+from jaxscan.files.cloud import Cloud, check_ending, writing_ply
+from jaxscan.files.range_npz import RangeArrays, read_range_npz, writing_range_npz
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,16 @@ class RangeImage:
             steps=arrays.steps,
             per_step=arrays.per_step,
         )
+
+    @classmethod
+    def joined(cls, parts: Sequence["RangeImage"]) -> "RangeImage":
+        """The frames of several range images of one scan, one after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        arrays = {
+            f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls) if f.name != "per_step"
+        }
+        return cls(**arrays, per_step=parts[0].per_step)
 
     def where(self, keep: Bool[np.ndarray, "frames columns"]) -> "RangeImage":
         """The same grid with those points alone for which `keep` holds."""
@@ -125,7 +136,16 @@ def write_points(path: str | os.PathLike[str], image: RangeImage) -> None:
     Raises:
         InputError: another ending, no points, or the file cannot be written.
     """
+    with writing_points(path) as add:
+        add(image)
+
+
+@contextmanager
+def writing_points(path: str | os.PathLike[str]) -> Iterator[Callable[[RangeImage], None]]:
+    """Write a range image that comes some frames at a time, as `write_points`: the block is given what adds them."""
     if check_ending(path) == ".ply":
-        write_ply(path, image.cloud())
+        with writing_ply(path) as add_cloud:
+            yield lambda image: add_cloud(image.cloud())
     else:
-        write_range_npz(path, image.arrays())
+        with writing_range_npz(path) as add_arrays:
+            yield lambda image: add_arrays(image.arrays())

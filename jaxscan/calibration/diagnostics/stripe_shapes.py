@@ -67,7 +67,7 @@ def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
                 at += len(pixels)
                 if kept.sum() < _FEWEST_POINTS:
                     continue
-                one = replace(view, stripes=(replace(stripe, pixels=pixels[kept]),))
+                one = replace(view, stripes=(replace(stripe, pixels=pixels[kept], sigmas=None),))
                 X, _ = stripe_points_in_space(
                     replace(calibration.observations, views=(one,)), camera, jnp.asarray(poses[i : i + 1]), stripe.laser
                 )

@@ -117,20 +117,20 @@ def _detect(
     narrow, wide = (min(half, (length - 1) // 2) for half in (_NARROW, _WIDE))
     ambient = _ambient(np.asarray(frames), None if dark is None else np.asarray(dark), color)
     # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
-    frames, dark = jax.device_put((frames, dark))
-    peaks = coarse_peaks(frames, dark, ambient, color, columns)
+    images, background = jax.device_put((frames, dark))
+    peaks = coarse_peaks(images, background, ambient, color, columns)
     if choice == "strongest":
         peak = np.asarray(choose_peaks(peaks, length, columns))
     else:
         rows, strength = candidates(peaks, length, columns)
         peak = choose(np.asarray(rows), np.asarray(strength), choice)
-    sensor = survey(frames, dark, ambient, peak, color, columns, narrow, FRAMES_AT_ONCE)
+    sensor = survey(images, background, ambient, peak, color, columns, narrow, FRAMES_AT_ONCE)
 
     def look(at: tuple[np.ndarray, ...], half: int, model: Model) -> Measured:
         """The lines of frames `at[0]` and numbers `at[1]`, in groups of few sizes: each size compiles anew."""
         found = []
         for group, count in _groups(*at, peak[at]):
-            windows = gather_windows(frames, dark, sensor, *group, color, columns, half)
+            windows = gather_windows(images, background, sensor, *group, color, columns, half)
             found.append(
                 jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measure(windows, sensor, group[0], detector, model))
             )
@@ -168,7 +168,7 @@ def _detect(
     position, sigma, width = (
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
-    return Stripe(position, sigma, measured.strength, width, valid)
+    return Stripe(position, sigma, np.asarray(measured.strength), width, np.asarray(valid))
 
 
 def _in_a_line(position: Float32[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxscan.images.stripe_settings import CHANNELS
 from jaxscan.images.stripes.likelihood import Fit, fit
 from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channel_weights, channels, response
-from jaxscan.images.stripes.windows import Outline, Pixels, Places, Sensor, Windows, gather_pixels, outline
+from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows, gather_pixels, outline
 
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
 _LINES, _GROUPS = 96, 8
@@ -46,8 +46,8 @@ _LEAST_SPREAD, _UNKNOWN = 0.1, 1.0
 def survey(
     images: Images,
     background: Backgrounds | None,
-    ambient: Int[Array, "frames"],
-    peak: Places,
+    ambient: Int[np.ndarray, "frames"],
+    peak: Int[np.ndarray, "frames lines"],
     color: str,
     columns: bool,
     half: int,

@@ -1,0 +1,235 @@
+"""The photographs of a scan, decoded ahead: threads fill a ring of buffers while the one before is being measured.
+
+Memory is that of the ring, whatever the scan's length. A buffer holds as many frames as the stripe detector looks at
+together, or fewer where they are large, and keeps that size to the end of the scan, so that its last frames are not
+compiled for anew.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+from os import cpu_count
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Int, UInt
+
+from jaxscan.errors import InputError
+from jaxscan.files.scan import Scan
+from jaxscan.images import read_image, read_video
+from jaxscan.images.decode import Image
+from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
+
+# One buffer is measured while two are filled.
+_SLOTS: Final = 3
+_SLOT_BYTES: Final = 128 << 20
+# What lies on such a boundary is handed to a compiled function without a copy.
+_ALIGNMENT: Final = 64
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Some frames of a scan.
+
+    Attributes:
+        images: a buffer that holds them first; what else is in it is left over. It is used again after the next frames
+            are asked for.
+        backgrounds: none, one for all frames, or a buffer of one for each.
+        steps: their motor step counts; as many as there are frames.
+    """
+
+    images: UInt[np.ndarray, "buffer rows columns *rgb"]
+    backgrounds: UInt[np.ndarray, "backgrounds rows columns *rgb"] | None
+    steps: Int[np.ndarray, "frames"]
+
+
+def frames_of_scan(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
+    """The frames of a scan, decoded on all cores, in their order.
+
+    Args:
+        scan: as `read_scan` gives it.
+        size: columns and rows that every photograph must have.
+
+    Raises:
+        InputError: a photograph cannot be read or is unlike the others, or there are more or fewer than step counts.
+    """
+    return _of_video(scan, size) if scan.video is not None else _of_files(scan, size)
+
+
+def frames_of(
+    images: Iterable[tuple[Image, int]], background: Image | None, size: tuple[int, int], batch: int
+) -> Iterator[Frames]:
+    """Photographs as they come, with their step counts, so many at a time.
+
+    Raises:
+        InputError: one is unlike the first, or of another size than the rig's camera.
+    """
+    dark = None if background is None else background[None]
+    source, form, count = iter(images), None, 0
+    while some := list(islice(source, batch)):
+        form = form or _Form(some[0][0], size, "frame 0")
+        slot = form.slot(batch)
+        for k, (image, _) in enumerate(some):
+            form.check(image, f"frame {count + k}")
+            slot[k] = image
+        count += len(some)
+        yield Frames(slot, dark, np.asarray([step for _, step in some], np.int64))
+
+
+class _Form:
+    """What all photographs of a scan have in common: the shape and depth of the first."""
+
+    def __init__(self, first: Image, size: tuple[int, int], name: str | Path) -> None:
+        self.shape, self.dtype, self.size = first.shape, first.dtype, size
+        self.check(first, name)
+
+    @property
+    def batch(self) -> int:
+        """How many fit into a buffer."""
+        return max(1, min(FRAMES_AT_ONCE, _SLOT_BYTES // (int(np.prod(self.shape)) * self.dtype.itemsize)))
+
+    def slot(self, frames: int) -> UInt[np.ndarray, "frames rows columns *rgb"]:
+        """An empty buffer on a boundary."""
+        count = frames * int(np.prod(self.shape)) * self.dtype.itemsize
+        raw = np.zeros(count + _ALIGNMENT, np.uint8)
+        start = -raw.ctypes.data % _ALIGNMENT
+        return raw[start : start + count].view(self.dtype).reshape(frames, *self.shape)
+
+    def check(self, image: Image, name: str | Path) -> None:
+        if image.shape[1::-1] != self.size:
+            raise InputError(wrong_size(name, image.shape[1::-1], self.size))
+        if (image.shape, image.dtype) != (self.shape, self.dtype):
+            raise InputError(
+                f"{name}: is {image.dtype} of shape {image.shape}, the first frame {self.dtype} of shape "
+                f"{self.shape}: save all frames in one format"
+            )
+
+    def read(self, path: Path, out: Image) -> None:
+        """Decode a photograph into a buffer."""
+        image = read_image(path, out)
+        if image is not out:
+            self.check(image, path)
+
+
+def wrong_size(path: Path | str, size: tuple[int, int], expected: tuple[int, int]) -> str:
+    """What is said of a photograph of another size than the rig's."""
+    return (
+        f"{path}: the photograph has {size[0]} x {size[1]} pixels, the rig was calibrated with "
+        f"{expected[0]} x {expected[1]}: use the rig of this camera, at the size it was calibrated for"
+    )
+
+
+def _of_files(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
+    count = len(scan.frames)
+    if not count:
+        return
+    form = _Form(read_image(scan.frames[0]), size, scan.frames[0])
+    batch = form.batch
+    shared = None
+    if len(scan.backgrounds) == 1:
+        shared = read_image(scan.backgrounds[0])[None]
+    own = scan.backgrounds if len(scan.backgrounds) > 1 else ()
+    # Which frame of the scan goes where, for frames and for their backgrounds alike.
+    dark = _Form(read_image(own[0]), size, own[0]) if own else None
+
+    def fill(pool: ThreadPoolExecutor, first: int, slot: _Slot) -> list[Future[None]]:
+        some = range(first, min(first + batch, count))
+        futures = [pool.submit(form.read, scan.frames[i], slot.images[i - first]) for i in some]
+        if dark is not None and slot.backgrounds is not None:
+            futures += [pool.submit(dark.read, own[i], slot.backgrounds[i - first]) for i in some]
+        return futures
+
+    slots = [
+        _Slot(form.slot(batch), None if dark is None else dark.slot(batch))
+        for _ in range(min(_SLOTS, -(-count // batch)))
+    ]
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        for first, slot in _ring(pool, slots, range(0, count, batch), fill):
+            some = min(batch, count - first)
+            backgrounds = shared if slot.backgrounds is None else slot.backgrounds
+            yield Frames(slot.images, backgrounds, _steps(scan, first, some))
+
+
+@dataclass(frozen=True)
+class _Slot:
+    images: UInt[np.ndarray, "buffer rows columns *rgb"]
+    backgrounds: UInt[np.ndarray, "backgrounds rows columns *rgb"] | None
+
+
+def _ring(
+    pool: ThreadPoolExecutor,
+    slots: Sequence[_Slot],
+    firsts: Iterable[int],
+    fill: Callable[[ThreadPoolExecutor, int, _Slot], list[Future[None]]],
+) -> Iterator[tuple[int, _Slot]]:
+    """Each full slot in its turn, while those behind it are being filled."""
+    to_come = iter(firsts)
+    under_way = deque((first, slot, fill(pool, first, slot)) for slot, first in zip(slots, to_come, strict=False))
+    try:
+        while under_way:
+            first, slot, futures = under_way.popleft()
+            for future in futures:
+                future.result()
+            yield first, slot
+            if (following := next(to_come, None)) is not None:
+                under_way.append((following, slot, fill(pool, following, slot)))
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
+    """A video is decoded by one thread, for each frame needs the one before."""
+    video = scan.video or scan.path
+    source = read_video(video)
+    first = next(source)
+    form = _Form(first, size, video)
+    batch = form.batch
+    shared = read_image(scan.backgrounds[0])[None] if len(scan.backgrounds) == 1 else None
+    own = scan.backgrounds if len(scan.backgrounds) > 1 else ()
+    dark = _Form(read_image(own[0]), size, own[0]) if own else None
+    waiting = [first]
+
+    def fill(done: int, slot: _Slot) -> int:
+        count = 0
+        while count < batch:
+            image = waiting.pop() if waiting else next(source, None)
+            if image is None:
+                break
+            form.check(image, video)
+            slot.images[count] = image
+            if dark is not None and slot.backgrounds is not None:
+                # That there are enough of them, the step counts have said.
+                dark.read(own[min(done + count, len(own) - 1)], slot.backgrounds[count])
+            count += 1
+        return count
+
+    slots = deque(_Slot(form.slot(batch), None if dark is None else dark.slot(batch)) for _ in range(2))
+    done = 0
+    with ThreadPoolExecutor(1) as pool:
+        ahead = pool.submit(fill, 0, slots[0])
+        while count := ahead.result():
+            slot = slots[0]
+            slots.rotate()
+            steps = _steps(scan, done, count)
+            done += count
+            ahead = pool.submit(fill, done, slots[0])
+            yield Frames(slot.images, shared if slot.backgrounds is None else slot.backgrounds, steps)
+    if scan.steps and done < len(scan.steps):
+        raise InputError(
+            f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, but {scan.video} ends after {done} frames: "
+            "copy or record it again, or list the steps of these frames alone"
+        )
+
+
+def _steps(scan: Scan, first: int, count: int) -> Int[np.ndarray, "frames"]:
+    if scan.steps_per_frame is not None:
+        return scan.steps_per_frame * np.arange(first, first + count)
+    if first + count > len(scan.steps):
+        raise InputError(
+            f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, the video goes on to frame {first + count}: "
+            "give one for each frame, or steps_per_frame"
+        )
+    return np.asarray(scan.steps[first : first + count], np.int64)

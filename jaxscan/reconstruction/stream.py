@@ -1,0 +1,161 @@
+"""A scan as a stream: photographs are decoded, measured and triangulated some at a time, while the next are decoded.
+
+The points of a frame are the same whatever is looked at together with it, and memory is the same whatever the length.
+"""
+
+from collections.abc import Iterable, Iterator
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.detectors import DEFAULT, Choice, Detector
+from jaxscan.errors import InputError, said_of
+from jaxscan.files.listing import common_size
+from jaxscan.files.rig_file import RigFile
+from jaxscan.files.scan import Scan
+from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images.decode import Image
+from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wrong_size
+from jaxscan.reconstruction.range_image import RangeImage
+from jaxscan.reconstruction.sigma_map import SigmaMap, point_sigmas
+from jaxscan.reconstruction.triangulate import Kernel, triangulate
+from jaxscan.rig import Rig
+
+
+class Scanner:
+    """A rig and how its stripes are looked for, made ready for any number of scans.
+
+    Args:
+        rig: as `read_rig` gives it; with its covariance the points carry their σ.
+        detector: how the stripe's centre is measured.
+        choice: which stripe is taken where a line has several.
+    """
+
+    def __init__(self, rig: RigFile | Rig, detector: Detector = DEFAULT, choice: Choice = "strongest") -> None:
+        self._content = rig if isinstance(rig, RigFile) else RigFile(rig)
+        self._detector: Detector = detector
+        self._choice: Choice = choice
+        self._ready: dict[StripeSettings, _Laser] = {}
+
+    def scan(self, scan: Scan) -> Iterator[RangeImage]:
+        """The range image of a scan, some frames at a time, in their order.
+
+        Raises:
+            InputError: the scan does not fit the rig, a photograph cannot be read or is unlike the others, the scan has
+                no frames, or there is no stripe in any of them.
+        """
+        _check(self._content.rig, scan)
+        with said_of(scan.path):
+            laser = self._laser(scan.laser)
+        frames = seen = points = 0
+        for some in frames_of_scan(scan, self._content.rig.camera.image_size):
+            with said_of(scan.path):
+                image = laser.range_image(some)
+            frames += len(image.steps)
+            seen += int(np.isfinite(image.pixels).sum())
+            points += int(image.valid.sum())
+            yield image
+        if not frames:
+            raise InputError(f"{scan.path}: the scan has no frames")
+        if not seen:
+            raise InputError(
+                f"{scan.path}: no stripe was found in any of {frames} frames: check [laser] color "
+                f'("{scan.laser.color}") and columns ({str(scan.laser.columns).lower()}), and look at one with '
+                "jaxscan inspect SCAN --frame 0 --png"
+            )
+        if not points:
+            raise InputError(
+                f"{scan.path}: a stripe was found, but no ray through it meets the rig's light plane within its lens: "
+                "check that the rig is that of this scan"
+            )
+
+    def frames(
+        self,
+        frames: Iterable[tuple[Image, int]],
+        laser: StripeSettings | None = None,
+        background: Image | None = None,
+        batch: int = 1,
+    ) -> Iterator[RangeImage]:
+        """The points of photographs as they come, as from a camera that is scanning.
+
+        Args:
+            frames: each photograph, (rows, columns) or (rows, columns, 3), and its motor step count.
+            laser: which, and how its stripe is looked for; the default is one red laser, and a point for each column.
+            background: the scene with the laser off.
+            batch: how many photographs are waited for before they are looked at; the points do not depend on it.
+
+        Raises:
+            InputError: a photograph is not of the rig's size, or unlike the first.
+        """
+        ready = self._laser(laser or StripeSettings())
+        for some in frames_of(frames, background, self._content.rig.camera.image_size, batch):
+            yield ready.range_image(some)
+
+    def _laser(self, settings: StripeSettings) -> "_Laser":
+        if settings not in self._ready:
+            self._ready[settings] = _Laser(self._content, settings, self._detector, self._choice)
+        return self._ready[settings]
+
+
+class _Laser:
+    """One laser of a rig, made ready."""
+
+    def __init__(self, content: RigFile, laser: StripeSettings, detector: Detector, choice: Choice) -> None:
+        rig, name = content.rig, laser.name
+        self._laser = laser
+        self._detector: Detector = detector
+        self._choice: Choice = choice
+        self._kernel = Kernel.create(rig, name)
+        self._map = (
+            None if content.covariance is None else SigmaMap.create(rig, name, content.covariance, laser.columns)
+        )
+        # What boards have shown the detector's own prediction to be short of.
+        self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
+        self._per_step = None if rig.stage is None else np.array([float(c) for c in rig.stage.per_step])
+
+    def range_image(self, frames: Frames) -> RangeImage:
+        """Find the stripe in some frames and triangulate it."""
+        count = len(frames.steps)
+        stripe = detect_stripe(
+            frames.images, self._laser, frames.backgrounds, detector=self._detector, choice=self._choice
+        )
+        steps = np.zeros(len(frames.images), np.float32)
+        steps[:count] = frames.steps
+        points = _triangulated(self._kernel, stripe.position, steps, self._laser.columns)
+        valid: Bool[np.ndarray, "frames lines"] = np.all(np.isfinite(points), axis=-1)
+        if self._map is None:
+            sigma = sigma_pixel = np.full(valid.shape, np.nan, np.float32)
+        else:
+            own = self._ratio * stripe.sigma
+            sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, stripe.position, points, steps, own))
+        points = np.where(valid[..., None], points, np.float32(np.nan))
+        whole = (points, stripe.position, stripe.strength, sigma, sigma_pixel, valid)
+        # Copies, for the buffers are used again.
+        return RangeImage(*(np.array(x[:count]) for x in whole), steps=frames.steps, per_step=self._per_step)
+
+
+def _triangulated(
+    kernel: Kernel, position: Float[np.ndarray, "frames lines"], steps: Float[np.ndarray, "frames"], columns: bool
+) -> Float[np.ndarray, "frames lines 3"]:
+    index = np.broadcast_to(np.arange(position.shape[1], dtype=np.float32), position.shape)
+    u, v = (index, position) if columns else (position, index)
+    count = np.broadcast_to(steps[:, None], position.shape)
+    points = triangulate(kernel, *(jnp.asarray(x.ravel()) for x in (u, v, count)))
+    return np.asarray(points).reshape(*position.shape, 3)
+
+
+def _check(rig: Rig, scan: Scan) -> None:
+    """Refuse before any long work what cannot come out right."""
+    if photographs := [*scan.frames, *scan.backgrounds]:
+        size = common_size(photographs)
+        if size != rig.camera.image_size:
+            raise InputError(wrong_size(photographs[0], size, rig.camera.image_size))
+    if rig.stage is None and (scan.steps_per_frame or len(set(scan.steps)) > 1):
+        raise InputError(
+            f"{scan.path}: the stage moves between frames, but the rig has no stage: calibrate with a [stage] sequence"
+        )
+    if scan.exposures_s is not None and len(set(scan.steps)) < len(scan.steps):
+        raise InputError(
+            f"{scan.path}: [scan] exposures_s: several exposures of one step are not merged yet: list one frame a step"
+        )

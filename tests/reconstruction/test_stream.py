@@ -1,0 +1,175 @@
+"""The stream: the same points whatever is looked at together, from files of any kind and from a camera as they come."""
+
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxscan.errors import InputError
+from jaxscan.files.rig_file import RigFile
+from jaxscan.files.scan import Scan
+from jaxscan.images import StripeSettings, write_image
+from jaxscan.precision import as_numpy, float64
+from jaxscan.reconstruction import Scanner, frames, reconstruct, write_stream
+from jaxscan.reconstruction.range_image import RangeImage, read_range_image
+from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
+from jaxscan.rig.rig import parameter_names
+
+ROWS, COLUMNS, COUNT = 96, 128, 7
+GREY = StripeSettings("grey")
+
+
+@pytest.fixture(scope="module")
+def rig() -> RigFile:
+    with float64():
+        camera = Camera.create((COLUMNS, ROWS), [140.0, 140.0], [63.5, 47.5], "radial1", [-0.1])
+        rig = as_numpy(Rig(camera, (LightPlane.create([0.0, -0.005, 0.003]),), Stage.create([0.0, 1e-3, -1e-4])))
+    names = tuple(parameter_names(rig))
+    return RigFile(rig, Covariance(names, np.diag(np.full(len(names), 1e-8))), {"stripe_sigma_ratio": 1.25})
+
+
+@pytest.fixture(scope="module")
+def photographs() -> np.ndarray:
+    random = np.random.default_rng(0)
+    rows = np.arange(ROWS)[:, None]
+    centre = 40 + 8 * np.sin(np.arange(COLUMNS) / 20) + np.arange(COUNT)[:, None]
+    levels = 20 + 180 * np.exp(-0.5 * ((rows - centre[:, None]) / 1.5) ** 2)
+    return np.rint(levels + 2 * random.standard_normal(levels.shape)).clip(0, 255).astype(np.uint8)
+
+
+def scan_of(folder: Path, images: np.ndarray, ending: str, **more) -> Scan:
+    paths = tuple(folder / f"{i:03d}{ending}" for i in range(len(images)))
+    for path, image in zip(paths, images, strict=True):
+        if ending == ".npy":
+            np.save(path, image)
+        else:
+            write_image(path, image)
+    return Scan(folder / "scan.toml", GREY, paths, steps=tuple(range(0, 1000 * len(images), 1000)), **more)
+
+
+def assert_same(a: RangeImage, b: RangeImage) -> None:
+    for name in ("points", "pixels", "strength", "valid", "steps"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    for name in ("sigma", "sigma_pixel"):
+        # Compiled for another shape, a sum may be rounded once more or less.
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-6, err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def whole(rig: RigFile, photographs: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> RangeImage:
+    return reconstruct(rig, scan_of(tmp_path_factory.mktemp("png"), photographs, ".png"), detector="gravity")
+
+
+def test_every_frame_has_its_points(whole):
+    assert whole.valid.mean() > 0.95
+    assert (whole.sigma[whole.valid] >= whole.sigma_pixel[whole.valid]).all()
+    np.testing.assert_array_equal(whole.steps, np.arange(0, 7000, 1000))
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_points_do_not_depend_on_the_batch(rig, photographs, whole, batch):
+    steps = [int(n) for n in whole.steps]
+    pairs = zip(photographs, steps, strict=True)
+    parts = list(Scanner(rig, "gravity").frames(pairs, GREY, batch=batch))
+    assert [len(part.steps) for part in parts] == ([1] * 7 if batch == 1 else [3, 3, 1])
+    assert_same(RangeImage.joined(parts), whole)
+
+
+def test_a_camera_is_not_waited_for(rig, photographs):
+    """Each frame's points are there before the next photograph is taken."""
+    taken = []
+
+    def camera():
+        for i, image in enumerate(photographs):
+            taken.append(i)
+            yield image, i
+
+    for i, _ in enumerate(Scanner(rig, "gravity").frames(camera(), GREY)):
+        assert taken == list(range(i + 1))
+
+
+@pytest.mark.parametrize("ending", [".tif", ".npy", ".bmp"])
+def test_files_of_other_kinds(rig, photographs, whole, tmp_path, ending):
+    assert_same(reconstruct(rig, scan_of(tmp_path, photographs, ending), detector="gravity"), whole)
+
+
+def test_a_ring_of_buffers_keeps_frames_and_backgrounds_in_step(rig, photographs, tmp_path, monkeypatch):
+    monkeypatch.setattr(frames, "FRAMES_AT_ONCE", 2)
+    random = np.random.default_rng(1)
+    dark = random.integers(0, 50, photographs.shape, dtype=np.uint8)
+    folders = tmp_path / "lit", tmp_path / "dark"
+    for folder in folders:
+        folder.mkdir()
+    own = scan_of(folders[1], dark, ".png").frames
+    scan = scan_of(folders[0], (photographs // 2 + dark).astype(np.uint8), ".png", backgrounds=own)
+    with_backgrounds = reconstruct(rig, scan, detector="gravity")
+    scanner = Scanner(rig, "gravity")
+    alone = [
+        next(scanner.frames([(lit, 1000 * i)], GREY, background))
+        for i, (lit, background) in enumerate(zip(photographs // 2 + dark, dark, strict=True))
+    ]
+    assert_same(with_backgrounds, RangeImage.joined(alone))
+
+
+def test_a_reader_that_stops_leaves_no_thread(rig, photographs, tmp_path, monkeypatch):
+    monkeypatch.setattr(frames, "FRAMES_AT_ONCE", 1)
+    before = threading.active_count()
+    stream = Scanner(rig, "gravity").scan(scan_of(tmp_path, photographs, ".png"))
+    next(stream)
+    stream.close()
+    assert threading.active_count() == before
+
+
+def test_files_are_written_as_frames_are_read(rig, photographs, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(frames, "FRAMES_AT_ONCE", 2)
+    outputs = [tmp_path / "out.npz", tmp_path / "out.ply"]
+    done = write_stream(outputs, Scanner(rig, "gravity").scan(scan_of(tmp_path, photographs, ".png")))
+    assert (done.frames, done.empty, done.points) == (7, 0, whole.valid.sum())
+    assert_same(read_range_image(outputs[0]), whole)
+    np.testing.assert_array_equal(whole.per_step, read_range_image(outputs[0]).per_step)
+    from jaxscan.files.cloud import read_ply
+
+    cloud = read_ply(outputs[1])
+    np.testing.assert_array_equal(cloud.points, whole.points[whole.valid])
+    np.testing.assert_allclose(cloud.sigma, whole.sigma[whole.valid], rtol=1e-6)
+
+
+def test_a_frame_that_is_cut_short_is_named_and_nothing_is_written(rig, photographs, tmp_path, monkeypatch):
+    monkeypatch.setattr(frames, "FRAMES_AT_ONCE", 2)
+    scan = scan_of(tmp_path, photographs, ".png")
+    scan.frames[5].write_bytes(scan.frames[5].read_bytes()[:500])
+    with pytest.raises(InputError, match=r"005.png.*cut off"):
+        write_stream([tmp_path / "out.ply"], Scanner(rig, "gravity").scan(scan))
+    assert not [path for path in tmp_path.iterdir() if path.suffix in (".ply", ".part")]
+
+
+def test_a_frame_that_is_missing_is_named(rig, photographs, tmp_path):
+    scan = scan_of(tmp_path, photographs, ".png")
+    scan.frames[3].unlink()
+    with pytest.raises(InputError, match=r"003.png"):
+        reconstruct(rig, scan, detector="gravity")
+
+
+def test_the_sigma_of_a_pixel_is_the_detectors_scaled_by_what_boards_have_shown(rig, photographs):
+    calibrated, plain = (
+        next(Scanner(r, "gravity").frames([(photographs[0], 0)], GREY))
+        for r in (rig, RigFile(rig.rig, rig.covariance, {}))
+    )
+    np.testing.assert_allclose(calibrated.sigma_pixel, 1.25 * plain.sigma_pixel, rtol=1e-5)
+
+
+def test_jpegs_are_those_of_opencv(tmp_path):
+    random = np.random.default_rng(0)
+    for shape in ((33, 50, 3), (33, 50)):
+        image = cv2.GaussianBlur(random.integers(0, 255, shape, dtype=np.uint8), (5, 5), 1)
+        path = tmp_path / f"{len(shape)}.jpg"
+        write_image(path, image)
+        flag = cv2.IMREAD_COLOR_RGB if len(shape) == 3 else cv2.IMREAD_GRAYSCALE
+        from jaxscan.images import read_image
+
+        np.testing.assert_array_equal(read_image(path), cv2.imread(str(path), flag))
+        out = np.empty(shape, np.uint8)
+        assert read_image(path, out) is out
+        np.testing.assert_array_equal(out, read_image(path))
