@@ -28,6 +28,7 @@ from jaxscan.errors import InputError, JaxscanError
 COMMANDS: Final = {
     "calibrate": "jaxscan.cli.calibrate",
     "reconstruct": "jaxscan.cli.reconstruct",
+    "batch": "jaxscan.cli.batch",
     "mesh": "jaxscan.cli.mesh",
     "compare": "jaxscan.cli.compare",
     "gauge": "jaxscan.cli.gauge",
@@ -93,7 +94,7 @@ def run_program(program: Program, argv: Sequence[str] | None = None) -> int:
         return ended.code if isinstance(ended.code, int) else DONE
     try:
         with _warnings_in_words(program):
-            _run(args)
+            return _run(args)
     except KeyboardInterrupt:
         return _complain(program, "interrupted", INTERRUPTED)
     except BrokenPipeError:
@@ -104,10 +105,9 @@ def run_program(program: Program, argv: Sequence[str] | None = None) -> int:
         if args.debug or os.environ.get("JAXSCAN_DEBUG"):
             traceback.print_exc()
         return _complain(program, _in_words(program, error), BAD_INPUT if isinstance(error, InputError) else FAILED)
-    return DONE
 
 
-def _run(args: argparse.Namespace) -> None:
+def _run(args: argparse.Namespace) -> int:
     command: Command = args.command
     result = command.run(args)
     if args.json:
@@ -115,6 +115,8 @@ def _run(args: argparse.Namespace) -> None:
     elif result is not None:
         print(command.describe(result))
     sys.stdout.flush()
+    # Of many things that were asked for, some were not done.
+    return FAILED if result and result.get("failed") else DONE
 
 
 def _complain(program: Program, text: str, status: int) -> int:
