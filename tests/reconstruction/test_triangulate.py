@@ -9,6 +9,7 @@ import pytest
 
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, triangulate
+from jaxscan.reconstruction.triangulate import triangulate_into
 from jaxscan.rig import Camera, LightPlane, Rig, Stage
 
 LENSES = {
@@ -94,3 +95,21 @@ def test_another_rig_does_not_compile_again():
     before = triangulate._cache_size()
     triangulate(Kernel.create(rig_with("radial1", radial=[-0.13])), u, v, steps)
     assert triangulate._cache_size() == before
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_the_kernel_is_one_pass_into_memory_that_is_handed_in(dtype):
+    with jax.enable_x64(dtype == "float64"):
+        kernel = Kernel.create(rig_with("radial1"), dtype=dtype)
+        random = np.random.default_rng(0)
+        u, v, steps = (jnp.asarray(x, dtype) for x in random.uniform([0, 0, 0], [639, 479, 7e4], (4096, 3)).T)
+        out = jnp.zeros((4096, 3), dtype)
+        compiled = triangulate_into.lower(out, kernel, u, v, steps).compile()
+        entry = compiled.as_text().split("ENTRY")[1]
+        assert entry.count(" fusion(") == 1
+        assert entry.count(" call(") == 0
+        place = out.unsafe_buffer_pointer()
+        points = triangulate_into(out, kernel, u, v, steps)
+        assert points.unsafe_buffer_pointer() == place
+        assert points.dtype == dtype
+        np.testing.assert_allclose(points, triangulate(kernel, u, v, steps), rtol=1e-6)

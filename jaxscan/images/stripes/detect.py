@@ -41,7 +41,7 @@ _EVERY = 24
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
 # Lines are measured in groups of so many, whatever the image: few sizes are compiled, and one stays in the cache.
-_SMALL_GROUP, _GROUP = (4, 64), (8, 512)
+_SMALL_GROUP, _GROUP, _FEW = (4, 64), (8, 512), 4
 # A stripe point has so many others within so many lines to either side, off by no more than so much and a steep slope.
 _LEAST_COMPANY, _COMPANY_WITHIN = 2, 4
 _COMPANY_PX, _STEEPEST = 2.0, 4.0
@@ -200,11 +200,13 @@ def _ambient(frames: np.ndarray, dark: np.ndarray | None, color: str) -> Int[np.
 
 def _groups(*at: Int[np.ndarray, "some"]) -> Iterator[tuple[list[Int[np.ndarray, "groups lines"]], int]]:
     """The indices in groups of one of two shapes, the last one filled up by repetition; and how many of each count."""
-    most = prod(_GROUP)
-    for first in range(0, len(at[0]), most):
-        count = min(most, len(at[0]) - first)
-        shape = _SMALL_GROUP if count <= prod(_SMALL_GROUP) else _GROUP
+    first, some = 0, len(at[0])
+    while first < some:
+        # A few small ones take less time than one large one that is almost empty.
+        shape = _GROUP if some - first > _FEW * prod(_SMALL_GROUP) else _SMALL_GROUP
+        count = min(prod(shape), some - first)
         yield [np.resize(index[first : first + count], shape).astype(np.int32, copy=False) for index in at], count
+        first += count
 
 
 def _replaced(old: Array, at: tuple[np.ndarray, ...], new: np.ndarray) -> np.ndarray:

@@ -1,0 +1,246 @@
+"""Throughput against limits measured in the same run: the kernel, detection, a scan from files to points, memory.
+
+The limit of the kernel is a copy, by two threads, of as many bytes as it reads and writes; of detection, reading every
+byte of the images once; of a scan, decoding its photographs.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, UInt
+
+from benchmarks.metric import Metric, ratio
+from jaxscan.detectors import DEFAULT, Detector
+from jaxscan.files.rig_file import RigFile
+from jaxscan.files.scan import Scan, read_scan
+from jaxscan.images import StripeSettings, detect_stripe, read_image
+from jaxscan.precision import as_numpy, float64
+from jaxscan.reconstruction import Kernel, Scanner
+from jaxscan.reconstruction.triangulate import triangulate_into
+from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
+from jaxscan.rig.rig import parameter_names
+
+_LENSES = {"radial1": ((-0.134,), ()), "brown": ((-0.27, 0.05, 0.1), (1e-3, -2e-3))}
+# Which detectors a scan is measured with: the default, and the quickest.
+_OF_A_SCAN: tuple[Detector, ...] = (DEFAULT, "derivative")
+_ROWS, _COLUMNS = 1080, 1920
+
+
+def measure(quick: bool) -> list[Metric]:
+    """All figures; in the short form one size of each, and no memory."""
+    metrics = kernel(quick)
+    for rows, columns in ((480, 640),) if quick else ((480, 640), (_ROWS, _COLUMNS)):
+        metrics += detection(rows, columns, repeats=7 if quick else 15)
+    with tempfile.TemporaryDirectory() as folder:
+        metrics += end_to_end(Path(folder), 32 if quick else 200, repeats=3 if quick else 5)
+    return metrics if quick else metrics + memory()
+
+
+def rig(columns: int, rows: int, lens: str = "radial1") -> Rig:
+    """The rig of 2003, its image scaled."""
+    scale = columns / 640
+    with float64():
+        focal, principal = (697.7 * scale, 690.4 * scale), ((columns - 1) / 2, (rows - 1) / 2)
+        camera = Camera.create((columns, rows), focal, principal, lens, *_LENSES[lens])
+        stage = Stage.create([0.0, 9e-4, -4e-4])
+        return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), stage))
+
+
+def kernel(quick: bool) -> list[Metric]:
+    """Triangulation from prepared buffers into a buffer that is used again and again."""
+    metrics = []
+    cases = [("float32", "radial1", 0.75 if n < 3e7 else 0.55, n) for n in (10**6, 10**7, 5 * 10**7)]
+    cases += [("float32", "brown", 0.45, 10**6), ("float64", "radial1", 0.6, 10**6)]
+    for dtype, lens, goal, count in cases[:1] if quick else cases:
+        random = np.random.default_rng(0)
+        with jax.enable_x64(dtype == "float64"):
+            ready = Kernel.create(rig(640, 480, lens), dtype=dtype)
+            inputs = [jnp.asarray(random.uniform(0, top, count), dtype) for top in (639, 479, 7e4)]
+            state = [jnp.zeros((count, 3), dtype)]
+            source = np.ones(3 * count, dtype)
+            target = np.ones(3 * count, dtype)
+
+            def once(state: list = state, ready: Kernel = ready, inputs: list = inputs) -> None:
+                state[0] = jax.block_until_ready(triangulate_into(state[0], ready, *inputs))
+
+            halves = list(zip(np.array_split(source, 2), np.array_split(target, 2), strict=True))
+            with ThreadPoolExecutor(2) as pool:
+
+                def copy(pool: ThreadPoolExecutor = pool, halves: list = halves) -> None:
+                    list(pool.map(lambda pair: np.copyto(pair[1], pair[0]), halves))
+
+                once()
+                copied, took = _side_by_side(copy, once, 21 if count < 10**7 else 9)
+        name = f"throughput.kernel.{dtype}.{lens}.{count:.0e}".replace("+0", "")
+        rate = 2 * source.nbytes / copied / 1e9
+        print(f"  {name}: {took / count * 1e9:.2f} ns a point; the copy moves {rate:.1f} GB/s", flush=True)
+        metrics.append(Metric(name, copied / took, "of a copy", "higher", goal, slack=1.0, target_suffices=True))
+    return metrics
+
+
+def detection(rows: int, columns: int, repeats: int) -> list[Metric]:
+    """Sixteen colour frames in memory to stripes, against reading every byte once by two threads."""
+    frames = _aligned((16, rows, columns, 3))
+    frames[:] = np.random.default_rng(0).integers(0, 40, frames.shape, dtype=np.uint8)
+    _draw(frames, np.zeros(16))
+    words = np.array_split(frames.reshape(-1).view(np.uint64), 2)
+    metrics = []
+    for name in ("gravity", "derivative", DEFAULT):
+        detect_stripe(frames, StripeSettings("red"), detector=name)
+        with ThreadPoolExecutor(2) as pool:
+
+            def read(pool: ThreadPoolExecutor = pool) -> None:
+                list(pool.map(np.bitwise_or.reduce, words))
+
+            def detect(name: Detector = name) -> None:
+                detect_stripe(frames, StripeSettings("red"), detector=name)
+
+            limit, took = _side_by_side(read, detect, repeats)
+        goal = None if name == DEFAULT else 0.5 if columns > 1000 else 0.35
+        label = f"throughput.detect.{columns}.{name}"
+        metrics.append(Metric(label, limit / took, "of a read", "higher", goal, slack=1.0, target_suffices=True))
+        metrics.append(Metric(f"{label}.ns_a_column", took / (16 * columns) * 1e9, "ns"))
+    return metrics
+
+
+def end_to_end(folder: Path, count: int, repeats: int) -> list[Metric]:
+    """JPEGs to points, against decoding them alone, and against a plain loop over OpenCV and NumPy."""
+    scan = _scan(folder, count)
+    content = _content()
+    buffer = _aligned((16, _ROWS, _COLUMNS, 3))
+
+    def decode() -> None:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(lambda i: read_image(scan.frames[i], buffer[i % 16]), range(count)))
+
+    metrics = []
+    for name in _OF_A_SCAN:
+        begin = time.perf_counter()
+        scanner = Scanner(content, name)
+        points = sum(int(part.valid.sum()) for part in scanner.scan(scan))
+        first = time.perf_counter() - begin
+
+        def whole(scanner: Scanner = scanner) -> None:
+            for _ in scanner.scan(scan):
+                pass
+
+        limit, took = _side_by_side(decode, whole, repeats)
+        label = f"throughput.scan.{name}"
+        print(
+            f"  {label}: {points} points, {count / took:.0f} frames/s, decoding alone {count / limit:.0f}", flush=True
+        )
+        print(f"  {label}: the first time, compilation and all, {first:.1f} s", flush=True)
+        metrics.append(ratio(f"{label}.over_decoding", took / limit, 1.15))
+        plain, took = _side_by_side(lambda: _plain(scan, content.rig), whole, 1 if repeats < 5 else 3)
+        metrics.append(ratio(f"{label}.times_a_plain_loop", plain / took, 4.5, "higher"))
+    return metrics
+
+
+def memory() -> list[Metric]:
+    """Peak of a process that reconstructs 200 frames and of one that does 5000, to a PLY file."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        scan = _scan(folder, 20, 480, 640)
+        from jaxscan.files.rig_file import write_rig
+
+        write_rig(folder / "rig.json", _content(640, 480))
+        peaks = []
+        for count in (200, 5000):
+            of = folder / str(count)
+            of.mkdir()
+            names = ", ".join(f'"../frames/{i % 20:04d}.jpg"' for i in range(count))
+            (of / "scan.toml").write_text(f"[scan]\nframes = [{names}]\nsteps_per_frame = 100\n")
+            code = (
+                "import resource, sys; from jaxscan.cli.main import main; status = main(sys.argv[1:]); "
+                "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(status)"
+            )
+            command = ["reconstruct", str(of), "--rig", str(folder / "rig.json"), "-o", str(of / "out.ply")]
+            run = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=True)
+            peaks.append(int(run.stdout.split()[-1]) / 1024)
+        print(f"  peak memory: {peaks[0]:.0f} MiB for 200 frames, {peaks[1]:.0f} for 5000", flush=True)
+        assert len(scan.frames) == 20
+    return [Metric("throughput.memory.5000_over_200", peaks[1] / peaks[0], "", "lower", 1.2, slack=0.1)]
+
+
+def _content(columns: int = _COLUMNS, rows: int = _ROWS) -> RigFile:
+    own = rig(columns, rows)
+    names = tuple(parameter_names(own))
+    return RigFile(own, Covariance(names, np.diag(np.full(len(names), 1e-10))))
+
+
+def _scan(folder: Path, count: int, rows: int = _ROWS, columns: int = _COLUMNS) -> Scan:
+    """A scan of JPEGs with a stripe that wanders."""
+    (folder / "frames").mkdir(exist_ok=True)
+    v, u = np.mgrid[:rows, :columns]
+    random = np.random.default_rng(0)
+    ground = (40 + 20 * np.sin(u / 70) + 20 * np.cos(v / 50))[..., None] + 2 * random.standard_normal(
+        (rows, columns, 3)
+    )
+    ground = ground.clip(0, 255).astype(np.uint8)
+    for i in range(count):
+        frame = np.roll(ground, 7 * i, axis=0)[None].copy()
+        _draw(frame, np.array([i / 10]))
+        quality = [cv2.IMWRITE_JPEG_QUALITY, 92]
+        cv2.imwrite(str(folder / "frames" / f"{i:04d}.jpg"), frame[0, ..., ::-1], quality)
+    (folder / "scan.toml").write_text('[scan]\nframes = "frames/*.jpg"\nsteps_per_frame = 200\n')
+    return read_scan(folder)
+
+
+def _draw(frames: UInt[np.ndarray, "frames rows columns 3"], phases: Float[np.ndarray, "frames"]) -> None:
+    """A red stripe of σ 1.5 px across each frame."""
+    _, rows, columns, _ = frames.shape
+    u = np.arange(columns)
+    for frame, phase in zip(frames, phases, strict=True):
+        centre = 0.55 * rows + rows / 18 * np.sin(u / 200 + phase)
+        for k in range(-6, 7):
+            row = np.floor(centre).astype(int) + k
+            level = frame[row, u, 0] + 190 * np.exp(-0.5 * ((row - centre) / 1.5) ** 2)
+            frame[row, u, 0] = level.clip(0, 255).astype(np.uint8)
+
+
+def _plain(scan: Scan, rig: Rig) -> None:
+    """What one would write in an afternoon: OpenCV reads, NumPy finds the centre of gravity, frame after frame."""
+    camera, plane = rig.camera, np.stack([float(c) for c in rig.lasers[0].plane])
+    (fu, fv), (u0, v0) = camera.focal, camera.principal
+    matrix = np.array([[fu, 0, u0], [0, fv, v0], [0, 0, 1]], np.float64)
+    lens = np.array([float(camera.radial[0]), 0, 0, 0])
+    rows = np.arange(_ROWS, dtype=np.float32)[:, None]
+    for path in scan.frames:
+        image = cv2.imread(str(path)).astype(np.float32)
+        red = 2 * image[..., 2] - image[..., 1] - image[..., 0]
+        weight = np.where(red > 0.5 * red.max(axis=0), red, 0)
+        v = (weight * rows).sum(axis=0) / weight.sum(axis=0)
+        pixels = np.stack([np.arange(_COLUMNS), v], axis=-1).astype(np.float64)
+        x = cv2.undistortPoints(pixels[:, None], matrix, lens)[:, 0]
+        ray = np.column_stack([x, np.ones(len(x))])
+        _ = ray / (ray @ plane)[:, None]
+
+
+def _aligned(shape: tuple[int, ...]) -> UInt[np.ndarray, "..."]:
+    count = int(np.prod(shape))
+    raw = np.zeros(count + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    return raw[start : start + count].reshape(shape)
+
+
+def _side_by_side(limit: Callable[[], None], work: Callable[[], None], repeats: int) -> tuple[float, float]:
+    """Median seconds of both, taken in turn, so that a busy machine weighs on both."""
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        limit()
+        between = time.perf_counter()
+        work()
+        times.append((between - begin, time.perf_counter() - between))
+    of_limit, of_work = np.median(times, axis=0)
+    return float(of_limit), float(of_work)
