@@ -18,6 +18,7 @@ SUITES = {
     "corners": "corners of checkerboards: accuracy, σ and speed, beside OpenCV's, and what a calibration gains",
     "stripes": "stripe detectors against the Cramér-Rao bound, at a step of reflectance, on a real bed; speed",
     "throughput": "the kernel, detection and a scan from files to points against their limits; memory",
+    "batch": "many scans, killed and gone on with; a cluster that loses a worker",
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",

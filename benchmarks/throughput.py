@@ -216,7 +216,7 @@ def _plain(scan: Scan, rig: Rig) -> None:
     lens = np.array([float(camera.radial[0]), 0, 0, 0])
     rows = np.arange(_ROWS, dtype=np.float32)[:, None]
     for path in scan.frames:
-        image = cv2.imread(str(path)).astype(np.float32)
+        image = np.asarray(cv2.imread(str(path)), np.float32)
         red = 2 * image[..., 2] - image[..., 1] - image[..., 0]
         weight = np.where(red > 0.5 * red.max(axis=0), red, 0)
         v = (weight * rows).sum(axis=0) / weight.sum(axis=0)
