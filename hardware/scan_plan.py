@@ -6,7 +6,6 @@ be taken. Both are written beside and renamed.
 
 import json
 import math
-import warnings
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,8 +14,7 @@ from hardware.frame import Frame
 from jaxscan.atomic import check_writable, replacing
 from jaxscan.errors import InputError
 from jaxscan.files.listing import common_size
-from jaxscan.files.scan import SCAN_FILE, Scan, read_scan, write_scan
-from jaxscan.files.table import PassedOverWarning
+from jaxscan.files.scan import SCAN_FILE, Scan, read_listed, write_scan
 from jaxscan.files.text import read_json
 from jaxscan.images import StripeSettings, read_image, write_image
 
@@ -92,9 +90,7 @@ class ScanFolder:
         # The scan first: a folder with a plan has one that reads.
         done = Scan(folder / SCAN_FILE, plan.laser, exposures_s=None if plan.exposure_s is None else (), name=plan.name)
         write_scan(done)
-        values = {"format": _FORMAT, **asdict(plan)}
-        with replacing(folder / PLAN_FILE, "w") as file:
-            json.dump(values, file, indent=2)
+        _write_plan(folder / PLAN_FILE, plan)
         return ScanFolder(plan, done)
 
     @staticmethod
@@ -109,10 +105,8 @@ class ScanFolder:
         plan = _read_plan(folder / PLAN_FILE)
         for path in (*folder.glob(".*.part"), *(folder / _FRAMES).glob(".*.part")):
             path.unlink()
-        with warnings.catch_warnings():
-            # A frame that was cut off before it was listed is taken again, under the same name.
-            warnings.simplefilter("ignore", PassedOverWarning)
-            done = read_scan(folder)
+        # A frame that was cut off before it was listed is taken again, under the same name.
+        done = read_listed(folder)
         if done.steps != plan.steps[: len(done.steps)]:
             raise InputError(
                 f"{folder / SCAN_FILE}: its steps are not the first of those in {PLAN_FILE}: it was changed by hand; "
@@ -128,6 +122,16 @@ class ScanFolder:
     def left(self) -> tuple[int, ...]:
         """The steps whose frames are still to be taken."""
         return self.plan.steps[len(self.done.steps) :]
+
+    def go_on_at(self, steps: tuple[int, ...], settle_s: float) -> None:
+        """Take these steps after those that are done, in place of those that are left.
+
+        Raises:
+            InputError: a step twice, or the disk.
+        """
+        plan = replace(self.plan, steps=(*self.done.steps, *steps), settle_s=settle_s)
+        _write_plan(self.done.path.parent / PLAN_FILE, plan)
+        self.plan = plan
 
     def add(self, frame: Frame, dark: Frame | None = None) -> Path:
         """Make a frame durable, then list it; when this returns it counts.
@@ -154,6 +158,11 @@ class ScanFolder:
         write_scan(done)
         self.done = done
         return path
+
+
+def _write_plan(path: Path, plan: Plan) -> None:
+    with replacing(path, "w") as file:
+        json.dump({"format": _FORMAT, **asdict(plan)}, file, indent=2)
 
 
 def _read_plan(path: Path) -> Plan:

@@ -17,6 +17,8 @@ COMMANDS: Final = {
     "scan": "hardware.cli.scan",
     "calibrate": "hardware.cli.calibrate",
     "console": "hardware.cli.console",
+    "serve": "hardware.cli.serve",
+    "user": "hardware.cli.user",
 }
 
 

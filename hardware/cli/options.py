@@ -25,6 +25,13 @@ def add_scanner_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_data_argument(parser: argparse.ArgumentParser) -> None:
+    """Where the lab server keeps accounts, jobs and projects."""
+    parser.add_argument(
+        "--data", type=Path, default=Path("scanner-lab"), metavar="DIR", help="the lab's folder (default: scanner-lab)"
+    )
+
+
 @contextmanager
 def scanner(args: argparse.Namespace) -> "Iterator[Devices]":
     """The scanner, open for the length of the block."""

@@ -62,7 +62,25 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         InputError: whatever is wrong: file, key, value and the mend. That all photographs are of one size is not
             looked at here: whoever decodes them sees it (or `common_size`, for the price of opening each).
     """
-    table = read_toml(toml_in(Path(path), SCAN_FILE)).only("scan", "laser")
+    scan, by_list = _read(Path(path))
+    # A glob says by itself what is left out; a list is what the hardware had made durable when it was cut off.
+    if by_list:
+        _say_unlisted(scan)
+    return scan
+
+
+def read_listed(path: str | os.PathLike[str]) -> Scan:
+    """As `read_scan`, without a word on what lies beside the listed frames: for a scan that is being taken.
+
+    Raises:
+        InputError: as `read_scan`.
+    """
+    return _read(Path(path))[0]
+
+
+def _read(path: Path) -> tuple[Scan, bool]:
+    """The scan, and whether its frames are listed by name."""
+    table = read_toml(toml_in(path, SCAN_FILE)).only("scan", "laser")
     inner = table.table("scan", "[scan] ").only(
         "frames", "steps", "steps_per_frame", "background", "exposures_s", "name"
     )
@@ -90,10 +108,7 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         exposures_s=_exposures(inner, n_frames),
         name=inner.string("name") if "name" in inner else "",
     )
-    # A glob says by itself what is left out; a list is what the hardware had made durable when it was cut off.
-    if isinstance(inner.values["frames"], list):
-        _say_unlisted(scan)
-    return scan
+    return scan, isinstance(inner.values["frames"], list)
 
 
 def write_scan(scan: Scan) -> None:

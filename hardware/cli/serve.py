@@ -1,0 +1,90 @@
+"""`scanner serve`: the lab server."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Final
+
+from hardware.cli.options import add_data_argument, add_scanner_arguments, say
+
+HELP: Final = "serve the scanner to browsers and programs: one operates, the others watch"
+EXAMPLE: Final = (
+    "scanner user add maria --admin\n"
+    "  scanner serve                                            # then open http://127.0.0.1:8003/ and sign in\n"
+    "  scanner serve --rig rig.json                             # with points in millimetres, and PLY files\n"
+    "  scanner serve --host 0.0.0.0 --cert lab.pem --key lab.key   # for the whole network"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    add_data_argument(parser)
+    parser.add_argument("--rig", type=Path, metavar="FILE", help="the scanner's rig, as jaxscan calibrate writes it")
+    parser.add_argument("--host", default="127.0.0.1", help="where to listen (default: 127.0.0.1, this machine alone)")
+    parser.add_argument("--port", type=int, default=8003, help="(default: 8003; 0 for any that is free)")
+    parser.add_argument("--cert", type=Path, metavar="PEM", help="certificate for TLS, with its chain")
+    parser.add_argument("--key", type=Path, metavar="PEM", help="its private key")
+    parser.add_argument(
+        "--insecure", action="store_true", help="listen beyond this machine without TLS: passwords can be read"
+    )
+    parser.add_argument(
+        "--lease", type=float, default=15.0, metavar="S", help="how long a silent operator keeps the scanner (15 s)"
+    )
+    parser.add_argument("--live", type=float, default=1.0, metavar="S", help="between two live pictures (1 s)")
+    add_scanner_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Serve until interrupted."""
+    from hardware.devices import open_scanner, read_scanner
+    from jaxscan.cli.compiled import keep_compiled
+    from jaxscan.errors import InputError
+
+    settings = read_scanner(args.scanner)
+    if not 1 <= args.lease <= 3600 or not 0.05 <= args.live <= 3600:
+        raise InputError(f"--lease {args.lease:g} --live {args.live:g}: give 1 to 3600 s, and 0.05 to 3600 s")
+    if not 0 <= args.port < 1 << 16:
+        raise InputError(f"--port {args.port}: give 0 to 65535")
+    lab_parts = _parts()
+    tls = lab_parts.check_tls(args.cert, args.key)
+    rig = None
+    if args.rig is not None:
+        from jaxscan import read_rig
+
+        rig = read_rig(args.rig)
+    keep_compiled()
+    habits = lab_parts.Habits(settings.travel, settings.stripe, settings.exposure_s, settings.gain)
+    listening = lab_parts.bind(args.host, args.port, tls, args.insecure)
+    lab = lab_parts.Lab(
+        args.data, lambda: open_scanner(settings, args.seed, args.homed), habits, rig, args.lease, args.live
+    )
+    try:
+        if not lab.accounts.everybody():
+            raise InputError(f"{args.data}: nobody is registered yet: scanner user add NAME --admin")
+        say(f"scanner: {settings.path or 'simulated, there is no scanner.toml'}; data: {args.data}")
+        server = lab_parts.Server(lab, listening, args.cert, args.key, lambda url: say(f"serving at {url}"))
+        server.serve_here()
+    finally:
+        lab.close()
+        listening.close()
+
+
+def _parts() -> Any:
+    """What only this command needs, from the extra `lab`."""
+    from types import SimpleNamespace
+
+    from jaxscan.errors import InputError
+
+    try:
+        from hardware.lab.lab import Lab
+        from hardware.lab.server import Server, bind, check_tls
+        from hardware.lab.worker import Habits
+    except ModuleNotFoundError as error:
+        if error.name and error.name.partition(".")[0] in ("hardware", "jaxscan"):
+            raise
+        raise InputError(f"the lab server needs {error.name}: pip install 'jaxscan[lab]'") from error
+    return SimpleNamespace(Lab=Lab, Server=Server, bind=bind, check_tls=check_tls, Habits=Habits)
+
+
+def describe(result: dict[str, Any]) -> str:
+    """Everything has been said."""
+    return ""

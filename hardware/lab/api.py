@@ -1,0 +1,315 @@
+"""The HTTP interface: everything that the pages can do, and they do it through this."""
+
+from collections.abc import AsyncIterator
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Request
+from fastapi.responses import FileResponse, Response, StreamingResponse
+from pydantic import BaseModel, ConfigDict, Field
+
+from hardware.lab.accounts import Token
+from hardware.lab.hub import Hub
+from hardware.lab.lab import Lab, State
+from hardware.lab.logbook import Job
+from hardware.lab.orders import ProjectName, Work
+from hardware.lab.projects import Project
+from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
+from hardware.lab.web import Administrator, LabHere, Operator, Viewer, visitor
+
+_BOUNDARY = b"--picture\r\n"
+_FARTHEST_ID = 2**63 - 1
+
+
+class Detail(BaseModel):
+    """Why a request was not granted."""
+
+    detail: str
+
+
+def _said(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    return {status: {"model": Detail} for status in statuses}
+
+
+router = APIRouter(prefix="/api", responses=_said(401, 403, 413, 429))
+
+ProjectPath = Annotated[ProjectName, Path()]
+Number = Annotated[int, Path(ge=0, le=_FARTHEST_ID)]
+
+
+class _Body(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Me(BaseModel):
+    """Whoever asks. `seat` is what `operator.seat` of the state is compared with."""
+
+    name: str
+    administrator: bool
+    seat: str
+
+
+class Take(_Body):
+    """How to take the scanner."""
+
+    take_over: bool = Field(
+        False, description="from whoever has it: for administrators, and from another seat of your own"
+    )
+
+
+class Live(_Body):
+    """The live picture."""
+
+    on: bool
+    laser: bool = False
+
+
+class Stopped(BaseModel):
+    """What a stop could not do; "" where all is well."""
+
+    left_on: str
+
+
+class NewToken(_Body):
+    """A token to make."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64, description="what it is for")]
+
+
+class MadeToken(BaseModel):
+    """A token, seen this once."""
+
+    token: str
+
+
+@router.get("/me", tags=["account"])
+def me(who: Viewer) -> Me:
+    """Who you are."""
+    return Me(name=who.name, administrator=who.administrator, seat=who.seat)
+
+
+@router.get("/tokens", tags=["account"])
+def tokens(lab: LabHere, who: Viewer) -> list[Token]:
+    """Your tokens."""
+    return lab.accounts.tokens(who.user)
+
+
+@router.post("/tokens", status_code=201, tags=["account"])
+def make_token(lab: LabHere, who: Viewer, body: NewToken) -> MadeToken:
+    """Make a token for a program; it is shown this once."""
+    return MadeToken(token=lab.accounts.make_token(who.user, body.name))
+
+
+@router.delete("/tokens/{number}", status_code=204, tags=["account"], responses=_said(404))
+def drop_token(lab: LabHere, who: Viewer, number: Number) -> None:
+    """End one of your tokens."""
+    lab.accounts.drop_token(who.user, number)
+
+
+@router.get("/state", tags=["watch"])
+def state(lab: LabHere, who: Viewer) -> State:
+    """The scanner as it is now."""
+    return lab.state()
+
+
+@router.get(
+    "/events",
+    tags=["watch"],
+    response_class=StreamingResponse,
+    responses={200: {"content": {"text/event-stream": {}}}, **_said(503)},
+)
+async def events(lab: LabHere, who: Viewer, request: Request) -> StreamingResponse:
+    """Server-sent events: `state`, `profile`, and `ping`, at which the operator renews its lease."""
+
+    async def stream() -> AsyncIterator[bytes]:
+        async for kind, number, data in _watched(lab, request, "state", "profile", "ping"):
+            yield b"event: %s\nid: %d\ndata: %s\n\n" % (kind.encode(), number, data)
+
+    lab.hub.admit()
+    return StreamingResponse(stream(), media_type="text/event-stream")
+
+
+@router.get(
+    "/pictures",
+    tags=["watch"],
+    response_class=StreamingResponse,
+    responses={200: {"content": {"multipart/x-mixed-replace": {}}}, **_said(503)},
+)
+async def pictures(lab: LabHere, who: Viewer, request: Request) -> StreamingResponse:
+    """Every photograph as it is taken, as a stream of JPEGs that an `<img>` shows."""
+
+    async def stream() -> AsyncIterator[bytes]:
+        yield _BOUNDARY
+        async for kind, _, data in _watched(lab, request, "picture", "ping"):
+            # A browser shows a picture when the next boundary comes.
+            if kind == "picture":
+                yield b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n%s" % (len(data), data, _BOUNDARY)
+
+    lab.hub.admit()
+    return StreamingResponse(stream(), media_type="multipart/x-mixed-replace; boundary=picture")
+
+
+async def _watched(lab: Lab, request: Request, *kinds: str) -> AsyncIterator[tuple[str, int, bytes]]:
+    """What a watcher sees, for as long as its session or token is valid and it is there."""
+    async for message in lab.hub.watch(*kinds):
+        if message[0] == "ping" and (not _still_valid(request, lab) or await request.is_disconnected()):
+            return
+        yield message
+
+
+def _still_valid(request: Request, lab: Lab) -> bool:
+    try:
+        visitor(request, lab)
+    except Refusal:
+        return False
+    return True
+
+
+def _latest(hub: Hub, kind: str, media_type: str, request: Request) -> Response:
+    number, data = hub.latest(kind)
+    if not number:
+        raise Refusal(NOT_THERE, "no photograph has been taken yet")
+    tag = f'"{kind}-{number}"'
+    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    if request.headers.get("if-none-match") == tag:
+        return Response(status_code=304, headers=headers)
+    return Response(data, media_type=media_type, headers=headers)
+
+
+@router.get(
+    "/picture",
+    tags=["watch"],
+    response_class=Response,
+    responses={200: {"content": {"image/jpeg": {}}}, 304: {}, **_said(404)},
+)
+def picture(lab: LabHere, who: Viewer, request: Request) -> Response:
+    """The last photograph, as a JPEG for the screen; with an ETag."""
+    return _latest(lab.hub, "picture", "image/jpeg", request)
+
+
+@router.get("/profile", tags=["watch"], responses={304: {}, **_said(404)})
+def profile(lab: LabHere, who: Viewer, request: Request) -> dict[str, Any]:
+    """The stripe of the last photograph: `position` (px) for each `line`, and with a rig `points` (mm)."""
+    return _latest(lab.hub, "profile", "application/json", request)  # pyright: ignore[reportReturnType]
+
+
+@router.get(
+    "/cloud",
+    tags=["watch"],
+    response_class=Response,
+    responses={200: {"content": {"application/octet-stream": {}}}},
+)
+def cloud(lab: LabHere, who: Viewer) -> Response:
+    """The points of the last scan so far, thinned: float32 x, y, z, little endian, mm, object frame."""
+    return Response(lab.gallery.cloud(), media_type="application/octet-stream")
+
+
+@router.post("/lock", tags=["operate"], responses=_said(409))
+def take_lock(lab: LabHere, who: Viewer, body: Take) -> State:
+    """Take the scanner: from then on you operate it, and others watch."""
+    if body.take_over:
+        lab.lock.take_over(who)
+    else:
+        lab.lock.take(who)
+    return lab.state()
+
+
+@router.put("/lock", status_code=204, tags=["operate"])
+def renew_lock(lab: LabHere, who: Operator) -> None:
+    """Say that you are still there; within `lease_s`, or somebody else may take the scanner."""
+
+
+@router.delete("/lock", status_code=204, tags=["operate"], responses=_said(409))
+def release_lock(lab: LabHere, who: Viewer) -> None:
+    """Leave the scanner to others."""
+    lab.lock.release(who)
+
+
+@router.post("/jobs", status_code=202, tags=["operate"], responses=_said(409))
+def start_job(lab: LabHere, who: Operator, work: Work) -> Job:
+    """Order a job: `check`, `home`, `move`, `shoot` or `scan`."""
+    return lab.worker.start(work, who)
+
+
+@router.get("/jobs", tags=["watch"])
+def jobs(lab: LabHere, who: Viewer) -> list[Job]:
+    """The last hundred jobs, latest first."""
+    return lab.logbook.latest()
+
+
+@router.get("/jobs/{number}", tags=["watch"], responses=_said(404))
+def job(lab: LabHere, who: Viewer, number: Number) -> Job:
+    """One job."""
+    return lab.logbook.one(number)
+
+
+@router.post("/jobs/{number}/{action}", status_code=202, tags=["operate"], responses=_said(404, 409))
+def change_job(lab: LabHere, who: Operator, number: Number, action: Literal["pause", "resume", "abort"]) -> Job:
+    """Pause or abort a job under way; go on with a scan that is paused or ended early."""
+    act = {"pause": lab.worker.pause, "resume": lab.worker.resume, "abort": lab.worker.abort}
+    return act[action](number, who)
+
+
+@router.post("/stop", tags=["operate"])
+def stop(lab: LabHere, who: Viewer) -> Stopped:
+    """Stand still and switch the laser off, at once; for the operator and for administrators."""
+    return Stopped(left_on=lab.worker.stop(who))
+
+
+@router.put("/live", status_code=204, tags=["operate"])
+def live(lab: LabHere, who: Operator, body: Live) -> None:
+    """Switch the live picture on or off; it goes off with its operator."""
+    lab.preview.switch(body.on, body.laser)
+
+
+@router.get("/projects", tags=["projects"])
+def projects(lab: LabHere, who: Viewer) -> list[Project]:
+    """All projects, latest first."""
+    return lab.projects.all()
+
+
+@router.get("/projects/{name}", tags=["projects"], responses=_said(404, 409))
+def project(lab: LabHere, who: Viewer, name: ProjectPath) -> Project:
+    """One project."""
+    return lab.projects.one(name)
+
+
+@router.get(
+    "/projects/{name}/scan.zip",
+    tags=["projects"],
+    response_class=StreamingResponse,
+    responses={200: {"content": {"application/zip": {}}}, **_said(404, 409)},
+)
+def scan_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
+    """The scan folder, as `jaxscan reconstruct` reads it once unpacked."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
+    return StreamingResponse(lab.projects.archive(name), media_type="application/zip", headers=headers)
+
+
+@router.get(
+    "/projects/{name}/cloud.ply",
+    tags=["projects"],
+    response_class=FileResponse,
+    responses={200: {"content": {"model/ply": {}}}, **_said(404, 409)},
+)
+def cloud_ply(lab: LabHere, who: Viewer, name: ProjectPath) -> FileResponse:
+    """Its points, reconstructed with the rig that is loaded."""
+    return FileResponse(lab.projects.cloud(name), media_type="model/ply", filename=f"{name}.ply")
+
+
+@router.get(
+    "/projects/{name}/frames/{number}",
+    tags=["projects"],
+    response_class=FileResponse,
+    responses={200: {"content": {"image/png": {}}}, **_said(404, 409)},
+)
+def frame(lab: LabHere, who: Viewer, name: ProjectPath, number: Number) -> FileResponse:
+    """One photograph, counted from 0."""
+    return FileResponse(lab.projects.frame(name, number), media_type="image/png")
+
+
+@router.delete("/projects/{name}", status_code=204, tags=["projects"], responses=_said(404, 409))
+def remove_project(lab: LabHere, who: Administrator, name: ProjectPath) -> None:
+    """Remove a project, photographs and all."""
+    if lab.worker.uses(name):
+        raise Refusal(CONFLICT, f"a job adds photographs to {name}: end it first")
+    lab.projects.remove(name)

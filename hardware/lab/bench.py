@@ -1,0 +1,132 @@
+"""The devices on the bench: connected when they are needed, used by one at a time, stopped by anyone."""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+from hardware.errors import (
+    CameraError,
+    HardwareError,
+    LeftOnError,
+    LineLostError,
+    NotHomedError,
+    PositionUncertainError,
+)
+from hardware.frame import Frame
+from hardware.protocols import Stage
+from hardware.safety import left_on, safely
+from hardware.scan import Devices
+
+# After these a device may be one that answers no more, and is connected anew.
+_LOST = (CameraError, LeftOnError, LineLostError)
+
+
+class Bench:
+    """Camera, stage and laser.
+
+    Args:
+        connect: opens them.
+    """
+
+    def __init__(self, connect: Callable[[], Devices]):
+        self._connect = connect
+        self._using = threading.Lock()
+        self._devices: Devices | None = None
+        self.place: int | None = None
+
+    @contextmanager
+    def devices(self) -> Iterator[Devices]:
+        """The devices, for the length of the block; whoever comes meanwhile waits.
+
+        Raises:
+            HardwareError: they cannot be connected, or whatever the block raises.
+        """
+        with self._using:
+            try:
+                if self._devices is None:
+                    self._devices = self._connect()
+                yield self._devices
+            except HardwareError as error:
+                self.place = None
+                if isinstance(error, _LOST):
+                    self._disconnect()
+                raise
+
+    def stop(self) -> str:
+        """Switch the laser off and halt the stage, whoever uses them; what could not be, in words."""
+        if (devices := self._devices) is None:
+            return ""
+        self.place = None
+        return left_on(devices.stage, devices.laser)
+
+    def close(self) -> None:
+        """Stop, and disconnect."""
+        self.stop()
+        with self._using:
+            self._disconnect()
+
+    def _disconnect(self) -> None:
+        devices, self._devices, self.place = self._devices, None, None
+        if devices is not None:
+            for device in (devices.camera, devices.stage):
+                # What is lost already need not be told.
+                with suppress(HardwareError, OSError):
+                    device.close()
+
+
+def check(devices: Devices) -> Frame:
+    """See that stage and camera answer; nothing moves.
+
+    A stage without a reference has none to lose: the order to stop is a question that it has to answer.
+
+    Raises:
+        HardwareError: one of the two does not.
+    """
+    with safely(devices.stage, devices.laser):
+        place = 0
+        try:
+            place = devices.stage.position()
+        except (NotHomedError, PositionUncertainError):
+            devices.stage.stop()
+        return devices.camera.expose(place)
+
+
+class PermittedStage:
+    """A stage that asks for leave before every move.
+
+    Args:
+        stage: the real one.
+        permit: raises what forbids the move.
+        arrived: called with the place at which it stands.
+    """
+
+    def __init__(self, stage: Stage, permit: Callable[[], object], arrived: Callable[[int], object]):
+        self._stage, self._permit, self._arrived = stage, permit, arrived
+
+    def home(self) -> None:
+        """Home it."""
+        self._permit()
+        self._stage.home()
+        self._arrived(self._stage.position())
+
+    def move_to(self, step_count: int) -> None:
+        """Go there."""
+        self._permit()
+        self._stage.move_to(step_count)
+        self._arrived(step_count)
+
+    def position(self) -> int:
+        """Where it stands."""
+        return self._stage.position()
+
+    def settle(self, seconds: float) -> None:
+        """Wait."""
+        self._stage.settle(seconds)
+
+    def stop(self) -> None:
+        """Stop it."""
+        self._stage.stop()
+
+    def close(self) -> None:
+        """Disconnect it."""
+        self._stage.close()

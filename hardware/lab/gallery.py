@@ -1,0 +1,169 @@
+"""What is shown of photographs: a JPEG, the stripe's profile, and with a rig the points so far.
+
+Two threads of their own, so that neither a large photograph nor JAX's compiler holds up the scan.
+"""
+
+import json
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt
+
+from hardware.frame import Frame
+from hardware.lab.hub import Hub
+from hardware.scan_plan import ScanFolder
+from jaxscan.errors import JaxscanError
+from jaxscan.images import StripeSettings, read_image
+
+if TYPE_CHECKING:
+    from jaxscan import RigFile
+
+_LOG: Final = logging.getLogger(__name__)
+_WIDEST, _QUALITY = 1280, 80
+# Photographs that wait to be measured in memory; of others the file is read when their turn comes.
+_IN_MEMORY: Final = 4
+# A profile is thinned to so many points, the cloud ends at so many.
+_PROFILE_POINTS, _CLOUD_POINTS = 400, 400_000
+# Live it counts that a profile is there at once: the quickest detector.
+_DETECTOR: Final = "derivative"
+
+
+class _Thread:
+    """Does one thing after the other, and goes on when one fails."""
+
+    def __init__(self, name: str, room: int | None):
+        self._waiting: deque[Callable[[], object]] = deque(maxlen=room)
+        self._come = threading.Condition()
+        self._closed = False
+        threading.Thread(target=self._work, name=name, daemon=True).start()
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def do(self, work: Callable[[], object]) -> None:
+        with self._come:
+            self._waiting.append(work)
+            self._come.notify()
+
+    def close(self) -> None:
+        with self._come:
+            self._closed = True
+            self._come.notify()
+
+    def _work(self) -> None:
+        while True:
+            with self._come:
+                self._come.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    return
+                work = self._waiting.popleft()
+            try:
+                work()
+            except JaxscanError as error:
+                _LOG.warning("a photograph is not shown: %s", error)
+            except Exception:  # noqa: BLE001 (said in the log; the next photograph may do)
+                _LOG.exception("a photograph is not shown")
+
+
+class Gallery:
+    """Shows photographs to a hub.
+
+    Args:
+        hub: where to: `picture` is a JPEG, `profile` JSON.
+        stripe: how the laser's stripe is looked for.
+        rig: of the scanner; without one profiles are in pixels, and there is no cloud.
+    """
+
+    def __init__(self, hub: Hub, stripe: StripeSettings, rig: "RigFile | None" = None):
+        self._hub, self._stripe, self._rig = hub, stripe, rig
+        # Of pictures only the latest is worth the work.
+        self._pictures, self._profiles = _Thread("pictures", 1), _Thread("profiles", None)
+        self._mutex = threading.Lock()
+        self._project = ""
+        self._cloud: list[Float[np.ndarray, "points 3"]] = []
+
+    def begin(self, project: str, scan: ScanFolder) -> None:
+        """A job adds photographs to a project: its cloud begins with those that it has."""
+        self._profiles.do(lambda: self._clear(project))
+        for number, (path, step) in enumerate(zip(scan.done.frames, scan.done.steps, strict=True)):
+            if self._rig is not None:
+                self._profiles.do(lambda path=path, step=step, number=number: self._measure(None, path, step, number))
+
+    def show(self, frame: Frame, path: Path | None = None) -> None:
+        """Show a photograph, and once it is part of a project its profile."""
+        self._pictures.do(lambda: self._hub.publish("picture", jpeg(frame.image)))
+        if path is not None:
+            image = frame.image if len(self._profiles) < _IN_MEMORY else None
+            self._profiles.do(lambda: self._measure(image, path, frame.step_count, int(path.stem)))
+
+    def cloud(self) -> bytes:
+        """The points so far, float32 x, y, z in mm, object frame, little endian."""
+        with self._mutex:
+            parts = list(self._cloud)
+        return b"".join(np.ascontiguousarray(part, "<f4").tobytes() for part in parts)
+
+    def close(self) -> None:
+        """End."""
+        self._pictures.close()
+        self._profiles.close()
+
+    def _clear(self, project: str) -> None:
+        with self._mutex:
+            self._project, self._cloud = project, []
+
+    def _measure(self, image: UInt[np.ndarray, "rows columns *rgb"] | None, path: Path, step: int, number: int) -> None:
+        from jaxscan.images import detect_stripe
+
+        stripe = detect_stripe(read_image(path) if image is None else image, self._stripe, detector=_DETECTOR)
+        position = np.asarray(stripe.position)[0]
+        lines = np.flatnonzero(np.asarray(stripe.valid)[0])
+        lines = lines[:: max(1, -(-len(lines) // _PROFILE_POINTS))]
+        found = {
+            "project": self._project,
+            "number": number,
+            "step": step,
+            "columns": self._stripe.columns,
+            "line": lines.tolist(),
+            "position": np.round(position[lines].astype(float), 2).tolist(),
+        }
+        if self._rig is not None:
+            points = self._points(lines, position[lines], step)
+            with self._mutex:
+                if sum(map(len, self._cloud)) < _CLOUD_POINTS:
+                    self._cloud.append(points)
+                found["cloud_points"] = sum(map(len, self._cloud))
+            found["points"] = np.round(points.astype(float), 2).tolist()
+        self._hub.publish("profile", json.dumps(found, separators=(",", ":")).encode())
+
+    def _points(
+        self, lines: np.ndarray, position: Float[np.ndarray, "points"], step: int
+    ) -> Float[np.ndarray, "points 3"]:
+        """Stripe pixels to points of the object frame, mm."""
+        from jaxscan.reconstruction.triangulate import Kernel, triangulate
+
+        assert self._rig is not None
+        kernel = Kernel.create(self._rig.rig, self._stripe.name)
+        # Always as many, so that nothing is compiled twice.
+        along, across = (np.full(_PROFILE_POINTS, np.nan, np.float32) for _ in range(2))
+        along[: len(lines)], across[: len(lines)] = lines, position
+        u, v = (along, across) if self._stripe.columns else (across, along)
+        points = np.asarray(triangulate(kernel, u, v, np.full(_PROFILE_POINTS, step, np.float32)))[: len(lines)]
+        return points[np.isfinite(points).all(axis=1)]
+
+
+def jpeg(image: UInt[np.ndarray, "rows columns *rgb"]) -> bytes:
+    """A photograph as a JPEG no wider than a page shows it."""
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    shrink = _WIDEST / image.shape[1]
+    if shrink < 1:
+        image = cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()

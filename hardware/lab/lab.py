@@ -1,0 +1,151 @@
+"""The lab: database, accounts, lock, devices, jobs, projects and what is shown of them, put together."""
+
+import asyncio
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pydantic import BaseModel
+
+from hardware.lab.accounts import Accounts
+from hardware.lab.bench import Bench
+from hardware.lab.database import DATABASE, Database, OnlyServer, make_folder
+from hardware.lab.gallery import Gallery
+from hardware.lab.hub import Hub
+from hardware.lab.lock import Holder, OperatorLock
+from hardware.lab.logbook import Job, Logbook
+from hardware.lab.preview import Preview
+from hardware.lab.projects import Projects
+from hardware.lab.worker import Habits, Worker
+from hardware.scan import Devices
+
+if TYPE_CHECKING:
+    from jaxscan import RigFile
+
+LEASE_S: Final = 15.0
+# The holder of the lock is asked so many times within a lease whether it is there; it is looked after more often.
+_PINGS, _LOOKS = 4, 20
+# The state is looked at so often, and told when it has changed.
+_STATE_S: Final = 0.2
+
+
+class State(BaseModel):
+    """What everybody sees of the scanner.
+
+    Attributes:
+        operator: who operates; None while nobody does.
+        job: the one under way, or the last.
+        place: where the stage stands, motor steps; None where it has to be homed first.
+        live: whether the camera's live picture is on, and with the laser.
+        first, last: the step counts between which the stage may be sent.
+        rig: whether one is loaded: profiles then come with points.
+        lease_s: how long the operator may be silent.
+    """
+
+    operator: Holder | None
+    job: Job | None
+    place: int | None
+    live: bool
+    live_laser: bool
+    first: int
+    last: int
+    rig: bool
+    lease_s: float
+
+
+class Lab:
+    """All parts of a lab, working.
+
+    Args:
+        folder: where its data are; made if need be.
+        connect: opens the devices.
+        habits: of the scanner.
+        rig: of the scanner, for points.
+        lease_s: of the operator's lock.
+        live_s: time between live pictures.
+
+    Raises:
+        InputError: the folder cannot be used, or another server uses it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        connect: Callable[[], Devices],
+        habits: Habits | None = None,
+        rig: "RigFile | None" = None,
+        lease_s: float = LEASE_S,
+        live_s: float = 1.0,
+    ):
+        self.habits = habits or Habits()
+        self.lease_s = lease_s
+        self._rig = rig
+        self._ended = threading.Event()
+        with ExitStack() as undo:
+            make_folder(folder)
+            only = OnlyServer(folder / "server.lock")
+            undo.callback(only.close)
+            database = Database(folder / DATABASE)
+            undo.callback(database.close)
+            self.accounts, self.projects = Accounts(database), Projects(folder, rig)
+            self.hub, self.bench = Hub(), Bench(connect)
+            undo.callback(self.bench.close)
+            self.gallery = Gallery(self.hub, self.habits.stripe, rig)
+            undo.callback(self.gallery.close)
+            self.lock = OperatorLock(lease_s, lambda: self.worker.scanning, self._lost)
+            self.logbook = Logbook(database)
+            self.worker = Worker(self.bench, self.logbook, self.lock, self.projects, self.gallery, self.habits)
+            undo.callback(self.worker.close)
+            self.preview = Preview(self.bench, self.lock, self.gallery, lambda: self.worker.busy, live_s)
+            undo.callback(self.preview.close)
+            watch = threading.Thread(target=self._watch_lease, name="lease", daemon=True)
+            watch.start()
+            undo.callback(watch.join)
+            undo.callback(self._ended.set)
+            self._close = undo.pop_all().close
+
+    def state(self) -> State:
+        """As it is now."""
+        return State(
+            operator=self.lock.holder,
+            job=self.worker.latest,
+            place=self.bench.place,
+            live=self.preview.on,
+            live_laser=self.preview.laser,
+            first=self.habits.travel.first,
+            last=self.habits.travel.last,
+            rig=self._rig is not None,
+            lease_s=self.lease_s,
+        )
+
+    async def tell(self) -> None:
+        """Tell the watchers of every change of state, and ask whether they are there, until cancelled."""
+        told, asked_s, count = None, 0.0, 0
+        while True:
+            if (state := self.state()) != told:
+                self.hub.publish("state", state.model_dump_json().encode())
+                told = state
+            if time.monotonic() - asked_s > self.lease_s / _PINGS:
+                asked_s, count = time.monotonic(), count + 1
+                self.hub.publish("ping", json.dumps(count).encode())
+            await asyncio.sleep(_STATE_S)
+
+    def close(self) -> None:
+        """End what is under way, switch everything off, and close."""
+        self._close()
+
+    def _lost(self, taken: bool) -> None:
+        self.preview.switch(False, False)
+        self.worker.lost(taken)
+
+    def _watch_lease(self) -> None:
+        while not self._ended.wait(self.lease_s / _LOOKS):
+            try:
+                self.lock.expire()
+            except Exception:  # the lease goes on being watched, whatever else is broken
+                logging.getLogger(__name__).exception("the operator's lease")

@@ -1,0 +1,131 @@
+"""The pages: sign-in, scanner, projects, account, and a description of the interface. They need no other server."""
+
+import secrets
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import parse_qs
+
+from fastapi import APIRouter, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from fastapi.templating import Jinja2Templates
+
+from hardware.lab.accounts import LONGEST_S, SHORTEST_PASSWORD, Visitor
+from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
+from hardware.lab.web import LabHere, PageVisitor, Viewer, same, session_cookie, set_cookie
+
+router = APIRouter(include_in_schema=False)
+
+_TEMPLATES: Final = Jinja2Templates(Path(__file__).parent / "templates")
+# What the sign-in form has to bring back; without a session there is no other CSRF token.
+_FORM_COOKIE: Final = "scanner_form"
+_MOST_FIELDS: Final = 10
+
+
+def _page(request: Request, template: str, who: Visitor | None, status: int = 200, **values: Any) -> HTMLResponse:
+    return _TEMPLATES.TemplateResponse(request, f"{template}.html", {"who": who, "page": template, **values}, status)
+
+
+async def _fields(request: Request) -> dict[str, str]:
+    """The fields of a form.
+
+    Raises:
+        Refusal: it is none.
+    """
+    try:
+        fields = parse_qs((await request.body()).decode(), keep_blank_values=True, max_num_fields=_MOST_FIELDS)
+    except ValueError as error:
+        raise Refusal(CONFLICT, "the form cannot be read: load the page again") from error
+    return {name: values[0] for name, values in fields.items()}
+
+
+@router.get("/sign-in")
+def sign_in_page(request: Request) -> HTMLResponse:
+    """The sign-in form."""
+    return _sign_in_form(request)
+
+
+def _sign_in_form(request: Request, refusal: Refusal | None = None, name: str = "") -> HTMLResponse:
+    form = secrets.token_urlsafe(16)
+    status, words = (refusal.status, str(refusal)) if refusal else (200, "")
+    page = _page(request, "sign_in", None, status, form=form, words=words, name=name)
+    if refusal is not None and refusal.retry_s is not None:
+        page.headers["Retry-After"] = str(max(1, round(refusal.retry_s)))
+    set_cookie(page, request, _FORM_COOKIE, form)
+    return page
+
+
+@router.post("/sign-in")
+async def sign_in(request: Request, lab: LabHere) -> Response:
+    """Sign in; whatever session was there before ends, and the new one has a name of its own."""
+    fields = await _fields(request)
+    name = fields.get("name", "")
+    if not same(fields.get("form", ""), request.cookies.get(_FORM_COOKIE)):
+        return _sign_in_form(request, Refusal(FORBIDDEN, "this form has expired: try again"), name)
+    address = request.client.host if request.client else ""
+    try:
+        token = await run_in_threadpool(lab.accounts.sign_in, name, fields.get("password", ""), address)
+    except Refusal as refusal:
+        return _sign_in_form(request, refusal, name)
+    await run_in_threadpool(lab.accounts.sign_out, request.cookies.get(session_cookie(request), ""))
+    answer = RedirectResponse("/", 303)
+    set_cookie(answer, request, session_cookie(request), token, LONGEST_S)
+    answer.delete_cookie(_FORM_COOKIE)
+    return answer
+
+
+@router.post("/sign-out")
+async def sign_out(request: Request, lab: LabHere, who: PageVisitor) -> Response:
+    """Sign out, and leave the scanner; a scan goes on."""
+    fields = await _fields(request)
+    if not same(fields.get("csrf", ""), who.csrf):
+        raise Refusal(FORBIDDEN, "this form has expired: load the page again")
+
+    def leave() -> None:
+        lab.accounts.sign_out(request.cookies.get(session_cookie(request), ""))
+        try:
+            lab.lock.release(who)
+        except Refusal:
+            # A scan is running: it keeps the lock until it is done.
+            return
+
+    await run_in_threadpool(leave)
+    answer = RedirectResponse("/sign-in", 303)
+    answer.delete_cookie(session_cookie(request))
+    return answer
+
+
+@router.get("/")
+def scanner_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLResponse:
+    """The scanner."""
+    return _page(request, "scanner", who, state=lab.state())
+
+
+@router.get("/projects")
+def projects_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLResponse:
+    """The projects."""
+    return _page(request, "projects", who, projects=lab.projects.all(), rig=lab.state().rig)
+
+
+@router.get("/account")
+def account_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLResponse:
+    """Tokens."""
+    return _page(request, "account", who, tokens=lab.accounts.tokens(who.user), shortest=SHORTEST_PASSWORD)
+
+
+@router.get("/api")
+def interface_page(request: Request, who: PageVisitor) -> HTMLResponse:
+    """The HTTP interface, in words."""
+    schema = request.app.openapi()
+    operations = [
+        {"path": path, "method": method.upper(), **operation}
+        for path, methods in schema["paths"].items()
+        for method, operation in methods.items()
+    ]
+    return _page(request, "interface", who, description=schema["info"]["description"], operations=operations)
+
+
+@router.get("/api/openapi.json")
+def openapi(request: Request, who: Viewer) -> JSONResponse:
+    """The HTTP interface, for programs."""
+    return JSONResponse(request.app.openapi())

@@ -1,0 +1,202 @@
+"""Projects: one scan folder each, under one folder, by a name that leads nowhere else."""
+
+import io
+import re
+import shutil
+import threading
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pydantic import BaseModel
+
+from hardware.lab.orders import PROJECT
+from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
+from hardware.scan_plan import PLAN_FILE
+from jaxscan.errors import InputError, JaxscanError
+from jaxscan.files.scan import SCAN_FILE, Scan, read_listed
+
+if TYPE_CHECKING:
+    from jaxscan import RigFile
+
+_CHUNK: Final = 1 << 18
+
+
+class Project(BaseModel):
+    """A project, as the list of them shows.
+
+    Attributes:
+        name: of it.
+        frames: photographs that it holds.
+        changed_s: when the last was taken, seconds since the epoch.
+        problem: why it cannot be read; "" where it can.
+    """
+
+    name: str
+    frames: int
+    changed_s: float
+    problem: str = ""
+
+
+class Projects:
+    """The projects in a folder.
+
+    Args:
+        folder: of the lab.
+        rig: of the scanner, for points.
+    """
+
+    def __init__(self, folder: Path, rig: "RigFile | None" = None):
+        self._folder, self._clouds = folder / "projects", folder / "clouds"
+        self._rig = rig
+        self._reconstructing = threading.Lock()
+        for made in (self._folder, self._clouds):
+            made.mkdir(parents=True, exist_ok=True)
+
+    def path(self, name: str) -> Path:
+        """The folder of a project, there or not.
+
+        Raises:
+            Refusal: it is no name.
+        """
+        if not re.fullmatch(PROJECT, name):
+            raise Refusal(NOT_THERE, "a project's name has letters, digits, _ and - alone")
+        return self._folder / name
+
+    def all(self) -> list[Project]:
+        """All of them, latest first."""
+        found = [self._project(path) for path in self._folder.iterdir() if (path / SCAN_FILE).is_file()]
+        return sorted(found, key=lambda project: -project.changed_s)
+
+    def one(self, name: str) -> Project:
+        """One of them.
+
+        Raises:
+            Refusal: there is none of that name.
+        """
+        self.scan(name)
+        return self._project(self.path(name))
+
+    def scan(self, name: str) -> Scan:
+        """Its scan.
+
+        Raises:
+            Refusal: there is none of that name, or it cannot be read.
+        """
+        path = self.path(name)
+        if not (path / SCAN_FILE).is_file():
+            raise Refusal(NOT_THERE, f"there is no project {name}")
+        try:
+            return read_listed(path)
+        except InputError as error:
+            raise Refusal(CONFLICT, _within(path, error)) from error
+
+    def frame(self, name: str, number: int) -> Path:
+        """The file of one photograph, counted from 0.
+
+        Raises:
+            Refusal: there is none.
+        """
+        frames = self.scan(name).frames
+        if not 0 <= number < len(frames):
+            raise Refusal(NOT_THERE, f"project {name} has no photograph {number}")
+        return frames[number]
+
+    def archive(self, name: str) -> Iterator[bytes]:
+        """Its scan folder as the bytes of a ZIP file; what has been taken until now, where it is under way.
+
+        Raises:
+            Refusal: there is none of that name.
+        """
+        path = self.path(name)
+        # The list before the files: whatever it lists is in the archive.
+        self.scan(name)
+        listed = (path / SCAN_FILE).read_bytes()
+        scan = self.scan(name)
+        return _archive(path, listed, [*scan.frames, *scan.backgrounds])
+
+    def cloud(self, name: str) -> Path:
+        """A PLY file of its points; reconstructed once for each number of photographs.
+
+        Raises:
+            Refusal: no rig is loaded, or there is no project, or nothing in it.
+        """
+        scan = self.scan(name)
+        if self._rig is None:
+            raise Refusal(CONFLICT, "no rig is loaded: start the server with scanner serve --rig rig.json")
+        path = self._clouds / f"{name}.{len(scan.frames)}.ply"
+        with self._reconstructing:
+            if not path.exists():
+                from jaxscan import reconstruct, write_points
+
+                try:
+                    write_points(path, reconstruct(self._rig, scan))
+                except JaxscanError as error:
+                    raise Refusal(CONFLICT, _within(scan.path.parent, error)) from error
+                self._forget_clouds(name, path)
+        return path
+
+    def remove(self, name: str) -> None:
+        """Remove one, photographs and all.
+
+        Raises:
+            Refusal: there is none of that name.
+        """
+        path = self.path(name)
+        if not path.is_dir():
+            raise Refusal(NOT_THERE, f"there is no project {name}")
+        shutil.rmtree(path)
+        self._forget_clouds(name)
+
+    def _forget_clouds(self, name: str, but: Path | None = None) -> None:
+        for old in self._clouds.glob(f"{name}.*.ply"):
+            if old != but:
+                old.unlink(missing_ok=True)
+
+    @staticmethod
+    def _project(path: Path) -> Project:
+        changed_s = (path / SCAN_FILE).stat().st_mtime
+        try:
+            return Project(name=path.name, frames=len(read_listed(path).frames), changed_s=changed_s)
+        except InputError as error:
+            return Project(name=path.name, frames=0, changed_s=changed_s, problem=_within(path, error))
+
+
+def _within(folder: Path, error: Exception) -> str:
+    """An error's text without the place of the lab on its machine."""
+    return str(error).replace(f"{folder.parent}/", "")
+
+
+class _Sink(io.RawIOBase):
+    """Takes what is written, until somebody fetches it."""
+
+    def __init__(self) -> None:
+        self._held = bytearray()
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: bytes) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
+        self._held += data
+        return len(data)
+
+    def fetch(self) -> bytes:
+        data = bytes(self._held)
+        self._held.clear()
+        return data
+
+
+def _archive(path: Path, listed: bytes, photographs: list[Path]) -> Iterator[bytes]:
+    """A ZIP file in chunks; photographs are compressed already, and stored as they are."""
+    sink = _Sink()
+    with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:
+        archive.writestr(f"{path.name}/{SCAN_FILE}", listed)
+        plan = [path / PLAN_FILE] if (path / PLAN_FILE).is_file() else []
+        for file in [*plan, *dict.fromkeys(photographs)]:
+            name = f"{path.name}/{file.relative_to(path).as_posix()}"
+            with archive.open(name, "w") as entry, file.open("rb") as source:
+                while chunk := source.read(_CHUNK):
+                    entry.write(chunk)
+                    yield sink.fetch()
+    yield sink.fetch()

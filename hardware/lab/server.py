@@ -1,0 +1,115 @@
+"""Where the lab listens: on this machine alone, unless told otherwise, and elsewhere over TLS."""
+
+import asyncio
+import ipaddress
+import socket
+import ssl
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import uvicorn
+
+from hardware.lab.app import make_app
+from hardware.lab.lab import Lab
+from jaxscan.errors import InputError
+
+_GRACE_S: Final = 3
+# Requests and streams at a time.
+_MOST_CONNECTIONS: Final = 1000
+
+
+def bind(host: str, port: int, tls: bool, insecure: bool) -> socket.socket:
+    """A socket that listens.
+
+    Raises:
+        InputError: the host is not this machine alone and there is no TLS, or it cannot be bound.
+    """
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"--host {host}: is no address of this machine: give 127.0.0.1, or one that it has") from error
+    if not (tls or insecure or ipaddress.ip_address(str(address[0]).split("%")[0]).is_loopback):
+        raise InputError(
+            f"--host {host}: others could read passwords on the way: give --cert and --key, or stay on 127.0.0.1 "
+            "behind a proxy that has TLS, or say --insecure for a network where nobody else listens"
+        )
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
+    except OSError as error:
+        listening.close()
+        raise InputError(f"--host {host} --port {port}: cannot be bound ({error.strerror}): take another port") from (
+            error
+        )
+    return listening
+
+
+def check_tls(cert: Path | None, key: Path | None) -> bool:
+    """Whether there is TLS.
+
+    Raises:
+        InputError: one of certificate and key is missing, or they do not go together.
+    """
+    if cert is None and key is None:
+        return False
+    if cert is None or key is None:
+        raise InputError("--cert and --key: TLS needs both, a certificate and its private key, in PEM files")
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(cert, key)
+    except (OSError, ssl.SSLError) as error:
+        raise InputError(f"{cert}, {key}: are no certificate with its private key ({error})") from error
+    return True
+
+
+class Server(uvicorn.Server):
+    """Uvicorn, which ends the watchers' streams when it ends.
+
+    Args:
+        lab: what is served.
+        listening: where.
+        cert, key: for TLS.
+        ready: called once with the URL when requests are answered.
+    """
+
+    def __init__(
+        self,
+        lab: Lab,
+        listening: socket.socket,
+        cert: Path | None = None,
+        key: Path | None = None,
+        ready: Callable[[str], object] = lambda url: None,
+    ):
+        super().__init__(
+            uvicorn.Config(
+                make_app(lab),
+                http="h11",
+                ws="none",
+                log_level="warning",
+                access_log=False,
+                server_header=False,
+                proxy_headers=False,
+                limit_concurrency=_MOST_CONNECTIONS,
+                timeout_graceful_shutdown=_GRACE_S,
+                ssl_certfile=cert,
+                ssl_keyfile=key,
+            )
+        )
+        self._lab, self._listening, self._ready = lab, listening, ready
+        host, port = listening.getsockname()[:2]
+        self.url = f"http{'s' if cert else ''}://{f'[{host}]' if ':' in host else host}:{port}/"
+
+    def serve_here(self) -> None:
+        """Serve until told to end."""
+        asyncio.run(self.serve([self._listening]))
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen, and say so."""
+        await super().startup(sockets)
+        self._ready(self.url)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End the streams first: they would not end by themselves."""
+        self._lab.hub.close()
+        await super().shutdown(sockets)

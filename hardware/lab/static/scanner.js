@@ -1,0 +1,156 @@
+import { ask, element, say, trying } from "./lab.js";
+import { CloudView, drawProfile } from "./drawing.js";
+
+const bench = element("bench").dataset;
+const UNDER_WAY = ["running", "pausing", "paused"];
+const NAMES = { check: "Check of the devices", home: "Reset of the motor", move: "Move", shoot: "Step and shoot", scan: "Scan" };
+const cloud = new CloudView(element("cloud"));
+let state = null, cloudOf = "", slides = false;
+
+const mine = () => state?.operator?.seat === bench.seat;
+
+// --- what is seen -------------------------------------------------------------------------------------------------
+
+function showState(now) {
+  state = now;
+  const { operator, job, place } = now;
+  const own = mine(), named = operator?.name === bench.name;
+  const words = element("operator");
+  words.textContent = own ? "You operate the scanner" : operator
+    ? `${named ? "You operate it elsewhere" : `${operator.name} operates`}: you watch` : "The scanner is free";
+  words.className = `operator ${own ? "mine" : operator ? "theirs" : ""}`;
+  element("take").hidden = Boolean(operator);
+  element("leave").hidden = !own;
+  element("take-over").hidden = !operator || own || !(named || bench.administrator === "true");
+  element("stop").disabled = !own && bench.administrator !== "true";
+  for (const part of document.querySelectorAll("[data-operator]")) part.disabled = !own;
+  element("place").textContent = place === null ? "an unknown place: it is homed before it moves" : `${place} steps`;
+  if (place !== null && !slides && !own) setPlace(place);
+  element("live").checked = now.live;
+  element("live-laser").checked = now.live_laser;
+  showJob(job, own);
+}
+
+function showJob(job, own) {
+  element("job").hidden = !job;
+  if (!job) return;
+  const { work } = job, under = UNDER_WAY.includes(job.state), scan = work.kind === "scan";
+  element("job-title").textContent = `${NAMES[work.kind]}${work.project ? ` ${work.project}` : ""}${work.kind === "move" ? ` to ${work.step}` : ""}`;
+  element("job-state").textContent = job.state;
+  element("job-state").className = `badge ${job.state}`;
+  element("job-progress").hidden = !scan;
+  element("job-progress").max = Math.max(job.total, 1);
+  element("job-progress").value = job.taken;
+  const count = scan ? `${job.taken} of ${job.total} photographs` : "";
+  element("job-words").textContent = [count, job.message, `ordered by ${job.user}`].filter(Boolean).join(" · ");
+  element("job-words").classList.toggle("problem", job.state === "failed");
+  element("pause").hidden = !(own && scan && job.state === "running");
+  element("resume").hidden = !(own && scan && ["pausing", "paused", "aborted", "failed", "interrupted"].includes(job.state));
+  element("abort").hidden = !(own && under);
+}
+
+async function showProfile(profile) {
+  drawProfile(element("profile"), profile);
+  element("profile-of").textContent = `${profile.project}, photograph ${profile.number}, step ${profile.step}`;
+  if (!profile.points) return;
+  const added = profile.project === cloudOf && cloud.length + profile.points.length === profile.cloud_points;
+  if (added) cloud.add(profile.points);
+  else await loadCloud(profile.project);
+  element("cloud-of").textContent = `${profile.project}: ${cloud.length}`;
+}
+
+/** All points so far, where some were missed. */
+async function loadCloud(project) {
+  cloudOf = project;
+  const answer = await fetch("/api/cloud");
+  if (!answer.ok) return;
+  const numbers = new Float32Array(await answer.arrayBuffer()), points = [];
+  for (let i = 0; i < numbers.length; i += 3) points.push(numbers.subarray(i, i + 3));
+  cloud.replace(points);
+}
+
+// --- streams ------------------------------------------------------------------------------------------------------
+
+const picture = element("picture");
+picture.addEventListener("load", () => { element("no-picture").hidden = true; });
+let events = null;
+
+function connect() {
+  if (events) return;
+  events = new EventSource("/api/events");
+  events.addEventListener("state", (event) => showState(JSON.parse(event.data)));
+  events.addEventListener("profile", (event) => showProfile(JSON.parse(event.data)).catch(() => {}));
+  // The server asks whether the operator is there; timers of a hidden page would be too slow.
+  events.addEventListener("ping", () => { if (mine()) ask("PUT", "/api/lock").catch((error) => say(error.message, true)); });
+  events.addEventListener("open", () => { if (element("said").textContent.includes("server")) say(""); });
+  events.addEventListener("error", () => {
+    say("the connection to the server is lost, trying again …", true);
+    // A session that has ended is not seen by an EventSource.
+    ask("GET", "/api/me").catch(() => {});
+  });
+  picture.src = "/api/pictures";
+}
+
+function disconnect() {
+  events?.close();
+  events = null;
+  picture.removeAttribute("src");
+}
+
+// A hidden page that only watches costs nothing, and leaves its connections to others.
+document.addEventListener("visibilitychange", () => { if (!document.hidden) connect(); else if (!mine()) disconnect(); });
+addEventListener("pagehide", disconnect);
+addEventListener("pageshow", connect);
+connect();
+
+// --- orders -------------------------------------------------------------------------------------------------------
+
+function setPlace(step) {
+  element("slider").value = step;
+  element("step").value = step;
+}
+
+const chosen = () => Number(element("step").value);
+const project = () => {
+  const field = element("project");
+  if (!field.value || !field.reportValidity()) throw new Error("give the project a name: letters, digits, _ and -");
+  return field.value;
+};
+const onClick = (id, work) => element(id).addEventListener("click", (event) => trying(work, event.currentTarget));
+const order = async (work, words) => { await ask("POST", "/api/jobs", work); say(words); };
+const change = (action) => async () => { await ask("POST", `/api/jobs/${state.job.id}/${action}`); say(""); };
+
+element("slider").addEventListener("input", () => { slides = true; element("step").value = element("slider").value; });
+element("slider").addEventListener("change", () => { slides = false; });
+element("step").addEventListener("input", () => { element("slider").value = chosen(); });
+
+onClick("take", async () => { showState(await ask("POST", "/api/lock", {})); say(""); if (state.place !== null) setPlace(state.place); });
+onClick("take-over", async () => { showState(await ask("POST", "/api/lock", { take_over: true })); say(""); });
+onClick("leave", async () => { await ask("DELETE", "/api/lock"); say(""); });
+onClick("move", () => order({ kind: "move", step: chosen() }, "on the way"));
+onClick("home", () => order({ kind: "home" }, "to the reference switch, then to step 0"));
+onClick("check", () => order({ kind: "check" }, "asking stage and camera"));
+onClick("shoot", () => order({ kind: "shoot", project: project(), step: chosen() }, "on the way, then a photograph"));
+onClick("pause", change("pause"));
+onClick("resume", change("resume"));
+onClick("abort", change("abort"));
+
+const stop = async () => {
+  const { left_on } = await ask("POST", "/api/stop");
+  say(left_on || "stopped; the stage is homed before it moves again", Boolean(left_on));
+};
+onClick("stop", stop);
+addEventListener("keydown", (event) => { if (event.key === "Escape" && !element("stop").disabled) trying(stop); });
+
+element("batch").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const fields = new FormData(event.target), number = (name) => Number(fields.get(name));
+  trying(() => order({
+    kind: "scan", project: project(), frames: number("frames"), apart: number("apart"), first: number("first"),
+    settle_s: number("settle_s"), dark: fields.has("dark"),
+  }, "the devices are asked first, then it begins"), event.submitter);
+});
+
+for (const id of ["live", "live-laser"])
+  element(id).addEventListener("change", () =>
+    trying(() => ask("PUT", "/api/live", { on: element("live").checked, laser: element("live-laser").checked })));

@@ -1,0 +1,381 @@
+"""Jobs: one at a time, ordered by the holder of the operator's lock, each in a thread of its own.
+
+Whatever moves asks for leave first: somebody has to hold the lock, and the job must not have been ended. When its
+holder is lost, a job ordered by hand is stopped at once. A scan goes on by itself, keeping the lock, until it is done
+or paused; when another person takes the scanner over it is paused.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Protocol
+
+from hardware.errors import HardwareError, StoppedError
+from hardware.frame import Frame
+from hardware.lab.accounts import Visitor
+from hardware.lab.bench import Bench, PermittedStage, check
+from hardware.lab.lock import OperatorLock
+from hardware.lab.logbook import Job, Logbook, State
+from hardware.lab.orders import Check, Home, Move, Scan, Shoot, Work
+from hardware.lab.projects import Projects
+from hardware.lab.refusal import CONFLICT, WRONG_VALUE, Refusal
+from hardware.scan import Control, Devices, ensure_homed, take
+from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder
+from hardware.stages import Travel
+from jaxscan.errors import JaxscanError
+from jaxscan.images import StripeSettings
+
+_LOG: Final = logging.getLogger(__name__)
+# A stage that is to stand is told so again until its job has ended.
+_AGAIN_S: Final = 0.2
+_ENDED_S: Final = 15.0
+
+
+class Audience(Protocol):
+    """Whoever looks at what is taken."""
+
+    def begin(self, project: str, scan: ScanFolder) -> None:
+        """A job adds photographs to a project."""
+        ...
+
+    def show(self, frame: Frame, path: Path | None = None) -> None:
+        """A photograph, and its file once it is part of a project."""
+        ...
+
+
+@dataclass(frozen=True)
+class Habits:
+    """How photographs are taken, as the scanner's description says."""
+
+    travel: Travel = field(default_factory=Travel)
+    stripe: StripeSettings = field(default_factory=StripeSettings)
+    exposure_s: float | None = None
+    gain: float = 1.0
+
+
+class _Control(Control):
+    """Also says when the scan stands."""
+
+    def __init__(self, changed: Callable[[], object]):
+        super().__init__()
+        self._waiting = False
+        self._changed = changed
+
+    @property
+    def standing(self) -> bool:
+        """Whether it is paused, and the photograph that was being taken is done."""
+        return self.paused and self._waiting
+
+    def wait(self) -> None:
+        if self.paused:
+            self._waiting = True
+            self._changed()
+        super().wait()
+        self._waiting = False
+        self._changed()
+
+
+class _Run:
+    """A job under way."""
+
+    def __init__(self, job: Job):
+        self.job = job
+        self.control = _Control(self._changed)
+        self.ended_by = ""
+        self.ends_as: State = "aborted"
+        self.finished = threading.Event()
+        self.thread: threading.Thread | None = None
+        self.stopper: threading.Thread | None = None
+        self.note: Callable[[Job], object] = lambda job: None
+
+    @property
+    def scans(self) -> bool:
+        return self.job.work.kind == "scan"
+
+    def _changed(self) -> None:
+        self.update(state="paused" if self.control.standing else "pausing" if self.control.paused else "running")
+
+    def update(self, **values: object) -> None:
+        self.job = self.job.model_copy(update=values)
+        self.note(self.job)
+
+    def pause(self) -> None:
+        self.control.pause()
+        self._changed()
+
+    def resume(self) -> None:
+        self.control.resume()
+        self._changed()
+
+
+class Worker:
+    """Takes orders, and carries out one at a time."""
+
+    def __init__(
+        self, bench: Bench, logbook: Logbook, lock: OperatorLock, projects: Projects, audience: Audience, habits: Habits
+    ):
+        self._bench, self._logbook, self._lock = bench, logbook, lock
+        self._projects, self._audience, self._habits = projects, audience, habits
+        self._mutex = threading.RLock()
+        self._run: _Run | None = None
+        self.latest: Job | None = None
+        logbook.interrupted()
+        if jobs := logbook.latest():
+            self.latest = jobs[0]
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way, standing ones too."""
+        return self._run is not None
+
+    @property
+    def scanning(self) -> bool:
+        """Whether a scan is under way that does not stand: it keeps the operator's lock."""
+        run = self._run
+        return run is not None and run.scans and not run.control.standing
+
+    def uses(self, project: str) -> bool:
+        """Whether the job under way adds to this project."""
+        run = self._run
+        return run is not None and getattr(run.job.work, "project", None) == project
+
+    def start(self, work: Work, visitor: Visitor) -> Job:
+        """Begin a job.
+
+        Raises:
+            Refusal: the visitor does not operate, another job is under way, or it cannot be done.
+        """
+        with self._mutex:
+            self._lock.require(visitor)
+            self._must_be_idle()
+            folder = self._folder(work)
+            total = len(folder.left) if folder else 0
+            return self._go(self._logbook.begin(visitor.name, work, total), folder)
+
+    def resume(self, number: int, visitor: Visitor) -> Job:
+        """Go on with a scan that stands, or with one that ended early.
+
+        Raises:
+            Refusal: the visitor does not operate, or there is nothing to go on with.
+        """
+        with self._mutex:
+            self._lock.require(visitor)
+            if (run := self._run) is not None and run.job.id == number and run.scans:
+                run.update(user=visitor.name)
+                run.resume()
+                return run.job
+            job = self._logbook.one(number)
+            self._must_be_idle()
+            if not job.resumable or not isinstance(job.work, Scan):
+                raise Refusal(CONFLICT, f"job {number} is no scan that ended early: order another one")
+            folder = self._unfinished(job.work)
+            taken = job.total - len(folder.left)
+            again = {"user": visitor.name, "state": "running", "message": "", "taken": taken, "ended_s": None}
+            return self._go(job.model_copy(update=again), folder)
+
+    def pause(self, number: int, visitor: Visitor) -> Job:
+        """Let a scan stand after the photograph that is being taken.
+
+        Raises:
+            Refusal: the visitor does not operate, or the job is no scan under way.
+        """
+        with self._mutex:
+            self._lock.require(visitor)
+            run = self._under_way(number)
+            if not run.scans:
+                raise Refusal(CONFLICT, "only a scan can be paused: stop the stage, or wait until it has arrived")
+            run.pause()
+            return run.job
+
+    def abort(self, number: int, visitor: Visitor) -> Job:
+        """End a scan after the photograph that is being taken, any other job at once.
+
+        Raises:
+            Refusal: the visitor does not operate, or the job is not under way.
+        """
+        with self._mutex:
+            self._lock.require(visitor)
+            run = self._under_way(number)
+            if run.scans:
+                run.ended_by = f"aborted by {visitor.name}"
+                run.control.abort()
+            else:
+                self._revoke(run, f"aborted by {visitor.name}")
+            return run.job
+
+    def stop(self, visitor: Visitor) -> str:
+        """Stand still and switch the laser off, at once; what could not be, in words.
+
+        Raises:
+            Refusal: the visitor neither operates nor is an administrator.
+        """
+        if not visitor.administrator:
+            self._lock.require(visitor)
+        with self._mutex:
+            if self._run is not None:
+                self._revoke(self._run, f"stopped by {visitor.name}")
+        return self._bench.stop()
+
+    def lost(self, taken: bool) -> None:
+        """The operator is gone, or (`taken`) another person operates now."""
+        with self._mutex:
+            if (run := self._run) is None:
+                return
+            if not run.scans:
+                self._revoke(run, "taken over" if taken else "stopped: its operator is gone")
+            elif taken:
+                run.pause()
+
+    def close(self) -> None:
+        """End whatever is under way; the logbook says that it was interrupted."""
+        with self._mutex:
+            if (run := self._run) is None or run.thread is None:
+                return
+            self._revoke(run, "the server ended while it ran", "interrupted")
+        run.thread.join(_ENDED_S)
+
+    def _must_be_idle(self) -> None:
+        if (run := self._run) is not None:
+            doing = "is paused: go on with it or abort it" if run.control.standing else "is under way: wait, or end it"
+            raise Refusal(CONFLICT, f"job {run.job.id} ({run.job.work.kind}) {doing}")
+
+    def _under_way(self, number: int) -> _Run:
+        if (run := self._run) is None or run.job.id != number:
+            job = self._logbook.one(number)
+            raise Refusal(CONFLICT, f"job {number} is not under way: it is {job.state}")
+        return run
+
+    def _folder(self, work: Work) -> ScanFolder | None:
+        """The folder in which a job takes its photographs, with those before it.
+
+        Raises:
+            Refusal: a place beyond the travel or a photograph that is there already.
+        """
+        if not isinstance(work, Shoot | Scan | Move):
+            return None
+        steps = work.steps if isinstance(work, Scan) else (work.step,)
+        low, high = self._habits.travel.first, self._habits.travel.last
+        if min(steps) < low or max(steps) > high:
+            raise Refusal(
+                WRONG_VALUE, f"steps {min(steps)} to {max(steps)}: the stage goes from {low} to {high}: stay within"
+            )
+        if isinstance(work, Move):
+            return None
+        path = self._projects.path(work.project)
+        habits, dark = self._habits, isinstance(work, Scan) and work.dark
+        try:
+            if not (path / PLAN_FILE).exists():
+                plan = Plan(
+                    steps, work.settle_s, dark, habits.exposure_s, habits.gain, name=work.project, laser=habits.stripe
+                )
+                return ScanFolder.create(path, plan)
+            folder = ScanFolder.resume(path)
+            if isinstance(work, Scan) and dark != folder.plan.dark:
+                raise Refusal(
+                    CONFLICT,
+                    f"project {work.project} was begun {'with' if folder.plan.dark else 'without'} dark photographs: "
+                    "go on so, or begin another project",
+                )
+            if there := sorted(set(steps) & set(folder.done.steps)):
+                raise Refusal(
+                    CONFLICT,
+                    f"project {work.project} has a photograph of step {there[0]} already: choose other places, or "
+                    "another project",
+                )
+            folder.go_on_at(steps, work.settle_s)
+            return folder
+        except JaxscanError as error:
+            raise Refusal(CONFLICT, str(error).replace(str(path), work.project)) from error
+
+    def _unfinished(self, work: Scan) -> ScanFolder:
+        """The folder of a scan that ended early, with the places that it did not come to."""
+        path = self._projects.path(work.project)
+        try:
+            folder = ScanFolder.resume(path)
+            folder.go_on_at(tuple(step for step in work.steps if step not in folder.done.steps), work.settle_s)
+        except JaxscanError as error:
+            raise Refusal(CONFLICT, str(error).replace(str(path), work.project)) from error
+        return folder
+
+    def _go(self, job: Job, folder: ScanFolder | None) -> Job:
+        run = _Run(job)
+
+        def note(changed: Job) -> None:
+            self._logbook.note(changed)
+            self.latest = changed
+
+        run.note = note
+        note(job)
+        run.thread = threading.Thread(target=self._work, args=(run, folder), name=f"job {job.id}", daemon=True)
+        self._run = run
+        run.thread.start()
+        return job
+
+    def _work(self, run: _Run, folder: ScanFolder | None) -> None:
+        """The whole of a job, in its own thread."""
+        state: State = "done"
+        words = ""
+        try:
+            with self._bench.devices() as devices:
+                self._do(run, folder, devices)
+        except StoppedError as error:
+            state, words = run.ends_as, run.ended_by or str(error)
+        except (HardwareError, JaxscanError) as error:
+            state, words = (run.ends_as, f"{run.ended_by}; {error}") if run.ended_by else ("failed", str(error))
+        except Exception as error:  # noqa: BLE001 (said in the log; the next job may do)
+            _LOG.exception("job %d", run.job.id)
+            state, words = "failed", f"unexpected error: {type(error).__name__}: {error}"
+        run.finished.set()
+        # Whoever is still telling the stage to stand must not tell it in the next job.
+        if run.stopper is not None:
+            run.stopper.join()
+        with self._mutex:
+            run.update(state=state, message=words, ended_s=time.time())
+            self._run = None
+
+    def _do(self, run: _Run, folder: ScanFolder | None, devices: Devices) -> None:
+        work, camera, laser = run.job.work, devices.camera, devices.laser
+
+        def permit() -> None:
+            if run.ended_by:
+                raise StoppedError(run.ended_by)
+            if self._lock.holder is None:
+                raise StoppedError("stopped: nobody operates")
+
+        def arrived(place: int) -> None:
+            self._bench.place = place
+
+        def taken(path: Path, frame: Frame) -> None:
+            run.update(taken=run.job.taken + 1)
+            self._audience.show(frame, path)
+
+        stage = PermittedStage(devices.stage, permit, arrived)
+        if isinstance(work, Home):
+            stage.home()
+            return
+        if isinstance(work, Move):
+            ensure_homed(stage)
+            stage.move_to(work.step)
+        if isinstance(work, Check | Scan):
+            self._audience.show(check(devices))
+        if folder is not None and isinstance(work, Shoot | Scan):
+            self._audience.begin(work.project, folder)
+            take(folder, Devices(camera, stage, laser), run.control, taken)
+
+    def _revoke(self, run: _Run, words: str, ends_as: State = "aborted") -> None:
+        """End a job at once: the stage is told to stand until the job has ended."""
+        run.ended_by, run.ends_as = words, ends_as
+        run.control.abort()
+
+        def stop() -> None:
+            until_s = time.monotonic() + _ENDED_S
+            while not run.finished.is_set() and time.monotonic() < until_s:
+                self._bench.stop()
+                run.finished.wait(_AGAIN_S)
+
+        if run.stopper is None:
+            run.stopper = threading.Thread(target=stop, name=f"stop job {run.job.id}", daemon=True)
+            run.stopper.start()

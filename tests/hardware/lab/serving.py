@@ -1,0 +1,213 @@
+"""A lab on a real server, on a loopback port, with a stage that is emulated and a camera that draws a stripe."""
+
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+from argon2 import PasswordHasher
+
+from hardware import Frame
+from hardware.clock import VirtualClock
+from hardware.errors import CameraError
+from hardware.lab.lab import Lab
+from hardware.lab.server import Server, bind
+from hardware.lab.worker import Habits
+from hardware.scan import Devices
+from hardware.simulated.laser import SimulatedLaser
+from hardware.simulated.stage import SimulatedStage
+from hardware.stages import Travel
+
+PASSWORD = "correct horse battery"
+ADMINISTRATOR, OPERATOR, VIEWER = "maria", "paul", "olga"
+TRAVEL = Travel(last=20000)
+ROWS, COLUMNS = 64, 80
+LEASE_S = 1.0
+
+
+class StripeCamera:
+    """Photographs a red stripe, the lower the further the stage is; none while the laser is off."""
+
+    def __init__(self, stage: SimulatedStage, laser: SimulatedLaser):
+        self.stage, self.laser = stage, laser
+        self.exposure_s = 0.0
+        self.broken = False
+        self.taken = 0
+
+    def open(self) -> None:
+        """It is."""
+
+    def configure(self, exposure_s: float, gain: float = 1.0) -> None:
+        """Nothing."""
+
+    def expose(self, step_count: int) -> Frame:
+        if self.broken:
+            raise CameraError("no photograph: check the camera's cable")
+        time.sleep(self.exposure_s)
+        self.taken += 1
+        image = np.full((ROWS, COLUMNS, 3), 20, np.uint8)
+        if self.laser.lit:
+            center = 20 + 20 * self.stage.true_position() / TRAVEL.last + 3 * np.sin(np.arange(COLUMNS) / 12)
+            image[..., 0] += (200 * np.exp(-((np.arange(ROWS)[:, None] - center) ** 2) / 8)).astype(np.uint8)
+        return Frame(image, step_count, time.time(), 0.01)
+
+    def close(self) -> None:
+        """Nothing."""
+
+
+class PacedClock(VirtualClock):
+    """Time that passes while somebody waits for it, and takes time: no deadline is missed where the machine is busy.
+
+    Args:
+        speed: how many times as fast as real time.
+    """
+
+    def __init__(self, speed: float):
+        super().__init__()
+        self._speed = speed
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(max(0.0, seconds) / self._speed)
+        super().sleep(seconds)
+
+
+def make_stage(speed: float) -> SimulatedStage:
+    """A stage that takes its time, or with a speed of 0 none."""
+    stage = SimulatedStage(TRAVEL)
+    if speed:
+        stage.line.clock = stage.line.port.clock = PacedClock(speed)
+    return stage
+
+
+@dataclass
+class Served:
+    """A lab and its server."""
+
+    lab: Lab
+    url: str
+    camera: StripeCamera
+    end: Callable[[], None]
+    clients: list[httpx.Client] = field(default_factory=list)
+
+    def client(self, **headers: str) -> httpx.Client:
+        """Somebody who has not signed in."""
+        client = httpx.Client(base_url=self.url, headers=headers, timeout=20, trust_env=False)
+        self.clients.append(client)
+        return client
+
+    def program(self, name: str) -> httpx.Client:
+        """Somebody's program, with a token."""
+        return self.client(Authorization=f"Bearer {self.lab.accounts.make_token_for(name)}")
+
+    def browser(self, name: str, password: str = PASSWORD) -> httpx.Client:
+        """Somebody who has signed in, as a browser does."""
+        client = self.client()
+        answer = sign_in(client, name, password)
+        assert answer.status_code == 303, answer.text
+        client.headers["X-CSRF-Token"] = csrf_of(client)
+        return client
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port, for raw bytes."""
+        url = httpx.URL(self.url)
+        return url.host, url.port or 0
+
+    @property
+    def stage(self) -> SimulatedStage:
+        """The stage that is connected."""
+        return self.camera.stage
+
+    @property
+    def moving(self) -> bool:
+        """Whether the motor turns."""
+        return self.stage.line.port.axis.moving(self.stage.line.clock.now_s())
+
+
+def sign_in(client: httpx.Client, name: str, password: str = PASSWORD) -> httpx.Response:
+    """Fill in the form and send it."""
+    form = re.search(r'name="form" value="([^"]+)"', client.get("/sign-in").text)
+    assert form
+    return client.post("/sign-in", data={"name": name, "password": password, "form": form[1]})
+
+
+def csrf_of(client: httpx.Client) -> str:
+    """The CSRF token in a page."""
+    found = re.search(r'name="csrf" content="([^"]+)"', client.get("/account").text)
+    assert found
+    return found[1]
+
+
+def serve(
+    folder: Path,
+    *,
+    speed: float = 0,
+    profiles: bool = False,
+    cert: Path | None = None,
+    key: Path | None = None,
+    **how: Any,
+) -> Served:
+    """Serve a lab until it is ended; without profiles JAX compiles nothing."""
+    laser = SimulatedLaser()
+    camera = StripeCamera(make_stage(speed), laser)
+    how = {"lease_s": LEASE_S, "live_s": 0.05, **how}
+
+    def connect() -> Devices:
+        if not camera.stage.line.port.is_open:
+            camera.stage = make_stage(speed)
+        return Devices(camera, camera.stage, laser)
+
+    lab = Lab(folder, connect, Habits(TRAVEL), **how)
+    lab.accounts._hasher = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
+    if not profiles:
+        lab.gallery._measure = lambda *_: None
+    for name in (ADMINISTRATOR, OPERATOR, VIEWER):
+        if name not in {one.name for one in lab.accounts.everybody()}:
+            lab.accounts.add(name, PASSWORD, name == ADMINISTRATOR)
+    ready = threading.Event()
+    listening = bind("127.0.0.1", 0, tls=False, insecure=False)
+    server = Server(lab, listening, cert, key, lambda url: ready.set())
+    thread = threading.Thread(target=server.serve_here, daemon=True)
+    thread.start()
+    assert ready.wait(10)
+
+    def end() -> None:
+        server.should_exit = True
+        thread.join(10)
+        for client in served.clients:
+            client.close()
+        lab.close()
+
+    served = Served(lab, server.url, camera, end)
+    return served
+
+
+def until(true: Callable[[], Any], within_s: float = 60.0) -> Any:
+    """Wait for something; for long, for the machine may be busy."""
+    end_s = time.monotonic() + within_s
+    while not (found := true()):
+        assert time.monotonic() < end_s, "it never came"
+        time.sleep(0.01)
+    return found
+
+
+def job_of(client: httpx.Client, number: int) -> dict[str, Any]:
+    """A job as it is now."""
+    return client.get(f"/api/jobs/{number}").raise_for_status().json()
+
+
+def ended(client: httpx.Client, answer: httpx.Response) -> dict[str, Any]:
+    """A job that was ordered, once it has ended."""
+    assert answer.status_code == 202, answer.text
+    number = answer.json()["id"]
+    return until(lambda: (job := job_of(client, number))["ended_s"] and job)
+
+
+def scan(project: str, frames: int = 3, **how: Any) -> dict[str, Any]:
+    """An order for a scan."""
+    return {"kind": "scan", "project": project, "frames": frames, "apart": 1000, "settle_s": 0, **how}

@@ -1,0 +1,176 @@
+"""Jobs: what an operator orders, and what comes of it."""
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from serving import OPERATOR, VIEWER, Served, ended, job_of, scan, serve, until
+
+from jaxscan.files.scan import read_scan
+
+
+def operator(served: Served):
+    client = served.program(OPERATOR)
+    assert client.post("/api/lock", json={}).status_code == 200
+    return client
+
+
+def test_home_move_shoot_and_batch_into_one_project(served: Served, tmp_path: Path):
+    client = operator(served)
+    assert ended(client, client.post("/api/jobs", json={"kind": "home"}))["state"] == "done"
+    assert client.get("/api/state").json()["place"] == 0
+    assert ended(client, client.post("/api/jobs", json={"kind": "move", "step": 1500}))["state"] == "done"
+    assert client.get("/api/state").json()["place"] == 1500
+    shot = ended(client, client.post("/api/jobs", json={"kind": "shoot", "project": "cup", "step": 300, "settle_s": 0}))
+    assert (shot["state"], shot["taken"], shot["user"]) == ("done", 1, OPERATOR)
+    done = ended(client, client.post("/api/jobs", json=scan("cup", first=1000)))
+    assert (done["state"], done["taken"], done["total"]) == ("done", 3, 3)
+    listed = client.get("/api/projects").json()
+    assert [(one["name"], one["frames"]) for one in listed] == [("cup", 4)]
+    archive = zipfile.ZipFile(io.BytesIO(client.get("/api/projects/cup/scan.zip").content))
+    assert archive.testzip() is None
+    archive.extractall(tmp_path / "fetched")
+    assert read_scan(tmp_path / "fetched" / "cup").steps == (300, 1000, 2000, 3000)
+    assert client.get("/api/projects/cup/frames/3").content.startswith(b"\x89PNG")
+    assert not served.camera.laser.lit
+    assert [job["work"]["kind"] for job in client.get("/api/jobs").json()] == ["scan", "shoot", "move", "home"]
+
+
+def test_photographs_are_shown_with_their_profile(tmp_path: Path):
+    served = serve(tmp_path / "lab", profiles=True)
+    client = operator(served)
+    assert client.get("/api/picture").status_code == 404
+    ended(client, client.post("/api/jobs", json=scan("cup", 2)))
+    picture = until(lambda: (answer := client.get("/api/picture")).status_code == 200 and answer)
+    assert picture.content.startswith(b"\xff\xd8\xff")
+    again = client.get("/api/picture", headers={"If-None-Match": picture.headers["ETag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    profile = until(lambda: (answer := client.get("/api/profile")).status_code == 200 and answer, 200).json()
+    profile = until(lambda: (found := client.get("/api/profile").json())["number"] == 1 and found)
+    expected = 20 + 20 * 1000 / 20000 + 3 * np.sin(np.array(profile["line"]) / 12)
+    assert len(profile["line"]) > 70
+    assert np.abs(np.array(profile["position"]) - expected).max() < 0.2
+    served.end()
+
+
+def test_pause_resume_abort_and_go_on(slow: Served):
+    client = operator(slow)
+    number = client.post("/api/jobs", json=scan("cup", 5)).json()["id"]
+    until(lambda: job_of(client, number)["taken"] == 1)
+    assert client.post(f"/api/jobs/{number}/pause").json()["state"] == "pausing"
+    until(lambda: job_of(client, number)["state"] == "paused")
+    taken = job_of(client, number)["taken"]
+    assert not slow.moving
+    assert not slow.camera.laser.lit
+    assert client.post("/api/jobs", json={"kind": "move", "step": 0}).status_code == 409
+    assert client.post(f"/api/jobs/{number}/resume").json()["state"] == "running"
+    until(lambda: job_of(client, number)["taken"] > taken)
+    assert client.post(f"/api/jobs/{number}/abort").status_code == 202
+    job = until(lambda: (job := job_of(client, number))["ended_s"] and job)
+    assert (job["state"], job["message"]) == ("aborted", f"aborted by {OPERATOR}")
+    assert 1 < job["taken"] < 5
+    client.put("/api/lock")
+    resumed = ended(client, client.post(f"/api/jobs/{number}/resume"))
+    assert (resumed["state"], resumed["taken"]) == ("done", 5)
+    assert slow.lab.projects.scan("cup").steps == (0, 1000, 2000, 3000, 4000)
+
+
+def test_stop_is_at_once(slow: Served):
+    client = operator(slow)
+    number = client.post("/api/jobs", json={"kind": "move", "step": 20000}).json()["id"]
+    until(lambda: slow.moving)
+    assert client.post("/api/stop").json() == {"left_on": ""}
+    job = until(lambda: (job := job_of(client, number))["ended_s"] and job)
+    assert (job["state"], job["message"]) == ("aborted", f"stopped by {OPERATOR}")
+    assert not slow.moving
+    assert client.get("/api/state").json()["place"] is None
+
+
+def test_what_does_not_answer_is_said_before_anything_moves(served: Served):
+    client = operator(served)
+    served.camera.broken = True
+    before = served.stage.true_position()
+    job = ended(client, client.post("/api/jobs", json=scan("cup")))
+    assert (job["state"], job["taken"]) == ("failed", 0)
+    assert "check the camera's cable" in job["message"]
+    assert served.stage.true_position() == before
+    served.camera.broken = False
+    assert ended(client, client.post("/api/jobs", json={"kind": "check"}))["state"] == "done"
+    resumed = ended(client, client.post(f"/api/jobs/{job['id']}/resume"))
+    assert (resumed["state"], resumed["message"]) == ("done", "")
+
+
+@pytest.mark.parametrize(
+    ("work", "status", "says"),
+    [
+        ({"kind": "move", "step": 20001}, 422, "the stage goes from 0 to 20000"),
+        (scan("cup", 30), 422, "the stage goes from 0 to 20000"),
+        (scan("cup", 3, apart=0), 409, "place of its own"),
+        (scan("../cup"), 422, "pattern"),
+        (scan("cup", 0), 422, "greater than or equal to 1"),
+        ({"kind": "jump"}, 422, "does not match any of the expected tags"),
+        ({"kind": "home", "fast": True}, 422, "Extra inputs"),
+    ],
+)
+def test_what_cannot_be_is_refused(lasting: Served, work: dict, status: int, says: str):
+    client = operator(lasting)
+    answer = client.post("/api/jobs", json=work)
+    assert answer.status_code == status
+    assert says in answer.text
+    client.delete("/api/lock")
+    assert client.get("/api/projects").json() == []
+
+
+def test_a_place_is_photographed_once(served: Served):
+    client = operator(served)
+    ended(client, client.post("/api/jobs", json=scan("cup")))
+    answer = client.post("/api/jobs", json={"kind": "shoot", "project": "cup", "step": 1000})
+    assert answer.status_code == 409
+    assert "has a photograph of step 1000 already" in answer.json()["detail"]
+    assert "begun without dark" in client.post("/api/jobs", json=scan("cup", first=9000, dark=True)).text
+
+
+def test_an_interrupted_scan_reports_itself_and_goes_on(tmp_path: Path):
+    first = serve(tmp_path / "lab", speed=10)
+    first.stage.home()
+    client = operator(first)
+    number = client.post("/api/jobs", json=scan("cup", 6)).json()["id"]
+    until(lambda: job_of(client, number)["taken"] == 2)
+    first.end()
+    assert not first.moving
+    second = serve(tmp_path / "lab")
+    client = second.program(OPERATOR)
+    job = client.get("/api/state").json()["job"]
+    assert (job["id"], job["state"]) == (number, "interrupted")
+    assert "the server ended" in job["message"]
+    assert client.get("/api/state").json()["operator"] is None
+    assert client.post(f"/api/jobs/{number}/resume").status_code == 403
+    client.post("/api/lock", json={})
+    assert ended(client, client.post(f"/api/jobs/{number}/resume"))["state"] == "done"
+    assert len(second.lab.projects.scan("cup").frames) == 6
+    second.end()
+
+
+def test_the_live_picture_goes_off_with_its_operator(served: Served):
+    client = operator(served)
+    assert client.put("/api/live", json={"on": True, "laser": True}).status_code == 204
+    until(lambda: served.camera.taken > 3)
+    assert client.get("/api/picture").status_code == 200
+    client.delete("/api/lock")
+    until(lambda: not served.lab.preview.on)
+    taken = served.camera.taken
+    watcher = served.program(VIEWER)
+    assert watcher.get("/api/state").json()["live"] is False
+    assert served.camera.taken <= taken + 1
+    assert not served.camera.laser.lit
+
+
+def test_an_administrator_removes_a_project(served: Served):
+    client, administrator = operator(served), served.program("maria")
+    ended(client, client.post("/api/jobs", json=scan("cup", 1)))
+    assert client.delete("/api/projects/cup").status_code == 403
+    assert administrator.delete("/api/projects/cup").status_code == 204
+    assert administrator.delete("/api/projects/cup").status_code == 404
+    assert client.get("/api/projects/cup").status_code == 404

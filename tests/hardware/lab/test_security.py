@@ -1,0 +1,367 @@
+"""What is refused: one test for each way in."""
+
+import contextlib
+import re
+import socket
+import ssl
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from argon2 import PasswordHasher
+from serving import ADMINISTRATOR, OPERATOR, PASSWORD, VIEWER, Served, csrf_of, serve, sign_in
+from starlette.routing import Mount
+
+from hardware.cli.main import main
+from hardware.lab.accounts import IDLE_S, LONGEST_S, Accounts
+from hardware.lab.app import make_app
+from hardware.lab.database import Database
+from hardware.lab.refusal import Refusal
+from hardware.lab.server import bind, check_tls
+from hardware.lab.web import LARGEST_BODY
+from jaxscan.errors import InputError
+
+SAFE = {"GET", "HEAD"}
+# All that somebody who has not signed in may see.
+PUBLIC = {("GET", "/sign-in"), ("POST", "/sign-in")}
+# What changes something and yet is for everybody who has signed in: it is about themselves, or how one becomes the
+# operator. Whatever is not named here has to be refused to a viewer.
+FOR_VIEWERS = {
+    ("POST", "/sign-out"),
+    ("POST", "/api/lock"),
+    ("DELETE", "/api/lock"),
+    ("POST", "/api/tokens"),
+    ("DELETE", "/api/tokens/{number}"),
+}
+VALUES = {"number": "1", "name": "cup", "action": "abort"}
+
+
+class Clock:
+    """A time that the test sets."""
+
+    def __init__(self) -> None:
+        self.now_s = 1e9
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def accounts(tmp_path: Path) -> Iterator[tuple[Accounts, Clock]]:
+    """Accounts whose hashes are quick, and a clock."""
+    database, clock = Database(tmp_path / "lab.sqlite3"), Clock()
+    made = Accounts(database, clock)
+    made._hasher = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
+    made.add(OPERATOR, PASSWORD)
+    yield made, clock
+    database.close()
+
+
+def routes(served: Served) -> Iterator[tuple[str, str, str]]:
+    """Method, path as it is declared, and a path that fits, of every route there is."""
+    stack = list(make_app(served.lab).routes)
+    while stack:
+        route = stack.pop()
+        if isinstance(route, Mount):
+            assert route.path == "/static", "a new mount: say in this test who may see it"
+            continue
+        if hasattr(route, "effective_candidates"):  # a router that was included
+            stack += route.effective_candidates()
+            continue
+        for method in route.methods:
+            path = re.sub(r"\{(\w+)\}", lambda found: VALUES[found[1]], route.path)
+            yield method, route.path, path
+
+
+def tried(accounts: Accounts, name: str, password: str, address: str) -> str:
+    """What somebody who tries to sign in is told."""
+    try:
+        accounts.sign_in(name, password, address)
+    except Refusal as refused:
+        return str(refused)
+    return ""
+
+
+def test_hashes_are_argon2_and_secrets_are_digests(tmp_path: Path):
+    stored = Database(tmp_path / "lab.sqlite3")
+    made = Accounts(stored)
+    made.add(OPERATOR, PASSWORD)
+    session = made.sign_in(OPERATOR, PASSWORD, "here")
+    token = made.make_token_for(OPERATOR)
+    hashed = stored("SELECT hash FROM users")[0]["hash"]
+    stored.close()
+    assert hashed.startswith("$argon2id$")
+    assert PasswordHasher().check_needs_rehash(hashed) is False
+    kept = b"".join(path.read_bytes() for path in tmp_path.glob("lab.sqlite3*"))
+    for secret in (PASSWORD, session, token):
+        assert secret.encode() not in kept
+    assert (tmp_path / "lab.sqlite3").stat().st_mode & 0o077 == 0
+
+
+def test_guessing_is_slow(accounts: tuple[Accounts, Clock]):
+    made, clock = accounts
+    for _ in range(5):
+        with pytest.raises(Refusal, match="name or password is wrong"):
+            made.sign_in(OPERATOR, "wrong", "here")
+    with pytest.raises(Refusal, match="too many tries") as refused:
+        made.sign_in(OPERATOR, PASSWORD, "here")
+    assert (refused.value.status, round(refused.value.retry_s or 0)) == (429, 300)
+    # Nobody shuts somebody else out from where they are.
+    assert made.sign_in(OPERATOR.upper(), PASSWORD, "there")
+    clock.now_s += 301
+    assert made.sign_in(OPERATOR, PASSWORD, "here")
+    # One address, many names.
+    said = [tried(made, f"name{i}", "wrong", "elsewhere") for i in range(31)]
+    assert set(said[:30]) == {"name or password is wrong"}
+    assert said[30].startswith("too many tries")
+    # One name, many addresses.
+    said = [tried(made, OPERATOR, "wrong", f"address {i}") for i in range(101)]
+    assert [words.startswith("too many tries") for words in said].index(True) >= 90
+
+
+def test_guessing_over_http(served: Served):
+    client = served.client()
+    statuses = [sign_in(client, VIEWER, "wrong").status_code for _ in range(6)]
+    assert statuses == [401] * 5 + [429]
+    last = sign_in(client, VIEWER, PASSWORD)
+    assert last.status_code == 429
+    assert int(last.headers["Retry-After"]) > 200
+    # A name that is not there is answered as one that is.
+    unknown, known = sign_in(client, "nobody", "wrong"), sign_in(client, OPERATOR, "wrong")
+    words = re.compile(r'role="alert">([^<]+)<')
+    assert words.findall(unknown.text) == words.findall(known.text) == ["name or password is wrong"]
+
+
+def test_sessions_end(accounts: tuple[Accounts, Clock]):
+    made, clock = accounts
+    token = made.sign_in(OPERATOR, PASSWORD, "here")
+    begun_s = clock.now_s
+    while clock.now_s + IDLE_S - 60 < begun_s + LONGEST_S:
+        clock.now_s += IDLE_S - 60
+        assert made.of_session(token) is not None
+    clock.now_s = begun_s + LONGEST_S + 1
+    assert made.of_session(token) is None
+    token = made.sign_in(OPERATOR, PASSWORD, "here")
+    clock.now_s += IDLE_S + 1
+    assert made.of_session(token) is None
+    token, program = made.sign_in(OPERATOR, PASSWORD, "here"), made.make_token_for(OPERATOR)
+    made.set_password(OPERATOR, "another password")
+    assert made.of_session(token) is None
+    assert made.of_token(program) is None
+
+
+def test_session_fixation(lasting: Served):
+    """A session that somebody planted is not the one that comes of signing in, and is worth nothing."""
+    planted = "planted-by-somebody-else"
+    client = lasting.client()
+    client.cookies.set("scanner", planted)
+    answer = sign_in(client, VIEWER)
+    cookie = answer.headers["set-cookie"]
+    assert all(word in cookie for word in ("HttpOnly", "SameSite=strict", "Path=/"))
+    fresh = re.search(r"scanner=([^;]+)", cookie)
+    assert fresh
+    assert planted not in cookie
+    thief = lasting.client()
+    thief.cookies.set("scanner", planted)
+    assert thief.get("/api/me").status_code == 401
+    # Signing in again ends the session that there was, and so does signing out.
+    first = lasting.browser(VIEWER)
+    old = first.cookies["scanner"]
+    assert sign_in(first, VIEWER).status_code == 303
+    assert first.cookies["scanner"] != old
+    thief.cookies.set("scanner", old)
+    assert thief.get("/api/me").status_code == 401
+    thief.cookies.set("scanner", first.cookies["scanner"])
+    first.post("/sign-out", data={"csrf": csrf_of(first)})
+    assert thief.get("/api/me").status_code == 401
+
+
+def test_csrf(lasting: Served):
+    client = lasting.browser(VIEWER)
+    right = client.headers.pop("X-CSRF-Token")
+    other = lasting.browser(VIEWER).headers["X-CSRF-Token"]
+    for wrong in ({}, {"X-CSRF-Token": ""}, {"X-CSRF-Token": other}):
+        assert client.post("/api/lock", json={}, headers=wrong).status_code == 403
+        assert client.delete("/api/lock", headers=wrong).status_code == 403
+    assert lasting.lab.lock.holder is None
+    assert client.post("/sign-out", data={"csrf": other}).status_code == 403
+    assert client.get("/api/me").status_code == 200
+    assert client.post("/api/lock", json={}, headers={"X-CSRF-Token": right}).status_code == 200
+    client.delete("/api/lock", headers={"X-CSRF-Token": right})
+    # The sign-in form of another site.
+    stranger = lasting.client()
+    assert stranger.post("/sign-in", data={"name": VIEWER, "password": PASSWORD}).status_code == 403
+    form = {"name": VIEWER, "password": PASSWORD, "form": "made up"}
+    assert stranger.post("/sign-in", data=form, headers={"Cookie": "scanner_form=other"}).status_code == 403
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "..",
+        ".",
+        "...",
+        "%2e%2e",
+        "..%2f..%2flab.sqlite3",
+        "%2e%2e%2f",
+        "cup%00",
+        "cup%2f..%2fcup",
+        "..%5c..",
+        "a" * 65,
+        " ",
+    ],
+)
+def test_path_traversal(lasting: Served, name: str):
+    client = lasting.program(OPERATOR)
+    secret = lasting.lab.projects.path("x").parents[1] / "lab.sqlite3"
+    for tail in ("scan.zip", "cloud.ply", "frames/0", ""):
+        target = f"/api/projects/{name}/{tail}".rstrip("/")
+        # As it stands: a client would tidy it.
+        with socket.create_connection(lasting.address, timeout=10) as line:
+            request = f"GET {target} HTTP/1.1\r\nHost: x\r\nAuthorization: {client.headers['Authorization']}\r\n"
+            line.sendall(f"{request}Connection: close\r\n\r\n".encode())
+            answer = b"".join(iter(lambda line=line: line.recv(65536), b""))
+        assert re.match(rb"HTTP/1.1 (4\d\d|307)", answer), (target, answer[:200])
+        assert secret.read_bytes()[:16] not in answer
+    client.post("/api/lock", json={})
+    work = {"kind": "shoot", "project": name, "step": 0}
+    assert client.post("/api/jobs", json=work).status_code == 422
+    client.delete("/api/lock")
+    assert lasting.client().get(f"/static/..%2f{name}/app.py").status_code == 404
+
+
+def test_oversize_requests(lasting: Served):
+    client = lasting.program(OPERATOR)
+    large = b"x" * (LARGEST_BODY + 1)
+    assert client.post("/api/tokens", content=large).status_code == 413
+    assert client.post("/api/tokens", content=iter([large[:1000]] * 100)).status_code == 413
+    assert lasting.client().post("/sign-in", content=large).status_code == 413
+    with socket.create_connection(lasting.address, timeout=10) as line:
+        with contextlib.suppress(OSError):
+            line.sendall(b"GET /api/me HTTP/1.1\r\nHost: x\r\nX-Long: " + b"x" * 5_000_000)
+        with contextlib.suppress(ConnectionResetError):
+            assert line.recv(20).startswith(b"HTTP/1.1 4")
+    assert client.post("/api/tokens", json={"name": "x" * 65}).status_code == 422
+    browser = lasting.client()
+    form = re.search(r'name="form" value="([^"]+)"', browser.get("/sign-in").text)
+    assert form
+    long = browser.post("/sign-in", data={"name": "x" * 5000, "password": "y" * 20000, "form": form[1]})
+    assert long.status_code == 401
+    assert client.get("/api/me").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b"NONSENSE\r\n\r\n",
+        b"GET /api/me HTTP/1.1\r\nHost: x\r\nContent-Length: -5\r\n\r\n",
+        b"POST /api/lock HTTP/1.1\r\nHost: x\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
+        b"GET /api/me HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer \xff\xfe\r\nConnection: close\r\n\r\n",
+        b"GET /api/me HTTP/1.1\r\nHost: x\r\nCookie: scanner=\xff\xfe\r\nConnection: close\r\n\r\n",
+        b"POST /sign-in HTTP/1.1\r\nHost: x\r\nContent-Length: 3\r\nConnection: close\r\n\r\n\xff%f",
+        b"POST /sign-in HTTP/1.1\r\nHost: x\r\nContent-Length: 40\r\nConnection: close\r\n\r\n" + b"&" * 40,
+    ],
+)
+def test_malformed_requests(lasting: Served, raw: bytes):
+    with socket.create_connection(lasting.address, timeout=10) as line:
+        line.sendall(raw)
+        assert re.match(rb"HTTP/1.1 4\d\d", line.recv(65536))
+    client = lasting.program(OPERATOR)
+    for body in (b"{", b"[]", b"null", b'{"kind": "move", "step": 1e999}', b"\xff", b"[" * 60_000):
+        client.post("/api/lock", json={})
+        answer = client.post("/api/jobs", content=body, headers={"Content-Type": "application/json"})
+        assert answer.status_code in (400, 422)
+    client.delete("/api/lock")
+
+
+def test_every_route_without_a_session(lasting: Served):
+    client, seen = lasting.client(), 0
+    for method, declared, path in routes(lasting):
+        answer = client.request(method, path)
+        seen += 1
+        if (method, declared) in PUBLIC:
+            assert answer.status_code in (200, 403)
+        elif declared.startswith("/api/"):
+            assert answer.status_code == 401, (method, declared)
+        else:
+            assert (answer.status_code, answer.headers["Location"]) == (303, "/sign-in"), (method, declared)
+        if declared.startswith("/api/"):
+            wrong = client.request(method, path, headers={"Authorization": "Bearer wrong"})
+            assert wrong.status_code == 401, (method, declared)
+    assert seen > 30
+
+
+def test_a_viewer_gives_no_orders(lasting: Served):
+    program, browser, seen = lasting.program(VIEWER), lasting.browser(VIEWER), 0
+    before = lasting.stage.true_position()
+    for method, declared, path in routes(lasting):
+        if method in SAFE or (method, declared) in PUBLIC | FOR_VIEWERS:
+            continue
+        seen += 1
+        for client in (program, browser):
+            assert client.request(method, path).status_code == 403, (method, declared)
+            assert client.request(method, path, json={"kind": "home"}).status_code == 403, (method, declared)
+    assert seen >= 6
+    assert program.post("/api/lock", json={"take_over": True}).status_code == 200
+    program.delete("/api/lock")
+    assert lasting.stage.true_position() == before
+    assert lasting.lab.logbook.latest() == []
+
+
+def test_tokens_are_ones_own(lasting: Served):
+    browser, other = lasting.browser(VIEWER), lasting.program(OPERATOR)
+    token = browser.post("/api/tokens", json={"name": "mine"}).json()["token"]
+    assert lasting.client(Authorization=f"Bearer {token}").get("/api/me").json()["name"] == VIEWER
+    number = browser.get("/api/tokens").json()[-1]["id"]
+    assert other.delete(f"/api/tokens/{number}").status_code == 404
+    assert browser.delete(f"/api/tokens/{number}").status_code == 204
+    assert lasting.client(Authorization=f"Bearer {token}").get("/api/me").status_code == 401
+
+
+def test_headers_of_every_answer(lasting: Served):
+    client = lasting.browser(ADMINISTRATOR)
+    for path in ("/", "/sign-in", "/projects", "/account", "/api", "/api/state", "/static/lab.css", "/nowhere"):
+        headers = client.get(path).headers
+        assert "default-src 'self'" in headers["Content-Security-Policy"]
+        assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert "access-control-allow-origin" not in headers
+        assert not re.search(r"""(src|href)=["'](https?:)?//""", client.get(path).text)
+
+
+def test_where_it_listens(tmp_path: Path):
+    for host in ("127.0.0.1", "::1", "localhost"):
+        bind(host, 0, tls=False, insecure=False).close()
+    for host in ("0.0.0.0", "::"):
+        with pytest.raises(InputError, match="give --cert and --key"):
+            bind(host, 0, tls=False, insecure=False)
+        bind(host, 0, tls=True, insecure=False).close()
+        bind(host, 0, tls=False, insecure=True).close()
+    with pytest.raises(InputError, match="no address of this machine"):
+        bind("no.such.host.invalid", 0, tls=True, insecure=False)
+    with pytest.raises(InputError, match="needs both"):
+        check_tls(tmp_path / "lab.pem", None)
+    with pytest.raises(InputError, match="are no certificate"):
+        check_tls(tmp_path / "lab.pem", tmp_path / "lab.key")
+
+
+def test_the_command_refuses_to_listen_to_everybody(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["serve", "--data", str(tmp_path), "--host", "0.0.0.0", "--port", "0"]) == 2
+    assert "behind a proxy that has TLS, or say --insecure" in capsys.readouterr().err
+    assert main(["serve", "--data", str(tmp_path), "--port", "0"]) == 2
+    assert "scanner user add NAME --admin" in capsys.readouterr().err
+
+
+def test_over_tls_cookies_are_for_tls(tmp_path: Path):
+    cert, key = tmp_path / "lab.pem", tmp_path / "lab.key"
+    make = "openssl req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=x -addext subjectAltName=IP:127.0.0.1"
+    subprocess.run([*make.split(), "-keyout", key, "-out", cert], check=True, capture_output=True)
+    served = serve(tmp_path / "lab", cert=cert, key=key)
+    with httpx.Client(base_url=served.url, verify=ssl.create_default_context(cafile=cert), trust_env=False) as client:
+        cookie = sign_in(client, VIEWER).headers["set-cookie"]
+        assert "__Host-scanner=" in cookie
+        assert "Secure" in cookie
+        assert client.get("/api/me").json()["name"] == VIEWER
+    served.end()
