@@ -2,9 +2,12 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from hardware.cli.options import add_data_argument, add_scanner_arguments, say
+
+if TYPE_CHECKING:
+    from hardware.scan import Devices
 
 HELP: Final = "serve the scanner to browsers and programs: one operates, the others watch"
 EXAMPLE: Final = (
@@ -51,12 +54,15 @@ def run(args: argparse.Namespace) -> None:
         from jaxscan import read_rig
 
         rig = read_rig(args.rig)
-    keep_compiled()
     habits = lab_parts.Habits(settings.travel, settings.stripe, settings.exposure_s, settings.gain)
     listening = lab_parts.bind(args.host, args.port, tls, args.insecure)
-    lab = lab_parts.Lab(
-        args.data, lambda: open_scanner(settings, args.seed, args.homed), habits, rig, args.lease, args.live
-    )
+
+    def connect() -> "Devices":
+        if settings.camera.values["kind"] == "simulated":
+            keep_compiled()
+        return open_scanner(settings, args.seed, args.homed)
+
+    lab = lab_parts.Lab(args.data, connect, habits, rig, args.lease, args.live)
     try:
         if not lab.accounts.everybody():
             raise InputError(f"{args.data}: nobody is registered yet: scanner user add NAME --admin")

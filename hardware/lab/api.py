@@ -135,12 +135,11 @@ async def events(lab: LabHere, who: Viewer, request: Request) -> StreamingRespon
     responses={200: {"content": {"multipart/x-mixed-replace": {}}}, **_said(503)},
 )
 async def pictures(lab: LabHere, who: Viewer, request: Request) -> StreamingResponse:
-    """Every photograph as it is taken, as a stream of JPEGs that an `<img>` shows."""
+    """Every photograph as it is taken, as a stream of JPEGs that video players show."""
 
     async def stream() -> AsyncIterator[bytes]:
         yield _BOUNDARY
         async for kind, _, data in _watched(lab, request, "picture", "ping"):
-            # A browser shows a picture when the next boundary comes.
             if kind == "picture":
                 yield b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n%s" % (len(data), data, _BOUNDARY)
 

@@ -118,8 +118,10 @@ class Gallery:
             self._project, self._cloud = project, []
 
     def _measure(self, image: UInt[np.ndarray, "rows columns *rgb"] | None, path: Path, step: int, number: int) -> None:
+        from jaxscan.cli.compiled import keep_compiled
         from jaxscan.images import detect_stripe
 
+        keep_compiled()
         stripe = detect_stripe(read_image(path) if image is None else image, self._stripe, detector=_DETECTOR)
         position = np.asarray(stripe.position)[0]
         lines = np.flatnonzero(np.asarray(stripe.valid)[0])

@@ -1,5 +1,6 @@
 """The pages: sign-in, scanner, projects, account, and a description of the interface. They need no other server."""
 
+import re
 import secrets
 from pathlib import Path
 from typing import Any, Final
@@ -9,6 +10,7 @@ from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from fastapi.templating import Jinja2Templates
+from markupsafe import Markup, escape
 
 from hardware.lab.accounts import LONGEST_S, SHORTEST_PASSWORD, Visitor
 from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
@@ -17,6 +19,8 @@ from hardware.lab.web import LabHere, PageVisitor, Viewer, same, session_cookie,
 router = APIRouter(include_in_schema=False)
 
 _TEMPLATES: Final = Jinja2Templates(Path(__file__).parent / "templates")
+# Descriptions mark code as Markdown does.
+_TEMPLATES.env.filters["code"] = lambda words: Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
 # What the sign-in form has to bring back; without a session there is no other CSRF token.
 _FORM_COOKIE: Final = "scanner_form"
 _MOST_FIELDS: Final = 10

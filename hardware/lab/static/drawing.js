@@ -1,7 +1,7 @@
 // The profile of a stripe, and the points of a scan, on canvases.
 
 const SOFT = "#8b98a8", GRID = "#2a3440", STRIPE = "#ff5a52";
-const MARGIN = { left: 56, right: 12, top: 12, bottom: 34 };
+const MARGIN = { left: 48, right: 12, top: 24, bottom: 26 };
 
 /** Round numbers, about so many, from one to the other. */
 function ticks(low, high, count) {
@@ -21,7 +21,9 @@ function range(values, least) {
 
 /** Draw a profile: across the image in pixels, or with points in mm, x to the right and the camera above. */
 export function drawProfile(canvas, profile) {
-  const pen = canvas.getContext("2d"), { width, height } = canvas;
+  const pen = canvas.getContext("2d"), { clientWidth: width, clientHeight: height } = canvas;
+  [canvas.width, canvas.height] = [width, height].map((side) => Math.round(side * devicePixelRatio));
+  pen.scale(devicePixelRatio, devicePixelRatio);
   pen.clearRect(0, 0, width, height);
   const metric = profile.points?.length > 1;
   const across = metric ? profile.points.map((point) => point[profile.columns ? 0 : 1]) : profile.line;
@@ -36,16 +38,16 @@ export function drawProfile(canvas, profile) {
   const x = (value) => MARGIN.left + ((value - left) / (right - left)) * (width - MARGIN.left - MARGIN.right);
   const y = (value) => MARGIN.top + ((value - top) / (bottom - top)) * (height - MARGIN.top - MARGIN.bottom);
   pen.strokeStyle = GRID;
-  for (const at of ticks(left, right, 8)) {
+  for (const at of ticks(left, right, width / 90)) {
     pen.strokeRect(x(at), MARGIN.top, 0, height - MARGIN.top - MARGIN.bottom);
-    pen.fillText(at, x(at) - 8, height - 16);
+    pen.fillText(at, x(at) - 8, height - 8);
   }
   for (const at of ticks(top, bottom, 5)) {
     pen.strokeRect(MARGIN.left, y(at), width - MARGIN.left - MARGIN.right, 0);
     pen.fillText(at, 6, y(at) + 4);
   }
   const [alongName, acrossName] = profile.columns ? ["column", "row"] : ["row", "column"];
-  pen.fillText(metric ? "mm across; up is nearer to the camera" : `${alongName}; upwards the ${acrossName}, px`, MARGIN.left, height - 2);
+  pen.fillText(metric ? "mm across; up is nearer to the camera" : `${alongName}; upwards the ${acrossName}, px`, MARGIN.left, 15);
   pen.fillStyle = STRIPE;
   for (let i = 0; i < across.length; i++) pen.fillRect(x(across[i]) - 1, y(depth[i]) - 1, 2.5, 2.5);
 }

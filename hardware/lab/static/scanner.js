@@ -1,11 +1,12 @@
 import { ask, element, say, trying } from "./lab.js";
 import { CloudView, drawProfile } from "./drawing.js";
+import { watchPictures } from "./pictures.js";
 
 const bench = element("bench").dataset;
 const UNDER_WAY = ["running", "pausing", "paused"];
 const NAMES = { check: "Check of the devices", home: "Reset of the motor", move: "Move", shoot: "Step and shoot", scan: "Scan" };
 const cloud = new CloudView(element("cloud"));
-let state = null, cloudOf = "", slides = false;
+let state = null, cloudOf = "", shown = null, lastProfile = null, slides = false;
 
 const mine = () => state?.operator?.seat === bench.seat;
 
@@ -22,13 +23,17 @@ function showState(now) {
   element("take").hidden = Boolean(operator);
   element("leave").hidden = !own;
   element("take-over").hidden = !operator || own || !(named || bench.administrator === "true");
-  element("stop").disabled = !own && bench.administrator !== "true";
+  element("stop").hidden = !own && bench.administrator !== "true";
   for (const part of document.querySelectorAll("[data-operator]")) part.disabled = !own;
   element("place").textContent = place === null ? "an unknown place: it is homed before it moves" : `${place} steps`;
   if (place !== null && !slides && !own) setPlace(place);
   element("live").checked = now.live;
   element("live-laser").checked = now.live_laser;
   showJob(job, own);
+  // What was said of an order is over once something comes of it.
+  const course = job && `${job.id} ${job.state}`;
+  if (course !== shown && !element("said").classList.contains("problem")) say("");
+  shown = course;
 }
 
 function showJob(job, own) {
@@ -50,6 +55,7 @@ function showJob(job, own) {
 }
 
 async function showProfile(profile) {
+  lastProfile = profile;
   drawProfile(element("profile"), profile);
   element("profile-of").textContent = `${profile.project}, photograph ${profile.number}, step ${profile.step}`;
   if (!profile.points) return;
@@ -58,6 +64,8 @@ async function showProfile(profile) {
   else await loadCloud(profile.project);
   element("cloud-of").textContent = `${profile.project}: ${cloud.length}`;
 }
+
+addEventListener("resize", () => { if (lastProfile) drawProfile(element("profile"), lastProfile); });
 
 /** All points so far, where some were missed. */
 async function loadCloud(project) {
@@ -72,8 +80,7 @@ async function loadCloud(project) {
 // --- streams ------------------------------------------------------------------------------------------------------
 
 const picture = element("picture");
-picture.addEventListener("load", () => { element("no-picture").hidden = true; });
-let events = null;
+let events = null, pictures = null;
 
 function connect() {
   if (events) return;
@@ -82,26 +89,39 @@ function connect() {
   events.addEventListener("profile", (event) => showProfile(JSON.parse(event.data)).catch(() => {}));
   // The server asks whether the operator is there; timers of a hidden page would be too slow.
   events.addEventListener("ping", () => { if (mine()) ask("PUT", "/api/lock").catch((error) => say(error.message, true)); });
-  events.addEventListener("open", () => { if (element("said").textContent.includes("server")) say(""); });
+  events.addEventListener("open", () => {
+    if (element("said").textContent.includes("server")) say("");
+    pictures?.abort();
+    pictures = new AbortController();
+    // It ends with the connection, and begins with the next one.
+    watchPictures("/api/pictures", pictures.signal, showPicture).catch(() => {});
+  });
   events.addEventListener("error", () => {
     say("the connection to the server is lost, trying again …", true);
     // A session that has ended is not seen by an EventSource.
     ask("GET", "/api/me").catch(() => {});
   });
-  picture.src = "/api/pictures";
+}
+
+function showPicture(bytes) {
+  const before = picture.src;
+  picture.src = URL.createObjectURL(new Blob([bytes], { type: "image/jpeg" }));
+  picture.hidden = false;
+  element("no-picture").hidden = true;
+  if (before) URL.revokeObjectURL(before);
 }
 
 function disconnect() {
   events?.close();
   events = null;
-  picture.removeAttribute("src");
+  pictures?.abort();
 }
 
 // A hidden page that only watches costs nothing, and leaves its connections to others.
 document.addEventListener("visibilitychange", () => { if (!document.hidden) connect(); else if (!mine()) disconnect(); });
 addEventListener("pagehide", disconnect);
+// After the page has loaded: it would wait for the streams' end.
 addEventListener("pageshow", connect);
-connect();
 
 // --- orders -------------------------------------------------------------------------------------------------------
 
@@ -140,7 +160,7 @@ const stop = async () => {
   say(left_on || "stopped; the stage is homed before it moves again", Boolean(left_on));
 };
 onClick("stop", stop);
-addEventListener("keydown", (event) => { if (event.key === "Escape" && !element("stop").disabled) trying(stop); });
+addEventListener("keydown", (event) => { if (event.key === "Escape" && !element("stop").hidden) trying(stop); });
 
 element("batch").addEventListener("submit", (event) => {
   event.preventDefault();

@@ -1,0 +1,43 @@
+"""Requests made from the interface's own description: none of them is answered by a fault of the server."""
+
+import hypothesis
+import schemathesis
+from hypothesis import HealthCheck, Phase
+from schemathesis.checks import not_a_server_error
+from serving import ADMINISTRATOR, Served
+
+from hardware.lab.app import make_app
+
+SOME = hypothesis.settings(
+    max_examples=12,
+    deadline=None,
+    database=None,
+    derandomize=True,
+    phases=[Phase.explicit, Phase.generate],
+    suppress_health_check=list(HealthCheck),
+)
+# What does not end by itself.
+STREAMS = ("/api/events", "/api/pictures")
+
+
+def test_no_request_is_answered_by_a_fault(lasting: Served):
+    schema = schemathesis.openapi.from_dict(make_app(lasting.lab).openapi())
+    statuses = set()
+
+    def ask(case: schemathesis.Case) -> None:
+        # Some of the requests end tokens; and whoever operates is asked for more than somebody who is refused at once.
+        client = lasting.program(ADMINISTRATOR)
+        client.post("/api/lock", json={"take_over": True})
+        case.headers = {**case.headers, "Authorization": client.headers["Authorization"]}
+        answer = case.call(base_url=lasting.url, timeout=20)
+        case.validate_response(answer, checks=[not_a_server_error])
+        statuses.add((case.operation.label, answer.status_code))
+        client.close()
+
+    operations = [found.ok() for found in schema.get_all_operations()]
+    for operation in operations:
+        if operation.path not in STREAMS:
+            SOME(hypothesis.given(case=operation.as_strategy())(ask))()
+    assert len({label for label, _ in statuses}) == len(operations) - len(STREAMS)
+    assert 202 in {status for label, status in statuses if label == "POST /api/jobs"}
+    assert all(status < 500 for _, status in statuses)

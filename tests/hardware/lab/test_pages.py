@@ -1,0 +1,163 @@
+"""The pages in a real browser: a whole scan, as people do it; and a browser that dies."""
+
+import re
+import shutil
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from serving import ADMINISTRATOR, LEASE_S, OPERATOR, PASSWORD, VIEWER, Served, serve, until
+
+from jaxscan.files.scan import read_scan
+
+LATEST_MS = 60_000
+
+
+def launch(playwright) -> Browser:
+    """Debian's Chromium, or whatever is called so."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
+    return playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One browser for all tests; each of them has contexts of its own."""
+    expect.set_options(timeout=LATEST_MS)
+    with sync_playwright() as playwright:
+        started = launch(playwright)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Served]:
+    """A lab whose lease outlasts a browser on a busy machine, and whose photographs take a moment."""
+    served = serve(tmp_path / "lab", lease_s=20.0)
+    served.camera.exposure_s = 0.05
+    yield served
+    served.end()
+
+
+def sign_in(browser: Browser, lab: Served, name: str, width: int = 1280, scheme: str = "light") -> Page:
+    """A page of somebody who has typed name, password and Enter; whatever goes wrong in it fails the test."""
+    context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
+    context.set_default_timeout(LATEST_MS)
+    page = context.new_page()
+    page.on("pageerror", lambda error: pytest.fail(str(error)))
+    page.on("request", lambda request: request.url.startswith((lab.url, "blob:")) or pytest.fail(request.url))
+    page.goto(lab.url)
+    expect(page.get_by_label("Name")).to_be_focused()
+    page.keyboard.type(name)
+    page.keyboard.press("Tab")
+    page.keyboard.type(PASSWORD)
+    page.keyboard.press("Enter")
+    page.wait_for_url(lab.url)
+    return page
+
+
+def test_a_whole_scan(browser: Browser, lab: Served, tmp_path: Path):
+    page, watcher = sign_in(browser, lab, OPERATOR), sign_in(browser, lab, VIEWER, 390, "dark")
+    expect(watcher.locator("#operator")).to_have_text("The scanner is free")
+    page.get_by_role("button", name="Operate").click()
+    expect(page.locator("#operator")).to_have_text("You operate the scanner")
+    expect(watcher.locator("#operator")).to_have_text(f"{OPERATOR} operates: you watch")
+    expect(watcher.locator("#take-over")).to_be_hidden()
+    expect(watcher.locator("#stop")).to_be_hidden()
+    expect(watcher.get_by_role("button", name="Step and shoot")).to_be_disabled()
+
+    page.get_by_role("button", name="Reset motor").click()
+    expect(page.locator("#place")).to_have_text("0 steps")
+    # The slider by keyboard, then a photograph there.
+    page.locator("#slider").focus()
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    expect(page.locator("#step")).to_have_value("300")
+    page.fill("#project", "cup")
+    page.get_by_role("button", name="Step and shoot").click()
+    expect(page.locator("#place")).to_have_text("300 steps")
+    expect(page.locator("#picture")).to_be_visible()
+    expect(page.locator("#no-picture")).to_be_hidden()
+
+    page.fill("[name=frames]", "12")
+    page.fill("[name=apart]", "1000")
+    page.fill("[name=first]", "1000")
+    page.locator("[name=first]").press("Enter")
+    expect(page.locator("#job-words")).to_contain_text(re.compile("^[2-9] of 12"))
+    page.get_by_role("button", name="Pause").click()
+    expect(watcher.locator("#job-state")).to_have_text("paused")
+    expect(watcher.locator("#resume")).to_be_hidden()
+    page.get_by_role("button", name="Go on").click()
+    expect(watcher.locator("#job-words")).to_contain_text("12 of 12 photographs")
+    expect(page.locator("#job-state")).to_have_text("done")
+
+    page.get_by_role("link", name="Projects").click()
+    with page.expect_download() as downloading:
+        page.get_by_role("link", name="Scan (zip)").click()
+    with zipfile.ZipFile(downloading.value.path()) as archive:
+        archive.extractall(tmp_path / "fetched")
+    assert read_scan(tmp_path / "fetched" / "cup").steps == (300, *range(1000, 13000, 1000))
+    page.get_by_role("button", name="Sign out").click()
+    expect(page.get_by_label("Password")).to_be_visible()
+    expect(watcher.locator("#operator")).to_have_text("The scanner is free")
+    for tab in (page, watcher):
+        tab.context.close()
+
+
+def test_narrow_screens_and_the_keyboard(browser: Browser, lab: Served):
+    page = sign_in(browser, lab, ADMINISTRATOR, 360)
+    for path in ("", "projects", "account", "api"):
+        page.goto(lab.url + path)
+        assert page.locator("body").evaluate("body => body.scrollWidth") <= 360
+    page.goto(lab.url)
+    for _ in range(3):
+        page.keyboard.press("Tab")
+    assert page.locator(":focus").get_attribute("href") == "/"
+    page.get_by_role("button", name="Operate").press("Enter")
+    expect(page.locator("#operator")).to_have_text("You operate the scanner")
+    page.keyboard.press("Escape")
+    expect(page.locator("#said")).to_contain_text("stopped; the stage is homed")
+    page.goto(lab.url + "account")
+    page.get_by_label("For").fill("nightly scans")
+    page.get_by_role("button", name="Make a token").click()
+    token = page.locator("#token")
+    expect(token).to_have_text(re.compile(r"^\S{40,}$"))
+    assert lab.client(Authorization=f"Bearer {token.inner_text()}").get("/api/me").json()["name"] == ADMINISTRATOR
+    page.context.close()
+
+
+def test_a_refusal_is_said_on_the_page(browser: Browser, lab: Served):
+    page = sign_in(browser, lab, OPERATOR)
+    page.get_by_role("button", name="Operate").click()
+    page.fill("#step", "20001")
+    page.get_by_role("button", name="Go there").click()
+    expect(page.locator("#said")).to_contain_text("the stage goes from 0 to 20000")
+    page.fill("#project", "../etc")
+    page.get_by_role("button", name="Step and shoot").click()
+    expect(page.locator("#said")).to_contain_text("letters, digits, _ and -")
+    page.context.close()
+
+
+def test_a_browser_that_is_killed_frees_the_scanner_within_the_lease(browser: Browser, tmp_path: Path):
+    """The page keeps the lock for as long as it lives; a scan that it began goes on to its end."""
+    lab = serve(tmp_path / "lab", lease_s=3 * LEASE_S)
+    lab.camera.exposure_s = 0.05
+    page, watcher = sign_in(browser, lab, OPERATOR), lab.program(VIEWER)
+    page.get_by_role("button", name="Operate").click()
+    until(lambda: lab.lab.lock.holder)
+    page.wait_for_timeout(4000 * LEASE_S)
+    assert watcher.post("/api/lock", json={}).status_code == 409
+    page.fill("[name=frames]", "8")
+    page.fill("[name=apart]", "1000")
+    page.get_by_role("button", name="Start").click()
+    until(lambda: lab.lab.projects.all() and lab.lab.projects.one("scan-1").frames)
+    page.context.close()
+    assert watcher.post("/api/lock", json={}).status_code == 409
+    until(lambda: watcher.get("/api/state").json()["operator"] is None)
+    assert watcher.get("/api/jobs").json()[0]["state"] == "done"
+    assert lab.lab.projects.one("scan-1").frames == 8
+    lab.end()
