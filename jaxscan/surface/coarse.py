@@ -1,0 +1,189 @@
+"""Where sides stand roughly: by the angles that the object was turned, or by features of its shape.
+
+Sides are joined one after the other, nearest in the order of the scans first, until all hang together. Of each two
+several starts are tried, followed with few points, and the best is judged by all: it counts where a tenth and more of
+the points have a partner, and the scatter of their distances is that of their σ, a few times over.
+
+Features are fast point feature histograms matched by KISS-Matcher (H. Lim et al., ICRA 2025; extra `features`).
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from jaxscan.errors import InputError, ObservabilityError
+from jaxscan.surface.pairs import Motion, after, inverse
+from jaxscan.surface.register import Pair, Registration, register
+from jaxscan.surface.side import Side
+
+STILL: Final[Motion] = (np.eye(3), np.zeros(3))
+# By how much an angle that the user gave may be wrong is tried in steps of this, degrees.
+_OFFSETS_DEG: Final = (0.0, -8.0, 8.0)
+_TRY_POINTS, _TRY_ROUNDS = 400, 12
+# How far apart points are matched to begin with, in parts of the sides' size.
+_REACH: Final = 0.15
+# The scatter of distances in units of their σ beyond which two sides do not fit.
+LARGEST_SCALE: Final = 5.0
+# Features are looked for in cubes of so many spacings, and at least of this part of the sides' size.
+_CUBES, _SMALLEST_CUBE = (1.0, 1.5), 0.015
+
+
+def turns_about(axis: Float[np.ndarray, "3"], centre: Float[np.ndarray, "3"], degrees: float) -> Motion:
+    """A turn about an axis through a place (mm)."""
+    R = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis)).as_matrix()
+    return R, centre - R @ centre
+
+
+def arrange(
+    sides: Sequence[Side], degrees: Sequence[float] | None = None, known: Sequence[Motion] | None = None
+) -> list[Motion]:
+    """T_first_side of each side, from pairs.
+
+    Args:
+        sides: two or more.
+        degrees: how far the object was turned at each scan, anticlockwise as seen from above its floor; without, the
+            features of the shapes tell.
+        known: T_first_side as a turntable has it, in place of both.
+
+    Raises:
+        InputError: sides do not overlap, named; or there are no angles and the extra is not installed.
+    """
+    groups: list[dict[int, Motion]] = [{k: STILL} for k in range(len(sides))]
+    sliding: list[ObservabilityError] = []
+    for i, j in _in_order(len(sides), degrees):
+        own = next(group for group in groups if i in group)
+        if j in own:
+            continue
+        other = next(group for group in groups if j in group)
+        try:
+            found = _together(sides[i], sides[j], list(_starts(sides, i, j, degrees, known)))
+        except ObservabilityError as error:
+            sliding.append(error)
+            continue
+        if found is not None:
+            T_own_other = after(after(own[i], found), inverse(other[j]))
+            own |= {k: after(T_own_other, T) for k, T in other.items()}
+            groups = [group for group in groups if group is not other]
+    if len(groups) > 1:
+        if sliding:
+            raise sliding[0]
+        first = next(group for group in groups if 0 in group)
+        apart = [sides[k].name for k in range(len(sides)) if k not in first]
+        raise InputError(
+            f"{', '.join(apart)}: does not overlap with {', '.join(sides[k].name for k in sorted(first))}: scan the "
+            "sides in between, or say how far the object was turned"
+        )
+    return [after(inverse(groups[0][0]), groups[0][k]) for k in range(len(sides))]
+
+
+def fits(pair: Pair) -> bool:
+    """Whether two sides agree within their σ where they overlap."""
+    return pair.scale <= LARGEST_SCALE
+
+
+def check_fits(sides: Sequence[Side], registration: Registration) -> None:
+    """Refuse sides that agree with none of those that they overlap with.
+
+    Raises:
+        InputError: there are such, named.
+    """
+    good = {k for pair in registration.pairs if fits(pair) for k in (pair.first, pair.second)}
+    bad = [side.name for k, side in enumerate(sides) if k not in good]
+    if bad:
+        raise InputError(
+            f"{', '.join(bad)}: does not fit the others, by more than {LARGEST_SCALE:g} σ in the median: is it of the "
+            "same object, and did nothing move in it?"
+        )
+
+
+def _in_order(count: int, degrees: Sequence[float] | None) -> list[tuple[int, int]]:
+    """Pairs of sides, those first that were turned least against each other, or were scanned one after the other."""
+    pairs = list(combinations(range(count), 2))
+    if degrees is None:
+        return sorted(pairs, key=lambda pair: min(pair[1] - pair[0], count - pair[1] + pair[0]))
+    return sorted(pairs, key=lambda pair: abs((degrees[pair[1]] - degrees[pair[0]] + 180.0) % 360.0 - 180.0))
+
+
+def _starts(
+    sides: Sequence[Side], i: int, j: int, degrees: Sequence[float] | None, known: Sequence[Motion] | None
+) -> Iterator[Motion]:
+    """Guesses of T_i_j."""
+    a, b = sides[i], sides[j]
+    if known is not None:
+        yield after(inverse(known[i]), known[j])
+    elif degrees is not None:
+        for offset in _OFFSETS_DEG:
+            yield _turned(a, b, degrees[j] - degrees[i] + offset)
+    else:
+        yield from _by_features(a, b)
+
+
+def _turned(a: Side, b: Side, degrees: float) -> Motion:
+    """T_a_b where the object was turned about its floor's normal between a and b, and stayed where it was."""
+    up_a, up_b = (_up(side) for side in (a, b))
+    turn = turns_about(up_a, np.zeros(3), -degrees)[0]
+    R = turn @ Rotation.align_vectors(up_a[None], up_b[None])[0].as_matrix()
+    return R, a.points.mean(axis=0) - R @ b.points.mean(axis=0)
+
+
+def _up(side: Side) -> Float[np.ndarray, "3"]:
+    if side.floor is None:
+        raise InputError(
+            f"{side.name}: an angle is about the floor's normal, and the floor is not known: give a range image with "
+            "its floor, the rig's turntable, or leave the angle out"
+        )
+    return side.floor.R[:, 2]
+
+
+def _by_features(a: Side, b: Side) -> Iterator[Motion]:
+    matcher = _kiss_matcher()
+    size = float(np.linalg.norm(np.ptp(np.concatenate([a.points - a.points.mean(0), b.points - b.points.mean(0)]), 0)))
+    for cubes in _CUBES:
+        cube = cubes * max(a.spacing_mm, b.spacing_mm, _SMALLEST_CUBE * size)
+        how = matcher.KISSMatcherConfig(voxel_size=cube, enable_noise_bound_clamping=False)
+        found = matcher.KISSMatcher(how).estimate(list(b.points.astype(np.float32)), list(a.points.astype(np.float32)))
+        if found.valid:
+            yield np.asarray(found.rotation, np.float64), np.asarray(found.translation, np.float64).ravel()
+
+
+def _together(a: Side, b: Side, starts: list[Motion]) -> Motion | None:
+    """T_a_b from the best of its starts; None where none fits."""
+    size = float(np.sqrt(((a.points - a.points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    best, score = None, 0.0
+    sliding: ObservabilityError | None = None
+    for start in starts:
+        try:
+            tried = register((a, b), (STILL, start), most=_TRY_POINTS, reach_mm=2 * _REACH * size, rounds=_TRY_ROUNDS)
+        except ObservabilityError as error:
+            sliding = error
+            continue
+        except InputError:
+            continue
+        pair = tried.pairs[0]
+        if pair.overlap / max(pair.scale, 1.0) > score:
+            best, score = tried.poses[1], pair.overlap / max(pair.scale, 1.0)
+    if best is None and sliding is not None:
+        raise sliding
+    if best is None:
+        return None
+    try:
+        found = register((a, b), (STILL, best))
+    except ObservabilityError:
+        raise
+    except InputError:
+        return None
+    return found.poses[1] if fits(found.pairs[0]) else None
+
+
+def _kiss_matcher() -> Any:
+    try:
+        import kiss_matcher
+    except ImportError as error:
+        raise InputError(
+            'how the sides stand is told by --turn, or by features: pip install "jaxscan[features]"'
+        ) from error
+    return kiss_matcher

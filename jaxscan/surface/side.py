@@ -1,0 +1,169 @@
+"""One side of an object as registration needs it: points with normals, and how well each is known along its normal.
+
+A stripe's error moves its point X along the line in which the sheet of light, ω · X = 1, meets the plane of the image
+column (or row); with that line's direction e, the ray's d and the normal n, σ along the ray becomes along the normal
+
+    σ |n · e| / |d · e|.
+
+ω is the plane through all points as the camera saw them (X + n · per_step lies on it whatever the frame n), and a
+column's plane contains the camera, so both come from the points themselves. Where the points lie on no such plane the
+error is taken to be along the ray.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from jaxscan.errors import InputError
+from jaxscan.files.cloud import Cloud
+from jaxscan.reconstruction import RangeImage
+from jaxscan.surface.floor import Floor
+from jaxscan.surface.links import sampling
+
+# Planes are laid through the points within so many spacings.
+_AROUND: Final = 1.5
+_MOST_AROUND, _FEWEST_AROUND = 64, 6
+# A point whose neighbours' mean is off by more than this part of their reach has them on one side: it is on the rim.
+_OFF_CENTRE: Final = 0.3
+# Along its normal a point is known no better than this part of its σ along the ray: where light grazes, its place
+# beside the ray counts.
+_BEST: Final = 0.3
+# |ω · X − 1| of points that lie on the sheet, beyond their rounding.
+_OFF_SHEET: Final = 1e-3
+_FEWEST: Final = 100
+# The neighbour whose distance stands for the spacing of points without an order.
+_NEIGHBOUR: Final = 24
+
+
+@dataclass(frozen=True)
+class Side:
+    """The points of one scan.
+
+    Attributes:
+        name: what the scan is called.
+        points: its object frame, mm.
+        normals: unit, on the camera's side; of the plane through the points around.
+        sigma: of each point's distance from the surface, mm: the pixel's part, which no other scan shares.
+        rim: points with neighbours on one side alone.
+        spacing_mm: from point to point, the larger of along and across.
+        floor: what the object stood on, where it is known.
+    """
+
+    name: str
+    points: Float[np.ndarray, "points 3"]
+    normals: Float[np.ndarray, "points 3"]
+    sigma: Float[np.ndarray, "points"]
+    rim: Bool[np.ndarray, "points"]
+    spacing_mm: float
+    floor: Floor | None = None
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """For the nearest of its points."""
+        return KDTree(self.points)
+
+
+def side_of_image(name: str, image: RangeImage, floor: Floor | None = None) -> Side:
+    """A side from the points of a range image, cleaned and without the floor.
+
+    Args:
+        name: what the scan is called.
+        image: the range image.
+        floor: that was taken from it.
+
+    Raises:
+        InputError: there are too few points to register.
+    """
+    how = sampling(image)
+    points = image.points[image.valid].astype(np.float64)
+    to_camera = np.broadcast_to(image.cameras()[:, None], image.points.shape)[image.valid] - points
+    sigma = image.sigma_pixel[image.valid].astype(np.float64)
+    sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, how.noise_mm)
+    spacing = max(how.across_mm, how.along_mm)
+    normals, rim, rms = _planes(name, points, to_camera, _AROUND * spacing)
+    ray = -to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
+    e = error_direction(image)[image.valid]
+    along = np.abs((normals * e).sum(axis=1)) / np.maximum(np.abs((ray * e).sum(axis=1)), 1e-3)
+    return _side(name, points, normals, sigma * np.maximum(along, _BEST), rim, rms, spacing, floor)
+
+
+def side_of_cloud(name: str, cloud: Cloud) -> Side:
+    """A side from points without an order, seen from the origin of their frame.
+
+    Raises:
+        InputError: there are too few points to register.
+    """
+    points = cloud.points.astype(np.float64)
+    _check(name, points)
+    spacing = float(np.median(KDTree(points).query(points, min(_NEIGHBOUR, len(points)))[0][:, -1])) / _AROUND
+    normals, rim, rms = _planes(name, points, -points, _AROUND * spacing)
+    known = cloud.sigma if cloud.sigma_pixel is None else cloud.sigma_pixel
+    sigma = np.zeros(len(points)) if known is None else known.astype(np.float64)
+    ray = points / np.linalg.norm(points, axis=1, keepdims=True)
+    sigma = sigma * np.maximum(np.abs((normals * ray).sum(axis=1)), _BEST)
+    return _side(name, points, normals, sigma, rim, rms, spacing, None)
+
+
+def error_direction(image: RangeImage) -> Float[np.ndarray, "frames columns 3"]:
+    """The direction in which a stripe's error moves each point: unit; NaN where there is no point."""
+    seen = image.points.astype(np.float64) - image.cameras()[:, None]
+    omega = np.linalg.lstsq(seen[image.valid], np.ones(int(image.valid.sum())), rcond=None)[0]
+    if np.abs(seen[image.valid] @ omega - 1).max() > _OFF_SHEET:
+        return seen / np.linalg.norm(seen, axis=-1, keepdims=True)
+    # Along a column of the image x / z stays the same, along a row y / z.
+    ray = seen / seen[..., 2:]
+    full = image.valid.sum(axis=0) > 1
+    held = np.median(np.nanstd(ray[:, full], axis=0)[:, :2], axis=0).argmin()
+    across = np.zeros_like(ray)
+    across[..., held], across[..., 2] = 1.0, -ray[..., held]
+    e = np.cross(omega, across)
+    return e / np.linalg.norm(e, axis=-1, keepdims=True)
+
+
+def _side(
+    name: str,
+    points: Float[np.ndarray, "points 3"],
+    normals: Float[np.ndarray, "points 3"],
+    sigma: Float[np.ndarray, "points"],
+    rim: Bool[np.ndarray, "points"],
+    rms: Float[np.ndarray, "points"],
+    spacing: float,
+    floor: Floor | None,
+) -> Side:
+    """Without the points that have no normal; where σ is not known it is the scatter of the points around."""
+    known = np.isfinite(normals).all(axis=1)
+    typical = float(np.median(rms[known])) if known.any() else 0.0
+    sigma = np.where(sigma > 0, sigma, max(typical, 1e-6))
+    points = points[known]
+    _check(name, points)
+    return Side(name, points, normals[known], sigma[known], rim[known], spacing, floor)
+
+
+def _check(name: str, points: Float[np.ndarray, "points 3"]) -> None:
+    if len(points) < _FEWEST:
+        raise InputError(f"{name}: {len(points)} points are too few to register: {_FEWEST} or more are needed")
+
+
+def _planes(
+    name: str, points: Float[np.ndarray, "points 3"], toward: Float[np.ndarray, "points 3"], reach: float
+) -> tuple[Float[np.ndarray, "points 3"], Bool[np.ndarray, "points"], Float[np.ndarray, "points"]]:
+    """The plane through the points within a reach of each: its normal, whether it is on the rim, its scatter."""
+    _check(name, points)
+    away, index = KDTree(points).query(points, _MOST_AROUND, distance_upper_bound=reach)
+    there = np.isfinite(away)
+    count = there.sum(axis=1)
+    near = np.where(there[..., None], points[np.where(there, index, 0)] - points[:, None], 0.0)
+    mean = near.sum(axis=1) / count[:, None]
+    near = np.where(there[..., None], near - mean[:, None], 0.0)
+    values, vectors = np.linalg.eigh(near.swapaxes(1, 2) @ near)
+    normal = vectors[:, :, 0]
+    normal = np.where(((normal * toward).sum(axis=1) < 0)[:, None], -normal, normal)
+    # Points on one line have no plane.
+    normal[(count < _FEWEST_AROUND) | (values[:, 1] < 0.01 * values[:, 2])] = np.nan
+    farthest = np.where(there, away, 0.0).max(axis=1)
+    rim = np.linalg.norm(mean, axis=1) > _OFF_CENTRE * farthest
+    return normal, rim, np.sqrt(np.maximum(values[:, 0], 0) / np.maximum(count - 3, 1))

@@ -1,0 +1,105 @@
+"""Sides brought together: recovery of known poses within their predicted σ, derivatives, and what is refused."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jaxscan.errors import InputError, ObservabilityError
+from jaxscan.surface.coarse import STILL, arrange, check_fits
+from jaxscan.surface.pairs import after, equations, inverse, match, moved
+from jaxscan.surface.register import register
+from tests.surface import scenes
+from tests.surface.hills import NOISE, height, pose, scanned, side
+
+TURNS = (0.0, 85.0, 175.0, 272.0)
+SHIFTS = ((0.0, 0.0), (1.0, -0.5), (-0.7, 0.8), (0.3, 1.0))
+
+
+@pytest.fixture(scope="module")
+def sides():
+    return [
+        side(f"{turn:g}.npz", scanned(turn, seed, shift))
+        for seed, (turn, shift) in enumerate(zip(TURNS, SHIFTS, strict=True))
+    ]
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return [pose(turn, shift) for turn, shift in zip(TURNS, SHIFTS, strict=True)]
+
+
+def off(found, true, centre):
+    """The small motion (radians about the centre, mm) from the true pose to the found one."""
+    R, t = after(found, inverse(true))
+    return np.concatenate([Rotation.from_matrix(R).as_rotvec(), R @ centre + t - centre])
+
+
+def test_sigma_is_the_scatter_about_the_surface(sides):
+    x, y, z = sides[0].points.T
+    up = 300.0 - z - height(x, -(y + 12.0))
+    inner = ~sides[0].rim
+    in_sigma = (up * -sides[0].normals[:, 2] / sides[0].sigma)[inner]
+    assert np.median(np.abs(in_sigma)) * 1.4826 == pytest.approx(1.0, abs=0.05)
+    assert sides[0].sigma.max() <= NOISE * 1.001
+
+
+def test_derivatives_against_finite_differences(sides, truth):
+    found = match(sides[0], sides[1], truth[0], truth[1], 1.0, 50)
+    centre = sides[0].points.mean(axis=0)
+    J = equations(sides[0], sides[1], truth[0], truth[1], found, centre).J
+    for k in (0, 2, 4, 7, 11):
+        ends = []
+        for step in (1e-5, -1e-5):
+            motion = np.zeros(12)
+            motion[k] = step
+            poses = []
+            for (R, t), part in zip(truth[:2], (motion[:6], motion[6:]), strict=True):
+                turn = Rotation.from_rotvec(part[:3]).as_matrix()
+                poses.append((turn @ R, turn @ (t - centre) + centre + part[3:]))
+            ends.append(equations(sides[0], sides[1], poses[0], poses[1], found, centre).residual)
+        np.testing.assert_allclose((ends[0] - ends[1]) / 2e-5, J[:, k], rtol=1e-4, atol=1e-6)
+
+
+def test_all_sides_together_within_the_predicted_covariance(sides, truth):
+    rough = [arg - base for arg, base in zip(TURNS, (0.0, 9.0, -8.0, 10.0), strict=True)]
+    starts = arrange(sides, rough)
+    found = register(sides, starts)
+    check_fits(sides, found)
+    assert len(found.pairs) == 6
+    error = np.concatenate([off(T, true, found.centre) for T, true in zip(found.poses, truth, strict=True)][1:])
+    chi2 = error @ np.linalg.solve(found.covariance, error) / len(error)
+    assert 0.3 < chi2 < 2.0
+    assert found.variance == pytest.approx(0.9, abs=0.15)
+    assert max(np.linalg.norm(part[3:]) for part in error.reshape(-1, 6)) < 0.01
+    assert found.closure_mm < 0.01
+    assert found.sigma(0) == (0.0, 0.0)
+    assert 0 < found.sigma(2)[0] < np.radians(0.1)
+
+
+def test_features_need_no_angle(sides, truth):
+    pytest.importorskip("kiss_matcher", reason="kiss-matcher (extra features) is not installed")
+    for T, true in zip(arrange(sides), truth, strict=True):
+        assert np.linalg.norm(off(T, true, sides[0].points.mean(axis=0))[3:]) < 0.02
+
+
+def test_views_that_do_not_overlap_are_named(sides):
+    x, y = scenes.grid()
+    other = side("other.npz", scenes.seen(np.where(x**2 + y**2 < 60, 4 + np.sin(2 * x) + np.sin(3 * y), 0.0), NOISE))
+    with pytest.raises(InputError, match=r"other\.npz: does not overlap with 0\.npz, 85\.npz"):
+        arrange([*sides[:2], other], [0.0, 85.0, 170.0])
+    with pytest.raises(InputError, match=r"85\.npz: does not overlap with 0\.npz"):
+        register(sides[:2], (STILL, (np.eye(3), np.array([0.0, 50.0, 0.0]))))
+
+
+def test_what_slides_is_not_guessed():
+    x, y = scenes.grid()
+    r2 = x**2 + y**2
+    dome = np.where(r2 < 81, np.sqrt(np.maximum(144.0 - r2, 0)) - 6, 0.0)
+    balls = [side(f"{k}.npz", scenes.seen(dome, NOISE, seed=k)) for k in range(2)]
+    with pytest.raises(ObservabilityError, match=r"1\.npz: slides"):
+        arrange(balls, [0.0, 45.0])
+
+
+def test_moved_and_inverse_agree(truth):
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    np.testing.assert_allclose(moved(moved(points, truth[1]), inverse(truth[1])), points, atol=1e-9)
