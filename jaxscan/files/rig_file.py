@@ -24,7 +24,7 @@ from jaxscan.files.rig_checks import check_covariance, check_light_plane
 from jaxscan.files.table import PassedOverWarning, Table
 from jaxscan.files.text import read_json
 from jaxscan.precision import as_numpy
-from jaxscan.rig import LENSES, Camera, Covariance, LightPlane, Rig, Stage
+from jaxscan.rig import LENSES, Camera, Covariance, LightPlane, Rig, Stage, Turntable
 from jaxscan.rig.rig import parameter_names
 
 FORMAT: Final = "jaxscan-rig/1"
@@ -73,13 +73,13 @@ def write_rig(path: str | os.PathLike[str], content: RigFile) -> None:
 def _decode(table: Table) -> RigFile:
     _check_format(table)
     _check_finite(table)
-    unknown = table.unknown(("format", "units", "camera", "laser", "stage", "covariance", "fit"))
+    unknown = table.unknown(("format", "units", "camera", "laser", "stage", "turntable", "covariance", "fit"))
     camera_table = table.table("camera", "camera.")
     unknown += [f"camera.{key}" for key in camera_table.unknown(_CAMERA_KEYS)]
     with jax.enable_x64(True):
         camera = _camera(camera_table)
         lasers = tuple(_laser(laser, camera, unknown) for laser in _laser_tables(table))
-        rig = as_numpy(Rig(camera, _named_apart(table, lasers), _stage(table, unknown)))
+        rig = as_numpy(Rig(camera, _named_apart(table, lasers), _stage(table, unknown), _turntable(table, unknown)))
     content = RigFile(rig, _covariance(table, rig, unknown), _fit(table))
     if unknown:
         keys = ", ".join(unknown)
@@ -175,6 +175,17 @@ def _stage(table: Table, unknown: list[str]) -> Stage | None:
     return Stage(_triple(per_step))
 
 
+def _turntable(table: Table, unknown: list[str]) -> Turntable | None:
+    if "turntable" not in table:
+        return None
+    turntable = table.table("turntable", "turntable.")
+    unknown += [f"turntable.{key}" for key in turntable.unknown(("per_step", "centre"))]
+    per_step = turntable.numbers("per_step", 3)
+    if not any(per_step):
+        raise turntable.error("per_step", "the turntable does not turn: leave out turntable, or calibrate it")
+    return Turntable(_triple(per_step), _triple(turntable.numbers("centre", 3)))
+
+
 def _covariance(table: Table, rig: Rig, unknown: list[str]) -> Covariance | None:
     if "covariance" not in table:
         return None
@@ -230,6 +241,11 @@ def _encode(content: RigFile) -> dict[str, Any]:
         values["laser"] = [{"name": laser.name, "plane": _floats(laser.plane)} for laser in rig.lasers]
     if rig.stage is not None:
         values["stage"] = {"per_step": _floats(rig.stage.per_step)}
+    if rig.turntable is not None:
+        values["turntable"] = {
+            "per_step": _floats(rig.turntable.per_step),
+            "centre": _floats(rig.turntable.centre),
+        }
     if content.covariance is not None:
         matrix = np.asarray(content.covariance.matrix, dtype=np.float64).tolist()
         values["covariance"] = {"parameters": list(content.covariance.names), "matrix": matrix}

@@ -9,20 +9,23 @@ from jaxscan.precision import Leaf
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.stage import Stage
+from jaxscan.rig.turntable import Turntable
 
 
 class Rig(eqx.Module):
-    """A camera, its lasers and the stage.
+    """A camera, its lasers, the stage and the turntable.
 
     Attributes:
         camera: the camera.
         lasers: the light planes; none for a rig calibrated without a laser, several for several lasers.
         stage: the stage, or None for a rig without one.
+        turntable: what turns the object between scans, or None.
     """
 
     camera: Camera
     lasers: tuple[LightPlane, ...] = ()
     stage: Stage | None = None
+    turntable: Turntable | None = None
 
     def laser(self, name: str = "") -> LightPlane:
         """The light plane of a laser; without a name, the only one.

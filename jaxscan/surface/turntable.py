@@ -1,0 +1,144 @@
+"""The turntable that registered sides stood on: its axis and its angle for each step, from their poses.
+
+A turntable at step n carries what stands on it by x ↦ exp(n w) (x − c) + c, so the side scanned then has
+T_first_side(n) = turned(n₀) turned(n)⁻¹, n₀ the first one's step. w and c, c · w = 0, are those of least squares over
+the small motions that take each pose to that, weighted by their covariance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from jaxscan.errors import InputError
+from jaxscan.files.rig_file import RigFile
+from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
+from jaxscan.precision import as_numpy, float64
+from jaxscan.rig import Covariance, Rig, Turntable
+from jaxscan.surface.pairs import Motion, after, inverse
+from jaxscan.surface.register import Registration
+
+_NAMES: Final = tuple(f"turntable.{part}.{i}" for part in ("per_step", "centre") for i in range(3))
+_ROUNDS: Final = 20
+# Where the axis stands is lost in turns of less than this between the sides, radians.
+_LEAST_TURN: Final = 0.02
+
+
+@dataclass(frozen=True)
+class TurntableFit:
+    """A calibrated turntable.
+
+    Attributes:
+        turntable: axis and angle, in the object frame.
+        covariance: of its six numbers; along the axis the centre has none.
+        misfit: root mean square of what is left of the poses, in units of their σ: 1 where they are a turntable's.
+    """
+
+    turntable: Turntable
+    covariance: Covariance
+    misfit: float
+
+    def on(self, content: RigFile) -> RigFile:
+        """A rig with this turntable; what is known of the rest does not depend on it."""
+        rig = Rig(content.rig.camera, content.rig.lasers, content.rig.stage, self.turntable)
+        if content.covariance is None:
+            return replace(content, rig=rig, covariance=self.covariance)
+        kept = [i for i, name in enumerate(content.covariance.names) if name not in _NAMES]
+        names = tuple(content.covariance.names[i] for i in kept) + _NAMES
+        matrix = np.asarray(block_diag(content.covariance.matrix[np.ix_(kept, kept)], self.covariance.matrix))
+        return replace(content, rig=rig, covariance=Covariance(names, matrix))
+
+
+def fit_turntable(registration: Registration, steps: Sequence[float]) -> TurntableFit:
+    """The turntable of registered sides.
+
+    Args:
+        registration: of two or more sides.
+        steps: motor step count of each.
+
+    Raises:
+        InputError: the counts do not fit the sides, or the sides are not turned against each other.
+    """
+    n = np.asarray(steps, np.float64)
+    if len(n) != len(registration.poses):
+        raise InputError(f"{len(n)} step counts for {len(registration.poses)} scans: give one for each")
+    theta, around = _first(registration.poses, n)
+    with float64():
+        weight = np.linalg.cholesky(np.linalg.inv(registration.covariance)).T
+        R = jnp.asarray(np.stack([T[0] for T in registration.poses[1:]]))
+        t = jnp.asarray(np.stack([T[1] for T in registration.poses[1:]]))
+        given = (R, t, jnp.asarray(registration.centre), jnp.asarray(n[1:] - n[0]), jnp.asarray(around))
+        for _ in range(_ROUNDS):
+            r, J = (np.asarray(x) for x in _misfit(jnp.asarray(theta), *given))
+            step = np.linalg.lstsq(weight @ J, -weight @ r, rcond=None)[0]
+            theta = theta + step
+            if np.abs(step[:3]).max() * np.abs(n - n[0]).max() < 1e-12 and np.abs(step[3:]).max() < 1e-9:
+                break
+        r, J = (np.asarray(x) for x in _misfit(jnp.asarray(theta), *given))
+        centre = around.T @ theta[3:]
+        turntable = as_numpy(
+            Turntable.create(theta[:3], centre - (centre @ theta[:3]) * theta[:3] / (theta[:3] ** 2).sum())
+        )
+    whitened = weight @ r
+    freedom = len(r) - 5
+    misfit = float(np.sqrt(whitened @ whitened / freedom)) if freedom > 0 else 1.0
+    full = np.zeros((6, 5))
+    full[:3, :3], full[3:, 3:] = np.eye(3), around.T
+    covariance = max(misfit, 1.0) ** 2 * full @ np.linalg.inv((weight @ J).T @ (weight @ J)) @ full.T
+    return TurntableFit(turntable, Covariance(_NAMES, (covariance + covariance.T) / 2), misfit)
+
+
+def turntable_poses(turntable: Turntable, steps: Sequence[float]) -> list[Motion]:
+    """T_first_side of sides scanned at these step counts."""
+    with float64():
+        turned = [turntable.turned(jnp.asarray(float(n))) for n in steps]
+        motions = [(np.asarray(pose.matrix()), np.asarray(pose.translation)) for pose in turned]
+    return [after(motions[0], inverse(motion)) for motion in motions]
+
+
+def _first(
+    poses: Sequence[Motion], steps: Float[np.ndarray, "sides"]
+) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "2 3"]]:
+    """A start: w from the turns from each side to the next, c in the plane at right angles to it; its two axes."""
+    turns = [Rotation.from_matrix(after(inverse(b), a)[0]).as_rotvec() for a, b in pairwise(poses)]
+    apart = np.diff(steps)
+    if (apart == 0).any() or max(np.linalg.norm(turn) for turn in turns) < _LEAST_TURN:
+        raise InputError("the scans are not turned against each other: a turntable takes scans at different steps")
+    w = (np.array(turns) * apart[:, None]).sum(axis=0) / (apart**2).sum()
+    around = np.linalg.svd(w[None])[2][1:]
+    # x ↦ R (x − c) + c with t = (I − R) c.
+    A = np.concatenate([(np.eye(3) - R) @ around.T for R, _ in poses[1:]])
+    b = np.concatenate([t for _, t in poses[1:]])
+    return np.concatenate([w, np.linalg.lstsq(A, b, rcond=None)[0]]), around
+
+
+@jax.jit
+def _misfit(
+    theta: Float[Array, "5"],
+    R: Float[Array, "sides 3 3"],
+    t: Float[Array, "sides 3"],
+    middle: Float[Array, "3"],
+    steps: Float[Array, "sides"],
+    around: Float[Array, "2 3"],
+) -> tuple[Float[Array, "residuals"], Float[Array, "residuals 5"]]:
+    """The small motions (radians about the middle, mm) from each pose to the turntable's, and their derivatives."""
+
+    def motions(theta: Float[Array, "5"]) -> Float[Array, "residuals"]:
+        w, c = theta[:3], around.T @ theta[3:]
+
+        def one(R: Array, t: Array, n: Array) -> Array:
+            back = vector_to_matrix(-n * w)
+            turned = Pose.from_matrix(back, c - back @ c)
+            at = R.T @ (middle - t)
+            return jnp.concatenate([matrix_to_vector(back @ R.T), turned.apply(at) - middle])
+
+        return jax.vmap(one)(R, t, steps).ravel()
+
+    return motions(theta), jax.jacfwd(motions)(theta)
