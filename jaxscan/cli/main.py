@@ -30,6 +30,7 @@ COMMANDS: Final = {
     "reconstruct": "jaxscan.cli.reconstruct",
     "batch": "jaxscan.cli.batch",
     "mesh": "jaxscan.cli.mesh",
+    "merge": "jaxscan.cli.merge",
     "compare": "jaxscan.cli.compare",
     "gauge": "jaxscan.cli.gauge",
     "inspect": "jaxscan.cli.inspect",

@@ -85,7 +85,7 @@ def scattered_normals(
 
 
 def poisson_surface(
-    points: Float[np.ndarray, "points 3"], normals: Float[np.ndarray, "points 3"], depth: int = 8
+    points: Float[np.ndarray, "points 3"], normals: Float[np.ndarray, "points 3"], depth: int = 8, room: float = 1.1
 ) -> trimesh.Trimesh:
     """A closed surface through oriented points (Kazhdan and Hoppe, Screened Poisson surface reconstruction, 2013).
 
@@ -93,6 +93,7 @@ def poisson_surface(
         points: mm.
         normals: outwards; points whose normal is not finite are left out.
         depth: of the octree: details of 1/2^depth of the object's size.
+        room: the cube in which the surface is looked for, and cut off, in sizes of the object.
 
     Raises:
         InputError: PyMeshLab is not installed, or no surface comes of the points.
@@ -106,7 +107,7 @@ def poisson_surface(
     meshes.add_mesh(oriented)
     # More threads wait for each other: on two cores they took five times as long.
     try:
-        meshes.generate_surface_reconstruction_screened_poisson(depth=depth, preclean=True, threads=1)
+        meshes.generate_surface_reconstruction_screened_poisson(depth=depth, scale=room, preclean=True, threads=1)
     except pymeshlab.PyMeshLabException as error:
         raise InputError(f"screened Poisson fails on these points ({error}): use the grid") from error
     found = meshes.current_mesh()

@@ -1,0 +1,332 @@
+"""`jaxscan merge`: scans of an object from several sides, registered all together, as one surface."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from jaxscan.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from jaxscan.surface.merged import Merged
+    from jaxscan.surface.pairs import Motion
+    from jaxscan.surface.register import Registration
+    from jaxscan.surface.side import Side
+
+HELP: Final = "join scans of an object from several sides into one surface"
+EXAMPLE: Final = "jaxscan merge front.npz right.npz back.npz left.npz --turn 90 -o model.stl"
+
+_ENDINGS: Final = (".stl", ".obj", ".ply", ".glb")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "scans",
+        type=Path,
+        nargs="+",
+        metavar="SCAN",
+        help="two or more range images (.npz), clouds (.ply) without a floor, or folders of photographs (with --rig)",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        action="append",
+        metavar="MESH",
+        help="what to write: .stl, .obj, .ply or .glb; may be repeated",
+    )
+    parser.add_argument("--rig", type=Path, help="the rig: of folders of photographs, and its turntable")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "--turn",
+        type=_list(float),
+        metavar="DEG",
+        help="how far the object was turned from scan to scan, within 10 degrees, anticlockwise as seen from above; or "
+        "0,DEG,DEG,… for each scan (default: features of the shape tell, by the extra features)",
+    )
+    how.add_argument(
+        "--steps",
+        type=_list(float),
+        metavar="N",
+        help="motor steps of the rig's turntable from scan to scan, or N,N,… for each: its axis gives the start",
+    )
+    parser.add_argument(
+        "--fit-turntable",
+        type=_list(float),
+        metavar="N",
+        help="motor steps from scan to scan, or N,N,… for each: find axis and angle of the turntable they stood on",
+    )
+    parser.add_argument("--write-rig", type=Path, metavar="OUT", help="write the rig with that turntable")
+    parser.add_argument(
+        "--floor", choices=("auto", "keep"), default="auto", help="auto (default): found and taken away"
+    )
+    parser.add_argument("--raw", action="store_true", help="keep mixed, grazing and isolated points")
+    parser.add_argument(
+        "--closed", action="store_true", help="close what was not seen, by screened Poisson (extra poisson)"
+    )
+    parser.add_argument("--cube", type=float, metavar="MM", help="distance of the vertices (default: the points')")
+    parser.add_argument("--simplify", type=int, metavar="N", help="to so many triangles, by the extra simplify")
+    parser.add_argument("--png", type=Path, metavar="OUT", help="draw the surface")
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Read, register, merge and write."""
+    _check(args)
+    from jaxscan.atomic import check_writable
+
+    for path in [*args.output, *(path for path in (args.png, args.write_rig) if path)]:
+        check_writable(path)
+    from jaxscan.cli.compiled import keep_compiled
+
+    keep_compiled()
+    from jaxscan.cli.progress import progress
+    from jaxscan.surface.coarse import arrange, check_fits
+    from jaxscan.surface.merged import merge, merge_closed
+    from jaxscan.surface.register import register
+
+    known, degrees = _start(args)
+    with progress("reading", len(args.scans), "scan") as advance:
+        sides = [_side(path, args, advance) for path in args.scans]
+    with progress("registering", 3, "step") as advance:
+        starts = arrange(sides, degrees, known)
+        advance(1)
+        registration = register(sides, starts)
+        check_fits(sides, registration)
+        advance(1)
+        poses = registration.poses
+        merged = merge_closed(sides, poses) if args.closed else merge(sides, poses, cube_mm=args.cube)
+        advance(1)
+    result: dict[str, Any] = {"kind": "merged", "path": [str(path) for path in args.output]}
+    result |= _registered(sides, starts, registration)
+    if args.fit_turntable:
+        result["turntable"] = _turntable(args, registration)
+    return result | _written(args, sides, merged)
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together, before any work."""
+    if len(args.scans) < 2:
+        raise InputError(f"{args.scans[0]}: one scan has nothing to be joined with: give two or more")
+    twice = sorted({str(path) for path in args.scans if args.scans.count(path) > 1})
+    if twice:
+        raise InputError(f"{', '.join(twice)}: is given twice: give each scan once")
+    for path in args.output:
+        if path.suffix.lower() not in _ENDINGS:
+            raise InputError(f"{path}: the ending is not known: write {', '.join(_ENDINGS)}")
+    for path in args.scans:
+        if path.suffix.lower() not in (".npz", ".ply") and not args.rig:
+            raise InputError(
+                f"{path}: give a range image (.npz), a cloud (.ply), or a folder of photographs with --rig"
+            )
+    if args.steps and not args.rig:
+        raise InputError("--steps: are those of a rig's turntable: give --rig too, or --turn")
+    if args.write_rig and not (args.rig and args.fit_turntable):
+        raise InputError("--write-rig: writes --rig with the turntable of --fit-turntable: give both")
+    if args.cube is not None and (args.closed or not args.cube > 0):
+        raise InputError(f"--cube {args.cube:g}: give a size that is more than 0, and not with --closed")
+    if args.simplify is not None and args.simplify < 4:
+        raise InputError(f"--simplify {args.simplify}: give 4 triangles or more")
+    for name in ("turn", "steps", "fit_turntable"):
+        values = getattr(args, name)
+        if values:
+            setattr(args, name, _for_each(f"--{name.replace('_', '-')}", values, len(args.scans)))
+
+
+def _list(kind: type) -> Any:
+    def read(text: str) -> list[Any]:
+        try:
+            return [kind(word) for word in text.split(",")]
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{text!r} is no number, nor numbers with commas between them") from error
+
+    return read
+
+
+def _for_each(option: str, values: list[float], count: int) -> list[float]:
+    """A number for each scan: those given, or multiples of the only one."""
+    if len(values) == 1:
+        return [k * values[0] for k in range(count)]
+    if len(values) != count:
+        raise InputError(f"{option}: {len(values)} numbers for {count} scans: give one, or one for each")
+    return values
+
+
+def _start(args: argparse.Namespace) -> "tuple[Sequence[Motion] | None, Sequence[float] | None]":
+    """Poses by the rig's turntable, or angles."""
+    if not args.steps:
+        return None, args.turn
+    from jaxscan.files.rig_file import read_rig
+    from jaxscan.surface.turntable import turntable_poses
+
+    turntable = read_rig(args.rig).rig.turntable
+    if turntable is None:
+        raise InputError(f"{args.rig}: has no turntable: find it with --fit-turntable, or give --turn")
+    return turntable_poses(turntable, args.steps), None
+
+
+def _side(path: Path, args: argparse.Namespace, advance: Any) -> "Side":
+    from jaxscan.errors import said_of
+    from jaxscan.surface.side import side_of_cloud, side_of_image
+
+    name = str(path)
+    if path.suffix.lower() == ".ply":
+        from jaxscan.files.cloud import read_ply
+
+        side = side_of_cloud(name, read_ply(path))
+    else:
+        from jaxscan.surface.clean import clean
+        from jaxscan.surface.floor import find_floor, stands_on
+
+        image = _image(path, args)
+        with said_of(path):
+            if not image.valid.any():
+                raise InputError("has no points: check that the photographs show the stripe")
+            image = image if args.raw else clean(image).image
+            floor = find_floor(image) if args.floor == "auto" else None
+            image = image.where(stands_on(image, floor)) if floor else image
+        side = side_of_image(name, image, floor)
+    advance(1)
+    return side
+
+
+def _image(path: Path, args: argparse.Namespace) -> Any:
+    from jaxscan.reconstruction import read_range_image, reconstruct
+
+    if path.suffix.lower() == ".npz":
+        return read_range_image(path)
+    from jaxscan.files.rig_file import read_rig
+    from jaxscan.files.scan import read_scan
+
+    return reconstruct(read_rig(args.rig), read_scan(path))
+
+
+def _registered(sides: "list[Side]", starts: "list[Motion]", found: "Registration") -> dict[str, Any]:
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from jaxscan.surface.register import moved_apart
+
+    return {
+        "scans": [
+            {
+                "path": side.name,
+                "points": len(side.points),
+                "rotation": Rotation.from_matrix(R).as_rotvec().tolist(),
+                "translation_mm": t.tolist(),
+                "sigma_deg": float(np.degrees(found.sigma(k)[0])),
+                "sigma_mm": found.sigma(k)[1],
+                "from_chain_mm": moved_apart(side, starts[k], (R, t)),
+            }
+            for k, (side, (R, t)) in enumerate(zip(sides, found.poses, strict=True))
+        ],
+        "centre_mm": found.centre.tolist(),
+        "residual_in_sigma": float(np.sqrt(found.variance)),
+        "closure_mm": found.closure_mm,
+        "pairs": [
+            {
+                "scans": [pair.first, pair.second],
+                "matches": pair.matches,
+                "overlap": pair.overlap,
+                "residual_in_sigma": pair.scale,
+                "rms_mm": pair.rms_mm,
+                "apart_mm": pair.apart_mm,
+            }
+            for pair in found.pairs
+        ],
+    }
+
+
+def _turntable(args: argparse.Namespace, registration: "Registration") -> dict[str, Any]:
+    import numpy as np
+
+    from jaxscan.surface.turntable import fit_turntable
+
+    fit = fit_turntable(registration, args.fit_turntable)
+    if args.write_rig:
+        from jaxscan.files.rig_file import read_rig, write_rig
+
+        write_rig(args.write_rig, fit.on(read_rig(args.rig)))
+    sigma = np.sqrt(np.diag(fit.covariance.matrix))
+    w = np.array([float(x) for x in fit.turntable.per_step])
+    angle = float(np.linalg.norm(w))
+    return {
+        "degrees_per_step": float(np.degrees(angle)),
+        "axis": (w / angle).tolist(),
+        "centre_mm": [float(x) for x in fit.turntable.centre],
+        "sigma_deg_per_step": float(np.degrees(np.linalg.norm(sigma[:3]))),
+        "sigma_mm": float(np.linalg.norm(sigma[3:])),
+        "misfit_in_sigma": fit.misfit,
+        "rig": str(args.write_rig) if args.write_rig else None,
+    }
+
+
+def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") -> dict[str, Any]:
+    import numpy as np
+
+    from jaxscan.cli.mesh import simplified
+    from jaxscan.files.cloud import Cloud
+    from jaxscan.files.mesh import write_mesh_ply, write_trimesh
+
+    mesh, known = merged.mesh, merged.sides > 0
+    sigma = merged.sigma.astype(np.float32)
+    if args.simplify is not None:
+        mesh = simplified(mesh, args.simplify)
+    for path in args.output:
+        if path.suffix.lower() == ".ply":
+            whole = mesh is merged.mesh and bool(known.all())
+            cloud = Cloud(np.asarray(mesh.vertices, np.float32), sigma_pixel=sigma if whole else None)
+            normals = np.asarray(mesh.vertex_normals, np.float32)
+            write_mesh_ply(path, cloud, np.asarray(mesh.faces), normals=normals)
+        else:
+            write_trimesh(path, mesh)
+    if args.png:
+        from jaxscan.geometry.robust_plane import dominant_plane
+        from jaxscan.view.surface_plots import draw_mesh
+
+        vertices = np.asarray(mesh.vertices)
+        floor = sides[0].floor
+        up = floor.R[:, 2] if floor else dominant_plane(vertices)[0][:, 2]
+        draw_mesh(args.png, vertices, np.asarray(mesh.faces), up, f"{len(mesh.faces)} triangles of {len(sides)} scans")
+    return {
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.faces),
+        "area_mm2": float(mesh.area),
+        "closed": bool(mesh.is_watertight),
+        "volume_mm3": float(mesh.volume) if mesh.is_watertight else None,
+        "seen": float(known.mean()),
+        "sides_in_the_mean": float(merged.sides[known].mean()),
+        "sigma_vertex_mm": float(np.median(merged.sigma[known])),
+        "picture": str(args.png) if args.png else None,
+    }
+
+
+def describe(result: dict[str, Any]) -> str:
+    """The result in words."""
+    scans, pairs = result["scans"], result["pairs"]
+    closed = f"closed, {result['volume_mm3']:.6g} mm³" if result["closed"] else "open"
+    unseen = f"; {100 * (1 - result['seen']):.0f} % of it were not seen" if result["seen"] < 1 else ""
+    lines = [
+        f"{result['triangles']} triangles of {len(scans)} scans: {', '.join(result['path'])}",
+        f"  surface    {result['area_mm2']:.6g} mm², {closed}; {result['sides_in_the_mean']:.1f} scans on each vertex, "
+        f"σ {result['sigma_vertex_mm']:.4f} mm{unseen}",
+        f"  pairs      {len(pairs)} overlap; distances scatter by {result['residual_in_sigma']:.2f} σ, "
+        f"{max(pair['rms_mm'] for pair in pairs):.3f} mm RMS at most",
+        f"  closure    {result['closure_mm']:.3f} mm: the furthest that a pair alone would stand apart",
+    ]
+    lines += [
+        f"  {scan['path']}: {scan['points']} points, pose within {scan['sigma_mm']:.4f} mm and {scan['sigma_deg']:.4f}°"
+        for scan in scans[1:]
+    ]
+    if "turntable" in result:
+        found = result["turntable"]
+        axis, centre = (", ".join(f"{x:.4f}" for x in found[key]) for key in ("axis", "centre_mm"))
+        lines.append(
+            f"  turntable  {found['degrees_per_step']:.6g}° a step about ({axis}) through ({centre}) mm, "
+            f"± {found['sigma_mm']:.4f}; the poses are off it by {found['misfit_in_sigma']:.1f} σ"
+        )
+    if result["picture"]:
+        lines.append(f"  picture    {result['picture']}")
+    return "\n".join(lines)

@@ -1,0 +1,89 @@
+"""Sides as one surface: the right place on curved surfaces, each point by its own σ, nothing beyond the rim."""
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import InputError
+from jaxscan.surface.coarse import STILL
+from jaxscan.surface.merged import merge, merge_closed
+from jaxscan.surface.pairs import inverse
+from jaxscan.surface.side import Side
+from tests.surface.hills import RADIUS, height, pose, scanned, side
+
+R = 10.0
+
+
+def ball(name: str, pole: np.ndarray, sigma: float, seed: int, part: float = -1.0) -> Side:
+    """Points of a ball of radius 10, as far as their direction has this cosine with its pole, and more."""
+    rng = np.random.default_rng(seed)
+    i = np.arange(3000) + rng.uniform()
+    up, turn = 1 - 2 * i / 3001, np.pi * (1 + 5**0.5) * i
+    n = np.stack([np.sqrt(1 - up**2) * np.cos(turn), np.sqrt(1 - up**2) * np.sin(turn), up], axis=1)
+    n = n[n @ pole > part]
+    points = (R + sigma * rng.normal(size=(len(n), 1))) * n
+    return Side(name, points, n, np.full(len(n), sigma), np.zeros(len(n), bool), 0.8)
+
+
+@pytest.fixture(scope="module")
+def halves():
+    z = np.array([0.0, 0.0, 1.0])
+    return [ball("a", z, 1e-6, 0, -0.3), ball("b", -z, 1e-6, 1, -0.3)]
+
+
+def test_a_curved_surface_is_not_flattened(halves):
+    """With each point's own normal alone vertices would be off by h² / 2r = 0.018 mm."""
+    found = merge(halves, (STILL, STILL))
+    assert found.mesh.is_watertight
+    assert found.mesh.volume > 0
+    radius = np.linalg.norm(found.mesh.vertices, axis=1)
+    assert np.abs(radius - R).max() < 2e-3
+    assert set(found.sides) <= {1, 2}
+    assert (found.sides == 2).sum() == pytest.approx(0.3 * len(radius), rel=0.5)
+
+
+def test_each_point_weighs_by_its_sigma():
+    z = np.array([0.0, 0.0, 1.0])
+    good, bad = ball("good", z, 0.01, 2), ball("bad", z, 0.1, 3)
+    alone, both, worse = (merge(s, (STILL,) * len(s), cube_mm=1.5) for s in ([good], [good, bad], [bad]))
+    error = [np.std(np.linalg.norm(m.mesh.vertices, axis=1)) for m in (alone, both, worse)]
+    assert error[1] < 1.05 * error[0]
+    assert error[1] < 0.2 * error[2]
+    assert np.median(both.sigma) == pytest.approx(error[1], rel=0.3)
+
+
+def test_nothing_is_made_where_nothing_was_seen():
+    cap = ball("cap", np.array([0.0, 0.0, 1.0]), 1e-6, 4, 0.5)
+    mesh = merge([cap, cap], (STILL, STILL)).mesh
+    assert not mesh.is_watertight
+    assert mesh.vertices[:, 2].min() > 0.5 * R
+    assert 0.75 < mesh.area / (np.pi * R**2) < 1.0
+
+
+@pytest.fixture(scope="module")
+def hills():
+    return [side("0", scanned(0.0, 0)), side("1", scanned(90.0, 1))], (STILL, pose(90.0))
+
+
+def test_hills_of_two_sides(hills):
+    found = merge(*hills)
+    x, y, z = found.mesh.vertices.T
+    up = 300.0 - z - height(x, -(y + 12.0))
+    inner = np.hypot(x, y + 12.0) < RADIUS - 0.7
+    assert np.sqrt((up[inner] ** 2).mean()) < 0.01
+    # Upwards, toward the camera: −z.
+    assert (found.mesh.face_normals[:, 2] < 0).mean() > 0.99
+
+
+def test_closed_with_the_floor_under_it(hills):
+    pytest.importorskip("pymeshlab", reason="PyMeshLab (extra poisson) is not installed")
+    found = merge_closed(*hills)
+    assert found.mesh.is_watertight
+    x, y = np.meshgrid(np.linspace(-10, 10, 801), np.linspace(-10, 10, 801))
+    # Its wall was not seen, and bulges.
+    assert 1.0 < found.mesh.volume / (height(x, y).sum() * 0.025**2) < 1.25
+    assert np.isnan(found.sigma[found.sides == 0]).all()
+
+
+def test_cubes_of_no_size(halves):
+    with pytest.raises(InputError, match="more than 0"):
+        merge(halves, (STILL, inverse(STILL)), cube_mm=0.0)
