@@ -36,16 +36,23 @@ def sequential(observations: Observations) -> Rig:
             ]
         )
         k = np.array([*(float(c) for c in camera.radial), 0, 0, 0])[:4]
-        steps, translations = [], []
-        for stage in observations.stages:
-            for count, view in zip(stage.steps, stage.views, strict=True):
-                used = view.used()
-                _, _, t = cv2.solvePnP(observations.board.points()[used], view.corners[used], K, k)
-                steps.append(count)
-                translations.append(np.ravel(t))
-        A = np.stack([np.ones(len(steps)), np.asarray(steps)], axis=1)
-        per_step = np.linalg.lstsq(A, np.stack(translations), rcond=None)[0][1]
+        per_step = stage_by_line(observations, K, k)
         return as_numpy(Rig(camera, (plane,), Stage.create(jnp.asarray(per_step))))
+
+
+def stage_by_line(
+    observations: Observations, K: Float[np.ndarray, "3 3"], k: Float[np.ndarray, "coefficients"]
+) -> Float[np.ndarray, "3"]:
+    """The stage's motion for one step, mm: a least-squares line through the board's translations."""
+    steps, translations = [], []
+    for stage in observations.stages:
+        for count, view in zip(stage.steps, stage.views, strict=True):
+            used = view.used()
+            _, _, t = cv2.solvePnP(observations.board.points()[used], view.corners[used], K, k)
+            steps.append(count)
+            translations.append(np.ravel(t))
+    A = np.stack([np.ones(len(steps)), np.asarray(steps)], axis=1)
+    return np.linalg.lstsq(A, np.stack(translations), rcond=None)[0][1]
 
 
 def total_least_squares(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "3"]:
