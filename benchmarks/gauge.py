@@ -130,16 +130,21 @@ def read_block(folder: Path, rig: Rig, block: Sequence[float], y: float, seed: i
 
 
 def faces(
-    points: Float[np.ndarray, "frames columns 3"], rig: Rig, block: Sequence[float], y: float
+    points: Float[np.ndarray, "frames columns 3"],
+    rig: Rig,
+    block: Sequence[float],
+    y: float,
+    x: float = 0.0,
+    whole_width: float = _WIDTH,
 ) -> tuple[Bool[np.ndarray, "frames columns"], ...]:
     """By the true points: which frame and column is well within which face of a block, and which on the floor."""
     R, origin = rig_2003.platform(rig)
-    at = (points - origin) @ R
-    width = _WIDTH / len(block)
+    at = (points - origin) @ R - [x, 0.0, 0.0]
+    width = whole_width / len(block)
     on = []
     with np.errstate(invalid="ignore"):
         for i, height in enumerate(block):
-            middle = -_WIDTH / 2 + (i + 0.5) * width
+            middle = -whole_width / 2 + (i + 0.5) * width
             inside = np.abs(at[..., 0] - middle) < width / 2 - _INSET
             inside &= np.abs(at[..., 1] - y) < _DEPTH / 2 - _INSET
             on.append(inside & (np.abs(at[..., 2] - height) < 1e-3))

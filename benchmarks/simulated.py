@@ -35,9 +35,14 @@ _NEAREST, _FARTHEST = 260.0, 400.0
 
 @dataclass(frozen=True)
 class RigErrors:
-    """RMS errors of a rig over the working volume, mm: of triangulated exact pixels, of the sheet, of the stage."""
+    """RMS errors of a rig over the working volume, mm.
+
+    Of triangulated exact pixels; of these by its camera and the true sheet; by its sheet and the true camera; of the
+    travel of a scan.
+    """
 
     points: float
+    camera: float
     plane: float
     stage: float
 
@@ -90,16 +95,16 @@ def rig_errors(rig: Rig, truth: Rig) -> RigErrors:
     u, v = np.meshgrid(np.linspace(20, 620, 25), np.linspace(10, 470, 24))
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
     with float64():
-        there, true = (
-            np.asarray(_points(as_float64(rig), as_float64(truth), jnp.asarray(pixels), which)) for which in (0, 1)
+        there, true, other_plane, other_camera = (
+            np.asarray(_points(as_float64(rig), as_float64(truth), jnp.asarray(pixels), which)) for which in range(4)
         )
-        other_plane = np.asarray(_points(as_float64(rig), as_float64(truth), jnp.asarray(pixels), 2))
     depth = true[:, 2]
     near = (depth > _NEAREST) & (depth < _FARTHEST)
     travel = rig_2003.STEPS_APART * (rig_2003.SCAN_FRAMES - 1)
     moved = [rig_2003.stage_travel(r, np.array([float(travel)]))[0] for r in (rig, truth)]
     return RigErrors(
         points=_rms(there[near] - true[near]),
+        camera=_rms(other_camera[near] - true[near]),
         plane=_rms(other_plane[near] - true[near]),
         stage=float(np.linalg.norm(moved[0] - moved[1])),
     )
@@ -107,12 +112,12 @@ def rig_errors(rig: Rig, truth: Rig) -> RigErrors:
 
 @jax.jit
 def _points(rig: Rig, truth: Rig, pixels: Float[jax.Array, "pixels 2"], which: int) -> Float[jax.Array, "pixels 3"]:
-    """Middle-of-travel points by the rig (0), by the truth (1), and by the true camera with the rig's sheet (2)."""
+    """Middle-of-travel points by the rig (0), the truth (1), and the truth with the rig's sheet (2) or camera (3)."""
     steps = jnp.asarray(rig_2003.STEPS_APART * (rig_2003.SCAN_FRAMES - 1) / 2)
 
     def each(pixel: Float[jax.Array, "2"]) -> Float[jax.Array, "3"]:
-        mixed = replace(truth, lasers=rig.lasers)
-        return jnp.stack([r.triangulate(pixel, steps) for r in (rig, truth, mixed)])[which]
+        mixed = replace(truth, lasers=rig.lasers), replace(truth, camera=rig.camera)
+        return jnp.stack([r.triangulate(pixel, steps) for r in (rig, truth, *mixed)])[which]
 
     return jax.vmap(each)(pixels)
 

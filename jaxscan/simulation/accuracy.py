@@ -8,8 +8,9 @@ from jaxtyping import Bool, Float
 from jaxscan.simulation.distance import distance
 from jaxscan.simulation.scene import Scene
 
-# A pair further apart than this (mm) is not of one surface point: a column at a depth edge that saw the other side.
-_SAME_POINT_MM = 2.0
+# A pair further apart than this (mm), and than so many medians, is not of one surface point: a column at a depth edge
+# that saw the other side.
+_SAME_POINT_MM, _MEDIANS = 2.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -19,9 +20,10 @@ class CloudErrors:
     Attributes:
         absolute: RMS distance of all points from the nearest true surface.
         absolute_after_fit: the same after the rigid motion that fits the points to the true ones best.
-        to_true_point: RMS distance from the true point of the same frame and column, of those within 2 mm of it.
+        to_true_point: RMS distance from the true point of the same frame and column, of those within 2 mm of it or, in
+            a cloud that is off as a whole, within three times the median.
         to_true_point_after_fit: the same after that motion.
-        far_points: points further than 2 mm from the true point of their frame and column.
+        far_points: points further than that from the true point of their frame and column.
         completeness: share of the frame-columns in which an ideal camera sees the sheet that have a point.
     """
 
@@ -51,21 +53,36 @@ def cloud_errors(
         points: the reconstruction (mm).
         valid: where it has a point.
     """
-    points = np.asarray(points, np.float64)
+    points = np.where(valid[..., None], np.asarray(points, np.float64), np.nan)
+    near = near_its_true_point(points, true_points)
     seen = np.all(np.isfinite(true_points), axis=-1)
-    pair = valid & seen
-    gap = np.linalg.norm(points[pair] - true_points[pair], axis=1)
-    near = gap < _SAME_POINT_MM
-    R, t = rigid_fit(points[pair][near], true_points[pair][near])
+    pairs = int((valid & seen).sum())
+    R, t = rigid_fit(points[near], true_points[near])
     moved = points @ R.T + t
     return CloudErrors(
         absolute=_rms(distance(scene, points[valid])),
         absolute_after_fit=_rms(distance(scene, moved[valid])),
-        to_true_point=_rms(gap[near]),
-        to_true_point_after_fit=_rms(np.linalg.norm(moved[pair][near] - true_points[pair][near], axis=1)),
-        far_points=int((~near).sum()),
-        completeness=float(pair.sum() / seen.sum()),
+        to_true_point=_rms(np.linalg.norm(points[near] - true_points[near], axis=1)),
+        to_true_point_after_fit=_rms(np.linalg.norm(moved[near] - true_points[near], axis=1)),
+        far_points=pairs - int(near.sum()),
+        completeness=float(pairs / seen.sum()),
     )
+
+
+def near_its_true_point(
+    points: Float[np.ndarray, "frames columns 3"], true_points: Float[np.ndarray, "frames columns 3"]
+) -> Bool[np.ndarray, "frames columns"]:
+    """Which points are of the same surface point as the true one of their frame and column.
+
+    Args:
+        points: NaN for none, mm.
+        true_points: NaN for none, mm.
+    """
+    gap = np.linalg.norm(points - true_points, axis=-1)
+    pair = np.isfinite(gap)
+    limit = max(_SAME_POINT_MM, _MEDIANS * float(np.median(gap[pair]))) if pair.any() else 0.0
+    with np.errstate(invalid="ignore"):
+        return gap < limit
 
 
 def rigid_fit(

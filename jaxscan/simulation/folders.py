@@ -84,18 +84,22 @@ def simulate_session(
     seed: int = 0,
     *,
     rig: Rig | None = None,
+    views: int | None = None,
+    stage_views: int | None = None,
     lighting: Lighting = rig_2003.BOARD_LIGHTING,
     sensor: Sensor = rig_2003.SENSOR,
     separate_stripes: bool = False,
     ending: str = ".png",
     advance: Advance = lambda count: None,
 ) -> SessionTruth:
-    """Write the calibration session of the simulated rig of 2003: 11 boards with the stripe, 31 boards on the stage.
+    """Write a calibration session of the simulated rig of 2003: boards with the stripe, and a board on the stage.
 
     Args:
         folder: gets `session.toml`, `boards/` and `stage/`; is made if it is not there.
         seed: of the rig, the poses and the noise.
         rig: another rig than that of the seed; with several lasers the stripes are photographed separately.
+        views: how many poses, the first of them the same whatever their number; 11 if None.
+        stage_views: how many photographs of the board on the stage; 31 if None.
         lighting: of the boards with a stripe; the stage photographs have the same without the laser.
         sensor: of all photographs.
         separate_stripes: photograph every pose once without the laser and once with it, into `stripes/`.
@@ -107,8 +111,9 @@ def simulate_session(
     """
     rig = rig_2003.simulated_rig(seed) if rig is None else rig
     separate = separate_stripes or len(rig.lasers) != 1
-    boards, stage = rig_2003.board_poses(rig, seed, rig_2003.BOARD_VIEWS), rig_2003.stage_pose(rig, seed)
-    steps = tuple(STEPS_APART * i for i in range(rig_2003.STAGE_VIEWS))
+    views = rig_2003.BOARD_VIEWS if views is None else views
+    boards, stage = rig_2003.board_poses(rig, seed, views), rig_2003.stage_pose(rig, seed)
+    steps = tuple(STEPS_APART * i for i in range(rig_2003.STAGE_VIEWS if stage_views is None else stage_views))
     _make(folder, "boards", "stage", *(["stripes"] if separate else []))
     (folder / SESSION_FILE).unlink(missing_ok=True)
 
@@ -121,7 +126,7 @@ def simulate_session(
 
     board_images: list[Path] = []
     stripe_images: dict[str, list[Path | None]] = {laser.name: [] for laser in rig.lasers}
-    for i in range(rig_2003.BOARD_VIEWS):
+    for i in range(views):
         scene = rig_2003.board_scene(np.asarray(boards.rotation[i]), np.asarray(boards.translation[i]))
         board_images.append(shoot(f"boards/{i:02d}", scene, _BOARD_NOISE, i, laser=None if separate else 0))
         for n, laser in enumerate(rig.lasers if separate else ()):

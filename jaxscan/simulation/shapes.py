@@ -86,12 +86,14 @@ def box(y: float, size: Sequence[float] = (60.0, 40.0, 30.0), albedo: float = 0.
     return Body(Box(np.array([0.0, y, half[2]]), np.eye(3), half), grey(albedo))
 
 
-def stair(y: float, heights: Sequence[float] = (10.0, 20.0, 30.0), albedo: float = 0.6) -> tuple[Body, ...]:
-    """Boxes of equal depth side by side from left to right, each with its height, mm; 120 mm wide and 50 mm deep."""
-    width = 120.0 / len(heights)
+def stair(
+    y: float, heights: Sequence[float] = (10.0, 20.0, 30.0), albedo: float = 0.6, width: float = 120.0
+) -> tuple[Body, ...]:
+    """Boxes of equal width side by side from left to right, each with its height, mm; `width` in all, 50 mm deep."""
+    each = width / len(heights)
     steps = []
     for i, height in enumerate(heights):
-        left, right = -60.0 + i * width, -60.0 + (i + 1) * width
+        left, right = -width / 2 + i * each, -width / 2 + (i + 1) * each
         # A lower step goes on into a higher one, so that the wall between them is buried and not a surface.
         left -= _INTO if i > 0 and heights[i - 1] > height else 0.0
         right += _INTO if i + 1 < len(heights) and heights[i + 1] > height else 0.0
