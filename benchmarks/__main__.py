@@ -21,6 +21,7 @@ SUITES = {
     "batch": "many scans, killed and gone on with; a cluster that loses a worker",
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
     "accuracy": "the same photographs through the pipeline of 2003, makers' recipe, careful OpenCV and ours",
+    "speed": "reconstruction and calibration against the pipeline of 2003 in Octave",
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",
     "starts": "whether a calibration ends in the same minimum wherever it starts",
@@ -33,7 +34,7 @@ SUITES = {
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
-NOT_QUICK = {"derivatives", "starts", "next_pose", "montecarlo", "gauge", "lasers", "accuracy"}
+NOT_QUICK = {"derivatives", "starts", "next_pose", "montecarlo", "gauge", "lasers", "accuracy", "speed"}
 
 
 def main() -> int:

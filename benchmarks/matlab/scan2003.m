@@ -50,16 +50,22 @@ end
 seconds.read_boards = toc;
 
 tic;
+pixels = cell(1, views);
+board_stripes = zeros(0, 3);
+for k = 1:views
+    pixels{k} = stripe_pixels(photos{k}, job.board_threshold, quirks);
+    board_stripes = [board_stripes; k * ones(size(pixels{k}, 1), 1), pixels{k}]; %#ok<AGROW>
+end
+seconds.detect_boards = toc;
+
+tic;
 planes = zeros(3, views);
 lines = zeros(3, views);
 stripes = cell(1, views);
-board_stripes = zeros(0, 3);
 for k = 1:views
     planes(:, k) = board_plane(rotations(:, k), translations(:, k), quirks);
-    pixels = stripe_pixels(photos{k}, job.board_threshold, quirks);
-    stripes{k} = triangulate(pixels, fc, cc, kc, planes(:, k), quirks);
+    stripes{k} = triangulate(pixels{k}, fc, cc, kc, planes(:, k), quirks);
     lines(:, k) = stripe_line(stripes{k}, quirks);
-    board_stripes = [board_stripes; k * ones(size(pixels, 1), 1), pixels]; %#ok<AGROW>
 end
 seconds.lines = toc;
 

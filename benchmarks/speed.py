@@ -1,0 +1,119 @@
+"""Time, against the pipeline of 2003 in Octave, on one machine and in one run.
+
+- Reconstruction: photographs (JPEG, 1920 × 1080, a stripe in every column; and 640 × 480) to points, decoding included.
+  Both read the very same files, and the number of frames stated is what both were timed on.
+- Calibration of 40 views with 31 stage photographs: camera, light plane and stage, from corners and stripe pixels;
+  detection is apart in both. Ours finds the covariance too. Beside it the camera by itself.
+
+Octave's loops are timed once, ours after a first call that compiles (printed apart), the median of five. The scripts go
+through points one by one as they did in 2003; what they take with whole photographs at once stands beside.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from benchmarks import octave
+from benchmarks.drawn_2003 import STEPS_APART, Drawing
+from benchmarks.metric import Metric, ratio
+from benchmarks.pipeline_2003 import Outcome, Quirks
+from benchmarks.real import corners_only
+from jaxscan.calibration import calibrate
+from jaxscan.files.rig_file import RigFile
+from jaxscan.files.scan import Scan
+from jaxscan.images import StripeSettings
+from jaxscan.reconstruction import reconstruct
+
+_VIEWS, _STAGE_VIEWS = 40, 31
+_SCAN_STEPS: Final = ("read_scan", "detect", "triangulate")
+_CALIBRATION_STEPS: Final = ("camera", "lines", "laser_plane", "stage")
+_REPEATS = 5
+
+
+def measure(quick: bool) -> list[Metric]:
+    """Both; in the short form few frames and views."""
+    if octave.octave() is None:
+        print(f"  {octave.MISSING}: nothing measured")
+        return []
+    sizes = (((1920, 1080), 8),) if quick else (((1920, 1080), 40), ((640, 480), 37))
+    return [m for size, frames in sizes for m in reconstruction(size, frames)] + calibration(10 if quick else _VIEWS)
+
+
+def reconstruction(size: tuple[int, int], frames: int) -> list[Metric]:
+    """Photographs to points."""
+    with tempfile.TemporaryDirectory() as name:
+        drawing = Drawing(Path(name), size, every=16, ending=".jpg")
+        job = drawing.job(3, 3, frames)
+        looped, at_once = (octave.run(job, quirks) for quirks in (Quirks(), Quirks(loops=False)))
+        scan = Scan(
+            Path(name) / "scan.toml",
+            StripeSettings("red"),
+            frames=job.scan_photos,
+            steps=tuple(STEPS_APART * i for i in range(frames)),
+        )
+        rig = RigFile(drawing.rig())
+        points = [0]
+
+        def ours() -> None:
+            points[0] = int(reconstruct(rig, scan).valid.sum())
+
+        first, seconds = timed(ours)
+    stem = f"speed.reconstruction.{size[0]}"
+    print(
+        f"  {frames} frames of {size[0]} x {size[1]}: Octave {_of(looped, _SCAN_STEPS):.2f} s for {len(looped.points)} "
+        f"points, ours {seconds:.3f} s for {points[0]} (first call {first:.1f} s)"
+    )
+    over = ratio(f"{stem}.octave_over_ours", _of(looped, _SCAN_STEPS) / seconds, 80, "higher")
+    return [
+        over if size[0] == 1920 else replace(over, better="shown", target=None),
+        Metric(f"{stem}.octave_without_loops_over_ours", _of(at_once, _SCAN_STEPS) / seconds),
+        *(Metric(f"{stem}.octave.{step}", 1e3 * looped.seconds[step] / frames, "ms") for step in _SCAN_STEPS),
+        Metric(f"{stem}.ours", 1e3 * seconds / frames, "ms"),
+        Metric(f"{stem}.frames", frames),
+    ]
+
+
+def calibration(views: int) -> list[Metric]:
+    """Corners and stripe pixels to a rig."""
+    with tempfile.TemporaryDirectory() as name:
+        # As many stripe points on a board as the simulated rig of 2003 has.
+        drawing = Drawing(Path(name), every=2)
+        job = drawing.job(views, _STAGE_VIEWS, 0)
+        looped, at_once = (octave.run(job, quirks) for quirks in (Quirks(), Quirks(loops=False)))
+        observations = drawing.observations(job)
+    first, seconds = timed(lambda: calibrate(observations))
+    _, alone = timed(lambda: calibrate(corners_only(observations), reject=False))
+    stem = f"speed.calibration.{views}_views"
+    print(
+        f"  calibration of {views} views: Octave {_of(looped, _CALIBRATION_STEPS):.2f} s "
+        f"({', '.join(f'{step} {looped.seconds[step]:.2f}' for step in _CALIBRATION_STEPS)}), "
+        f"ours {seconds:.3f} s (first call {first:.1f} s); "
+        f"the camera alone: Octave {looped.seconds['camera']:.2f} s, ours {alone:.3f} s"
+    )
+    return [
+        ratio(f"{stem}.octave_over_ours", _of(looped, _CALIBRATION_STEPS) / seconds, 20, "higher"),
+        Metric(f"{stem}.octave_without_loops_over_ours", _of(at_once, _CALIBRATION_STEPS) / seconds),
+        Metric(f"{stem}.camera_alone.octave_over_ours", looped.seconds["camera"] / alone),
+        Metric(f"{stem}.octave", _of(looped, _CALIBRATION_STEPS), "s"),
+        Metric(f"{stem}.ours", seconds, "s"),
+        Metric(f"{stem}.ours_first_call_with_compiling", first, "s"),
+    ]
+
+
+def timed(work: Callable[[], object]) -> tuple[float, float]:
+    """Seconds of the first call, and the median of some more."""
+    times = []
+    for _ in range(1 + _REPEATS):
+        begin = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begin)
+    return times[0], float(np.median(times[1:]))
+
+
+def _of(outcome: Outcome, steps: tuple[str, ...]) -> float:
+    return sum(outcome.seconds[step] for step in steps)
