@@ -12,7 +12,7 @@ from typing import Final
 import cv2
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from benchmarks.found import Found
 from benchmarks.sequential import stage_by_line, total_least_squares
@@ -48,36 +48,53 @@ def opencv_pipeline(observations: Observations, folder: Path, scans: Sequence[Sc
         flags=cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-15),
     )
+    # Makers have the distortion, and leave it in the rays.
     k = np.ravel(k)[:4]
-
-    def rays(rows: Float[np.ndarray, "columns"]) -> Float[np.ndarray, "columns 3"]:
-        pixels = np.column_stack([np.arange(len(rows)), rows])
-        found = cv2.undistortPoints(pixels[:, None], K, k if careful else np.zeros(4), criteria=_UNDISTORT)
-        return np.column_stack([found[:, 0], np.ones(len(rows))])
-
+    model = k if careful else np.zeros(4)
     lit, on_boards = [], []
     for view, rotation, translation in zip(observations.views, rotations, translations, strict=True):
         rows = stripe_rows(read_image(folder / view.name), careful)
         n = cv2.Rodrigues(rotation)[0][:, 2]
-        x = rays(rows)
+        x = _rays(rows, K, model)
         X = x * (n @ translation.ravel() / (x @ n))[:, None]
         on_boards.append(X[np.isfinite(rows)])
         lit.append(np.isfinite(rows))
     omega = total_least_squares(np.concatenate(on_boards))
     per_step = stage_by_line(observations, K, k)
+    return found(observations.image_size, K, model, omega, per_step, scans, np.stack(lit), careful=careful)
+
+
+def found(
+    image_size: tuple[int, int],
+    K: Float[np.ndarray, "3 3"],
+    k: Float[np.ndarray, "4"],
+    omega: Float[np.ndarray, "3"],
+    per_step: Float[np.ndarray, "3"],
+    scans: Sequence[Scan],
+    lit: Bool[np.ndarray, "views columns"],
+    *,
+    careful: bool = True,
+) -> Found:
+    """Reconstruct scans with a rig in OpenCV's terms: k holds k1, k2, p1 and p2."""
     clouds = []
     for scan in scans:
         cloud = []
         for frame, steps in zip(scan.frames, scan.steps, strict=True):
-            x = rays(stripe_rows(read_image(frame), careful))
+            x = _rays(stripe_rows(read_image(frame), careful), K, k)
             cloud.append(x / (x @ omega)[:, None] - steps * per_step)
         clouds.append(np.stack(cloud))
     with float64():
-        camera = Camera.create(
-            observations.image_size, np.diag(K)[:2], K[:2, 2], "radial1", k[:1] if careful else np.zeros(1)
-        )
+        camera = Camera.create(image_size, np.diag(K)[:2], K[:2, 2], "brown", k[:2], k[2:])
         rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Stage.create(jnp.asarray(per_step))))
-    return Found(rig, tuple(clouds), np.stack(lit))
+    return Found(rig, tuple(clouds), lit)
+
+
+def _rays(
+    rows: Float[np.ndarray, "columns"], K: Float[np.ndarray, "3 3"], k: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "columns 3"]:
+    pixels = np.column_stack([np.arange(len(rows)), rows])
+    rays = cv2.undistortPoints(pixels[:, None], K, k, criteria=_UNDISTORT)
+    return np.column_stack([rays[:, 0], np.ones(len(rows))])
 
 
 def stripe_rows(image: np.ndarray, careful: bool) -> Float[np.ndarray, "columns"]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks import octave, transcription
 from benchmarks.found import Found
+from benchmarks.laserline_rs import INSTALLED, laserline_rs
 from benchmarks.opencv_pipeline import opencv_pipeline
 from benchmarks.pipeline_2003 import Outcome, Quirks, job_of
 from benchmarks.sub_pix import USUAL, with_sub_pix
@@ -133,9 +134,15 @@ def makers(taken: Taken, scans: Sequence[Scan]) -> Found:
     return opencv_pipeline(taken.sub_pix, taken.folder, scans, careful=False)
 
 
+def calibration_rs(taken: Taken, scans: Sequence[Scan]) -> Found:
+    """Camera and light plane jointly, by calibration-rs."""
+    return laserline_rs(taken.sub_pix, taken.folder, scans)
+
+
 PIPELINES: Final[dict[str, Pipeline]] = {
     MATLAB: matlab(),
     "makers": makers,
     "opencv": sequential_opencv,
+    **({"calibration-rs": calibration_rs} if INSTALLED else {}),
     OURS: ours,
 }

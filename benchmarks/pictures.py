@@ -1,0 +1,149 @@
+"""`python -m benchmarks.pictures`: the two pictures of the README, from simulated photographs.
+
+`cup.png`: a cup by the pipeline of 2003 and by ours, coloured by the distance from the true surface, and one profile of
+each. `views.png`: the error of a scan against the number of board views in the calibration, by each pipeline.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks import transcription
+from benchmarks.conditions import SHORT, Condition, Photographed, photograph
+from benchmarks.found import Found
+from benchmarks.pipelines import MATLAB, OURS, PIPELINES, Taken, matlab
+from jaxscan.calibration import Observations
+from jaxscan.cli.compiled import keep_compiled
+from jaxscan.simulation import rig_2003
+from jaxscan.simulation.accuracy import cloud_errors
+from jaxscan.simulation.distance import distance
+from jaxscan.view.matplotlib_setup import pyplot
+
+HERE: Final = Path(__file__).parents[1] / "docs" / "pictures"
+# Powers of two: views are padded to these, and each size is compiled.
+VIEWS: Final = (4, 8, 16, 32)
+_WORDS: Final = {
+    MATLAB: "pipeline of 2003",
+    "makers": "makers' recipe",
+    "opencv": "careful OpenCV",
+    "calibration-rs": "calibration-rs",
+    OURS: "jaxscan",
+}
+_COLOURS: Final = {
+    MATLAB: "tab:red",
+    "makers": "tab:orange",
+    "opencv": "tab:blue",
+    "calibration-rs": "tab:green",
+    OURS: "black",
+}
+_SCALE_MM, _DPI = 0.8, 100
+
+
+def main() -> None:
+    """Draw one or both."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__)
+    parser.add_argument("--only", choices=("cup", "views"), help="one of the two")
+    parser.add_argument("--seeds", type=int, default=10, help="of the second picture (default: 10)")
+    parser.add_argument("-o", "--output", type=Path, default=HERE, metavar="DIR", help="default: docs/pictures")
+    args = parser.parse_args()
+    keep_compiled()
+    args.output.mkdir(parents=True, exist_ok=True)
+    if args.only != "views":
+        draw_cup(args.output / "cup.png")
+    if args.only != "cup":
+        draw_views(args.output / "views.png", range(args.seeds))
+
+
+def draw_cup(path: Path, seed: int = 0) -> None:
+    """Both clouds of one scan."""
+    with tempfile.TemporaryDirectory() as folder:
+        world = photograph(Path(folder), Condition(), seed, ("cup",))
+        taken = Taken.of(world.session)
+        clouds = {name: PIPELINES[name](taken, list(world.scans.values())).clouds[0] for name in (MATLAB, OURS)}
+    truth = world.truths["cup"].points
+    R, origin = rig_2003.platform(world.rig)
+    plt = pyplot()
+    figure, axes = plt.subplots(2, 2, figsize=(9, 4.8), height_ratios=(1.15, 1), constrained_layout=True)
+    frame = truth.shape[0] // 2
+    drawn: Any = None
+    for (name, cloud), above, below in zip(clouds.items(), *axes, strict=True):
+        errors = cloud_errors(world.scenes["cup"], truth, cloud, np.isfinite(cloud[..., 0]))
+        points = cloud[np.isfinite(cloud[..., 0])]
+        at = (points - origin) @ R
+        off = distance(world.scenes["cup"], points)
+        drawn = above.scatter(at[:, 0], at[:, 1], c=off, s=1.2, cmap="inferno_r", vmin=0, vmax=_SCALE_MM, linewidths=0)
+        above.set(title=f"{_WORDS[name]}: {errors.absolute:.2f} mm RMS", aspect="equal", xlabel="x, mm", ylabel="y, mm")
+        for points, style, words in ((truth, {"color": "tab:green", "lw": 3}, "truth"), (cloud, {}, "measured")):
+            profile = (points[frame] - origin) @ R
+            style = style or {"color": "black", "lw": 0, "marker": ".", "ms": 3}
+            below.plot(profile[:, 0], profile[:, 2], label=words, **style)
+        below.set(
+            xlabel="x, mm", ylabel="height, mm", xlim=(-24, 24), ylim=(3.8, 6.4), title="the cup's bottom, one frame"
+        )
+        below.legend(loc="upper right")
+    figure.colorbar(drawn, ax=axes[0], label="distance from the true surface, mm", extend="max")
+    figure.savefig(path, dpi=_DPI)
+    plt.close(figure)
+
+
+def draw_views(path: Path, seeds: Sequence[int]) -> None:
+    """Median and quartiles over the seeds."""
+    errors: dict[str, list[list[float]]] = {name: [] for name in PIPELINES}
+    for seed in seeds:
+        for name, of_seed in errors_by_views(seed).items():
+            errors[name].append(of_seed)
+        print(
+            f"seed {seed}: " + "; ".join(f"{name} {np.round(each[-1], 3)}" for name, each in errors.items()), flush=True
+        )
+    plt = pyplot()
+    figure, axis = plt.subplots(figsize=(6, 4), constrained_layout=True)
+    for name, each in errors.items():
+        low, median, high = np.percentile(np.array(each), [25, 50, 75], axis=0)
+        axis.plot(VIEWS, median, "o-", color=_COLOURS[name], label=_WORDS[name])
+        axis.fill_between(VIEWS, low, high, color=_COLOURS[name], alpha=0.15, lw=0)
+    axis.set(xscale="log", yscale="log", xlabel="photographs of the board", ylabel="absolute RMS error of a scan, mm")
+    axis.set_xticks(VIEWS, [str(n) for n in VIEWS])
+    axis.minorticks_off()
+    ticks = [0.05, 0.1, 0.2, 0.5, 1.0]
+    axis.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    axis.grid(alpha=0.3)
+    axis.legend()
+    figure.savefig(path, dpi=_DPI)
+    plt.close(figure)
+
+
+def errors_by_views(seed: int) -> Mapping[str, list[float]]:
+    """The absolute error of a scan of the cup, for each number of views, by each pipeline."""
+    pipelines = {**PIPELINES, MATLAB: matlab(runner=transcription)}
+    with tempfile.TemporaryDirectory() as folder:
+        world = photograph(Path(folder), replace(SHORT, views=max(VIEWS)), seed, ("cup",))
+        taken = Taken.of(world.session)
+        scans = list(world.scans.values())
+        return {
+            name: [_absolute(world, pipeline(_first(taken, count), scans)) for count in VIEWS]
+            for name, pipeline in pipelines.items()
+        }
+
+
+def _first(taken: Taken, count: int) -> Taken:
+    """The first so many views of the board."""
+
+    def some(observations: Observations) -> Observations:
+        return replace(observations, views=observations.views[:count])
+
+    return Taken(taken.folder, *(some(each) for each in (taken.own, taken.with_stripe, taken.sub_pix)))
+
+
+def _absolute(world: Photographed, found: Found) -> float:
+    cloud: Float[np.ndarray, "frames columns 3"] = found.clouds[0]
+    return cloud_errors(world.scenes["cup"], world.truths["cup"].points, cloud, np.isfinite(cloud[..., 0])).absolute
+
+
+if __name__ == "__main__":
+    main()
