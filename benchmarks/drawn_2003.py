@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.pipeline_2003 import Job
-from jaxscan.calibration import Observations, StageSequence, View
+from jaxscan.calibration import Observations, StageSequence, StripePoints, View
 from jaxscan.calibration.observe import stripe_points
 from jaxscan.images import Board, StripeSettings, read_image, write_image
 from jaxscan.precision import as_numpy, float64
@@ -85,15 +85,18 @@ class Drawing:
         scan = [self.paint(f"scan-{i}", FLOOR / (1 + i * FLOOR @ MOVE), random) for i in range(frames)]
         return Job(self.image_size, points, np.array(corners), np.array(staged), tuple(photos), tuple(scan))
 
-    def observations(self, job: Job) -> Observations:
-        """The same for the joint solve: corners in the order in which z points away, stripes by our own detector."""
+    def observations(self, job: Job, *, stripes: bool = True) -> Observations:
+        """The same for other pipelines: corners in the order in which z points away, stripes by our own detector."""
         columns, rows = BOARD.counts
 
         def corners(seen: Float[np.ndarray, "corners 2"]) -> Float[np.ndarray, "corners 2"]:
             return seen.reshape(rows, columns, 2)[::-1].reshape(-1, 2)
 
+        def lit(photo: Path) -> tuple[StripePoints, ...]:
+            return (stripe_points(read_image(photo), StripeSettings("red"), 0),) if stripes else ()
+
         views = tuple(
-            View(photo.name, corners(seen), stripes=(stripe_points(read_image(photo), StripeSettings("red"), 0),))
+            View(photo.name, corners(seen), stripes=lit(photo))
             for seen, photo in zip(job.corners, job.board_photos, strict=True)
         )
         along = tuple(View(f"stage-{i}", corners(seen)) for i, seen in enumerate(job.stage_corners))
