@@ -1,0 +1,85 @@
+"""Frames of one motor step merged: what a scan with several exposures of each step gives to the detector."""
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Int, UInt
+
+from jaxscan.errors import InputError, said_of
+from jaxscan.files.scan import Scan
+from jaxscan.images.exposures import merge_exposures
+
+Photographs = UInt[np.ndarray, "frames rows columns *rgb"]
+# Frames, their backgrounds (one for all of them, or one for each), and the motor step of each.
+Batch = tuple[Photographs, UInt[np.ndarray, "..."] | None, Int[np.ndarray, "frames"]]
+
+
+def step_groups(scan: Scan) -> list[range]:
+    """Which frames of a scan are of one step and are to be merged: runs of frames with equal step counts.
+
+    A scan without `exposures_s` merges nothing: each of its frames is a group by itself.
+
+    Raises:
+        InputError: the stage comes back to a step after others, or one background stands for several exposures.
+    """
+    if scan.exposures_s is None:
+        return [range(i, i + 1) for i in range(len(scan.steps))]
+    starts = [0, *(i + 1 for i, (now, then) in enumerate(pairwise(scan.steps)) if now != then)][: len(scan.steps)]
+    groups = [range(*ends) for ends in pairwise([*starts, len(scan.steps)])]
+    seen: dict[int, int] = {}
+    for group in groups:
+        step = scan.steps[group.start]
+        if step in seen:
+            raise InputError(
+                f"{scan.path}: [scan] steps: step {step} of frame {seen[step]} comes again at frame {group.start}, "
+                "after others: with exposures_s list the frames of a step one after another"
+            )
+        seen[step] = group.start
+    if len(scan.backgrounds) == 1 and any(len(group) > 1 for group in groups):
+        raise InputError(
+            f"{scan.path}: [scan] background: one photograph for frames of several exposures: take one for each frame, "
+            "exposed as long as it"
+        )
+    return groups
+
+
+def merged_steps(scan: Scan, batches: Iterable[Batch], size: int) -> Iterator[Batch]:
+    """One photograph for each step, `size` at a time whatever the size of the batches that come in.
+
+    Args:
+        scan: what the frames belong to.
+        batches: its frames in their order.
+        size: how many merged photographs come at a time; the last time fewer.
+
+    Raises:
+        InputError: as `step_groups` and `merge_exposures`.
+    """
+    groups, exposures = deque(step_groups(scan)), scan.exposures_s
+    if exposures is None or all(len(group) == 1 for group in groups):
+        yield from batches
+        return
+    waiting: list[tuple[np.ndarray, np.ndarray | None]] = []
+    merged: list[tuple[np.ndarray, np.ndarray | None, int]] = []
+    for frames, backgrounds, _ in batches:
+        waiting += zip(frames, [None] * len(frames) if backgrounds is None else backgrounds, strict=True)
+        while groups and len(waiting) >= len(groups[0]):
+            group = groups.popleft()
+            lit, dark = zip(*waiting[: len(group)], strict=True)
+            waiting = waiting[len(group) :]
+            with said_of(f"{scan.path}: [scan] frames {group.start} to {group.stop - 1}"):
+                image, ground = merge_exposures(
+                    np.stack(lit), exposures[group.start : group.stop], None if dark[0] is None else np.stack(dark)
+                )
+            merged.append((np.asarray(image), None if ground is None else np.asarray(ground), scan.steps[group.start]))
+            if len(merged) == size:
+                yield _batch(merged)
+                merged = []
+    if merged:
+        yield _batch(merged)
+
+
+def _batch(merged: list[tuple[np.ndarray, np.ndarray | None, int]]) -> Batch:
+    images, grounds, steps = zip(*merged, strict=True)
+    return np.stack(images), None if grounds[0] is None else np.stack(grounds), np.asarray(steps, np.int64)
