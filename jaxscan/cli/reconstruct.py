@@ -29,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_detector_argument(parser)
     add_choice_argument(parser)
+    parser.add_argument(
+        "--spacetime",
+        action="store_true",
+        help="measure when the light passes over each point of the surface, and not where it is in each frame: right "
+        "at borders of prints and of the object too; needs a scan in small, equal steps",
+    )
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -41,7 +47,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     for path in args.output:
         check_writable(path)
-    done = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe)
+    done = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime)
     return {
         "kind": "points",
         "path": [str(path) for path in args.output],
@@ -52,7 +58,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def reconstruct_scan(
-    scan: Path, rig: Path, outputs: list[Path], detector: Detector = DEFAULT, choice: Choice = "strongest"
+    scan: Path,
+    rig: Path,
+    outputs: list[Path],
+    detector: Detector = DEFAULT,
+    choice: Choice = "strongest",
+    spacetime: bool = False,
 ) -> "Written":
     """Reconstruct with a progress bar, writing the points to each output."""
     from jaxscan.cli.compiled import keep_compiled
@@ -65,7 +76,7 @@ def reconstruct_scan(
 
     calibrated, photographs = read_rig(rig), read_scan(scan)
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
-        return write_stream(outputs, Scanner(calibrated, detector, choice).scan(photographs), advance)
+        return write_stream(outputs, Scanner(calibrated, detector, choice, spacetime).scan(photographs), advance)
 
 
 def describe(result: dict[str, Any]) -> str:

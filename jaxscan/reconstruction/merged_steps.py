@@ -11,9 +11,8 @@ from jaxscan.errors import InputError, said_of
 from jaxscan.files.scan import Scan
 from jaxscan.images.exposures import merge_exposures
 
-Photographs = UInt[np.ndarray, "frames rows columns *rgb"]
-# Frames, their backgrounds (one for all of them, or one for each), and the motor step of each.
-Batch = tuple[Photographs, UInt[np.ndarray, "..."] | None, Int[np.ndarray, "frames"]]
+# Frames, their backgrounds (one for all of them, or one for each), and the motor step of each; batches differ in size.
+Batch = tuple[UInt[np.ndarray, "_ rows columns *rgb"], UInt[np.ndarray, "..."] | None, Int[np.ndarray, "_"]]
 
 
 def step_groups(scan: Scan) -> list[range]:

@@ -115,7 +115,7 @@ def _detect(
     color, columns = settings.color, settings.columns
     length = frames.shape[1 if columns else 2]
     narrow, wide = (min(half, (length - 1) // 2) for half in (_NARROW, _WIDE))
-    ambient = _ambient(np.asarray(frames), None if dark is None else np.asarray(dark), color)
+    ambient = ambient_levels(np.asarray(frames), None if dark is None else np.asarray(dark), color)
     # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
     images, background = jax.device_put((frames, dark))
     peaks = coarse_peaks(images, background, ambient, color, columns)
@@ -185,7 +185,7 @@ def _in_a_line(position: Float32[np.ndarray, "frames lines"]) -> Bool[np.ndarray
     return company >= _LEAST_COMPANY
 
 
-def _ambient(frames: np.ndarray, dark: np.ndarray | None, color: str) -> Int[np.ndarray, "frames"]:
+def ambient_levels(frames: np.ndarray, dark: np.ndarray | None, color: str) -> Int[np.ndarray, "frames"]:
     """The level of the other two channels without laser, in each frame."""
     if color == "grey":
         return np.zeros(len(frames), np.int32)

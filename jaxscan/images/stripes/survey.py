@@ -74,11 +74,12 @@ def survey(
     at = (frame, line, peak[of][:, some], columns, half)
     lit = gather_pixels(images, *at)
     dark = None if background is None else gather_pixels(background, *at)
-    return _survey(lit, dark, ambient, color)
+    return survey_windows(lit, dark, ambient, color)
 
 
 @partial(jax.jit, static_argnames="color")
-def _survey(lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str) -> Sensor:
+def survey_windows(lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str) -> Sensor:
+    """Look at each frame's sensor in some of its windows: their pixels with the laser on, and off."""
     levels = channels(lit, dark, color)
     laser = lit if color == "grey" else lit[..., CHANNELS[color][0]]
     full = _full_number(laser)

@@ -1,0 +1,62 @@
+"""Batches of frames with their neighbours in time, for whatever looks at several frames together."""
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int, UInt
+
+from jaxscan.reconstruction.merged_steps import Batch
+
+
+class Overlapping(NamedTuple):
+    """Some frames of a scan, and neighbours of theirs.
+
+    Attributes:
+        frames: neighbours before, the frames, neighbours after, as far as the scan has them.
+        backgrounds: one for each of these, or one for all, or None.
+        steps: of all of these.
+        inner: which of them the batch is of.
+    """
+
+    frames: UInt[np.ndarray, "frames rows columns *rgb"]
+    backgrounds: UInt[np.ndarray, "backgrounds rows columns *rgb"] | None
+    steps: Int[np.ndarray, "frames"]
+    inner: slice
+
+
+def overlapping(batches: Iterable[Batch], before: int, after: int, size: int) -> Iterator[Overlapping]:
+    """Every frame once, `size` at a time whatever the size of the batches that come in, with neighbours.
+
+    No more than `before + size + after` frames and one batch that came in are held at a time.
+
+    Args:
+        batches: the frames of a scan in their order.
+        before: neighbours before the first frame of each batch, where the scan has so many.
+        after: neighbours after its last.
+        size: frames of each batch; the last has fewer.
+    """
+    held: list[tuple[np.ndarray, np.ndarray | None, int]] = []
+    shared: np.ndarray | None = None
+    done = 0
+
+    def ready(count: int) -> Overlapping:
+        frames, darks, steps = zip(*held[: done + count + after], strict=True)
+        backgrounds = shared if darks[0] is None else np.stack(darks)
+        return Overlapping(np.stack(frames), backgrounds, np.asarray(steps), slice(done, done + count))
+
+    for frames, backgrounds, steps in batches:
+        darks: Iterable[np.ndarray | None] = [None] * len(frames)
+        if backgrounds is not None and backgrounds.shape == frames.shape:
+            darks = backgrounds
+        elif backgrounds is not None:
+            shared = np.reshape(backgrounds, (1, *frames.shape[1:]))
+        held += zip(frames, darks, steps.tolist(), strict=True)
+        while len(held) >= done + size + after:
+            yield ready(size)
+            drop = max(done + size - before, 0)
+            held, done = held[drop:], done + size - drop
+    while done < len(held):
+        count = min(size, len(held) - done)
+        yield ready(count)
+        done += count

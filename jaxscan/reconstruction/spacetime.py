@@ -1,0 +1,285 @@
+"""Spacetime analysis: the light's passage over each point of the surface, in time rather than across the image.
+
+A detector that looks for the middle of a stripe in one frame takes for granted that the surface reflects alike on both
+sides of it and goes on to both sides of it. Where it does not, at the border of a print or of the object, the middle is
+off. B. Curless and M. Levoy (1995) look along time instead. Let a point P of the object (object frame) be carried by
+the stage, X(n) = P + n p with p = per_step at motor step n. Its distance from the sheet is
+
+    d(n) = (ω · X(n) − 1) / |ω| = (ω · P − 1 + n ω · p) / |ω|
+
+and so the light that it sends back, ρ exp(−d² / 2 σ²), is a Gaussian in n of standard deviation σ |ω| / |ω · p|, whose
+centre n₀ = (1 − ω · P) / (ω · p) depends neither on its reflectance ρ nor on what lies beside it.
+
+Camera and sheet are fixed to each other, the object moves; so a point of it is not seen by one pixel. In the slice of
+spacetime that a line of the image sweeps out it draws a slanted track, which Curless and Levoy turn upright by
+resampling the slice bilinearly. The slant is known: whatever crosses the sheet at pixel q does so at the one point
+X(q) = x / (ω · x) that q, with ray x, sees of the sheet, and is seen m motor steps later at
+
+    q(m) = π(X(q) + m p),
+
+π the camera. Frames are taken as they are, and in each the pixels about the track are interpolated, with a cubic across
+the stripe, which blurs less than a bilinear one. A frame's own stripe leads to the tracks: where a detector finds it,
+biased or not, some point of the surface is near the sheet, and its track is looked along. The centre of what is seen
+there, δ frames off, gives the point
+
+    P = X(q(δ)) − (n + δ Δn) p,    Δn the motor steps from frame to frame.
+
+A second look starts at q(δ) in place of q, so that the points stand where the surface crosses the sheet at frame n and
+not where the stripe was thought to be. X(q) is taken to be on the sheet though its pixel was off by some part of the
+stripe's width: as long as that is narrow for the depth, the slant of tracks hardly differs across it.
+
+The frames at either end of a scan, whose passages are not seen whole, have no points.
+
+What is left of an error at an edge is the light that lens and pixels let in from beyond it. It counts little where the
+sheet is seen some pixels wide.
+"""
+
+from collections.abc import Iterable, Iterator
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxscan.detectors import Choice, Detector
+from jaxscan.errors import InputError
+from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images.stripes.detect import ambient_levels
+from jaxscan.images.stripes.detectors import Measured, measure
+from jaxscan.images.stripes.tracks import Tracks, gather_passage, number_scale, passage_windows, survey_passage
+from jaxscan.reconstruction.merged_steps import Batch
+from jaxscan.reconstruction.overlapping import Overlapping, overlapping
+from jaxscan.reconstruction.triangulate import Kernel, triangulate
+from jaxscan.rig import Camera, Rig
+
+Lines = Float[Array, "frames lines"]
+
+# How the stripe is found from which tracks start, and how the first look along them is taken.
+_START: Detector = "gravity"
+# How many frames to either side of one are looked at: so many standard deviations of the passage, and so many more,
+# that the detectors see what is beside the light.
+_REACH, _MARGIN, _LEAST_HALF = 4.0, 4, 8
+# Tracks whose light passes further off than this, in standard deviations, are another stripe's.
+_FARTHEST = 4.0
+# The light stands out in time by so many times the noise, as in the image.
+_LEAST_SIGNAL = 4.7
+# How many lines of a frame tell its noise.
+_SURVEYED = 96
+_BATCH = 16
+
+
+class Profiles(NamedTuple):
+    """Points of some frames, one for each line: the surface where it crosses the sheet about the time of the frame.
+
+    Attributes:
+        position: where it does so: v of each column (or u of each row), px; NaN for none.
+        sigma: that of the position whose error would displace the point as much as that of the centre in time, px.
+        strength: of the light in time, grey levels of its response.
+        points: mm, object frame; NaN for none.
+        steps: motor step count of each frame.
+    """
+
+    position: Float[np.ndarray, "frames lines"]
+    sigma: Float[np.ndarray, "frames lines"]
+    strength: Float[np.ndarray, "frames lines"]
+    points: Float[np.ndarray, "frames lines 3"]
+    steps: Int[np.ndarray, "frames"]
+
+
+class Geometry(eqx.Module):
+    """The rig as tracks need it, in float32.
+
+    Attributes:
+        kernel: of the laser.
+        camera: where points are seen.
+        per_frame: p Δn, mm.
+        steps_per_frame: Δn.
+        columns: whether lines are columns of the image.
+    """
+
+    kernel: Kernel
+    camera: Camera
+    per_frame: Float[Array, "3"]
+    steps_per_frame: Float[Array, ""]
+    columns: bool = eqx.field(static=True)
+
+    @staticmethod
+    def create(rig: Rig, settings: StripeSettings, steps_per_frame: int) -> "Geometry":
+        """The rig made ready.
+
+        Raises:
+            InputError: the rig has no stage or no such laser.
+        """
+        if rig.stage is None:
+            raise InputError("the rig has no stage, and spacetime analysis rests on its motion: calibrate with [stage]")
+        kernel = Kernel.create(rig, settings.name)
+        camera = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), rig.camera)
+        steps = jnp.asarray(steps_per_frame, jnp.float32)
+        return Geometry(kernel, camera, -kernel.back * steps, steps, settings.columns)
+
+    def pixels(self, position: Lines) -> tuple[Lines, Lines]:
+        """(u, v) of a position in each line."""
+        line = jnp.broadcast_to(jnp.arange(position.shape[1], dtype=jnp.float32), position.shape)
+        return (line, position) if self.columns else (position, line)
+
+    def across(self, u: Lines, v: Lines) -> Lines:
+        """The position in its line of each pixel."""
+        return v if self.columns else u
+
+
+def spacetime_profiles(
+    geometry: Geometry,
+    sigma: float,
+    settings: StripeSettings,
+    batches: Iterable[Batch],
+    detector: Detector,
+    choice: Choice,
+) -> Iterator[Profiles]:
+    """The surface of a scan whose object moves under the light in small, equal steps.
+
+    Args:
+        geometry: of the rig.
+        sigma: about what standard deviation in frames the light's passage over a point has (`passage_of`).
+        settings: the laser.
+        batches: the scan's frames in their order, of any size: the points do not depend on it.
+        detector: how the centre in time is measured.
+        choice: which stripe is followed where a line has several.
+
+    Raises:
+        InputError: there are too few frames.
+    """
+    half, frames = half_window(sigma), 0
+    for batch in overlapping(batches, half, half, _BATCH):
+        count = batch.inner.stop - batch.inner.start
+        # The last batch is filled up with its last frame, so that it compiles nothing anew.
+        some = batch.inner.start + np.minimum(np.arange(_BATCH), count - 1)
+        yield Profiles(*(x[:count] for x in _profiles(geometry, settings, batch, some, sigma, detector, choice)))
+        frames += count
+    if frames <= 2 * half:
+        raise InputError(
+            f"{frames} frames: spacetime analysis looks at {2 * half + 1} together: scan further, or reconstruct "
+            "without it"
+        )
+
+
+def half_window(sigma: float) -> int:
+    """How many frames to either side of one are looked at, for passages of so many frames."""
+    return max(int(np.ceil(_REACH * sigma)) + _MARGIN, _LEAST_HALF)
+
+
+def _profiles(
+    geometry: Geometry,
+    settings: StripeSettings,
+    batch: Overlapping,
+    some: Int[np.ndarray, "frames"],
+    sigma: float,
+    detector: Detector,
+    choice: Choice,
+) -> Profiles:
+    own = batch.backgrounds is not None and len(batch.backgrounds) == len(batch.frames)
+    dark = batch.backgrounds[some] if own and batch.backgrounds is not None else batch.backgrounds
+    stripe = detect_stripe(batch.frames[some], settings, dark, detector=_START, choice=choice)
+    scale = number_scale(batch.frames.dtype)
+    ambient = jnp.asarray(scale * ambient_levels(batch.frames[some], dark, settings.color))
+    surveyed = jnp.asarray(_some_lines(np.asarray(stripe.valid)))
+    images, grounds = jax.device_put((batch.frames, batch.backgrounds))
+    half, farthest = half_window(sigma), _FARTHEST * sigma
+    window = some[:, None] + np.arange(-half, half + 1)
+    within = (window >= 0) & (window < len(images))
+    frame = jnp.asarray(window.clip(0, len(images) - 1), jnp.int32)
+    begin = jnp.full(stripe.valid.shape, -half, jnp.int32)
+    group = jnp.broadcast_to(jnp.arange(len(some), dtype=jnp.int32)[:, None], stripe.valid.shape)
+
+    def look(u: Lines, v: Lines, which: Detector) -> tuple[Measured, Float[Array, "frames 1"]]:
+        """The passage of light along the tracks through these pixels, and how much it must stand out."""
+        tracks = Tracks(frame, *_track(geometry, u, v, half))
+        lit = gather_passage(images, tracks, geometry.columns)
+        dark_tracks = tracks if own else tracks.of_one_frame()
+        unlit = None if grounds is None else gather_passage(grounds, dark_tracks, geometry.columns)
+        sensor = survey_passage(lit, unlit, surveyed, ambient, settings.color)
+        windows = passage_windows(lit, unlit, sensor, group, begin, settings.color)
+        seen = measure(windows, sensor, group, which)
+        if which == "likelihood" and bool(seen.burnt.any()):
+            full = measure(windows, sensor, group, which, "censored")
+            seen = jax.tree.map(lambda new, old: jnp.where(seen.burnt, new, old), full, seen)
+        return seen, _LEAST_SIGNAL * sensor.ground[:, None]
+
+    u, v = geometry.pixels(jnp.where(stripe.valid, stripe.position, 0.0))
+    seen, _ = look(u, v, _START)
+    u, v = carried(geometry, u, v, _believed(seen, farthest))
+    seen, least = look(u, v, detector)
+    u, v = carried(geometry, u, v, _believed(seen, farthest))
+    columns, rows = geometry.camera.image_size
+    valid = stripe.valid & seen.whole & (jnp.abs(seen.position) < farthest) & (seen.strength > least)
+    valid &= (u >= -0.5) & (u <= columns - 0.5) & (v >= -0.5) & (v <= rows - 0.5)
+    valid &= jnp.asarray(within.all(axis=1))[:, None]
+    points, pixels_per_frame = _points(geometry, u, v, jnp.asarray(batch.steps[some], jnp.float32), seen.position)
+    return Profiles(
+        np.asarray(jnp.where(valid, geometry.across(u, v), jnp.nan)),
+        np.asarray(jnp.where(valid, seen.sigma * pixels_per_frame, jnp.nan)),
+        np.asarray(seen.strength / scale),
+        np.asarray(jnp.where(valid[..., None], points, jnp.nan)),
+        batch.steps[some],
+    )
+
+
+def _some_lines(valid: Bool[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames some"]:
+    """Lines of each frame that have a stripe, evenly spread; any lines where none has."""
+    lines = valid.shape[1]
+    which = [np.flatnonzero(row) if row.any() else np.arange(lines) for row in valid]
+    count = min(_SURVEYED, lines)
+    return np.stack([each[np.linspace(0, len(each) - 1, count).astype(np.int32)] for each in which]).astype(np.int32)
+
+
+def _believed(seen: Measured, farthest: float) -> Lines:
+    return jnp.where(seen.whole, jnp.clip(seen.position, -farthest, farthest), 0.0)
+
+
+@jax.jit
+def carried(geometry: Geometry, u: Lines, v: Lines, frames: Lines | Float[Array, ""]) -> tuple[Lines, Lines]:
+    """q(m): where what crosses the sheet at pixel (u, v) is seen so many frames later."""
+    point = _on_sheet(geometry, u, v)
+    moved = point + jnp.broadcast_to(frames, u.shape)[..., None] * geometry.per_frame[None, None]
+    q = jax.vmap(jax.vmap(geometry.camera.project))(moved)
+    return q[..., 0], q[..., 1]
+
+
+@partial(jax.jit, static_argnames="half")
+def _track(
+    geometry: Geometry, u: Lines, v: Lines, half: int
+) -> tuple[Float[Array, "frames window lines"], Float[Array, "frames window lines"]]:
+    """The track through each pixel, for so many frames to either side."""
+    carry = jnp.arange(-half, half + 1)[:, None] * geometry.per_frame[None]
+    moved = _on_sheet(geometry, u, v)[:, None] + carry[None, :, None]
+    q = jax.vmap(jax.vmap(jax.vmap(geometry.camera.project)))(moved)
+    return q[..., 0], q[..., 1]
+
+
+def _on_sheet(geometry: Geometry, u: Lines, v: Lines) -> Float[Array, "frames lines 3"]:
+    """X(q), mm, camera frame."""
+    zero = jnp.zeros(u.size, jnp.float32)
+    return triangulate(geometry.kernel, u.ravel(), v.ravel(), zero).reshape(*u.shape, 3)
+
+
+@jax.jit
+def _points(
+    geometry: Geometry, u: Lines, v: Lines, steps: Float[Array, "frames"], after: Lines
+) -> tuple[Float[Array, "frames lines 3"], Lines]:
+    """Points of the object frame, and by how many pixels a stripe would be off for one frame.
+
+    The light of a point P that is thought to pass dn frames later puts it on the same ray where that meets the sheet
+    later, (ω · p) / (ω · d) dn further along the ray's direction d; a stripe ds pixels off does so by d · ∂X / ∂s ds.
+    """
+    motor = steps[:, None] + after * geometry.steps_per_frame
+    points = triangulate(geometry.kernel, u.ravel(), v.ravel(), motor.ravel()).reshape(*u.shape, 3)
+    X, position = _on_sheet(geometry, u, v), geometry.across(u, v)
+    ends = [(u, position + h) if geometry.columns else (position + h, v) for h in (-0.5, 0.5)]
+    along = _on_sheet(geometry, *ends[1]) - _on_sheet(geometry, *ends[0])
+    norm = jnp.linalg.norm(X, axis=-1)
+    omega = geometry.kernel.omega
+    # ω · X = 1.
+    by_frame = jnp.abs(omega @ geometry.per_frame) * norm
+    return points, by_frame / jnp.abs((along * X).sum(-1) / norm)

@@ -1,0 +1,144 @@
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscan.errors import InputError
+from jaxscan.files.scan import Scan
+from jaxscan.images import StripeSettings, write_image
+from jaxscan.precision import as_numpy, float64
+from jaxscan.reconstruction import reconstruct
+from jaxscan.reconstruction.overlapping import overlapping
+from jaxscan.reconstruction.passage import passage_of
+from jaxscan.reconstruction.spacetime import Geometry, carried, spacetime_profiles
+from jaxscan.rig import Camera, LightPlane, Rig, Stage
+
+ROWS, COLUMNS, FRAMES = 96, 40, 40
+DEPTH, SHEET_MM, STEP = 300.0, 0.8, 200
+OMEGA, PER_STEP = np.array([0.0, -0.005, 1 / 300]), np.array([0.0, 0.0025, 0.0])
+# Frames to either side that are looked at.
+HALF = 12
+GREY = StripeSettings("grey")
+
+
+@pytest.fixture(scope="module")
+def rig():
+    with float64():
+        camera = Camera.create((COLUMNS, ROWS), np.array([600.0, 600.0]), np.array([20.0, 48.0]))
+        stage = Stage.create(PER_STEP)
+        return as_numpy(Rig(camera, (LightPlane.create(OMEGA),), stage))
+
+
+def photograph(step, dark_beyond=np.inf, fine=15):
+    """A wall that faces the camera and moves up and down with the stage, a tenth as bright beyond a line on it."""
+    v = (np.arange(ROWS * fine) + 0.5) / fine - 0.5
+    y = DEPTH * (v - 48.0) / 600.0
+    d = (OMEGA[1] * y + OMEGA[2] * DEPTH - 1) / np.linalg.norm(OMEGA)
+    light = np.exp(-0.5 * (d / SHEET_MM) ** 2) * np.where(y - step * PER_STEP[1] > dark_beyond, 0.1, 1.0)
+    levels = 500 + 40000 * light.reshape(ROWS, fine).mean(axis=1)[:, None]
+    return levels + 100 * np.random.default_rng(abs(step)).standard_normal((ROWS, COLUMNS))
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    """The line of the wall passes the sheet, which meets it at y = 0, half-way."""
+    folder = tmp_path_factory.mktemp("scan")
+    paths, steps = [], tuple(STEP * i for i in range(FRAMES))
+    for i, step in enumerate(steps):
+        paths.append(folder / f"{i}.png")
+        image = photograph(step, dark_beyond=-PER_STEP[1] * STEP * FRAMES / 2)
+        write_image(paths[-1], np.rint(image).astype(np.uint16))
+    return Scan(folder / "scan.toml", GREY, tuple(paths), steps=steps)
+
+
+def test_a_track_is_where_the_camera_sees_what_the_stage_carries(rig):
+    geometry = Geometry.create(rig, GREY, STEP)
+    q, m = np.array([13.0, 60.0]), 3.5
+    with float64():
+        ray = np.asarray(rig.camera.ray(jnp.asarray(q)))
+        expected = rig.camera.project(jnp.asarray(ray / (OMEGA @ ray) + m * STEP * PER_STEP))
+    got = carried(geometry, *(jnp.full((1, 1), x, jnp.float32) for x in q), jnp.asarray(m))
+    np.testing.assert_allclose(np.ravel(got), expected, atol=1e-4)
+
+
+def test_the_passage_is_as_long_as_the_sheet_is_thick(rig, scan):
+    _, sigma = passage_of(rig, scan)
+    expected = SHEET_MM * np.linalg.norm(OMEGA) / abs(OMEGA @ PER_STEP) / STEP
+    np.testing.assert_allclose(sigma, expected, rtol=0.15)
+
+
+@pytest.fixture(scope="module")
+def images(rig, scan):
+    return [reconstruct(rig, scan, detector="gravity", spacetime=spacetime) for spacetime in (False, True)]
+
+
+def test_a_border_of_reflectance_does_not_bend_the_surface(images):
+    assert images[1].valid[HALF:-HALF].all()
+    assert not images[1].valid[:HALF].any()
+    assert not images[1].valid[-HALF:].any()
+    spatial, spacetime = (np.sqrt(np.nanmean((image.points[16:24, :, 2] - DEPTH) ** 2)) for image in images)
+    assert spatial > 0.5
+    assert spacetime < 0.2 * spatial
+
+
+def test_each_frame_has_the_points_that_cross_the_sheet_at_its_time(images, scan):
+    image = images[1]
+    assert image.steps.tolist() == list(scan.steps)
+    # Of the border itself, half-way, the bright side is seen a little sooner.
+    away = np.r_[HALF:16, 24 : FRAMES - HALF]
+    crossing = -image.steps[away] * PER_STEP[1]
+    np.testing.assert_allclose(np.median(image.points[away, :, 1], axis=1), crossing, atol=0.05)
+    np.testing.assert_allclose(image.points[away[:4], :, 2], DEPTH, atol=0.15)
+
+
+def test_points_do_not_depend_on_the_batches(rig, scan, images):
+    geometry, sigma = passage_of(rig, scan)
+    frames = np.stack([np.rint(photograph(n, -PER_STEP[1] * STEP * FRAMES / 2)).astype(np.uint16) for n in scan.steps])
+    batches = [(frames[i : i + 7], None, np.asarray(scan.steps[i : i + 7])) for i in range(0, FRAMES, 7)]
+    found = list(spacetime_profiles(geometry, sigma, GREY, batches, "gravity", "strongest"))
+    np.testing.assert_array_equal(np.concatenate([x.points for x in found]), images[1].points)
+
+
+@pytest.mark.parametrize("size", [1, 3, 10])
+def test_overlapping_batches_have_every_frame_once_and_its_neighbours(size):
+    frames, steps = np.arange(10, dtype=np.uint8)[:, None, None], np.arange(10)
+    dark = np.zeros((1, 1), np.uint8)
+    batches = [(frames[i : i + size], dark, steps[i : i + size]) for i in range(0, 10, size)]
+    inner = []
+    for batch in overlapping(batches, 2, 1, 4):
+        some = batch.steps[batch.inner]
+        inner += some.tolist()
+        assert {some[0] - 1, some[0] - 2, some[-1] + 1} & set(range(10)) <= set(batch.steps.tolist())
+        np.testing.assert_array_equal(batch.frames[:, 0, 0], batch.steps)
+        assert batch.backgrounds.shape == (1, 1, 1)
+    assert inner == list(range(10))
+
+
+@pytest.mark.parametrize(
+    ("steps", "says"),
+    [
+        (tuple(STEP * i + (i == 5) for i in range(FRAMES)), "equally many motor steps apart"),
+        ((0,) * FRAMES, "equally many"),
+        (tuple(10 * STEP * i for i in range(FRAMES)), r"scan in steps of at most \d+ in place of 2000"),
+        (tuple(range(FRAMES)), r"list every \d+th frame"),
+    ],
+)
+def test_steps_that_are_unfit_are_refused_in_words(rig, scan, steps, says):
+    with pytest.raises(InputError, match=says):
+        passage_of(rig, replace(scan, steps=steps))
+
+
+def test_too_few_frames_and_a_rig_without_a_stage_are_refused(rig, scan):
+    with pytest.raises(InputError, match="12 frames: spacetime analysis looks at"):
+        passage_of(rig, replace(scan, frames=scan.frames[14:26], steps=scan.steps[14:26]))
+    with pytest.raises(InputError, match="no stage"):
+        passage_of(Rig(rig.camera, rig.lasers), scan)
+
+
+def test_a_scan_without_a_stripe_is_refused(rig, scan, tmp_path):
+    path = tmp_path / "black.png"
+    write_image(path, np.zeros((ROWS, COLUMNS), np.uint16))
+    with pytest.raises(InputError, match="no stripe"):
+        passage_of(rig, replace(scan, frames=(path,) * FRAMES, path=Path("scan.toml")))
