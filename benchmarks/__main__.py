@@ -21,6 +21,7 @@ SUITES = {
     "batch": "many scans, killed and gone on with; a cluster that loses a worker",
     "exposures": "exposures of a step merged: reflectances 1:50 against each exposure by itself; speed",
     "spacetime": "spacetime analysis at a border of reflectance, at edges of depth and over step size",
+    "coherence": "which of several stripes: the share of lines in which each rule takes the true one",
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
     "accuracy": "the same photographs through the pipeline of 2003, makers' recipe, careful OpenCV and ours",
     "speed": "reconstruction and calibration against the pipeline of 2003 in Octave",
@@ -36,7 +37,7 @@ SUITES = {
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
-NOT_QUICK = {"derivatives", "starts", "next_pose", "montecarlo", "gauge", "lasers", "accuracy", "speed"}
+NOT_QUICK = {"derivatives", "starts", "next_pose", "montecarlo", "gauge", "lasers", "accuracy", "speed", "spacetime"}
 
 
 def main() -> int:

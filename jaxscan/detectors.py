@@ -3,7 +3,7 @@
 from typing import Final, Literal
 
 Detector = Literal["likelihood", "gravity", "derivative", "ridge", "gaussian", "parabola", "threshold"]
-Choice = Literal["strongest", "first", "last", "continuous"]
+Choice = Literal["strongest", "first", "last", "continuous", "coherent"]
 
 DETECTORS: Final[dict[Detector, str]] = {
     "likelihood": "fit of the profile, burnt-out cores too; the most accurate",
@@ -19,5 +19,6 @@ CHOICES: Final[dict[Choice, str]] = {
     "first": "the topmost (leftmost)",
     "last": "the lowest (rightmost)",
     "continuous": "those that go on from line to line, strong ones first",
+    "coherent": "those that go on from line to line and from frame to frame",
 }
 DEFAULT: Final[Detector] = "likelihood"

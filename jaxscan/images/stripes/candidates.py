@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxscan.detectors import Choice
 from jaxscan.images.stripes.coarse import stand_out
+from jaxscan.images.stripes.coherent import support
 
 # How many candidates of a line are kept.
 _MOST = 4
@@ -20,6 +21,8 @@ _LEAST_OF_BEST = 0.25
 # A step of so many pixels from one line to the next costs as much as the best candidate's strength; a jump, however
 # far, so many times as much: two jumps, there and back, do not pay for a reflection a few lines long.
 _STEP_PX, _JUMP = 12.0, 4.0
+# The same where support in time counts, against which strength counts so little: glints are bright.
+_STEP_PX_IN_TIME, _JUMP_IN_TIME, _STRENGTH = 36.0, 3.3, 0.1
 
 
 @partial(jax.jit, static_argnames=("length", "columns"))
@@ -43,11 +46,18 @@ def candidates(
 def choose(
     rows: Int[np.ndarray, "frames lines most"], strength: Float[np.ndarray, "frames lines most"], rule: Choice
 ) -> Int[np.ndarray, "frames lines"]:
-    """One candidate of each line, by a rule of `CHOICES`."""
+    """One candidate of each line, by a rule of `CHOICES`.
+
+    For `coherent` the frames are consecutive ones of a scan, and a frame's choice depends on `coherent.HALO` frames
+    before it and after it: give these too where the scan has them, and leave their own choices.
+    """
     if rule == "strongest":
         which = np.zeros(rows.shape[:2], np.int64)
     elif rule == "continuous":
-        which = _continuous(rows, strength)
+        which = _continuous(rows, _gain(strength, strength), _STEP_PX, _JUMP)
+    elif rule == "coherent":
+        gain = _gain(support(rows, strength) + _STRENGTH * strength, strength)
+        which = _continuous(rows, gain, _STEP_PX_IN_TIME, _JUMP_IN_TIME)
     else:
         far = np.iinfo(rows.dtype).max if rule == "first" else -1
         at = np.where(strength > 0, rows, far)
@@ -55,16 +65,24 @@ def choose(
     return np.take_along_axis(rows, which[..., None], axis=2)[..., 0]
 
 
+def _gain(
+    value: Float[np.ndarray, "frames lines most"], strength: Float[np.ndarray, "frames lines most"]
+) -> Float[np.ndarray, "frames lines most"]:
+    return np.where(strength > 0, value, -1.0)
+
+
 def _continuous(
-    rows: Int[np.ndarray, "frames lines most"], strength: Float[np.ndarray, "frames lines most"]
+    rows: Int[np.ndarray, "frames lines most"],
+    gain: Float[np.ndarray, "frames lines most"],
+    step_px: float,
+    jump: float,
 ) -> Int[np.ndarray, "frames lines"]:
-    """The sequence with the greatest sum of strengths less the cost of its steps, by dynamic programming."""
+    """The sequence with the greatest sum of gains less the cost of its steps, by dynamic programming."""
     frames, lines, most = rows.shape
-    gain = np.where(strength > 0, strength, -1.0)
     total, came_from = gain[:, 0], np.zeros((frames, lines, most), np.int64)
     for i in range(1, lines):
-        step = np.abs(rows[:, i, :, None] - rows[:, i - 1, None, :]) / _STEP_PX
-        reached = total[:, None, :] - np.minimum(step, _JUMP)
+        step = np.abs(rows[:, i, :, None] - rows[:, i - 1, None, :]) / step_px
+        reached = total[:, None, :] - np.minimum(step, jump)
         came_from[:, i] = reached.argmax(axis=2)
         total = gain[:, i] + reached.max(axis=2)
     which = np.zeros((frames, lines), np.int64)
