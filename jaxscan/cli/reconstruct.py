@@ -76,7 +76,8 @@ def reconstruct_scan(
 
     calibrated, photographs = read_rig(rig), read_scan(scan)
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
-        return write_stream(outputs, Scanner(calibrated, detector, choice, spacetime).scan(photographs), advance)
+        scanner = Scanner(calibrated, detector, choice, spacetime)
+        return write_stream(outputs, scanner.scan(photographs, advance))
 
 
 def describe(result: dict[str, Any]) -> str:

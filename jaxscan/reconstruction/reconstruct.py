@@ -21,24 +21,22 @@ def reconstruct(
     advance: Callable[[int], object] = lambda by: None,
     detector: Detector = DEFAULT,
     choice: Choice = "strongest",
+    spacetime: bool = False,
 ) -> RangeImage:
     """Find the stripe in every frame and triangulate it.
 
     Args:
         rig: the rig, as `read_rig` gives it; with its covariance the points carry their σ.
         scan: as `read_scan` gives it.
-        advance: called with the number of frames done, batch after batch.
+        advance: called with the number of photographs read, batch after batch.
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
+        spacetime: measure the centre of the light's passage over each point in time: of a scan in small, equal steps.
 
     Raises:
         InputError: the scan does not fit the rig, a photograph cannot be read, or there is no stripe in any frame.
     """
-    parts = []
-    for image in Scanner(rig, detector, choice).scan(scan):
-        parts.append(image)
-        advance(len(image.steps))
-    return RangeImage.joined(parts)
+    return RangeImage.joined(list(Scanner(rig, detector, choice, spacetime).scan(scan, advance)))
 
 
 @dataclass(frozen=True)
@@ -56,17 +54,12 @@ class Written:
     points: int
 
 
-def write_stream(
-    outputs: Sequence[str | os.PathLike[str]],
-    parts: Iterable[RangeImage],
-    advance: Callable[[int], object] = lambda by: None,
-) -> Written:
+def write_stream(outputs: Sequence[str | os.PathLike[str]], parts: Iterable[RangeImage]) -> Written:
     """Write a scan of any length as it is read, in the memory of a short one.
 
     Args:
         outputs: .ply or .npz files; each is there whole at the end, or not at all.
         parts: the scan, some frames at a time, as `Scanner.scan` gives it.
-        advance: called with the number of frames done.
 
     Raises:
         InputError: what reading the scan raises, or a file cannot be written.
@@ -80,5 +73,4 @@ def write_stream(
             frames += len(image.steps)
             empty += int(np.sum(~image.valid.any(axis=1)))
             points += int(image.valid.sum())
-            advance(len(image.steps))
     return Written(frames, empty, points)

@@ -3,11 +3,11 @@
 The points of a frame are the same whatever is looked at together with it, and memory is the same whatever the length.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError, said_of
@@ -16,9 +16,15 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.decode import Image
+from jaxscan.images.stripes.coherent import HALO
+from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wrong_size
+from jaxscan.reconstruction.merged_steps import Batch, merged_steps, step_groups
+from jaxscan.reconstruction.overlapping import overlapping
+from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.sigma_map import SigmaMap, point_sigmas
+from jaxscan.reconstruction.spacetime import spacetime_profiles
 from jaxscan.reconstruction.triangulate import Kernel, triangulate
 from jaxscan.rig import Rig
 
@@ -30,16 +36,28 @@ class Scanner:
         rig: as `read_rig` gives it; with its covariance the points carry their σ.
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
+        spacetime: measure the centre of the light's passage over each point in time: of scans in small, equal steps.
     """
 
-    def __init__(self, rig: RigFile | Rig, detector: Detector = DEFAULT, choice: Choice = "strongest") -> None:
+    def __init__(
+        self,
+        rig: RigFile | Rig,
+        detector: Detector = DEFAULT,
+        choice: Choice = "strongest",
+        spacetime: bool = False,
+    ) -> None:
         self._content = rig if isinstance(rig, RigFile) else RigFile(rig)
         self._detector: Detector = detector
         self._choice: Choice = choice
+        self._spacetime = spacetime
         self._ready: dict[StripeSettings, _Laser] = {}
 
-    def scan(self, scan: Scan) -> Iterator[RangeImage]:
+    def scan(self, scan: Scan, advance: Callable[[int], object] = lambda by: None) -> Iterator[RangeImage]:
         """The range image of a scan, some frames at a time, in their order.
+
+        Args:
+            scan: as `read_scan` gives it.
+            advance: called with the number of photographs that have been read.
 
         Raises:
             InputError: the scan does not fit the rig, a photograph cannot be read or is unlike the others, the scan has
@@ -49,9 +67,7 @@ class Scanner:
         with said_of(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
-        for some in frames_of_scan(scan, self._content.rig.camera.image_size):
-            with said_of(scan.path):
-                image = laser.range_image(some)
+        for image in self._images(laser, scan, advance):
             frames += len(image.steps)
             seen += int(np.isfinite(image.pixels).sum())
             points += int(image.valid.sum())
@@ -92,6 +108,27 @@ class Scanner:
         for some in frames_of(frames, background, self._content.rig.camera.image_size, batch):
             yield ready.range_image(some)
 
+    def _images(self, laser: "_Laser", scan: Scan, advance: Callable[[int], object]) -> Iterator[RangeImage]:
+        photographs = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
+        several = scan.exposures_s is not None and len(set(scan.steps)) < len(scan.steps)
+        if not (several or self._spacetime or self._choice == "coherent"):
+            for some in photographs:
+                with said_of(scan.path):
+                    image = laser.range_image(some)
+                yield image
+            return
+        steps = merged_steps(scan, _kept(photographs), FRAMES_AT_ONCE)
+        if self._spacetime:
+            passage = passage_of(self._content.rig, scan)
+            for found in spacetime_profiles(*passage, scan.laser, steps, self._detector, self._choice):
+                yield laser.with_sigma(*found)
+            return
+        halo = HALO if self._choice == "coherent" else 0
+        for some in overlapping(steps, halo, halo, FRAMES_AT_ONCE - 2 * halo):
+            with said_of(scan.path):
+                image = laser.range_image(Frames(some.frames, some.backgrounds, some.steps))
+            yield image[some.inner, :]
+
     def _laser(self, settings: StripeSettings) -> "_Laser":
         if settings not in self._ready:
             self._ready[settings] = _Laser(self._content, settings, self._detector, self._choice)
@@ -120,19 +157,40 @@ class _Laser:
         stripe = detect_stripe(
             frames.images, self._laser, frames.backgrounds, detector=self._detector, choice=self._choice
         )
-        steps = np.zeros(len(frames.images), np.float32)
+        steps = np.zeros(len(frames.images), np.int64)
         steps[:count] = frames.steps
-        points = _triangulated(self._kernel, stripe.position, steps, self._laser.columns)
+        points = _triangulated(self._kernel, stripe.position, steps.astype(np.float32), self._laser.columns)
+        return self.with_sigma(stripe.position, stripe.sigma, stripe.strength, points, steps)[:count, :]
+
+    def with_sigma(
+        self,
+        position: Float[np.ndarray, "frames lines"],
+        stripe_sigma: Float[np.ndarray, "frames lines"],
+        strength: Float[np.ndarray, "frames lines"],
+        points: Float[np.ndarray, "frames lines 3"],
+        steps: Int[np.ndarray, "frames"],
+    ) -> RangeImage:
+        """Points with what is known of them."""
         valid: Bool[np.ndarray, "frames lines"] = np.all(np.isfinite(points), axis=-1)
-        if self._map is None:
-            sigma = sigma_pixel = np.full(valid.shape, np.nan, np.float32)
-        else:
-            own = self._ratio * stripe.sigma
-            sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, stripe.position, points, steps, own))
+        sigma = sigma_pixel = np.full(valid.shape, np.nan, np.float32)
+        if self._map is not None:
+            own, count = self._ratio * stripe_sigma, steps.astype(np.float32)
+            sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, position, points, count, own))
         points = np.where(valid[..., None], points, np.float32(np.nan))
-        whole = (points, stripe.position, stripe.strength, sigma, sigma_pixel, valid)
-        # Copies, for the buffers are used again.
-        return RangeImage(*(np.array(x[:count]) for x in whole), steps=frames.steps, per_step=self._per_step)
+        return RangeImage(points, position, strength, sigma, sigma_pixel, valid, steps, self._per_step)
+
+
+def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterator[Frames]:
+    for some in frames:
+        yield some
+        advance(len(some.steps))
+
+
+def _kept(frames: Iterable[Frames]) -> Iterator[Batch]:
+    """The frames alone, in memory of their own: the ring's buffers are used again."""
+    for some in frames:
+        n, dark = len(some.steps), some.backgrounds
+        yield np.array(some.images[:n]), dark if dark is None or len(dark) == 1 else np.array(dark[:n]), some.steps
 
 
 def _triangulated(
@@ -155,7 +213,4 @@ def _check(rig: Rig, scan: Scan) -> None:
         raise InputError(
             f"{scan.path}: the stage moves between frames, but the rig has no stage: calibrate with a [stage] sequence"
         )
-    if scan.exposures_s is not None and len(set(scan.steps)) < len(scan.steps):
-        raise InputError(
-            f"{scan.path}: [scan] exposures_s: several exposures of one step are not merged yet: list one frame a step"
-        )
+    step_groups(scan)
