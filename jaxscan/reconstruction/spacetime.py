@@ -279,7 +279,7 @@ def _points(
     ends = [(u, position + h) if geometry.columns else (position + h, v) for h in (-0.5, 0.5)]
     along = _on_sheet(geometry, *ends[1]) - _on_sheet(geometry, *ends[0])
     norm = jnp.linalg.norm(X, axis=-1)
-    omega = geometry.kernel.omega
+    omega = geometry.kernel.omega[0]
     # ω · X = 1.
     by_frame = jnp.abs(omega @ geometry.per_frame) * norm
     return points, by_frame / jnp.abs((along * X).sum(-1) / norm)
