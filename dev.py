@@ -47,7 +47,13 @@ def main() -> int:
         if not (BIN / "pip").exists():
             print("Python's own venv is missing; on Debian: apt-get install python3-venv", file=sys.stderr)
         return 1
-    return subprocess.run([BIN / command[0], *command[1:], *rest], cwd=ROOT).returncode
+    return subprocess.run([BIN / command[0], *command[1:], *rest], cwd=ROOT, env=_compiled_once()).returncode
+
+
+def _compiled_once() -> dict[str, str]:
+    """The environment, and where JAX keeps what one test or benchmark has compiled for the others."""
+    kept = {"JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2"}
+    return kept | dict(os.environ)
 
 
 def set_up(extra: str) -> None:
