@@ -8,6 +8,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -23,6 +24,7 @@ from jaxscan.images import StripeSettings, read_image
 
 if TYPE_CHECKING:
     from jaxscan import RigFile
+    from jaxscan.reconstruction import Kernel
 
 _LOG: Final = logging.getLogger(__name__)
 _WIDEST, _QUALITY = 1280, 80
@@ -143,19 +145,24 @@ class Gallery:
             found["points"] = np.round(points.astype(float), 2).tolist()
         self._hub.publish("profile", json.dumps(found, separators=(",", ":")).encode())
 
+    @cached_property
+    def _kernel(self) -> "Kernel":
+        from jaxscan.reconstruction import Kernel
+
+        assert self._rig is not None
+        return Kernel.create(self._rig.rig, self._stripe.name)
+
     def _points(
         self, lines: np.ndarray, position: Float[np.ndarray, "points"], step: int
     ) -> Float[np.ndarray, "points 3"]:
         """Stripe pixels to points of the object frame, mm."""
-        from jaxscan.reconstruction.triangulate import Kernel, triangulate
+        from jaxscan.reconstruction import triangulate
 
-        assert self._rig is not None
-        kernel = Kernel.create(self._rig.rig, self._stripe.name)
         # Always as many, so that nothing is compiled twice.
         along, across = (np.full(_PROFILE_POINTS, np.nan, np.float32) for _ in range(2))
         along[: len(lines)], across[: len(lines)] = lines, position
         u, v = (along, across) if self._stripe.columns else (across, along)
-        points = np.asarray(triangulate(kernel, u, v, np.full(_PROFILE_POINTS, step, np.float32)))[: len(lines)]
+        points = np.asarray(triangulate(self._kernel, u, v, np.full(_PROFILE_POINTS, step, np.float32)))[: len(lines)]
         return points[np.isfinite(points).all(axis=1)]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from serving import Served, serve
+from serving import LEASE_S, Served, serve
 
 
 @pytest.fixture
@@ -24,9 +24,18 @@ def slow(tmp_path: Path) -> Iterator[Served]:
     served.end()
 
 
+@pytest.fixture
+def brief(tmp_path: Path) -> Iterator[Served]:
+    """The same with a lease of a second."""
+    served = serve(tmp_path / "lab", speed=10, lease_s=LEASE_S)
+    served.stage.home()
+    yield served
+    served.end()
+
+
 @pytest.fixture(scope="module")
 def lasting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """A lab for all tests of a file that leave it as it is."""
-    served = serve(tmp_path_factory.mktemp("lasting") / "lab", lease_s=60.0)
+    served = serve(tmp_path_factory.mktemp("lasting") / "lab")
     yield served
     served.end()

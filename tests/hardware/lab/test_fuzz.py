@@ -9,7 +9,7 @@ from serving import ADMINISTRATOR, Served
 from hardware.lab.app import make_app
 
 SOME = hypothesis.settings(
-    max_examples=12,
+    max_examples=8,
     deadline=None,
     database=None,
     derandomize=True,

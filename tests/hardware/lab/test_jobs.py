@@ -2,13 +2,18 @@
 
 import io
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from serving import OPERATOR, VIEWER, Served, ended, job_of, scan, serve, until
+from serving import COLUMNS, OPERATOR, ROWS, VIEWER, Served, ended, job_of, scan, serve, until
 
+import jaxscan
 from jaxscan.files.scan import read_scan
+
+# A rig that sees the stripe of the test's camera some 300 mm away.
+FOCAL, PRINCIPAL, OMEGA, PER_STEP = (60.0, 60.0), (39.5, 31.5), (0.0, -0.004, 0.003), (0.0, 0.0009, -0.0004)
 
 
 def operator(served: Served):
@@ -38,8 +43,12 @@ def test_home_move_shoot_and_batch_into_one_project(served: Served, tmp_path: Pa
     assert [job["work"]["kind"] for job in client.get("/api/jobs").json()] == ["scan", "shoot", "move", "home"]
 
 
-def test_photographs_are_shown_with_their_profile(tmp_path: Path):
-    served = serve(tmp_path / "lab", profiles=True)
+def test_photographs_are_shown_with_profile_and_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    # The quick detector, at the size at which it has been compiled for the profile.
+    monkeypatch.setattr(jaxscan, "reconstruct", partial(jaxscan.reconstruct, detector="derivative"), raising=False)
+    camera = jaxscan.Camera.create((COLUMNS, ROWS), FOCAL, PRINCIPAL)
+    rig = jaxscan.Rig(camera, (jaxscan.LightPlane.create(OMEGA),), jaxscan.Stage.create(PER_STEP))
+    served = serve(tmp_path / "lab", profiles=True, rig=jaxscan.RigFile(rig))
     client = operator(served)
     assert client.get("/api/picture").status_code == 404
     ended(client, client.post("/api/jobs", json=scan("cup", 2)))
@@ -52,6 +61,18 @@ def test_photographs_are_shown_with_their_profile(tmp_path: Path):
     expected = 20 + 20 * 1000 / 20000 + 3 * np.sin(np.array(profile["line"]) / 12)
     assert len(profile["line"]) > 70
     assert np.abs(np.array(profile["position"]) - expected).max() < 0.2
+    # X = x / (ω · x) − n · per_step.
+    pixels = np.stack([profile["line"], profile["position"]], axis=1)
+    rays = np.concatenate([(pixels - PRINCIPAL) / FOCAL, np.ones((len(pixels), 1))], axis=1)
+    points = rays / (rays @ OMEGA)[:, None] - 1000 * np.array(PER_STEP)
+    assert np.abs(np.array(profile["points"]) - points).max() < 0.05
+    cloud = np.frombuffer(client.get("/api/cloud").content, "<f4").reshape(-1, 3)
+    assert len(cloud) == profile["cloud_points"] == 2 * COLUMNS
+    assert np.abs(cloud[COLUMNS:] - points).max() < 0.05
+    client.post("/api/lock", json={})
+    ended(client, client.post("/api/jobs", json={"kind": "shoot", "project": "one", "step": 1000, "settle_s": 0}))
+    (tmp_path / "one.ply").write_bytes(client.get("/api/projects/one/cloud.ply").raise_for_status().content)
+    assert np.abs(jaxscan.read_ply(tmp_path / "one.ply").points - cloud[COLUMNS:]).max() < 1e-3
     served.end()
 
 
@@ -71,7 +92,6 @@ def test_pause_resume_abort_and_go_on(slow: Served):
     job = until(lambda: (job := job_of(client, number))["ended_s"] and job)
     assert (job["state"], job["message"]) == ("aborted", f"aborted by {OPERATOR}")
     assert 1 < job["taken"] < 5
-    client.put("/api/lock")
     resumed = ended(client, client.post(f"/api/jobs/{number}/resume"))
     assert (resumed["state"], resumed["taken"]) == ("done", 5)
     assert slow.lab.projects.scan("cup").steps == (0, 1000, 2000, 3000, 4000)

@@ -63,8 +63,8 @@ def test_one_of_many_gets_it(served: Served):
     assert sorted(answers) == [200] + [409] * (len(clients) - 1)
 
 
-def test_a_holder_that_is_heard_of_keeps_it(served: Served):
-    client, other = served.program(OPERATOR), served.program(VIEWER)
+def test_a_holder_that_is_heard_of_keeps_it(brief: Served):
+    client, other = brief.program(OPERATOR), brief.program(VIEWER)
     client.post("/api/lock", json={})
     end_s = time.monotonic() + 2 * LEASE_S
     while time.monotonic() < end_s:
@@ -76,25 +76,25 @@ def test_a_holder_that_is_heard_of_keeps_it(served: Served):
     assert other.post("/api/lock", json={}).status_code == 200
 
 
-def test_a_holder_that_is_cut_off_loses_it_and_its_move_is_stopped(slow: Served):
+def test_a_holder_that_is_cut_off_loses_it_and_its_move_is_stopped(brief: Served):
     """The network is cut: nothing more comes, and no connection is closed."""
-    client, watcher = slow.program(OPERATOR), slow.program(VIEWER)
-    with Witness(slow) as witness:
+    client, watcher = brief.program(OPERATOR), brief.program(VIEWER)
+    with Witness(brief) as witness:
         client.post("/api/lock", json={})
         number = client.post("/api/jobs", json={"kind": "move", "step": 20000}).json()["id"]
-        until(lambda: slow.moving)
-        assert free_since(slow, watcher) < FREE_S
+        until(lambda: brief.moving)
+        assert free_since(brief, watcher) < FREE_S
         job = until(lambda: (job := job_of(watcher, number))["ended_s"] and job)
     assert (job["state"], job["message"]) == ("aborted", "stopped: its operator is gone")
-    assert not slow.moving
-    assert slow.stage.true_position() < 20000
+    assert not brief.moving
+    assert brief.stage.true_position() < 20000
     # The order to stand goes out as the lock is given up.
     assert witness.orphaned_s < 0.5
 
 
-def test_a_scan_keeps_it_without_its_holder_and_then_it_is_free(slow: Served):
-    client, watcher = slow.program(OPERATOR), slow.program(VIEWER)
-    with Witness(slow) as witness:
+def test_a_scan_keeps_it_without_its_holder_and_then_it_is_free(brief: Served):
+    client, watcher = brief.program(OPERATOR), brief.program(VIEWER)
+    with Witness(brief) as witness:
         client.post("/api/lock", json={})
         number = client.post("/api/jobs", json=scan("cup", 9)).json()["id"]
         client.close()
@@ -104,19 +104,19 @@ def test_a_scan_keeps_it_without_its_holder_and_then_it_is_free(slow: Served):
             time.sleep(0.05)
         assert job["state"] == "done"
         assert time.monotonic() - begin_s > LEASE_S
-        assert free_since(slow, watcher) < FREE_S
+        assert free_since(brief, watcher) < FREE_S
     assert witness.orphaned_s == 0
 
 
-def test_a_paused_scan_does_not_keep_it_and_another_goes_on_with_it(slow: Served):
-    client, other = slow.program(OPERATOR), slow.program(VIEWER)
-    with Witness(slow) as witness:
+def test_a_paused_scan_does_not_keep_it_and_another_goes_on_with_it(brief: Served):
+    client, other = brief.program(OPERATOR), brief.program(VIEWER)
+    with Witness(brief) as witness:
         client.post("/api/lock", json={})
         number = client.post("/api/jobs", json=scan("cup", 4)).json()["id"]
         until(lambda: job_of(client, number)["taken"] == 1)
         client.post(f"/api/jobs/{number}/pause")
         until(lambda: job_of(other, number)["state"] == "paused")
-        assert free_since(slow, other) < FREE_S
+        assert free_since(brief, other) < FREE_S
         assert other.post("/api/lock", json={}).status_code == 200
         job = ended(other, other.post(f"/api/jobs/{number}/resume"))
     assert (job["state"], job["taken"], job["user"]) == ("done", 4, VIEWER)
@@ -149,7 +149,6 @@ def test_an_administrator_takes_over(slow: Served):
         assert client.post("/api/jobs", json={"kind": "home"}).status_code == 403
         job = until(lambda: (job := job_of(viewer, number))["ended_s"] and job)
         assert (job["state"], job["message"]) == ("aborted", "taken over")
-        administrator.put("/api/lock")
         number = administrator.post("/api/jobs", json=scan("cup", 4)).json()["id"]
         until(lambda: job_of(viewer, number)["taken"] == 1)
     assert witness.orphaned_s == 0

@@ -83,6 +83,8 @@ def test_a_whole_scan(browser: Browser, lab: Served, tmp_path: Path):
     expect(page.locator("#picture")).to_be_visible()
     expect(page.locator("#no-picture")).to_be_hidden()
 
+    # Long enough for a hand to come in between.
+    lab.camera.exposure_s = 0.5
     page.fill("[name=frames]", "12")
     page.fill("[name=apart]", "1000")
     page.fill("[name=first]", "1000")
@@ -91,6 +93,7 @@ def test_a_whole_scan(browser: Browser, lab: Served, tmp_path: Path):
     page.get_by_role("button", name="Pause").click()
     expect(watcher.locator("#job-state")).to_have_text("paused")
     expect(watcher.locator("#resume")).to_be_hidden()
+    lab.camera.exposure_s = 0.0
     page.get_by_role("button", name="Go on").click()
     expect(watcher.locator("#job-words")).to_contain_text("12 of 12 photographs")
     expect(page.locator("#job-state")).to_have_text("done")
