@@ -56,7 +56,8 @@ def measure(quick: bool) -> list[Metric]:
         Metric("lab.second_operators", sum(one["second_operators"] for one in seen), "", "lower", 0),
         Metric("lab.pace.alone", statistics.mean(alone), "1/s", "higher", 2.0, slack=4.0, target_suffices=True),
         Metric("lab.pace.watched", statistics.mean(watched), "1/s", "higher", 2.0, slack=4.0, target_suffices=True),
-        Metric("lab.pace.lost_by_watching", loss, "", "lower", 0.10, floor=0.2, target_suffices=True),
+        # Five seconds of a machine with other work say nothing of a tenth.
+        Metric("lab.pace.lost_by_watching", loss, "", "shown" if quick else "lower", 0.10, floor=0.2),
         Metric("lab.pictures.of_a_watcher", statistics.mean(pictures), "1/s"),
         Metric("lab.pictures.of_the_one_that_sees_least", min(pictures), "1/s"),
         Metric("lab.states.of_a_watcher", statistics.mean(one["states"] for one in seen)),
