@@ -43,7 +43,8 @@ class _Thread:
         self._waiting: deque[Callable[[], object]] = deque(maxlen=room)
         self._come = threading.Condition()
         self._closed = False
-        threading.Thread(target=self._work, name=name, daemon=True).start()
+        self._thread = threading.Thread(target=self._work, name=name)
+        self._thread.start()
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -54,9 +55,11 @@ class _Thread:
             self._come.notify()
 
     def close(self) -> None:
+        """End, after what is being done: an interpreter that ends under JAX's compiler is aborted."""
         with self._come:
             self._closed = True
             self._come.notify()
+        self._thread.join()
 
     def _work(self) -> None:
         while True:
