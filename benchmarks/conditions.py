@@ -44,7 +44,7 @@ class Condition:
         views: board poses.
         stage_views: photographs of the board on the stage.
         frames: of a scan.
-        steps_apart: motor steps from one frame to the next.
+        steps_apart: motor steps from one frame to the next, and from one of the stage's photographs to the next.
         sensor: of all photographs.
         lighting: changes to the lighting of boards and objects.
         k1: of the lens; None for that of 2003.
@@ -110,6 +110,7 @@ def photograph(folder: Path, condition: Condition, seed: int, scenes: tuple[str,
         rig=rig,
         views=condition.views,
         stage_views=condition.stage_views,
+        steps_apart=condition.steps_apart,
         lighting=replace(rig_2003.BOARD_LIGHTING, **condition.lighting),
         **common,
     )

@@ -91,6 +91,9 @@ def matlab(quirks: Quirks | None = None, runner: ModuleType | None = None) -> Pi
     runner = runner or (octave if octave.octave() else transcription)
 
     def pipeline(taken: Taken, scans: Sequence[Scan]) -> Found:
+        spacings = {int(n) for steps in (taken.own.stages[0].steps, *(s.steps for s in scans)) for n in np.diff(steps)}
+        if len(spacings) != 1:
+            raise ValueError(f"the pipeline of 2003 moves each photograph by the same: steps apart are {spacings}")
         frames = tuple(frame for scan in scans for frame in scan.frames)
         job = replace(job_of(taken.sub_pix, taken.folder, None), scan_photos=frames)
         outcome = runner.run(job, quirks)
@@ -100,9 +103,8 @@ def matlab(quirks: Quirks | None = None, runner: ModuleType | None = None) -> Pi
             index = before + (1 if quirks.index_from_one else 0)
             clouds.append(grid[before : before + len(scan.frames)] + index * outcome.stage_move)
             before += len(scan.frames)
-        stages = taken.own.stages[0]
         return Found(
-            _rig(outcome, taken.own.image_size, float(np.diff(stages.steps).mean())),
+            _rig(outcome, taken.own.image_size, spacings.pop()),
             tuple(clouds),
             _lit(outcome, quirks, taken.own),
         )
@@ -110,7 +112,7 @@ def matlab(quirks: Quirks | None = None, runner: ModuleType | None = None) -> Pi
     return pipeline
 
 
-def _rig(outcome: Outcome, image_size: tuple[int, int], steps_apart: float) -> Rig:
+def _rig(outcome: Outcome, image_size: tuple[int, int], steps_apart: int) -> Rig:
     with float64():
         camera = Camera.create(image_size, outcome.focal, outcome.principal, "radial1", np.array([outcome.k1]))
         stage = Stage.create(jnp.asarray(outcome.stage_move / steps_apart))

@@ -86,6 +86,7 @@ def simulate_session(
     rig: Rig | None = None,
     views: int | None = None,
     stage_views: int | None = None,
+    steps_apart: int = STEPS_APART,
     lighting: Lighting = rig_2003.BOARD_LIGHTING,
     sensor: Sensor = rig_2003.SENSOR,
     separate_stripes: bool = False,
@@ -100,6 +101,7 @@ def simulate_session(
         rig: another rig than that of the seed; with several lasers the stripes are photographed separately.
         views: how many poses, the first of them the same whatever their number; 11 if None.
         stage_views: how many photographs of the board on the stage; 31 if None.
+        steps_apart: motor steps from one of these to the next.
         lighting: of the boards with a stripe; the stage photographs have the same without the laser.
         sensor: of all photographs.
         separate_stripes: photograph every pose once without the laser and once with it, into `stripes/`.
@@ -113,7 +115,7 @@ def simulate_session(
     separate = separate_stripes or len(rig.lasers) != 1
     views = rig_2003.BOARD_VIEWS if views is None else views
     boards, stage = rig_2003.board_poses(rig, seed, views), rig_2003.stage_pose(rig, seed)
-    steps = tuple(STEPS_APART * i for i in range(rig_2003.STAGE_VIEWS if stage_views is None else stage_views))
+    steps = tuple(steps_apart * i for i in range(rig_2003.STAGE_VIEWS if stage_views is None else stage_views))
     _make(folder, "boards", "stage", *(["stripes"] if separate else []))
     (folder / SESSION_FILE).unlink(missing_ok=True)
 
