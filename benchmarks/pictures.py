@@ -57,7 +57,7 @@ def main() -> None:
     if args.only != "views":
         draw_cup(args.output / "cup.png")
     if args.only != "cup":
-        draw_views(args.output / "views.png", range(args.seeds))
+        draw_views(args.output / "views.png", errors_of_seeds(range(args.seeds)))
 
 
 def draw_cup(path: Path, seed: int = 0) -> None:
@@ -92,8 +92,8 @@ def draw_cup(path: Path, seed: int = 0) -> None:
     plt.close(figure)
 
 
-def draw_views(path: Path, seeds: Sequence[int]) -> None:
-    """Median and quartiles over the seeds."""
+def errors_of_seeds(seeds: Sequence[int]) -> Mapping[str, list[list[float]]]:
+    """By pipeline, for each seed and each number of views."""
     errors: dict[str, list[list[float]]] = {name: [] for name in PIPELINES}
     for seed in seeds:
         for name, of_seed in errors_by_views(seed).items():
@@ -101,6 +101,11 @@ def draw_views(path: Path, seeds: Sequence[int]) -> None:
         print(
             f"seed {seed}: " + "; ".join(f"{name} {np.round(each[-1], 3)}" for name, each in errors.items()), flush=True
         )
+    return errors
+
+
+def draw_views(path: Path, errors: Mapping[str, list[list[float]]]) -> None:
+    """Median and quartiles over the seeds."""
     plt = pyplot()
     figure, axis = plt.subplots(figsize=(6, 4), constrained_layout=True)
     for name, each in errors.items():
@@ -113,7 +118,8 @@ def draw_views(path: Path, seeds: Sequence[int]) -> None:
     ticks = [0.05, 0.1, 0.2, 0.5, 1.0]
     axis.set_yticks(ticks, [f"{t:g}" for t in ticks])
     axis.grid(alpha=0.3)
-    axis.legend()
+    axis.set_ylim(0.03, 1.5)
+    axis.legend(loc="upper center", ncols=2)
     figure.savefig(path, dpi=_DPI)
     plt.close(figure)
 
