@@ -87,7 +87,7 @@ def draw_cup(path: Path, seed: int = 0) -> None:
             xlabel="x, mm", ylabel="height, mm", xlim=(-24, 24), ylim=(3.8, 6.4), title="the cup's bottom, one frame"
         )
         below.legend(loc="upper right")
-    figure.colorbar(drawn, ax=axes[0], label="distance from the true surface, mm", extend="max")
+    figure.colorbar(drawn, ax=axes, label="distance from the true surface, mm", extend="max", shrink=0.8)
     figure.savefig(path, dpi=_DPI)
     plt.close(figure)
 
