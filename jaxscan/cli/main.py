@@ -32,6 +32,7 @@ COMMANDS: Final = {
     "mesh": "jaxscan.cli.mesh",
     "merge": "jaxscan.cli.merge",
     "compare": "jaxscan.cli.compare",
+    "view": "jaxscan.cli.view",
     "gauge": "jaxscan.cli.gauge",
     "inspect": "jaxscan.cli.inspect",
     "convert": "jaxscan.cli.convert",

@@ -43,8 +43,8 @@ def has_faces(content: Ply) -> bool:
     return "face" in content.elements and content.elements["face"].count > 0
 
 
-def mesh_of(path: str | os.PathLike[str], content: Ply) -> trimesh.Trimesh:
-    """The triangles of what was read from a PLY file.
+def mesh_of(path: str | os.PathLike[str], content: Ply, *, merge: bool = True) -> trimesh.Trimesh:
+    """The triangles of what was read from a PLY file; vertices in one place become one, unless they are kept.
 
     Raises:
         InputError: there are none, or a face names a vertex that there is not.
@@ -63,7 +63,7 @@ def mesh_of(path: str | os.PathLike[str], content: Ply) -> trimesh.Trimesh:
         raise InputError(
             f"{path}: a face names vertex {triangles.max()}, there are {len(cloud.points)}: copy or write it again"
         )
-    return _checked(path, trimesh.Trimesh(cloud.points, triangles, process=False))
+    return _checked(path, trimesh.Trimesh(cloud.points, triangles, process=False), merge)
 
 
 def write_mesh_ply(
@@ -111,13 +111,14 @@ def _fans(faces: Lists) -> Int[np.ndarray, "triangles 3"]:
     return values[np.stack([start, start + step + 1, start + step + 2], axis=1)]
 
 
-def _checked(path: str | os.PathLike[str], mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def _checked(path: str | os.PathLike[str], mesh: trimesh.Trimesh, merge: bool = True) -> trimesh.Trimesh:
     bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
     if bad:
         raise InputError(
             f"{path}: {bad} of {len(mesh.vertices)} vertices have a coordinate that is not a finite number: repair it"
         )
-    mesh.merge_vertices()
+    if merge:
+        mesh.merge_vertices()
     return mesh
 
 

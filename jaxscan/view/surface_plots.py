@@ -14,6 +14,7 @@ from jaxscan.surface.clean import RULES
 from jaxscan.surface.compare import Comparison
 from jaxscan.surface.floor import Floor, find_floor
 from jaxscan.surface.links import sampling
+from jaxscan.view.exhibit import UNITS, Exhibit
 from jaxscan.view.matplotlib_setup import pyplot
 
 # Values beyond these percentiles are shown in the colours of the ends.
@@ -23,6 +24,7 @@ _REMOVED: Final = ("0.85", "tab:red", "tab:orange", "tab:blue")
 # From where meshes are looked at: so far above the floor, and so far to the side of the camera's up.
 _ELEVATION, _AZIMUTH = np.radians(35.0), np.radians(25.0)
 _MOST_TRIANGLES: Final = 60_000
+_MOST_POINTS: Final = 100_000
 
 
 def draw_range(
@@ -130,6 +132,50 @@ def draw_mesh(
         ax.add_collection(PolyCollection(flat[order].tolist(), facecolors=colours, edgecolors=colours, linewidths=0.3))
         ax.autoscale_view()
         ax.set(aspect="equal", xlabel="mm", ylabel="mm")
+    figure.suptitle(title)
+    _save(plt, figure, path)
+
+
+def draw_exhibit(path: str | os.PathLike[str], shown: Exhibit, colour: str, title: str) -> None:
+    """What the viewer shows, from two sides, and where the scanner stood, as it is known.
+
+    Args:
+        path: the PNG to write.
+        shown: points or a mesh.
+        colour: which of its values colours it.
+        title: over the picture.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    plt = pyplot()
+    panels = 2 if shown.setup is None else 3
+    figure, axes = plt.subplots(1, panels, figsize=(7.5 * panels, 6.5), layout="constrained")
+    points, values = shown.points.astype(np.float64), shown.values[colour]
+    if shown.triangles is not None:
+        points, values = points[shown.triangles].mean(axis=1), values[shown.triangles].mean(axis=1)
+    every = max(1, len(points) // _MOST_POINTS)
+    points, values = points[::every], values[::every]
+    middle = points.mean(axis=0)
+    known = values[np.isfinite(values)]
+    look: dict[str, Any] = {"cmap": "viridis", "linewidths": 0, "plotnonfinite": True}
+    if len(known):
+        look |= dict(zip(("vmin", "vmax"), np.percentile(known, _SHOWN), strict=True))
+    dots = None
+    for ax, turn in zip(axes, (_AZIMUTH, _AZIMUTH + np.pi, _AZIMUTH + np.pi / 2), strict=False):
+        across, above, toward = _look(shown.up, turn)
+        seen = points - middle
+        order = np.argsort(seen @ toward)
+        size = 3.0 if ax is not axes[-1] or panels == 2 else 0.3
+        dots = ax.scatter(seen[order] @ across, seen[order] @ above, c=values[order], s=size, **look)
+        ax.set(aspect="equal", xlabel="mm", ylabel="mm")
+        if shown.setup is not None and ax is axes[-1]:
+            view = np.stack([across, above], axis=1)
+            travel, sheet = ((place - middle) @ view for place in (shown.setup.travel, shown.setup.sheet))
+            ax.fill(*sheet.T, color="tab:red", alpha=0.25, label="light plane at step 0")
+            ax.plot(*travel.T, "o-", color="tab:blue", label="camera, from the first frame to the last")
+            ax.legend(loc="lower left")
+    figure.colorbar(dots, ax=axes[-1], label=f"{colour}, {UNITS[colour]}", shrink=0.8)
     figure.suptitle(title)
     _save(plt, figure, path)
 

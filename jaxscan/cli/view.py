@@ -1,0 +1,74 @@
+"""`jaxscan view`: a cloud or a mesh in the browser, with the scanner around it; or as a still picture."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Final
+
+from jaxscan.errors import InputError
+
+HELP: Final = "look at a range image, a cloud or a mesh, in the browser or as a picture"
+EXAMPLE: Final = "jaxscan view cup.npz --rig rig.json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="a range image (.npz), a cloud or a mesh")
+    parser.add_argument("--rig", type=Path, help="show its cameras, light plane and the stage's travel")
+    parser.add_argument("--colour", choices=("height", "sigma", "strength"), help="of the points (default: height)")
+    parser.add_argument("--png", type=Path, metavar="OUT", help="draw a picture in place of opening the browser")
+    parser.add_argument("--port", type=int, default=8080, help="of this machine (default: 8080, or the next free one)")
+    parser.add_argument("--no-browser", action="store_true", help="serve, and open no window")
+
+
+def run(args: argparse.Namespace) -> dict[str, Any] | None:
+    """Read and show."""
+    if not 0 < args.port < 65536:
+        raise InputError(f"--port {args.port}: give a number from 1 to 65535")
+    from jaxscan.atomic import check_writable
+
+    if args.png:
+        check_writable(args.png)
+    from jaxscan.errors import said_of
+    from jaxscan.view.exhibit import exhibit
+
+    rig = None
+    if args.rig:
+        from jaxscan.files.rig_file import read_rig
+
+        rig = read_rig(args.rig).rig
+    shown = exhibit(args.file, rig)
+    with said_of(args.file):
+        colour = shown.colour(args.colour)
+    result = {
+        "kind": "view",
+        "path": str(args.file),
+        "points": len(shown.points),
+        "triangles": None if shown.triangles is None else len(shown.triangles),
+        "colours": list(shown.values),
+        "colour": colour,
+    }
+    if args.png:
+        from jaxscan.view.surface_plots import draw_exhibit
+
+        draw_exhibit(args.png, shown, colour, args.file.name)
+        return result | {"picture": str(args.png)}
+    from jaxscan.view.viewer import HOST, serve
+
+    server = serve(shown, args.port, colour)
+    address = f"http://{HOST}:{server.get_port()}"
+    print(f"{args.file} at {address}, until Ctrl-C", flush=True)
+    if not args.no_browser:
+        import webbrowser
+
+        webbrowser.open(address)
+    try:
+        server.sleep_forever()
+    finally:
+        server.stop()
+    return None
+
+
+def describe(result: dict[str, Any]) -> str:
+    """The result in words."""
+    what = f"{result['points']} points" + (f", {result['triangles']} triangles" if result["triangles"] else "")
+    return f"{result['path']}: {what}, coloured by {result['colour']}: {result['picture']}"

@@ -1,0 +1,151 @@
+"""What `jaxscan view` shows of a file: points or a mesh, what is known of each point, and where the scanner stood."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from jaxscan.errors import InputError, said_of
+from jaxscan.files.cloud import Cloud, cloud_of
+from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
+from jaxscan.files.ply_read import read_ply_file
+from jaxscan.geometry.robust_plane import dominant_plane
+from jaxscan.reconstruction import RangeImage, read_range_image
+from jaxscan.rig import Rig
+from jaxscan.surface.floor import find_floor
+
+UNITS: Final = {"height": "mm", "sigma": "mm", "strength": "grey levels"}
+# How far the sheet is drawn before the nearest and beyond the farthest point, in parts of their depth.
+_BEFORE, _BEYOND = 0.95, 1.02
+# How wide, in widths of the points about the camera's axis.
+_WIDER: Final = 1.1
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The scanner around what it has seen, object frame, mm.
+
+    Attributes:
+        travel: where the camera was at the first frame and at the last; twice the origin where it did not move.
+        sheet: corners of the light plane at step 0, as far as the camera sees it there; none without a laser.
+        fov: the camera's vertical field of view, radians.
+        aspect: width of its image over the height.
+    """
+
+    travel: Float[np.ndarray, "2 3"]
+    sheet: Float[np.ndarray, "corners 3"]
+    fov: float
+    aspect: float
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """Something to look at.
+
+    Attributes:
+        points: mm.
+        up: the direction that is up.
+        values: for each name of `UNITS` that is known, a number for each point; NaN where it is not known.
+        triangles: between the points; none for a cloud.
+        setup: where the scanner stood.
+    """
+
+    points: Float32[np.ndarray, "points 3"]
+    up: Float[np.ndarray, "3"]
+    values: dict[str, Float[np.ndarray, "points"]] = field(default_factory=dict)
+    triangles: Int[np.ndarray, "triangles 3"] | None = None
+    setup: Setup | None = None
+
+    def colour(self, name: str | None) -> str:
+        """The name of the values to colour by; by default the height.
+
+        Raises:
+            InputError: they are not known.
+        """
+        if name is not None and name not in self.values:
+            raise InputError(f'"{name}" is not known of these points: choose {", ".join(self.values)}')
+        return name or "height"
+
+
+def exhibit(path: Path, rig: Rig | None = None) -> Exhibit:
+    """Read a range image (.npz), a cloud, or a mesh, with the rig that scanned it.
+
+    Raises:
+        InputError: the file cannot be read, or holds no points.
+    """
+    ending = path.suffix.lower()
+    if ending == ".npz":
+        image = read_range_image(path)
+        with said_of(path):
+            return _of_image(image, rig)
+    if ending != ".ply":
+        mesh = read_mesh(path)
+        return _of_points(Cloud(np.asarray(mesh.vertices, np.float32)), np.asarray(mesh.faces), rig)
+    content = read_ply_file(path)
+    if not has_faces(content):
+        return _of_points(cloud_of(path, content), None, rig)
+    faces = mesh_of(path, content, merge=False).faces
+    return _of_points(cloud_of(path, content), np.asarray(faces), rig)
+
+
+def _of_image(image: RangeImage, rig: Rig | None) -> Exhibit:
+    if not image.valid.any():
+        raise InputError("has no points: check that the photographs show the stripe")
+    points = image.points[image.valid]
+    try:
+        floor = find_floor(image)
+        up, height = floor.R[:, 2], floor.height(points)
+    except InputError:
+        up, height = _upright(points)
+    values = {"height": height}
+    for name in ("sigma", "strength"):
+        known = getattr(image, name)[image.valid]
+        if np.isfinite(known).any():
+            values[name] = known.astype(np.float64)
+    return Exhibit(points, up, values, None, _setup(points, image.cameras()[[0, -1]], rig))
+
+
+def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None) -> Exhibit:
+    up, height = _upright(cloud.points)
+    values = {"height": height}
+    sigma = cloud.sigma_pixel if cloud.sigma is None else cloud.sigma
+    if sigma is not None:
+        values["sigma"] = sigma.astype(np.float64)
+    return Exhibit(cloud.points, up, values, triangles, _setup(cloud.points, np.zeros((2, 3)), rig))
+
+
+def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "points"]]:
+    """The normal of the plane that most points lie on, toward the camera, and the height over the lowest point."""
+    up = dominant_plane(points.astype(np.float64))[0][:, 2]
+    height = points @ up
+    return up, height - height.min()
+
+
+def _setup(points: Float32[np.ndarray, "points 3"], travel: Float[np.ndarray, "2 3"], rig: Rig | None) -> Setup | None:
+    if rig is None:
+        return None
+    columns, rows = rig.camera.image_size
+    focal = [float(f) for f in rig.camera.focal]
+    half = 0.5 * np.array([columns, rows]) / focal
+    sheet = np.zeros((0, 3))
+    if rig.lasers:
+        omega = np.array([float(c) for c in rig.lasers[0].plane])
+        depth = points[:, 2] - np.median(travel[:, 2])
+        near, far = _BEFORE * float(depth.min()), _BEYOND * float(depth.max())
+        # Rows or columns: the image axis along which the sheet hardly climbs.
+        across = int(abs(omega[0]) > abs(omega[1]))
+        low, high = _WIDER * points[:, across].min(), _WIDER * points[:, across].max()
+        sheet = np.stack(
+            [_on_sheet(omega, across, x, z) for x, z in ((low, near), (high, near), (high, far), (low, far))]
+        )
+    return Setup(travel, sheet, float(2 * np.arctan(half[1])), columns / rows)
+
+
+def _on_sheet(omega: Float[np.ndarray, "3"], across: int, value: float, depth: float) -> Float[np.ndarray, "3"]:
+    """The point of ω · X = 1 with this coordinate across and this depth."""
+    X = np.array([0.0, 0.0, depth])
+    X[across] = value
+    X[1 - across] = (1 - omega @ X) / omega[1 - across]
+    return X

@@ -1,0 +1,108 @@
+"""The viewer in a real browser without a window, and still pictures."""
+
+import io
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxscan.cli.main import main
+from jaxscan.errors import InputError
+from jaxscan.files.rig_file import RigFile, write_rig
+from jaxscan.reconstruction import write_points
+from jaxscan.simulation.rig_2003 import simulated_rig
+from jaxscan.view.exhibit import exhibit
+from jaxscan.view.viewer import HOST, coloured, serve
+from tests.surface.scenes import block
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or os.environ.get("CHROMIUM", "")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("view")
+    write_points(folder / "block.npz", block())
+    write_rig(folder / "rig.json", RigFile(simulated_rig(0)))
+    assert main(["mesh", str(folder / "block.npz"), "-o", str(folder / "block.ply")]) == 0
+    return folder
+
+
+def test_what_is_shown(folder):
+    image = block()
+    shown = exhibit(folder / "block.npz", simulated_rig(0))
+    assert shown.points.dtype == np.float32
+    assert set(shown.values) == {"height", "sigma", "strength"}
+    np.testing.assert_allclose(np.median(shown.values["height"][shown.points[:, 2] < 297]), 5.0, atol=0.02)
+    assert shown.setup is not None
+    np.testing.assert_allclose(shown.setup.travel, image.cameras()[[0, -1]])
+    omega = [float(c) for c in simulated_rig(0).lasers[0].plane]
+    np.testing.assert_allclose(shown.setup.sheet @ omega, 1.0, atol=1e-9)
+    mesh = exhibit(folder / "block.ply")
+    assert mesh.triangles is not None
+    assert len(mesh.values["sigma"]) == len(mesh.points)
+    assert mesh.setup is None
+    with pytest.raises(InputError, match='"strength" is not known of these points: choose height, sigma'):
+        mesh.colour("strength")
+
+
+def test_colours_go_from_dark_to_bright():
+    colours = coloured(np.array([*np.linspace(0, 1, 101), np.nan]))
+    assert (np.diff(colours[:101].astype(float) @ [0.3, 0.59, 0.11]) >= -1).all()
+    assert (colours[-1] == 128).all()
+
+
+@pytest.mark.parametrize("words", ["block.npz --rig rig.json --colour sigma", "block.ply"])
+def test_a_still_picture(folder, capsys, monkeypatch, words):
+    monkeypatch.chdir(folder)
+    assert main(["view", *words.split(), "--png", "seen.png"]) == 0
+    assert "coloured by" in capsys.readouterr().out
+    assert len(np.unique(np.asarray(Image.open("seen.png").convert("RGB")).reshape(-1, 3), axis=0)) > 100
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ("gone.npz", "gone.npz: there is no such file"),
+        ("block.ply --colour strength --png x.png", 'block.ply: "strength" is not known'),
+        ("block.npz --port 0", "--port 0: give a number"),
+        ("block.npz --png nowhere/x.png", "there is no folder"),
+        ("rig.json", "cannot be read as a mesh"),
+    ],
+)
+def test_bad_input(folder, capsys, monkeypatch, words, problem):
+    monkeypatch.chdir(folder)
+    assert main(["view", *words.split()]) == 2
+    assert problem in capsys.readouterr().err
+
+
+# What the browser and its library open and leave to the collector is theirs.
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_in_a_browser(folder):
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    pytest.importorskip("viser", reason="viser (extra viewer) is not installed")
+    if not CHROMIUM:
+        pytest.skip("chromium is not installed: no browser to look with")
+    server = serve(exhibit(folder / "block.npz", simulated_rig(0)), 8321, "strength")
+    try:
+        assert server.get_host() == HOST == "127.0.0.1"
+        with api.sync_playwright() as play:
+            flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+            browser = play.chromium.launch(executable_path=CHROMIUM, args=flags)
+            page = browser.new_page(viewport={"width": 640, "height": 480})
+            page.goto(f"http://{HOST}:{server.get_port()}")
+            page.wait_for_function("document.body.innerText.includes('7200 points; strength')", timeout=120_000)
+            for _ in range(60):
+                page.wait_for_timeout(500)
+                picture = np.asarray(Image.open(io.BytesIO(page.screenshot(timeout=120_000))).convert("RGB"))
+                inner = picture[200:, :].reshape(-1, 3).astype(int)
+                seen = (np.ptp(inner, axis=1) > 40).mean()
+                if seen > 0.02:
+                    break
+            browser.close()
+    finally:
+        server.stop()
+    assert seen > 0.02
