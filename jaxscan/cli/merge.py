@@ -67,7 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--closed", action="store_true", help="close what was not seen, by screened Poisson (extra poisson)"
     )
-    parser.add_argument("--cube", type=float, metavar="MM", help="distance of the vertices (default: the points')")
+    parser.add_argument(
+        "--cube", type=float, metavar="MM", help="distance of the vertices (default: 0.7 of the points')"
+    )
     parser.add_argument("--simplify", type=int, metavar="N", help="to so many triangles, by the extra simplify")
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw the surface")
 

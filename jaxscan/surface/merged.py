@@ -29,9 +29,14 @@ from jaxscan.surface.scattered import poisson_surface
 from jaxscan.surface.side import Side
 
 # h, and where points end to count, in spacings of the sides.
-_WIDTH, _REACH = 0.75, 1.5
+_WIDTH, _REACH = 0.5, 1.2
 _MOST_AROUND: Final = 64
-_SAME_WAY: Final = 0.5
+# Points whose normals differ by more than 16° are across a crease.
+_SAME_WAY: Final = 0.96
+# Distance of the vertices, in spacings.
+_CUBE: Final = 0.7
+# A vertex of Poisson's surface is on what was seen where their normals differ by less than 60°.
+_ALIKE: Final = 0.5
 # Points further from their common surface than this, in units of σ, count less and less (Tukey).
 _TUKEY: Final = 4.685
 # Points around a place leave no gap of more than this, as seen from it, where it is not beyond their rim.
@@ -139,13 +144,13 @@ def merge(sides: Sequence[Side], poses: Sequence[Motion], *, cube_mm: float | No
     Args:
         sides: registered.
         poses: T_first_side of each.
-        cube_mm: distance of the vertices; by default the sides' spacing.
+        cube_mm: distance of the vertices; by default 0.7 of the sides' spacing.
 
     Raises:
         InputError: the size is not positive, makes too many cubes, or no surface comes of it.
     """
     points = _Points(sides, poses)
-    size = points.spacing if cube_mm is None else cube_mm
+    size = _CUBE * points.spacing if cube_mm is None else cube_mm
     if not size > 0:
         raise InputError(f"cubes of {size:g} mm: give a size that is more than 0")
     vertices, quads = _nets(points, size)
@@ -180,7 +185,7 @@ def merge_closed(sides: Sequence[Side], poses: Sequence[Motion]) -> Merged:
     depth = int(np.ceil(np.log2(np.ptp(places, axis=0).max() / points.spacing))) + _FINER
     mesh = poisson_surface(places, normals, int(np.clip(depth, *_DEPTHS)), _ROOM)
     vertices, found = points.settled(np.asarray(mesh.vertices))
-    seen = found.seen & np.isfinite(found.f) & ((found.normal * mesh.vertex_normals).sum(axis=1) > _SAME_WAY)
+    seen = found.seen & np.isfinite(found.f) & ((found.normal * mesh.vertex_normals).sum(axis=1) > _ALIKE)
     vertices = np.where(seen[:, None], vertices, mesh.vertices)
     mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
     return Merged(mesh, np.where(seen, found.sigma, np.nan), np.where(seen, found.sides, 0))
