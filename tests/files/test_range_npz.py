@@ -2,12 +2,14 @@
 
 import dataclasses
 import re
+import sys
 
 import numpy as np
 import pytest
 
 from jaxscan.errors import InputError
 from jaxscan.files.range_npz import RangeArrays, read_range_npz, write_range_npz
+from jaxscan.reconstruction.range_image import RangeImage, writing_points
 
 
 def image(frames: int = 4, columns: int = 7) -> RangeArrays:
@@ -97,3 +99,36 @@ def test_what_is_no_range_image(tmp_path):
             read_range_npz(tmp_path / f"{name}.npz")
     with pytest.raises(InputError, match="is a folder"):
         read_range_npz(tmp_path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit on the size of files")
+@pytest.mark.parametrize("ending", [".npz", ".ply"])
+def test_a_disk_that_is_full_half_way_leaves_what_was_there(tmp_path, ending):
+    import resource
+
+    path = tmp_path / f"out{ending}"
+    path.write_bytes(b"before")
+    points = np.random.default_rng(0).random((400, 3)).astype(np.float32)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def write():
+        with writing_points(path) as add:
+            for i in range(20):
+                add(range_image_of(points, i))
+
+    # Every write beyond it fails, as on a disk without room.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limits[1]))
+    try:
+        with pytest.raises(InputError, match=r"cannot be written .*make room") as refusal:
+            write()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert str(path) in str(refusal.value)
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def range_image_of(points, step):
+    shape = (1, len(points))
+    one = np.ones(shape, np.float32)
+    return RangeImage(points[None], one, one, one, one, np.ones(shape, bool), np.asarray([step]))
