@@ -35,10 +35,25 @@ SUITES = {
     "hardware": "serial sessions with faults, scans killed and resumed, a simulated scanner from hardware to points",
     "lab": "the lab server: 200 watchers and one operator, and what watching costs the scan",
     "surface": "cleaning, floor, mesh and PLY: accuracy and speed (a real pyramid with JAXSCAN_DATA)",
+    "merge": "eight views of a figure joined: poses, loop, merged surface, against pairs that are chained",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
-NOT_QUICK = {"derivatives", "starts", "next_pose", "montecarlo", "gauge", "lasers", "accuracy", "speed", "spacetime"}
+NOT_QUICK = {
+    "derivatives",
+    "starts",
+    "next_pose",
+    "montecarlo",
+    "gauge",
+    "lasers",
+    "accuracy",
+    "speed",
+    "spacetime",
+    "coherence",
+    "exposures",
+    "merge",
+    "batch",
+}
 
 
 def main() -> int:

@@ -41,10 +41,10 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.geometry.robust_plane import NORMAL_MAD, refined_plane
-from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import Rig, Stage
-from jaxscan.simulation import Body, Scene, distance, rig_2003, true_profile
+from jaxscan.simulation import Body, Scene, distance, rig_2003
+from jaxscan.simulation.drawn import drawn_scan
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.render import rays_of
 from jaxscan.simulation.shapes import box, cup, sphere
@@ -153,22 +153,9 @@ def photograph(rig: Rig, scene: Scene) -> Scan:
 def draw(rig: Rig, scene: Scene) -> Scan:
     """Where an ideal camera sees the stripe, plus noise, triangulated with the true rig."""
     steps = rig_2003.STEPS_APART * np.arange(rig_2003.SCAN_FRAMES)
-    profiles = [true_profile(rig, scene, float(n)) for n in steps]
-    true_points = np.stack([profile.points for profile in profiles])
-    true_rows = np.stack([profile.position for profile in profiles])
-    rows = true_rows + _STRIPE_PX * np.random.default_rng(0).normal(size=true_rows.shape)
-    valid = np.isfinite(rows)
-    frame, column = np.nonzero(valid)
-    with float64():
-        see = jax.jit(jax.vmap(as_float64(rig).triangulate))
-        found = np.asarray(see(jnp.asarray(np.stack([column, rows[valid]], axis=1)), jnp.asarray(steps[frame] * 1.0)))
-    points = np.full((*rows.shape, 3), np.nan, np.float32)
-    points[valid] = found
-    none = np.full(rows.shape, np.nan, np.float32)
-    travel = np.array([float(c) for c in _stage(rig).per_step])
-    even = np.where(valid, 250.0, np.nan).astype(np.float32)
-    image = RangeImage(points, rows.astype(np.float32), even, none, none, valid, steps, travel)
-    return image, true_points, true_rows
+    drawn = drawn_scan(rig, scene, steps, _STRIPE_PX)
+    unknown = np.full(drawn.position.shape, np.nan, np.float32)
+    return replace(drawn.image, sigma=unknown, sigma_pixel=unknown), drawn.points, drawn.position
 
 
 def across(

@@ -24,3 +24,16 @@ def x64() -> Iterator[None]:
     """Float64 for one test; the others run in JAX's default precision."""
     with jax.enable_x64(True):
         yield
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """What takes half a minute or more by itself is run on request."""
+    parser.addoption("--long", action="store_true", help="also the tests that take half a minute or more")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Skip them by name otherwise."""
+    if not config.getoption("--long"):
+        for item in items:
+            if item.get_closest_marker("long"):
+                item.add_marker(pytest.mark.skip(reason="takes half a minute or more: run with --long"))

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
 from jaxscan.files.mesh import read_mesh
@@ -100,6 +101,28 @@ def stair(
         half = np.array([right - left, 50.0, height]) / 2
         steps.append(Body(Box(np.array([(left + right) / 2, y, height / 2]), np.eye(3), half), grey(albedo)))
     return tuple(steps)
+
+
+def figure(y: float, albedo: float = 0.6) -> tuple[Body, ...]:
+    """A figure without any symmetry, to be scanned from several sides: plinth, body, head with a hat, arms, a bag."""
+
+    def at(*place: float) -> Float[np.ndarray, "3"]:
+        return np.array([0.0, y, 0.0]) + place
+
+    def turned(*angles: float) -> Float[np.ndarray, "3 3"]:
+        return Rotation.from_euler("zyx", angles, degrees=True).as_matrix()
+
+    solids = (
+        Box(at(1.0, 0.0, 3.0), turned(12.0, 0.0, 0.0), np.array([24.0, 17.0, 3.0])),
+        Box(at(0.0, 1.0, 18.0), turned(-25.0, 24.0, 18.0), np.array([13.0, 8.0, 16.0])),
+        Sphere(at(-3.0, 2.0, 36.0), 9.0),
+        Cylinder(at(-3.0, 2.0, 36.0), np.array([0.64, 0.48, 0.6]), 4.5, 16.0),
+        Cylinder(at(4.0, -2.0, 16.0), np.array([0.64, -0.48, 0.6]), 5.0, 21.0),
+        Sphere(at(-12.0, -6.0, 22.0), 7.0),
+        Box(at(-17.0, 10.0, 9.0), turned(35.0, 30.0, -20.0), np.array([6.0, 5.0, 8.0])),
+        Sphere(at(12.0, 13.0, 9.0), 7.0),
+    )
+    return tuple(Body(solid, grey(albedo)) for solid in solids)
 
 
 def mesh(y: float, triangles: trimesh.Trimesh, albedo: float = 0.6) -> Body:
