@@ -27,8 +27,8 @@ def x64() -> Iterator[None]:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """What takes half a minute or more by itself is run on request."""
-    parser.addoption("--long", action="store_true", help="also the tests that take half a minute or more")
+    """What takes long by itself, mostly to compile, is run on request."""
+    parser.addoption("--long", action="store_true", help="also the tests that take long")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -36,4 +36,4 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--long"):
         for item in items:
             if item.get_closest_marker("long"):
-                item.add_marker(pytest.mark.skip(reason="takes half a minute or more: run with --long"))
+                item.add_marker(pytest.mark.skip(reason="takes long: run with --long"))

@@ -54,6 +54,7 @@ def test_boards_lying_flat_give_no_focal_length(data: Path) -> None:
         calibrate(observe(session), lens=session.camera.lens)
 
 
+@pytest.mark.long
 def test_a_saturated_stripe_on_a_dark_board(data: Path) -> None:
     session = read_session(data / "etna-2")
     result = calibrate(observe(session), lens=session.camera.lens)

@@ -169,6 +169,7 @@ def values_of(rig):
     return np.array([float(x) for x in jax.tree.leaves(rig)])
 
 
+@pytest.mark.long
 def test_boards_and_gauge_in_one_solve(calibration, block, true_rig):
     """Where both are near the minimum, the boards' photographs tell what their mean and covariance tell."""
     gauge = [Gauge(block, Steps((0.0, *HEIGHTS)))]
@@ -182,6 +183,7 @@ def test_boards_and_gauge_in_one_solve(calibration, block, true_rig):
     assert joint.from_prior_in_sigma == pytest.approx(by_prior.from_prior_in_sigma, abs=0.05)
 
 
+@pytest.mark.long
 def test_boards_tell_nothing_of_a_part_that_is_doubted(calibration, turned, true_rig):
     """The laser was pushed after the boards were photographed: their stripes lie on a sheet that is no more."""
     pushed = replace(true_rig, lasers=turned.rig.lasers)
@@ -192,6 +194,7 @@ def test_boards_tell_nothing_of_a_part_that_is_doubted(calibration, turned, true
     assert fit.gauges[0].rms_after_mm < 0.06
 
 
+@pytest.mark.long
 def test_a_gauge_in_two_places(turned, block, by_block, true_rig):
     around = scan_of(true_rig, stair(37.0, HEIGHTS[::-1]), seed=3)
     fit = refine_by_gauge(turned, [Gauge(scan, Steps((0.0, *HEIGHTS))) for scan in (block, around)])

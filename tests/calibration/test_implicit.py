@@ -37,6 +37,7 @@ def minimum(theta):
 THETA = (0.3, -1.2, 0.8, 0.5, -0.3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
 def test_both_modes_are_the_dense_implicit_derivative(x64, derivative):
     theta = jnp.asarray(THETA)

@@ -37,6 +37,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.long
 def test_by_angle_then_by_the_turntable_that_it_gave(folder, capsys):
     scans = [folder / f"{k}.npz" for k in range(3)]
     out = ["-o", folder / "m.stl", "-o", folder / "m.ply", "--png", folder / "m.png"]

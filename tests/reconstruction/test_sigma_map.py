@@ -14,7 +14,9 @@ from jaxscan.rig.rig import parameter_names
 LENSES = {"radial1": ([-0.134], []), "rational": ([-0.1, 0.05, 0.0, 0.05, 0.02, 0.0], [1e-3, 1e-3])}
 
 
-@pytest.mark.parametrize(("lens", "columns"), [("radial1", True), ("rational", False)])
+@pytest.mark.parametrize(
+    ("lens", "columns"), [("radial1", True), pytest.param("rational", False, marks=pytest.mark.long)]
+)
 def test_sigma_is_that_of_the_exact_derivatives(lens, columns):
     plane = [0.0, -0.00494, 0.00303] if columns else [-0.004, 0.0005, 0.0024]
     with float64():

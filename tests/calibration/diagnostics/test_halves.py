@@ -69,6 +69,7 @@ def test_too_few_photographs_give_no_halves(session):
     assert sessions(session) == ()
 
 
+@pytest.mark.long
 def test_a_board_of_another_size_shows_between_sessions():
     """Both sessions state 16 mm; the second board's squares have 15.2 mm, so its millimetres come out 5 % longer."""
     right = synthetic.observations(seed=0, n_stage=5)

@@ -20,6 +20,7 @@ SOME = hypothesis.settings(
 STREAMS = ("/api/events", "/api/pictures")
 
 
+@pytest.mark.long
 def test_no_request_is_answered_by_a_fault(lasting: Served):
     schema = schemathesis.openapi.from_dict(make_app(lasting.lab).openapi())
     statuses = set()
