@@ -1,6 +1,7 @@
 """Requests made from the interface's own description: none of them is answered by a fault of the server."""
 
 import hypothesis
+import pytest
 import schemathesis
 from hypothesis import HealthCheck, Phase
 from schemathesis.checks import not_a_server_error
