@@ -37,7 +37,7 @@ _LEAST_SIGNAL = 4.7
 _LEAST_STRENGTH = 10.0
 # Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from every so many pixels.
 _AMBIENT_QUANTILE = 0.97
-_EVERY = 24
+_EVERY = 16
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
 # Lines are measured in groups of so many, whatever the image: few sizes are compiled, and one stays in the cache.
