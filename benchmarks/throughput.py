@@ -150,7 +150,7 @@ def memory() -> list[Metric]:
     """Peak of a process that reconstructs 200 frames and of one that does 5000, to a PLY file."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        scan = _scan(folder, 20, 480, 640)
+        _scan(folder, 20, 480, 640)
         from jaxscan.files.rig_file import write_rig
 
         write_rig(folder / "rig.json", _content(640, 480))
@@ -158,8 +158,9 @@ def memory() -> list[Metric]:
         for count in (200, 5000):
             of = folder / str(count)
             of.mkdir()
-            names = ", ".join(f'"../frames/{i % 20:04d}.jpg"' for i in range(count))
-            (of / "scan.toml").write_text(f"[scan]\nframes = [{names}]\nsteps_per_frame = 100\n")
+            for i in range(count):
+                os.link(folder / "frames" / f"{i % 20:04d}.jpg", of / f"{i:04d}.jpg")
+            (of / "scan.toml").write_text('[scan]\nframes = "*.jpg"\nsteps_per_frame = 10\n')
             code = (
                 "import resource, sys; from jaxscan.cli.main import main; status = main(sys.argv[1:]); "
                 "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(status)"
@@ -168,7 +169,6 @@ def memory() -> list[Metric]:
             run = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=True)
             peaks.append(int(run.stdout.split()[-1]) / 1024)
         print(f"  peak memory: {peaks[0]:.0f} MiB for 200 frames, {peaks[1]:.0f} for 5000", flush=True)
-        assert len(scan.frames) == 20
     return [Metric("throughput.memory.5000_over_200", peaks[1] / peaks[0], "", "lower", 1.2, slack=0.1)]
 
 
