@@ -44,7 +44,7 @@ from jaxscan.surface.clean import clean
 from jaxscan.surface.coarse import STILL, arrange
 from jaxscan.surface.floor import find_floor, stands_on
 from jaxscan.surface.merged import Merged, merge, merge_closed
-from jaxscan.surface.pairs import Motion, after, inverse, moved
+from jaxscan.surface.motion import Motion, after, inverse, moved
 from jaxscan.surface.register import Registration, moved_apart, register
 from jaxscan.surface.side import Side, side_of_image
 

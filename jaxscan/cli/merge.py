@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from jaxscan.surface.merged import Merged
-    from jaxscan.surface.pairs import Motion
+    from jaxscan.surface.motion import Motion
     from jaxscan.surface.register import Registration
     from jaxscan.surface.side import Side
 

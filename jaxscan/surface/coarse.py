@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError, ObservabilityError
-from jaxscan.surface.pairs import Motion, after, inverse
+from jaxscan.surface.motion import Motion, after, inverse
 from jaxscan.surface.register import Pair, Registration, register
 from jaxscan.surface.side import Side
 

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
-from jaxscan.surface.fit import Motion, rigid_fit_to
+from jaxscan.surface.fit import rigid_fit_to
+from jaxscan.surface.motion import Motion, moved
 from jaxscan.surface.reference import Reference, signed_distance
 
 
@@ -82,7 +83,7 @@ def compare(
         rigid_fit_to(reference, points[_near(reference, points, within_mm)] if not fit else points) if fit else None
     )
     if motion is not None:
-        points = points @ motion[0].T + motion[1]
+        points = moved(points, motion)
     elif not _overlap(reference, points):
         raise InputError("cloud and reference lie apart: if they are not in one frame, have the cloud fitted first")
     distance = signed_distance(reference, points)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
 from jaxscan.geometry.robust_plane import NORMAL_MAD
+from jaxscan.surface.motion import Motion, moved
 from jaxscan.surface.reference import Reference
 
 _STILL_MM: Final = 1e-4
@@ -27,8 +28,6 @@ _SEED: Final = 2003
 _SUSPICIOUS, _MIRRORED = 0.001, 0.4
 # Distances count up to this part of the surface's size.
 _FAR: Final = 0.05
-
-Motion = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 
 
 def rigid_fit_to(reference: Reference, cloud: Float[np.ndarray, "points 3"]) -> Motion:
@@ -82,7 +81,7 @@ def _rounds(
     R, t = start
     away = np.full(len(cloud), np.inf)
     for _ in range(rounds):
-        p = cloud @ R.T + t
+        p = moved(cloud, (R, t))
         q, n = reference.nearest(p)
         away = np.linalg.norm(p - q, axis=1)
         near = away <= max(3 * NORMAL_MAD * float(np.median(away)), 1e-9)

@@ -24,7 +24,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from jaxscan.errors import InputError
-from jaxscan.surface.pairs import Motion, moved
+from jaxscan.surface.motion import Motion, moved
 from jaxscan.surface.scattered import poisson_surface
 from jaxscan.surface.side import Side
 

@@ -23,10 +23,8 @@ from jaxtyping import Array, Float, Int
 from jaxscan.geometry import vector_to_matrix
 from jaxscan.geometry.robust_plane import NORMAL_MAD
 from jaxscan.precision import float64
+from jaxscan.surface.motion import Motion, after, inverse, moved
 from jaxscan.surface.side import Side
-
-# R, t: from a side's own frame to the common one.
-Motion = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 
 _SAME_WAY: Final = np.cos(np.radians(45.0))
 # Tukey's biweight in units of the residuals' scatter: 95 % efficient for a normal distribution.
@@ -71,21 +69,6 @@ class Equations:
     sigma: Float[np.ndarray, "matches"]
     weight: Float[np.ndarray, "matches"]
     scale: float
-
-
-def moved(points: Float[np.ndarray, "points 3"], T: Motion) -> Float[np.ndarray, "points 3"]:
-    """Points carried by a motion."""
-    return points @ T[0].T + T[1]
-
-
-def inverse(T: Motion) -> Motion:
-    """The motion back."""
-    return T[0].T, -T[0].T @ T[1]
-
-
-def after(T: Motion, other: Motion) -> Motion:
-    """The other motion first, then T."""
-    return T[0] @ other[0], T[0] @ other[1] + T[1]
 
 
 def sample(side: Side, most: int) -> Int[np.ndarray, "points"]:

@@ -20,7 +20,8 @@ from scipy.sparse import coo_array
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError, ObservabilityError
-from jaxscan.surface.pairs import Equations, Matches, Motion, equations, match, moved
+from jaxscan.surface.motion import Motion, moved
+from jaxscan.surface.pairs import Equations, Matches, equations, match
 from jaxscan.surface.side import Side
 
 # Rounds go on until the step left is negligible in units of the estimates' own σ, RMS; matches flip for ever.

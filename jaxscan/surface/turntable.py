@@ -22,7 +22,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Covariance, Rig, Turntable
-from jaxscan.surface.pairs import Motion, after, inverse
+from jaxscan.surface.motion import Motion, after, inverse
 from jaxscan.surface.register import Registration
 
 _NAMES: Final = tuple(f"turntable.{part}.{i}" for part in ("per_step", "centre") for i in range(3))

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface.floor import find_floor, stands_on
-from jaxscan.surface.pairs import Motion
+from jaxscan.surface.motion import Motion
 from jaxscan.surface.side import Side, side_of_image
 from tests.surface.scenes import grid, seen
 

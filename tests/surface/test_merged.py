@@ -6,7 +6,7 @@ import pytest
 from jaxscan.errors import InputError
 from jaxscan.surface.coarse import STILL
 from jaxscan.surface.merged import merge, merge_closed
-from jaxscan.surface.pairs import inverse
+from jaxscan.surface.motion import inverse
 from jaxscan.surface.side import Side
 from tests.surface.hills import RADIUS, height, pose, scanned, side
 

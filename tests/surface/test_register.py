@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError, ObservabilityError
 from jaxscan.surface.coarse import STILL, arrange, check_fits
-from jaxscan.surface.pairs import after, equations, inverse, match, moved
+from jaxscan.surface.motion import after, inverse, moved
+from jaxscan.surface.pairs import equations, match
 from jaxscan.surface.register import register
 from tests.surface import scenes
 from tests.surface.hills import NOISE, height, pose, scanned, side

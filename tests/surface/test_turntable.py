@@ -9,7 +9,7 @@ from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.rig import Covariance, Turntable
 from jaxscan.simulation.rig_2003 import simulated_rig
 from jaxscan.surface.coarse import turns_about
-from jaxscan.surface.pairs import inverse
+from jaxscan.surface.motion import inverse
 from jaxscan.surface.register import Registration
 from jaxscan.surface.turntable import fit_turntable, turntable_poses
 
