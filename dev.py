@@ -47,7 +47,9 @@ def main() -> int:
         if not (BIN / "pip").exists():
             print("Python's own venv is missing; on Debian: apt-get install python3-venv", file=sys.stderr)
         return 1
-    return subprocess.run([BIN / command[0], *command[1:], *rest], cwd=ROOT, env=_compiled_once()).returncode
+    # What a user's own command compiles belongs to the user's cache, where the next command looks for it.
+    env = _compiled_once() if extra == "dev" else None
+    return subprocess.run([BIN / command[0], *command[1:], *rest], cwd=ROOT, env=env).returncode
 
 
 def _compiled_once() -> dict[str, str]:
