@@ -26,6 +26,7 @@ from jaxscan.files.scan import Scan, read_scan
 from jaxscan.images import StripeSettings, detect_stripe, read_image
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, Scanner
+from jaxscan.reconstruction.frames import aligned
 from jaxscan.reconstruction.triangulate import triangulate_into
 from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
 from jaxscan.rig.rig import parameter_names
@@ -90,7 +91,7 @@ def kernel(quick: bool) -> list[Metric]:
 
 def detection(rows: int, columns: int, repeats: int) -> list[Metric]:
     """Sixteen colour frames in memory to stripes, against reading every byte once by two threads."""
-    frames = _aligned((16, rows, columns, 3))
+    frames = aligned((16, rows, columns, 3), np.uint8)
     frames[:] = np.random.default_rng(0).integers(0, 40, frames.shape, dtype=np.uint8)
     _draw(frames, np.zeros(16))
     words = np.array_split(frames.reshape(-1).view(np.uint64), 2)
@@ -117,7 +118,7 @@ def end_to_end(folder: Path, count: int, repeats: int) -> list[Metric]:
     """JPEGs to points, against decoding them alone, and against a plain loop over OpenCV and NumPy."""
     scan = _scan(folder, count)
     content = _content()
-    buffer = _aligned((16, _ROWS, _COLUMNS, 3))
+    buffer = aligned((16, _ROWS, _COLUMNS, 3), np.uint8)
 
     def decode() -> None:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -224,13 +225,6 @@ def _plain(scan: Scan, rig: Rig) -> None:
         x = cv2.undistortPoints(pixels[:, None], matrix, lens)[:, 0]
         ray = np.column_stack([x, np.ones(len(x))])
         _ = ray / (ray @ plane)[:, None]
-
-
-def _aligned(shape: tuple[int, ...]) -> UInt[np.ndarray, "..."]:
-    count = int(np.prod(shape))
-    raw = np.zeros(count + 64, np.uint8)
-    start = -raw.ctypes.data % 64
-    return raw[start : start + count].reshape(shape)
 
 
 def _side_by_side(limit: Callable[[], None], work: Callable[[], None], repeats: int) -> tuple[float, float]:

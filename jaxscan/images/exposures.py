@@ -26,16 +26,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
 from jaxscan.errors import InputError
+from jaxscan.images.stripes.survey import FULL, greatest_numbers
 
 Frames = UInt[Array | np.ndarray, "exposures rows columns *rgb"]
 Merged = UInt[Array, "rows columns *rgb"]
 
-# A pixel is full from its greatest number on, and what a JPEG makes of it, as detection takes it; numbers of 16 bits
-# may come from a sensor of fewer.
-_FULL, _DEPTHS = 0.99, (10, 12, 14)
 _GREATEST: Final = 65535
 # The greatest number of a pixel that was not full in every exposure.
-_NOT_FULL: Final = int(_FULL * _GREATEST) - 1
+_NOT_FULL: Final = int(FULL * _GREATEST) - 1
 # A pixel is too dark in an exposure where it is expected to read less than this part of a full one.
 _BLACK: Final = 0.02
 # Exposures are compared on pixels between these parts of a full one, if there are so many, every so many pixels, and
@@ -87,9 +85,7 @@ def merge_exposures(
 
 def full_number(top: int, dtype: np.dtype) -> int:
     """From which number on a pixel is full, in photographs whose greatest number is `top`: as `survey` has it."""
-    bits = 8 * dtype.itemsize
-    greatest = next(2**b - 1 for b in (*(d for d in _DEPTHS if d < bits), bits) if top < 2**b)
-    return int(_FULL * greatest)
+    return int(FULL * next(greatest for greatest in greatest_numbers(8 * dtype.itemsize) if top <= greatest))
 
 
 @partial(jax.jit, static_argnames="of_laser")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from jaxtyping import Int, UInt
+from jaxtyping import Int, Shaped, UInt
 
 from jaxscan.errors import InputError
 from jaxscan.files.scan import Scan
@@ -71,12 +71,20 @@ def frames_of(
     source, form, count = iter(images), None, 0
     while some := list(islice(source, batch)):
         form = form or _Form(some[0][0], size, "frame 0")
-        slot = form.slot(batch)
+        slot = form.buffer(batch)
         for k, (image, _) in enumerate(some):
             form.check(image, f"frame {count + k}")
             slot[k] = image
         count += len(some)
         yield Frames(slot, dark, np.asarray([step for _, step in some], np.int64))
+
+
+def aligned(shape: tuple[int, ...], dtype: np.dtype | type[np.generic]) -> Shaped[np.ndarray, "..."]:
+    """An array of zeros on a boundary from which a compiled function takes it as it is."""
+    count = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    raw = np.zeros(count + _ALIGNMENT, np.uint8)
+    start = -raw.ctypes.data % _ALIGNMENT
+    return raw[start : start + count].view(dtype).reshape(shape)
 
 
 class _Form:
@@ -91,12 +99,9 @@ class _Form:
         """How many fit into a buffer."""
         return max(1, min(FRAMES_AT_ONCE, _SLOT_BYTES // (int(np.prod(self.shape)) * self.dtype.itemsize)))
 
-    def slot(self, frames: int) -> UInt[np.ndarray, "frames rows columns *rgb"]:
-        """An empty buffer on a boundary."""
-        count = frames * int(np.prod(self.shape)) * self.dtype.itemsize
-        raw = np.zeros(count + _ALIGNMENT, np.uint8)
-        start = -raw.ctypes.data % _ALIGNMENT
-        return raw[start : start + count].view(self.dtype).reshape(frames, *self.shape)
+    def buffer(self, frames: int) -> UInt[np.ndarray, "frames rows columns *rgb"]:
+        """Room for so many."""
+        return aligned((frames, *self.shape), self.dtype)
 
     def check(self, image: Image, name: str | Path) -> None:
         if image.shape[1::-1] != self.size:
@@ -127,36 +132,51 @@ def _of_files(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
     if not count:
         return
     form = _Form(read_image(scan.frames[0]), size, scan.frames[0])
-    batch = form.batch
-    shared = None
-    if len(scan.backgrounds) == 1:
-        shared = read_image(scan.backgrounds[0])[None]
-    own = scan.backgrounds if len(scan.backgrounds) > 1 else ()
-    # Which frame of the scan goes where, for frames and for their backgrounds alike.
-    dark = _Form(read_image(own[0]), size, own[0]) if own else None
+    batch, dark = form.batch, _Backgrounds(scan, size)
 
     def fill(pool: ThreadPoolExecutor, first: int, slot: _Slot) -> list[Future[None]]:
         some = range(first, min(first + batch, count))
         futures = [pool.submit(form.read, scan.frames[i], slot.images[i - first]) for i in some]
-        if dark is not None and slot.backgrounds is not None:
-            futures += [pool.submit(dark.read, own[i], slot.backgrounds[i - first]) for i in some]
+        if slot.backgrounds is not None:
+            futures += [pool.submit(dark.read, i, slot.backgrounds[i - first]) for i in some]
         return futures
 
-    slots = [
-        _Slot(form.slot(batch), None if dark is None else dark.slot(batch))
-        for _ in range(min(_SLOTS, -(-count // batch)))
-    ]
+    slots = [_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(min(_SLOTS, -(-count // batch)))]
     with ThreadPoolExecutor(cpu_count()) as pool:
         for first, slot in _ring(pool, slots, range(0, count, batch), fill):
-            some = min(batch, count - first)
-            backgrounds = shared if slot.backgrounds is None else slot.backgrounds
-            yield Frames(slot.images, backgrounds, _steps(scan, first, some))
+            yield Frames(slot.images, dark.of(slot), _steps(scan, first, min(batch, count - first)))
 
 
 @dataclass(frozen=True)
 class _Slot:
     images: UInt[np.ndarray, "buffer rows columns *rgb"]
     backgrounds: UInt[np.ndarray, "backgrounds rows columns *rgb"] | None
+
+
+class _Backgrounds:
+    """The scene with the laser off: not photographed, once for all frames, or once for each."""
+
+    def __init__(self, scan: Scan, size: tuple[int, int]) -> None:
+        self._paths, self._form, self._shared = scan.backgrounds, None, None
+        if self._paths:
+            first = read_image(self._paths[0])
+            if len(self._paths) == 1:
+                self._shared = first[None]
+            else:
+                self._form = _Form(first, size, self._paths[0])
+
+    def buffer(self, frames: int) -> UInt[np.ndarray, "frames rows columns *rgb"] | None:
+        """Room for those of so many frames, where each has its own."""
+        return None if self._form is None else self._form.buffer(frames)
+
+    def read(self, frame: int, out: Image) -> None:
+        """Decode that of a frame; of a video's frames beyond the last step count, which are refused, the last one."""
+        assert self._form is not None
+        self._form.read(self._paths[min(frame, len(self._paths) - 1)], out)
+
+    def of(self, slot: _Slot) -> UInt[np.ndarray, "backgrounds rows columns *rgb"] | None:
+        """What belongs to the frames in a buffer."""
+        return self._shared if slot.backgrounds is None else slot.backgrounds
 
 
 def _ring(
@@ -186,10 +206,7 @@ def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
     source = read_video(video)
     first = next(source)
     form = _Form(first, size, video)
-    batch = form.batch
-    shared = read_image(scan.backgrounds[0])[None] if len(scan.backgrounds) == 1 else None
-    own = scan.backgrounds if len(scan.backgrounds) > 1 else ()
-    dark = _Form(read_image(own[0]), size, own[0]) if own else None
+    batch, dark = form.batch, _Backgrounds(scan, size)
     waiting = [first]
 
     def fill(done: int, slot: _Slot) -> int:
@@ -200,13 +217,12 @@ def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
                 break
             form.check(image, video)
             slot.images[count] = image
-            if dark is not None and slot.backgrounds is not None:
-                # That there are enough of them, the step counts have said.
-                dark.read(own[min(done + count, len(own) - 1)], slot.backgrounds[count])
+            if slot.backgrounds is not None:
+                dark.read(done + count, slot.backgrounds[count])
             count += 1
         return count
 
-    slots = deque(_Slot(form.slot(batch), None if dark is None else dark.slot(batch)) for _ in range(2))
+    slots = deque(_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(2))
     done = 0
     with ThreadPoolExecutor(1) as pool:
         ahead = pool.submit(fill, 0, slots[0])
@@ -216,7 +232,7 @@ def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
             steps = _steps(scan, done, count)
             done += count
             ahead = pool.submit(fill, done, slots[0])
-            yield Frames(slot.images, shared if slot.backgrounds is None else slot.backgrounds, steps)
+            yield Frames(slot.images, dark.of(slot), steps)
     if scan.steps and done < len(scan.steps):
         raise InputError(
             f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, but {scan.video} ends after {done} frames: "

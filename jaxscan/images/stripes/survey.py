@@ -25,7 +25,7 @@ _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
 _DEVIATION_TO_SIGMA = 1.2533 / (1 - 1 / _FLANK) ** 0.5
 # A pixel is full from its greatest number on, and what a JPEG makes of it.
-_FULL = 0.99
+FULL = 0.99
 # Numbers of 16 bits may come from a sensor of fewer.
 _DEPTHS = (10, 12, 14)
 # Rounding's own σ, grey levels: no noise is smaller.
@@ -108,13 +108,18 @@ def survey_windows(lit: Array, dark: Array | None, ambient: Int[Array, "frames"]
     )
 
 
+def greatest_numbers(bits: int) -> list[int]:
+    """What the greatest number of a sensor may be whose photographs have so many bits."""
+    return [2**b - 1 for b in (*(d for d in _DEPTHS if d < bits), bits)]
+
+
 def _full_number(laser: Int[Array, "frames window lines"]) -> Int[Array, "frames"]:
     """From which number on a pixel is full: near the greatest that the sensor can have given."""
     bits = jnp.iinfo(laser.dtype).bits
-    depths = jnp.asarray([2**b - 1 for b in (*(d for d in _DEPTHS if d < bits), bits)], jnp.int32)
+    depths = jnp.asarray(greatest_numbers(bits), jnp.int32)
     top = laser.astype(jnp.int32).max((1, 2))
     greatest = jnp.where(depths[None] >= top[:, None], depths[None], depths[-1]).min(1)
-    return jnp.floor(_FULL * greatest).astype(jnp.int32)
+    return jnp.floor(FULL * greatest).astype(jnp.int32)
 
 
 def _weights(
