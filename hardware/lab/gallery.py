@@ -128,8 +128,7 @@ class Gallery:
 
         keep_compiled()
         stripe = detect_stripe(read_image(path) if image is None else image, self._stripe, detector=_DETECTOR)
-        position = np.asarray(stripe.position)[0]
-        lines = np.flatnonzero(np.asarray(stripe.valid)[0])
+        position, lines = stripe.position[0], np.flatnonzero(stripe.valid[0])
         lines = lines[:: max(1, -(-len(lines) // _PROFILE_POINTS))]
         found = {
             "project": self._project,

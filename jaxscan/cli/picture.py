@@ -104,7 +104,7 @@ def _stripe(
 ) -> Float[np.ndarray, "lines"]:
     with said_of(path):
         stripe = detect_stripe(image, laser, background, detector=detector, choice=choice)
-    return np.where(np.asarray(stripe.valid), np.asarray(stripe.position), np.nan).ravel()
+    return stripe.position.ravel()
 
 
 def _found(position: Float[np.ndarray, "lines"], laser: StripeSettings) -> dict[str, Any]:

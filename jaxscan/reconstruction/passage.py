@@ -84,6 +84,6 @@ def passage_sigma(geometry: Geometry, stripe: Stripe) -> tuple[float, float]:
     u, v = geometry.pixels(jnp.where(stripe.valid, stripe.position, 0.0))
     before, after = (geometry.across(*carried(geometry, u, v, jnp.asarray(m))) for m in (-0.5, 0.5))
     speed = np.where(stripe.valid, jnp.abs(after - before), np.nan)
-    sigma = np.asarray(stripe.width) / _FWHM / np.maximum(speed, np.finfo(np.float32).tiny)
+    sigma = stripe.width / _FWHM / np.maximum(speed, np.finfo(np.float32).tiny)
     known = np.isfinite(sigma)
     return (float(np.median(sigma[known])), float(np.median(speed[known]))) if known.any() else (np.nan, np.nan)

@@ -184,7 +184,7 @@ def _profiles(
     stripe = detect_stripe(batch.frames[some], settings, dark, detector=_START, choice=choice)
     scale = number_scale(batch.frames.dtype)
     ambient = jnp.asarray(scale * ambient_levels(batch.frames[some], dark, settings.color))
-    surveyed = jnp.asarray(_some_lines(np.asarray(stripe.valid)))
+    surveyed = jnp.asarray(_some_lines(stripe.valid))
     images, grounds = jax.device_put((batch.frames, batch.backgrounds))
     half, farthest = half_window(sigma), _FARTHEST * sigma
     window = some[:, None] + np.arange(-half, half + 1)
