@@ -9,6 +9,7 @@ import pytest
 
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, triangulate
+from jaxscan.reconstruction.lens_inverse import lens_inverse
 from jaxscan.reconstruction.triangulate import triangulate_into
 from jaxscan.rig import Camera, LightPlane, Rig, Stage
 
@@ -71,6 +72,14 @@ def test_strong_lenses_in_float32_over_the_whole_image(lens, radial, tangential,
     assert np.linalg.norm(points - exact, axis=1)[found].max() * focal < 2e-3
 
 
+def test_a_usual_lens_needs_no_correction_and_a_strong_one_does():
+    usual = Kernel.create(rig_with("brown")).lens
+    assert (usual.corrections, usual.along.shape, usual.across.shape) == (0, (3, 5), (2, 5))
+    with float64():
+        strong = Camera.create((640, 480), [697.0, 697.0], [320.0, 240.0], "brown", [-0.27, 0.05, 0.1], [1e-2, -2e-2])
+    assert lens_inverse(as_numpy(strong)).corrections > 0
+
+
 def test_a_pixel_that_is_missing_or_sees_no_sheet_gives_nan():
     kernel = Kernel.create(rig_with("radial1"))
     points = triangulate(kernel, jnp.array([300.0, jnp.nan, 300.0]), jnp.array([100.0, 100.0, jnp.nan]), jnp.zeros(3))
@@ -97,10 +106,10 @@ def test_another_rig_does_not_compile_again():
     assert triangulate._cache_size() == before
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_the_kernel_is_one_pass_into_memory_that_is_handed_in(dtype):
+@pytest.mark.parametrize(("dtype", "lens"), [("float32", "radial1"), ("float64", "radial1"), ("float32", "brown")])
+def test_the_kernel_is_one_pass_into_memory_that_is_handed_in(dtype, lens):
     with jax.enable_x64(dtype == "float64"):
-        kernel = Kernel.create(rig_with("radial1"), dtype=dtype)
+        kernel = Kernel.create(rig_with(lens), dtype=dtype)
         random = np.random.default_rng(0)
         u, v, steps = (jnp.asarray(x, dtype) for x in random.uniform([0, 0, 0], [639, 479, 7e4], (4096, 3)).T)
         out = jnp.zeros((4096, 3), dtype)
