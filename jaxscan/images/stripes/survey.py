@@ -19,7 +19,7 @@ from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows, gat
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
 _LINES, _GROUPS = 96, 8
 # Newton's steps: as far as the noise need be known.
-_STEPS = 4
+_STEPS = 3
 # Rows at each end of the window that tell the noise without laser.
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
@@ -97,7 +97,7 @@ def survey_windows(lit: Array, dark: Array | None, ambient: Int[Array, "frames"]
     around, here = outline(r), jax.tree.map(lambda x: x[:, None, None], first)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32))
     found = fit(windows, around, here, censored=True, steps=_STEPS)
-    known = (around.whole & jnp.isfinite(found.factor[-1][-1]))[:, 0]
+    known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
     read, shot = _noise(found, windows, around, known, first)
     ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
     usual = jnp.nanmedian(ln_s, axis=1)
