@@ -1,4 +1,7 @@
 import math
+import os
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -230,3 +233,30 @@ def test_the_bust_with_and_without_its_background(data):
     on_bust = slice(60, 1110)
     assert valid[on_bust].mean() > 0.9
     assert ((position[on_bust] > 490) & (position[on_bust] < 620))[valid[on_bust]].all()
+
+
+def test_several_devices_share_a_batch(tmp_path):
+    """Two of the host's make the points that one does, each of its own half of the frames."""
+    frames = np.stack([bytes_of(grey_levels(TILTED + i, 1.5, 200, noise=2, seed=i)) for i in range(5)])
+    np.save(tmp_path / "frames.npy", frames)
+    code = """if True:
+        import sys
+        import numpy as np
+        from jaxscan.images import StripeSettings, detect_stripe
+        from jaxscan.images.stripes import detect
+        used, coarse_peaks = set(), detect.coarse_peaks
+        def noted(*args):
+            peaks = coarse_peaks(*args)
+            used.update((device.id, len(peaks)) for device in peaks.devices())
+            return peaks
+        detect.coarse_peaks = noted
+        stripe = detect_stripe(np.load(sys.argv[1]), StripeSettings("grey"), detector="gravity")
+        assert used == {(0, 3), (1, 2)}, used
+        np.save(sys.argv[2], [stripe.position, stripe.sigma, stripe.strength])
+    """
+    # Two devices of one machine: the smallest number that is more than one.
+    two = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    out = tmp_path / "stripe.npy"
+    subprocess.run([sys.executable, "-c", code, tmp_path / "frames.npy", out], env=two, check=True)
+    one = detect_stripe(frames, GREY, detector="gravity")
+    np.testing.assert_allclose(np.load(out), [one.position, one.sigma, one.strength], rtol=1e-6)

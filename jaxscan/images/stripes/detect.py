@@ -10,7 +10,9 @@ There is a stripe where the peak stands above its background by so many times th
 """
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from itertools import cycle
 from math import prod
 from typing import Final
 
@@ -91,12 +93,23 @@ def detect_stripe(
     dark = None if background is None else _batch(background, settings, "the background")
     if dark is not None:
         _check_background(frames, dark)
-    found = []
-    for first in range(0, len(frames), FRAMES_AT_ONCE):
-        some = slice(first, first + FRAMES_AT_ONCE)
-        found.append(
-            _detect(frames[some], dark if dark is None or len(dark) == 1 else dark[some], settings, detector, choice)
-        )
+    devices = jax.local_devices()
+
+    def piece(first: int, device: jax.Device) -> Stripe:
+        some = slice(first, first + length)
+        with jax.default_device(device):
+            return _detect(
+                frames[some], dark if dark is None or len(dark) == 1 else dark[some], settings, detector, choice
+            )
+
+    # Frames are looked at each by itself, so several devices share them without a word to one another.
+    length = min(FRAMES_AT_ONCE, -(-len(frames) // len(devices)))
+    firsts = range(0, len(frames), length)
+    if len(devices) == 1 or len(firsts) == 1:
+        found = [piece(first, devices[0]) for first in firsts]
+    else:
+        with ThreadPoolExecutor(len(devices)) as pool:
+            found = list(pool.map(piece, firsts, cycle(devices)))
     return (
         found[0]
         if len(found) == 1

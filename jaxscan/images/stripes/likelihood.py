@@ -134,11 +134,9 @@ def fit(
         height, jacobian = _pixels(profile, windows.response.shape[1])
         seen = weigh(profile.background, height, windows, used, sensor, censored)
         L = factor(jacobian, seen.weight, precision)
+        newton = solve(L, gradient(jacobian, seen.score, precision, profile, mean))
         longest = (jnp.inf, 2 * _LONGEST, _LONGEST, _LONGEST * jnp.exp(profile.ln_s))
-        change = [
-            jnp.clip(by, -most, most)
-            for by, most in zip(solve(L, gradient(jacobian, seen.score, precision, profile, mean)), longest, strict=True)
-        ]
+        change = [jnp.clip(by, -most, most) for by, most in zip(newton, longest, strict=True)]
         moved = Profile(*(now + by for now, by in zip(profile, change, strict=True)))
         # To first order, which spares an evaluation: of two steps it is a third of the work.
         left = seen.residual - sum(J * by for J, by in zip(jacobian, change, strict=True))
