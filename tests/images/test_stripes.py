@@ -235,6 +235,21 @@ def test_the_bust_with_and_without_its_background(data):
     assert ((position[on_bust] > 490) & (position[on_bust] < 620))[valid[on_bust]].all()
 
 
+def test_a_round_spot_is_no_stripe_and_a_short_stripe_is_one():
+    levels = grey_levels(TILTED, 1.5, 200, noise=2)
+    # The stripe is seen in the first sixty columns and in ten more; five spots as bright as it are elsewhere.
+    levels[:, 60:100] = levels[:, 110:] = 20
+    v, u = np.mgrid[: len(levels), :COLUMNS]
+    spots = [(74, 150), (86, 40), (120, 200), (134, 90), (148, 30)]
+    for column, row in spots:
+        levels += 200 * np.exp(-0.5 * ((u - column) ** 2 + (v - row) ** 2) / 1.5**2)
+    valid = detect_stripe(bytes_of(levels), GREY).valid[0]
+    assert valid[:60].all()
+    assert valid[100:110].all()
+    assert not valid[60:100].any()
+    assert not valid[110:].any()
+
+
 def test_several_devices_share_a_batch(tmp_path):
     """Two of the host's make the points that one does, each of its own half of the frames."""
     frames = np.stack([bytes_of(grey_levels(TILTED + i, 1.5, 200, noise=2, seed=i)) for i in range(5)])

@@ -27,6 +27,7 @@ from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Measured, Model, measure
+from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.survey import survey
 from jaxscan.images.stripes.windows import gather_windows
 
@@ -44,9 +45,10 @@ _EVERY = 16
 _MOSTLY_BURNT = 0.3
 # Lines are measured in groups of so many, whatever the image: few sizes are compiled, and one stays in the cache.
 _SMALL_GROUP, _GROUP, _FEW = (4, 64), (8, 512), 4
-# A stripe point has so many others within so many lines to either side, off by no more than so much and a steep slope.
-_LEAST_COMPANY, _COMPANY_WITHIN = 2, 4
-_COMPANY_PX, _STEEPEST = 2.0, 4.0
+# Points of a stripe follow one another within so many lines, off by no more than so much and a steep slope. It is so
+# much longer than it is thick, and longer than so many lines.
+_GAP, _COMPANY_PX, _STEEPEST = 4, 2.0, 4.0
+_LONGER, _SHORTEST = 1.5, 2.5
 
 
 @dataclass(frozen=True)
@@ -177,25 +179,38 @@ def _detect(
     else:
         measured = look_again(measured, cramped, wide, "plain")
     valid = measured.whole & (measured.strength > least)
-    valid &= _in_a_line(np.where(valid, measured.position, np.nan))
+    valid &= _in_a_line(np.where(valid, measured.position, np.nan), measured.strength, measured.width)
     position, sigma, width = (
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
     return Stripe(position, sigma, np.asarray(measured.strength), width, np.asarray(valid))
 
 
-def _in_a_line(position: Float32[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
-    """Whether a point has company: a stripe is a line, and noise that stands out somewhere stands alone.
+def _in_a_line(
+    position: Float32[np.ndarray, "frames lines"],
+    strength: Float32[np.ndarray, "frames lines"],
+    width: Float32[np.ndarray, "frames lines"],
+) -> Bool[np.ndarray, "frames lines"]:
+    """Whether a point belongs to something longer than it is thick: a stripe is a line, noise and glints are not.
 
-    Neighbours count that lie no further off than a stripe as steep as any would.
+    Points hang together that lie no further apart than a stripe as steep as any would, over a few missing lines. Along
+    the lines the σ of such a run, weighted by strength, is n / √12 of a stripe that is n lines long; of a round spot it
+    is that of its profile across.
     """
-    company = np.zeros(position.shape, np.int8)
-    for apart in range(1, min(_COMPANY_WITHIN, position.shape[1] - 1) + 1):
-        with np.errstate(invalid="ignore"):
-            near = np.abs(position[:, apart:] - position[:, :-apart]) <= _COMPANY_PX + _STEEPEST * apart
-        company[:, apart:] += near
-        company[:, :-apart] += near
-    return company >= _LEAST_COMPANY
+    frame, line = np.nonzero(np.isfinite(position))
+    if not line.size:
+        return np.zeros(position.shape, bool)
+    at, weight, across = (x[frame, line].astype(np.float64) for x in (position, strength, width / FWHM))
+    apart = np.diff(line)
+    joined = (np.diff(frame) == 0) & (apart <= _GAP) & (np.abs(np.diff(at)) <= _COMPANY_PX + _STEEPEST * apart)
+    run = np.concatenate([[0], np.cumsum(~joined)])
+    total, mean, square, thick = (
+        np.bincount(run, weight * x) for x in (np.ones_like(at), line, np.square(line, dtype=np.float64), across**2)
+    )
+    along2 = square / total - (mean / total) ** 2
+    found = np.zeros(position.shape, bool)
+    found[frame, line] = (along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12))[run]
+    return found
 
 
 def ambient_levels(frames: np.ndarray, dark: np.ndarray | None, color: str) -> Int[np.ndarray, "frames"]:

@@ -19,7 +19,7 @@ from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows, gat
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
 _LINES, _GROUPS = 96, 8
 # Newton's steps: as far as the noise need be known.
-_STEPS = 3
+_STEPS = 4
 # Rows at each end of the window that tell the noise without laser.
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.

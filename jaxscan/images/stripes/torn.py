@@ -36,7 +36,7 @@ _SHIFT = 0.5
 # Standard deviations of the priors: of ln ρ, and of the edge about the plain centre, in s.
 _LN_RATIO_SPREAD, _EDGE_SPREAD = 2.0, 2.0
 # Marquardt's factor, and the longest steps: in logarithms; of e and c, of s.
-_DAMPING, _LONGEST_LN, _LONGEST = 0.005, 0.7, 0.7
+_DAMPING, _LONGEST_LN, _LONGEST = 0.02, 0.7, 0.7
 # Pixels further out than the plain profile's: an edge makes it narrow.
 _FURTHER_PX: Final = 2.0
 # The least F with 2 and some 5 degrees of freedom: one line in fifty has it by chance, of those that are strained.
