@@ -16,7 +16,7 @@ SUITES = {
     "growth": "time of a calibration over the number of views, against OpenCV's",
     "real": "real photographs and published answers (needs JAXSCAN_DATA)",
     "corners": "corners of checkerboards: accuracy, σ and speed, beside OpenCV's, and what a calibration gains",
-    "stripes": "stripe detectors against the Cramér-Rao bound, at a step of reflectance, on a real bed; speed",
+    "stripes": "stripe detectors against the Cramér-Rao bound, at a step of reflectance, among spots, on a real bed",
     "throughput": "the kernel, detection and a scan from files to points against their limits; memory",
     "batch": "many scans, killed and gone on with; a cluster that loses a worker",
     "exposures": "exposures of a step merged: reflectances 1:50 against each exposure by itself; speed",

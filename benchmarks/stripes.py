@@ -1,17 +1,12 @@
-"""Stripe detectors side by side: error against the Cramér-Rao bound, at a step of reflectance, on a real bed; speed.
+"""Stripe detectors side by side: error against the Cramér-Rao bound, at a step of reflectance, among spots, on a bed.
 
 Stripes are drawn with exact pixel areas in 16 bits, so that rounding plays no part. The bound is that of one line by
 itself, with background, height and width unknown too; of a full pixel it is that of a censored datum.
 """
 
 import os
-import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
@@ -31,8 +26,8 @@ _PHASES = 8
 
 def measure(quick: bool) -> list[Metric]:
     """All figures; in the short form fewer widths, columns and sizes."""
-    metrics = bound(quick) + step_of_reflectance(_names(quick))
-    return metrics if quick else metrics + throughput(480, 640) + throughput(1080, 1920) + flat()
+    metrics = bound(quick) + step_of_reflectance(_names(quick)) + spots()
+    return metrics if quick else metrics + flat()
 
 
 def _names(quick: bool) -> tuple[Detector, ...]:
@@ -141,37 +136,31 @@ def step_of_reflectance(names: tuple[Detector, ...]) -> list[Metric]:
     ]
 
 
-def throughput(rows: int, columns: int) -> list[Metric]:
-    """Sixteen colour frames, prepared buffers: time of each detector, and of reading every byte once by two threads."""
-    frames = np.random.default_rng(0).integers(0, 40, (16, rows, columns, 3), dtype=np.uint8)
-    centre = rows / 2 + rows / 10 * np.sin(np.arange(columns) / 200)
-    for k in range(-6, 7):
-        level = 40 + 200 * np.exp(-k * k / 4)
-        frames[:, np.rint(centre + k).astype(int), np.arange(columns), 0] = level.astype(np.uint8)
-    words = np.array_split(frames.reshape(-1).view(np.uint64), 2)
-    images = jax.block_until_ready(jnp.asarray(frames))
-    with ThreadPoolExecutor(2) as pool:
-        read = _seconds(lambda: list(pool.map(np.bitwise_or.reduce, words)))
-    metrics = [Metric(f"stripes.read.{columns}", 1e3 * read, "ms")]
-    for name in DETECTORS:
-        begin = time.perf_counter()
-        detect_stripe(images, StripeSettings("red"), detector=name)
-        first = time.perf_counter() - begin
-        seconds = _seconds(
-            lambda name=name: np.asarray(detect_stripe(images, StripeSettings("red"), detector=name).position)
-        )
-        print(f"  {name}, 16 of {columns} x {rows}: first call {first:.1f} s", flush=True)
-        metrics.append(Metric(f"stripes.detect.{columns}.{name}", 1e3 * seconds, "ms"))
-    return metrics
-
-
-def _seconds(work: Callable[[], object]) -> float:
-    times = []
-    for _ in range(15):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))
+def spots() -> list[Metric]:
+    """Frames with twenty round spots as bright as the stripe, which is there in every second fifth of the lines."""
+    random = np.random.default_rng(3)
+    rows, columns = 480, 640
+    v, u = np.mgrid[:rows, :columns]
+    lit = np.arange(columns) // (columns // 5) % 2 == 0
+    centre = rows / 2 + 60 * np.sin(np.arange(columns) / 90)
+    stripe = np.where(lit, 200 * np.exp(-0.5 * ((v - centre) / 1.5) ** 2), 0.0)
+    strays = kept = whole = 0
+    for _ in range(8):
+        levels = 20 + stripe + 2 * random.standard_normal(stripe.shape)
+        hidden = np.zeros(columns, bool)
+        for column, row, s in random.uniform([0, 0, 1.0], [columns, rows, 3.0], (20, 3)):
+            levels += 200 * np.exp(-0.5 * ((u - column) ** 2 + (v - row) ** 2) / s**2)
+            hidden |= np.abs(np.arange(columns) - column) < 5 * s
+        found = detect_stripe(np.rint(levels).clip(0, 255).astype(np.uint8), _GREY)
+        near = found.valid[0] & (np.abs(found.position[0] - centre) < 2)
+        strays += int((found.valid[0] & ~(near & lit)).sum())
+        kept += int((near & lit & ~hidden).sum())
+        whole += int((lit & ~hidden).sum())
+    print(f"  160 round spots leave {strays} points")
+    return [
+        Metric("stripes.spots.points_of_each", strays / 160, "", "lower", 0.5, floor=0.1),
+        Metric("stripes.spots.kept_of_the_stripe", kept / whole, "", "higher", 0.99),
+    ]
 
 
 def flat() -> list[Metric]:

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from itertools import cycle
 from math import prod
-from typing import Final
+from typing import Any, Final
 
 import jax
 import numpy as np
@@ -97,7 +97,7 @@ def detect_stripe(
         _check_background(frames, dark)
     devices = jax.local_devices()
 
-    def piece(first: int, device: jax.Device) -> Stripe:
+    def piece(first: int, device: Any) -> Stripe:
         some = slice(first, first + length)
         with jax.default_device(device):
             return _detect(
@@ -179,36 +179,35 @@ def _detect(
     else:
         measured = look_again(measured, cramped, wide, "plain")
     valid = measured.whole & (measured.strength > least)
-    valid &= _in_a_line(np.where(valid, measured.position, np.nan), measured.strength, measured.width)
+    valid = _in_a_line(measured, np.asarray(valid))
     position, sigma, width = (
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
-    return Stripe(position, sigma, np.asarray(measured.strength), width, np.asarray(valid))
+    return Stripe(position, sigma, np.asarray(measured.strength), width, valid)
 
 
-def _in_a_line(
-    position: Float32[np.ndarray, "frames lines"],
-    strength: Float32[np.ndarray, "frames lines"],
-    width: Float32[np.ndarray, "frames lines"],
-) -> Bool[np.ndarray, "frames lines"]:
+def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
     """Whether a point belongs to something longer than it is thick: a stripe is a line, noise and glints are not.
 
     Points hang together that lie no further apart than a stripe as steep as any would, over a few missing lines. Along
     the lines the σ of such a run, weighted by strength, is n / √12 of a stripe that is n lines long; of a round spot it
     is that of its profile across.
     """
-    frame, line = np.nonzero(np.isfinite(position))
+    frame, line = np.nonzero(seen)
     if not line.size:
-        return np.zeros(position.shape, bool)
-    at, weight, across = (x[frame, line].astype(np.float64) for x in (position, strength, width / FWHM))
+        return seen
+    at, weight, width = (
+        np.asarray(x)[frame, line].astype(np.float64) for x in (measured.position, measured.strength, measured.width)
+    )
     apart = np.diff(line)
     joined = (np.diff(frame) == 0) & (apart <= _GAP) & (np.abs(np.diff(at)) <= _COMPANY_PX + _STEEPEST * apart)
     run = np.concatenate([[0], np.cumsum(~joined)])
     total, mean, square, thick = (
-        np.bincount(run, weight * x) for x in (np.ones_like(at), line, np.square(line, dtype=np.float64), across**2)
+        np.bincount(run, weight * x)
+        for x in (np.ones_like(at), line, np.square(line, dtype=np.float64), (width / FWHM) ** 2)
     )
     along2 = square / total - (mean / total) ** 2
-    found = np.zeros(position.shape, bool)
+    found = np.zeros_like(seen)
     found[frame, line] = (along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12))[run]
     return found
 
