@@ -1,36 +1,64 @@
 """A calibration session taken under guidance: what to do with the board next, and the stage's sequence by itself."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8
 
+from hardware.coverage import ON_STAGE, Coverage, draw_coverage
 from hardware.frame import Frame
 from hardware.safety import safely
 from hardware.scan import Devices, ensure_homed
 from jaxscan.errors import InputError
 from jaxscan.files.session import SESSION_FILE, Session, StageImages, Views, write_session
-from jaxscan.images import Board, StripeSettings, find_board, write_image
+from jaxscan.images import Board, StripeSettings, draw_board, find_board, write_image
 
-# The image is looked at in so many columns and rows of cells.
-_CELLS: Final = (4, 3)
-# A lean of the board's normal, its sine, that counts as tilted.
-_TILTED: Final = 0.35
-# A focal length for telling tilts apart before the camera is known, in image widths.
-_GUESSED_FOCAL: Final = 1.2
-_LEAST_STAGE: Final = 2
-ON_STAGE: Final = "fix the board on the stage so that it stays in view over the whole travel, and step aside"
+_LEAST_VIEWS, _LEAST_STAGE = 3, 2
+# Live, the board is looked for at this length of the longer side.
+_LIVE_SIDE: Final = 640
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A photograph, what was found in it, and the session that it came to.
+
+    Attributes:
+        frame: the photograph.
+        corners: of the board, pixels; None where it was not found.
+        session: what has been taken until then.
+        covered: the cells of the image that have held a corner.
+        tilted: the edges of the board that have been towards the camera.
+    """
+
+    frame: Frame
+    corners: Float[np.ndarray, "points 2"] | None
+    session: Session
+    covered: Bool[np.ndarray, "cell_rows cell_columns"]
+    tilted: dict[str, bool]
+
+    def picture(self) -> UInt8[np.ndarray, "rows columns 3"]:
+        """The photograph with the board's corners and the cells drawn over it."""
+        board = self.session.board
+        corners = np.full((board.counts[0] * board.counts[1], 2), np.nan) if self.corners is None else self.corners
+        return draw_coverage(draw_board(self.frame.image, corners, board.counts), self.covered)
 
 
 class Operator(Protocol):
     """Who holds the board."""
 
-    def ready(self, wish: str) -> bool:
-        """Ask for something; returns when it is done, with False to end."""
+    def ready(self, wish: str, look: Callable[[], object]) -> bool:
+        """Ask for something; returns when it is done, with False to end.
+
+        Until then it may `look`, as often as it likes: a photograph is taken, and comes to `show`.
+        """
+        ...
+
+    def show(self, sight: Sight) -> None:
+        """Show a photograph."""
         ...
 
     def say(self, words: str) -> None:
@@ -38,49 +66,18 @@ class Operator(Protocol):
         ...
 
 
-class Coverage:
-    """What the views so far show, and what is missing most."""
+def check_session(views: int, stage_steps: Sequence[int]) -> None:
+    """See that so much can be a session.
 
-    def __init__(self, board: Board):
-        self._board = board
-        self._size = (0, 0)
-        self._cells = np.zeros(_CELLS[::-1], int)
-        self._normals: list[Float[np.ndarray, 3]] = []
-
-    def add(self, corners: Float[np.ndarray, "points 2"], size: tuple[int, int]) -> None:
-        """Take in the corners of one view (pixels, NaN where not seen) of an image of so many columns and rows."""
-        self._size = size
-        seen = np.isfinite(corners).all(axis=1)
-        cell = np.floor((corners[seen] + 0.5) / size * _CELLS).astype(int).clip(0, np.array(_CELLS) - 1)
-        np.add.at(self._cells, (cell[:, 1], cell[:, 0]), 1)
-        focal = _GUESSED_FOCAL * size[0]
-        K = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
-        found, rotation, _ = cv2.solvePnP(self._board.points()[seen], corners[seen], K, None)
-        if found:
-            self._normals.append(cv2.Rodrigues(rotation)[0][:, 2])
-
-    @property
-    def share(self) -> float:
-        """Share of the image's cells that hold a corner."""
-        return float((self._cells > 0).mean())
-
-    def wish(self) -> str:
-        """What to do with the board next."""
-        if not self._normals:
-            return "hold the board so that it fills the middle of the image, with the stripe across it"
-        x, y = np.array(self._normals)[:, 0], np.array(self._normals)[:, 1]
-        # The normal points away from the camera and leans towards the nearer edge.
-        leans = {"right": x.max(), "left": -x.min(), "lower": y.max(), "upper": -y.min()}
-        edge = min(leans, key=lambda name: leans[name])
-        if leans[edge] < _TILTED:
-            return f"now tilt the board by 30° to 45°, its {edge} edge nearer to the camera, the stripe across it"
-        if self.share < 1:
-            row, column = np.argwhere(self._cells == self._cells.min())[0]
-            side = ("left", "middle", "middle", "right")[column]
-            height = ("upper", "middle", "lower")[row]
-            return f"now move the board to the {height} {side} of the image, tilted, the stripe across it"
-        near = len(self._normals) % 2
-        return f"now hold the board {'nearer' if near else 'further away'}, tilted otherwise, the stripe across it"
+    Raises:
+        InputError: too few poses, or a single place of the stage, or one twice.
+    """
+    if views < _LEAST_VIEWS:
+        raise InputError(f"{views} poses of the board: a calibration needs {_LEAST_VIEWS} or more, better 11")
+    if stage_steps and len(set(stage_steps)) < max(_LEAST_STAGE, len(stage_steps)):
+        raise InputError(
+            f"{len(stage_steps)} stage photographs: give {_LEAST_STAGE} or more, at places of their own, or none"
+        )
 
 
 def guided_session(
@@ -96,7 +93,8 @@ def guided_session(
 ) -> Session:
     """Take a session, and write `session.toml` after every photograph.
 
-    Where the laser can be switched, every pose is photographed without and with it.
+    Where the laser can be switched, every pose is photographed without and with it; while the board is brought into
+    its pose the laser is on, so that the stripe can be seen on it.
 
     Args:
         folder: new or empty.
@@ -109,65 +107,114 @@ def guided_session(
         stripe: how the laser's stripe is looked for.
 
     Raises:
-        InputError: the folder holds something, or fewer than two stage photographs show the board.
+        InputError: the folder holds something, what was asked for is no session, the operator ended it before the
+            third pose, or fewer than two stage photographs show the board.
         HardwareError: as `scan.take`.
     """
+    check_session(views, stage_steps)
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder}: is not empty: name a folder that is new or empty")
-    for name in ("boards", "stripes", "stage"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    camera, stage, laser = devices
-    separate = laser.switchable
     stripe = stripe or StripeSettings()
-    session = Session(
-        folder / SESSION_FILE, board, Views((), {stripe.name: ()} if separate else None), lasers=(stripe,)
-    )
-    coverage = Coverage(board)
+    guide = _Guide(folder, devices, board, operator, stripe)
+    with safely(devices.stage, devices.laser):
+        guide.hold_board(views)
+        if not stage_steps or not guide.ask(ON_STAGE):
+            return guide.session
+        guide.along_stage(stage_steps, settle_s)
+    stage = guide.session.stage
+    if stage is None or len(stage.images) < _LEAST_STAGE:
+        raise InputError(f"{folder}: fewer than {_LEAST_STAGE} stage photographs show the board: fix it in view")
+    return guide.session
 
-    def look(frame: Frame) -> Float[np.ndarray, "points 2"] | None:
-        found = find_board(board, frame.image)
+
+class _Guide:
+    """A session under way."""
+
+    def __init__(self, folder: Path, devices: Devices, board: Board, operator: Operator, stripe: StripeSettings):
+        self._folder, self._board, self._operator, self._stripe = folder, board, operator, stripe
+        self._camera, self._stage, self._laser = devices
+        self._separate = self._laser.switchable
+        self._coverage = Coverage(board)
+        stripes = {stripe.name: ()} if self._separate else None
+        self.session = Session(folder / SESSION_FILE, board, Views((), stripes), lasers=(stripe,))
+
+    def ask(self, wish: str) -> bool:
+        """Ask the operator for something, who sees the stripe on the board meanwhile."""
+        self._laser.on()
+        try:
+            return self._operator.ready(wish, self._look)
+        finally:
+            if self._separate:
+                self._laser.off()
+
+    def hold_board(self, views: int) -> None:
+        """Photograph so many poses, or as many as the operator likes."""
+        while len(self.session.views.boards) < views:
+            if not self.ask(self._coverage.wish()):
+                if (taken := len(self.session.views.boards)) < _LEAST_VIEWS:
+                    raise InputError(f"{self._folder}: ended after {taken} poses, and {_LEAST_VIEWS} are the least")
+                return
+            frame = self._camera.expose(0)
+            corners = self._corners(frame)
+            if corners is None:
+                self._show(frame, None)
+                self._operator.say("the board was not found: hold the whole of it in view, still, and in even light")
+                continue
+            before, name = self.session.views, f"{len(self.session.views.boards):02d}.png"
+            path = self._write("boards", name, frame)
+            stripes = before.stripes
+            if stripes is not None:
+                self._laser.on()
+                beside = self._write("stripes", name, self._camera.expose(0))
+                self._laser.off()
+                stripes = {self._stripe.name: (*stripes[self._stripe.name], beside)}
+            size = (frame.image.shape[1], frame.image.shape[0])
+            self.session = replace(self.session, views=Views((*before.boards, path), stripes), image_size=size)
+            write_session(self.session)
+            self._coverage.add(corners, size)
+            self._show(frame, corners)
+            number, share = len(self.session.views.boards), self._coverage.share
+            self._operator.say(f"view {number}: {100 * share:.0f} % of the image has had a corner")
+
+    def along_stage(self, steps: Sequence[int], settle_s: float) -> None:
+        """Photograph the board along the stage; places where it is not found are left out."""
+        ensure_homed(self._stage)
+        for number, step in enumerate(steps):
+            self._stage.move_to(step)
+            self._stage.settle(settle_s)
+            frame = self._camera.expose(self._stage.position())
+            corners = self._corners(frame)
+            if corners is None:
+                self._show(frame, None)
+                self._operator.say(f"step {step}: the board was not found, this place is left out")
+                continue
+            path = self._write("stage", f"{number:02d}.png", frame)
+            before = self.session.stage or StageImages((), ())
+            self.session = replace(self.session, stage=StageImages((*before.images, path), (*before.steps, step)))
+            if len(before.images) + 1 >= _LEAST_STAGE:
+                write_session(self.session)
+            self._show(frame, corners)
+            self._operator.say(f"step {step}: {number + 1} of {len(steps)}")
+
+    def _write(self, kind: str, name: str, frame: Frame) -> Path:
+        path = self._folder / kind / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_image(path, frame.image)
+        return path
+
+    def _look(self) -> None:
+        frame = self._camera.expose(0)
+        longer = max(frame.image.shape)
+        scale = min(_LIVE_SIDE / longer, 1.0)
+        small = cv2.resize(frame.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        found = find_board(self._board, small)
+        # Sizes change about the image's edge, which is at -0.5.
+        self._show(frame, None if found is None else (found.corners + 0.5) / scale - 0.5)
+
+    def _corners(self, frame: Frame) -> Float[np.ndarray, "points 2"] | None:
+        found = find_board(self._board, frame.image)
         return None if found is None else found.corners
 
-    with safely(stage, laser):
-        if not separate:
-            laser.on()
-        while len(session.views.boards) < views and operator.ready(coverage.wish()):
-            number = len(session.views.boards)
-            frame = camera.expose(0)
-            corners = look(frame)
-            if corners is None:
-                operator.say("the board was not found: hold the whole of it in view, still, and in even light")
-                continue
-            path = folder / "boards" / f"{number:02d}.png"
-            write_image(path, frame.image)
-            stripes = session.views.stripes
-            if stripes is not None:
-                laser.on()
-                write_image(folder / "stripes" / path.name, camera.expose(0).image)
-                laser.off()
-                stripes = {stripe.name: (*stripes[stripe.name], folder / "stripes" / path.name)}
-            size = (frame.image.shape[1], frame.image.shape[0])
-            session = replace(session, views=Views((*session.views.boards, path), stripes), image_size=size)
-            write_session(session)
-            coverage.add(corners, size)
-            operator.say(f"view {number + 1}: {100 * coverage.share:.0f} % of the image has had a corner")
-        if not stage_steps or not operator.ready(ON_STAGE):
-            return session
-        ensure_homed(stage)
-        for number, step in enumerate(stage_steps):
-            stage.move_to(step)
-            stage.settle(settle_s)
-            frame = camera.expose(stage.position())
-            if look(frame) is None:
-                operator.say(f"step {step}: the board was not found, this place is left out")
-                continue
-            path = folder / "stage" / f"{number:02d}.png"
-            write_image(path, frame.image)
-            before = session.stage or StageImages((), ())
-            session = replace(session, stage=StageImages((*before.images, path), (*before.steps, step)))
-            if len(before.images) + 1 >= _LEAST_STAGE:
-                write_session(session)
-            operator.say(f"step {step}: {number + 1} of {len(stage_steps)}")
-    if session.stage is None or len(session.stage.images) < _LEAST_STAGE:
-        raise InputError(f"{folder}: fewer than {_LEAST_STAGE} stage photographs show the board: fix it in view")
-    return session
+    def _show(self, frame: Frame, corners: Float[np.ndarray, "points 2"] | None) -> None:
+        coverage = self._coverage
+        self._operator.show(Sight(frame, corners, self.session, coverage.covered, coverage.tilted))

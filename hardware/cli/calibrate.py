@@ -1,17 +1,23 @@
 """`scanner calibrate`: a calibration session under guidance."""
 
 import argparse
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from hardware.cli.options import add_scanner_arguments, say, scanner
+from hardware.cli.options import add_scanner_arguments, check_travel, say, scanner
 
 if TYPE_CHECKING:
-    from hardware.guide import Operator
-    from hardware.protocols import Camera
+    from hardware.guide import Operator, Sight
 
 HELP: Final = "take a calibration session: what to do with the board next, then the stage by itself"
-EXAMPLE: Final = "scanner calibrate session --board 9x6 --square 16"
+EXAMPLE: Final = (
+    "scanner calibrate session --board 9x6 --square 16\n"
+    "  scanner calibrate session --show live.png   # a live picture, for a viewer that follows its file"
+)
+# Between two live pictures.
+_EVERY_S: Final = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,28 +30,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stage-frames", type=int, default=31, help="places of the stage (default: 31; 0 for no stage)"
     )
     parser.add_argument("--stage-apart", type=int, default=2000, help="motor steps between them (default: 2000)")
+    parser.add_argument(
+        "--show", type=Path, metavar="IMAGE", help="the live picture with corners and coverage, written anew again"
+    )
     add_scanner_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Take it."""
     from hardware.devices import read_scanner
-    from hardware.guide import guided_session
+    from hardware.guide import check_session, guided_session
+    from hardware.simulated.operator import simulated_operator
+    from jaxscan.atomic import check_writable
     from jaxscan.errors import InputError
     from jaxscan.images import Board
 
     counts = args.board.lower().split("x")
-    if len(counts) != 2 or not all(count.isdigit() for count in counts):
+    if len(counts) != 2 or not all(count.isdecimal() for count in counts):
         raise InputError(f"--board {args.board}: give columns and rows of inner corners, as 9x6")
     board = Board.checkerboard([int(count) for count in counts], args.square)
     settings = read_scanner(args.scanner)
+    if args.stage_frames < 0:
+        raise InputError(f"--stage-frames {args.stage_frames}: give 2 or more, or 0 for a rig without a stage")
     steps = [args.stage_apart * i for i in range(args.stage_frames)]
+    check_session(args.views, steps)
+    if steps:
+        check_travel(settings, steps)
+    if args.show is not None:
+        check_writable(args.show)
     with scanner(args) as devices:
+        hand = simulated_operator(devices.camera, args.views, say)
         session = guided_session(
             args.folder,
             devices,
             board,
-            _operator(devices.camera, args.views),
+            _Terminal(hand, args.show),
             views=args.views,
             stage_steps=steps,
             stripe=settings.stripe,
@@ -58,27 +77,51 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-class _Person:
-    """Whoever sits at the terminal."""
+class _Terminal:
+    """Whoever sits at the terminal, or the simulated operator; the live picture goes to a file."""
 
-    def ready(self, wish: str) -> bool:
+    def __init__(self, hand: "Operator | None", picture: Path | None):
+        self._hand, self._picture = hand, picture
+
+    def ready(self, wish: str, look: Callable[[], object]) -> bool:
         """Ask, and wait for the Enter key."""
+        if self._hand is not None:
+            return self._hand.ready(wish, look)
         say(f"\n{wish}")
-        return input("Enter when it is held still, q to end: ").strip().lower() != "q"
+        answered, failures = threading.Event(), []
+
+        def look_on() -> None:
+            try:
+                while not answered.wait(_EVERY_S):
+                    look()
+            except Exception as error:  # noqa: BLE001 (raised where it is waited for)
+                failures.append(error)
+
+        looking = threading.Thread(target=look_on, daemon=True)
+        if self._picture is not None:
+            looking.start()
+        try:
+            answer = input("Enter when it is held still, q to end: ")
+        except EOFError:
+            answer = "q"
+        finally:
+            answered.set()
+            if self._picture is not None:
+                looking.join()
+        if failures:
+            raise failures[0]
+        return answer.strip().lower() != "q"
+
+    def show(self, sight: "Sight") -> None:
+        """Write the picture, whole each time."""
+        if self._picture is not None:
+            from jaxscan.images import write_image
+
+            write_image(self._picture, sight.picture())
 
     def say(self, words: str) -> None:
         """Tell."""
         say(words)
-
-
-def _operator(camera: "Camera", views: int) -> "Operator":
-    """A person, or the simulated one for the simulated camera."""
-    world = getattr(camera, "world", None)
-    if world is None:
-        return _Person()
-    from hardware.simulated.operator import SimulatedOperator
-
-    return SimulatedOperator(world, views, say)
 
 
 def describe(result: dict[str, Any]) -> str:

@@ -2,12 +2,13 @@
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from hardware.devices import ScannerSettings
     from hardware.protocols import Stage
     from hardware.scan import Devices
 
@@ -30,6 +31,21 @@ def add_data_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--data", type=Path, default=Path("scanner-lab"), metavar="DIR", help="the lab's folder (default: scanner-lab)"
     )
+
+
+def check_travel(settings: "ScannerSettings", steps: Sequence[int]) -> None:
+    """See that the stage may be sent to all of these, before any work.
+
+    Raises:
+        InputError: it may not.
+    """
+    from hardware.errors import SettingsError
+    from jaxscan.errors import InputError
+
+    try:
+        settings.travel.check(steps)
+    except SettingsError as error:
+        raise InputError(str(error)) from error
 
 
 @contextmanager

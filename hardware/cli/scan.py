@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from hardware.cli.options import add_scanner_arguments, say, scanner
+from hardware.cli.options import add_scanner_arguments, check_travel, say, scanner
 
 if TYPE_CHECKING:
     from hardware.frame import Frame
@@ -57,11 +57,7 @@ def _plan(args: argparse.Namespace) -> Any:
         raise InputError(f"--frames {args.frames} --apart {args.apart}: give one frame or more, at places of their own")
     settings = read_scanner(args.scanner)
     steps = tuple(args.first + args.apart * i for i in range(args.frames))
-    low, high = settings.travel.first, settings.travel.last
-    if min(steps) < low or max(steps) > high:
-        raise InputError(
-            f"steps {min(steps)} to {max(steps)}: the stage goes from {low} to {high}: take fewer or closer"
-        )
+    check_travel(settings, steps)
     return Plan(
         steps, args.settle, args.dark, settings.exposure_s, settings.gain, name=args.name, laser=settings.stripe
     )

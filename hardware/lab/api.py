@@ -1,6 +1,7 @@
 """The HTTP interface: everything that the pages can do, and they do it through this."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Request
@@ -8,6 +9,7 @@ from fastapi.responses import FileResponse, Response, StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 
 from hardware.lab.accounts import Token
+from hardware.lab.calibrations import Calibration
 from hardware.lab.hub import Hub
 from hardware.lab.lab import Lab, State
 from hardware.lab.logbook import Job
@@ -225,7 +227,7 @@ def release_lock(lab: LabHere, who: Viewer) -> None:
 
 @router.post("/jobs", status_code=202, tags=["operate"], responses=_said(409))
 def start_job(lab: LabHere, who: Operator, work: Work) -> Job:
-    """Order a job: `check`, `home`, `move`, `shoot` or `scan`."""
+    """Order a job: `check`, `home`, `move`, `shoot`, `scan` or `calibrate`."""
     return lab.worker.start(work, who)
 
 
@@ -242,9 +244,21 @@ def job(lab: LabHere, who: Viewer, number: Number) -> Job:
 
 
 @router.post("/jobs/{number}/{action}", status_code=202, tags=["operate"], responses=_said(404, 409))
-def change_job(lab: LabHere, who: Operator, number: Number, action: Literal["pause", "resume", "abort"]) -> Job:
-    """Pause or abort a job under way; go on with a scan that is paused or ended early."""
-    act = {"pause": lab.worker.pause, "resume": lab.worker.resume, "abort": lab.worker.abort}
+def change_job(
+    lab: LabHere, who: Operator, number: Number, action: Literal["pause", "resume", "abort", "take", "enough"]
+) -> Job:
+    """Pause or abort a job under way; go on with a scan that is paused or ended early.
+
+    A calibration session: `take` the photograph, or begin the stage's sequence; `enough` views, or no stage.
+    """
+    worker = lab.worker
+    act = {
+        "pause": worker.pause,
+        "resume": worker.resume,
+        "abort": worker.abort,
+        "take": partial(worker.answer, go=True),
+        "enough": partial(worker.answer, go=False),
+    }
     return act[action](number, who)
 
 
@@ -280,8 +294,7 @@ def project(lab: LabHere, who: Viewer, name: ProjectPath) -> Project:
 )
 def scan_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
     """The scan folder, as `jaxscan reconstruct` reads it once unpacked."""
-    headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
-    return StreamingResponse(lab.projects.archive(name), media_type="application/zip", headers=headers)
+    return _zip(name, lab.projects.archive(name))
 
 
 @router.get(
@@ -309,6 +322,36 @@ def frame(lab: LabHere, who: Viewer, name: ProjectPath, number: Number) -> FileR
 @router.delete("/projects/{name}", status_code=204, tags=["projects"], responses=_said(404, 409))
 def remove_project(lab: LabHere, who: Administrator, name: ProjectPath) -> None:
     """Remove a project, photographs and all."""
-    if lab.worker.uses(name):
+    if lab.worker.uses(project=name):
         raise Refusal(CONFLICT, f"a job adds photographs to {name}: end it first")
     lab.projects.remove(name)
+
+
+@router.get("/calibrations", tags=["calibrations"])
+def calibrations(lab: LabHere, who: Viewer) -> list[Calibration]:
+    """All calibration sessions, latest first."""
+    return lab.calibrations.all()
+
+
+@router.get(
+    "/calibrations/{name}/session.zip",
+    tags=["calibrations"],
+    response_class=StreamingResponse,
+    responses={200: {"content": {"application/zip": {}}}, **_said(404, 409)},
+)
+def session_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
+    """The session folder, as `jaxscan calibrate` reads it once unpacked."""
+    return _zip(name, lab.calibrations.archive(name))
+
+
+@router.delete("/calibrations/{name}", status_code=204, tags=["calibrations"], responses=_said(404, 409))
+def remove_calibration(lab: LabHere, who: Administrator, name: ProjectPath) -> None:
+    """Remove a calibration session, photographs and all."""
+    if lab.worker.uses(session=name):
+        raise Refusal(CONFLICT, f"a job adds photographs to {name}: end it first")
+    lab.calibrations.remove(name)
+
+
+def _zip(name: str, parts: Iterator[bytes]) -> StreamingResponse:
+    headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
+    return StreamingResponse(parts, media_type="application/zip", headers=headers)

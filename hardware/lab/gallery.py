@@ -23,6 +23,7 @@ from jaxscan.errors import JaxscanError
 from jaxscan.images import StripeSettings, read_image
 
 if TYPE_CHECKING:
+    from hardware.guide import Sight
     from jaxscan import RigFile
     from jaxscan.reconstruction import Kernel
 
@@ -106,6 +107,10 @@ class Gallery:
         if path is not None:
             image = frame.image if len(self._profiles) < _IN_MEMORY else None
             self._profiles.do(lambda: self._measure(image, path, frame.step_count, int(path.stem)))
+
+    def see(self, sight: "Sight") -> None:
+        """Show a photograph of the board, with what was found in it."""
+        self._pictures.do(lambda: self._hub.publish("picture", jpeg(sight.picture())))
 
     def cloud(self) -> bytes:
         """The points so far, float32 x, y, z in mm, object frame, little endian."""

@@ -14,8 +14,10 @@ from pydantic import BaseModel
 
 from hardware.lab.accounts import Accounts
 from hardware.lab.bench import Bench
+from hardware.lab.calibrations import Calibrations
 from hardware.lab.database import DATABASE, Database, OnlyServer, make_folder
 from hardware.lab.gallery import Gallery
+from hardware.lab.guidance import Guide
 from hardware.lab.hub import Hub
 from hardware.lab.lock import Holder, OperatorLock
 from hardware.lab.logbook import Job, Logbook
@@ -40,6 +42,7 @@ class State(BaseModel):
     Attributes:
         operator: who operates; None while nobody does.
         job: the one under way, or the last.
+        guide: what a calibration session under way asks for.
         place: where the stage stands, motor steps; None where it has to be homed first.
         live: whether the camera's live picture is on, and with the laser.
         first, last: the step counts between which the stage may be sent.
@@ -49,6 +52,7 @@ class State(BaseModel):
 
     operator: Holder | None
     job: Job | None
+    guide: Guide | None
     place: int | None
     live: bool
     live_laser: bool
@@ -99,7 +103,10 @@ class Lab:
             undo.callback(self.gallery.close)
             self.lock = OperatorLock(lease_s, lambda: self.worker.scanning, self._lost)
             self.logbook = Logbook(database)
-            self.worker = Worker(self.bench, self.logbook, self.lock, self.projects, self.gallery, self.habits)
+            self.calibrations = Calibrations(folder)
+            self.worker = Worker(
+                self.bench, self.logbook, self.lock, self.projects, self.calibrations, self.gallery, self.habits
+            )
             undo.callback(self.worker.close)
             self.preview = Preview(self.bench, self.lock, self.gallery, lambda: self.worker.busy, live_s)
             undo.callback(self.preview.close)
@@ -114,6 +121,7 @@ class Lab:
         return State(
             operator=self.lock.holder,
             job=self.worker.latest,
+            guide=self.worker.guide,
             place=self.bench.place,
             live=self.preview.on,
             live_laser=self.preview.laser,

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 PROJECT = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 _FARTHEST = 10**9
 _MOST_FRAMES = 10_000
+_MOST_CORNERS = 100
 
 ProjectName = Annotated[str, Field(pattern=PROJECT, description="letters, digits, _ and -", examples=["cup"])]
 Step = Annotated[int, Field(ge=-_FARTHEST, le=_FARTHEST, description="motor steps", examples=[2000])]
@@ -62,5 +63,23 @@ class Scan(_Work):
         return tuple(self.first + self.apart * i for i in range(self.frames))
 
 
-Work = Annotated[Check | Home | Move | Shoot | Scan, Field(discriminator="kind")]
-WORK: TypeAdapter[Check | Home | Move | Shoot | Scan] = TypeAdapter(Work)
+class Calibrate(_Work):
+    """A guided calibration session: the state's `guide` says what to do with the board, and `take` that it is done."""
+
+    kind: Literal["calibrate"] = "calibrate"
+    session: ProjectName
+    columns: int = Field(9, ge=3, le=_MOST_CORNERS, description="inner corners of the checkerboard in a row")
+    rows: int = Field(6, ge=3, le=_MOST_CORNERS, description="and in a column")
+    square_mm: float = Field(16.0, ge=0.01, le=1000, description="side of its squares, mm")
+    views: int = Field(11, ge=3, le=1000, description="poses of the board")
+    stage_frames: int = Field(31, ge=0, le=_MOST_FRAMES, description="places of the stage; 0 for a rig without one")
+    stage_apart: Step = 2000
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Where the board is photographed on the stage."""
+        return tuple(self.stage_apart * i for i in range(self.stage_frames))
+
+
+Work = Annotated[Check | Home | Move | Shoot | Scan | Calibrate, Field(discriminator="kind")]
+WORK: TypeAdapter[Check | Home | Move | Shoot | Scan | Calibrate] = TypeAdapter(Work)

@@ -108,7 +108,9 @@ def scanner_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLRespon
 @router.get("/projects")
 def projects_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLResponse:
     """The projects."""
-    return _page(request, "projects", who, projects=lab.projects.all(), rig=lab.state().rig)
+    return _page(
+        request, "projects", who, projects=lab.projects.all(), calibrations=lab.calibrations.all(), rig=lab.state().rig
+    )
 
 
 @router.get("/account")

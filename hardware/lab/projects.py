@@ -1,16 +1,15 @@
 """Projects: one scan folder each, under one folder, by a name that leads nowhere else."""
 
-import io
 import re
 import shutil
 import threading
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
 
+from hardware.lab.archive import archive
 from hardware.lab.orders import PROJECT
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
 from hardware.scan_plan import PLAN_FILE
@@ -19,8 +18,6 @@ from jaxscan.files.scan import SCAN_FILE, Scan, read_listed
 
 if TYPE_CHECKING:
     from jaxscan import RigFile
-
-_CHUNK: Final = 1 << 18
 
 
 class Project(BaseModel):
@@ -48,7 +45,7 @@ class Projects:
     """
 
     def __init__(self, folder: Path, rig: "RigFile | None" = None):
-        self._folder, self._clouds = folder / "projects", folder / "clouds"
+        self._home, self._folder, self._clouds = folder, folder / "projects", folder / "clouds"
         self._rig = rig
         self._reconstructing = threading.Lock()
         for made in (self._folder, self._clouds):
@@ -60,9 +57,7 @@ class Projects:
         Raises:
             Refusal: it is no name.
         """
-        if not re.fullmatch(PROJECT, name):
-            raise Refusal(NOT_THERE, "a project's name has letters, digits, _ and - alone")
-        return self._folder / name
+        return named(self._folder, name)
 
     def all(self) -> list[Project]:
         """All of them, latest first."""
@@ -90,7 +85,7 @@ class Projects:
         try:
             return read_listed(path)
         except InputError as error:
-            raise Refusal(CONFLICT, _within(path, error)) from error
+            raise Refusal(CONFLICT, within(path, error)) from error
 
     def frame(self, name: str, number: int) -> Path:
         """The file of one photograph, counted from 0.
@@ -114,7 +109,8 @@ class Projects:
         self.scan(name)
         listed = (path / SCAN_FILE).read_bytes()
         scan = self.scan(name)
-        return _archive(path, listed, [*scan.frames, *scan.backgrounds])
+        plan = [path / PLAN_FILE] if (path / PLAN_FILE).is_file() else []
+        return archive(path, {SCAN_FILE: listed}, [*plan, *scan.frames, *scan.backgrounds])
 
     def cloud(self, name: str) -> Path:
         """A PLY file of its points; reconstructed once for each number of photographs.
@@ -133,7 +129,7 @@ class Projects:
                 try:
                     write_points(path, reconstruct(self._rig, scan))
                 except JaxscanError as error:
-                    raise Refusal(CONFLICT, _within(scan.path.parent, error)) from error
+                    raise Refusal(CONFLICT, within(scan.path.parent, error)) from error
                 self._forget_clouds(name, path)
         return path
 
@@ -149,6 +145,10 @@ class Projects:
         shutil.rmtree(path)
         self._forget_clouds(name)
 
+    def without_place(self, words: str) -> str:
+        """A text without the place of the lab on its machine."""
+        return words.replace(f"{self._home}/", "")
+
     def _forget_clouds(self, name: str, but: Path | None = None) -> None:
         for old in self._clouds.glob(f"{name}.*.ply"):
             if old != but:
@@ -160,43 +160,20 @@ class Projects:
         try:
             return Project(name=path.name, frames=len(read_listed(path).frames), changed_s=changed_s)
         except InputError as error:
-            return Project(name=path.name, frames=0, changed_s=changed_s, problem=_within(path, error))
+            return Project(name=path.name, frames=0, changed_s=changed_s, problem=within(path, error))
 
 
-def _within(folder: Path, error: Exception) -> str:
+def named(parent: Path, name: str) -> Path:
+    """The folder of that name in another, there or not.
+
+    Raises:
+        Refusal: it is no name.
+    """
+    if not re.fullmatch(PROJECT, name):
+        raise Refusal(NOT_THERE, "a name has letters, digits, _ and - alone")
+    return parent / name
+
+
+def within(folder: Path, error: Exception) -> str:
     """An error's text without the place of the lab on its machine."""
     return str(error).replace(f"{folder.parent}/", "")
-
-
-class _Sink(io.RawIOBase):
-    """Takes what is written, until somebody fetches it."""
-
-    def __init__(self) -> None:
-        self._held = bytearray()
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, data: bytes) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
-        self._held += data
-        return len(data)
-
-    def fetch(self) -> bytes:
-        data = bytes(self._held)
-        self._held.clear()
-        return data
-
-
-def _archive(path: Path, listed: bytes, photographs: list[Path]) -> Iterator[bytes]:
-    """A ZIP file in chunks; photographs are compressed already, and stored as they are."""
-    sink = _Sink()
-    with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:
-        archive.writestr(f"{path.name}/{SCAN_FILE}", listed)
-        plan = [path / PLAN_FILE] if (path / PLAN_FILE).is_file() else []
-        for file in [*plan, *dict.fromkeys(photographs)]:
-            name = f"{path.name}/{file.relative_to(path).as_posix()}"
-            with archive.open(name, "w") as entry, file.open("rb") as source:
-                while chunk := source.read(_CHUNK):
-                    entry.write(chunk)
-                    yield sink.fetch()
-    yield sink.fetch()

@@ -11,22 +11,28 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
-from hardware.errors import HardwareError, StoppedError
+from hardware.errors import HardwareError, SettingsError, StoppedError
 from hardware.frame import Frame
 from hardware.lab.accounts import Visitor
 from hardware.lab.bench import Bench, PermittedStage, check
+from hardware.lab.calibrations import Calibrations
+from hardware.lab.guidance import Guide, PageOperator
 from hardware.lab.lock import OperatorLock
 from hardware.lab.logbook import Job, Logbook, State
-from hardware.lab.orders import Check, Home, Move, Scan, Shoot, Work
+from hardware.lab.orders import Calibrate, Check, Home, Move, Scan, Shoot, Work
 from hardware.lab.projects import Projects
 from hardware.lab.refusal import CONFLICT, WRONG_VALUE, Refusal
-from hardware.scan import Control, Devices, ensure_homed, take
+from hardware.lab.run import Run
+from hardware.scan import Devices, ensure_homed, take
 from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder
 from hardware.stages import Travel
 from jaxscan.errors import JaxscanError
-from jaxscan.images import StripeSettings
+from jaxscan.images import Board, StripeSettings
+
+if TYPE_CHECKING:
+    from hardware.guide import Sight
 
 _LOG: Final = logging.getLogger(__name__)
 # A stage that is to stand is told so again until its job has ended.
@@ -45,6 +51,10 @@ class Audience(Protocol):
         """A photograph, and its file once it is part of a project."""
         ...
 
+    def see(self, sight: "Sight") -> None:
+        """A photograph of the board."""
+        ...
+
 
 @dataclass(frozen=True)
 class Habits:
@@ -56,71 +66,24 @@ class Habits:
     gain: float = 1.0
 
 
-class _Control(Control):
-    """Also says when the scan stands."""
-
-    def __init__(self, changed: Callable[[], object]):
-        super().__init__()
-        self._waiting = False
-        self._changed = changed
-
-    @property
-    def standing(self) -> bool:
-        """Whether it is paused, and the photograph that was being taken is done."""
-        return self.paused and self._waiting
-
-    def wait(self) -> None:
-        if self.paused:
-            self._waiting = True
-            self._changed()
-        super().wait()
-        self._waiting = False
-        self._changed()
-
-
-class _Run:
-    """A job under way."""
-
-    def __init__(self, job: Job):
-        self.job = job
-        self.control = _Control(self._changed)
-        self.ended_by = ""
-        self.ends_as: State = "aborted"
-        self.finished = threading.Event()
-        self.thread: threading.Thread | None = None
-        self.stopper: threading.Thread | None = None
-        self.note: Callable[[Job], object] = lambda job: None
-
-    @property
-    def scans(self) -> bool:
-        return self.job.work.kind == "scan"
-
-    def _changed(self) -> None:
-        self.update(state="paused" if self.control.standing else "pausing" if self.control.paused else "running")
-
-    def update(self, **values: object) -> None:
-        self.job = self.job.model_copy(update=values)
-        self.note(self.job)
-
-    def pause(self) -> None:
-        self.control.pause()
-        self._changed()
-
-    def resume(self) -> None:
-        self.control.resume()
-        self._changed()
-
-
 class Worker:
     """Takes orders, and carries out one at a time."""
 
     def __init__(
-        self, bench: Bench, logbook: Logbook, lock: OperatorLock, projects: Projects, audience: Audience, habits: Habits
+        self,
+        bench: Bench,
+        logbook: Logbook,
+        lock: OperatorLock,
+        projects: Projects,
+        calibrations: Calibrations,
+        audience: Audience,
+        habits: Habits,
     ):
         self._bench, self._logbook, self._lock = bench, logbook, lock
-        self._projects, self._audience, self._habits = projects, audience, habits
+        self._projects, self._calibrations = projects, calibrations
+        self._audience, self._habits = audience, habits
         self._mutex = threading.RLock()
-        self._run: _Run | None = None
+        self._run: Run | None = None
         self.latest: Job | None = None
         logbook.interrupted()
         if jobs := logbook.latest():
@@ -137,10 +100,19 @@ class Worker:
         run = self._run
         return run is not None and run.scans and not run.control.standing
 
-    def uses(self, project: str) -> bool:
-        """Whether the job under way adds to this project."""
+    @property
+    def guide(self) -> Guide | None:
+        """What a calibration session under way asks for."""
         run = self._run
-        return run is not None and getattr(run.job.work, "project", None) == project
+        return None if run is None or run.operator is None else run.operator.guide
+
+    def uses(self, *, project: str | None = None, session: str | None = None) -> bool:
+        """Whether the job under way adds to this project, or to this calibration session."""
+        run = self._run
+        work = None if run is None else run.job.work
+        if isinstance(work, Calibrate):
+            return work.session == session
+        return isinstance(work, Shoot | Scan) and work.project == project
 
     def start(self, work: Work, visitor: Visitor) -> Job:
         """Begin a job.
@@ -151,8 +123,9 @@ class Worker:
         with self._mutex:
             self._lock.require(visitor)
             self._must_be_idle()
+            self._check(work)
             folder = self._folder(work)
-            total = len(folder.left) if folder else 0
+            total = work.views + work.stage_frames if isinstance(work, Calibrate) else len(folder.left) if folder else 0
             return self._go(self._logbook.begin(visitor.name, work, total), folder)
 
     def resume(self, number: int, visitor: Visitor) -> Job:
@@ -175,6 +148,19 @@ class Worker:
             taken = job.total - len(folder.left)
             again = {"user": visitor.name, "state": "running", "message": "", "taken": taken, "ended_s": None}
             return self._go(job.model_copy(update=again), folder)
+
+    def answer(self, number: int, visitor: Visitor, go: bool) -> Job:
+        """Tell a calibration session that the board is held as it asks, or (not `go`) that it has been held enough.
+
+        Raises:
+            Refusal: the visitor does not operate, or the job does not ask.
+        """
+        with self._mutex:
+            self._lock.require(visitor)
+            run = self._under_way(number)
+            if run.operator is None or not run.operator.answer(go):
+                raise Refusal(CONFLICT, f"job {number} ({run.job.work.kind}) asks for nothing now")
+            return run.job
 
     def pause(self, number: int, visitor: Visitor) -> Job:
         """Let a scan stand after the photograph that is being taken.
@@ -242,28 +228,38 @@ class Worker:
             doing = "is paused: go on with it or abort it" if run.control.standing else "is under way: wait, or end it"
             raise Refusal(CONFLICT, f"job {run.job.id} ({run.job.work.kind}) {doing}")
 
-    def _under_way(self, number: int) -> _Run:
+    def _under_way(self, number: int) -> Run:
         if (run := self._run) is None or run.job.id != number:
             job = self._logbook.one(number)
             raise Refusal(CONFLICT, f"job {number} is not under way: it is {job.state}")
         return run
 
-    def _folder(self, work: Work) -> ScanFolder | None:
-        """The folder in which a job takes its photographs, with those before it.
+    def _check(self, work: Work) -> None:
+        """See that it can be done.
 
         Raises:
-            Refusal: a place beyond the travel or a photograph that is there already.
+            Refusal: a place beyond the travel, or what is no session.
         """
-        if not isinstance(work, Shoot | Scan | Move):
+        try:
+            if isinstance(work, Calibrate):
+                from hardware.guide import check_session
+
+                check_session(work.views, work.steps)
+                self._calibrations.new(work.session)
+            if steps := _steps(work):
+                self._habits.travel.check(steps)
+        except (SettingsError, JaxscanError) as error:
+            raise Refusal(WRONG_VALUE, str(error)) from error
+
+    def _folder(self, work: Work) -> ScanFolder | None:
+        """The folder in which a job takes the photographs of a scan, with those before it.
+
+        Raises:
+            Refusal: a photograph that is there already.
+        """
+        if not isinstance(work, Shoot | Scan):
             return None
-        steps = work.steps if isinstance(work, Scan) else (work.step,)
-        low, high = self._habits.travel.first, self._habits.travel.last
-        if min(steps) < low or max(steps) > high:
-            raise Refusal(
-                WRONG_VALUE, f"steps {min(steps)} to {max(steps)}: the stage goes from {low} to {high}: stay within"
-            )
-        if isinstance(work, Move):
-            return None
+        steps = _steps(work)
         path = self._projects.path(work.project)
         habits, dark = self._habits, isinstance(work, Scan) and work.dark
         try:
@@ -301,7 +297,7 @@ class Worker:
         return folder
 
     def _go(self, job: Job, folder: ScanFolder | None) -> Job:
-        run = _Run(job)
+        run = Run(job)
 
         def note(changed: Job) -> None:
             self._logbook.note(changed)
@@ -314,7 +310,7 @@ class Worker:
         run.thread.start()
         return job
 
-    def _work(self, run: _Run, folder: ScanFolder | None) -> None:
+    def _work(self, run: Run, folder: ScanFolder | None) -> None:
         """The whole of a job, in its own thread."""
         state: State = "done"
         words = ""
@@ -333,10 +329,10 @@ class Worker:
         if run.stopper is not None:
             run.stopper.join()
         with self._mutex:
-            run.update(state=state, message=words, ended_s=time.time())
+            run.update(state=state, message=self._projects.without_place(words), ended_s=time.time())
             self._run = None
 
-    def _do(self, run: _Run, folder: ScanFolder | None, devices: Devices) -> None:
+    def _do(self, run: Run, folder: ScanFolder | None, devices: Devices) -> None:
         work, camera, laser = run.job.work, devices.camera, devices.laser
 
         def permit() -> None:
@@ -364,8 +360,27 @@ class Worker:
         if folder is not None and isinstance(work, Shoot | Scan):
             self._audience.begin(work.project, folder)
             take(folder, Devices(camera, stage, laser), run.control, taken)
+        if isinstance(work, Calibrate):
+            self._calibrate(run, work, Devices(camera, stage, laser), permit)
 
-    def _revoke(self, run: _Run, words: str, ends_as: State = "aborted") -> None:
+    def _calibrate(self, run: Run, work: Calibrate, devices: Devices, permit: Callable[[], object]) -> None:
+        from hardware.guide import guided_session
+        from hardware.simulated.operator import simulated_operator
+
+        def said(words: str, taken: int) -> None:
+            run.update(message=words, taken=taken)
+
+        hand = simulated_operator(devices.camera, work.views)
+        run.operator = PageOperator(permit, self._audience.see, said, hand)
+        board = Board.checkerboard((work.columns, work.rows), work.square_mm)
+        how = {"views": work.views, "stage_steps": work.steps, "stripe": self._habits.stripe}
+        try:
+            guided_session(self._calibrations.new(work.session), devices, board, run.operator, **how)
+        finally:
+            if hand is not None:
+                hand.leave()
+
+    def _revoke(self, run: Run, words: str, ends_as: State = "aborted") -> None:
         """End a job at once: the stage is told to stand until the job has ended."""
         run.ended_by, run.ends_as = words, ends_as
         run.control.abort()
@@ -379,3 +394,10 @@ class Worker:
         if run.stopper is None:
             run.stopper = threading.Thread(target=stop, name=f"stop job {run.job.id}", daemon=True)
             run.stopper.start()
+
+
+def _steps(work: Work) -> tuple[int, ...]:
+    """Where a job sends the stage."""
+    if isinstance(work, Scan | Calibrate):
+        return work.steps
+    return (work.step,) if isinstance(work, Shoot | Move) else ()

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 
-from hardware.guide import ON_STAGE
-from hardware.simulated.camera import SimulatedWorld
+from hardware.coverage import ON_STAGE
+from hardware.guide import Sight
+from hardware.protocols import Camera
+from hardware.simulated.camera import SimulatedCamera, SimulatedWorld
 
 
 class SimulatedOperator:
@@ -13,7 +15,7 @@ class SimulatedOperator:
         self._world, self._views, self._say = world, views, say
         self._next = 0
 
-    def ready(self, wish: str) -> bool:
+    def ready(self, wish: str, look: Callable[[], object] = lambda: None) -> bool:
         """Do it."""
         self._say(wish)
         if wish == ON_STAGE:
@@ -23,6 +25,20 @@ class SimulatedOperator:
             self._next += 1
         return True
 
+    def show(self, sight: Sight) -> None:
+        """It need not look."""
+
     def say(self, words: str) -> None:
         """Pass it on."""
         self._say(words)
+
+    def leave(self) -> None:
+        """Take the board away, and put the object back."""
+        self._world.put_object()
+
+
+def simulated_operator(
+    camera: Camera, views: int, say: Callable[[str], object] = lambda words: None
+) -> SimulatedOperator | None:
+    """Who holds the board before the simulated camera; nobody before a real one."""
+    return SimulatedOperator(camera.world, views, say) if isinstance(camera, SimulatedCamera) else None

@@ -76,9 +76,7 @@ class SerialStage(ABC):
         Raises:
             HardwareError: it did not arrive, or may not be where it says; the text says whether it stands.
         """
-        low, high = self.travel.first, self.travel.last
-        if not low <= step_count <= high:
-            raise SettingsError(f"{step_count} steps: the stage goes from {low} to {high}: choose a place between them")
+        self.travel.check([step_count])
         with self._order():
             self._check_place()
             self._go(step_count)

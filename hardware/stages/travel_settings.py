@@ -1,6 +1,7 @@
 """What a driver has to know of the stage that it drives."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hardware.errors import SettingsError
@@ -64,6 +65,17 @@ class Travel:
     def span(self) -> int:
         """Steps from the switch to the last place."""
         return self.last - self.switch
+
+    def check(self, steps: Sequence[int]) -> None:
+        """See that the stage may be sent to all of these.
+
+        Raises:
+            SettingsError: it may not.
+        """
+        low, high = min(steps), max(steps)
+        if low < self.first or high > self.last:
+            asked = f"step {low}" if low == high else f"steps {low} to {high}"
+            raise SettingsError(f"{asked}: the stage goes from {self.first} to {self.last}: stay between them")
 
     def legs(self, start: int, target: int) -> list[int]:
         """Where to go one after the other: the last leg comes from below, and none is too short to be watched."""

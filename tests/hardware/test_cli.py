@@ -4,16 +4,21 @@ import io
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from hardware import Frame
+from hardware.cameras.folder import FolderCamera
 from hardware.cli.main import COMMANDS, main
 from hardware.devices import folder_camera, read_scanner
 from jaxscan.errors import InputError
 from jaxscan.files.scan import read_scan
+from jaxscan.files.session import read_session
+from jaxscan.images import read_image
 
 SCANNER = """
 [camera]
@@ -81,6 +86,14 @@ def test_a_folder_of_photographs_in_its_order_and_a_scan_by_its_steps(scanner: P
         (["scan", "recorded", "--resume"], "without --resume"),
         (["shoot", "no/one.png"], "create it first"),
         (["calibrate", "session", "--board", "nine"], "as 9x6"),
+        (["calibrate", "session", "--board", "9x²"], "as 9x6"),
+        (["calibrate", "session", "--square", "nan"], "positive number of millimetres"),
+        (["calibrate", "session", "--views", "2"], "needs 3 or more"),
+        (["calibrate", "session", "--stage-frames", "1"], "give 2 or more"),
+        (["calibrate", "session", "--stage-frames", "-1"], "or 0 for a rig without a stage"),
+        (["calibrate", "session", "--stage-apart", "0"], "at places of their own"),
+        (["calibrate", "session", "--stage-frames", "12"], "the stage goes from 0 to 20000"),
+        (["calibrate", "session", "--stage-frames", "0", "--show", "no/live.png"], "create it first"),
         (["home", "--scanner", "other.toml"], "no such file"),
     ],
 )
@@ -131,6 +144,45 @@ def test_console(scanner: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
     monkeypatch.setattr(sys, "stdin", io.StringIO("?\n"))
     assert main(["console", "--port", "emulator://grbl", "--baud", "115200"]) == 0
     assert "<Alarm|MPos:0.000" in capsys.readouterr().out
+
+
+def test_calibrate_shows_what_it_sees(
+    scanner: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    """A person at the terminal, and the live picture in a file; the board lies still before a camera that repeats."""
+    squares = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.ones((30, 30)))
+    photograph = np.pad((230 - 200 * squares).astype(np.uint8), 40, constant_values=230)
+    for path in (scanner / "recorded").iterdir():
+        cv2.imwrite(str(path), cv2.GaussianBlur(photograph, (0, 0), 0.7))
+    monkeypatch.setattr(FolderCamera, "expose", lambda self, step: Frame(read_image("recorded/0.png"), step, 0.0, 0.01))
+    live, asked = scanner / "live.png", []
+
+    def answer(prompt: str) -> str:
+        asked.append(prompt)
+        live.unlink(missing_ok=True)
+        deadline_s = time.monotonic() + 60
+        while not live.exists():
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+        return ""
+
+    monkeypatch.setattr("builtins.input", answer)
+    argv = ["calibrate", "session", "--views", "3", "--stage-frames", "2", "--stage-apart", "500", "--show", "live.png"]
+    assert main(argv) == 0
+    captured = capsys.readouterr()
+    assert "3 views of the board, 2 along the stage" in captured.out
+    assert "fix the board on the stage" in captured.err
+    assert len(asked) == 4
+    # The corners are drawn in colour over a photograph without any.
+    picture = cv2.imread(str(live)).astype(int)
+    assert picture.shape == (*photograph.shape, 3)
+    assert np.ptp(picture[70 : 70 + 30, 70 : 70 + 30], axis=2).max() > 100
+    session = read_session("session")
+    assert session.stage is not None
+    assert session.stage.steps == (0, 500)
+    monkeypatch.setattr("builtins.input", lambda prompt: "q")
+    assert main(["calibrate", "other", "--stage-frames", "0"]) == 2
+    assert "ended after 0 poses" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", COMMANDS)

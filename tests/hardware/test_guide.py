@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hardware.guide import Coverage
+from hardware.coverage import Coverage, draw_coverage
 from jaxscan.simulation import rig_2003
 
 
@@ -19,3 +19,16 @@ def test_the_guide_asks_for_what_is_missing() -> None:
         depth = 1 + lean_x * x + lean_y * y
         coverage.add(np.stack([320 + 60 * x / depth, 240 + 60 * y / depth], axis=1), (640, 480))
     assert "now move the board to the upper" in coverage.wish()
+    assert coverage.tilted == dict.fromkeys(("right", "left", "lower", "upper"), True)
+
+
+def test_covered_cells_are_drawn_where_they_are() -> None:
+    coverage = Coverage(rig_2003.BOARD)
+    corners = np.full((len(rig_2003.BOARD.points()), 2), np.nan)
+    # The last pixel of a cell, the first of the next, and the edges of the image.
+    corners[:6] = [(159, 100), (160, 200), (639.4, 479.4), (-0.4, 479), (10, 10), (20, 20)]
+    coverage.add(corners, (640, 480))
+    assert np.argwhere(coverage.covered).tolist() == [[0, 0], [1, 1], [2, 0], [2, 3]]
+    shown = draw_coverage(np.zeros((480, 640, 3), np.uint8), coverage.covered)
+    tint = shown[80::160, 80::160]
+    assert np.array_equal(tint[..., 1] > 20, coverage.covered)

@@ -4,7 +4,8 @@ import { watchPictures } from "./pictures.js";
 
 const bench = element("bench").dataset;
 const UNDER_WAY = ["running", "pausing", "paused"];
-const NAMES = { check: "Check of the devices", home: "Reset of the motor", move: "Move", shoot: "Step and shoot", scan: "Scan" };
+const NAMES = { check: "Check of the devices", home: "Reset of the motor", move: "Move", shoot: "Step and shoot", scan: "Scan", calibrate: "Calibration" };
+const EDGES = ["upper", "lower", "left", "right"];
 const cloud = new CloudView(element("cloud"));
 let state = null, cloudOf = "", shown = null, lastProfile = null, slides = false;
 
@@ -30,6 +31,7 @@ function showState(now) {
   element("live").checked = now.live;
   element("live-laser").checked = now.live_laser;
   showJob(job, own);
+  showGuide(now.guide, own);
   // What was said of an order is over once something comes of it.
   const course = job && `${job.id} ${job.state}`;
   if (course !== shown && !element("said").classList.contains("problem")) say("");
@@ -40,18 +42,39 @@ function showJob(job, own) {
   element("job").hidden = !job;
   if (!job) return;
   const { work } = job, under = UNDER_WAY.includes(job.state), scan = work.kind === "scan";
-  element("job-title").textContent = `${NAMES[work.kind]}${work.project ? ` ${work.project}` : ""}${work.kind === "move" ? ` to ${work.step}` : ""}`;
+  const counts = scan || work.kind === "calibrate";
+  element("job-title").textContent = [NAMES[work.kind], work.project ?? work.session, work.kind === "move" && `to ${work.step}`].filter(Boolean).join(" ");
   element("job-state").textContent = job.state;
   element("job-state").className = `badge ${job.state}`;
-  element("job-progress").hidden = !scan;
+  element("job-progress").hidden = !counts;
   element("job-progress").max = Math.max(job.total, 1);
   element("job-progress").value = job.taken;
-  const count = scan ? `${job.taken} of ${job.total} photographs` : "";
+  const count = counts ? `${job.taken} of ${job.total} photographs` : "";
   element("job-words").textContent = [count, job.message, `ordered by ${job.user}`].filter(Boolean).join(" · ");
   element("job-words").classList.toggle("problem", job.state === "failed");
   element("pause").hidden = !(own && scan && job.state === "running");
   element("resume").hidden = !(own && scan && ["pausing", "paused", "aborted", "failed", "interrupted"].includes(job.state));
   element("abort").hidden = !(own && under);
+}
+
+/** What a calibration session asks for, and what it has seen so far. */
+function showGuide(guide, own) {
+  const asks = Boolean(guide?.wish), seen = guide?.board_seen ? "board seen" : "board not seen";
+  element("wish").hidden = !asks;
+  element("wish").textContent = asks ? guide.wish : "";
+  element("covered").hidden = !guide;
+  if (guide) {
+    const cells = guide.covered.flat(), edges = EDGES.map((edge) => `${guide.tilted[edge] ? "✓" : "–"} ${edge}`).join(", ");
+    element("covered").textContent = `${seen} · corners in ${cells.filter(Boolean).length} of ${cells.length} parts of the image · tilted: ${edges}`;
+    element("covered").classList.toggle("seen", guide.board_seen);
+  }
+  const comes = own && asks && element("take-view").hidden, held = !guide?.on_stage;
+  element("take-view").hidden = !(own && asks);
+  element("take-view").textContent = held ? "Take" : "Begin the stage's sequence";
+  element("enough").hidden = !(own && asks && guide.views >= 3);
+  element("enough").textContent = held ? "Enough poses" : "No stage";
+  // Whoever holds the board has one hand: Enter or the space bar takes the next view too.
+  if (comes && !document.activeElement.matches("input")) element("take-view").focus();
 }
 
 async function showProfile(profile) {
@@ -170,6 +193,15 @@ element("batch").addEventListener("submit", (event) => {
     settle_s: number("settle_s"), dark: fields.has("dark"),
   }, "the devices are asked first, then it begins"), event.submitter);
 });
+
+element("calibration").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const fields = Object.fromEntries(new FormData(event.target)), { session, ...numbers } = fields;
+  for (const name in numbers) numbers[name] = Number(numbers[name]);
+  trying(() => order({ kind: "calibrate", session, ...numbers }, "the devices are connected, then it begins"), event.submitter);
+});
+onClick("take-view", change("take"));
+onClick("enough", change("enough"));
 
 for (const id of ["live", "live-laser"])
   element(id).addEventListener("change", () =>

@@ -32,13 +32,17 @@ LEASE_S, LONG_S = 1.0, 60.0
 
 
 class StripeCamera:
-    """Photographs a red stripe, the lower the further the stage is; none while the laser is off."""
+    """Photographs a red stripe, the lower the further the stage is; none while the laser is off.
+
+    Or whatever is held before it, `held`.
+    """
 
     def __init__(self, stage: SimulatedStage, laser: SimulatedLaser):
         self.stage, self.laser = stage, laser
         self.exposure_s = 0.0
         self.broken = False
         self.taken = 0
+        self.held: np.ndarray | None = None
 
     def open(self) -> None:
         """It is."""
@@ -51,6 +55,8 @@ class StripeCamera:
             raise CameraError("no photograph: check the camera's cable")
         time.sleep(self.exposure_s)
         self.taken += 1
+        if self.held is not None:
+            return Frame(self.held, step_count, time.time(), 0.01)
         image = np.full((ROWS, COLUMNS, 3), 20, np.uint8)
         if self.laser.lit:
             center = 20 + 20 * self.stage.true_position() / TRAVEL.last + 3 * np.sin(np.arange(COLUMNS) / 12)
@@ -135,9 +141,10 @@ def serve(
     profiles: bool = False,
     cert: Path | None = None,
     key: Path | None = None,
+    scanner: Callable[[], Devices] | None = None,
     **how: Any,
 ) -> Served:
-    """Serve a lab until it is ended; without profiles JAX compiles nothing."""
+    """Serve a lab until it is ended, with another scanner if need be; without profiles JAX compiles nothing."""
     laser = SimulatedLaser()
     camera = StripeCamera(make_stage(speed), laser)
     how = {"lease_s": LONG_S, "live_s": 0.05, **how}
@@ -147,7 +154,7 @@ def serve(
             camera.stage = make_stage(speed)
         return Devices(camera, camera.stage, laser)
 
-    lab = Lab(folder, connect, Habits(TRAVEL), **how)
+    lab = Lab(folder, scanner or connect, Habits(TRAVEL), **how)
     lab.accounts._hasher = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
     if not profiles:
         lab.gallery._measure = lambda *_: None

@@ -10,7 +10,10 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from serving import ADMINISTRATOR, LEASE_S, OPERATOR, PASSWORD, VIEWER, Served, serve, until
 
+from hardware.devices import ScannerSettings, open_scanner
+from jaxscan.cli.compiled import keep_compiled
 from jaxscan.files.scan import read_scan
+from jaxscan.files.session import read_session
 
 LATEST_MS = 60_000
 
@@ -109,6 +112,47 @@ def test_a_whole_scan(browser: Browser, lab: Served, tmp_path: Path):
     expect(watcher.locator("#operator")).to_have_text("The scanner is free")
     for tab in (page, watcher):
         tab.context.close()
+
+
+def test_a_guided_calibration_session(browser: Browser, tmp_path: Path):
+    """On the simulated scanner: somebody holds its board in another pose whenever the guide asks for one."""
+    keep_compiled()
+    lab = serve(tmp_path / "lab", scanner=lambda: open_scanner(ScannerSettings()))
+    page, watcher = sign_in(browser, lab, OPERATOR), sign_in(browser, lab, VIEWER, 390, "dark")
+    page.get_by_role("button", name="Operate").click()
+    for name, value in {"views": 4, "stage_frames": 3, "stage_apart": 8000}.items():
+        page.fill(f"#calibration [name={name}]", str(value))
+    page.get_by_role("button", name="Begin").click()
+    expect(page.locator("#wish")).to_contain_text("fills the middle of the image")
+    take = page.get_by_role("button", name="Take")
+    expect(take).to_be_focused()
+    expect(watcher.locator("#wish")).to_contain_text("fills the middle of the image")
+    expect(watcher.locator("#take-view")).to_be_hidden()
+    for view in range(1, 4):
+        expect(page.locator("#covered")).to_contain_text("board seen")
+        page.keyboard.press("Enter")
+        expect(page.locator("#job-words")).to_contain_text(f"{view} of 7 photographs · view {view}")
+        expect(take).to_be_focused()
+    expect(page.locator("#covered")).not_to_contain_text("corners in 0 of 12")
+    expect(page.locator("#picture")).to_be_visible()
+    # Three are enough; the stage's sequence goes by itself.
+    page.get_by_role("button", name="Enough poses").click()
+    expect(page.locator("#wish")).to_contain_text("fix the board on the stage")
+    page.get_by_role("button", name="Begin the stage's sequence").click()
+    expect(page.locator("#job-state")).to_have_text("done")
+    expect(watcher.locator("#wish")).to_be_hidden()
+    page.get_by_role("link", name="Projects").click()
+    with page.expect_download() as downloading:
+        page.get_by_role("link", name="Session (zip)").click()
+    with zipfile.ZipFile(downloading.value.path()) as archive:
+        archive.extractall(tmp_path / "fetched")
+    session = read_session(tmp_path / "fetched" / "calibration-1")
+    assert len(session.views.boards) == 3
+    assert session.stage is not None
+    assert session.stage.steps == (0, 8000, 16000)
+    for tab in (page, watcher):
+        tab.context.close()
+    lab.end()
 
 
 def test_narrow_screens_and_the_keyboard(browser: Browser, lab: Served):
