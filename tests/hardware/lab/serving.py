@@ -87,7 +87,8 @@ class Served:
 
     def client(self, **headers: str) -> httpx.Client:
         """Somebody who has not signed in."""
-        client = httpx.Client(base_url=self.url, headers=headers, timeout=20, trust_env=False)
+        # Nothing here is TLS, and reading the world's certificates takes longer than most of the tests' requests.
+        client = httpx.Client(base_url=self.url, headers=headers, timeout=20, trust_env=False, verify=False)
         self.clients.append(client)
         return client
 
@@ -118,6 +119,32 @@ class Served:
     def moving(self) -> bool:
         """Whether the motor turns."""
         return self.stage.line.port.axis.moving(self.stage.line.clock.now_s())
+
+
+class Witness:
+    """Looks at motor and lock all the time."""
+
+    def __init__(self, served: Served):
+        self._served, self._ended = served, threading.Event()
+        self.orphaned_s = 0.0
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> "Witness":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        alone_since_s = None
+        while not self._ended.wait(0.005):
+            if self._served.lab.lock.holder is None and self._served.moving:
+                alone_since_s = alone_since_s or time.monotonic()
+                self.orphaned_s = max(self.orphaned_s, time.monotonic() - alone_since_s)
+            else:
+                alone_since_s = None
 
 
 def sign_in(client: httpx.Client, name: str, password: str = PASSWORD) -> httpx.Response:

@@ -5,39 +5,13 @@ import time
 from pathlib import Path
 
 import pytest
-from serving import ADMINISTRATOR, LEASE_S, OPERATOR, VIEWER, Served, ended, job_of, scan, serve, until
+from serving import ADMINISTRATOR, LEASE_S, OPERATOR, VIEWER, Served, Witness, ended, job_of, scan, serve, until
 
 from hardware.lab.lab import Lab
 from jaxscan.errors import InputError
 
 # The lease is looked after in twentieths of itself; the rest is for a machine with much to do.
 FREE_S = LEASE_S + 2.0
-
-
-class Witness:
-    """Looks at motor and lock all the time."""
-
-    def __init__(self, served: Served):
-        self._served, self._ended = served, threading.Event()
-        self.orphaned_s = 0.0
-        self._thread = threading.Thread(target=self._look, daemon=True)
-
-    def __enter__(self) -> "Witness":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _look(self) -> None:
-        alone_since_s = None
-        while not self._ended.wait(0.005):
-            if self._served.lab.lock.holder is None and self._served.moving:
-                alone_since_s = alone_since_s or time.monotonic()
-                self.orphaned_s = max(self.orphaned_s, time.monotonic() - alone_since_s)
-            else:
-                alone_since_s = None
 
 
 def free_since(served: Served, watcher) -> float:

@@ -1,14 +1,19 @@
 """The pages in a real browser: a whole scan, as people do it; and a browser that dies."""
 
+import os
 import re
 import shutil
+import signal
+import subprocess
+import time
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
-from serving import ADMINISTRATOR, LEASE_S, OPERATOR, PASSWORD, VIEWER, Served, serve, until
+from playwright.sync_api import Browser, BrowserType, Page, expect, sync_playwright
+from serving import ADMINISTRATOR, LEASE_S, OPERATOR, PASSWORD, VIEWER, Served, Witness, serve, until
 
 from hardware.devices import ScannerSettings, open_scanner
 from jaxscan.cli.compiled import keep_compiled
@@ -18,13 +23,13 @@ from jaxscan.files.session import read_session
 LATEST_MS = 60_000
 
 
-def launch(playwright) -> Browser:
+def launch(chromium: BrowserType, *flags: str) -> Browser:
     """Debian's Chromium, or whatever is called so."""
     names = ("chromium", "chromium-browser", "google-chrome")
     path = next(filter(None, map(shutil.which, names)), None)
     if path is None:
         pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
-    return playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+    return chromium.launch(executable_path=path, args=["--no-sandbox", *flags])
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +37,7 @@ def browser() -> Iterator[Browser]:
     """One browser for all tests; each of them has contexts of its own."""
     expect.set_options(timeout=LATEST_MS)
     with sync_playwright() as playwright:
-        started = launch(playwright)
+        started = launch(playwright.chromium)
         yield started
         started.close()
 
@@ -189,22 +194,74 @@ def test_a_refusal_is_said_on_the_page(browser: Browser, lab: Served):
     page.context.close()
 
 
-def test_a_browser_that_is_killed_frees_the_scanner_within_the_lease(browser: Browser, tmp_path: Path):
-    """The page keeps the lock for as long as it lives; a scan that it began goes on to its end."""
-    lab = serve(tmp_path / "lab", lease_s=3 * LEASE_S)
-    lab.camera.exposure_s = 0.05
-    page, watcher = sign_in(browser, lab, OPERATOR), lab.program(VIEWER)
+class Mortal:
+    """A browser of its own, in a process that can be killed."""
+
+    def __init__(self, browser: Browser):
+        # What no other process has on its command line; the processes that serve this one name their type.
+        mark = f"--mortal={uuid4()}"
+        self.started = launch(browser.browser_type, mark)
+        listed = subprocess.run(["ps", "-ww", "-eo", "pid=,args="], capture_output=True, text=True, check=True).stdout
+        lines = [line.split(maxsplit=1) for line in listed.splitlines()]
+        (self.pid,) = (int(pid) for pid, args in lines if mark in args and " --type=" not in args)
+
+    def kill(self) -> None:
+        """Kill it, with no time for a word."""
+        os.kill(self.pid, signal.SIGKILL)
+        self.killed_s = time.monotonic()
+        until(self._gone)
+
+    def _gone(self) -> bool:
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return True
+        return False
+
+
+def test_a_browser_that_is_killed_in_mid_move(browser: Browser, tmp_path: Path):
+    """The page keeps the lock for as long as it lives; then the motor stops as the lock is given up."""
+    lab = serve(tmp_path / "lab", speed=4, lease_s=3 * LEASE_S)
+    lab.stage.home()
+    mortal, watcher = Mortal(browser), lab.program(VIEWER)
+    page = sign_in(mortal.started, lab, OPERATOR)
     page.get_by_role("button", name="Operate").click()
     until(lambda: lab.lab.lock.holder)
     page.wait_for_timeout(4000 * LEASE_S)
-    assert watcher.post("/api/lock", json={}).status_code == 409
+    with Witness(lab) as witness:
+        page.fill("#step", "20000")
+        page.get_by_role("button", name="Go there").click()
+        until(lambda: lab.moving)
+        mortal.kill()
+        assert watcher.post("/api/lock", json={}).status_code == 409
+        until(lambda: watcher.get("/api/state").json()["operator"] is None)
+        # The lease is looked after in twentieths of itself; the rest is for a machine with much to do.
+        assert time.monotonic() - mortal.killed_s < 3 * LEASE_S + 2
+        job = until(lambda: (job := watcher.get("/api/jobs").json()[0])["ended_s"] and job)
+    assert (job["state"], job["message"]) == ("aborted", "stopped: its operator is gone")
+    assert not lab.moving
+    assert 0 < lab.stage.true_position() < 20000
+    # The order to stand goes out as the lock is given up.
+    assert witness.orphaned_s < 0.5
+    assert watcher.post("/api/lock", json={}).status_code == 200
+    lab.end()
+
+
+def test_a_scan_outlives_the_browser_that_began_it(browser: Browser, tmp_path: Path):
+    lab = serve(tmp_path / "lab", lease_s=3 * LEASE_S)
+    lab.camera.exposure_s = 0.1
+    mortal, watcher = Mortal(browser), lab.program(VIEWER)
+    page = sign_in(mortal.started, lab, OPERATOR)
+    page.get_by_role("button", name="Operate").click()
     page.fill("[name=frames]", "8")
     page.fill("[name=apart]", "1000")
     page.get_by_role("button", name="Start").click()
-    until(lambda: lab.lab.projects.all() and lab.lab.projects.one("scan-1").frames)
-    page.context.close()
-    assert watcher.post("/api/lock", json={}).status_code == 409
-    until(lambda: watcher.get("/api/state").json()["operator"] is None)
+    with Witness(lab) as witness:
+        until(lambda: lab.lab.projects.all() and lab.lab.projects.one("scan-1").frames)
+        mortal.kill()
+        assert watcher.post("/api/lock", json={}).status_code == 409
+        until(lambda: watcher.get("/api/state").json()["operator"] is None)
     assert watcher.get("/api/jobs").json()[0]["state"] == "done"
     assert lab.lab.projects.one("scan-1").frames == 8
+    assert witness.orphaned_s == 0
     lab.end()
