@@ -16,6 +16,7 @@ kind = "rts"                   # fixed | rts | controller | simulated
 color = "red"                  # and columns, as in scan.toml
 """
 
+from contextlib import ExitStack
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
@@ -124,13 +125,17 @@ def open_scanner(settings: ScannerSettings, seed: int = 0, homed: bool = False) 
         HardwareError: something is not there.
         InputError: a value is wrong.
     """
-    stage = open_stage(settings, homed)
-    laser = _laser(settings, stage)
-    camera = _camera(settings, stage, laser, seed)
-    camera.open()
-    if settings.exposure_s is not None:
-        camera.configure(settings.exposure_s, settings.gain)
-    return Devices(camera, stage, laser)
+    with ExitStack() as undo:
+        stage = open_stage(settings, homed)
+        undo.callback(stage.close)
+        laser = _laser(settings, stage)
+        camera = _camera(settings, stage, laser, seed)
+        undo.callback(camera.close)
+        camera.open()
+        if settings.exposure_s is not None:
+            camera.configure(settings.exposure_s, settings.gain)
+        undo.pop_all()
+        return Devices(camera, stage, laser)
 
 
 def open_stage(settings: ScannerSettings, homed: bool = False) -> SerialStage:

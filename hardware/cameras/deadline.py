@@ -3,11 +3,13 @@
 import queue
 import threading
 from collections.abc import Callable
-from typing import TypeVar
+from contextlib import suppress
+from typing import Final, TypeVar
 
 from hardware.errors import NoAnswerError
 
 Result = TypeVar("Result")
+_LET_GO_S: Final = 5.0
 
 
 def within(seconds: float, work: Callable[[], Result], words: str) -> Result:
@@ -34,3 +36,9 @@ def within(seconds: float, work: Callable[[], Result], words: str) -> Result:
     if error is not None:
         raise error
     return result  # pyright: ignore[reportReturnType]
+
+
+def let_go(work: Callable[[], object]) -> None:
+    """Disconnect from a device; one that does not let go, because it is not there any more, is left behind."""
+    with suppress(Exception):
+        within(_LET_GO_S, work, "")

@@ -1,16 +1,18 @@
 """Industrial cameras (GigE Vision, USB3 Vision) by their maker's GenTL producer and harvesters: the extra `genicam`."""
 
 import time
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hardware.errors import CameraError, NoAnswerError
+from hardware.cameras.deadline import let_go, within
+from hardware.errors import CameraError, HardwareError, NoAnswerError
 from hardware.frame import Frame
 
-_SLACK_S = 5.0
+_OPEN_S, _SLACK_S = 20.0, 5.0
 _DEPTHS = {"Mono8": np.uint8, "Mono10": np.uint16, "Mono12": np.uint16, "Mono16": np.uint16, "RGB8": np.uint8}
 
 
@@ -39,7 +41,8 @@ class GenICamCamera:
         """
         if not self._producer.is_file():
             raise CameraError(f"{self._producer}: no such GenTL producer: name the .cti file of the camera's maker")
-        try:
+
+        def connect() -> None:
             self._harvester.add_file(str(self._producer))
             self._harvester.update()
             self._acquirer = self._harvester.create(0 if self._which is None else {"serial_number": self._which})
@@ -50,11 +53,12 @@ class GenICamCamera:
                 "Software",
             )
             self._acquirer.start()
-        except Exception as error:
+
+        try:
+            self._try(_OPEN_S, connect, "check its cable and power, and that nothing else uses it")
+        except HardwareError:
             self.close()
-            raise CameraError(
-                f"GenICam camera: {error}: check its cable and power, and that nothing else uses it"
-            ) from error
+            raise
 
     def configure(self, exposure_s: float, gain: float = 1.0) -> None:
         """Set exposure and gain (dB, by the factor).
@@ -63,11 +67,12 @@ class GenICamCamera:
             CameraError: out of the camera's range.
         """
         nodes = self._opened().remote_device.node_map
-        try:
+
+        def set_both() -> None:
             nodes.ExposureTime.value = 1e6 * exposure_s
             nodes.Gain.value = 20 * float(np.log10(gain))
-        except Exception as error:
-            raise CameraError(f"GenICam camera: does not take {exposure_s} s, gain {gain}: {error}") from error
+
+        self._try(_SLACK_S, set_both, f"it does not take {exposure_s} s, gain {gain}: choose others")
         self._exposure_s = exposure_s
 
     def expose(self, step_count: int) -> Frame:
@@ -75,12 +80,16 @@ class GenICamCamera:
 
         Raises:
             NoAnswerError: it did not come.
-            CameraError: its pixels are of a format that is not read here.
+            CameraError: the camera is gone, or its pixels are of a format that is not read here.
         """
         acquirer, time_s = self._opened(), time.time()
         limit_s = self._exposure_s + _SLACK_S
-        acquirer.remote_device.node_map.TriggerSoftware.execute()
-        buffer = acquirer.try_fetch(timeout=limit_s)
+
+        def take() -> Any:
+            acquirer.remote_device.node_map.TriggerSoftware.execute()
+            return acquirer.try_fetch(timeout=limit_s)
+
+        buffer = self._try(limit_s + _SLACK_S, take, "check its cable and power")
         if buffer is None:
             raise NoAnswerError(f"GenICam camera: no photograph in {limit_s:.1f} s: check its cable and power")
         with buffer:
@@ -97,11 +106,20 @@ class GenICamCamera:
     def close(self) -> None:
         """Disconnect; safe to call twice."""
         if self._acquirer is not None:
-            self._acquirer.destroy()
+            let_go(self._acquirer.destroy)
             self._acquirer = None
-        self._harvester.reset()
+        let_go(self._harvester.reset)
 
     def _opened(self) -> Any:
         if self._acquirer is None:
             raise CameraError("the camera is not open: open it first")
         return self._acquirer
+
+    @staticmethod
+    def _try(seconds: float, work: Callable[[], Any], mend: str) -> Any:
+        try:
+            return within(seconds, work, "GenICam camera")
+        except HardwareError:
+            raise
+        except Exception as error:  # its exceptions are the maker's, and of many families
+            raise CameraError(f"GenICam camera: {error}: {mend}") from error

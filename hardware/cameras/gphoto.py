@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hardware.cameras.deadline import within
+from hardware.cameras.deadline import let_go, within
 from hardware.errors import CameraError
 from hardware.frame import Frame
 
@@ -78,7 +78,7 @@ class GPhotoCamera:
     def close(self) -> None:
         """Disconnect; safe to call twice."""
         if self._camera is not None:
-            self._camera.exit()
+            let_go(self._camera.exit)
             self._camera = None
 
     def _opened(self) -> Any:

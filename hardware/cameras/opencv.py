@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 
-from hardware.cameras.deadline import within
+from hardware.cameras.deadline import let_go, within
 from hardware.errors import CameraError
 from hardware.frame import Frame
 
@@ -30,7 +30,7 @@ class OpenCvCamera:
         self.source, self._size = source, size
         self._live = not (isinstance(source, str) and Path(source).is_file())
         self._queued = queued if self._live else 0
-        self._exposure_s, self._told = 1 / 30, False
+        self._exposure_s = 1 / 30
         self._capture: Any = None
 
     def open(self) -> None:
@@ -104,7 +104,7 @@ class OpenCvCamera:
     def close(self) -> None:
         """Disconnect; safe to call twice."""
         if self._capture is not None:
-            self._capture.release()
+            let_go(self._capture.release)
             self._capture = None
 
     def _opened(self) -> Any:

@@ -1,6 +1,7 @@
 """`scanner devices`: what is there, and whether the scanner that is described answers."""
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,18 +24,18 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from hardware.errors import HardwareError
 
     settings = read_scanner(args.scanner)
-    answers = {"stage": "answers", "camera": "opens"}
+    answers = {"stage": "answers", "camera": "not tried: the stage does not answer"}
     try:
-        stage = open_stage(settings, homed=True) if settings.stage.values["kind"] == "bistep" else open_stage(settings)
-        stage.position()
+        with closing(open_stage(settings)) as stage:
+            stage.check()
     except HardwareError as error:
-        if "no reference" not in str(error):
-            answers["stage"] = str(error)
+        answers["stage"] = str(error)
     else:
-        stage.close()
-    if answers["stage"] == "answers":
         try:
-            open_scanner(settings, args.seed).camera.close()
+            devices = open_scanner(settings, args.seed)
+            answers["camera"] = "opens"
+            devices.camera.close()
+            devices.stage.close()
         except HardwareError as error:
             answers["camera"] = str(error)
     return {

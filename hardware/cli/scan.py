@@ -1,6 +1,10 @@
 """`scanner scan`: move, photograph, write, frame by frame."""
 
 import argparse
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -9,7 +13,7 @@ from hardware.cli.options import add_scanner_arguments, check_travel, say, scann
 if TYPE_CHECKING:
     from hardware.frame import Frame
 
-HELP: Final = "take a scan into a folder; --resume goes on with one that ended early"
+HELP: Final = "take a scan into a folder; Ctrl-Z pauses it, Ctrl-C ends it, --resume goes on with one that ended early"
 EXAMPLE: Final = "scanner scan cup --frames 37 --apart 2000\n  scanner scan cup --resume"
 
 
@@ -28,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Take it."""
-    from hardware.scan import take
+    from hardware.scan import Control, take
     from hardware.scan_plan import ScanFolder
 
     if args.resume:
@@ -40,9 +44,33 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     def taken(path: Path, frame: "Frame") -> None:
         say(f"taken {path.name} at step {frame.step_count}: {len(folder.done.frames)} of {len(folder.plan.steps)}")
 
-    with scanner(args) as devices:
-        take(folder, devices, taken=taken)
+    class Suspended(Control):
+        """Pauses by suspending the program, once the laser is off and the frame is written."""
+
+        def wait(self) -> None:
+            if self.paused:
+                say("paused, the laser is off; fg goes on")
+                os.kill(os.getpid(), signal.SIGSTOP)
+                self.resume()
+            super().wait()
+
+    control = Suspended()
+    with scanner(args) as devices, _on_suspension(control.pause):
+        take(folder, devices, control, taken)
     return {"path": str(args.folder), "frames": len(folder.done.frames), "steps": list(folder.done.steps)}
+
+
+@contextmanager
+def _on_suspension(pause: Callable[[], None]) -> Iterator[None]:
+    """Let Ctrl-Z do this, where there is one; by itself it would leave the laser on."""
+    if not hasattr(signal, "SIGTSTP"):
+        yield
+        return
+    before = signal.signal(signal.SIGTSTP, lambda *_: pause())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTSTP, before)
 
 
 def _plan(args: argparse.Namespace) -> Any:

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from hardware.errors import (
     HardwareError,
     LineLostError,
+    NoAnswerError,
     NotHomedError,
     PositionUncertainError,
     SettingsError,
@@ -89,6 +90,19 @@ class SerialStage(ABC):
         """
         with self._order(halting=False):
             return self._check_place()
+
+    def check(self) -> None:
+        """See that the controller answers; nothing moves, and no count is lost.
+
+        Raises:
+            NoAnswerError: it does not, or the motor turns.
+        """
+        with self._order(halting=False):
+            if not self._standing():
+                raise NoAnswerError(
+                    f"{self.line.name}: nothing that says that the motor stands: check that it is on, cable and baud "
+                    "rate; `scanner console` shows what it says"
+                )
 
     def settle(self, seconds: float) -> None:
         """Let the load come to rest.

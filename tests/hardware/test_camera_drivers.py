@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hardware import Camera
-from hardware.cameras.deadline import within
+from hardware.cameras.deadline import let_go, within
 from hardware.cameras.folder import FolderCamera
 from hardware.cameras.genicam import GenICamCamera
 from hardware.cameras.gphoto import GPhotoCamera
@@ -30,6 +30,14 @@ def test_a_call_that_never_returns_is_left_behind():
     assert within(1, lambda: 7, "") == 7
     with pytest.raises(ZeroDivisionError):
         within(1, lambda: 1 / 0, "")
+
+
+def test_a_camera_that_does_not_let_go_is_left_behind(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("hardware.cameras.deadline._LET_GO_S", 0.1)
+    begin = time.monotonic()
+    let_go(lambda: time.sleep(5))
+    let_go(lambda: 1 / 0)
+    assert time.monotonic() - begin < 2
 
 
 def test_a_video_by_opencv(tmp_path: Path):
@@ -182,6 +190,9 @@ def test_genicam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     with pytest.raises(CameraError, match="BayerRG8"):
         camera.expose(0)
     with pytest.raises(NoAnswerError, match="check its cable"):
+        camera.expose(0)
+    acquirer.try_fetch = lambda timeout: (_ for _ in ()).throw(OSError("device is gone"))
+    with pytest.raises(CameraError, match="device is gone: check its cable"):
         camera.expose(0)
     camera.close()
     camera.close()

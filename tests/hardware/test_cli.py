@@ -2,6 +2,8 @@
 
 import io
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -135,6 +137,17 @@ def test_devices_that_answer(scanner: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["devices", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["stage"], found["camera"], found["described"]) == ("answers", "opens", "scanner.toml")
+    for kind in ("grbl", "marlin"):
+        text = SCANNER.replace("bistep", kind).replace("last =", "steps_per_mm = 250\nlast =")
+        (scanner / "scanner.toml").write_text(text)
+        assert main(["devices", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["stage"] == "answers"
+        # A controller that is off has no reference either, and does not answer.
+        (scanner / "scanner.toml").write_text(text.replace("21000", "21000&drop=1"))
+        assert main(["devices", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert "check that it is on, cable and baud rate" in found["stage"]
+        assert "not tried" in found["camera"]
 
 
 def test_console(scanner: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
@@ -199,6 +212,28 @@ def test_a_scan_by_command_needs_no_jax(scanner: Path):
     argv = [sys.executable, "-c", code, "scan", "cup", "--frames", "1", "--apart", "1"]
     done = subprocess.run(argv, capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.splitlines()[-1] == "False"
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGTSTP"), reason="no job control")
+def test_ctrl_z_pauses_and_fg_goes_on(scanner: Path):
+    """It stands after a whole frame, however long, and goes on to the end."""
+    (scanner / "scanner.toml").write_text(SCANNER.replace("21000", "21000&speed=20"))
+    argv = [sys.executable, "-m", "hardware.cli.main", "scan", "cup", "--frames", "4", "--apart", "1000", "--settle=1"]
+    child = subprocess.Popen(
+        argv, stderr=subprocess.PIPE, text=True, env={"PYTHONPATH": str(Path(__file__).parents[2])}
+    )
+    assert child.stderr is not None
+    assert "taken 0000.png" in child.stderr.readline()
+    child.send_signal(signal.SIGTSTP)
+    assert os.WIFSTOPPED(os.waitpid(child.pid, os.WUNTRACED)[1])
+    taken = len(read_scan(scanner / "cup").frames)
+    time.sleep(0.3)
+    assert len(read_scan(scanner / "cup").frames) == taken < 4
+    child.send_signal(signal.SIGCONT)
+    _, err = child.communicate(timeout=60)
+    assert child.returncode == 0
+    assert "paused, the laser is off" in err
+    assert len(read_scan(scanner / "cup").frames) == 4
 
 
 def test_a_signal_switches_the_laser_off(scanner: Path):

@@ -12,11 +12,12 @@ from serving import ADMINISTRATOR, Served
 from hardware.lab.app import make_app
 
 # Requests for each operation, in the suite and with --long.
-FEW, MANY = 3, 150
+FEW, MANY = 3, 500
 # What does not end by itself.
 STREAMS = ("/api/events", "/api/pictures")
 
 
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("examples", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
 def test_no_request_is_answered_by_a_fault(lasting: Served, examples: int):
     schema = schemathesis.openapi.from_dict(make_app(lasting.lab).openapi())
