@@ -14,7 +14,7 @@ from fastapi.staticfiles import StaticFiles
 from hardware.lab import api, pages
 from hardware.lab.lab import Lab
 from hardware.lab.refusal import Refusal
-from hardware.lab.web import LARGEST_BODY, Headers, SignInFirst, not_understood, refused, to_sign_in
+from hardware.lab.web import LARGEST_BODY, Headers, SignInFirst, not_on_disk, not_understood, refused, to_sign_in
 
 _HERE: Final = Path(__file__).parent
 _DESCRIPTION: Final = """
@@ -56,6 +56,7 @@ def make_app(lab: Lab) -> FastAPI:
     app.add_exception_handler(Refusal, refused)
     app.add_exception_handler(RequestValidationError, not_understood)
     app.add_exception_handler(SignInFirst, to_sign_in)
+    app.add_exception_handler(OSError, not_on_disk)
     app.add_middleware(Headers)
     _describe_tokens(app)
     return app

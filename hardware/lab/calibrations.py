@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pydantic import BaseModel
 
 from hardware.lab.archive import archive
-from hardware.lab.projects import named, within
+from hardware.lab.projects import must_hold, named, within
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
 from jaxscan.errors import InputError
 
@@ -52,13 +52,13 @@ class Calibrations:
             Refusal: it is no name, or there is something in it.
         """
         path = named(self._folder, name)
-        if path.is_dir() and any(path.iterdir()):
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             raise Refusal(CONFLICT, f"there is a calibration session {name} already: give it another name")
         return path
 
     def all(self) -> list[Calibration]:
         """All of them, latest first."""
-        found = [self._calibration(path) for path in self._folder.iterdir() if any(path.iterdir())]
+        found = [self._calibration(path) for path in self._folder.iterdir() if path.is_dir() and any(path.iterdir())]
         return sorted(found, key=lambda one: -one.changed_s)
 
     def archive(self, name: str) -> Iterator[bytes]:
@@ -92,9 +92,11 @@ class Calibrations:
         if not path.is_dir():
             raise Refusal(NOT_THERE, f"there is no calibration session {path.name}")
         try:
-            return read_session(path)
+            session = read_session(path)
         except InputError as error:
             raise Refusal(CONFLICT, within(path, error)) from error
+        must_hold(path, session.photographs())
+        return session
 
     def _calibration(self, path: Path) -> Calibration:
         changed_s = path.stat().st_mtime

@@ -3,7 +3,7 @@
 import re
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -83,9 +83,11 @@ class Projects:
         if not (path / SCAN_FILE).is_file():
             raise Refusal(NOT_THERE, f"there is no project {name}")
         try:
-            return read_listed(path)
+            scan = read_listed(path)
         except InputError as error:
             raise Refusal(CONFLICT, within(path, error)) from error
+        must_hold(path, [*scan.frames, *scan.backgrounds])
+        return scan
 
     def frame(self, name: str, number: int) -> Path:
         """The file of one photograph, counted from 0.
@@ -172,6 +174,18 @@ def named(parent: Path, name: str) -> Path:
     if not re.fullmatch(PROJECT, name):
         raise Refusal(NOT_THERE, "a name has letters, digits, _ and - alone")
     return parent / name
+
+
+def must_hold(folder: Path, files: Sequence[Path]) -> None:
+    """See that what a folder lists lies in it: nothing else is handed out.
+
+    Raises:
+        Refusal: it does not.
+    """
+    home = folder.resolve()
+    for file in files:
+        if not file.resolve().is_relative_to(home):
+            raise Refusal(CONFLICT, f"{folder.name} lists {file.name}, which lies outside of it: copy it there")
 
 
 def within(folder: Path, error: Exception) -> str:

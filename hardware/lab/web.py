@@ -4,6 +4,7 @@ A browser has a session cookie, and sends the session's CSRF token with whatever
 bearer token, which no browser sends by itself.
 """
 
+import logging
 from hmac import compare_digest
 from typing import Annotated, Final
 
@@ -15,8 +16,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from hardware.lab.accounts import Visitor
 from hardware.lab.lab import Lab
-from hardware.lab.refusal import FORBIDDEN, SIGN_IN, WRONG_VALUE, Refusal
+from hardware.lab.refusal import CONFLICT, FORBIDDEN, SIGN_IN, WRONG_VALUE, Refusal
 
+_LOG: Final = logging.getLogger(__name__)
 LARGEST_BODY: Final = 1 << 16
 CSRF_HEADER: Final = "X-CSRF-Token"
 _SAFE: Final = ("GET", "HEAD", "OPTIONS")
@@ -133,6 +135,14 @@ def refused(request: Request, error: Exception) -> Response:
     if error.status == SIGN_IN:
         headers["WWW-Authenticate"] = "Bearer"
     return JSONResponse({"detail": str(error)}, error.status, headers)
+
+
+def not_on_disk(request: Request, error: Exception) -> Response:
+    """The answer where a file or folder of the lab is not what it was; its place stays in the server's log."""
+    assert isinstance(error, OSError)
+    _LOG.warning("%s %s: %s", request.method, request.url.path, error)
+    words = f"the lab's disk: {error.strerror or error}: somebody has to look after it on the lab's machine"
+    return JSONResponse({"detail": words}, CONFLICT)
 
 
 def to_sign_in(request: Request, error: Exception) -> Response:

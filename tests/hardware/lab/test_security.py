@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+import shutil
 import socket
 import ssl
 import subprocess
@@ -11,7 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 from argon2 import PasswordHasher
-from serving import ADMINISTRATOR, OPERATOR, PASSWORD, VIEWER, Served, csrf_of, serve, sign_in
+from serving import ADMINISTRATOR, OPERATOR, PASSWORD, VIEWER, Served, csrf_of, ended, scan, serve, sign_in
 from starlette.routing import Mount
 
 from hardware.cli.main import main
@@ -216,8 +217,8 @@ def test_csrf(lasting: Served):
 def test_path_traversal(lasting: Served, name: str):
     client = lasting.program(OPERATOR)
     secret = lasting.lab.projects.path("x").parents[1] / "lab.sqlite3"
-    for tail in ("scan.zip", "cloud.ply", "frames/0", ""):
-        target = f"/api/projects/{name}/{tail}".rstrip("/")
+    targets = [f"/api/projects/{name}/{tail}".rstrip("/") for tail in ("scan.zip", "cloud.ply", "frames/0", "")]
+    for target in (*targets, f"/api/calibrations/{name}/session.zip"):
         # As it stands: a client would tidy it.
         with socket.create_connection(lasting.address, timeout=10) as line:
             request = f"GET {target} HTTP/1.1\r\nHost: x\r\nAuthorization: {client.headers['Authorization']}\r\n"
@@ -226,10 +227,47 @@ def test_path_traversal(lasting: Served, name: str):
         assert re.match(rb"HTTP/1.1 (4\d\d|307)", answer), (target, answer[:200])
         assert secret.read_bytes()[:16] not in answer
     client.post("/api/lock", json={})
-    work = {"kind": "shoot", "project": name, "step": 0}
-    assert client.post("/api/jobs", json=work).status_code == 422
+    for work in ({"kind": "shoot", "project": name, "step": 0}, {"kind": "calibrate", "session": name}):
+        assert client.post("/api/jobs", json=work).status_code == 422
     client.delete("/api/lock")
     assert lasting.client().get(f"/static/..%2f{name}/app.py").status_code == 404
+
+
+def test_what_somebody_put_into_the_folder(served: Served, tmp_path: Path):
+    """A project that lists photographs of elsewhere hands none of them out; what is no folder is said to be none."""
+    client, browser = served.program(ADMINISTRATOR), served.browser(VIEWER)
+    client.post("/api/lock", json={})
+    ended(client, client.post("/api/jobs", json=scan("cup", 1)))
+    home = served.lab.projects.path("cup").parents[1]
+    shutil.copy(home / "projects" / "cup" / "frames" / "0000.png", tmp_path / "secret.png")
+    for name, frame in (("up", "../cup/frames/0000.png"), ("away", str(tmp_path / "secret.png")), ("link", "link.png")):
+        (home / "projects" / name).mkdir()
+        (home / "projects" / name / "scan.toml").write_text(f'[scan]\nframes = ["{frame}"]\nsteps = [0]\n')
+        (home / "calibrations" / name).mkdir()
+        board = "[board]\ninner_corners = [9, 6]\nsquare_mm = 16\n"
+        (home / "calibrations" / name / "session.toml").write_text(f'{board}[views]\nboards = ["{frame}"]\n')
+    for folder in ("projects", "calibrations"):
+        (home / folder / "link" / "link.png").symlink_to(tmp_path / "secret.png")
+        (home / folder / "file").write_text("")
+        (home / folder / "elsewhere").symlink_to(tmp_path)
+    shutil.copytree(home / "projects" / "cup", home / "calibrations" / "cup")
+    for name in ("up", "away", "link"):
+        for path in (
+            "projects/{}/scan.zip",
+            "projects/{}/frames/0",
+            "projects/{}/cloud.ply",
+            "calibrations/{}/session.zip",
+        ):
+            answer = client.get("/api/" + path.format(name))
+            assert answer.status_code == 409, path
+            assert "outside of it" in answer.json()["detail"]
+    for path in ("projects/file", "projects/elsewhere", "calibrations/file"):
+        assert client.delete(f"/api/{path}").status_code in (404, 409)
+    assert (tmp_path / "secret.png").is_file()
+    assert client.post("/api/jobs", json=scan("file", 1)).status_code == 409
+    assert client.post("/api/jobs", json={"kind": "calibrate", "session": "file", "stage_frames": 0}).status_code == 409
+    assert {one["name"] for one in client.get("/api/calibrations").json() if not one["problem"]} == set()
+    assert browser.get("/projects").status_code == 200
 
 
 def test_oversize_requests(lasting: Served):
