@@ -16,6 +16,7 @@ kind = "rts"                   # fixed | rts | controller | simulated
 color = "red"                  # and columns, as in scan.toml
 """
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -108,8 +109,8 @@ def read_scanner(path: Path | None) -> ScannerSettings:
         laser=laser,
         travel=travel,
         stripe=read_stripe_settings(laser),
-        exposure_s=camera.number("exposure_s") if "exposure_s" in camera else None,
-        gain=camera.number("gain") if "gain" in camera else 1.0,
+        exposure_s=_positive(camera, "exposure_s") if "exposure_s" in camera else None,
+        gain=_positive(camera, "gain") if "gain" in camera else 1.0,
     )
 
 
@@ -149,7 +150,7 @@ def open_stage(settings: ScannerSettings, homed: bool = False) -> SerialStage:
     if kind == "simulated":
         speed = table.number("speed") if "speed" in table else 0.0
         return SimulatedStage(travel, play=table.whole("play") if "play" in table else 0, speed=speed)
-    how: dict[str, Any] = {"baud": table.whole("baud")} if "baud" in table else {}
+    how: dict[str, Any] = {"baud": _positive(table, "baud", table.whole)} if "baud" in table else {}
     port = table.string("port")
     if kind == "bistep":
         return BiStep2A04(port, travel, homed=homed, **how)
@@ -219,3 +220,10 @@ def folder_camera(folder: Path) -> FolderCamera:
 
 def _simulated(key: str) -> Table:
     return Table(Path(SCANNER_FILE), f"[{key}] ", {"kind": "simulated"})
+
+
+def _positive(table: Table, key: str, read: Callable[[str], float] | None = None) -> Any:
+    value = (read or table.number)(key)
+    if value <= 0:
+        raise table.error(key, "must be positive")
+    return value

@@ -182,7 +182,8 @@ class _Guide:
         for number, step in enumerate(steps):
             self._stage.move_to(step)
             self._stage.settle(settle_s)
-            frame = self._camera.expose(self._stage.position())
+            place = self._stage.position()
+            frame = self._camera.expose(place)
             corners = self._corners(frame)
             if corners is None:
                 self._show(frame, None)
@@ -190,7 +191,7 @@ class _Guide:
                 continue
             path = self._write("stage", f"{number:02d}.png", frame)
             before = self.session.stage or StageImages((), ())
-            self.session = replace(self.session, stage=StageImages((*before.images, path), (*before.steps, step)))
+            self.session = replace(self.session, stage=StageImages((*before.images, path), (*before.steps, place)))
             if len(before.images) + 1 >= _LEAST_STAGE:
                 write_session(self.session)
             self._show(frame, corners)

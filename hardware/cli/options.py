@@ -18,7 +18,7 @@ def add_scanner_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scanner", type=Path, metavar="FILE", help="its description (default: scanner.toml here, else simulated)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the simulated scanner (default: 0)")
+    parser.add_argument("--seed", type=_seed, default=0, help="of the simulated scanner (default: 0)")
     parser.add_argument(
         "--homed",
         action="store_true",
@@ -78,3 +78,9 @@ def stage_alone(args: argparse.Namespace) -> "Iterator[Stage]":
 def say(words: str) -> None:
     """One line to standard error, at once."""
     print(words, file=sys.stderr, flush=True)
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text}: give a whole number, 0 or more")
+    return int(text)

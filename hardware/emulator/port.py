@@ -36,6 +36,9 @@ def emulated(url: str) -> tuple[Any, Faults, Clock]:
     if parts.netloc not in _CONTROLLERS:
         raise ValueError(f'"{url}": no such controller: emulator:// goes on with one of {", ".join(_CONTROLLERS)}')
     values = {key: float(value) for key, value in parse_qsl(parts.query)}
+    for key, value in values.items():
+        if not 0 <= value < math.inf:
+            raise ValueError(f'"{url}": {key} = {value:g}: give 0 or more')
     speed = values.pop("speed", 0.0)
     axis = Axis(**{key: values.pop(key) for key in _AXIS if key in values})
     special = {"echo": bool(values.pop("echo"))} if "echo" in values and parts.netloc == "bistep" else {}

@@ -326,8 +326,10 @@ class Worker:
             state, words = "failed", f"unexpected error: {type(error).__name__}: {error}"
         run.finished.set()
         # Whoever is still telling the stage to stand must not tell it in the next job.
-        if run.stopper is not None:
-            run.stopper.join()
+        with self._mutex:
+            stopper = run.stopper
+        if stopper is not None:
+            stopper.join()
         with self._mutex:
             run.update(state=state, message=self._projects.without_place(words), ended_s=time.time())
             self._run = None

@@ -40,9 +40,9 @@ class Travel:
         Raises:
             SettingsError: which value, and why.
         """
-        if not 0 < self.rate_steps_s < math.inf or not 0 < self.ramp_steps_s2 < math.inf:
+        if not 1 <= self.rate_steps_s < math.inf or not 1 <= self.ramp_steps_s2 < math.inf:
             raise SettingsError(
-                f"rate_steps_s = {self.rate_steps_s}, ramp_steps_s2 = {self.ramp_steps_s2}: both are positive"
+                f"rate_steps_s = {self.rate_steps_s}, ramp_steps_s2 = {self.ramp_steps_s2}: give 1 or more for each"
             )
         if self.backlash < 0 or self.first >= self.last:
             raise SettingsError(

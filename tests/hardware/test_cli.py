@@ -115,12 +115,33 @@ def test_what_cannot_be_is_refused(scanner: Path, capsys: pytest.CaptureFixture[
         ("last = 20000", "last = 20000.5", "whole number"),
         ('kind = "rts"', 'kind = "controller"', "use rts, or fixed"),
         ('"green"', '"infrared"', "one of red"),
+        ("exposure_s = 0.01", "exposure_s = 0", "exposure_s = 0: must be positive"),
+        ("exposure_s = 0.01", "gain = -1", "must be positive"),
+        ("last = 20000", "rate_steps_s = 1e-9", "give 1 or more"),
     ],
 )
 def test_a_description_that_is_wrong_is_named(scanner: Path, old: str, new: str, says: str):
     (scanner / "scanner.toml").write_text(SCANNER.replace(old, new))
     with pytest.raises(InputError, match=says):
         read_scanner(None)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("length=21000", "length=21000&speed=-1", "speed = -1: give 0 or more"),
+        ("length=21000", "start=nan", "start = nan: give 0 or more"),
+        ("last = 20000", "baud = -9", "must be positive"),
+        ('"emulator://bistep?length=21000"', '""', "a text in quotes that is not empty"),
+    ],
+)
+def test_a_port_that_cannot_be_is_refused_at_once(
+    scanner: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
+):
+    (scanner / "scanner.toml").write_text(SCANNER.replace(old, new))
+    assert main(["home"]) in (1, 2)
+    assert says in capsys.readouterr().err
+    assert main(["home", "--seed", "-1"]) == 2
 
 
 def test_a_line_that_is_dead(scanner: Path, capsys: pytest.CaptureFixture[str]):

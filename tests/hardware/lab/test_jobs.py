@@ -1,6 +1,8 @@
 """Jobs: what an operator orders, and what comes of it."""
 
 import io
+import threading
+import time
 import zipfile
 from functools import partial
 from pathlib import Path
@@ -106,6 +108,25 @@ def test_stop_is_at_once(slow: Served):
     assert (job["state"], job["message"]) == ("aborted", f"stopped by {OPERATOR}")
     assert not slow.moving
     assert client.get("/api/state").json()["place"] is None
+
+
+def test_a_job_that_ends_as_it_is_stopped(slow: Served, monkeypatch: pytest.MonkeyPatch):
+    """The job's thread has done with the devices before the one that stops them has begun."""
+
+    class Late(threading.Thread):
+        def start(self) -> None:
+            if self.name.startswith("stop job"):
+                slow.stage.stop()
+                time.sleep(0.3)
+            super().start()
+
+    monkeypatch.setattr(threading, "Thread", Late)
+    client = operator(slow)
+    number = client.post("/api/jobs", json={"kind": "move", "step": 20000}).json()["id"]
+    until(lambda: slow.moving)
+    assert client.post(f"/api/jobs/{number}/abort").status_code == 202
+    assert until(lambda: (job := job_of(client, number))["ended_s"] and job, 10)["state"] == "aborted"
+    assert ended(client, client.post("/api/jobs", json={"kind": "home"}))["state"] == "done"
 
 
 def test_what_does_not_answer_is_said_before_anything_moves(served: Served):
