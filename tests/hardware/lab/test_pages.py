@@ -125,7 +125,7 @@ def test_a_guided_calibration_session(browser: Browser, tmp_path: Path):
     lab = serve(tmp_path / "lab", scanner=lambda: open_scanner(ScannerSettings()))
     page, watcher = sign_in(browser, lab, OPERATOR), sign_in(browser, lab, VIEWER, 390, "dark")
     page.get_by_role("button", name="Operate").click()
-    for name, value in {"views": 4, "stage_frames": 3, "stage_apart": 8000}.items():
+    for name, value in {"views": 4, "stage_frames": 2, "stage_apart": 16000}.items():
         page.fill(f"#calibration [name={name}]", str(value))
     page.get_by_role("button", name="Begin").click()
     expect(page.locator("#wish")).to_contain_text("fills the middle of the image")
@@ -136,7 +136,7 @@ def test_a_guided_calibration_session(browser: Browser, tmp_path: Path):
     for view in range(1, 4):
         expect(page.locator("#covered")).to_contain_text("board seen")
         page.keyboard.press("Enter")
-        expect(page.locator("#job-words")).to_contain_text(f"{view} of 7 photographs · view {view}")
+        expect(page.locator("#job-words")).to_contain_text(f"{view} of 6 photographs · view {view}")
         expect(take).to_be_focused()
     expect(page.locator("#covered")).not_to_contain_text("corners in 0 of 12")
     expect(page.locator("#picture")).to_be_visible()
@@ -154,7 +154,7 @@ def test_a_guided_calibration_session(browser: Browser, tmp_path: Path):
     session = read_session(tmp_path / "fetched" / "calibration-1")
     assert len(session.views.boards) == 3
     assert session.stage is not None
-    assert session.stage.steps == (0, 8000, 16000)
+    assert session.stage.steps == (0, 16000)
     for tab in (page, watcher):
         tab.context.close()
     lab.end()
@@ -227,7 +227,7 @@ def test_a_browser_that_is_killed_in_mid_move(browser: Browser, tmp_path: Path):
     page = sign_in(mortal.started, lab, OPERATOR)
     page.get_by_role("button", name="Operate").click()
     until(lambda: lab.lab.lock.holder)
-    page.wait_for_timeout(4000 * LEASE_S)
+    page.wait_for_timeout(3500 * LEASE_S)
     with Witness(lab) as witness:
         page.fill("#step", "20000")
         page.get_by_role("button", name="Go there").click()
