@@ -193,22 +193,23 @@ def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bo
     the lines the σ of such a run, weighted by strength, is n / √12 of a stripe that is n lines long; of a round spot it
     is that of its profile across.
     """
-    frame, line = np.nonzero(seen)
-    if not line.size:
+    place = np.flatnonzero(seen)
+    if not place.size:
         return seen
-    at, weight, width = (
-        np.asarray(x)[frame, line].astype(np.float64) for x in (measured.position, measured.strength, measured.width)
-    )
+    line = place % seen.shape[1]
+    at, weight, width = (np.asarray(x).ravel()[place] for x in (measured.position, measured.strength, measured.width))
     apart = np.diff(line)
-    joined = (np.diff(frame) == 0) & (apart <= _GAP) & (np.abs(np.diff(at)) <= _COMPANY_PX + _STEEPEST * apart)
-    run = np.concatenate([[0], np.cumsum(~joined)])
+    # The next frame's lines begin anew.
+    joined = (np.diff(place) <= _GAP) & (apart > 0) & (np.abs(np.diff(at)) <= _COMPANY_PX + _STEEPEST * apart)
+    starts = np.concatenate([[0], 1 + np.flatnonzero(~joined)])
+    moment = weight.astype(np.float64)
     total, mean, square, thick = (
-        np.bincount(run, weight * x)
-        for x in (np.ones_like(at), line, np.square(line, dtype=np.float64), (width / FWHM) ** 2)
+        np.add.reduceat(x, starts) for x in (moment, moment * line, moment * line**2, moment * (width / FWHM) ** 2)
     )
     along2 = square / total - (mean / total) ** 2
+    longer = along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12)
     found = np.zeros_like(seen)
-    found[frame, line] = (along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12))[run]
+    found.flat[place] = np.repeat(longer, np.diff(starts, append=place.size))
     return found
 
 
