@@ -248,6 +248,17 @@ def test_the_wrong_board_size_is_named(world: Path, tmp_path: Path, capsys: pyte
     assert not out.exists()
 
 
+def test_sessions_that_do_not_go_together_are_refused_before_their_photographs_are_looked_at(
+    world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = world / "session" / "other.toml"
+    other.write_text((world / "session" / "session.toml").read_text().replace("square_mm = 16.0", "square_mm = 16.5"))
+    assert main(["calibrate", str(world / "session"), str(other), "-o", str(tmp_path / "rig.json")]) == 2
+    err = capsys.readouterr().err
+    assert "at 16.5 mm" in err
+    assert "finding boards" not in err
+
+
 def _flat(text: str) -> list[str]:
     """TOML lines, with arrays that go over several lines put on one."""
     lines, open_line = [], ""

@@ -12,7 +12,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration import initial
-from jaxscan.calibration.blocks import bucket, reference_step, stage_blocks, view_blocks
+from jaxscan.calibration.blocks import bucket, stage_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Estimate
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.first_poses import far_away, first_poses
@@ -164,7 +164,8 @@ def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
             which = f'of laser "{name}" ' if name else ""
             raise InputError(
                 f"{striped} usable stripes {which}on the board; at least {_FEWEST_STRIPES} are needed, at different "
-                f"distances: check [laser] color and columns, and that the stripe crosses the board{because}"
+                f"distances: check [laser] color and columns, that the stripe crosses the board, and, where it has "
+                f"photographs of its own, that boards and stripes are not exchanged{because}"
             )
     stages = []
     for stage in observations.stages:
@@ -224,9 +225,8 @@ def _first_stage(observations: Observations, camera: Camera) -> tuple[Stage, tup
         each = view_blocks(replace(observations, views=stage.views))
         vectors = np.asarray(first_poses(camera, each))[: len(stage.views)]
         middle, per_step = initial.stage_line(np.asarray(stage.steps, float), vectors[:, 3:])
-        nearest = int(np.argmin(np.abs(stage.steps - reference_step(stage))))
         slopes.append(per_step)
-        first.append(np.concatenate([vectors[nearest, :3], middle]))
+        first.append(np.concatenate([initial.usual_rotation(vectors[:, :3]), middle]))
     poses = far_away(bucket(len(first))).at[: len(first)].set(np.stack(first))
     return Stage.create(np.median(slopes, axis=0)), (poses,)
 

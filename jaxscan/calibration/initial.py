@@ -172,3 +172,13 @@ def stage_line(
     per_step = np.median(slopes, axis=0)
     middle = np.median(translations - (steps - steps.mean())[:, None] * per_step, axis=0)
     return middle, per_step
+
+
+def usual_rotation(vectors: Float[np.ndarray, "images 3"]) -> Float[np.ndarray, "3"]:
+    """That rotation vector whose median angle to all the others is least: one photograph turned or mirrored has no say.
+
+    The unit quaternions of two rotations have the product |q_a · q_b| = cos θ/2, θ the angle between the rotations.
+    """
+    half = 0.5 * np.linalg.norm(vectors, axis=1, keepdims=True)
+    q = np.hstack([np.cos(half), 0.5 * np.sinc(half / np.pi) * vectors])
+    return vectors[int(np.argmax(np.median(np.abs(q @ q.T), axis=1)))]

@@ -1,6 +1,6 @@
 """From the photographs of a session to observations: corners and stripes, read and found on all cores."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from os import cpu_count
@@ -22,10 +22,15 @@ from jaxscan.images import (
     find_board,
     read_image,
     second_board,
+    shows_checkerboard,
 )
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
+# A stripe is looked for the wrong way where it is so many times as long across as along.
+_STEEP = 2.0
+# Along a side of a checkerboard, as `Board.checkerboard` has it.
+_FEWEST_CORNERS = 3
 
 
 @dataclass(frozen=True)
@@ -72,19 +77,21 @@ def observe(
         found = find_board(session.board, image)
         return _Photograph(name(path), found, (), _second(session.board, image, found))
 
-    with ThreadPoolExecutor(cpu_count()) as pool:
-        photographs: list[_Photograph] = []
-        staged: list[_Photograph] = []
-        for list_, work in (
-            (photographs, pool.map(view, range(len(session.views.boards)))),
-            (staged, pool.map(along, stage.images if stage else ())),
-        ):
-            for photograph in work:
-                list_.append(photograph)
-                advance(1)
+    def counted(photographs: Iterable[_Photograph]) -> list[_Photograph]:
+        seen = []
+        for photograph in photographs:
+            seen.append(photograph)
+            advance(1)
+        return seen
 
-    left_out = _not_found(session.board, photographs, "view") + _not_found(session.board, staged, "stage photograph")
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        photographs = counted(pool.map(view, range(len(session.views.boards))))
+        left_out = _not_found(session, photographs, "view")
+        staged = counted(pool.map(along, stage.images if stage else ()))
+        left_out += _not_found(session, staged, "stage photograph")
     usual = _usual_sigma([p.found for p in (*photographs, *staged) if p.found is not None])
+    photographs, repeated = _once(photographs)
+    left_out += repeated
     views = [_view(p, p.found, usual) for p in photographs if p.found is not None]
     for seen in views:
         for stripe in seen.stripes:
@@ -98,6 +105,7 @@ def observe(
             f"a second board is in view in {', '.join(twice)}: which of the two was found is chance, so cover one "
             "of them and take these photographs again"
         )
+    notes += _across(session.lasers, views)
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts
         notes.append(
@@ -115,9 +123,47 @@ def observe(
     )
 
 
+def unseen(session: Session) -> Observations:
+    """What `observe` returns, before any photograph is looked at: whether sessions go together is known from it."""
+    return Observations(session.image_size, session.board, (), lasers=tuple(laser.name for laser in session.lasers))
+
+
 def photograph_count(session: Session) -> int:
     """How many poses `observe` looks at."""
     return len(session.views.boards) + (len(session.stage.images) if session.stage else 0)
+
+
+def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
+    """Of which lasers the stripe runs the other way than it is looked for."""
+    notes = []
+    for i, laser in enumerate(lasers):
+        steep = []
+        for stripe in (stripe for view in views for stripe in view.stripes if stripe.laser == i):
+            seen = stripe.pixels[np.isfinite(stripe.pixels).all(axis=1)]
+            if len(seen):
+                # Some points may be no stripe's.
+                wide, high = np.ptp(np.percentile(seen, (10, 90), axis=0), axis=0)
+                steep.append(high > _STEEP * wide if laser.columns else wide > _STEEP * high)
+        if steep and np.median(steep) == 1:
+            way, wanted = ("up and down", "false") if laser.columns else ("from left to right", "true")
+            notes.append(
+                f"the stripe{f' of laser {laser.name}' if laser.name else ''} runs {way} in most photographs, where it "
+                f"is badly measured as it is looked for: set columns = {wanted} under [laser]"
+            )
+    return notes
+
+
+def _once(photographs: Sequence[_Photograph]) -> tuple[list[_Photograph], list[str]]:
+    """The photographs without copies of others, and which these were: to the last bit, corners do not fall alike."""
+    first: dict[bytes, str] = {}
+    kept, repeated = [], []
+    for photograph in photographs:
+        corners = photograph.found.corners.tobytes() if photograph.found is not None else None
+        if corners is None or first.setdefault(corners, photograph.name) == photograph.name:
+            kept.append(photograph)
+        else:
+            repeated.append(f"{photograph.name}: a copy of {first[corners]}, which counts once")
+    return kept, repeated
 
 
 def _usual_sigma(found: Sequence[BoardView]) -> float:
@@ -186,14 +232,36 @@ def _carried(board: Board, previous: BoardView, found: BoardView) -> BoardView:
     return replace(found, corners=points[:, :2], sigma=points[:, 2])
 
 
-def _not_found(board: Board, photographs: Sequence[_Photograph], what: str) -> list[str]:
+def _not_found(session: Session, photographs: Sequence[_Photograph], what: str) -> list[str]:
     """Which photographs do not show the board; an error when none does."""
-    missing = [p.name for p in photographs if p.found is None]
+    board, missing = session.board, [p.name for p in photographs if p.found is None]
     columns, rows = board.counts
     if photographs and len(missing) == len(photographs):
         raise InputError(
             f"the {board.kind} of {columns} x {rows} points was found in none of {len(photographs)} {what}s "
-            f"({missing[0]} … {missing[-1]}): check [board] (inner corners are where four squares meet, one fewer than "
-            "the squares in a row), that the whole board is in view, and that the photographs are sharp"
+            f"({missing[0]} … {missing[-1]}): {_mistaken(session) or _CHECK}"
         )
     return [f"{name}: the board of {columns} x {rows} points was not found" for name in missing]
+
+
+_CHECK = (
+    "check [board] (inner corners are where four squares meet, one fewer than the squares in a row), that the whole "
+    "board is in view, and that the photographs are sharp"
+)
+
+
+def _mistaken(session: Session) -> str | None:
+    """Which usual mistake has been made where a checkerboard is found nowhere, by the photographs of the first pose."""
+    if session.board.kind != "checkerboard":
+        return None
+    columns, rows = session.board.counts
+    first = session.views.boards[0]
+    if min(columns, rows) > _FEWEST_CORNERS and shows_checkerboard((columns - 1, rows - 1), read_image(first)):
+        return (
+            f"{first} shows one of {columns - 1} x {rows - 1}. Inner corners are where four squares meet, one fewer "
+            f"than the squares in a row: inner_corners = [{columns - 1}, {rows - 1}]"
+        )
+    for own in (session.views.stripes or {}).values():
+        if own[0] is not None and shows_checkerboard((columns, rows), read_image(own[0])):
+            return f"it is in {own[0]}, a photograph of the stripe: exchange boards and stripes"
+    return None

@@ -127,7 +127,7 @@ def solve_sessions(
     from jaxscan.calibration import calibrate
     from jaxscan.calibration.board_views import observations_from
     from jaxscan.calibration.observations import join
-    from jaxscan.calibration.observe import observe, photograph_count
+    from jaxscan.calibration.observe import observe, photograph_count, unseen
     from jaxscan.cli.progress import progress
     from jaxscan.files.cameras import read_camera_file
     from jaxscan.files.session import CameraSettings, Session, read_session
@@ -145,12 +145,18 @@ def solve_sessions(
                 f"of {paths[0]} are {settings[0].lens} and {settings[0].principal_point}: sessions of one rig have one "
                 "camera, so give all the same [camera]"
             )
+    each = [
+        unseen(content) if isinstance(content, Session) else observations_from(content, path)
+        for content, path in zip(contents, paths, strict=True)
+    ]
+    # Here for its errors, so that they come before the long work.
+    join(_names(paths), each)
     start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
     photographs = sum(photograph_count(content) for content in contents if isinstance(content, Session))
     with progress("finding boards and stripes", photographs) as advance:
         each = [
-            observe(content, advance, detector) if isinstance(content, Session) else observations_from(content, path)
-            for content, path in zip(contents, paths, strict=True)
+            observe(content, advance, detector) if isinstance(content, Session) else given
+            for content, given in zip(contents, each, strict=True)
         ]
     observations = join(_names(paths), each) if len(each) > 1 else each[0]
     held = parameter_names(Rig(start)) if start and hold else ()

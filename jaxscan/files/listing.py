@@ -56,16 +56,20 @@ def repeated_files_of(table: Table, key: str) -> tuple[Path, ...]:
     return _present(table, key, _names(table, key))
 
 
-def common_size(paths: Sequence[Path]) -> tuple[int, int]:
+def common_size(paths: Sequence[Path], to_their_ends: bool = False) -> tuple[int, int]:
     """Columns and rows of photographs that are all of one size.
+
+    Args:
+        paths: the photographs.
+        to_their_ends: whether each is read as far as it goes, so that one that is cut off is found.
 
     Raises:
         InputError: two of them differ, or one cannot be read.
     """
     first, *others = paths
-    size = image_size(first)
+    size = image_size(first, to_their_ends)
     for path in others:
-        if (other := image_size(path)) != size:
+        if (other := image_size(path, to_their_ends)) != size:
             raise InputError(
                 f"{path}: is {other[0]} × {other[1]} pixels, but {first} is {size[0]} × {size[1]}: "
                 "all photographs must be of one camera, unscaled and uncropped; take the odd one out"

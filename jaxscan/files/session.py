@@ -96,7 +96,7 @@ class Session:
 def read_session(path: str | os.PathLike[str]) -> Session:
     """Read and check a session, given its folder or its `session.toml`.
 
-    Every photograph is seen to be there and to be of one size; none is decoded further than its header.
+    Every photograph is seen to be there, whole, and of one size; none is decoded.
 
     Raises:
         InputError: whatever is wrong: file, key, value and the mend.
@@ -109,7 +109,7 @@ def read_session(path: str | os.PathLike[str]) -> Session:
         raise views.error("boards", "names no photograph: name those of the board")
     lasers, stripes = _lasers(table, views, len(boards))
     session = Session(table.path, board, Views(boards, stripes), camera, _stage(table), lasers)
-    return replace(session, image_size=common_size(session.photographs()))
+    return replace(session, image_size=common_size(session.photographs(), to_their_ends=True))
 
 
 def write_session(session: Session) -> None:

@@ -14,7 +14,7 @@ from jaxscan.images.second_board import second_board
 from jaxscan.images.stripe_settings import StripeSettings
 
 if TYPE_CHECKING:
-    from jaxscan.images.find import BoardView, find_board
+    from jaxscan.images.find import BoardView, find_board, shows_checkerboard
     from jaxscan.images.stripes.detect import Stripe, detect_stripe
 
 _WITH_JAX = {
@@ -22,6 +22,7 @@ _WITH_JAX = {
     "Stripe": "jaxscan.images.stripes.detect",
     "detect_stripe": "jaxscan.images.stripes.detect",
     "find_board": "jaxscan.images.find",
+    "shows_checkerboard": "jaxscan.images.find",
 }
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "read_image",
     "read_video",
     "second_board",
+    "shows_checkerboard",
     "to_grey",
     "write_image",
 ]

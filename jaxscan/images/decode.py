@@ -56,12 +56,7 @@ def read_image(path: str | os.PathLike[str], out: Image | None = None) -> Image:
         InputError: the file is missing, is not an image, is cut off, or has pixels that are not 8 or 16 bit integers.
     """
     data = _read_bytes(Path(path))
-    header = _header(data)
-    if header is not None:
-        end = _PNG_END if data.startswith(_PNG_START) else _JPEG_END
-        # Bytes after the end marker are allowed: some cameras append a preview.
-        if data.rfind(end) < header.pixels_at:
-            raise InputError(f"{path}: the image is cut off after {len(data)} bytes: copy or record it again")
+    header = _whole(path, data)
     image = _decoded(path, data, header, out)
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: its pixels are {image.dtype}: save it with 8 or 16 bits a channel")
@@ -69,6 +64,19 @@ def read_image(path: str | os.PathLike[str], out: Image | None = None) -> Image:
         return image
     np.copyto(out, image)
     return out
+
+
+def _whole(path: str | os.PathLike[str], data: bytes) -> _Header | None:
+    """What `_header` returns; an error when there is nothing, or no end."""
+    if not data:
+        raise InputError(f"{path}: the file is empty: copy or record it again")
+    header = _header(data)
+    if header is not None:
+        end = _PNG_END if data.startswith(_PNG_START) else _JPEG_END
+        # Bytes after the end marker are allowed: some cameras append a preview.
+        if data.rfind(end) < header.pixels_at:
+            raise InputError(f"{path}: the image is cut off after {len(data)} bytes: copy or record it again")
+    return header
 
 
 def _decoded(path: str | os.PathLike[str], data: bytes, header: _Header | None, out: Image | None) -> Image:
@@ -81,10 +89,8 @@ def _decoded(path: str | os.PathLike[str], data: bytes, header: _Header | None, 
     keep = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     known_colour = header is not None and header.channels >= 3
     colour = cv2.IMREAD_COLOR_RGB if known_colour else cv2.IMREAD_ANYCOLOR
-    image = None
-    if data:
-        with _quiet():
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), keep | colour)
+    with _quiet():
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), keep | colour)
     if image is None:
         raise InputError(f"{path}: is not an image that can be decoded: give a PNG, JPEG, TIFF or the like")
     if image.ndim == 3 and not known_colour:
@@ -111,13 +117,17 @@ def _array(path: str | os.PathLike[str], data: bytes) -> Image:
     return image
 
 
-def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Columns and rows of a photograph; of a PNG or JPEG only the header is read.
+def image_size(path: str | os.PathLike[str], to_its_end: bool = False) -> tuple[int, int]:
+    """Columns and rows of a photograph; a PNG or JPEG is not decoded.
+
+    Args:
+        path: as of `read_image`.
+        to_its_end: whether a PNG or JPEG that is cut off after its header is refused too, for the price of reading it.
 
     Raises:
-        InputError: as `read_image`, but a PNG or JPEG that is cut off after its header passes.
+        InputError: as `read_image`.
     """
-    header = _header(_read_bytes(Path(path), _HEADER_BYTES))
+    header = _whole(path, _read_bytes(Path(path))) if to_its_end else _header(_read_bytes(Path(path), _HEADER_BYTES))
     if header is not None:
         return header.size
     rows, columns = read_image(path).shape[:2]

@@ -65,19 +65,30 @@ def find_board(board: Board, image: Image) -> BoardView | None:
     return BoardView(points[:, :2], points[:, 2] if points.shape[1] > 2 else None, board.half_turn_ambiguous)
 
 
+def shows_checkerboard(counts: tuple[int, int], image: Image) -> bool:
+    """Whether a checkerboard of so many inner corners is in the photograph."""
+    return _checkerboard_grid(counts, to_grey(image)) is not None
+
+
 def _find_checkerboard(board: Board, image: Image, grey: Grey) -> Points | None:
-    columns, rows = board.counts
+    grid = _checkerboard_grid(board.counts, grey)
+    return None if grid is None else _refined(image, grid)
+
+
+def _checkerboard_grid(counts: tuple[int, int], grey: Grey) -> Float[np.ndarray, "grid_rows grid_columns 2"] | None:
+    """Roughly, to a pixel or two, where the corners are."""
+    columns, rows = counts
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     for reduced, scale in _stretched(grey):
-        found, corners = cv2.findChessboardCorners(reduced, board.counts, flags=flags)
+        found, corners = cv2.findChessboardCorners(reduced, counts, flags=flags)
         if found:
-            return _refined(image, _full_size(corners, scale).reshape(rows, columns, 2))
+            return _full_size(corners, scale).reshape(rows, columns, 2)
     # The sector-based finder is slower, but bears noise, and wants even light.
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     for reduced, scale in _sizes(_even_light(grey)):
-        found, corners = cv2.findChessboardCornersSB(reduced, board.counts, flags=flags)
+        found, corners = cv2.findChessboardCornersSB(reduced, counts, flags=flags)
         if found:
-            return _refined(image, _full_size(corners, scale).reshape(rows, columns, 2))
+            return _full_size(corners, scale).reshape(rows, columns, 2)
     return None
 
 

@@ -1,5 +1,6 @@
 """The closed-form start on data without noise, where it must be exact, and on outliers."""
 
+import cv2
 import numpy as np
 import pytest
 import synthetic
@@ -71,3 +72,13 @@ def test_stage_line_with_one_photograph_off():
     middle, per_step = initial.stage_line(steps, translations)
     np.testing.assert_allclose(per_step, [1e-5, 9e-4, -4e-4], rtol=1e-9)
     np.testing.assert_allclose(middle, [1, 2, 300], rtol=1e-9)
+
+
+def test_a_board_turned_in_one_photograph_has_no_say_in_how_it_stood():
+    vectors = np.random.default_rng(0).normal([0.3, -0.2, 0.1], 1e-4, (7, 3))
+    vectors[3] = [0.1, 0.2, 3.0]
+    np.testing.assert_allclose(initial.usual_rotation(vectors), [0.3, -0.2, 0.1], atol=1e-3)
+    # The other way round to the same rotation.
+    vectors *= 1 - 2 * np.pi / np.linalg.norm(vectors, axis=1, keepdims=True)
+    found, true = (cv2.Rodrigues(w)[0] for w in (initial.usual_rotation(vectors), np.array([0.3, -0.2, 0.1])))
+    np.testing.assert_allclose(found, true, atol=1e-3)

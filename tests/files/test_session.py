@@ -281,3 +281,13 @@ def test_folders_and_missing_files(tmp_path):
         read_session(tmp_path)
     with pytest.raises(InputError, match=r"has no session\.toml"):
         read_session(tmp_path / "session.toml")
+
+
+@pytest.mark.parametrize(("share", "problem"), [(0.0, "is empty"), (0.7, "is cut off after")])
+def test_a_photograph_that_is_not_whole_is_found_before_any_work(folder, share, problem):
+    photograph = folder / "boards" / "v2.png"
+    data = photograph.read_bytes()
+    photograph.write_bytes(data[: int(share * len(data))])
+    message = refusal(folder, BOARD, VIEWS)
+    assert message.startswith(str(photograph))
+    assert problem in message

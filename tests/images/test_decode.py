@@ -42,6 +42,9 @@ def test_a_cut_off_image_is_refused_and_bytes_after_its_end_are_not(tmp_path, en
         cut.write_bytes(data[:length])
         with pytest.raises(InputError, match="cut off"):
             read_image(cut)
+        assert image_size(cut) == (50, 40)
+        with pytest.raises(InputError, match="cut off"):
+            image_size(cut, to_its_end=True)
     cut.write_bytes(data + b"a preview")
     np.testing.assert_array_equal(read_image(cut), read_image(whole))
 
@@ -130,3 +133,10 @@ def test_real_photographs_match_opencv(data):
         expected = expected if expected.ndim == 2 else expected[..., 2::-1]
         np.testing.assert_array_equal(read_image(data / name), expected)
         assert image_size(data / name) == expected.shape[1::-1]
+
+
+@pytest.mark.parametrize("look", [read_image, image_size])
+def test_an_empty_file(tmp_path, look):
+    (tmp_path / "photo.jpg").touch()
+    with pytest.raises(InputError, match=r"photo\.jpg: the file is empty"):
+        look(tmp_path / "photo.jpg")

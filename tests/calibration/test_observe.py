@@ -1,0 +1,76 @@
+"""What the photographs of a session must not be, and what is said of it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxscan.calibration import View
+from jaxscan.calibration.observations import StripePoints
+from jaxscan.calibration.observe import _across, _once, _Photograph, observe
+from jaxscan.errors import InputError
+from jaxscan.files.session import read_session
+from jaxscan.images import StripeSettings
+from jaxscan.images.find import BoardView
+from tests.images import render
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A photograph of a board of 5 x 4 corners, and one of nothing."""
+    folder = tmp_path_factory.mktemp("session")
+    H = render.homography([[-10, -10], [50, -10], [50, 40], [-10, 40]], [[40, 40], [280, 50], [270, 210], [50, 200]])
+    image = render.photograph(render.checkerboard((5, 4), 10.0), H, (240, 320), noise=1.0)
+    cv2.imwrite(str(folder / "board.png"), image.clip(0, 255).astype(np.uint8))
+    cv2.imwrite(str(folder / "dark.png"), np.full((240, 320), 3, np.uint8))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("counts", "views", "said"),
+    [
+        ("[6, 5]", 'boards = ["board.png"]', r"board\.png shows one of 5 x 4\. .* inner_corners = \[5, 4\]"),
+        (
+            "[5, 4]",
+            'boards = ["dark.png"]\nstripes = ["board.png"]',
+            r"board\.png, .* exchange boards and stripes",
+        ),
+        ("[5, 4]", 'boards = ["dark.png"]', r"check \[board\]"),
+        ("[9, 7]", 'boards = ["board.png"]', r"check \[board\]"),
+    ],
+)
+def test_why_the_board_is_nowhere(folder: Path, counts: str, views: str, said: str) -> None:
+    (folder / "session.toml").write_text(f"[board]\ninner_corners = {counts}\nsquare_mm = 10\n[views]\n{views}\n")
+    with pytest.raises(InputError, match=said):
+        observe(read_session(folder))
+
+
+def test_a_copy_of_a_photograph_counts_once() -> None:
+    def photograph(name: str, corners: np.ndarray | None) -> _Photograph:
+        return _Photograph(name, None if corners is None else BoardView(corners, None, False), (), False)
+
+    a, b = np.random.default_rng(0).uniform(0, 100, (2, 20, 2))
+    given = [photograph(*each) for each in (("0", a), ("1", None), ("2", b), ("3", a.copy()), ("4", None))]
+    kept, repeated = _once(given)
+    assert [photograph.name for photograph in kept] == ["0", "1", "2", "4"]
+    assert repeated == ["3: a copy of 0, which counts once"]
+
+
+@pytest.mark.parametrize("columns", [True, False])
+def test_a_stripe_that_is_looked_for_the_wrong_way(columns: bool) -> None:
+    """A level stripe; a single point far from it does not turn it round."""
+    level = np.stack([np.linspace(0, 600, 101), np.linspace(200, 300, 101)], axis=-1)
+    level[7] = [300, 4000]
+    level[9] = np.nan
+    stripe = StripePoints(level, columns, 0, 1.0, None)
+    views = [View("0", np.zeros((4, 2)), None, (stripe,)), View("1", np.zeros((4, 2)), None, ())]
+    laser = StripeSettings(columns=columns)
+    notes = _across([laser], views)
+    assert len(notes) == (0 if columns else 1)
+    assert all("from left to right" in note and "columns = true" in note for note in notes)
+    turned = [replace(views[0], stripes=(replace(stripe, pixels=level[:, ::-1]),))]
+    assert [("up and down" in note, "columns = false" in note) for note in _across([laser], turned)] == (
+        [(True, True)] if columns else []
+    )
