@@ -67,7 +67,9 @@ class Calibration:
         kept: which points of each photograph took part, in the order of `Observations.photographs`; what `calibrate`
             takes as `keep`.
         adjustment: the last least-squares problem, NumPy leaves; what `refit` takes.
-        solves: how many solves it took until σ and outliers settled.
+        solves: how many solves it took until σ, weights and outliers settled.
+        settled: whether they did; otherwise the rounds ended by their number. A solve that reached no minimum is an
+            error.
         steps: evaluations of the last solve.
     """
 
@@ -90,6 +92,7 @@ class Calibration:
     kept: tuple[Kept, ...]
     adjustment: Adjustment
     solves: int
+    settled: bool
     steps: int
 
     def rig_file(self) -> RigFile:
@@ -163,6 +166,7 @@ def assemble(
         kept=_kept(observations, refined),
         adjustment=as_numpy(adjustment),
         solves=refined.solves,
+        settled=refined.settled,
         steps=int(refined.outcome.steps),
     )
 

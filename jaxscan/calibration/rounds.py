@@ -54,6 +54,7 @@ class Refined:
         precision: covariance and leverages at the estimate.
         outcome: the last solve.
         solves: how many solves it took.
+        settled: whether σ, weights and outliers had come to rest; otherwise the rounds ended by their number.
     """
 
     estimate: Estimate
@@ -66,6 +67,7 @@ class Refined:
     precision: Precision
     outcome: Outcome
     solves: int
+    settled: bool
 
 
 def refine(
@@ -116,7 +118,9 @@ def refine(
         calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
         if calm or solves >= _MAX_SOLVES:
             spread = precision(estimate, free, groups, settled)
-            return Refined(estimate, settled, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves)
+            return Refined(
+                estimate, settled, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves, calm
+            )
         noise, groups = settled, kept
 
 

@@ -89,6 +89,7 @@ def rig_facts(path: Path) -> Facts:
             "per_step": per_step,
             "mm_per_1000_steps": 1000 * travel,
             "direction": [x / travel for x in per_step["value"]],
+            "way": rig.stage.way(),
         }
     return {
         "kind": "rig",

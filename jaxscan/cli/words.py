@@ -72,7 +72,7 @@ def _rig(facts: Facts) -> Iterator[Line]:
         yield "stage", "none"
     else:
         direction = ", ".join(f"{x:.4f}" for x in stage["direction"])
-        yield "stage", f"{stage['mm_per_1000_steps']:.5g} mm for 1000 steps, along ({direction})"
+        yield "stage", f"{stage['mm_per_1000_steps']:.5g} mm for 1000 steps, {stage['way']}, along ({direction})"
     for name, value in facts["fit"].items():
         yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
 

@@ -9,6 +9,9 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxscan.precision import Leaf
 
+# A direction that is less than this share of the way is not worth a word.
+_A_WORD = 0.25
+
 
 class Stage(eqx.Module):
     """A linear stage.
@@ -24,6 +27,13 @@ class Stage(eqx.Module):
         """A stage from three numbers (mm for each motor step)."""
         a, b, c = jnp.asarray(per_step, dtype=float)
         return Stage((a, b, c))
+
+    def way(self) -> str:
+        """Where its load goes as the step count rises, as the camera sees it, in words."""
+        per_step = np.array([float(leaf) for leaf in self.per_step])
+        words = (("to the left", "to the right"), ("up", "down"), ("towards the camera", "away from the camera"))
+        shares = per_step / np.linalg.norm(per_step)
+        return " and ".join(pair[int(s > 0)] for pair, s in zip(words, shares, strict=True) if abs(s) > _A_WORD)
 
     def displacement(self, steps: Float[Array | np.ndarray, "*any"]) -> Float[Array, "*any 3"]:
         """How far the stage has moved its load at a motor step count (mm, camera frame)."""

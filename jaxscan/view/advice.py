@@ -39,19 +39,21 @@ def advise(planned: NextPhotographs, volumes: tuple[WorkingVolume, ...], observa
         volumes: for the share of a point's variance that calibration does not change.
         observations: the photographs that there are.
     """
+    before = (planned.median_now, *planned.medians)
+    worth = bool(planned.poses) and planned.medians[-1] <= (1 - _WORTH) * planned.median_now
     limit = []
     if volumes and (share := 1 - max(volumes, key=lambda v: v.median_mm).rig_share) > 0.5:
         limit.append(
-            f"none: {100 * share:.0f} % of a point's variance is the stripe's own, which calibration does not change. "
-            "A finer or brighter stripe and a longer exposure in the scans would"
+            f"none of the board will do much: {100 * share:.0f} % of a point's variance is the stripe's own, which "
+            "calibration does not change. A finer or brighter stripe and a longer exposure in the scans help more"
+            + (". The most that the board can do is drawn in the report" if worth else "")
         )
-    before = (planned.median_now, *planned.medians)
-    if not planned.poses or planned.medians[-1] > (1 - _WORTH) * planned.median_now:
+    if not worth:
         return Advice((*limit, "more views like those there are: each σ falls with the root of their number"))
     words = []
     for i, (pose, sigma) in enumerate(zip(planned.poses, planned.medians, strict=True)):
         what = "a point" if planned.unit == "mm" else "where a point is seen"
-        falls = f"the median σ of {what} would fall from {before[i]:.3g} to {sigma:.3g} {planned.unit}"
+        falls = f"the median σ of {what} would fall from {before[i]:#.3g} to {sigma:#.3g} {planned.unit}"
         words.append(f"{'then ' if i else ''}{place(pose, observations.image_size)} (outline {i + 1}): {falls}")
     caption = (
         "Where to hold the board, as the camera sees it (outline 1 first; dotted: the stripe on it), over the boards "

@@ -13,16 +13,19 @@ from jaxscan.calibration.next_pose import NextPose
 from jaxscan.reconstruction.working_volume import WorkingVolume
 from jaxscan.view.matplotlib_setup import pyplot
 
-BLUE, RED, GREY, LIGHT = "#1f5a94", "#c0392b", "#666666", "#b9c9da"
+BLUE, RED, PINK, GREY, LIGHT = "#1f5a94", "#c0392b", "#e8a9a2", "#666666", "#b9c9da"
 _WIDTH = 7.5
-_MOST_PHOTOGRAPHS = 30
+# In one picture.
+MOST_PHOTOGRAPHS = 30
 _MOST_STRIPES = 24
+# A mean is clear of noise beyond so many standard errors.
+_CLEAR = 3.0
 _MOST_ARROWS = 4000
 
 
 def photographs(each: Sequence[PhotographStatistics]) -> Any:
     """RMS of each photograph, the worst first."""
-    shown = each[:_MOST_PHOTOGRAPHS]
+    shown = each[:MOST_PHOTOGRAPHS]
     figure, axes = _figure(0.9 + 0.19 * len(shown))
     y = np.arange(len(shown))
     corner = np.array([p.corner_rms_px for p in shown])
@@ -35,7 +38,7 @@ def photographs(each: Sequence[PhotographStatistics]) -> Any:
         if not np.isfinite(p.corner_rms_px):
             axes.text(0, i - 0.2, " no corner fits", va="center", fontsize=7, color=RED)
     axes.axvline(float(np.nanmedian([p.corner_rms_px for p in each])), color=BLUE, linewidth=0.8, linestyle="--")
-    axes.set_yticks(y, [f"{'stage ' if p.staged else ''}{p.name}" for p in shown], fontsize=7)
+    axes.set_yticks(y, [p.name for p in shown], fontsize=7)
     axes.invert_yaxis()
     axes.set(xlabel="RMS / px", ylim=(len(shown) - 0.4, -0.6))
     return figure
@@ -57,9 +60,11 @@ def residual_vectors(diagnostics: Diagnostics, image_size: tuple[int, int]) -> A
     u = (np.arange(columns) + 0.5) * image_size[0] / columns
     v = (np.arange(rows) + 0.5) * image_size[1] / rows
     mean = cells.mean_px
-    means = axes.quiver(
-        *np.meshgrid(u, v), mean[..., 0], mean[..., 1], scale=scale / 4, color=RED, width=0.005, **common
-    )
+    clear = np.nanmax(np.abs(mean) / cells.error_px, axis=-1, initial=0.0, where=np.isfinite(mean)) > _CLEAR
+    common |= {"scale": scale / 4, "width": 0.005}
+    for shown, colour in ((~clear, PINK), (clear, RED)):
+        each = np.where(shown[..., None], mean, np.nan)
+        means = axes.quiver(*np.meshgrid(u, v), each[..., 0], each[..., 1], color=colour, **common)
     axes.quiverkey(
         means, 0.55, 0.04, rms / 4, f"mean of a cell, {rms / 4:.2g} px", labelpos="E", fontproperties={"size": 8}
     )
@@ -108,7 +113,7 @@ def stripes(shapes: Sequence[StripeShape]) -> Any:
     columns = 4
     rows = -(-len(shown) // columns)
     figure, grid = pyplot().subplots(
-        rows, columns, figsize=(_WIDTH, 0.5 + 1.25 * rows), layout="constrained", sharey=True, squeeze=False
+        rows, columns, figsize=(_WIDTH, 0.8 + 1.25 * rows), layout="constrained", sharey=True, squeeze=False
     )
     reach = 1.1 * float(np.max([np.percentile(np.abs(s.distance_mm), 99) for s in shown]))
     for axes, stripe in zip(grid.ravel(), shown, strict=False):
@@ -121,7 +126,7 @@ def stripes(shapes: Sequence[StripeShape]) -> Any:
     for axes in grid.ravel()[len(shown) :]:
         axes.axis("off")
     figure.supxlabel("along the stripe / px", fontsize=8)
-    figure.supylabel("distance from the light plane / mm", fontsize=8)
+    figure.supylabel("off the light plane / mm", fontsize=8)
     return figure
 
 
@@ -237,6 +242,8 @@ def agreement(each: Agreement) -> Any:
 
 def ladder(tried: Ladder) -> Any:
     """RMS of the fit and of held-out views for each lens."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     figure, axes = _figure(2.7)
     x = np.arange(len(tried.rungs))
     axes.plot(x, [r.rms_px for r in tried.rungs], color=LIGHT, marker="o", label="views that were fitted")
@@ -246,9 +253,10 @@ def ladder(tried: Ladder) -> Any:
     at = [r.lens for r in tried.rungs].index(tried.chosen)
     axes.axvline(at, color=RED, linewidth=0.8, linestyle="--", label="the lens of this calibration")
     axes.set(ylabel="RMS / px", yscale="log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:.3g}")
-    axes.yaxis.set_minor_formatter(lambda value, _: f"{value:.2g}")
-    axes.tick_params(axis="y", which="both", labelsize=7)
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.tick_params(axis="y", labelsize=7)
     axes.legend(fontsize=8)
     return figure
 
@@ -261,9 +269,11 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
         diagnostics: for the depths that the stripes span.
         points_in_space: of each laser, its stripe points in the camera frame, mm.
     """
+    plt = pyplot()
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    plt = pyplot()
     figure = plt.figure(figsize=(_WIDTH, 5.2), layout="constrained")
     axes: Any = figure.add_subplot(projection="3d")
     points = calibration.observations.board.points()
@@ -273,7 +283,7 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
     def place(X: np.ndarray) -> np.ndarray:
         return np.stack([X[..., 0], X[..., 2], -X[..., 1]], axis=-1)
 
-    drawn = [np.zeros((1, 3))]
+    drawn, named = [np.zeros((1, 3))], {}
 
     def board(rotation: Any, translation: Any, colour: str, alpha: float) -> None:
         import cv2
@@ -282,6 +292,7 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
         X = place(outline @ R.T + np.asarray(translation))
         drawn.append(X)
         axes.add_collection3d(Poly3DCollection([X], facecolor=colour, edgecolor=colour, alpha=alpha, linewidth=0.8))
+        named["boards" if colour == BLUE else "board on the stage"] = Patch(facecolor=colour, alpha=0.5)
 
     boards, stages, rig = calibration.system.boards, calibration.system.stages, calibration.rig
     for rotation, translation in zip(boards.rotation, boards.translation, strict=True):
@@ -291,16 +302,16 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
         for t in (moved[0], moved[-1]):
             board(stages.rotation[i], t, "#2e8b57", 0.12)
         middles = place(np.stack([m + _middle(points, stages.rotation[i]) for m in moved]))
-        axes.plot(*middles.T, color="#2e8b57", linewidth=2, marker=".", markersize=3, label="stage" if i == 0 else None)
+        (named["its travel"],) = axes.plot(*middles.T, color="#2e8b57", linewidth=2, marker=".", markersize=3)
     for i, X in enumerate(points_in_space):
         if len(X):
-            axes.plot(
-                *place(X[:: 1 + len(X) // 3000]).T, ".", color=RED, markersize=1, label="stripes" if i == 0 else None
-            )
+            axes.plot(*place(X[:: 1 + len(X) // 3000]).T, ".", color=RED, markersize=1)
+            named["stripes"] = Line2D([], [], color=RED, marker=".", linestyle="")
             sheet = place(_sheet(np.stack(rig.lasers[i].plane), X))
             drawn.append(sheet)
-            axes.add_collection3d(Poly3DCollection([sheet], facecolor=RED, alpha=0.08))
-    axes.plot(
+            axes.add_collection3d(Poly3DCollection([sheet], facecolor=RED, edgecolor=RED, alpha=0.12, linewidth=0.8))
+            named["light plane"] = Patch(facecolor=RED, alpha=0.2)
+    (named["camera"],) = axes.plot(
         *place(_frustum(calibration) * 0.2 * float(np.median(diagnostics.coverage.distances_mm))).T,
         color="black",
         linewidth=1,
@@ -308,12 +319,11 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
     everything = np.concatenate(drawn)
     low, high = everything.min(axis=0), everything.max(axis=0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=1.05)
+    axes.set_box_aspect(high - low, zoom=1.25)
     axes.set(xlabel="x / mm", ylabel="z / mm", zlabel="−y / mm")
     axes.tick_params(labelsize=7)
     axes.view_init(elev=22, azim=-62)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8, loc="upper left")
+    axes.legend(named.values(), named.keys(), fontsize=8, loc="upper left")
     return figure
 
 

@@ -1,13 +1,16 @@
 """The report of a calibration: is it good, what limits it, what photograph would help most; then the figures."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import PARTS, Diagnostics, diagnose
 from jaxscan.reconstruction.next_photographs import NextPhotographs, next_photographs
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volume
+from jaxscan.rig import Covariance
 from jaxscan.view import calibration_sections as sections
 from jaxscan.view.advice import advise
 from jaxscan.view.findings import findings
@@ -84,14 +87,55 @@ def compose(
             sections.photographs(calibration, diagnostics),
             sections.residuals(calibration, diagnostics),
             *([sections.stripes(diagnostics)] if diagnostics.stripes else []),
-            *([sections.stage(diagnostics)] if diagnostics.stages else []),
+            *([sections.stage(calibration, diagnostics)] if diagnostics.stages else []),
             sections.apart(diagnostics),
             *([sections.lens(diagnostics.ladder)] if diagnostics.ladder else []),
             sections.coverage(calibration, diagnostics),
             sections.left_out(calibration),
         ),
-        numbers={"diagnostics": diagnostics, "working_volumes": volumes, "next_photographs": planned},
+        numbers={
+            "boards": board_poses(calibration),
+            "diagnostics": diagnostics,
+            "working_volumes": volumes,
+            "next_photographs": planned,
+        },
     )
+
+
+@dataclass(frozen=True)
+class BoardPose:
+    """Where a board stood.
+
+    Attributes:
+        name: of the view's photograph, or of the first one of a stage sequence.
+        staged: whether it stood on the stage; its pose is then that at motor step 0.
+        rotation: vector of T_cam_board, radians.
+        translation_mm: of T_cam_board.
+        covariance: of the rig's parameters and this pose together.
+    """
+
+    name: str
+    staged: bool
+    rotation: Float[np.ndarray, "3"]
+    translation_mm: Float[np.ndarray, "3"]
+    covariance: Covariance
+
+
+def board_poses(calibration: Calibration) -> tuple[BoardPose, ...]:
+    """Every board with its pose and the covariance of it: the views, then the stage sequences."""
+    names = [fit.name for fit in calibration.fits]
+    staged = [stage.views[0].name for stage in calibration.observations.stages]
+    poses = []
+    for on_stage, called, pose, covariances in (
+        (False, names, calibration.system.boards, calibration.board_covariances),
+        (True, staged, calibration.system.stages, calibration.stage_covariances),
+    ):
+        rotations, translations = np.asarray(pose.rotation), np.asarray(pose.translation)
+        poses += [
+            BoardPose(name, on_stage, rotations[i], translations[i], covariance)
+            for i, (name, covariance) in enumerate(zip(called, covariances, strict=True))
+        ]
+    return tuple(poses)
 
 
 def _by_columns(calibration: Calibration, laser: int) -> bool:
@@ -103,9 +147,10 @@ def _precision(calibration: Calibration, volumes: tuple[WorkingVolume, ...], fac
     """How well a point, or else the camera, is known."""
     if volumes:
         worst = max(volumes, key=lambda v: v.median_mm)
+        near, far = worst.depths_mm.min(), worst.depths_mm.max()
         text = (
-            f"A point of the working volume is known to {_mm(worst.median_mm)} in the median and "
-            f"{_mm(worst.worst_mm)} at worst (σ along its ray)"
+            f"A point of the working volume, {near:.0f} to {far:.0f} mm away, is known to {_mm(worst.median_mm)} in "
+            f"the median and {_mm(worst.worst_mm)} at worst (σ along its ray)"
         )
         return f"{text}, by the two halves rather {_mm(factor * worst.median_mm)}." if factor > 1.5 else f"{text}."
     focal = float(calibration.rig.camera.focal[0])
@@ -130,11 +175,11 @@ def _limits(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[W
         name = f'laser "{volume.laser}": ' if volume.laser else ""
         rig = 100 * volume.rig_share
         known = volume.if_known_mm
-        part = min(known, key=lambda key: known[key])
+        part, other = sorted(known, key=lambda key: known[key])
         words.append(
             f"{name}{rig:.0f} % of a point's variance is the rig's, {100 - rig:.0f} % the pixel's own. Of the rig, "
             f"the {part} limits: if it were known exactly, the median σ would fall from {_mm(volume.median_mm)} to "
-            f"{_mm(known[part])} (the other part: to {_mm(max(known.values()))})."
+            f"{_mm(known[part])}; if the {other} were, to {_mm(known[other])}."
         )
         if volume.travelled_mm is not None:
             words.append(

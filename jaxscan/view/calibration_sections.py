@@ -1,5 +1,7 @@
 """The sections of a calibration's report that show its numbers: a table and its figures each, with how to read them."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,14 +24,20 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     rows = []
     for name, value in values.items():
         sigma = calibration.covariance.sigma(name)
-        difference = f"{apart[name]:+.1f} σ" if name in apart else "–"
+        difference = f"{apart[name]:+z.1f} σ" if name in apart else "–"
         rows.append((name, f"{value:.7g}", f"{sigma:.2g}" if sigma is not None else "held", difference))
     columns = ("parameter", "value", "σ", "two halves differ by")
     paragraph = (
         f"Corners have σ = {calibration.corner_sigma_px:.3f} px along each axis"
         + (f", stripe points {calibration.stripe_sigma_px:.3f} px" if calibration.stripe_sigma_px is not None else "")
         + f", from the residuals. {len(calibration.fits)} views"
-        + (f", {len(calibration.stage_fits)} stage photographs." if calibration.stage_fits else ".")
+        + (f", {len(calibration.stage_fits)} stage photographs. " if calibration.stage_fits else ". ")
+        + (
+            f"The solve stopped after {calibration.solves} rounds because σ, weights and outliers had settled"
+            if calibration.settled
+            else f"The solve stopped at its limit of {calibration.solves} rounds, while outliers still changed"
+        )
+        + f"; its last round reached the minimum in {calibration.steps} steps."
     )
     return Section(
         "The rig", paragraphs=(paragraph,), tables=(Table("Parameters (px, 1/mm, mm per step)", columns, tuple(rows)),)
@@ -61,8 +69,11 @@ def photographs(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         rows.append((p.name, where, corners, worst, f"{p.corners_kept} of {p.corners}", stripe, kept))
     columns = ("photograph", "", "corners RMS / px", "worst / px", "kept", "stripe RMS / px", "kept")
     caption = (
-        "RMS of each photograph, the worst first; dashed: the median of the corners. Pale bars are stage photographs. "
-        "A photograph that stands out was blurred, moved, bent, or does not belong."
+        "RMS of each photograph, the worst first"
+        + (f" ({plots.MOST_PHOTOGRAPHS} of {len(rows)})" if len(rows) > plots.MOST_PHOTOGRAPHS else "")
+        + "; dashed: the median of the corners. "
+        + ("Pale bars are stage photographs. " if calibration.stage_fits else "")
+        + "A photograph that stands out was blurred, moved, bent, or does not belong."
     )
     title = "RMS distance of the corners that took part, and RMS error of the stripe"
     return Section(
@@ -104,9 +115,9 @@ def residuals(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         figures=(
             draw(
                 "residual-vectors",
-                "Residuals (predicted minus seen) over the image: each corner pale, the mean of each cell red and "
-                "four times as long. Noise points everywhere and the red arrows vanish; a lens that is not followed "
-                "makes them swirl or point in or out.",
+                "Residuals (predicted minus seen) over the image: each corner pale, the mean of each cell four times "
+                "as long, red where it is more than three standard errors, pink where it may be noise. Noise points "
+                "everywhere and no arrow is red; a lens that is not followed makes them swirl or point in or out.",
                 plots.residual_vectors(diagnostics, size),
             ),
             draw(
@@ -131,8 +142,8 @@ def stripes(diagnostics: Diagnostics) -> Section:
         (
             f"{s.name} {s.laser}".strip(),
             str(len(s.along_px)),
-            f"{s.offset_mm:+.3f}",
-            f"{s.tilt_mm:+.3f}",
+            f"{s.offset_mm:+z.3f}",
+            f"{s.tilt_mm:+z.3f}",
             f"{s.bend_mm:.3f}",
             f"{s.bend_of_noise_mm:.3f}",
             f"{s.noise_mm:.3f}",
@@ -152,9 +163,15 @@ def stripes(diagnostics: Diagnostics) -> Section:
     )
 
 
-def stage(diagnostics: Diagnostics) -> Section:
-    """Step error and straightness."""
+def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
+    """Which way it goes, step error and straightness."""
     rows = []
+    along: Any = calibration.rig.stage
+    words = (
+        f"With rising step counts what stands on the stage moves {along.way()}, as the camera sees it, by "
+        f"{1000 * np.linalg.norm(along.per_step):.5g} mm in 1000 steps. If it really moves the other way, the steps "
+        "in session.toml run backwards: nothing else shows that."
+    )
     for s in diagnostics.stages:
         along = 1000 * np.sqrt((s.error_mm[:, 0] ** 2).mean())
         across = 1000 * np.sqrt((s.error_mm[:, 1:] ** 2).mean(axis=0))
@@ -181,6 +198,7 @@ def stage(diagnostics: Diagnostics) -> Section:
     )
     return Section(
         "The stage",
+        paragraphs=(words,),
         tables=(Table("Where the board really stood against t₀ + n · per_step", columns, tuple(rows)),),
         figures=(
             draw(

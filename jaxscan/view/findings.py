@@ -22,12 +22,16 @@ _SCALE, _SCALE_SIGMA = 0.01, 5.0
 # Photographs are named as worse than the others when their RMS is so many times the median.
 _WORSE = 1.5
 _TILT_SPREAD_DEG, _IMAGE_SHARE, _REACH = 30.0, 0.5, 0.6
+# Notes of what was seen that say more than how the board is read.
+_GRAVE_NOTES = "second board", "columns ="
 _STRIPE_VIEWS, _DEPTH_RATIO, _STAGE_IMAGES = 4, 1.15, 5
 
 
 def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[WorkingVolume, ...]) -> tuple[Box, ...]:
     """Everything that is wrong or weak, the worst first; empty where nothing is."""
-    boxes = [*map(_suspect, diagnostics.suspects), *_sessions(diagnostics), *_notes(calibration)]
+    # Where two sessions have different millimetres, their photographs do not fit together for that reason alone.
+    boxes = [*_scales(diagnostics), *map(_suspect, diagnostics.suspects), *_sessions(diagnostics)]
+    boxes += _notes(calibration)
     boxes += _imprecise(calibration, diagnostics.sigma_factor, volumes)
     boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics), *_worse(diagnostics)]
     boxes += _thin(diagnostics)
@@ -54,41 +58,53 @@ def _suspect(suspect: Suspect) -> Box:
         )
     # One that still takes part is a bad photograph; one that was rejected is perhaps none of this rig.
     rejected = max(suspect.corners_rejected, suspect.stripe_rejected or 0.0) > REJECTED
+    if rejected and suspect.staged:
+        return Box(
+            "stop",
+            f"{what}.",
+            "Its step count in session.toml may be wrong, the board may have moved on the stage, or the photograph is "
+            "mirrored, turned, or of another camera, zoom or focus: look at it, and mend its step count or leave it "
+            "out.",
+        )
     return Box(
         "stop" if rejected else "care",
         f"{what}.",
         "It may be of another camera, zoom or focus, show another board or a reflection of the stripe, or be blurred: "
         "look at it, and leave it out or take it again."
         if rejected
-        else "It is blurred, or the board was bent or moved: leave it out or take it again.",
+        else "It is blurred, the board was bent or moved, or the camera focused anew: leave it out or take it again, "
+        "with autofocus off.",
     )
 
 
-def _sessions(diagnostics: Diagnostics) -> list[Box]:
+def _scales(diagnostics: Diagnostics) -> list[Box]:
     boxes = []
-    for each in diagnostics.sessions:
-        if _rescaled(each):
-            scale, sigma = each.scale or 0.0, each.scale_sigma or 0.0
-            boxes.append(
-                Box(
-                    "stop",
-                    f"Millimetres of the session {each.parts[1]} are {100 * abs(scale):.2f} ± {100 * sigma:.2f} % "
-                    f"{'longer' if scale > 0 else 'shorter'} than those of {each.parts[0]}: the squares of one of the "
-                    "boards are not of the size that square_mm states.",
-                    "Measure ten squares of each board with a ruler and correct square_mm in that session.toml.",
-                )
+    for each in filter(_rescaled, diagnostics.sessions):
+        scale, sigma = each.scale or 0.0, each.scale_sigma or 0.0
+        boxes.append(
+            Box(
+                "stop",
+                f"Millimetres of the session {each.parts[1]} are {100 * abs(scale):.2f} ± {100 * sigma:.1g} % "
+                f"{'longer' if scale > 0 else 'shorter'} than those of {each.parts[0]}: the squares of one of the "
+                "boards are not of the size that square_mm states.",
+                "Measure ten squares of each board with a ruler and correct square_mm in that session.toml. Whatever "
+                "else does not fit may be of this alone.",
             )
-            continue
-        if each.disagree and each.sigma_factor > _FACTOR:
-            boxes.append(
-                Box(
-                    "stop" if each.sigma_factor > _LARGE_FACTOR else "care",
-                    f"The sessions {each.parts[0]} and {each.parts[1]} disagree by {each.sigma_factor:.1f} times what "
-                    "their σ foretell.",
-                    "Something moved or was refocused between them: calibrate them apart.",
-                )
-            )
+        )
     return boxes
+
+
+def _sessions(diagnostics: Diagnostics) -> list[Box]:
+    return [
+        Box(
+            "stop" if each.sigma_factor > _LARGE_FACTOR else "care",
+            f"The sessions {each.parts[0]} and {each.parts[1]} disagree by {each.sigma_factor:.1f} times what their σ "
+            "foretell.",
+            "Something moved or was refocused between them: calibrate them apart.",
+        )
+        for each in diagnostics.sessions
+        if not _rescaled(each) and each.disagree and each.sigma_factor > _FACTOR
+    ]
 
 
 def _rescaled(each: Agreement) -> bool:
@@ -122,7 +138,7 @@ def _imprecise(calibration: Calibration, factor: float, volumes: tuple[WorkingVo
 
 
 def _notes(calibration: Calibration) -> list[Box]:
-    notes = [note for note in calibration.notes if "second board" in note]
+    notes = [note for note in calibration.notes if any(grave in note for grave in _GRAVE_NOTES)]
     return [Box("care", note[0].upper() + note[1:] + ".") for note in notes]
 
 
@@ -146,8 +162,9 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
             f"Two halves of the photographs disagree by {each.sigma_factor:.1f} times what their σ foretell (most in "
             f"{each.names[worst]}, {abs(each.differences_in_sigma[worst]):.1f} σ): read every σ as "
             f"{each.sigma_factor:.1f} times as large.",
-            "Errors that do not average out are behind it: a board that is not flat or not held still, a lens that "
-            "the model does not follow, or one bad photograph.",
+            "Errors that do not average out are behind it: a board that is not flat or not held still, a camera that "
+            "focused or zoomed between photographs (switch autofocus off), a lens that the model does not follow, or "
+            "one bad photograph.",
         )
     ]
 

@@ -41,11 +41,13 @@ figcaption { font-size: 0.92rem; color: #444; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding: 0.3rem 0; }
+caption span { position: sticky; left: 0; display: inline-block; max-width: calc(100vw - 2rem); }
 th, td { padding: 0.15rem 0.8rem 0.15rem 0; text-align: right; border-bottom: 1px solid #e4e4e4; white-space: nowrap; }
 th { font-weight: 600; vertical-align: bottom; white-space: normal; }
 th:first-child, td:first-child { text-align: left; }
 ul { padding-left: 1.2rem; }
 footer { margin-top: 3rem; font-size: 0.85rem; color: #555; }
+@media screen and (max-width: 40rem) { figure img { width: 40rem; } figcaption::before { content: "↔ "; } }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; } .scroll { overflow: visible; } }
 """
 
@@ -216,7 +218,7 @@ def _table(table: Table) -> str:
 
     body = "\n".join(row(cells, "td") for cells in table.rows)
     return (
-        f'<div class="scroll"><table>\n<caption>{escape(table.caption)}</caption>\n'
+        f'<div class="scroll"><table>\n<caption><span>{escape(table.caption)}</span></caption>\n'
         f"<thead>{row(table.columns, 'th')}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>"
     )
 
@@ -225,6 +227,7 @@ def _figure(figure: Figure) -> str:
     data = base64.b64encode(figure.png).decode()
     caption = escape(figure.caption)
     return (
-        f'<figure id="{escape(figure.name)}">\n<img alt="{caption}" src="data:image/png;base64,{data}"/>\n'
+        f'<figure id="{escape(figure.name)}">\n<div class="scroll"><img alt="{caption}" '
+        f'src="data:image/png;base64,{data}"/></div>\n'
         f"<figcaption>{caption}</figcaption>\n</figure>"
     )

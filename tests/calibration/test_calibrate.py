@@ -42,6 +42,12 @@ def test_rig_keeps_float64_outside(calibration):
     assert all(np.asarray(leaf).dtype == np.float64 for leaf in jax.tree.leaves(calibration.rig))
 
 
+def test_it_says_why_it_stopped(calibration):
+    assert calibration.settled
+    assert 2 <= calibration.solves < 12
+    assert calibration.steps < 20
+
+
 def test_nothing_good_is_thrown_out(calibration):
     assert sum(int((~fit.corner_kept).sum()) for fit in calibration.fits) <= 2
     assert sum(int((~fit.stripe_kept).sum()) for fit in calibration.fits) <= 4

@@ -74,7 +74,7 @@ def test_a_rig_in_words(rig, capsys):
         "700 ± 0.5, 690 px",
         "150.0 mm from the camera, 30.0° to its axis",
         "in the middle of the image 300.0 mm away",
-        "1 mm for 1000 steps, along (0.0000, 0.6000, -0.8000)",
+        "1 mm for 1000 steps, down and towards the camera, along (0.0000, 0.6000, -0.8000)",
         "0.08123",
     ):
         assert part in text

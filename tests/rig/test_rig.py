@@ -62,3 +62,15 @@ def test_everything_maps_jits_and_differentiates(x64):
     assert points.shape == (2, 3)
     height = jax.grad(lambda r: r.triangulate(pixels[1], steps[1])[2])(r)
     assert np.isfinite(jax.tree.leaves(height)).all()
+
+
+@pytest.mark.parametrize(
+    ("per_step", "words"),
+    [
+        ((3e-5, 9.2e-4, -3.9e-4), "down and towards the camera"),
+        ((-1.0, -0.1, 0.1), "to the left"),
+        ((1.0, -1.0, 1.0), "to the right and up and away from the camera"),
+    ],
+)
+def test_where_a_stage_goes_in_words(per_step, words):
+    assert Stage.create(per_step).way() == words

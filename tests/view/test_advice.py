@@ -60,9 +60,9 @@ def test_each_photograph_counts_those_before_it(calibration: Calibration):
     pytest.importorskip("matplotlib", reason="the extra plots is not installed")
     advice = advise(planned(0.06, 0.05), (), calibration.observations)
     assert len(advice.words) == 2
-    assert advice.words[0].endswith("(outline 1): the median σ of a point would fall from 0.08 to 0.06 mm")
+    assert advice.words[0].endswith("(outline 1): the median σ of a point would fall from 0.0800 to 0.0600 mm")
     assert advice.words[1].startswith("then the board")
-    assert advice.words[1].endswith("(outline 2): the median σ of a point would fall from 0.06 to 0.05 mm")
+    assert advice.words[1].endswith("(outline 2): the median σ of a point would fall from 0.0600 to 0.0500 mm")
     picture = cv2.imdecode(np.frombuffer(advice.figures[0].png, np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     assert np.ptp(picture.astype(int), axis=-1).max() > 100
@@ -79,5 +79,6 @@ def test_a_point_that_the_stripe_limits_is_helped_by_none(calibration: Calibrati
     volumes = report.numbers["working_volumes"]
     dim = tuple(replace(v, pixel_mm=0.9 * v.sigma_mm) for v in volumes)
     words = advise(planned(0.06), dim, calibration.observations).words
-    assert words[0].startswith("none: 81 % of a point's variance is the stripe's own")
+    assert words[0].startswith("none of the board will do much: 81 % of a point's variance is the stripe's own")
+    assert words[0].endswith("help more. The most that the board can do is drawn in the report")
     assert "outline 1" in words[1]

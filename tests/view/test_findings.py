@@ -27,7 +27,7 @@ def test_drawn_data_are_good_but_for_what_they_do_not_cover(calibration, diagnos
     boxes = findings(calibration, diagnostics, ())
     assert all("of the image" in box.statement for box in boxes)
     assert report.verdict.level in ("good", "care")
-    assert report.verdict.statement.count("mm") == 2
+    assert re.search(r", \d+ to \d+ mm away, is known to 0.\d+ mm in the median", report.verdict.statement)
     assert report.sections[2].title == "What photograph would help most?"
     assert re.search(
         r"^The board \d+ mm away .* would fall from 0.\d+ to 0.\d+ mm\.$", report.sections[2].paragraphs[0]
@@ -55,10 +55,11 @@ def better(ladder: Ladder, lens: str) -> Ladder:
     [
         (lambda d: {"suspects": (SUSPECT,)}, "stop: Photograph 07.png does not fit .* fits when it is mirrored left"),
         (lambda d: {"suspects": (replace(SUSPECT, explanation=None),)}, "stop: .* another camera"),
+        (lambda d: {"suspects": (replace(SUSPECT, explanation=None, staged=True),)}, "stop: .* Its step count"),
         (lambda d: {"halves": agreement(2.0)}, "care: Two halves .* 2.0 times .* laser.plane.0, 4.0 σ"),
         (lambda d: {"halves": agreement(6.0)}, "stop: Two halves"),
         (lambda d: {"halves": None}, "care: There are too few photographs to solve two halves"),
-        (lambda d: {"sessions": (agreement(9.0, 0.05),)}, "stop: Millimetres of the session tuesday are 5.00 ± 0.10 %"),
+        (lambda d: {"sessions": (agreement(9.0, 0.05),)}, "stop: Millimetres of the session tuesday are 5.00 ± 0.1 %"),
         (lambda d: {"sessions": (agreement(2.0, 0.0),)}, "care: The sessions monday and tuesday disagree"),
         (lambda d: {"ladder": replace(d.ladder, chosen="brown")}, "care: The lens .brown. is richer .* only fit noise"),
         (lambda d: {"ladder": better(d.ladder, "radial2")}, "care: The lens .radial1. is too simple"),
@@ -95,6 +96,15 @@ def test_the_worst_comes_first_and_makes_the_verdict(calibration, diagnostics, r
     )
 
 
-def test_a_second_board_is_said(calibration, diagnostics):
-    noted = replace(calibration, notes=("a second board is in view in 02.png: cover one of them",))
+def test_sessions_of_other_millimetres_come_before_the_photographs_that_do_not_fit_for_it(calibration, diagnostics):
+    changed = replace(diagnostics, sessions=(agreement(9.0, -0.03),), suspects=(SUSPECT,))
+    first, second, *_ = findings(calibration, changed, ())
+    assert first.statement.startswith("Millimetres of the session tuesday are 3.00 ± 0.1 % shorter")
+    assert "07.png" in second.statement
+
+
+def test_what_was_seen_amiss_is_said(calibration, diagnostics):
+    notes = "a second board is in view in 02.png: cover one of them", "the stripe runs up and down: set columns = false"
+    noted = replace(calibration, notes=notes)
     assert "care: A second board is in view in 02.png" in words(noted, diagnostics)
+    assert "care: The stripe runs up and down" in words(noted, diagnostics)

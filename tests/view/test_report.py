@@ -86,7 +86,21 @@ def test_a_small_report_is_the_same_twice():
 
 def test_the_report_of_a_calibration_is_the_same_twice(report):
     check(report)
-    assert len({figure.name for section in report.sections for figure in section.figures}) >= 10
+    figures = [figure.name for section in report.sections for figure in section.figures]
+    kinds = ("working-volume", "photographs", "scene", "residual-vectors", "histograms", "radius", "stripes", "stage")
+    assert len(set(figures)) == len(figures)
+    assert set(figures) >= {*kinds, "next-photographs", "agreement-0", "ladder", "coverage"}
+
+
+def test_the_json_has_the_pose_of_each_board_with_its_covariance(report, calibration):
+    boards = json.loads(json.dumps(reports.as_dict(report)))["numbers"]["boards"]
+    assert [board["staged"] for board in boards] == [False] * 11 + [True]
+    assert [board["name"] for board in boards[:-1]] == [fit.name for fit in calibration.fits]
+    for i, board in enumerate(boards[:-1]):
+        covariance = board["covariance"]
+        sigma = np.sqrt(np.diagonal(covariance["matrix"]))[covariance["names"].index("board.translation.2")]
+        assert sigma == calibration.board_covariances[i].sigma("board.translation.2")
+        assert 200 < board["translation_mm"][2] < 600
 
 
 def test_files_are_whole_or_not_there(tmp_path: Path):
