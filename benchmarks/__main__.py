@@ -53,6 +53,8 @@ NOT_QUICK = {
     "exposures",
     "merge",
     "batch",
+    "lab",
+    "growth",
 }
 
 

@@ -33,7 +33,7 @@ def test_opencvs_sample_photographs(data: Path) -> None:
     assert ours.rig.stage is None
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("side", [pytest.param("left", marks=pytest.mark.long), "right"])
 def test_the_corners_of_two_weakly_determined_cameras(data: Path, side: str) -> None:
     """1 σ of the focal lengths is 4 px. The published values are no minimum on these corners; OpenCV's is ours."""
     content = calibration_rs.read(data)

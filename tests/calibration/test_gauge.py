@@ -96,7 +96,7 @@ def test_with_everything_trusted_the_gauge_only_adds(true_rig, turned, block):
     assert fit.from_prior_in_sigma < 4.0
 
 
-@pytest.mark.parametrize("kind", ["ball", "mesh"])
+@pytest.mark.parametrize("kind", ["ball", pytest.param("mesh", marks=pytest.mark.long)])
 def test_balls_and_meshes_are_gauges_too(kind, true_rig, turned):
     if kind == "ball":
         scan, shape = scan_of(true_rig, (sphere(37.0, 25.0),)), Ball(25.0)

@@ -75,6 +75,7 @@ def photographed(pose: NextPose, seed: int) -> View:
     )
 
 
+@pytest.mark.long
 def test_corners_tell_what_opencv_s_derivatives_say(calibration: Calibration):
     """I = A − B C⁻¹ Bᵀ of the Jacobian that cv2.projectPoints returns, for a rig of a camera alone."""
     rvec, tvec = np.array([0.4, -0.3, 0.2]), np.array([-60.0, -30.0, 360.0])

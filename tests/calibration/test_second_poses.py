@@ -9,7 +9,8 @@ from jaxscan.rig import Camera
 
 
 @pytest.mark.parametrize(
-    ("hardship", "seed", "factor"), [("plain", 0, 0.3), ("astray", 3, None), ("strangers", 5, None)]
+    ("hardship", "seed", "factor"),
+    [("plain", 0, 0.3), pytest.param("astray", 3, None, marks=pytest.mark.long), ("strangers", 5, None)],
 )
 def test_no_board_stays_where_it_started_wrong(hardship, seed, factor):
     drawn = HARDSHIPS[hardship]

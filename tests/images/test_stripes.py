@@ -134,7 +134,9 @@ def coloured(levels, channel, neutral):
     return image
 
 
-@pytest.mark.parametrize(("color", "channel"), [("red", 0), ("green", 1), ("blue", 2)])
+@pytest.mark.parametrize(
+    ("color", "channel"), [("red", 0), pytest.param("green", 1, marks=pytest.mark.long), ("blue", 2)]
+)
 def test_colour_sees_its_laser_over_brighter_neutral_texture(color, channel):
     squares = 30.0 + 140 * ((np.arange(240)[:, None] // 20 + np.arange(COLUMNS) // 20) % 2)
     image = coloured(grey_levels(TILTED, 1.5, 70, ground=0), channel, squares)
@@ -250,6 +252,7 @@ def test_a_round_spot_is_no_stripe_and_a_short_stripe_is_one():
     assert not valid[110:].any()
 
 
+@pytest.mark.long
 def test_several_devices_share_a_batch(tmp_path):
     """Two of the host's make the points that one does, each of its own half of the frames."""
     frames = np.stack([bytes_of(grey_levels(TILTED + i, 1.5, 200, noise=2, seed=i)) for i in range(5)])

@@ -58,7 +58,7 @@ def test_ray_in_float32(lens):
     np.testing.assert_allclose(jax.jit(jax.vmap(cam.project))(rays), pixels, atol=2e-3)
 
 
-@pytest.mark.parametrize("lens", ["radial1", "rational"])
+@pytest.mark.parametrize("lens", ["radial1", pytest.param("rational", marks=pytest.mark.long)])
 def test_derivatives_of_the_ray(x64, lens):
     cam, pixel = camera(lens), jnp.array([31.0, 440.0])
     leaves, tree = jax.tree.flatten(cam)

@@ -45,7 +45,7 @@ def test_newton_stops_at_the_root(radial, x64):
         # The radial part folds for good; folds and rises again; tends to a constant.
         ([-0.134, 0.0, 0.0], [1e-2, -2e-2]),
         ([-0.5, 0.1, 0.0], [1e-3, -2e-3]),
-        ([0.47, 0.0267, 4.4e-5, 0.767, 0.0963, 0.0014], [-1.2e-5, 9e-5]),
+        pytest.param([0.47, 0.0267, 4.4e-5, 0.767, 0.0963, 0.0014], [-1.2e-5, 9e-5], marks=pytest.mark.long),
     ],
 )
 def test_tangential_inverse_is_on_the_branch_of_the_centre_or_nan(radial, tangential, x64):

@@ -75,6 +75,7 @@ def test_where_no_place_helps_more_of_the_same_does(calibration: Calibration, no
     assert advice.figures == ()
 
 
+@pytest.mark.long
 def test_a_point_that_the_stripe_limits_is_helped_by_none(calibration: Calibration, report):
     volumes = report.numbers["working_volumes"]
     dim = tuple(replace(v, pixel_mm=0.9 * v.sigma_mm) for v in volumes)
