@@ -29,6 +29,17 @@ def test_a_second_board(edges, two):
     assert second_board(BOARD, image, found.corners) is two
 
 
+def test_a_stripe_across_both_hides_neither():
+    image = photograph(60.0, 310.0)
+    found = find_board(BOARD, image)
+    assert found is not None
+    image[108:111] = 255
+    # Corners under the stripe are not seen.
+    corners = np.where(np.abs(found.corners[:, 1:] - 109) < 8, np.nan, found.corners)
+    assert np.isnan(corners).any()
+    assert second_board(BOARD, image, corners)
+
+
 def test_other_kinds_cannot_be_told():
     board = Board.circles([7, 6], 10.0)
     assert not second_board(board, photograph(60.0, 310.0), np.zeros((42, 2)))
