@@ -92,7 +92,8 @@ class Calibrations:
         if not path.is_dir():
             raise Refusal(NOT_THERE, f"there is no calibration session {path.name}")
         try:
-            session = read_session(path)
+            # Whoever calibrates sees what is cut off; a list must not read every photograph.
+            session = read_session(path, whole=False)
         except InputError as error:
             raise Refusal(CONFLICT, within(path, error)) from error
         must_hold(path, session.photographs())

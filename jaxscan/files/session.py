@@ -93,10 +93,14 @@ class Session:
         return paths + [path for own in stripes for path in own if path is not None]
 
 
-def read_session(path: str | os.PathLike[str]) -> Session:
+def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session:
     """Read and check a session, given its folder or its `session.toml`.
 
-    Every photograph is seen to be there, whole, and of one size; none is decoded.
+    Every photograph is seen to be there and of one size; none is decoded.
+
+    Args:
+        path: of the folder, or of its `session.toml`.
+        whole: whether each photograph is read to its end, so that one that is cut off is refused.
 
     Raises:
         InputError: whatever is wrong: file, key, value and the mend.
@@ -109,7 +113,7 @@ def read_session(path: str | os.PathLike[str]) -> Session:
         raise views.error("boards", "names no photograph: name those of the board")
     lasers, stripes = _lasers(table, views, len(boards))
     session = Session(table.path, board, Views(boards, stripes), camera, _stage(table), lasers)
-    return replace(session, image_size=common_size(session.photographs(), to_their_ends=True))
+    return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 
 
 def write_session(session: Session) -> None:
