@@ -24,13 +24,12 @@ from jaxscan.images import (
     second_board,
     shows_checkerboard,
 )
+from jaxscan.images.board import LEAST_POINTS
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
 # A stripe is looked for the wrong way where it is so many times as long across as along.
 _STEEP = 2.0
-# Along a side of a checkerboard, as `Board.checkerboard` has it.
-_FEWEST_CORNERS = 3
 
 
 @dataclass(frozen=True)
@@ -256,7 +255,7 @@ def _mistaken(session: Session) -> str | None:
         return None
     columns, rows = session.board.counts
     first = session.views.boards[0]
-    if min(columns, rows) > _FEWEST_CORNERS and shows_checkerboard((columns - 1, rows - 1), read_image(first)):
+    if min(columns, rows) > LEAST_POINTS and shows_checkerboard((columns - 1, rows - 1), read_image(first)):
         return (
             f"{first} shows one of {columns - 1} x {rows - 1}. Inner corners are where four squares meet, one fewer "
             f"than the squares in a row: inner_corners = [{columns - 1}, {rows - 1}]"

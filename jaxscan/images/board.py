@@ -16,7 +16,7 @@ from jaxtyping import Float
 from jaxscan.errors import InputError
 
 # OpenCV's finders need a grid of three by three.
-_LEAST_POINTS = 3
+LEAST_POINTS = 3
 # From a micrometre to a hundred metres: what lies outside was written in other units.
 _LENGTHS_MM = (1e-3, 1e5)
 
@@ -46,7 +46,7 @@ class Board:
         Raises:
             InputError: not two whole numbers of 3 or more, or a size that is not positive.
         """
-        counts = _counts("inner_corners", inner_corners, _LEAST_POINTS)
+        counts = _counts("inner_corners", inner_corners, LEAST_POINTS)
         return Board("checkerboard", counts, _length("square_mm", square_mm))
 
     @staticmethod
@@ -56,7 +56,7 @@ class Board:
         Raises:
             InputError: as `checkerboard`.
         """
-        return Board("circles", _counts("circles", circles, _LEAST_POINTS), _length("pitch_mm", pitch_mm))
+        return Board("circles", _counts("circles", circles, LEAST_POINTS), _length("pitch_mm", pitch_mm))
 
     @staticmethod
     def charuco(squares: Sequence[int], square_mm: float, marker_mm: float, dictionary: str) -> "Board":
@@ -66,7 +66,7 @@ class Board:
             InputError: as `checkerboard`; a marker no smaller than its square; a dictionary that OpenCV does not have
                 or that has too few markers.
         """
-        columns, rows = _counts("squares", squares, _LEAST_POINTS)
+        columns, rows = _counts("squares", squares, LEAST_POINTS)
         square, marker = _length("square_mm", square_mm), _length("marker_mm", marker_mm)
         if marker >= square:
             raise InputError(f"marker_mm = {marker}: a marker stands inside a square of {square} mm: measure it again")

@@ -166,10 +166,10 @@ def stripes(diagnostics: Diagnostics) -> Section:
 def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     """Which way it goes, step error and straightness."""
     rows = []
-    along: Any = calibration.rig.stage
+    found: Any = calibration.rig.stage
     words = (
-        f"With rising step counts what stands on the stage moves {along.way()}, as the camera sees it, by "
-        f"{1000 * np.linalg.norm(along.per_step):.5g} mm in 1000 steps. If it really moves the other way, the steps "
+        f"With rising step counts what stands on the stage moves {found.way()}, as the camera sees it, by "
+        f"{1000 * np.linalg.norm(found.per_step):.5g} mm in 1000 steps. If it really moves the other way, the steps "
         "in session.toml run backwards: nothing else shows that."
     )
     for s in diagnostics.stages:

@@ -202,9 +202,9 @@ def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bo
     # The next frame's lines begin anew.
     joined = (np.diff(place) <= _GAP) & (apart > 0) & (np.abs(np.diff(at)) <= _COMPANY_PX + _STEEPEST * apart)
     starts = np.concatenate([[0], 1 + np.flatnonzero(~joined)])
-    moment = weight.astype(np.float64)
+    weight = weight.astype(np.float64)
     total, mean, square, thick = (
-        np.add.reduceat(x, starts) for x in (moment, moment * line, moment * line**2, moment * (width / FWHM) ** 2)
+        np.add.reduceat(x, starts) for x in (weight, weight * line, weight * line**2, weight * (width / FWHM) ** 2)
     )
     along2 = square / total - (mean / total) ** 2
     longer = along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12)

@@ -69,8 +69,9 @@ class Fit(NamedTuple):
         height: A P of each pixel, before the last step, as are those that follow but for the residual.
         jacobian: J of each pixel.
         weight: w of each pixel; 0 of those beyond the model's reach.
-        residual: y − μ of each pixel, 0 of those that are full or beyond the model's reach.
-        used: which pixels are within it.
+        residual: y − μ of each free pixel, 0 of the others.
+        used: which pixels are within the model's reach.
+        free: which of these are not full.
         factor: the Cholesky factor, row by row.
         inverse_sigma: 1 / σ of the centre, where the last step has led.
     """
@@ -81,6 +82,7 @@ class Fit(NamedTuple):
     weight: Pixels
     residual: Pixels
     used: Bool[Array, "groups window lines"]
+    free: Bool[Array, "groups window lines"]
     factor: list[list[Lines]]
     inverse_sigma: Lines
 
@@ -100,9 +102,8 @@ def likelihood(
         censored: whether there are full pixels.
     """
     found = fit(windows, outline, sensor, censored)
-    free = found.used & ~windows.full if censored else found.used
     squares = (found.residual**2 / sensor.variance(found.height)).sum(1, keepdims=True)
-    freedom = jnp.maximum(free.sum(1, keepdims=True) - len(Profile._fields), 0)
+    freedom = jnp.maximum(found.free.sum(1, keepdims=True) - len(Profile._fields), 0)
     scatter = (_FREEDOM_OF_NOISE + squares) / (_FREEDOM_OF_NOISE + freedom)
     sigma = jnp.sqrt(scatter) / found.inverse_sigma
     profile = found.profile
@@ -110,7 +111,7 @@ def likelihood(
     within = (profile.centre > outline.start) & (profile.centre < outline.end)
     # The shot noise is itself taken from residuals, so it is not asked here.
     usual = sensor.read**2 + (_USUAL_MISFIT * (outline.top - outline.floor)) ** 2
-    squares = (jnp.where(free, found.residual, 0.0) ** 2).sum(1, keepdims=True)
+    squares = (found.residual**2).sum(1, keepdims=True)
     strained = squares > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
     return Estimate(profile.centre, sigma, FWHM * s, jnp.isfinite(sigma) & within), strained
 
@@ -130,6 +131,8 @@ def fit(
     reach = outline.width / 2 + _REACH * jnp.exp(start.ln_s) + _REACH_PX + further_px
     used = jnp.abs(places(windows.response.shape[1]) - start.centre) <= reach
 
+    free = used & ~windows.full if censored else used
+
     def step(profile: Profile) -> Fit:
         height, jacobian = _pixels(profile, windows.response.shape[1])
         seen = weigh(profile.background, height, windows, used, sensor, censored)
@@ -140,10 +143,9 @@ def fit(
         moved = Profile(*(now + by for now, by in zip(profile, change, strict=True)))
         # To first order, which spares an evaluation: of two steps it is a third of the work.
         left = seen.residual - sum(J * by for J, by in zip(jacobian, change, strict=True))
-        free = used & ~windows.full if censored else used
         # In even noise σ_c goes as √s / A.
         inverse_sigma = L[-1][-1] * jnp.exp(change[1] - change[2] / 2)
-        return Fit(moved, height, jacobian, seen.weight, jnp.where(free, left, 0.0), used, L, inverse_sigma)
+        return Fit(moved, height, jacobian, seen.weight, jnp.where(free, left, 0.0), used, free, L, inverse_sigma)
 
     if steps is None:
         steps = _STEPS_CENSORED if censored else _STEPS
