@@ -21,8 +21,8 @@ from jaxscan.images import (
     detect_stripe,
     find_board,
     read_image,
-    second_board,
     shows_checkerboard,
+    shows_second_board,
 )
 from jaxscan.images.board import LEAST_POINTS
 
@@ -193,7 +193,7 @@ def _look(
 
 
 def _second(board: Board, image: np.ndarray, found: BoardView | None) -> bool:
-    return found is not None and second_board(board, image, found.corners)
+    return found is not None and shows_second_board(board, image, found.corners)
 
 
 def stripe_points(

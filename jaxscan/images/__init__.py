@@ -10,11 +10,11 @@ from jaxscan.images.board import Board
 from jaxscan.images.decode import image_size, read_image, read_video, to_grey, write_image
 from jaxscan.images.order import carry_order
 from jaxscan.images.overlay import draw_board, draw_stripe
-from jaxscan.images.second_board import second_board
 from jaxscan.images.stripe_settings import StripeSettings
 
 if TYPE_CHECKING:
     from jaxscan.images.find import BoardView, find_board, shows_checkerboard
+    from jaxscan.images.second_board import shows_second_board
     from jaxscan.images.stripes.detect import Stripe, detect_stripe
 
 _WITH_JAX = {
@@ -22,6 +22,7 @@ _WITH_JAX = {
     "Stripe": "jaxscan.images.stripes.detect",
     "detect_stripe": "jaxscan.images.stripes.detect",
     "find_board": "jaxscan.images.find",
+    "shows_second_board": "jaxscan.images.second_board",
     "shows_checkerboard": "jaxscan.images.find",
 }
 
@@ -38,8 +39,8 @@ __all__ = [
     "image_size",
     "read_image",
     "read_video",
-    "second_board",
     "shows_checkerboard",
+    "shows_second_board",
     "to_grey",
     "write_image",
 ]

@@ -14,7 +14,7 @@ _SIDE = 640
 _MARGIN = 1.5
 
 
-def second_board(board: Board, image: Image, corners: Float[np.ndarray, "points 2"]) -> bool:
+def shows_second_board(board: Board, image: Image, corners: Float[np.ndarray, "points 2"]) -> bool:
     """Whether a checkerboard of the same counts is in the photograph besides the one that was found.
 
     Args:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import render
 
-from jaxscan.images import Board, find_board, second_board
+from jaxscan.images import Board, find_board, shows_second_board
 
 BOARD = Board.checkerboard([7, 6], 10.0)
 
@@ -26,7 +26,7 @@ def test_a_second_board(edges, two):
     image = photograph(*edges)
     found = find_board(BOARD, image)
     assert found is not None
-    assert second_board(BOARD, image, found.corners) is two
+    assert shows_second_board(BOARD, image, found.corners) is two
 
 
 def test_a_stripe_across_both_hides_neither():
@@ -37,9 +37,9 @@ def test_a_stripe_across_both_hides_neither():
     # Corners under the stripe are not seen.
     corners = np.where(np.abs(found.corners[:, 1:] - 109) < 8, np.nan, found.corners)
     assert np.isnan(corners).any()
-    assert second_board(BOARD, image, corners)
+    assert shows_second_board(BOARD, image, corners)
 
 
 def test_other_kinds_cannot_be_told():
     board = Board.circles([7, 6], 10.0)
-    assert not second_board(board, photograph(60.0, 310.0), np.zeros((42, 2)))
+    assert not shows_second_board(board, photograph(60.0, 310.0), np.zeros((42, 2)))
