@@ -9,23 +9,31 @@ from jaxtyping import Float
 from jaxscan.calibration.observations import Observations, StageSequence, View
 from jaxscan.calibration.residuals import Blocks
 
+# So many boards are solved in milliseconds and compiled for in seconds.
+_LEAST = 12
+
 
 def bucket(count: int) -> int:
-    """The next size of a coarse series: a few more views or stripe points do not compile anew. Wastes at most 1/4."""
-    if count <= 8:
-        return count
+    """The next size of a coarse series: a few more views or stripe points do not compile anew. Wastes at most 1/4.
+
+    Few are solved for as many as a usual session has, none as none.
+    """
+    if count <= _LEAST:
+        return _LEAST if count else 0
     unit = 1 << (count.bit_length() - 3)
     return -(-count // unit) * unit
 
 
 def view_blocks(observations: Observations) -> Blocks:
     """The views, one block each."""
-    return _pack(observations, [([view], np.zeros(1)) for view in observations.views])
+    boards = [([view], np.zeros(1)) for view in observations.views]
+    return _pack(observations, boards, bucket(len(boards)), 1)
 
 
 def stage_blocks(observations: Observations) -> Blocks:
     """The stage sequences, one block each, with steps relative to each sequence's reference."""
-    return _pack(observations, [(stage.views, stage.steps - reference_step(stage)) for stage in observations.stages])
+    boards = [(stage.views, stage.steps - reference_step(stage)) for stage in observations.stages]
+    return _pack(observations, boards, len(boards), bucket(max((len(views) for views, _ in boards), default=0)))
 
 
 def reference_step(stage: StageSequence) -> float:
@@ -33,13 +41,18 @@ def reference_step(stage: StageSequence) -> float:
     return float(np.mean(stage.steps))
 
 
-def _pack(observations: Observations, boards: Sequence[tuple[Sequence[View], Float[np.ndarray, "images"]]]) -> Blocks:
+def _pack(
+    observations: Observations,
+    boards: Sequence[tuple[Sequence[View], Float[np.ndarray, "images"]]],
+    n_blocks: int,
+    images: int,
+) -> Blocks:
+    """Blocks for so many boards, each for so many photographs of it."""
     points = observations.board.points()
     each = len(points)
     extent = np.ptp(points[:, :2], axis=0)
     relative = (points[:, :2] - points[:, :2].min(axis=0)) / np.where(extent > 0, extent, 1.0)
-    n_blocks = bucket(len(boards)) if boards else 0
-    n_corners = each * bucket(max((len(views) for views, _ in boards), default=0))
+    n_corners = each * images
     stripes = [[s for view in views for s in view.stripes] for views, _ in boards]
     n_stripe = bucket(max((sum(len(s.pixels) for s in seen) for seen in stripes), default=0))
 
@@ -60,7 +73,6 @@ def _pack(observations: Observations, boards: Sequence[tuple[Sequence[View], Flo
             here = slice(at, at + len(seen.pixels))
             stripe[b, here], columns[b, here], laser[b, here] = seen.pixels, seen.columns, seen.laser
             at = here.stop
-    images = n_corners // each
     return Blocks(
         points=jnp.asarray(np.broadcast_to(np.tile(points, (images, 1)), (n_blocks, n_corners, 3))),
         relative=jnp.asarray(np.broadcast_to(np.tile(relative, (images, 1)), (n_blocks, n_corners, 2))),

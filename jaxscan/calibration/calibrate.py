@@ -12,7 +12,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration import initial
-from jaxscan.calibration.blocks import bucket, stage_blocks, view_blocks
+from jaxscan.calibration.blocks import stage_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Estimate
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.first_poses import far_away, first_poses
@@ -227,8 +227,7 @@ def _first_stage(observations: Observations, camera: Camera) -> tuple[Stage, tup
         middle, per_step = initial.stage_line(np.asarray(stage.steps, float), vectors[:, 3:])
         slopes.append(per_step)
         first.append(np.concatenate([initial.usual_rotation(vectors[:, :3]), middle]))
-    poses = far_away(bucket(len(first))).at[: len(first)].set(np.stack(first))
-    return Stage.create(np.median(slopes, axis=0)), (poses,)
+    return Stage.create(np.median(slopes, axis=0)), (jnp.asarray(np.stack(first)),)
 
 
 def _corners_of_views(groups: tuple[Blocks, ...]) -> tuple[Blocks, ...]:

@@ -67,7 +67,8 @@ def survey(
             that no number of frames compiles anew.
     """
     frames, lines = peak.shape
-    some = np.linspace(0, lines - 1, min(_LINES, lines)).astype(np.int32)
+    # As many of a narrow image, some of them twice: one size is compiled.
+    some = np.linspace(0, lines - 1, _LINES).astype(np.int32)
     of = np.minimum(np.arange(most, dtype=np.int32), frames - 1)
     frame, line = (np.ascontiguousarray(x) for x in np.broadcast_arrays(of[:, None], some))
     ambient = ambient[of]
@@ -100,8 +101,8 @@ def survey_windows(lit: Array, dark: Array | None, ambient: Int[Array, "frames"]
     known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
     read, shot = _noise(found, windows, around, known, first)
     ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
-    usual = jnp.nanmedian(ln_s, axis=1)
-    spread = jnp.maximum(_NORMAL_MAD * jnp.nanmedian(jnp.abs(ln_s - usual[:, None]), axis=1), _LEAST_SPREAD)
+    usual = _median(ln_s)
+    spread = jnp.maximum(_NORMAL_MAD * _median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     any_ = known.any(1)
     return Sensor(
         weights, ambient, full, span, ground, read, shot, jnp.where(any_, usual, 0.0), jnp.where(any_, spread, _UNKNOWN)
@@ -136,7 +137,7 @@ def _ground(r: Float[Array, "frames window lines"]) -> Float[Array, "frames"]:
     """What stands out without a laser: noise and texture (σ), from the ends of each frame's windows."""
     flanks = jnp.stack([r[:, :_FLANK], r[:, -_FLANK:]])
     deviation = jnp.abs(flanks - flanks.mean(-2, keepdims=True)).mean((0, -2))
-    return _DEVIATION_TO_SIGMA * jnp.median(deviation, axis=-1)
+    return _DEVIATION_TO_SIGMA * _median(deviation)
 
 
 def _noise(
@@ -160,13 +161,13 @@ def _noise(
         return each[:, :use].reshape(each.shape[0], groups, -1).sum(2)
 
     def usual(above: Float[Array, "frames groups"], below: Float[Array, "frames groups"]) -> Float[Array, "frames"]:
-        return jnp.nanmedian(jnp.where(below > 0, above / jnp.where(below > 0, below, 1.0), jnp.nan), axis=1)
+        return _median(jnp.where(below > 0, above / jnp.where(below > 0, below, 1.0), jnp.nan))
 
     (e_tail, e_core), (n_tail, n_core), (p_tail, p_core) = (
         [grouped(where, values) for where in (tail, ~tail)] for values in (found.residual**2, rest, rest * found.height)
     )
     read2 = usual(e_tail * p_core - e_core * p_tail, n_tail * p_core - n_core * p_tail)
-    clear = jnp.nanmedian(jnp.where(known, around.width[:, 0], jnp.nan), axis=1) < _CLEAR_WIDTH_PX
+    clear = _median(jnp.where(known, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     read2 = jnp.where(clear | ~(read2 > 0), first.read**2, jnp.minimum(read2, first.read**2))
     # Steep flanks beside a full core say more of the model than of photons.
     fair = ~windows.full.any(1, keepdims=True)
@@ -183,3 +184,20 @@ def _leverage(jacobian: tuple[Pixels, ...], factor: list[list[Array]]) -> Pixels
     for i, J in enumerate(jacobian):
         y.append((J - sum(factor[i][m] * y[m] for m in range(i))) / factor[i][i])
     return sum((value**2 for value in y), start=jnp.zeros_like(jacobian[0]))
+
+
+def _median(values: Float[Array, "frames some"]) -> Float[Array, "frames"]:
+    """The median of each frame's values that are not NaN.
+
+    By their ranks: of so few, counting is sooner done, and much sooner compiled, than a sort.
+    """
+    known = ~jnp.isnan(values)
+    count = known.sum(1, keepdims=True)
+    others = jnp.where(known, values, jnp.inf)[:, None]
+    before = (others < values[..., None]).sum(2)
+    upto = (others <= values[..., None]).sum(2)
+
+    def ranked(rank: Int[Array, "frames 1"]) -> Float[Array, "frames"]:
+        return jnp.where(known & (before <= rank) & (rank < upto), values, -jnp.inf).max(1)
+
+    return jnp.where(count[:, 0] > 0, (ranked((count - 1) // 2) + ranked(count // 2)) / 2, jnp.nan)
