@@ -8,9 +8,11 @@ wrong by up to 10°.
 - `pose_off`, `turn_off`: the largest error of the eight poses, at the figure's middle. Photographs have an error that
   is none of the registration's: where every scan is shifted alike in its own frame by d, the pose of one turned by R is
   off by d − R d. `common_shift` is that d, and `pose_off_beside_it` what is left.
-- `chained`: the same of seven pairs registered one by one and chained; `joint_over_chained` is the ratio of the root
-  mean square errors at a distance of 20 mm from the middle, rotation and translation together, over 6 draws of the
-  noise (2 in the short form).
+- `chained`: the same of seven pairs registered one by one by our own residual and weights, and chained.
+- `joint_over_…`: the root mean square error of all poses, at a distance of 20 mm from the middle, rotation and
+  translation together, over 6 draws of the noise (2 in the short form), over that of seven pairs chained: registered by
+  point-to-plane ICP and by GICP (both of small_gicp, started from the truth, with the best of three reaches), and by
+  our own residual and weights.
 - `closure`: how far the points of the first view are apart, RMS, after the way round: 7 poses and the pair of the last
   and the first.
 - `predicted`: mean of errorᵀ covariance⁻¹ error for each of the 42 numbers, over the same draws: 1 if σ is honest.
@@ -21,11 +23,13 @@ wrong by up to 10°.
 
 import tempfile
 import time
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import small_gicp
 from jaxtyping import Float
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -62,18 +66,23 @@ def measure(quick: bool) -> list[Metric]:
     scenes, truth = turned(rig)
     drawn = [drawn_scan(rig, scene, _STEPS, _STRIPE_PX, k) for k, scene in enumerate(scenes)]
     metrics = joined("merge.drawn", [side(k, scan.image) for k, scan in enumerate(drawn)], truth, scenes[0])
-    off, chained, predicted = [], [], []
+    off, chained, predicted = [], {how: [] for how in CHAINS}, []
     for seed in range(2 if quick else 6):
         noisy = [noisy_scan(rig, scan.position, _STEPS, _STRIPE_PX, 8 * seed + k) for k, scan in enumerate(drawn)]
         sides = [side(k, image) for k, image in enumerate(noisy)]
         found = register(sides, truth)
         off.append(errors(found.poses, truth, found.centre))
-        chained.append(errors(chain(sides, truth)[0], truth, found.centre))
+        for how, pair in CHAINS.items():
+            chained[how].append(errors(chain(sides, truth, pair), truth, found.centre))
         vector = off[-1][1:].ravel()
         predicted.append(vector @ np.linalg.solve(found.covariance, vector) / len(vector))
-    over = _at_arm(np.concatenate(off)) / _at_arm(np.concatenate(chained))
+    joint = _at_arm(np.concatenate(off))
+    alone = {how: _at_arm(np.concatenate(each)) for how, each in chained.items()}
+    point_to_plane, gicp = (min(v for how, v in alone.items() if how.startswith(name)) for name in ("PLANE", "GICP"))
     metrics += [
-        Metric("merge.drawn.joint_over_chained", over, "", "lower", 0.5, slack=0.2),
+        Metric("merge.drawn.joint_over_icp", joint / point_to_plane, "", "lower", 0.5, slack=0.2),
+        Metric("merge.drawn.joint_over_gicp", joint / gicp),
+        Metric("merge.drawn.joint_over_chained", joint / alone[OWN], "", "lower", slack=0.2),
         Metric("merge.drawn.predicted", float(np.mean(predicted)), "", "lower", slack=0.3),
     ]
     if not quick:
@@ -106,13 +115,50 @@ def side(k: int, image: RangeImage) -> Side:
     return side_of_image(f"view {k}", image.where(stands_on(image, floor)), floor)
 
 
-def chain(sides: list[Side], truth: list[Motion]) -> tuple[list[Motion], Motion]:
-    """Poses from pairs alone, one after the other from the true starts, and that of the first beside the last."""
+# Two sides and a start, to T_first_second.
+Pair = Callable[[Side, Side, Motion], Motion]
+
+
+def own_pair(a: Side, b: Side, start: Motion) -> Motion:
+    """By our own residual and weights."""
+    return register((a, b), (STILL, start)).poses[1]
+
+
+def peers_pair(kind: str, reach_mm: float) -> Pair:
+    """By small_gicp."""
+
+    def pair(a: Side, b: Side, start: Motion) -> Motion:
+        clouds = [small_gicp.PointCloud(side.points) for side in (a, b)]
+        for cloud in clouds:
+            small_gicp.estimate_normals_covariances(cloud)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = start
+        found = small_gicp.align(
+            *clouds,
+            init_T_target_source=T,
+            registration_type=kind,
+            max_correspondence_distance=reach_mm,
+            max_iterations=200,
+            rotation_epsilon=1e-6,
+            translation_epsilon=1e-6,
+        ).T_target_source
+        return found[:3, :3], found[:3, 3]
+
+    return pair
+
+
+OWN: Final = "our own"
+CHAINS: Final[dict[str, Pair]] = {OWN: own_pair} | {
+    f"{kind} {reach:g}": peers_pair(kind, reach) for kind in ("PLANE_ICP", "GICP") for reach in (0.5, 1.0, 2.0)
+}
+
+
+def chain(sides: list[Side], truth: list[Motion], pair: Pair = own_pair) -> list[Motion]:
+    """Poses from pairs alone, one after the other from the true starts."""
     poses = [STILL]
     for a, b in pairwise(range(VIEWS)):
-        pair = register((sides[a], sides[b]), (STILL, after(inverse(truth[a]), truth[b])))
-        poses.append(after(poses[-1], pair.poses[1]))
-    return poses, register((sides[-1], sides[0]), (STILL, inverse(truth[-1]))).poses[1]
+        poses.append(after(poses[-1], pair(sides[a], sides[b], after(inverse(truth[a]), truth[b]))))
+    return poses
 
 
 def photographed(rig: Rig, scene: Scene, seed: int) -> RangeImage:
@@ -129,7 +175,7 @@ def joined(stem: str, sides: list[Side], truth: list[Motion], scene: Scene) -> l
     begin = time.perf_counter()
     found = register(sides, arrange(sides, told))
     seconds = time.perf_counter() - begin
-    chained, last = chain(sides, truth)
+    chained, last = chain(sides, truth), own_pair(sides[-1], sides[0], inverse(truth[-1]))
     off, off_chained = errors(found.poses, truth, found.centre), errors(chained, truth, found.centre)
     shift, beside = common_shift(off, truth)
     metrics = [

@@ -156,14 +156,9 @@ def merge(sides: Sequence[Side], poses: Sequence[Motion], *, cube_mm: float | No
     vertices, quads = _nets(points, size)
     vertices, found = points.settled(vertices)
     good = found.seen & np.isfinite(found.f) & (np.abs(found.f) < 0.5 * size)
-    quads = quads[good[quads].all(axis=1)]
-    if not len(quads):
+    faces = _triangles(vertices, quads, good)
+    if not len(faces):
         raise InputError("no surface comes of these points: give a larger --cube")
-    a, b, c, d = (vertices[quads[:, i]] for i in range(4))
-    other = np.linalg.norm(a - c, axis=1) > np.linalg.norm(b - d, axis=1)
-    one = np.where(other[:, None], quads[:, [0, 1, 3]], quads[:, [0, 1, 2]])
-    two = np.where(other[:, None], quads[:, [1, 2, 3]], quads[:, [0, 2, 3]])
-    faces = np.concatenate([one, two])
     used, faces = np.unique(faces, return_inverse=True)
     mesh = trimesh.Trimesh(vertices[used], faces.reshape(-1, 3), process=False)
     return Merged(mesh, found.sigma[used], found.sides[used])
@@ -273,6 +268,20 @@ def _nets(points: _Points, size: float) -> tuple[Float[np.ndarray, "vertices 3"]
         four = np.where((f[crossed] > 0)[:, None], four[:, ::-1], four)
         quads.append(four[(four >= 0).all(axis=1)])
     return vertices, np.concatenate(quads)
+
+
+def _triangles(
+    vertices: Float[np.ndarray, "vertices 3"], quads: Int[np.ndarray, "quads 4"], good: Bool[np.ndarray, "vertices"]
+) -> Int[np.ndarray, "triangles 3"]:
+    """Two of each quadrilateral along its shorter diagonal, one where a corner of it is not good."""
+    count = good[quads].sum(axis=1)
+    whole, cut = quads[count == 4], quads[count == 3]
+    a, b, c, d = (vertices[whole[:, i]] for i in range(4))
+    other = np.linalg.norm(a - c, axis=1) > np.linalg.norm(b - d, axis=1)
+    one = np.where(other[:, None], whole[:, [0, 1, 3]], whole[:, [0, 1, 2]])
+    two = np.where(other[:, None], whole[:, [1, 2, 3]], whole[:, [0, 2, 3]])
+    after = (np.argmin(good[cut], axis=1)[:, None] + [1, 2, 3]) % 4
+    return np.concatenate([one, two, np.take_along_axis(cut, after, axis=1)])
 
 
 def _crossed(f: Float[np.ndarray, "edges"], g: Float[np.ndarray, "edges"], size: float) -> Bool[np.ndarray, "edges"]:
