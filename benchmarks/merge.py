@@ -102,7 +102,8 @@ def turned(rig: Rig) -> tuple[list[Scene], list[Motion]]:
         shift = np.array([*random.uniform(-3, 3, 2), 0.0]) if k else np.zeros(3)
         turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
         t = middle - turn @ middle + shift
-        scenes.append(rig_2003.scan_scene(rig, [body.moved(turn, t) for body in figure(rig_2003.OBJECT_Y)]))
+        bodies = rig_2003.turned(figure(rig_2003.OBJECT_Y), degrees)
+        scenes.append(rig_2003.scan_scene(rig, [body.moved(np.eye(3), shift) for body in bodies]))
         T = R @ turn.T @ R.T
         truth.append((T, origin - T @ origin - R @ turn.T @ t))
     return scenes, truth

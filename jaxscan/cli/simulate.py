@@ -1,8 +1,12 @@
 """`jaxscan simulate`: a calibration session, a scan, and what is true of both."""
 
 import argparse
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
     from jaxscan.simulation import Body, Scene, Sensor
@@ -11,7 +15,10 @@ if TYPE_CHECKING:
 HELP: Final = "photographs of a known world: a calibration session, a scan, and their truth"
 EXAMPLE: Final = "jaxscan simulate world --seed 3 --object cup"
 
-_OBJECTS: Final = ("cup", "sphere", "box", "stair")
+_OBJECTS: Final = ("cup", "sphere", "box", "stair", "figure")
+_MOST_SIDES: Final = 36
+# What is added to the seed from side to side: their noise has nothing in common.
+_SIDES_APART: Final = 1_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,6 +28,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--object", choices=_OBJECTS, default="cup", help="what is scanned (default: cup)")
     what.add_argument("--mesh", type=Path, metavar="FILE", help="scan this triangle mesh instead, in mm and with z up")
+    parser.add_argument(
+        "--sides",
+        type=int,
+        default=1,
+        metavar="N",
+        help="scan it N times, turned on by 360/N degrees each time, for `jaxscan merge` (default: 1)",
+    )
+    parser.add_argument(
+        "--apart",
+        type=int,
+        default=2000,
+        metavar="STEPS",
+        help="motor steps from frame to frame of a scan, 1000 to a millimetre (default: 2000)",
+    )
     parser.add_argument("--noise", type=float, default=2.0, help="of the sensor, grey levels (default: 2)")
     parser.add_argument("--blur", type=float, default=0.6, help="of the lens, pixels (default: 0.6)")
     parser.add_argument("--speckle", type=float, default=0.0, help="contrast of the laser's, 0 to 1 (default: 0)")
@@ -34,6 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Render the photographs and write them with their truth."""
     check_folder(args.out, args.seed)
+    if not 1 <= args.sides <= _MOST_SIDES:
+        raise InputError(f"--sides {args.sides}: give 1 to {_MOST_SIDES}")
+    if args.apart < 1:
+        raise InputError(f"--apart {args.apart}: give 1 or more")
     bodies, name = _bodies(args)
     from jaxscan.simulation.folders import scan_name
     from jaxscan.simulation.light import Sensor
@@ -44,6 +69,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         bodies,
         name,
         lasers=args.lasers,
+        sides=args.sides,
+        apart=args.apart,
         sensor=Sensor(blur_px=args.blur, noise=args.noise),
         speckle=args.speckle,
         separate_stripes=args.stripes,
@@ -57,7 +84,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "photographs": len(session.boards.rotation) * _each_pose(args.lasers, args.stripes)
         + len(session.stage_steps)
         + sum(len(scan.steps) for scan in scans),
-        "scans": [scan_name(scan.laser) for scan in scans],
+        "sides": args.sides,
+        "scans": [scan_name(scan.which) for scan in scans],
         "true_points": sum(int((scan.position == scan.position).sum()) for scan in scans),
     }
 
@@ -69,14 +97,18 @@ def simulate_into(
     name: str,
     *,
     lasers: int = 1,
+    sides: int = 1,
+    apart: int | None = None,
     sensor: "Sensor | None" = None,
     speckle: float = 0.0,
     separate_stripes: bool = False,
     ending: str = ".png",
 ) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
-    """Write the session, a scan of some bodies by each laser, and their truth into a folder, with a progress bar."""
-    from dataclasses import replace
+    """Write the session, a scan of some bodies by each laser and from each side, and their truth into a folder.
 
+    A scan goes over the same travel, however many motor steps its frames are apart; by default as the rig of 2003.
+    There is a progress bar. The scene is that of the first side.
+    """
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
@@ -85,12 +117,14 @@ def simulate_into(
     from jaxscan.simulation import folders, rig_2003
 
     rig = rig_2003.simulated_rig(seed, lasers)
-    scene = rig_2003.scan_scene(rig, bodies)
+    scenes = [rig_2003.scan_scene(rig, rig_2003.turned(bodies, 360 * k / sides)) for k in range(sides)]
+    apart = apart or rig_2003.STEPS_APART
+    frames = 1 + (rig_2003.SCAN_FRAMES - 1) * rig_2003.STEPS_APART // apart
     common: dict[str, Any] = {"sensor": sensor or rig_2003.SENSOR, "ending": ending}
     boards = rig_2003.BOARD_VIEWS * _each_pose(lasers, separate_stripes)
     with (
         replacing_folders(out) as folder,
-        progress("rendering", boards + rig_2003.STAGE_VIEWS + lasers * rig_2003.SCAN_FRAMES) as advance,
+        progress("rendering", boards + rig_2003.STAGE_VIEWS + lasers * sides * frames) as advance,
     ):
         session = folders.simulate_session(
             folder / "session",
@@ -101,23 +135,26 @@ def simulate_into(
             advance=advance,
             **common,
         )
-        scans = tuple(
-            folders.simulate_scan(
-                folder / folders.scan_name(laser.name),
+        scans = []
+        for (i, laser), k in product(enumerate(rig.lasers), range(sides)):
+            side = f"{360 * k / sides:03.0f}" if sides > 1 else ""
+            which = "-".join(part for part in (laser.name, side) if part)
+            truth = folders.simulate_scan(
+                folder / folders.scan_name(which),
                 rig,
-                scene,
-                seed,
+                scenes[k],
+                seed + _SIDES_APART * k,
                 laser=i,
-                frames=rig_2003.SCAN_FRAMES,
-                name=name,
+                frames=frames,
+                steps_apart=apart,
+                name=" ".join(part for part in (name, side) if part),
                 lighting=replace(rig_2003.SCAN_LIGHTING, speckle=speckle),
                 advance=advance,
                 **common,
             )
-            for i, laser in enumerate(rig.lasers)
-        )
+            scans.append(replace(truth, which=which))
         folders.write_truth(folder / "truth", session, *scans)
-    return scene, session, scans
+    return scenes[0], session, tuple(scans)
 
 
 def _each_pose(lasers: int, separate_stripes: bool) -> int:
@@ -127,19 +164,18 @@ def _each_pose(lasers: int, separate_stripes: bool) -> int:
 
 def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
-    out = result["path"]
+    out, sides = result["path"], result["sides"]
+    joined = f"\nthen: jaxscan merge {out}/scan-* --rig {out}/rig.json --turn {360 / sides:g} -o {out}/model.stl"
     return (
         f"{result['photographs']} photographs of boards and of a {result['object']}, "
         f"{result['true_points']} true points: "
         f"{', '.join(f'{out}/{folder}' for folder in ('session', *result['scans'], 'truth'))}\n"
-        f"next: jaxscan calibrate {out}/session -o {out}/rig.json"
+        f"next: jaxscan calibrate {out}/session -o {out}/rig.json" + (joined if sides > 1 else "")
     )
 
 
 def check_folder(out: Path, seed: int) -> None:
     """Refuse a folder that holds something else, before any work."""
-    from jaxscan.errors import InputError
-
     if seed < 0:
         raise InputError(f"--seed {seed}: give 0 or more")
     if out.exists() and not out.is_dir():

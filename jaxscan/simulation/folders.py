@@ -70,13 +70,13 @@ class ScanTruth:
         steps: motor step count of every frame.
         position: row in which an ideal camera sees the middle of the sheet, NaN for none, px.
         points: that point in the object frame, mm.
-        laser: the name of the laser that was on.
+        which: of several scans, by laser or by side; empty for the only one.
     """
 
     steps: Int[np.ndarray, "frames"]
     position: Float[np.ndarray, "frames columns"]
     points: Float[np.ndarray, "frames columns 3"]
-    laser: str = ""
+    which: str = ""
 
 
 def simulate_session(
@@ -201,13 +201,13 @@ def simulate_scan(
     return ScanTruth(np.asarray(steps), positions, points, settings.name)
 
 
-def scan_name(laser: str) -> str:
-    """What the scan by a laser is called: `scan`, or `scan-NAME` for one of several lasers."""
-    return f"scan-{laser}" if laser else "scan"
+def scan_name(which: str) -> str:
+    """What a scan is called: `scan`, or `scan-WHICH` for one of several."""
+    return f"scan-{which}" if which else "scan"
 
 
 def write_truth(folder: Path, session: SessionTruth, *scans: ScanTruth) -> None:
-    """Write the files of the truth, those of each scan by the name of its laser.
+    """Write the files of the truth, those of each scan by its name.
 
     Raises:
         InputError: something cannot be written.
@@ -222,22 +222,22 @@ def write_truth(folder: Path, session: SessionTruth, *scans: ScanTruth) -> None:
     with replacing(folder / TRUE_SESSION, "w") as file:
         json.dump(values, file, indent=2)
     for scan in scans:
-        with replacing(folder / f"{scan_name(scan.laser)}.npz") as file:
+        with replacing(folder / f"{scan_name(scan.which)}.npz") as file:
             np.savez(file, steps=scan.steps, position=scan.position, points=scan.points)
     write_rig(folder / TRUE_RIG, RigFile(session.rig))
 
 
-def read_scan_truth(folder: Path, laser: str = "") -> ScanTruth:
-    """Read what `write_truth` wrote of the scan by a laser.
+def read_scan_truth(folder: Path, which: str = "") -> ScanTruth:
+    """Read what `write_truth` wrote of a scan.
 
     Raises:
         InputError: there is no such file.
     """
-    path = folder / f"{scan_name(laser)}.npz"
+    path = folder / f"{scan_name(which)}.npz"
     if not path.is_file():
         raise InputError(f"{path}: there is no such file: name the folder truth of a simulation")
     with np.load(path) as arrays:
-        return ScanTruth(arrays["steps"], arrays["position"], arrays["points"], laser)
+        return ScanTruth(arrays["steps"], arrays["position"], arrays["points"], which)
 
 
 def _pose_values(pose: Pose, i: Any) -> dict[str, list[float]]:

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
 
 from jaxscan.geometry import Pose, vector_to_matrix
 from jaxscan.images import Board
@@ -132,6 +133,13 @@ def scan_scene(rig: Rig, bodies: Sequence[Body]) -> Scene:
     """Objects on the platform, as they stand at step 0: bodies of the platform's frame with the floor under them."""
     R, origin = platform(rig)
     return Scene(tuple(body.moved(R, origin) for body in (*bodies, floor(*_FLOOR))))
+
+
+def turned(bodies: Sequence[Body], degrees: float) -> tuple[Body, ...]:
+    """What stands on the platform, turned about the upright through its middle, anticlockwise as seen from above."""
+    middle = np.array([0.0, OBJECT_Y, 0.0])
+    R = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    return tuple(body.moved(R, middle - R @ middle) for body in bodies)
 
 
 def board_scene(rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"]) -> Scene:

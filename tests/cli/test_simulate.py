@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from jaxscan.cli import simulate
@@ -10,6 +11,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.simulation import rig_2003
+from jaxscan.simulation.folders import read_scan_truth
 
 
 def parse(*words: str) -> argparse.Namespace:
@@ -38,6 +40,17 @@ def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None
     assert "box" in simulate.describe(result)
 
 
+def test_a_figure_from_two_sides(few_photographs: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig_2003, "SCAN_FRAMES", 19)
+    out = tmp_path / "world"
+    result = simulate.run(parse(str(out), "--object", "figure", "--sides", "2", "--apart", "18000"))
+    assert result["scans"] == ["scan-000", "scan-180"]
+    first, second = (read_scan_truth(out / "truth", which) for which in ("000", "180"))
+    assert read_scan(out / "scan-180").steps == (0, 18000, 36000) == tuple(first.steps)
+    assert not np.array_equal(first.position, second.position, equal_nan=True)
+    assert "--turn 180" in simulate.describe(result)
+
+
 def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(InputError, match="no simulation"):
@@ -56,6 +69,9 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
         ("--speckle", "2"),
         ("--seed", "-1"),
         ("--mesh", "none.stl"),
+        ("--sides", "0"),
+        ("--sides", "1000"),
+        ("--apart", "0"),
     ],
 )
 def test_bad_options_write_nothing(words: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
