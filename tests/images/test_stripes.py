@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from jaxscan.errors import InputError
 from jaxscan.images import StripeSettings, detect_stripe, read_image
@@ -106,6 +107,18 @@ def test_only_the_columns_that_have_it():
     assert not valid[50:90].any()
     assert valid[:50].all()
     assert valid[90:].all()
+
+
+@pytest.mark.parametrize("blur_px", [0.4, 1.0])
+def test_light_spilt_beyond_the_end_of_a_surface_is_no_stripe(blur_px):
+    """What the lens spreads over the next columns is brighter than the noise, and lies on no surface."""
+    levels = grey_levels(TILTED, 1.5, 180, noise=0)
+    dark = grey_levels(TILTED, 1.5, 0, noise=0)
+    # From the edge between columns 29 and 30 to a quarter of column 69.
+    lit = np.isin(np.arange(COLUMNS), np.arange(30, 69)) + 0.25 * (np.arange(COLUMNS) == 69)
+    spread = ndimage.gaussian_filter1d(dark + (levels - dark) * lit, blur_px, axis=1)
+    valid = np.asarray(detect_stripe(bytes_of(spread), GREY).valid[0])
+    assert np.flatnonzero(valid).tolist() == list(range(30, 69))
 
 
 def test_a_stripe_cut_by_the_border_is_not_valid_and_one_beside_it_is():

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float32, Int
+from jaxtyping import Array, Bool, Float, Float32, Int
 
 from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError
@@ -49,6 +49,9 @@ _SMALL_GROUP, _GROUP, _FEW = (4, 64), (8, 512), 4
 # much longer than it is thick, and longer than so many lines.
 _GAP, _COMPANY_PX, _STEEPEST = 4, 2.0, 4.0
 _LONGER, _SHORTEST = 1.5, 2.5
+# Where a surface ends it is half as bright as it is further in, whatever blurs it: what is dimmer is light spilt beyond
+# its end. So many lines further in are asked, and so many are left out at most.
+_SPILT, _FURTHER_IN, _MOST_SPILT = 0.5, 2, 3
 
 
 @dataclass(frozen=True)
@@ -208,9 +211,25 @@ def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bo
     )
     along2 = square / total - (mean / total) ** 2
     longer = along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12)
+    length = np.diff(starts, append=place.size)
     found = np.zeros_like(seen)
-    found.flat[place] = np.repeat(longer, np.diff(starts, append=place.size))
+    found.flat[place] = np.repeat(longer, length) & ~_spilt(weight, starts, starts + length - 1)
     return found
+
+
+def _spilt(
+    strength: Float[np.ndarray, "points"], first: Int[np.ndarray, "runs"], last: Int[np.ndarray, "runs"]
+) -> Bool[np.ndarray, "points"]:
+    """Which points at the ends of runs are beyond the surface's: dimmer than half of what is seen further in."""
+    spilt = np.zeros(len(strength), bool)
+    for end, other, inwards in ((first, last, 1), (last, first, -1)):
+        for _ in range(_MOST_SPILT):
+            inner = np.clip(end + inwards * np.arange(1, _FURTHER_IN + 1)[:, None], 0, len(strength) - 1)
+            dim = strength[end] < _SPILT * strength[inner].max(axis=0)
+            dim &= (other - end) * inwards >= _FURTHER_IN
+            spilt[end[dim]] = True
+            end = end + inwards * dim
+    return spilt
 
 
 def ambient_levels(frames: np.ndarray, dark: np.ndarray | None, color: str) -> Int[np.ndarray, "frames"]:
