@@ -36,6 +36,7 @@ SUITES = {
     "lab": "the lab server: 200 watchers and one operator, and what watching costs the scan",
     "surface": "cleaning, floor, mesh and PLY: accuracy and speed (a real pyramid with JAXSCAN_DATA)",
     "merge": "eight views of a figure joined: poses, loop, merged surface, against pairs that are chained",
+    "turntable": "a turntable from photographs of the board: axis, angle and place against their σ; scans posed by it",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
@@ -52,6 +53,7 @@ NOT_QUICK = {
     "coherence",
     "exposures",
     "merge",
+    "turntable",
     "batch",
     "lab",
     "growth",

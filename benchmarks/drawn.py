@@ -43,6 +43,21 @@ def exact_session(seed: int, lasers: int = 1) -> tuple[Rig, Observations]:
     )
 
 
+def exact_turn(rig: Rig, seed: int) -> StageSequence:
+    """What is seen of the board on the turntable of a rig that has one, without any noise."""
+    points, turns = rig_2003.BOARD.points(), rig_2003.TURNS_APART * np.arange(rig_2003.TURNTABLE_VIEWS)
+    steps = np.full(len(turns), float(rig_2003.TURNTABLE_STAGE_STEP))
+    boards = rig_2003.turned_boards(rig, rig_2003.turntable_pose(rig, seed), turns)
+    views = tuple(
+        View(
+            f"turntable-{i}",
+            _project(rig.camera, points @ rig_2003.matrix_of(np.asarray(board.rotation)).T + board.translation + moved),
+        )
+        for i, (board, moved) in enumerate(zip(boards, rig_2003.stage_travel(rig, steps), strict=True))
+    )
+    return StageSequence(steps, views, turns.astype(float))
+
+
 def exact_views(rig: Rig, poses: Pose) -> tuple[View, ...]:
     """What is seen of the board in some poses, stacked, with each laser on it."""
     points, views = rig_2003.BOARD.points(), []

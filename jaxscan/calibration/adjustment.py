@@ -7,6 +7,7 @@ at; which observations are outliers is fixed, and so are weights and σ unless t
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -27,10 +28,11 @@ class Adjustment(eqx.Module):
         estimate: where it ended: there `refit` starts, and from there it reads the parameters that are held.
         free: which leaves of `estimate.shared` are refined, in their order.
         groups: observations, weights, board points and masks: of the views, one block each; then, where there is a
-            stage, of its sequences. Blocks beyond `counts` are padding.
+            stage or a turntable, of their sequences. Blocks beyond `counts` are padding.
         noise: σ of a corner and of a stripe point as the solve had them, pixels; only their ratio moves the minimum.
-        reference: the step count at which each sequence's pose stands.
+        reference: the stage's step count at which each sequence's pose stands.
         counts: how many views and how many sequences there are.
+        turned: the turntable's; None where no sequence was turned.
     """
 
     estimate: Estimate
@@ -39,6 +41,7 @@ class Adjustment(eqx.Module):
     noise: Noise
     reference: Float[Array, "sequences"]
     counts: tuple[int, int] = eqx.field(static=True)
+    turned: Float[Array, "sequences"] | None = None
 
     def with_board(self, points: Float[Array | np.ndarray, "points 3"]) -> "Adjustment":
         """The same photographs of another board.
@@ -55,14 +58,23 @@ class Adjustment(eqx.Module):
         return replace(self, groups=tuple(moved(group) for group in self.groups))
 
     def system(self, estimate: Estimate) -> System:
-        """An estimate's rig and poses, without padding; those of the sequences at motor step 0."""
+        """An estimate's rig and poses, without padding; those of the sequences at motor step 0.
+
+        The centre of its turntable is the point of the axis that is nearest to the origin.
+        """
         rig, warp = estimate.shared
         views, sequences = self.counts
         boards = Pose.from_vector(estimate.poses[0][:views])
-        if not sequences or rig.stage is None:
+        if not sequences:
             return System(rig, boards, Pose(jnp.zeros((0, 3)), jnp.zeros((0, 3))), warp)
-        at_mean = Pose.from_vector(estimate.poses[1][:sequences])
-        stages = Pose(at_mean.rotation, at_mean.translation - rig.stage.displacement(jnp.asarray(self.reference)))
+        stages = Pose.from_vector(estimate.poses[1][:sequences])
+        if rig.stage is not None:
+            back = rig.stage.displacement(jnp.asarray(self.reference))
+            stages = Pose(stages.rotation, stages.translation - back)
+        if rig.turntable is not None and self.turned is not None:
+            turntable = rig.turntable
+            stages = jax.vmap(lambda n, pose: turntable.turned(-n) @ pose)(jnp.asarray(self.turned), stages)
+            rig = replace(rig, turntable=turntable.nearest())
         return System(rig, boards, stages, warp)
 
 

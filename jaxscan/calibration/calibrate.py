@@ -15,6 +15,7 @@ from jaxscan.calibration import initial
 from jaxscan.calibration.blocks import stage_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Estimate
 from jaxscan.calibration.coverage import measure_coverage
+from jaxscan.calibration.first_motions import first_motions
 from jaxscan.calibration.first_poses import far_away, first_poses
 from jaxscan.calibration.observability import cause_and_mend, undetermined
 from jaxscan.calibration.observations import Kept, Observations, View
@@ -25,14 +26,15 @@ from jaxscan.calibration.rounds import Refined, refine
 from jaxscan.calibration.second_poses import better_poses
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import BoardWarp, Camera, LightPlane, Rig, Stage
+from jaxscan.rig import BoardWarp, Camera, LightPlane, Rig, Stage, Turntable
 from jaxscan.rig.rig import parameter_names
 
 _FEWEST_CORNERS = 6
 _FEWEST_VIEWS = 3
 _FEWEST_STRIPES = 2
 _FEWEST_STRIPE_POINTS = 10
-_FEWEST_STAGE_IMAGES = 2
+# Of a sequence, at different step counts: a third place on the turntable tells whether two were a turn at all.
+_FEWEST_PLACES = {"stage": 2, "turntable": 3}
 # A light plane to hold while none is known: across the view, half a metre away.
 _NO_PLANE_YET = (0.0, 0.0, 0.002)
 
@@ -48,7 +50,7 @@ def calibrate(
     reject: bool = True,
     keep: Sequence[Kept] | None = None,
 ) -> Calibration:
-    """Refine camera, lens, light planes, stage and all board poses together.
+    """Refine camera, lens, light planes, stage, turntable and all board poses together.
 
     Not to be traced, since values decide what is left out; `refit` differentiates the result.
 
@@ -94,7 +96,8 @@ def calibrate(
         rig = Rig(
             camera,
             tuple(LightPlane.create(_NO_PLANE_YET, name) for name in usable.lasers),
-            Stage.create(np.zeros(3)) if usable.stages else None,
+            Stage.create(np.zeros(3)) if any(s.turns is None for s in usable.stages) else None,
+            Turntable.create(np.zeros(3), np.zeros(3)) if any(s.turns is not None for s in usable.stages) else None,
         )
         views = view_blocks(usable)
         groups = (views, stage_blocks(usable)) if usable.stages else (views,)
@@ -112,10 +115,11 @@ def calibrate(
             if keep is None:
                 usable, off_board = stripe_on_board(usable, camera, view_poses)
                 left_out += off_board
-            stage, stage_poses = _first_stage(usable, camera) if usable.stages else (None, ())
-            rig = Rig(camera, _first_light_planes(usable, camera, view_poses), stage)
+            stage, turntable, *stage_poses = first_motions(usable, camera) if usable.stages else (None, None)
+            rig = Rig(camera, _first_light_planes(usable, camera, view_poses), stage, turntable)
             groups = (view_blocks(usable), *groups[1:])
-            free = _free(rig, None, held, ("camera", "laser", "stage"))
+            along = {f"turntable.centre.{turntable.along()}"} if turntable else set()
+            free = _free(rig, None, held | along, ("camera", "laser", "stage", "turntable"))
             refined = rounds(Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise)
             _check(refined, usable, free)
         result = assemble(refined, free, usable, held, left_out)
@@ -169,14 +173,19 @@ def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
             )
     stages = []
     for stage in observations.stages:
-        kept = [i for i, view in enumerate(stage.views) if enough(view)]
-        places = len({stage.steps[i] for i in kept})
-        if places < _FEWEST_STAGE_IMAGES:
+        usable = stage.only([i for i, view in enumerate(stage.views) if enough(view)])
+        places = len(np.unique(usable.steps if usable.turns is None else usable.turns))
+        if places < _FEWEST_PLACES[stage.place]:
             raise InputError(
-                f"{places} usable stage photographs at different step counts; at least {_FEWEST_STAGE_IMAGES} are "
-                f"needed{because}"
+                f"{places} usable {stage.place} photographs at different step counts; at least "
+                f"{_FEWEST_PLACES[stage.place]} are needed{because}"
             )
-        stages.append(replace(stage, steps=stage.steps[kept], views=tuple(stage.views[i] for i in kept)))
+        stages.append(usable)
+    if any(stage.steps.any() for stage in stages) and all(stage.turns is not None for stage in stages):
+        raise InputError(
+            "the turntable was photographed away from the stage's step 0, but no board on the stage tells how far "
+            "that is: photograph one, or give stage_step = 0 under [turntable]"
+        )
     return replace(observations, views=views, stages=tuple(stages)), tuple(left_out)
 
 
@@ -216,18 +225,6 @@ def _first_light_planes(
             )
         planes.append(LightPlane.create(omega, name))
     return tuple(planes)
-
-
-def _first_stage(observations: Observations, camera: Camera) -> tuple[Stage, tuple[Float[Array, "blocks 6"]]]:
-    """Stage and the pose of each sequence's board at its reference step, from poses found photograph by photograph."""
-    slopes, first = [], []
-    for stage in observations.stages:
-        each = view_blocks(replace(observations, views=stage.views))
-        vectors = np.asarray(first_poses(camera, each))[: len(stage.views)]
-        middle, per_step = initial.stage_line(np.asarray(stage.steps, float), vectors[:, 3:])
-        slopes.append(per_step)
-        first.append(np.concatenate([initial.usual_rotation(vectors[:, :3]), middle]))
-    return Stage.create(np.median(slopes, axis=0)), (jnp.asarray(np.stack(first)),)
 
 
 def _corners_of_views(groups: tuple[Blocks, ...]) -> tuple[Blocks, ...]:

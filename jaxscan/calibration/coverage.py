@@ -52,6 +52,8 @@ class Coverage:
         stripes: laser by laser.
         stage_images: photographs of the board on the stage.
         stage_travel_mm: between the first and the last of them; None where the rig has no stage.
+        turntable_images: photographs of the board on the turntable.
+        turn_deg: from the first to the last of them; None where the rig has no turntable.
     """
 
     tilts_deg: Float[np.ndarray, "views"]
@@ -64,6 +66,8 @@ class Coverage:
     stripes: tuple[StripeCoverage, ...]
     stage_images: int
     stage_travel_mm: float | None
+    turntable_images: int
+    turn_deg: float | None
 
 
 def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "blocks 6"]) -> Coverage:
@@ -83,11 +87,15 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "
     cell = np.floor((corners + 0.5) / size * CELLS).astype(int).clip(0, np.array(CELLS) - 1)
     counts = np.zeros(CELLS[::-1], int)
     np.add.at(counts, (cell[:, 1], cell[:, 0]), 1)
-    steps = [step for stage in observations.stages for step in (stage.steps.max(), stage.steps.min())]
-    travel = None
-    if rig.stage is not None and steps:
+    along = [stage for stage in observations.stages if stage.turns is None]
+    turns = [(stage.views, stage.turns) for stage in observations.stages if stage.turns is not None]
+    travel = turn = None
+    if rig.stage is not None and along:
         per_step = float(np.linalg.norm(np.stack(rig.stage.per_step)))
-        travel = per_step * float(max(a - b for a, b in zip(steps[::2], steps[1::2], strict=True)))
+        travel = per_step * max(float(np.ptp(stage.steps)) for stage in along)
+    if rig.turntable is not None and turns:
+        per_turn = float(np.linalg.norm(np.stack(rig.turntable.per_step)))
+        turn = float(np.degrees(per_turn * max(float(np.ptp(counts)) for _, counts in turns)))
     return Coverage(
         tilts_deg=np.degrees(np.arccos(np.abs(normals[:, 2]).clip(0, 1))),
         normals=normals,
@@ -97,8 +105,10 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "
         image_share=float((counts > 0).mean()),
         reach=float(np.linalg.norm(corners - (size - 1) / 2, axis=1).max() / np.linalg.norm(size / 2)),
         stripes=tuple(_stripes(observations, rig, poses, i) for i in range(len(rig.lasers))),
-        stage_images=sum(len(stage.views) for stage in observations.stages),
+        stage_images=sum(len(stage.views) for stage in along),
         stage_travel_mm=travel,
+        turntable_images=sum(len(views) for views, _ in turns),
+        turn_deg=turn,
     )
 
 

@@ -32,6 +32,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose, matrix_to_vector
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Covariance, Rig
+from jaxscan.rig.covariance import turntable_leaves, with_nearest_centre
 from jaxscan.rig.rig import parameter_names
 
 # Left out beyond this many σ.
@@ -130,14 +131,17 @@ def refine_by_gauge(
         fitted = _fit(gauges, seen, laid.estimate, boards, boards.free)
         groups = (*boards.groups, fitted.scans)
         found = precision(fitted.estimate, boards.free, groups, boards.noise, boards.prior)
-        names, at = parameter_names(rig), np.flatnonzero(boards.free)
-        covariance = Covariance(tuple(names[i] for i in at), np.asarray(found.covariance)[np.ix_(at, at)])
         refined = fitted.estimate.shared[0]
+        names, known_of = parameter_names(rig), np.array(boards.free)
+        known_of[turntable_leaves(rig)] |= known_of[turntable_leaves(rig)].any()
+        at = np.flatnonzero(known_of)
+        matrix = with_nearest_centre(np.asarray(found.covariance), refined, boards.free)
+        covariance = Covariance(tuple(names[i] for i in at), matrix[np.ix_(at, at)])
         shift = np.asarray(boards.believed.root) @ (
             np.asarray(ravel_pytree(refined)[0]) - np.asarray(boards.believed.mean)
         )
         return GaugeFit(
-            rig=as_numpy(refined),
+            rig=as_numpy(replace(refined, turntable=refined.turntable and refined.turntable.nearest())),
             covariance=covariance,
             gauges=_readings(gauges, seen, laid, fitted),
             from_prior_in_sigma=float(np.linalg.norm(shift)),
@@ -187,7 +191,12 @@ def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequen
     )
     corner, stripe = known.corner_sigma_px, (known.stripe_sigma_px or 1.0) * (known.stripe_correlation or 1.0) ** 0.5
     noise = Noise(jnp.asarray(corner), jnp.asarray(stripe), jnp.zeros(()))
-    return _Boards(adjustment.estimate, jnp.asarray(free), groups, noise, Prior(mean, jnp.asarray(roughly)), believed)
+    if "stage" in doubt:
+        # Where the stage stood tells where the turntable did: of neither a photograph is read, and this one stays.
+        free[turntable_leaves(rig)] = False
+    # The calibration's own estimate, but for where along its axis the turntable's centre stands.
+    estimate = Estimate((rig, None), adjustment.estimate.poses)
+    return _Boards(estimate, jnp.asarray(free), groups, noise, Prior(mean, jnp.asarray(roughly)), believed)
 
 
 def _roughly(rig: Rig, stems: Sequence[str]) -> tuple[Float[np.ndarray, "rows leaves"], Bool[np.ndarray, "leaves"]]:
@@ -208,6 +217,10 @@ def _told(
     if content.covariance is None:
         return np.zeros((0, len(doubted))), doubted
     full = content.covariance.of_leaves(content.rig)
+    if content.rig.turntable is not None:
+        J, leaves = np.eye(len(full)), turntable_leaves(content.rig)
+        J[np.ix_(leaves, leaves)] = content.rig.turntable.held_jacobian()
+        full = J @ full @ J.T
     at = np.flatnonzero((np.diagonal(full) > 0) & ~doubted)
     scale = np.sqrt(np.diagonal(full)[at])
     L = np.linalg.cholesky(full[np.ix_(at, at)] / np.outer(scale, scale))

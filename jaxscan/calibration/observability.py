@@ -8,8 +8,9 @@ from jaxtyping import Float
 from jaxscan.calibration.coverage import Coverage
 from jaxscan.calibration.uncertainty import UNDETERMINED
 
-# Focal length, light plane or travel of the stage known no better than this share of itself is not a measurement.
+# Focal length, light plane, travel or turn known no better than this share of itself is not a measurement.
 _LARGEST_RELATIVE_SIGMA = 0.02
+_VECTORS = ("laser", "stage", "turntable.per_step")
 # Shares of a direction below this are not worth a word.
 _WORTH_NAMING = 0.3
 # Boards whose normals differ by less do not show perspective.
@@ -22,6 +23,7 @@ _IN_WORDS = {
     "camera.tangential": "the tangential distortion",
     "laser": "the light plane",
     "stage": "the stage's travel",
+    "turntable": "the turntable's turn",
 }
 
 
@@ -71,7 +73,7 @@ def undetermined(
                 f"{sigma:.0f} px ({100 * sigma / abs(values[i]):.0f} %)",
                 (name,),
             )
-    for stem in dict.fromkeys(name.rsplit(".", 1)[0] for name in names if name.startswith(("laser", "stage"))):
+    for stem in dict.fromkeys(name.rsplit(".", 1)[0] for name in names if name.startswith(_VECTORS)):
         at = [i for i, name in enumerate(names) if name.startswith(stem)]
         # In the worst direction of the vector: of ω its length is the sheet's place, its direction the sheet's tilt.
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(at, at)])[-1]))
@@ -98,6 +100,11 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
         return (
             f"the board on the stage moved by {coverage.stage_travel_mm or 0.0:.2f} mm over {coverage.stage_images} "
             "photographs. Photograph it along the whole travel"
+        )
+    if name.startswith("turntable"):
+        return (
+            f"the board on the turntable turned by {coverage.turn_deg or 0.0:.1f}° over {coverage.turntable_images} "
+            "photographs. Turn it by 30° and more, all around where it can be seen"
         )
     if coverage.tilt_spread_deg < _SMALLEST_TILT_SPREAD_DEG:
         return (

@@ -58,15 +58,27 @@ class View:
 
 @dataclass(frozen=True)
 class StageSequence:
-    """Photographs of one board fixed on the stage, along its travel.
+    """Photographs of one board fixed on the stage, along its travel, or on the turntable, along its turn.
 
     Attributes:
-        steps: motor step count of each photograph.
+        steps: motor step count of the stage at each photograph.
         views: the photographs, all with the corners in the same order, without stripes.
+        turns: motor step count of the turntable at each photograph; None for a board on the stage.
     """
 
     steps: Float[np.ndarray, "images"]
     views: tuple[View, ...]
+    turns: Float[np.ndarray, "images"] | None = None
+
+    @property
+    def place(self) -> str:
+        """What the board stood on, in words."""
+        return "stage" if self.turns is None else "turntable"
+
+    def only(self, kept: Sequence[int]) -> "StageSequence":
+        """Some of its photographs."""
+        views, turns = tuple(self.views[i] for i in kept), None if self.turns is None else self.turns[kept]
+        return StageSequence(self.steps[kept], views, turns)
 
 
 @dataclass(frozen=True)
@@ -111,7 +123,7 @@ class Observations:
         image_size: columns and rows of every photograph.
         board: the board, for the millimetres of its points.
         views: the board held in many poses.
-        stages: stage sequences.
+        stages: sequences on stage and turntable.
         lasers: the names of the lasers, "" for the only one.
         left_out: what was looked for and not found, in words.
         notes: what a reader should know of the photographs: ambiguities, guesses.
@@ -142,14 +154,16 @@ class Observations:
             for view in stage.views:
                 if view.stripes:
                     raise InputError(
-                        f"{view.name}: a stage photograph has stripes, which are compared with boards held still: give "
-                        "this photograph as a view as well, with its stripes, and leave them out of the stage sequence"
+                        f"{view.name}: a {stage.place} photograph has stripes, which are compared with boards held "
+                        "still: give this photograph as a view as well, with its stripes, and leave them out of the "
+                        f"{stage.place} sequence"
                     )
-            if len(stage.steps) != len(stage.views):
-                raise InputError(f"{len(stage.steps)} step counts for {len(stage.views)} stage photographs")
+            for counts in (stage.steps, stage.steps if stage.turns is None else stage.turns):
+                if len(counts) != len(stage.views):
+                    raise InputError(f"{len(counts)} step counts for {len(stage.views)} {stage.place} photographs")
 
     def photographs(self) -> tuple[View, ...]:
-        """All photographs of the board: the views, then those of the stage, sequence by sequence."""
+        """All photographs of the board: the views, then those on stage and turntable, sequence by sequence."""
         return *self.views, *(view for stage in self.stages for view in stage.views)
 
     def only(self, keep: Sequence[Kept]) -> "Observations":

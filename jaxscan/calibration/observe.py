@@ -11,7 +11,7 @@ import numpy as np
 from jaxscan.calibration.observations import Observations, StageSequence, StripePoints, View
 from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError, said_of
-from jaxscan.files.session import Session, StageImages
+from jaxscan.files.session import Session, StageImages, TurntableImages
 from jaxscan.files.settings import relative_name
 from jaxscan.images import (
     Board,
@@ -61,7 +61,7 @@ def observe(
     Raises:
         InputError: a photograph that cannot be read, or a board that is found in none of them.
     """
-    stage = session.stage
+    sequences = [sequence for sequence in (session.stage, session.turntable) if sequence]
 
     def name(path: Path) -> str:
         """As the session has it: photographs of the views and of the stage may share a file name."""
@@ -86,8 +86,12 @@ def observe(
     with ThreadPoolExecutor(cpu_count()) as pool:
         photographs = counted(pool.map(view, range(len(session.views.boards))))
         left_out = _not_found(session, photographs, "view")
-        staged = counted(pool.map(along, stage.images if stage else ()))
-        left_out += _not_found(session, staged, "stage photograph")
+        moved = []
+        for sequence in sequences:
+            moved.append(counted(pool.map(along, sequence.images)))
+            what = "turntable" if isinstance(sequence, TurntableImages) else "stage"
+            left_out += _not_found(session, moved[-1], f"{what} photograph")
+    staged = [photograph for each in moved for photograph in each]
     usual = _usual_sigma([p.found for p in (*photographs, *staged) if p.found is not None])
     photographs, repeated = _once(photographs)
     left_out += repeated
@@ -109,13 +113,15 @@ def observe(
         columns, rows = session.board.counts
         notes.append(
             f"the board of {columns} x {rows} looks the same after half a turn: each view's order of corners is one of "
-            "two valid ones; along the stage it is carried from photograph to photograph"
+            "two valid ones; on stage and turntable it is carried from photograph to photograph"
         )
     return Observations(
         image_size=session.image_size,
         board=session.board,
         views=tuple(views),
-        stages=(_sequence(session.board, stage, staged, usual),) if stage else (),
+        stages=tuple(
+            _sequence(session.board, sequence, each, usual) for sequence, each in zip(sequences, moved, strict=True)
+        ),
         lasers=tuple(laser.name for laser in session.lasers),
         left_out=tuple(left_out),
         notes=tuple(notes),
@@ -129,7 +135,7 @@ def unseen(session: Session) -> Observations:
 
 def photograph_count(session: Session) -> int:
     """How many poses `observe` looks at."""
-    return len(session.views.boards) + (len(session.stage.images) if session.stage else 0)
+    return len(session.views.boards) + sum(len(s.images) for s in (session.stage, session.turntable) if s)
 
 
 def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
@@ -210,17 +216,20 @@ def stripe_points(
 
 
 def _sequence(
-    board: Board, stage: StageImages, photographs: Sequence[_Photograph], usual_sigma: float
+    board: Board, sequence: StageImages, photographs: Sequence[_Photograph], usual_sigma: float
 ) -> StageSequence:
-    """The stage photographs on which the board was found, their corners in one order."""
+    """The photographs on stage or turntable on which the board was found, their corners in one order."""
     views, steps, previous = [], [], None
-    for photograph, count in zip(photographs, stage.steps, strict=True):
+    for photograph, count in zip(photographs, sequence.steps, strict=True):
         if photograph.found is None:
             continue
         previous = photograph.found if previous is None else _carried(board, previous, photograph.found)
         views.append(_view(photograph, previous, usual_sigma))
         steps.append(float(count))
-    return StageSequence(np.asarray(steps), tuple(views))
+    counts = np.asarray(steps)
+    if isinstance(sequence, TurntableImages):
+        return StageSequence(np.full(len(counts), float(sequence.stage_step)), tuple(views), counts)
+    return StageSequence(counts, tuple(views))
 
 
 def _carried(board: Board, previous: BoardView, found: BoardView) -> BoardView:

@@ -18,8 +18,8 @@ from jaxscan.rig import BoardWarp, Rig
 class Blocks(eqx.Module):
     """Observations of one group of boards, padded to one shape. Masked entries are never read.
 
-    A view is a block with step counts 0. A stage sequence is one block as well: the corners of all its photographs,
-    each with its step count relative to the sequence's mean.
+    A view is a block with step counts 0. A sequence on stage or turntable is one block as well: the corners of all its
+    photographs, each with its step counts. Its pose is that at the counts of reference.
 
     Attributes:
         points: board points, mm.
@@ -27,12 +27,13 @@ class Blocks(eqx.Module):
         corners: where they were seen, pixels.
         weights: relative 1 / σ of each corner.
         corner_used: which corners take part.
-        steps: motor steps of each corner's photograph, relative to the block's reference.
+        steps: motor steps of the stage at each corner's photograph, relative to the block's reference.
         stripe: stripe points, pixels.
         stripe_weights: relative 1 / σ of each stripe point.
         stripe_used: which of them take part.
         stripe_columns: True where v was measured, False where u was.
         stripe_laser: which laser each belongs to.
+        turns: motor steps of the turntable, as `steps`; None where no block was turned.
     """
 
     points: Float[Array, "*blocks corners 3"]
@@ -46,6 +47,7 @@ class Blocks(eqx.Module):
     stripe_used: Bool[Array, "*blocks stripe"]
     stripe_columns: Bool[Array, "*blocks stripe"]
     stripe_laser: Int[Array, "*blocks stripe"]
+    turns: Float[Array, "*blocks corners"] | None = None
 
     def residuals(
         self, rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], noise: "Noise"
@@ -82,12 +84,15 @@ def corner_error(
     relative: Float[Array, "2"],
     steps: Float[Array, ""],
     corner: Float[Array, "2"],
+    turns: Float[Array, ""] | None = None,
 ) -> Float[Array, "2"]:
     """Predicted minus seen position of a board point, pixels."""
     if warp is not None:
         point = point + jnp.array([0.0, 0.0, 1.0]) * warp.height(relative)
     # Written out, here and below: XLA fuses sums with what surrounds them, but not small matrix products.
     X = jnp.stack([R[i, 0] * point[0] + R[i, 1] * point[1] + R[i, 2] * point[2] + t[i] for i in range(3)])
+    if turns is not None and rig.turntable is not None:
+        X = rig.turntable.turned(turns).apply(X)
     if rig.stage is not None:
         X = X + rig.stage.displacement(steps)
     return rig.camera.project(X) - corner
@@ -112,7 +117,7 @@ def block_errors(
     centre = jnp.stack(rig.camera.principal)
     seen = jnp.where(block.corner_used[:, None], block.corners, 0.0)
     corner = jax.vmap(lambda *each: corner_error(rig, warp, R, pose[3:], *each))(
-        block.points, block.relative, block.steps, seen
+        block.points, block.relative, block.steps, seen, block.turns
     )
     corner = jnp.where(block.corner_used[:, None], corner, 0.0)
     if not rig.lasers or block.stripe.shape[0] == 0:

@@ -4,17 +4,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.adjustment import Adjustment
-from jaxscan.calibration.blocks import reference_step
-from jaxscan.calibration.observations import Kept, Observations, View
+from jaxscan.calibration.blocks import reference_step, reference_turn
+from jaxscan.calibration.observations import Kept, Observations, StageSequence, View
 from jaxscan.calibration.rounds import Refined
 from jaxscan.files.rig_file import RigFile
+from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
-from jaxscan.rig import Covariance, Rig, System
+from jaxscan.rig import Covariance, Rig, System, Turntable
+from jaxscan.rig.covariance import with_nearest_centre
 from jaxscan.rig.rig import parameter_names
 
 
@@ -48,12 +52,12 @@ class Calibration:
     """A calibrated rig, how it was reached, and what was left out.
 
     Attributes:
-        rig: camera, light planes, stage; NumPy float64 leaves.
+        rig: camera, light planes, stage, turntable; NumPy float64 leaves.
         system: the same with every board pose.
         observations: what it was found from: the usable photographs, with those stripe points that lie on the board.
         covariance: of the rig's parameters; one that was held is not among them.
         board_covariances: view by view, of the rig's parameters and that board's pose together.
-        stage_covariances: the same of each stage sequence's pose at motor step 0.
+        stage_covariances: the same of the pose of each sequence on stage or turntable at motor step 0.
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
         stripe_correlation: how many neighbouring stripe points are worth one, by the correlation of their errors.
@@ -61,7 +65,7 @@ class Calibration:
         corner_rms_px: root mean square distance of the corners that were kept.
         stripe_rms_px: root mean square stripe error of the points that were kept; None without stripes.
         fits: view by view.
-        stage_fits: stage photograph by stage photograph.
+        stage_fits: photograph by photograph of the sequences on stage and turntable.
         left_out: what was not used, and why, in words.
         notes: what a reader should know.
         kept: which points of each photograph took part, in the order of `Observations.photographs`; what `calibrate`
@@ -101,8 +105,10 @@ class Calibration:
             "corner_rms_px": self.corner_rms_px,
             "corner_sigma_px": self.corner_sigma_px,
             "views": len(self.fits),
-            "stage_images": len(self.stage_fits),
+            "stage_images": sum(len(s.views) for s in self.observations.stages if s.turns is None),
         }
+        if turned := [len(s.views) for s in self.observations.stages if s.turns is not None]:
+            fit["turntable_images"] = sum(turned)
         if self.stripe_rms_px is not None:
             fit |= {
                 "stripe_rms_px": self.stripe_rms_px,
@@ -118,6 +124,7 @@ def assemble(
     refined: Refined, free: Bool[Array, "shared"], observations: Observations, held: set[str], left_out: tuple[str, ...]
 ) -> Calibration:
     """The result of the last rounds, in the order of the observations that took part; inside a `float64` block."""
+    shared = refined.estimate.shared[0]
     adjustment = Adjustment(
         estimate=refined.estimate,
         free=free,
@@ -125,12 +132,16 @@ def assemble(
         noise=refined.solved_with,
         reference=jnp.asarray([reference_step(stage) for stage in observations.stages]),
         counts=(len(observations.views), len(observations.stages)),
+        turned=jnp.asarray([reference_turn(stage) for stage in observations.stages])
+        if shared.turntable is not None
+        else None,
     )
     system = adjustment.system(refined.estimate)
     rig, (n_views, n_stages) = system.rig, adjustment.counts
     names = parameter_names(rig)
     at = [i for i, name in enumerate(names) if name not in held]
-    covariance = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
+    joint = tuple(with_nearest_centre(np.asarray(blocks), shared, free) for blocks in refined.precision.blocks)
+    covariance = with_nearest_centre(np.asarray(refined.precision.covariance), shared, free)[np.ix_(at, at)]
     fits = _photograph_fits(observations.views, refined, 0, len(observations.board.points()))
     stage_fits = sum(
         (
@@ -146,11 +157,11 @@ def assemble(
         system=as_numpy(system),
         observations=observations,
         covariance=Covariance(tuple(names[i] for i in at), covariance),
-        board_covariances=_with_poses(refined, 0, n_views, names, at),
+        board_covariances=_with_poses(joint[0][:n_views], names, at),
         stage_covariances=tuple(
-            _at_step_0(covariance, reference_step(stage))
-            for covariance, stage in zip(
-                _with_poses(refined, 1, n_stages, names, at) if n_stages else (), observations.stages, strict=True
+            _at_step_0(covariance, stage, rig, refined.estimate.poses[1][i])
+            for i, (covariance, stage) in enumerate(
+                zip(_with_poses(joint[1][:n_stages], names, at) if n_stages else (), observations.stages, strict=True)
             )
         ),
         corner_sigma_px=float(refined.noise.corner),
@@ -174,21 +185,38 @@ def assemble(
 _POSE = tuple(f"board.{part}.{i}" for part in ("rotation", "translation") for i in range(3))
 
 
-def _with_poses(refined: Refined, group: int, count: int, names: list[str], at: list[int]) -> tuple[Covariance, ...]:
+def _with_poses(joint: Float[np.ndarray, "blocks n n"], names: list[str], at: list[int]) -> tuple[Covariance, ...]:
     """The covariance of the free rig parameters and the pose, for each board of a group."""
-    joint = np.asarray(refined.precision.blocks[group])[:count]
     kept = np.array([*at, *range(joint.shape[1] - len(_POSE), joint.shape[1])])
     return tuple(Covariance((*(names[i] for i in at), *_POSE), matrix[np.ix_(kept, kept)]) for matrix in joint)
 
 
-def _at_step_0(covariance: Covariance, mean: float) -> Covariance:
-    """From the pose at a sequence's mean step to that at step 0: t₀ = t − mean · per_step."""
+def _at_step_0(covariance: Covariance, sequence: StageSequence, rig: Rig, pose: Float[Array, "6"]) -> Covariance:
+    """From the pose at a sequence's mean step to that at step 0: t₀ = t − mean · per_step, or turned back."""
     J = np.eye(len(covariance.names))
-    for i in range(3):
-        name = f"stage.per_step.{i}"
-        if name in covariance.names:
-            J[covariance.names.index(f"board.translation.{i}"), covariance.names.index(name)] = -mean
+    if rig.turntable is not None and sequence.turns is not None:
+        names = [*(name for name in covariance.names if name.startswith("turntable.")), *_POSE]
+        at = [covariance.names.index(name) for name in names]
+        J[np.ix_(at[-len(_POSE) :], at)] = _turned_back(rig.turntable, jnp.asarray(reference_turn(sequence)), pose)
+    else:
+        mean = reference_step(sequence)
+        for i in range(3):
+            name = f"stage.per_step.{i}"
+            if name in covariance.names:
+                J[covariance.names.index(f"board.translation.{i}"), covariance.names.index(name)] = -mean
     return Covariance(covariance.names, J @ covariance.matrix @ J.T)
+
+
+@jax.jit
+def _turned_back(turntable: Turntable, steps: Float[Array, ""], pose: Float[Array, "6"]) -> Float[Array, "6 12"]:
+    """How a pose, turned back by so many steps, moves with the turntable's six numbers and with the pose."""
+    numbers, unravel = ravel_pytree((turntable, pose))
+
+    def back(numbers: Float[Array, "12"]) -> Float[Array, "6"]:
+        turntable, pose = unravel(numbers)
+        return (turntable.turned(-steps) @ Pose.from_vector(pose)).as_vector()
+
+    return jax.jacfwd(back)(numbers)
 
 
 def _kept(observations: Observations, refined: Refined) -> tuple[Kept, ...]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
 from jaxscan.rig import Camera, Rig
+from jaxscan.rig.turn_facts import rig_turn_facts
 
 Facts = dict[str, Any]
 
@@ -46,6 +48,8 @@ def session_facts(path: Path) -> Facts:
         "stripes": stripes and {name: sum(p is not None for p in paths) for name, paths in stripes.items()},
         "lasers": [_laser_settings(laser) for laser in session.lasers],
         "stage": session.stage and _steps(session.stage.steps),
+        "turntable": session.turntable
+        and {**_steps(session.turntable.steps), "stage_step": session.turntable.stage_step},
     }
 
 
@@ -97,6 +101,7 @@ def rig_facts(path: Path) -> Facts:
         "camera": camera,
         "lasers": lasers,
         "stage": stage,
+        "turntable": (turntable := rig_turn_facts(rig, covariance)) and asdict(turntable),
         "fit": content.fit,
     }
 

@@ -242,8 +242,9 @@ def _registered(sides: "list[Side]", starts: "list[Motion]", found: "Registratio
 
 
 def _turntable(args: argparse.Namespace, registration: "Registration") -> dict[str, Any]:
-    import numpy as np
+    from dataclasses import asdict
 
+    from jaxscan.rig.turn_facts import turn_facts
     from jaxscan.surface.turntable import fit_turntable
 
     fit = fit_turntable(registration, args.fit_turntable)
@@ -251,15 +252,8 @@ def _turntable(args: argparse.Namespace, registration: "Registration") -> dict[s
         from jaxscan.files.rig_file import read_rig, write_rig
 
         write_rig(args.write_rig, fit.on(read_rig(args.rig)))
-    sigma = np.sqrt(np.diag(fit.covariance.matrix))
-    w = np.array([float(x) for x in fit.turntable.per_step])
-    angle = float(np.linalg.norm(w))
     return {
-        "degrees_per_step": float(np.degrees(angle)),
-        "axis": (w / angle).tolist(),
-        "centre_mm": [float(x) for x in fit.turntable.centre],
-        "sigma_deg_per_step": float(np.degrees(np.linalg.norm(sigma[:3]))),
-        "sigma_mm": float(np.linalg.norm(sigma[3:])),
+        **asdict(turn_facts(fit.turntable, fit.covariance, registration.centre)),
         "misfit_in_sigma": fit.misfit,
         "rig": str(args.write_rig) if args.write_rig else None,
     }
@@ -323,11 +317,11 @@ def describe(result: dict[str, Any]) -> str:
         for scan in scans[1:]
     ]
     if "turntable" in result:
+        from jaxscan.cli.words import turn_in_words
+
         found = result["turntable"]
-        axis, centre = (", ".join(f"{x:.4f}" for x in found[key]) for key in ("axis", "centre_mm"))
         lines.append(
-            f"  turntable  {found['degrees_per_step']:.6g}° a step about ({axis}) through ({centre}) mm, "
-            f"± {found['sigma_mm']:.4f}; the poses are off it by {found['misfit_in_sigma']:.1f} σ"
+            f"  turntable  {', '.join(turn_in_words(found))}; the poses are off it by {found['misfit_in_sigma']:.1f} σ"
         )
     if result["picture"]:
         lines.append(f"  picture    {result['picture']}")

@@ -48,6 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lasers", type=int, choices=(1, 2), default=1, help="2: a second one, and a scan by each (default: 1)"
     )
+    parser.add_argument(
+        "--turntable", action="store_true", help="photograph the board on a turntable, and turn by that"
+    )
     parser.add_argument("--stripes", action="store_true", help="photograph boards and stripes separately")
     parser.add_argument("--jpeg", action="store_true", help="write JPEG in place of PNG")
 
@@ -62,6 +65,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     bodies, name = _bodies(args)
     from jaxscan.simulation.folders import scan_name
     from jaxscan.simulation.light import Sensor
+    from jaxscan.simulation.rig_2003 import STEPS_PER_TURN
 
     _, session, scans = simulate_into(
         args.out,
@@ -73,6 +77,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         apart=args.apart,
         sensor=Sensor(blur_px=args.blur, noise=args.noise),
         speckle=args.speckle,
+        turntable=args.turntable,
         separate_stripes=args.stripes,
         ending=".jpg" if args.jpeg else ".png",
     )
@@ -83,8 +88,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "object": name,
         "photographs": len(session.boards.rotation) * _each_pose(args.lasers, args.stripes)
         + len(session.stage_steps)
+        + len(session.turntable_steps)
         + sum(len(scan.steps) for scan in scans),
         "sides": args.sides,
+        "steps_apart": STEPS_PER_TURN / args.sides if args.turntable else None,
         "scans": [scan_name(scan.which) for scan in scans],
         "true_points": sum(int((scan.position == scan.position).sum()) for scan in scans),
     }
@@ -101,6 +108,7 @@ def simulate_into(
     apart: int | None = None,
     sensor: "Sensor | None" = None,
     speckle: float = 0.0,
+    turntable: bool = False,
     separate_stripes: bool = False,
     ending: str = ".png",
 ) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
@@ -117,11 +125,18 @@ def simulate_into(
     from jaxscan.simulation import folders, rig_2003
 
     rig = rig_2003.simulated_rig(seed, lasers)
-    scenes = [rig_2003.scan_scene(rig, rig_2003.turned(bodies, 360 * k / sides)) for k in range(sides)]
+    rig = rig_2003.with_turntable(rig, seed) if turntable else rig
+    turned = [
+        rig_2003.turned_on(rig, bodies, rig_2003.STEPS_PER_TURN * k / sides)
+        if turntable
+        else rig_2003.turned(bodies, 360 * k / sides)
+        for k in range(sides)
+    ]
+    scenes = [rig_2003.scan_scene(rig, each) for each in turned]
     apart = apart or rig_2003.STEPS_APART
     frames = 1 + (rig_2003.SCAN_FRAMES - 1) * rig_2003.STEPS_APART // apart
     common: dict[str, Any] = {"sensor": sensor or rig_2003.SENSOR, "ending": ending}
-    boards = rig_2003.BOARD_VIEWS * _each_pose(lasers, separate_stripes)
+    boards = rig_2003.BOARD_VIEWS * _each_pose(lasers, separate_stripes) + turntable * rig_2003.TURNTABLE_VIEWS
     with (
         replacing_folders(out) as folder,
         progress("rendering", boards + rig_2003.STAGE_VIEWS + lasers * sides * frames) as advance,
@@ -165,7 +180,8 @@ def _each_pose(lasers: int, separate_stripes: bool) -> int:
 def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
     out, sides = result["path"], result["sides"]
-    joined = f"\nthen: jaxscan merge {out}/scan-* --rig {out}/rig.json --turn {360 / sides:g} -o {out}/model.stl"
+    turned = f"--steps {result['steps_apart']:g}" if result["steps_apart"] else f"--turn {360 / sides:g}"
+    joined = f"\nthen: jaxscan merge {out}/scan-* --rig {out}/rig.json {turned} -o {out}/model.stl"
     return (
         f"{result['photographs']} photographs of boards and of a {result['object']}, "
         f"{result['true_points']} true points: "

@@ -29,6 +29,8 @@ def _session(facts: Facts) -> Iterator[Line]:
         yield "laser", "none: the rig will have none"
     stage = facts["stage"]
     yield "stage", f"{stage['count']} photographs, {_travel(stage)}" if stage else "none: the rig will have none"
+    if turntable := facts["turntable"]:
+        yield "turntable", f"{turntable['count']} photographs, {_travel(turntable)}, at step {turntable['stage_step']}"
     held = "found" if facts["principal_point"] == "free" else "held at the centre of the image"
     yield "camera", f"lens {facts['lens']}, principal point {held}"
 
@@ -73,6 +75,8 @@ def _rig(facts: Facts) -> Iterator[Line]:
     else:
         direction = ", ".join(f"{x:.4f}" for x in stage["direction"])
         yield "stage", f"{stage['mm_per_1000_steps']:.5g} mm for 1000 steps, {stage['way']}, along ({direction})"
+    if turntable := facts["turntable"]:
+        yield from zip(("turntable", ""), turn_in_words(turntable), strict=True)
     for name, value in facts["fit"].items():
         yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
 
@@ -183,6 +187,20 @@ def _travel(steps: Facts) -> str:
         return "no steps"
     spacing = f", {steps['spacing']} apart" if steps["spacing"] is not None else ""
     return f"steps {steps['first_step']} to {steps['last_step']}{spacing}"
+
+
+def turn_in_words(facts: Facts) -> tuple[str, str]:
+    """Angle and axis of a turntable: `TurnFacts` as a dictionary."""
+
+    def sigma(key: str, unit: str) -> str:
+        return f" ± {facts[key]:.2g}{unit}" if facts[key] is not None else ""
+
+    axis, through = (", ".join(f"{x:.{n}f}" for x in facts[key]) for key, n in (("axis", 5), ("through_mm", 3)))
+    return (
+        f"{facts['degrees_per_step']:.7g}°{sigma('degrees_per_step_sigma', '°')} a step, {facts['steps_per_turn']:.6g} "
+        f"steps a turn, {facts['way']} as the camera sees it",
+        f"axis ({axis}){sigma('axis_sigma_deg', '°')} through ({through}) mm{sigma('through_sigma_mm', ' mm')}",
+    )
 
 
 def _values(part: Facts, unit: str = "") -> str:

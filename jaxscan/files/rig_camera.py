@@ -17,6 +17,7 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
     sigma = {name: covariance.sigma(name) for name in covariance.names} if covariance else {}
     beside = [f"the light plane {laser.name}".rstrip() for laser in rig.lasers]
     beside += ["the stage"] if rig.stage is not None else []
+    beside += ["the turntable"] if rig.turntable is not None else []
     beside += ["the covariances"] if covariance else []
     return CameraFile(
         rig.camera.image_size,

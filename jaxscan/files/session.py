@@ -65,6 +65,17 @@ class StageImages:
 
 
 @dataclass(frozen=True)
+class TurntableImages(StageImages):
+    """The board fixed on the turntable, photographed as it turns.
+
+    Attributes:
+        stage_step: motor step of the stage at which they were taken.
+    """
+
+    stage_step: int = 0
+
+
+@dataclass(frozen=True)
 class Session:
     """A calibration session.
 
@@ -74,6 +85,7 @@ class Session:
         views: the board held in many poses.
         camera: what is to be found of the camera.
         stage: the board on the stage, where the rig has one.
+        turntable: the board on the turntable, where the rig has one.
         lasers: how to look for the stripe of each laser; none for a rig without a laser.
         image_size: columns and rows of all its photographs.
     """
@@ -83,13 +95,15 @@ class Session:
     views: Views
     camera: CameraSettings = field(default_factory=CameraSettings)
     stage: StageImages | None = None
+    turntable: TurntableImages | None = None
     lasers: tuple[StripeSettings, ...] = ()
     image_size: tuple[int, int] = (0, 0)
 
     def photographs(self) -> list[Path]:
-        """All its photographs: of the board, on the stage, of the stripes."""
+        """All its photographs: of the board, on stage and turntable, of the stripes."""
         stripes = (self.views.stripes or {}).values()
-        paths = [*self.views.boards, *(self.stage.images if self.stage else ())]
+        moved = [sequence.images for sequence in (self.stage, self.turntable) if sequence]
+        paths = [*self.views.boards, *(path for images in moved for path in images)]
         return paths + [path for own in stripes for path in own if path is not None]
 
 
@@ -105,14 +119,15 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     Raises:
         InputError: whatever is wrong: file, key, value and the mend.
     """
-    table = read_toml(toml_in(Path(path), SESSION_FILE)).only("board", "camera", "views", "stage", "laser")
+    table = read_toml(toml_in(Path(path), SESSION_FILE)).only("board", "camera", "views", "stage", "turntable", "laser")
     board, camera = _board(table), _camera(table)
     views = table.table("views", "[views] ").only("boards", "stripes")
     boards = files_of(views, "boards")
     if not boards:
         raise views.error("boards", "names no photograph: name those of the board")
     lasers, stripes = _lasers(table, views, len(boards))
-    session = Session(table.path, board, Views(boards, stripes), camera, _stage(table), lasers)
+    moved = _stage(table), _turntable(table)
+    session = Session(table.path, board, Views(boards, stripes), camera, *moved, lasers)
     return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 
 
@@ -137,9 +152,12 @@ def write_session(session: Session) -> None:
         else:
             for laser in lasers:
                 laser["stripes"] = names[laser["name"]]
-    if session.stage is not None:
-        images = [relative_name(path, folder) for path in session.stage.images]
-        values["stage"] = {"images": images, "steps": list(session.stage.steps)}
+    for name, sequence in (("stage", session.stage), ("turntable", session.turntable)):
+        if sequence is not None:
+            images = [relative_name(path, folder) for path in sequence.images]
+            values[name] = {"images": images, "steps": list(sequence.steps)}
+    if session.turntable is not None:
+        values["turntable"]["stage_step"] = session.turntable.stage_step
     if lasers:
         values["laser"] = lasers[0] if len(lasers) == 1 else lasers
     write_toml(session.path, values)
@@ -184,14 +202,30 @@ def _camera(table: Table) -> CameraSettings:
 def _stage(table: Table) -> StageImages | None:
     if "stage" not in table:
         return None
-    stage = table.table("stage", "[stage] ").only("images", "steps", "steps_per_image")
-    images = files_of(stage, "images")
-    steps = read_steps(stage, "steps_per_image", images, "images")
-    if len(set(steps)) < 2:
-        raise stage.error(
-            "steps" if "steps" in stage else "images", "photographs at two different step counts or more are needed"
+    return StageImages(*_sequence(table.table("stage", "[stage] ").only(*_SEQUENCE_KEYS), "two", 2))
+
+
+def _turntable(table: Table) -> TurntableImages | None:
+    if "turntable" not in table:
+        return None
+    turntable = table.table("turntable", "[turntable] ").only(*_SEQUENCE_KEYS, "stage_step")
+    images, steps = _sequence(turntable, "three", 3)
+    return TurntableImages(images, steps, turntable.whole("stage_step") if "stage_step" in turntable else 0)
+
+
+_SEQUENCE_KEYS: Final = ("images", "steps", "steps_per_image")
+
+
+def _sequence(table: Table, fewest_in_words: str, fewest: int) -> tuple[tuple[Path, ...], tuple[int, ...]]:
+    """The photographs of a board that something moves, and the motor step count of each."""
+    images = files_of(table, "images")
+    steps = read_steps(table, "steps_per_image", images, "images")
+    if len(set(steps)) < fewest:
+        raise table.error(
+            "steps" if "steps" in table else "images",
+            f"photographs at {fewest_in_words} different step counts or more are needed",
         )
-    return StageImages(images, steps)
+    return images, steps
 
 
 def _lasers(

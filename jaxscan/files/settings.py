@@ -66,7 +66,7 @@ def read_step_rule(table: Table, per_file: str) -> int | None:
         raise table.error("steps", f"is missing: give the motor step count of each photograph, or {per_file}")
     step = table.whole(per_file)
     if step == 0:
-        raise table.error(per_file, "the stage does not move: give the motor steps from one photograph to the next")
+        raise table.error(per_file, "the motor does not move: give the motor steps from one photograph to the next")
     return step
 
 

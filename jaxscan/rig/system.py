@@ -35,7 +35,7 @@ class System(eqx.Module):
     Attributes:
         rig: camera, lasers, stage: shared by all photographs.
         boards: T_cam_board of each view, stacked (views, 3).
-        stages: T_cam_board of each stage sequence at motor step 0, stacked (sequences, 3).
+        stages: T_cam_board of each sequence on stage or turntable with both at motor step 0, stacked (sequences, 3).
         warp: the board's shape, or None for a flat one.
     """
 
@@ -44,7 +44,10 @@ class System(eqx.Module):
     stages: Pose
     warp: BoardWarp | None = None
 
-    def stage_board(self, sequence: int, steps: Leaf) -> Pose:
-        """T_cam_board of a stage sequence at a motor step count: one rotation, t₀ + n · per_step."""
+    def stage_board(self, sequence: int, steps: Leaf, turns: Leaf | None = None) -> Pose:
+        """T_cam_board of a sequence: turned by the turntable's step count, if any, then moved by n · per_step."""
+        board = Pose(self.stages.rotation[sequence], self.stages.translation[sequence])
+        if turns is not None and self.rig.turntable is not None:
+            board = self.rig.turntable.turned(turns) @ board
         moved = jnp.zeros(3) if self.rig.stage is None else self.rig.stage.displacement(steps)
-        return Pose(self.stages.rotation[sequence], self.stages.translation[sequence] + moved)
+        return Pose(board.rotation, board.translation + moved)

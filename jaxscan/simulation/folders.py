@@ -4,7 +4,8 @@ The truth is three kinds of files:
 
 - `rig.json`: the true rig, in the format of any rig.
 - `session.json`: `seed`; `boards`, T_cam_board of every view, and `stage`, that of the board on the stage at step 0, as
-  rotation vector (radians) and translation (mm); `stage_steps`.
+  rotation vector (radians) and translation (mm); `stage_steps`. With a turntable `turntable`, T_cam_board of the board
+  on it with both at step 0; `turntable_steps`; `turntable_stage_step`, that of the stage.
 - `scan.npz`, or `scan-NAME.npz` for each of several lasers: `steps` (frames); `position` (frames, columns), the row in
   which an ideal camera sees the middle of the sheet; `points` (frames, columns, 3), that point in the object frame, mm;
   NaN where there is none.
@@ -23,7 +24,7 @@ from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.files.scan import SCAN_FILE, Scan, write_scan
-from jaxscan.files.session import SESSION_FILE, Session, StageImages, Views, write_session
+from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableImages, Views, write_session
 from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings, write_image
 from jaxscan.rig import Rig
@@ -39,6 +40,8 @@ TRUE_SESSION: Final = "session.json"
 
 # Second number of the seed: photographs of different kinds share no noise.
 _BOARD_NOISE, _STAGE_NOISE, _SCAN_NOISE, _STRIPE_NOISE = range(4)
+# Beyond those of any number of lasers.
+_TURNTABLE_NOISE = 100
 
 Advance = Callable[[int], object]
 
@@ -53,6 +56,8 @@ class SessionTruth:
         boards: T_cam_board of every view, stacked.
         stage: T_cam_board of the board on the stage at step 0.
         stage_steps: motor step count of every stage photograph.
+        turntable: T_cam_board of the board on the turntable with stage and turntable at step 0; None without one.
+        turntable_steps: motor step count of every turntable photograph.
     """
 
     rig: Rig
@@ -60,6 +65,8 @@ class SessionTruth:
     boards: Pose
     stage: Pose
     stage_steps: tuple[int, ...]
+    turntable: Pose | None = None
+    turntable_steps: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,8 +102,10 @@ def simulate_session(
 ) -> SessionTruth:
     """Write a calibration session of the simulated rig of 2003: boards with the stripe, and a board on the stage.
 
+    Of a rig with a turntable also a board on that.
+
     Args:
-        folder: gets `session.toml`, `boards/` and `stage/`; is made if it is not there.
+        folder: gets `session.toml`, `boards/`, `stage/` and `turntable/`; is made if it is not there.
         seed: of the rig, the poses and the noise.
         rig: another rig than that of the seed; with several lasers the stripes are photographed separately.
         views: how many poses, the first of them the same whatever their number; 11 if None.
@@ -116,7 +125,7 @@ def simulate_session(
     views = rig_2003.BOARD_VIEWS if views is None else views
     boards, stage = rig_2003.board_poses(rig, seed, views), rig_2003.stage_pose(rig, seed)
     steps = tuple(steps_apart * i for i in range(rig_2003.STAGE_VIEWS if stage_views is None else stage_views))
-    _make(folder, "boards", "stage", *(["stripes"] if separate else []))
+    _make(folder, "boards", "stage", *(["stripes"] if separate else []), *(["turntable"] if rig.turntable else []))
     (folder / SESSION_FILE).unlink(missing_ok=True)
 
     def shoot(name: str, scene: Scene, kind: int, i: int, **how: Any) -> Path:
@@ -136,6 +145,12 @@ def simulate_session(
             stripe_images[laser.name].append(shoot(name, scene, _STRIPE_NOISE + n, i, laser=n))
     scene = rig_2003.board_scene(np.asarray(stage.rotation), np.asarray(stage.translation))
     stage_images = [shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, steps=n) for i, n in enumerate(steps)]
+    lying = rig_2003.turntable_pose(rig, seed) if rig.turntable else None
+    turns = tuple(rig_2003.TURNS_APART * i for i in range(rig_2003.TURNTABLE_VIEWS)) if lying else ()
+    on_stage, turned = rig_2003.TURNTABLE_STAGE_STEP, []
+    for i, pose in enumerate(rig_2003.turned_boards(rig, lying, np.array(turns)) if lying else ()):
+        scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
+        turned.append(shoot(f"turntable/{i:02d}", scene, _TURNTABLE_NOISE, i, steps=on_stage))
     stripes = {name: tuple(paths) for name, paths in stripe_images.items()} if separate and rig.lasers else None
     write_session(
         Session(
@@ -143,11 +158,12 @@ def simulate_session(
             board=BOARD,
             views=Views(tuple(board_images), stripes),
             stage=StageImages(tuple(stage_images), steps),
+            turntable=TurntableImages(tuple(turned), turns, on_stage) if turned else None,
             lasers=tuple(StripeSettings(name=laser.name) for laser in rig.lasers),
             image_size=rig.camera.image_size,
         )
     )
-    return SessionTruth(rig, seed, boards, stage, steps)
+    return SessionTruth(rig, seed, boards, stage, steps, lying, turns)
 
 
 def simulate_scan(
@@ -219,6 +235,10 @@ def write_truth(folder: Path, session: SessionTruth, *scans: ScanTruth) -> None:
         "stage": _pose_values(session.stage, ...),
         "stage_steps": list(session.stage_steps),
     }
+    if session.turntable is not None:
+        values["turntable"] = _pose_values(session.turntable, ...)
+        values["turntable_steps"] = list(session.turntable_steps)
+        values["turntable_stage_step"] = rig_2003.TURNTABLE_STAGE_STEP
     with replacing(folder / TRUE_SESSION, "w") as file:
         json.dump(values, file, indent=2)
     for scan in scans:

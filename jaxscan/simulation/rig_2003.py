@@ -5,22 +5,25 @@ Camera 640 × 480, f = (697.70833, 690.43328) px, c = (310.29604, 228.14934) px,
 axis; a sheet of σ 0.25 mm; 11 poses of a board of 9 × 6 inner corners of 16 mm, 310 to 380 mm away and tilted by up to
 0.6 rad about x and y, with the stripe across them; 31 photographs of that board on the stage, 2000 steps apart; a scan
 of 37 frames from step 0, 2000 steps apart. With two lasers the second shines from below onto the line of the platform
-where the first does.
+where the first does. A turntable, on request, stands on the platform of the stage: 3200 steps a turn about an axis 2°
+off the platform's normal; 16 photographs of the board lying on it, 200 steps apart, with the stage at step 18000.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Num
 from scipy.spatial.transform import Rotation
 
-from jaxscan.geometry import Pose, vector_to_matrix
+from jaxscan.errors import InputError
+from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.images import Board
-from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.precision import as_float64, as_numpy, float64
+from jaxscan.rig import Camera, LightPlane, Rig, Stage, Turntable
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.scene import Body, Scene
 from jaxscan.simulation.shapes import board_plate, floor
@@ -29,6 +32,9 @@ IMAGE_SIZE: Final = (640, 480)
 BOARD: Final = Board.checkerboard((9, 6), 16.0)
 BOARD_VIEWS: Final = 11
 STAGE_VIEWS: Final = 31
+TURNTABLE_VIEWS: Final = 16
+TURNS_APART: Final = 200
+TURNTABLE_STAGE_STEP: Final = 18000
 SCAN_FRAMES: Final = 37
 STEPS_APART: Final = 2000
 SENSOR: Final = Sensor(blur_px=0.6, noise=2.0)
@@ -44,6 +50,9 @@ _OMEGA = np.array([0.0, -0.00494, 0.00303])
 _TRAVEL = np.array([0.03, 0.92, -0.39])
 _MM_PER_STEP = 0.001
 _TURN = np.radians(2.0)
+STEPS_PER_TURN: Final = 3200
+# How far the turntable's axis, and the middle of the board on it, may stand from where they should, mm.
+_OFF_AXIS = 3.0
 # Makes the second sheet about as steep as the first, (0, 0.00494, 0.00268) 1/mm.
 _BEYOND_PLATFORM = 0.6
 
@@ -109,6 +118,51 @@ def stage_pose(rig: Rig, seed: int) -> Pose:
             return pose_of(rotation, translation)
 
 
+def with_turntable(rig: Rig, seed: int) -> Rig:
+    """The rig with a turntable where the scanned object stands."""
+    random = np.random.default_rng([2003, seed, 3])
+    R, origin = platform(rig)
+    aside = random.uniform(-_OFF_AXIS, _OFF_AXIS, 2)
+    axis = _turned(R[:, 2], random)
+    with float64():
+        through = origin + R @ np.array([aside[0], OBJECT_Y + aside[1], 0.0])
+        turntable = Turntable.create(2 * np.pi / STEPS_PER_TURN * axis, through).nearest()
+        return as_numpy(replace(rig, turntable=turntable))
+
+
+def turntable_pose(rig: Rig, seed: int) -> Pose:
+    """The pose, in the object frame and at the turntable's step 0, of the board that lies on it: in view all around."""
+    random = np.random.default_rng([2003, seed, 4])
+    R, origin = platform(rig)
+    # The board's z points away from the camera, into the platform.
+    lying = R @ np.diag([1.0, -1.0, -1.0])
+    moved = stage_travel(rig, np.array([TURNTABLE_STAGE_STEP]))
+    while True:
+        askew = matrix_of(random.uniform(-_STAGE_TILT, _STAGE_TILT, 3) * [0.2, 0.2, 1])
+        aside = np.array([*random.uniform(-_OFF_AXIS, _OFF_AXIS, 2), 0.0])
+        rotation = vector_of(lying @ askew)
+        _, translation = _about_middle(rotation, origin + R @ (np.array([0.0, OBJECT_Y, 0.0]) + aside))
+        pose = pose_of(rotation, translation)
+        if all(
+            in_view(rig.camera, matrix_of(np.asarray(at.rotation)), np.asarray(at.translation) + moved)
+            for at in turned_boards(rig, pose, TURNS_APART * np.arange(TURNTABLE_VIEWS))
+        ):
+            return pose
+
+
+def turned_boards(rig: Rig, pose: Pose, steps: Num[np.ndarray, "images"]) -> list[Pose]:
+    """A pose in the object frame as the turntable turns.
+
+    Raises:
+        InputError: the rig has no turntable.
+    """
+    if rig.turntable is None:
+        raise InputError("the rig has no turntable: make one with with_turntable")
+    with float64():
+        table, board = as_float64(rig.turntable), as_float64(pose)
+        return [as_numpy(table.turned(jnp.asarray(float(n))) @ board) for n in steps]
+
+
 def stage_travel(rig: Rig, steps: Float[np.ndarray, "images"]) -> Float[np.ndarray, "images 3"]:
     """How far the stage has moved its load (mm, camera frame)."""
     per_step = np.zeros(3) if rig.stage is None else np.asarray([np.float64(c) for c in rig.stage.per_step])
@@ -142,6 +196,16 @@ def turned(bodies: Sequence[Body], degrees: float) -> tuple[Body, ...]:
     return tuple(body.moved(R, middle - R @ middle) for body in bodies)
 
 
+def turned_on(rig: Rig, bodies: Sequence[Body], steps: float) -> tuple[Body, ...]:
+    """What stands on the turntable, after so many of its motor steps, in the platform's frame."""
+    R, origin = platform(rig)
+    T = turned_boards(rig, pose_of(np.zeros(3), np.zeros(3)), np.array([steps]))[0]
+    turn = matrix_of(np.asarray(T.rotation))
+    return tuple(
+        body.moved(R.T @ turn @ R, R.T @ (turn @ origin + np.asarray(T.translation) - origin)) for body in bodies
+    )
+
+
 def board_scene(rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"]) -> Scene:
     """The board alone, in the pose T_cam_board, fixed on the stage where there is one."""
     return Scene((board_plate(BOARD).moved(matrix_of(rotation), translation),))
@@ -171,6 +235,12 @@ def matrix_of(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """The rotation matrix of a rotation vector, in float64."""
     with float64():
         return np.asarray(vector_to_matrix(jnp.asarray(rotation)))
+
+
+def vector_of(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """The rotation vector of a rotation matrix, in float64."""
+    with float64():
+        return np.asarray(matrix_to_vector(jnp.asarray(R)))
 
 
 def _about_middle(

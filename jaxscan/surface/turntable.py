@@ -7,7 +7,6 @@ the small motions that take each pose to that, weighted by their covariance.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Final
 
 import jax
@@ -15,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import block_diag
-from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
+from jaxscan.geometry.turn import axis_point, rate_of_turn
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Covariance, Rig, Turntable
 from jaxscan.surface.motion import Motion, after, inverse
@@ -37,7 +36,7 @@ class TurntableFit:
 
     Attributes:
         turntable: axis and angle, in the object frame.
-        covariance: of its six numbers; along the axis the centre has none.
+        covariance: of its six numbers, of rank 5: the centre is the point nearest to the origin.
         misfit: root mean square of what is left of the poses, in units of their σ: 1 where they are a turntable's.
     """
 
@@ -69,7 +68,7 @@ def fit_turntable(registration: Registration, steps: Sequence[float]) -> Turntab
     n = np.asarray(steps, np.float64)
     if len(n) != len(registration.poses):
         raise InputError(f"{len(n)} step counts for {len(registration.poses)} scans: give one for each")
-    theta, around = _first(registration.poses, n)
+    theta, around = _first(registration, n)
     with float64():
         weight = np.linalg.cholesky(np.linalg.inv(registration.covariance)).T
         R = jnp.asarray(np.stack([T[0] for T in registration.poses[1:]]))
@@ -82,15 +81,14 @@ def fit_turntable(registration: Registration, steps: Sequence[float]) -> Turntab
             if np.abs(step[:3]).max() * np.abs(n - n[0]).max() < 1e-12 and np.abs(step[3:]).max() < 1e-9:
                 break
         r, J = (np.asarray(x) for x in _misfit(jnp.asarray(theta), *given))
-        centre = around.T @ theta[3:]
-        turntable = as_numpy(
-            Turntable.create(theta[:3], centre - (centre @ theta[:3]) * theta[:3] / (theta[:3] ** 2).sum())
-        )
+        found = Turntable.create(theta[:3], around.T @ theta[3:])
+        turntable = as_numpy(found.nearest())
     whitened = weight @ r
     freedom = len(r) - 5
     misfit = float(np.sqrt(whitened @ whitened / freedom)) if freedom > 0 else 1.0
     full = np.zeros((6, 5))
     full[:3, :3], full[3:, 3:] = np.eye(3), around.T
+    full = found.nearest_jacobian() @ full
     covariance = max(misfit, 1.0) ** 2 * full @ np.linalg.inv((weight @ J).T @ (weight @ J)) @ full.T
     return TurntableFit(turntable, Covariance(_NAMES, (covariance + covariance.T) / 2), misfit)
 
@@ -104,19 +102,18 @@ def turntable_poses(turntable: Turntable, steps: Sequence[float]) -> list[Motion
 
 
 def _first(
-    poses: Sequence[Motion], steps: Float[np.ndarray, "sides"]
+    registration: Registration, steps: Float[np.ndarray, "sides"]
 ) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "2 3"]]:
-    """A start: w from the turns from each side to the next, c in the plane at right angles to it; its two axes."""
-    turns = [Rotation.from_matrix(after(inverse(b), a)[0]).as_rotvec() for a, b in pairwise(poses)]
-    apart = np.diff(steps)
-    if (apart == 0).any() or max(np.linalg.norm(turn) for turn in turns) < _LEAST_TURN:
+    """A start: w, and c in the plane at right angles to it; the two axes of that plane."""
+    stood = [inverse(T) for T in registration.poses]
+    apart = steps - steps[0]
+    again = (np.diff(steps) == 0).any()
+    w = np.zeros(3) if again else rate_of_turn(np.stack([R for R, _ in stood]), apart)
+    if np.linalg.norm(w) * np.abs(np.diff(steps)).max() < _LEAST_TURN:
         raise InputError("the scans are not turned against each other: a turntable takes scans at different steps")
-    w = (np.array(turns) * apart[:, None]).sum(axis=0) / (apart**2).sum()
+    c, _ = axis_point(np.stack([R @ registration.centre + t for R, t in stood]), apart, w)
     around = np.linalg.svd(w[None])[2][1:]
-    # x ↦ R (x − c) + c with t = (I − R) c.
-    A = np.concatenate([(np.eye(3) - R) @ around.T for R, _ in poses[1:]])
-    b = np.concatenate([t for _, t in poses[1:]])
-    return np.concatenate([w, np.linalg.lstsq(A, b, rcond=None)[0]]), around
+    return np.concatenate([w, around @ c]), around
 
 
 @jax.jit

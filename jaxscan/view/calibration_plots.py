@@ -3,10 +3,18 @@
 from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.calibration import Calibration, Observations
-from jaxscan.calibration.diagnostics import Diagnostics, Ladder, Normality, PhotographStatistics, StageErrors
+from jaxscan.calibration.diagnostics import (
+    Diagnostics,
+    Ladder,
+    Normality,
+    PhotographStatistics,
+    StageErrors,
+    TurntableErrors,
+)
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
 from jaxscan.calibration.next_pose import NextPose
@@ -132,20 +140,37 @@ def stripes(shapes: Sequence[StripeShape]) -> Any:
 
 def stage(each: Sequence[StageErrors]) -> Any:
     """Step error and straightness against the travel."""
+    lines = [(s.names, s.travel_mm, s.error_mm, s.sigma_mm) for s in each]
+    return _motion(lines, ("step error / mm", "off the line / mm", "travel / mm"))
+
+
+def turntable(each: Sequence[TurntableErrors]) -> Any:
+    """Error of the angle and tilt of the axis against the turn."""
+    lines = [(t.names, t.turn_deg, t.turn_error_deg, t.turn_sigma_deg) for t in each]
+    return _motion(lines, ("error of the angle / °", "tilt of the axis / °", "turn / °"))
+
+
+def _motion(
+    lines: Sequence[tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]], labels: tuple[str, str, str]
+) -> Any:
+    """Errors along a motion, and in the two directions across it, each of them with its σ.
+
+    Args:
+        lines: of each sequence, names, how far it has come, errors (images, 3) and their σ.
+        labels: of the errors along and across, and of the way.
+    """
     plt = pyplot()
     figure, (along, across) = plt.subplots(2, 1, figsize=(_WIDTH, 4.4), layout="constrained", sharex=True)
-    for errors in each:
+    for names, x, e, sigma in lines:
         style: dict[str, Any] = {"capsize": 2, "markersize": 3.5, "linewidth": 1, "elinewidth": 0.7}
-        label = f"{errors.names[0]} … {errors.names[-1]}"
-        x, e, sigma = errors.travel_mm, errors.error_mm, errors.sigma_mm
-        along.errorbar(x, e[:, 0], sigma[:, 0], marker="o", label=label, color=BLUE, **style)
+        along.errorbar(x, e[:, 0], sigma[:, 0], marker="o", label=f"{names[0]} … {names[-1]}", color=BLUE, **style)
         across.errorbar(x, e[:, 2], sigma[:, 2], marker="s", label="towards the camera or away", color=LIGHT, **style)
         across.errorbar(x, e[:, 1], sigma[:, 1], marker="o", label="sideways", color=RED, **style)
     for axes in (along, across):
         axes.axhline(0, color=GREY, linewidth=0.7)
         axes.legend(fontsize=7)
-    along.set(ylabel="step error / mm")
-    across.set(ylabel="off the line / mm", xlabel="travel / mm")
+    along.set(ylabel=labels[0])
+    across.set(ylabel=labels[1], xlabel=labels[2])
     return figure
 
 
@@ -292,17 +317,21 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
         X = place(outline @ R.T + np.asarray(translation))
         drawn.append(X)
         axes.add_collection3d(Poly3DCollection([X], facecolor=colour, edgecolor=colour, alpha=alpha, linewidth=0.8))
-        named["boards" if colour == BLUE else "board on the stage"] = Patch(facecolor=colour, alpha=0.5)
+        named["boards" if colour == BLUE else "moved boards"] = Patch(facecolor=colour, alpha=0.5)
 
-    boards, stages, rig = calibration.system.boards, calibration.system.stages, calibration.rig
+    boards, rig = calibration.system.boards, calibration.rig
     for rotation, translation in zip(boards.rotation, boards.translation, strict=True):
         board(rotation, translation, BLUE, 0.12)
     for i, sequence in enumerate(calibration.observations.stages):
-        moved = [np.asarray(stages.translation[i]) + n * np.stack(rig.stage.per_step) for n in sequence.steps]  # pyright: ignore[reportOptionalMemberAccess]
-        for t in (moved[0], moved[-1]):
-            board(stages.rotation[i], t, "#2e8b57", 0.12)
-        middles = place(np.stack([m + _middle(points, stages.rotation[i]) for m in moved]))
-        (named["its travel"],) = axes.plot(*middles.T, color="#2e8b57", linewidth=2, marker=".", markersize=3)
+        turns = [None] * len(sequence.steps) if sequence.turns is None else sequence.turns
+        moved = [
+            calibration.system.stage_board(i, jnp.asarray(n), None if k is None else jnp.asarray(k))
+            for n, k in zip(sequence.steps, turns, strict=True)
+        ]
+        for pose in (moved[0], moved[-1]):
+            board(pose.rotation, pose.translation, "#2e8b57", 0.12)
+        middles = place(np.stack([np.asarray(pose.translation) + _middle(points, pose.rotation) for pose in moved]))
+        (named["their way"],) = axes.plot(*middles.T, color="#2e8b57", linewidth=2, marker=".", markersize=3)
     for i, X in enumerate(points_in_space):
         if len(X):
             axes.plot(*place(X[:: 1 + len(X) // 3000]).T, ".", color=RED, markersize=1)

@@ -88,6 +88,7 @@ def compose(
             sections.residuals(calibration, diagnostics),
             *([sections.stripes(diagnostics)] if diagnostics.stripes else []),
             *([sections.stage(calibration, diagnostics)] if diagnostics.stages else []),
+            *([sections.turntable(calibration, diagnostics)] if diagnostics.turntables else []),
             sections.apart(diagnostics),
             *([sections.lens(diagnostics.ladder)] if diagnostics.ladder else []),
             sections.coverage(calibration, diagnostics),
@@ -107,8 +108,8 @@ class BoardPose:
     """Where a board stood.
 
     Attributes:
-        name: of the view's photograph, or of the first one of a stage sequence.
-        staged: whether it stood on the stage; its pose is then that at motor step 0.
+        name: of the view's photograph, or of the first one of a sequence.
+        staged: whether it stood on stage or turntable; its pose is then that at motor step 0.
         rotation: vector of T_cam_board, radians.
         translation_mm: of T_cam_board.
         covariance: of the rig's parameters and this pose together.
@@ -122,7 +123,7 @@ class BoardPose:
 
 
 def board_poses(calibration: Calibration) -> tuple[BoardPose, ...]:
-    """Every board with its pose and the covariance of it: the views, then the stage sequences."""
+    """Every board with its pose and the covariance of it: the views, then the sequences on stage and turntable."""
     names = [fit.name for fit in calibration.fits]
     staged = [stage.views[0].name for stage in calibration.observations.stages]
     poses = []

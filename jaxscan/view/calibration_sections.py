@@ -12,6 +12,7 @@ from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.working_volume import WorkingVolume
 from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.turn_facts import rig_turn_facts
 from jaxscan.view import calibration_plots as plots
 from jaxscan.view.report import Section, Table, draw
 
@@ -31,7 +32,8 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         f"Corners have σ = {calibration.corner_sigma_px:.3f} px along each axis"
         + (f", stripe points {calibration.stripe_sigma_px:.3f} px" if calibration.stripe_sigma_px is not None else "")
         + f", from the residuals. {len(calibration.fits)} views"
-        + (f", {len(calibration.stage_fits)} stage photographs. " if calibration.stage_fits else ". ")
+        + "".join(f", {len(s.views)} {s.place} photographs" for s in calibration.observations.stages)
+        + ". "
         + (
             f"The solve stopped after {calibration.solves} rounds because σ, weights and outliers had settled"
             if calibration.settled
@@ -39,8 +41,13 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         )
         + f"; its last round reached the minimum in {calibration.steps} steps."
     )
+    title = "Parameters (px, 1/mm, mm per step" + (
+        "; turntable: radians per step, mm)" if calibration.rig.turntable else ")"
+    )
     return Section(
-        "The rig", paragraphs=(paragraph,), tables=(Table("Parameters (px, 1/mm, mm per step)", columns, tuple(rows)),)
+        "The rig",
+        paragraphs=(paragraph,),
+        tables=(Table(title, columns, tuple(rows)),),
     )
 
 
@@ -65,14 +72,14 @@ def photographs(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         corners = f"{p.corner_rms_px:.3f}" if np.isfinite(p.corner_rms_px) else "none fits"
         kept = f"{p.stripe_kept} of {p.stripe_points}" if p.stripe_points else "–"
         worst = f"{p.corner_worst_px:.2f}"
-        where = "stage" if p.staged else "view"
+        where = "moved" if p.staged else "view"
         rows.append((p.name, where, corners, worst, f"{p.corners_kept} of {p.corners}", stripe, kept))
     columns = ("photograph", "", "corners RMS / px", "worst / px", "kept", "stripe RMS / px", "kept")
     caption = (
         "RMS of each photograph, the worst first"
         + (f" ({plots.MOST_PHOTOGRAPHS} of {len(rows)})" if len(rows) > plots.MOST_PHOTOGRAPHS else "")
         + "; dashed: the median of the corners. "
-        + ("Pale bars are stage photographs. " if calibration.stage_fits else "")
+        + ("Pale bars are photographs on stage or turntable. " if calibration.stage_fits else "")
         + "A photograph that stands out was blurred, moved, bent, or does not belong."
     )
     title = "RMS distance of the corners that took part, and RMS error of the stripe"
@@ -211,6 +218,53 @@ def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     )
 
 
+def turntable(calibration: Calibration, diagnostics: Diagnostics) -> Section:
+    """Axis and angle with their σ, errors of the angle and wobble."""
+    facts: Any = rig_turn_facts(calibration.rig, calibration.covariance)
+    rows = []
+    for t in diagnostics.turntables:
+        turn, wobble = t.turn_error_deg[:, 0], t.turn_error_deg[:, 1:]
+        rows.append(
+            (
+                f"{t.names[0]} … {t.names[-1]}",
+                f"{np.ptp(t.turn_deg):.2f}",
+                f"{_rms(turn):.4f}",
+                f"{np.sqrt(t.chi2_turn):.2f}",
+                f"{_rms(wobble):.4f}",
+                f"{1000 * _rms(t.error_mm[:, 0]):.1f}, {1000 * _rms(t.error_mm[:, 1:]):.1f}",
+                f"{np.sqrt(t.chi2_wobble):.2f}",
+            )
+        )
+    columns = (
+        "photographs",
+        "turn / °",
+        "angle / ° RMS",
+        "in σ",
+        "tilt of the axis / ° RMS",
+        "along the axis, across it / µm RMS",
+        "in σ",
+    )
+    words = (
+        f"With rising step counts it turns {facts.way} as the camera sees it, by {facts.degrees_per_step:.7g} ± "
+        f"{facts.degrees_per_step_sigma:.2g}° a step, about the axis ({_triple(facts.axis, 5)}) ± "
+        f"{facts.axis_sigma_deg:.2g}° through ({_triple(facts.through_mm, 3)}) ± {facts.through_sigma_mm:.2g} mm. "
+        "If it really turns the other way, the steps in session.toml run backwards: nothing else shows that."
+    )
+    return Section(
+        "The turntable",
+        paragraphs=(words,),
+        tables=(Table("Where the board really stood against one turn about one axis", columns, tuple(rows)),),
+        figures=(
+            draw(
+                "turntable",
+                "Errors of the angle, and tilt of the axis, against the turn, with the σ that the corners leave. One "
+                "period in a turn is an eccentric or tilted table, many are the gear's, a jump is a missed step.",
+                plots.turntable(diagnostics.turntables),
+            ),
+        ),
+    )
+
+
 def apart(diagnostics: Diagnostics) -> Section:
     """Halves and sessions."""
     figures, paragraphs = [], []
@@ -277,6 +331,8 @@ def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         )
     if cover.stage_travel_mm is not None:
         words.append(f"Stage: {cover.stage_images} photographs over {cover.stage_travel_mm:.1f} mm.")
+    if cover.turn_deg is not None:
+        words.append(f"Turntable: {cover.turntable_images} photographs over {cover.turn_deg:.1f}°.")
     caption = (
         "Where corners were seen (photographs in each part of the image tie the lens down there), how the boards were "
         "tilted (well spread is good), and how far away boards and stripes were."
@@ -302,6 +358,14 @@ def _points_in_space(calibration: Calibration) -> list[np.ndarray]:
             stripe_points_in_space(calibration.observations, camera, poses, i)[0]
             for i in range(len(calibration.rig.lasers))
         ]
+
+
+def _triple(values: tuple[float, ...], digits: int) -> str:
+    return ", ".join(f"{x:.{digits}f}" for x in values)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
 
 
 def _px(value: float) -> str:

@@ -39,7 +39,7 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
 
 
 def _suspect(suspect: Suspect) -> Box:
-    where = "Stage photograph" if suspect.staged else "Photograph"
+    where = "Photograph on stage or turntable" if suspect.staged else "Photograph"
     what = (
         f"{where} {suspect.name} does not fit the others: its corners are off by {suspect.corner_median_px:.2f} px in "
         f"the median, where {suspect.usual_corner_median_px:.2f} px is usual"
@@ -62,7 +62,7 @@ def _suspect(suspect: Suspect) -> Box:
         return Box(
             "stop",
             f"{what}.",
-            "Its step count in session.toml may be wrong, the board may have moved on the stage, or the photograph is "
+            "Its step count in session.toml may be wrong, the board may have come loose, or the photograph is "
             "mirrored, turned, or of another camera, zoom or focus: look at it, and mend its step count or leave it "
             "out.",
         )

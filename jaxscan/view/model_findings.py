@@ -17,7 +17,7 @@ _BEND, _BEND_NOISE = 3.0, 4.0
 _OFFSET_NOISE, _OFFSET_OTHERS = 4.0, 3.0
 # Of normal residuals 0.27 % lie beyond 3 σ.
 _BEYOND_3 = 0.015
-# Mean square of the stage's errors in σ.
+# Mean square of errors of stage or turntable in σ.
 _STAGE = 4.0
 # Share of all corners or stripe points that were rejected.
 _REJECTED = 0.05
@@ -31,6 +31,7 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *_camera_model(calibration, diagnostics),
         *_bent(diagnostics),
         *_stage(diagnostics),
+        *_turntable(diagnostics),
         *_tails(calibration, diagnostics),
     ]
 
@@ -165,6 +166,32 @@ def _stage(diagnostics: Diagnostics) -> list[Box]:
                     f"{np.abs(each.error_mm[:, 1:]).max():.3f} mm, {np.sqrt(each.chi2_across):.1f} times what the "
                     "corners explain.",
                     "The board may not be fixed, or the guide has play.",
+                )
+            )
+    return boxes
+
+
+def _turntable(diagnostics: Diagnostics) -> list[Box]:
+    boxes = []
+    for each in diagnostics.turntables:
+        if each.chi2_turn > _STAGE:
+            boxes.append(
+                Box(
+                    "care",
+                    "The turntable's steps are uneven: its angles are off by "
+                    f"{np.sqrt((each.turn_error_deg[:, 0] ** 2).mean()):.3f}° RMS, {np.sqrt(each.chi2_turn):.1f} times "
+                    "what the corners explain.",
+                    "Look for backlash (approach from one side), missed steps, and wrong step counts in session.toml.",
+                )
+            )
+        if each.chi2_wobble > _STAGE:
+            boxes.append(
+                Box(
+                    "care",
+                    "The turntable wobbles: the board leaves its turn by up to "
+                    f"{np.abs(each.turn_error_deg[:, 1:]).max():.3f}° and {np.abs(each.error_mm).max():.3f} mm, "
+                    f"{np.sqrt(each.chi2_wobble):.1f} times what the corners explain.",
+                    "The board may not be fixed, or the bearing has play.",
                 )
             )
     return boxes

@@ -13,6 +13,9 @@ FOCAL, PRINCIPAL, K1 = (697.70833, 690.43328), (310.29604, 228.14934), -0.13396
 OMEGA = np.array([0.0, -0.00494, 0.00303])
 PER_STEP = 0.001 * np.array([0.03, 0.92, -0.39]) / np.linalg.norm([0.03, 0.92, -0.39])
 BOARD = Board.checkerboard([9, 6], 16.0)
+# Of the turntable, one step of 3200; the axis 25° to the line of sight.
+PER_TURN = 2 * np.pi / 3200 * np.array([0.05, -0.42, -0.9]) / np.linalg.norm([0.05, -0.42, -0.9])
+ON_AXIS = np.array([3.0, -4.0, 350.0])
 TRUTH = {
     "camera.focal.0": FOCAL[0],
     "camera.focal.1": FOCAL[1],
@@ -21,6 +24,13 @@ TRUTH = {
     "camera.radial.0": K1,
     **{f"laser.plane.{i}": OMEGA[i] for i in range(3)},
     **{f"stage.per_step.{i}": PER_STEP[i] for i in range(3)},
+}
+
+CENTRE = ON_AXIS - ON_AXIS @ PER_TURN / (PER_TURN @ PER_TURN) * PER_TURN
+TRUTH_WITH_TURNTABLE = {
+    **TRUTH,
+    **{f"turntable.per_step.{i}": PER_TURN[i] for i in range(3)},
+    **{f"turntable.centre.{i}": CENTRE[i] for i in range(3)},
 }
 
 
@@ -111,3 +121,16 @@ def observations(
         )
         stages = (StageSequence(steps, stage_views),)
     return Observations(IMAGE_SIZE, BOARD, tuple(views), stages, ("",) if laser else ())
+
+
+def turned(seed: int, noise: float = 0.05, images: int = 8, apart: float = 400.0, stage_step: int = 0) -> StageSequence:
+    """Photographs of a board that lies on the turntable, askew and beside its middle."""
+    rng = np.random.default_rng([seed, 7])
+    points = BOARD.points()
+    lying = cv2.Rodrigues(np.array([-0.4, 0.05, 0.3]))[0]
+    on_table = (points - points.mean(axis=0) + rng.uniform(-8, 8, 3)) @ lying.T
+    views, steps = [], apart * np.arange(images)
+    for i, n in enumerate(steps):
+        X = on_table @ cv2.Rodrigues(n * PER_TURN)[0].T + ON_AXIS + stage_step * PER_STEP
+        views.append(View(f"turntable-{i}", project(X) + noise * rng.normal(size=(len(points), 2))))
+    return StageSequence(np.full(len(steps), float(stage_step)), tuple(views), steps)

@@ -52,6 +52,8 @@ COVERAGE = Coverage(
     stripes=(StripeCoverage("", 2, 300, (340.0, 341.0), 2.5),),
     stage_images=3,
     stage_travel_mm=0.25,
+    turntable_images=4,
+    turn_deg=6.5,
 )
 
 
@@ -63,6 +65,7 @@ COVERAGE = Coverage(
         ("camera.principal.0", 40.0, "within 40°.*Tilt the board"),
         ("laser.plane.0", 40.0, "2 views lie between 340.0 and 341.0 mm.*spread by 2.5 mm.*distances"),
         ("stage.per_step.1", 40.0, "moved by 0.25 mm over 3 photographs.*whole travel"),
+        ("turntable.centre.0", 40.0, "turned by 6.5° over 4 photographs.*30° and more"),
     ],
 )
 def test_cause_and_mend_come_from_the_session(name, spread, words):

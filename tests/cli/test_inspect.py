@@ -80,6 +80,21 @@ def test_a_rig_in_words(rig, capsys):
         assert part in text
 
 
+def test_a_rig_with_a_turntable(tmp_path, capsys):
+    known = {f"turntable.{part}.{i}": s for part, s in (("per_step", 1e-6), ("centre", 0.01)) for i in range(3)}
+    path = tmp_path / "rig.json"
+    turntable = {"per_step": [0.0, 0.0, -2 * math.pi / 3200], "centre": [3.0, 4.0, 0.0]}
+    covariance = {"parameters": list(known), "matrix": np.diag(np.square(list(known.values()))).tolist()}
+    path.write_text(json.dumps(RIG | {"turntable": turntable, "covariance": covariance}))
+    said = words(capsys, path)
+    assert "0.1125° ± 5.7e-05° a step, 3200 steps a turn, anticlockwise as the camera sees it" in said
+    # Where the sheet meets the camera's axis, 300 mm away: σ of the direction times that, and of the centre.
+    assert "axis (0.00000, 0.00000, -1.00000) ± 0.029° through (3.000, 4.000, 300.000) mm ± 0.15 mm" in said
+    path.write_text(json.dumps(RIG | {"turntable": turntable}))
+    assert "through (3.000, 4.000, 300.000) mm\n" in words(capsys, path)
+    assert facts(capsys, path)["turntable"]["through_sigma_mm"] is None
+
+
 def test_the_least_rig(rig, capsys):
     rig.write_text(json.dumps({key: RIG[key] for key in ("format", "units", "camera")}))
     assert "light plane      none" in words(capsys, rig)

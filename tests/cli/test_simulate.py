@@ -8,6 +8,7 @@ import pytest
 
 from jaxscan.cli import simulate
 from jaxscan.errors import InputError
+from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.simulation import rig_2003
@@ -25,14 +26,19 @@ def few_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig_2003, "BOARD_VIEWS", 2)
     monkeypatch.setattr(rig_2003, "STAGE_VIEWS", 2)
     monkeypatch.setattr(rig_2003, "SCAN_FRAMES", 2)
+    monkeypatch.setattr(rig_2003, "TURNTABLE_VIEWS", 3)
     monkeypatch.setattr("jaxscan.cli.compiled.keep_compiled", lambda: None)
 
 
 def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None:
     out = tmp_path / "world"
-    result = simulate.run(parse(str(out), "--object", "box", "--jpeg", "--seed", "2"))
-    assert result["photographs"] == 6
-    assert len(read_session(out / "session").views.boards) == 2
+    result = simulate.run(parse(str(out), "--object", "box", "--jpeg", "--turntable", "--seed", "2"))
+    assert result["photographs"] == 9
+    session = read_session(out / "session")
+    assert len(session.views.boards) == 2
+    assert session.turntable is not None
+    assert len(session.turntable.images) == 3
+    assert read_rig(out / "truth" / "rig.json").rig.turntable is not None
     scan = read_scan(out / "scan")
     assert len(scan.frames) == 2
     assert scan.frames[0].suffix == ".jpg"

@@ -66,6 +66,17 @@ def test_everything_that_the_format_has(folder):
     assert read.lasers == (StripeSettings(color="green", columns=False),)
 
 
+def test_a_turntable_there_and_back(folder):
+    parts = BOARD, VIEWS, '[turntable]\nimages = "stage/*.png"\nsteps_per_image = 400\nstage_step = -1000'
+    read = session(folder, *parts)
+    assert read.turntable is not None
+    assert (read.turntable.steps, read.turntable.stage_step) == ((0, 400, 800), -1000)
+    assert read.photographs()[-3:] == list(read.turntable.images)
+    assert session(folder, BOARD, VIEWS, TURN + "steps = [0, 1, 5]").turntable.stage_step == 0
+    write_session(read)
+    assert read_session(folder) == read
+
+
 def test_steps_per_image_count_from_zero(folder):
     stage = session(folder, BOARD, VIEWS, '[stage]\nimages = "stage/*.png"\nsteps_per_image = -2000').stage
     assert stage is not None
@@ -155,6 +166,7 @@ def test_real_sessions(data, name):
 
 
 STAGE = '[stage]\nimages = "stage/*.png"\n'
+TURN = '[turntable]\nimages = "stage/*.png"\n'
 
 BAD = {
     "no board": ([VIEWS], ["board", "is missing"]),
@@ -224,6 +236,21 @@ BAD = {
     "steps one number": ([BOARD, VIEWS, STAGE + "steps = 2000"], ["[stage] steps = 2000", "list of whole numbers"]),
     "steps beyond bounds": ([BOARD, VIEWS, STAGE + "steps = [0, 1, 99999999999999999]"], ["entry 2", "whole number"]),
     "steps all equal": ([BOARD, VIEWS, STAGE + "steps = [5, 5, 5]"], ["[stage] steps", "two different step counts"]),
+    "turntable: too few": ([BOARD, VIEWS, TURN + "steps = [0, 9, 9]"], ["[turntable] steps", "at three different"]),
+    "turntable: another number": (
+        [BOARD, VIEWS, TURN + "steps = [0, 1]"],
+        ["[turntable] steps", "2 step counts for 3"],
+    ),
+    "turntable: no steps": ([BOARD, VIEWS, TURN], ["[turntable] steps", "is missing", "steps_per_image"]),
+    "turntable: it stands": (
+        [BOARD, VIEWS, TURN + "steps_per_image = 0"],
+        ["[turntable] steps_per_image = 0", "not move"],
+    ),
+    "turntable: stage_step": (
+        [BOARD, VIEWS, TURN + "steps_per_image = 9\nstage_step = 0.5"],
+        ["[turntable] stage_step"],
+    ),
+    "turntable: a key": ([BOARD, VIEWS, TURN + "steps_per_image = 9\nstep = 5"], ["[turntable] step", "did you mean"]),
     "a stage that stands": ([BOARD, VIEWS, STAGE + "steps_per_image = 0"], ["steps_per_image = 0", "does not move"]),
 }
 

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
-from jaxscan.images import read_image
+from jaxscan.images import find_board, read_image
+from jaxscan.precision import as_float64, float64
 from jaxscan.simulation import folders, rig_2003
 from jaxscan.simulation.shapes import sphere
 
@@ -51,6 +54,30 @@ def test_session_scan_and_truth(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.points, truth.points)
     assert again.points.shape == (2, 640, 3)
     assert not [path for path in tmp_path.rglob("*.part")]
+
+
+def test_a_board_on_the_turntable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig_2003, "TURNTABLE_VIEWS", 3)
+    rig = rig_2003.with_turntable(rig_2003.simulated_rig(1), 1)
+    truth = folders.simulate_session(tmp_path / "session", 1, rig=rig)
+    session = read_session(tmp_path / "session")
+    assert session.turntable is not None
+    assert session.turntable.steps == truth.turntable_steps == (0, 200, 400)
+    assert session.turntable.stage_step == rig_2003.TURNTABLE_STAGE_STEP
+    folders.write_truth(tmp_path / "truth", truth)
+    values = json.loads((tmp_path / "truth" / "session.json").read_text())
+    assert truth.turntable is not None
+    np.testing.assert_array_equal(values["turntable"]["translation"], truth.turntable.translation)
+    # The corners are where the truth has them.
+    boards = rig_2003.turned_boards(rig, truth.turntable, np.array(values["turntable_steps"]))
+    moved = rig_2003.stage_travel(rig, np.array([values["turntable_stage_step"]]))
+    for path, board in zip(session.turntable.images, boards, strict=True):
+        found = find_board(rig_2003.BOARD, read_image(path))
+        assert found is not None
+        X = rig_2003.BOARD.points() @ rig_2003.matrix_of(np.asarray(board.rotation)).T + board.translation + moved
+        with float64():
+            seen = jax.vmap(as_float64(rig.camera).project)(jnp.asarray(X))
+        assert np.abs(np.asarray(seen) - found.corners).max() < 0.1
 
 
 def test_two_lasers_are_photographed_one_by_one(tmp_path: Path) -> None:

@@ -22,7 +22,12 @@ from jaxscan.calibration.diagnostics.residual_statistics import (
     photographs,
     stripe_normality,
 )
-from jaxscan.calibration.diagnostics.stage_errors import StageErrors, stage_errors
+from jaxscan.calibration.diagnostics.stage_errors import (
+    StageErrors,
+    TurntableErrors,
+    stage_errors,
+    turntable_errors,
+)
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape, stripe_shapes
 from jaxscan.calibration.diagnostics.suspects import Suspect, suspects
 from jaxscan.calibration.result import Calibration
@@ -46,6 +51,7 @@ class Diagnostics:
         over_image: mean corner residuals over the image.
         stripes: each stripe's distance from the light plane.
         stages: errors of the stage, sequence by sequence.
+        turntables: errors of the turntable, sequence by sequence.
         coverage: what the photographs cover.
         halves: two halves of the photographs solved apart; None where there are too few for two rigs.
         sessions: each further session against the first; empty for a single one.
@@ -61,6 +67,7 @@ class Diagnostics:
     over_image: OverImage
     stripes: tuple[StripeShape, ...]
     stages: tuple[StageErrors, ...]
+    turntables: tuple[TurntableErrors, ...]
     coverage: Coverage
     halves: Agreement | None
     sessions: tuple[Agreement, ...]
@@ -105,6 +112,7 @@ def diagnose(calibration: Calibration, advance: Callable[[int], object] = lambda
         over_image=over_image(residuals, calibration.observations.image_size),
         stripes=stripe_shapes(calibration),
         stages=stage_errors(calibration),
+        turntables=turntable_errors(calibration),
         coverage=coverage,
         halves=agreement,
         sessions=tuple(a for a in apart if a is not None),

@@ -23,7 +23,7 @@ _P = 1e-3
 # What a part needs for a rig of its own.
 _FEWEST_VIEWS = 3
 _FEWEST_STRIPES = 2
-_FEWEST_STAGE_IMAGES = 2
+_FEWEST_MOVED = 2
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class Agreement:
 def halves(observations: Observations) -> tuple[Part, Part] | None:
     """Two halves alike in stripes and distance; None where there are too few photographs for two rigs.
 
-    Views are sorted by how much stripe they show and how large the board is in them, stage photographs by their order,
-    and dealt in turn.
+    Views are sorted by how much stripe they show and how large the board is in them, photographs on stage and turntable
+    by their order, and dealt in turn.
     """
     views = observations.views
     seen = [sum(int(np.isfinite(s.pixels).all(axis=1).sum()) for s in view.stripes) for view in views]
@@ -89,11 +89,11 @@ def stands_alone(observations: Observations, part: Part) -> bool:
         sum(any(s.laser == i and np.isfinite(s.pixels).all(axis=1).any() for s in view.stripes) for view in views)
         for i in range(len(observations.lasers))
     ]
-    images = int(part.stage_images.sum())
+    places = np.array([stage.place for stage in observations.stages for _ in stage.views])
     return (
         len(views) >= _FEWEST_VIEWS
         and all(count >= _FEWEST_STRIPES for count in striped)
-        and (not observations.stages or images >= _FEWEST_STAGE_IMAGES)
+        and all((places[part.stage_images] == place).sum() >= _FEWEST_MOVED for place in set(places))
     )
 
 
@@ -123,14 +123,16 @@ def compare(a: PartialRig, b: PartialRig) -> Agreement:
     names = a.covariance.names
     difference = b.values - a.values
     both = a.covariance.matrix + b.covariance.matrix
-    scale = np.sqrt(np.diagonal(both))
-    inverse = np.linalg.inv(both / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse = _inverse(both)
     chi2 = float(difference @ inverse @ difference)
-    # Where b's millimetres are longer by ε, its planes 1/mm are shorter and its travel is longer by ε.
-    middle = (a.values + b.values) / 2
-    sign = np.array([-1.0 if n.startswith("laser") else 1.0 if n.startswith("stage") else 0.0 for n in names])
+    # Where b's millimetres are longer by ε, its planes 1/mm are shorter and its travel is longer by ε. The turntable,
+    # whose axis moves too, but by no share of numbers one of which is held, has no say.
+    at = [i for i, name in enumerate(names) if not name.startswith("turntable")]
+    middle = (a.values + b.values)[at] / 2
+    sign = np.array([-1.0 if n.startswith("laser") else 1.0 if n.startswith("stage") else 0.0 for n in names])[at]
     direction = sign * middle
-    weight = float(direction @ inverse @ direction)
+    along = direction @ _inverse(both[np.ix_(at, at)])
+    weight = float(along @ direction)
     with float64():
         p = float(gammaincc(jnp.asarray(len(names) / 2), jnp.asarray(chi2 / 2)))
     return Agreement(
@@ -138,9 +140,15 @@ def compare(a: PartialRig, b: PartialRig) -> Agreement:
         views=(int(a.part.views.sum()), int(b.part.views.sum())),
         names=names,
         values=(a.values, b.values),
-        differences_in_sigma=difference / scale,
+        differences_in_sigma=difference / np.sqrt(np.diagonal(both)),
         chi2_per_parameter=chi2 / len(names),
         p=p,
-        scale=float(direction @ inverse @ difference) / weight if weight > 0 else None,
+        scale=float(along @ difference[at]) / weight if weight > 0 else None,
         scale_sigma=weight**-0.5 if weight > 0 else None,
     )
+
+
+def _inverse(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """The inverse, by the correlations: parameters have many units."""
+    scale = np.sqrt(np.diagonal(covariance))
+    return np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)

@@ -29,7 +29,7 @@ class Part:
     Attributes:
         name: how the report calls it.
         views: of its views.
-        stage_images: of its stage photographs, sequence after sequence.
+        stage_images: of its photographs on stage and turntable, sequence after sequence.
     """
 
     name: str
@@ -43,7 +43,8 @@ class PartialRig:
 
     Attributes:
         part: which part.
-        values: the free parameters, in the order of the covariance's names.
+        values: the free parameters, in the order of the covariance's names. Of a turntable's centre one coordinate is
+            held, where the calibration's solve held it.
         covariance: of these.
     """
 
@@ -59,7 +60,7 @@ def resolve(calibration: Calibration, part: Part) -> PartialRig | None:
     """
     with float64():
         estimate, groups = problem(calibration)
-        names = parameter_names(calibration.rig)
+        names, free = parameter_names(calibration.rig), np.asarray(calibration.adjustment.free)
         each = len(calibration.observations.board.points())
         refined = refine(
             estimate,
@@ -70,7 +71,7 @@ def resolve(calibration: Calibration, part: Part) -> PartialRig | None:
             reject=True,
             weigh=True,
         )
-        return _partial(refined, part, names, calibration.covariance.names)
+        return _partial(refined, part, [name for name, one in zip(names, free, strict=False) if one])
 
 
 def problem(calibration: Calibration) -> tuple[Estimate, tuple[Blocks, ...]]:
@@ -103,8 +104,9 @@ def _padded(mask: Bool[np.ndarray, "n"], length: int) -> Bool[Array, "length"]:
     return jnp.asarray(np.pad(mask, (0, length - len(mask))))
 
 
-def _partial(refined: Refined, part: Part, names: list[str], free: Sequence[str]) -> PartialRig | None:
-    values = np.array([float(leaf) for leaf in jax.tree.leaves(refined.estimate.shared[0])])
+def _partial(refined: Refined, part: Part, free: Sequence[str]) -> PartialRig | None:
+    rig = refined.estimate.shared[0]
+    values, names = np.array([float(leaf) for leaf in jax.tree.leaves(rig)]), parameter_names(rig)
     at = [names.index(name) for name in free]
     matrix = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
     if refined.outcome.result != optx.RESULTS.successful or not np.isfinite(values).all():

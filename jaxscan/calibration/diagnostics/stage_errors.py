@@ -1,4 +1,6 @@
-"""Straightness and step errors of the stage: where the board really stood, against t₀ + n · per_step.
+"""Where the board on stage and turntable really stood, against the one line or the one turn that was fitted to all.
+
+For the stage that is straightness and step errors, for the turntable wobble and errors of its angle.
 
 The corner errors e of one photograph and the derivative J of its corners by a small displacement δt and rotation δr of
 the board about its middle give the board's own place to first order: δ = −(JᵀJ)⁻¹ Jᵀ e, with covariance
@@ -12,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscan.calibration.observations import StageSequence
 from jaxscan.calibration.result import Calibration, PhotographFit
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Camera
@@ -51,45 +54,132 @@ class StageErrors:
         return float(np.mean((self.error_mm[:, 1:] / self.sigma_mm[:, 1:]) ** 2))
 
 
+@dataclass(frozen=True)
+class TurntableErrors:
+    """One sequence of photographs of the board on the turntable.
+
+    Attributes:
+        names: of the photographs.
+        steps: the turntable's step counts.
+        turn_deg: of each about the axis, from the first step count.
+        turn_error_deg: of each, real turn minus fitted: about the axis, and by how much the axis is tilted towards two
+            directions across it, its wobble.
+        turn_sigma_deg: of these.
+        error_mm: of the board's middle, real place minus fitted: along the axis and in the same two directions.
+        sigma_mm: of these.
+    """
+
+    names: tuple[str, ...]
+    steps: Float[np.ndarray, "images"]
+    turn_deg: Float[np.ndarray, "images"]
+    turn_error_deg: Float[np.ndarray, "images 3"]
+    turn_sigma_deg: Float[np.ndarray, "images 3"]
+    error_mm: Float[np.ndarray, "images 3"]
+    sigma_mm: Float[np.ndarray, "images 3"]
+
+    @property
+    def chi2_turn(self) -> float:
+        """Mean square of the errors of the angle in σ; about 1 for a turntable without any."""
+        return float(np.mean((self.turn_error_deg[:, 0] / self.turn_sigma_deg[:, 0]) ** 2))
+
+    @property
+    def chi2_wobble(self) -> float:
+        """Mean square of all other errors in σ: the axis tilts or wanders."""
+        turned, moved = self.turn_error_deg[:, 1:] / self.turn_sigma_deg[:, 1:], self.error_mm / self.sigma_mm
+        return float(np.mean(np.concatenate([turned, moved], axis=1) ** 2))
+
+
 def stage_errors(calibration: Calibration) -> tuple[StageErrors, ...]:
     """Each sequence; photographs with fewer than four corners that took part are left out."""
-    rig, system = calibration.rig, calibration.system
-    if rig.stage is None:
+    if calibration.rig.stage is None:
         return ()
-    per_step = np.stack(rig.stage.per_step).astype(np.float64)
-    direction = per_step / np.linalg.norm(per_step)
-    points = calibration.observations.board.points()
-    out, at = [], 0
-    with float64():
-        camera = as_float64(rig.camera)
-        for i, sequence in enumerate(calibration.observations.stages):
-            fits = calibration.stage_fits[at : at + len(sequence.views)]
-            at += len(sequence.views)
-            used = [j for j, fit in enumerate(fits) if fit.corner_kept.sum() >= 4]
-            if len(used) < 2:
-                continue
-            R = np.asarray(as_float64(system).stage_board(i, jnp.zeros(())).matrix())
-            still = points @ R.T + np.asarray(system.stages.translation[i])
-            X = still[None] + sequence.steps[used, None, None] * per_step
-            J = np.asarray(_point_jacobians(camera, jnp.asarray(X)))
-            each = [_own_place(fits[j], J[k], X[k]) for k, j in enumerate(used)]
-            axes = _axes(direction)
+    per_step = np.stack(calibration.rig.stage.per_step).astype(np.float64)
+    axes, out = _axes(per_step), []
+    for fits, sequence, places in _own_places(calibration):
+        if sequence.turns is None:
             out.append(
                 StageErrors(
-                    names=tuple(fits[j].name for j in used),
-                    steps=sequence.steps[used],
-                    travel_mm=(sequence.steps[used] - sequence.steps.min()) * float(np.linalg.norm(per_step)),
-                    error_mm=np.stack([axes @ moved for moved, _, _, _ in each]),
-                    sigma_mm=np.stack([np.sqrt(np.diagonal(axes @ C @ axes.T)) for _, C, _, _ in each]),
-                    rotation_mrad=1e3 * np.stack([turned for _, _, turned, _ in each]),
-                    rotation_sigma_mrad=1e3 * np.stack([np.sqrt(np.diagonal(C)) for _, _, _, C in each]),
+                    names=tuple(fit.name for fit in fits),
+                    steps=sequence.steps,
+                    travel_mm=(sequence.steps - sequence.steps.min()) * float(np.linalg.norm(per_step)),
+                    error_mm=places.moved @ axes.T,
+                    sigma_mm=_sigmas(axes, places.moved_covariance),
+                    rotation_mrad=1e3 * places.turned,
+                    rotation_sigma_mrad=1e3 * _sigmas(np.eye(3), places.turned_covariance),
                 )
             )
     return tuple(out)
 
 
-def _axes(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Along the travel, across it and as nearly parallel to the image as can be, and the third."""
+def turntable_errors(calibration: Calibration) -> tuple[TurntableErrors, ...]:
+    """Each sequence; photographs with fewer than four corners that took part are left out."""
+    if calibration.rig.turntable is None:
+        return ()
+    per_step = np.stack(calibration.rig.turntable.per_step).astype(np.float64)
+    axes, out = _axes(per_step), []
+    # A small turn δr tilts the first axis towards the others by δr · (third) and −δr · (second).
+    tilts = np.stack([axes[0], axes[2], -axes[1]])
+    for fits, sequence, places in _own_places(calibration):
+        if sequence.turns is not None:
+            first = sequence.turns.min()
+            out.append(
+                TurntableErrors(
+                    names=tuple(fit.name for fit in fits),
+                    steps=sequence.turns,
+                    turn_deg=np.degrees((sequence.turns - first) * np.linalg.norm(per_step)),
+                    turn_error_deg=np.degrees(places.turned @ tilts.T),
+                    turn_sigma_deg=np.degrees(_sigmas(tilts, places.turned_covariance)),
+                    error_mm=places.moved @ axes.T,
+                    sigma_mm=_sigmas(axes, places.moved_covariance),
+                )
+            )
+    return tuple(out)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Of each photograph, real place minus fitted (mm, camera frame) and real turn minus fitted (radians)."""
+
+    moved: Float[np.ndarray, "images 3"]
+    moved_covariance: Float[np.ndarray, "images 3 3"]
+    turned: Float[np.ndarray, "images 3"]
+    turned_covariance: Float[np.ndarray, "images 3 3"]
+
+
+def _own_places(calibration: Calibration) -> list[tuple[list[PhotographFit], StageSequence, _Places]]:
+    """Sequence by sequence, those photographs of it that tell where their board stood."""
+    points, at, found = calibration.observations.board.points(), 0, []
+    with float64():
+        system = as_float64(calibration.system)
+        for i, whole in enumerate(calibration.observations.stages):
+            fits = calibration.stage_fits[at : at + len(whole.views)]
+            at += len(whole.views)
+            used = [j for j, fit in enumerate(fits) if fit.corner_kept.sum() >= 4]
+            if len(used) < 2:
+                continue
+            sequence = whole.only(used)
+            turns = sequence.turns if sequence.turns is not None else np.zeros(len(used))
+            boards = [
+                system.stage_board(i, jnp.asarray(n), None if sequence.turns is None else jnp.asarray(k))
+                for n, k in zip(sequence.steps, turns, strict=True)
+            ]
+            X = np.stack([points @ np.asarray(board.matrix()).T + np.asarray(board.translation) for board in boards])
+            J = np.asarray(_point_jacobians(system.rig.camera, jnp.asarray(X)))
+            each = [_own_place(fits[j], J[k], X[k]) for k, j in enumerate(used)]
+            places = _Places(*(np.stack(part) for part in zip(*each, strict=True)))
+            found.append(([fits[j] for j in used], sequence, places))
+    return found
+
+
+def _sigmas(
+    axes: Float[np.ndarray, "3 3"], covariances: Float[np.ndarray, "images 3 3"]
+) -> Float[np.ndarray, "images 3"]:
+    return np.sqrt(np.diagonal(axes @ covariances @ axes.T, axis1=1, axis2=2))
+
+
+def _axes(along: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Along travel or axis, across it and as nearly parallel to the image as can be, and the third."""
+    direction = along / np.linalg.norm(along)
     across = np.cross(direction, [0.0, 0.0, 1.0])
     if np.linalg.norm(across) < 1e-6:
         across = np.array([1.0, 0.0, 0.0])
