@@ -28,8 +28,15 @@ if TYPE_CHECKING:
     from jaxscan.files.session import Session, read_session
     from jaxscan.geometry import Pose
     from jaxscan.images import Board
-    from jaxscan.reconstruction import RangeImage, Scanner, reconstruct, write_points, write_stream
+    from jaxscan.reconstruction import RangeImage, Scanner, read_range_image, reconstruct, write_points, write_stream
+    from jaxscan.reconstruction.next_photographs import next_photographs
     from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage, System
+    from jaxscan.surface.clean import clean
+    from jaxscan.surface.coarse import arrange
+    from jaxscan.surface.floor import find_floor, stands_on
+    from jaxscan.surface.merged import merge
+    from jaxscan.surface.register import register
+    from jaxscan.surface.side import side_of_image
 
 _HOME = {
     "Adjustment": "jaxscan.calibration",
@@ -63,14 +70,23 @@ _HOME = {
     "Board": "jaxscan.images",
     "RangeImage": "jaxscan.reconstruction",
     "Scanner": "jaxscan.reconstruction",
+    "read_range_image": "jaxscan.reconstruction",
     "reconstruct": "jaxscan.reconstruction",
     "write_points": "jaxscan.reconstruction",
     "write_stream": "jaxscan.reconstruction",
+    "next_photographs": "jaxscan.reconstruction.next_photographs",
     "Camera": "jaxscan.rig",
     "LightPlane": "jaxscan.rig",
     "Rig": "jaxscan.rig",
     "Stage": "jaxscan.rig",
     "System": "jaxscan.rig",
+    "clean": "jaxscan.surface.clean",
+    "arrange": "jaxscan.surface.coarse",
+    "find_floor": "jaxscan.surface.floor",
+    "stands_on": "jaxscan.surface.floor",
+    "merge": "jaxscan.surface.merged",
+    "register": "jaxscan.surface.register",
+    "side_of_image": "jaxscan.surface.side",
 }
 
 __all__ = [
@@ -99,15 +115,24 @@ __all__ = [
     "StripePoints",
     "System",
     "View",
+    "arrange",
     "calibrate",
+    "clean",
+    "find_floor",
+    "merge",
+    "next_photographs",
     "observe",
     "read_camera",
     "read_ply",
+    "read_range_image",
     "read_rig",
     "read_scan",
     "read_session",
     "reconstruct",
     "refit",
+    "register",
+    "side_of_image",
+    "stands_on",
     "write_camera",
     "write_ply",
     "write_points",

@@ -1,5 +1,6 @@
 """What all tests share: where the real data are, and strict JAX."""
 
+import fcntl
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,22 @@ def data() -> Path:
     if not folder:
         pytest.skip("JAXSCAN_DATA is not set: it names the folder of real photographs and reference problems")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def world(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """Photographs and what the commands make of them, `small_world.make`: made by one worker, read by all."""
+    folder = tmp_path_factory.getbasetemp()
+    if worker_id != "master":
+        folder = folder.parent
+    with open(folder / "world.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "world").is_dir():
+            from tests.small_world import make
+
+            make(folder / "making")
+            (folder / "making").rename(folder / "world")
+    return folder / "world"
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from jaxscan.files.range_npz import read_range_npz
 from jaxscan.files.rig_file import read_rig, write_rig
 from jaxscan.files.session import read_session
 from jaxscan.simulation import distance, rig_2003
-from jaxscan.simulation.folders import read_scan_truth, simulate_scan, simulate_session, write_truth
+from jaxscan.simulation.folders import read_scan_truth
 from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.shapes import cup
 
@@ -34,23 +34,6 @@ from jaxscan.simulation.shapes import cup
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return rig_2003.scan_scene(rig_2003.simulated_rig(1), cup(rig_2003.OBJECT_Y))
-
-
-@pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
-    """A session of six boards and five stage photographs, a scan of five frames, calibrated and reconstructed."""
-    folder = tmp_path_factory.mktemp("world")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rig_2003, "BOARD_VIEWS", 6)
-        patch.setattr(rig_2003, "STAGE_VIEWS", 5)
-        session = simulate_session(folder / "session", 1)
-    scan = simulate_scan(folder / "scan", session.rig, scene, 1, frames=5, steps_apart=12000)
-    write_truth(folder / "truth", session, scan)
-    report = ["--report", str(folder / "report")]
-    assert main(["calibrate", str(folder / "session"), "-o", str(folder / "rig.json"), *report]) == 0
-    points = ["-o", str(folder / "cup.ply"), "-o", str(folder / "cup.npz")]
-    assert main(["reconstruct", str(folder / "scan"), "--rig", str(folder / "rig.json"), *points]) == 0
-    return folder
 
 
 def test_hardware_to_file_to_points(world: Path, scene: Scene, tmp_path: Path) -> None:

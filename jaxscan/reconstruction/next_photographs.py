@@ -16,7 +16,7 @@ from jaxscan.calibration import Calibration
 from jaxscan.calibration.next_pose import NextPose, suggest
 from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.point_sigma import ray_jacobian
-from jaxscan.reconstruction.working_volume import WorkingVolume, volume_pixels
+from jaxscan.reconstruction.working_volume import WorkingVolume, volume_pixels, working_volumes
 from jaxscan.rig import Camera, Covariance
 from jaxscan.rig.covariance import projection_jacobian
 
@@ -62,20 +62,20 @@ class NextPhotographs:
 
 
 def next_photographs(
-    calibration: Calibration, volumes: tuple[WorkingVolume, ...], *, count: int = 3, seed: int = 0
+    calibration: Calibration, volumes: tuple[WorkingVolume, ...] | None = None, *, count: int = 3, seed: int = 0
 ) -> NextPhotographs:
     """The poses of the board that would lower σ most.
 
     Args:
         calibration: what `calibrate` returned.
-        volumes: where points are to be known; none for a rig without a laser.
+        volumes: where points are to be known, `working_volumes` by default; none for a rig without a laser.
         count: how many poses.
         seed: of the search.
 
     Raises:
         InputError: no count.
     """
-    aim = wanted(calibration, volumes)
+    aim = wanted(calibration, working_volumes(calibration) if volumes is None else volumes)
     poses = suggest(calibration, aim.jacobian, count=count, seed=seed)
 
     def median(covariance: Covariance) -> float:

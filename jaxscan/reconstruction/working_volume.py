@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.calibration import Calibration
+from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.point_sigma import point_sigma
 from jaxscan.rig import Camera, Covariance, Rig
@@ -61,6 +63,24 @@ class WorkingVolume:
     def rig_share(self) -> float:
         """The rig's share of the variance, in the median."""
         return float(np.nanmedian(1 - (self.pixel_mm / self.sigma_mm) ** 2))
+
+
+def working_volumes(calibration: Calibration) -> tuple[WorkingVolume, ...]:
+    """σ over the sheet of each laser that was seen on a board, between its nearest and farthest stripe point."""
+    observations, rig = calibration.observations, calibration.rig
+    steps = max((float(np.abs(stage.steps).max()) for stage in observations.stages), default=0.0)
+    volumes = []
+    for i, laser in enumerate(rig.lasers):
+        with float64():
+            poses = as_float64(calibration.system.boards).as_vector()
+            points, _ = stripe_points_in_space(observations, as_float64(rig.camera), poses, i)
+        if not len(points):
+            continue
+        columns = next(s.columns for view in observations.views for s in view.stripes if s.laser == i)
+        depths = float(points[:, 2].min()), float(points[:, 2].max())
+        sigma = calibration.stripe_sigma_px or 0.0
+        volumes.append(working_volume(rig, laser.name, calibration.covariance, sigma, columns, depths, steps))
+    return tuple(volume for volume in volumes if volume is not None)
 
 
 def working_volume(

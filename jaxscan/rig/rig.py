@@ -41,7 +41,7 @@ class Rig(eqx.Module):
             raise InputError(f'the rig has the lasers {names}; "{name}" names {len(chosen)} of them: name one')
         return chosen[0]
 
-    def triangulate(self, pixel: Float[Array, "2"], steps: Leaf, laser: str = "") -> Float[Array, "3"]:
+    def triangulate(self, pixel: Float[Array, "2"], steps: float | Leaf, laser: str = "") -> Float[Array, "3"]:
         """A stripe pixel (u, v) at a motor step count to the point of the object frame (mm).
 
         X = x / (ω · x) − n · per_step. The plain statement of what `reconstruction` does at speed; NaN where the

@@ -35,7 +35,7 @@ class Stage(eqx.Module):
         shares = per_step / np.linalg.norm(per_step)
         return " and ".join(pair[int(s > 0)] for pair, s in zip(words, shares, strict=True) if abs(s) > _A_WORD)
 
-    def displacement(self, steps: Float[Array | np.ndarray, "*any"]) -> Float[Array, "*any 3"]:
+    def displacement(self, steps: float | Float[Array | np.ndarray, "*any"]) -> Float[Array, "*any 3"]:
         """How far the stage has moved its load at a motor step count (mm, camera frame)."""
-        along = jnp.stack(self.per_step)
-        return jnp.asarray(steps)[..., None] * jnp.broadcast_to(along, (*steps.shape, 3))
+        count, along = jnp.asarray(steps), jnp.stack(self.per_step)
+        return count[..., None] * jnp.broadcast_to(along, (*count.shape, 3))

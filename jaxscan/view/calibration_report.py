@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import PARTS, Diagnostics, diagnose
 from jaxscan.reconstruction.next_photographs import NextPhotographs, next_photographs
-from jaxscan.reconstruction.working_volume import WorkingVolume, working_volume
+from jaxscan.reconstruction.working_volume import WorkingVolume, working_volumes
 from jaxscan.rig import Covariance
 from jaxscan.view import calibration_sections as sections
 from jaxscan.view.advice import advise
@@ -33,21 +33,7 @@ def calibration_report(calibration: Calibration, advance: Callable[[int], object
         advance: called with 1 after each of `REPORT_PARTS` parts of the work.
     """
     diagnostics = diagnose(calibration, advance)
-    steps = max((float(np.abs(stage.steps).max()) for stage in calibration.observations.stages), default=0.0)
-    each = [
-        working_volume(
-            calibration.rig,
-            stripes.laser,
-            calibration.covariance,
-            calibration.stripe_sigma_px or 0.0,
-            _by_columns(calibration, i),
-            stripes.depths_mm,
-            steps,
-        )
-        for i, stripes in enumerate(diagnostics.coverage.stripes)
-        if stripes.points
-    ]
-    volumes = tuple(volume for volume in each if volume is not None)
+    volumes = working_volumes(calibration)
     advance(1)
     planned = next_photographs(calibration, volumes)
     advance(1)
@@ -137,11 +123,6 @@ def board_poses(calibration: Calibration) -> tuple[BoardPose, ...]:
             for i, (name, covariance) in enumerate(zip(called, covariances, strict=True))
         ]
     return tuple(poses)
-
-
-def _by_columns(calibration: Calibration, laser: int) -> bool:
-    """Whether a laser's stripe was found column by column."""
-    return next(s.columns for view in calibration.observations.views for s in view.stripes if s.laser == laser)
 
 
 def _precision(calibration: Calibration, volumes: tuple[WorkingVolume, ...], factor: float) -> str:

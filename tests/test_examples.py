@@ -1,0 +1,89 @@
+"""The files in examples/, run as they are, on photographs that are there already."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from jaxscan import read_ply
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture
+def folder(world: Path, tmp_path: Path) -> Path:
+    (tmp_path / "world").symlink_to(world)
+    return tmp_path
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    def run(name: str) -> str:
+        monkeypatch.syspath_prepend(EXAMPLES)
+        monkeypatch.setattr(sys, "argv", [name, str(tmp_path)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def number(said: str, after: str) -> float:
+    """The first number that is said after some words."""
+    return float(said.split(after)[1].split()[0].strip("[],:;"))
+
+
+def test_all_are_here():
+    tested = [name.split("_")[1] for name in globals() if name.startswith("test_0")]
+    assert tested == [path.name[:2] for path in sorted(EXAMPLES.glob("[0-9]*.py"))]
+    for path in EXAMPLES.glob("*.py"):
+        assert 20 <= len(path.read_text(encoding="utf-8").splitlines()) <= 60, path
+
+
+def test_01_calibrate(run, folder, world):
+    said = run("01_calibrate.py")
+    assert "6 boards, 5 photographs of the stage" in said
+    # As the command does it.
+    assert (folder / "rig.json").read_bytes() == (world / "rig.json").read_bytes()
+
+
+def test_02_reconstruct(run, folder, world):
+    (folder / "rig.json").symlink_to(world / "rig.json")
+    said = run("02_reconstruct.py")
+    assert int(said.split()[0]) == len(read_ply(world / "cup.ply").points)
+    cup = read_ply(folder / "cup.ply")
+    assert cup.sigma is not None
+    assert 0 < cup.sigma.max() < 0.2
+    assert (folder / "sigma.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_03_gradient_of_a_height(run, folder, world):
+    (folder / "rig.json").symlink_to(world / "rig.json")
+    said = run("03_gradient_of_a_height.py")
+    assert abs(number(said, "height of the cup's bottom") - 5) < 0.05
+    alone, whole = (number(said, words) for words in ("light plane alone", "whole rig"))
+    # Both are in the rig's covariance, which has its own tests; what a height owes to the plane, the camera takes back.
+    assert 0 < whole < alone < 0.01
+
+
+def test_04_next_board_pose(run, folder):
+    said = run("04_next_board_pose.py")
+    first, second = (float(line.split()[-2]) for line in said.splitlines() if "falls to" in line)
+    assert number(said, "point now:") > first > second
+    assert (folder / "next.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.long
+def test_05_merge_eight_sides(run, tmp_path):
+    said = run("05_merge_eight_sides.py")
+    assert number(said, "closes within") < 0.05
+    low, high = trimesh.load_mesh(tmp_path / "figure.stl").bounds
+    assert np.linalg.norm(high - low) > 50
+
+
+def test_06_drive_a_simulated_scanner(run):
+    said = run("06_drive_a_simulated_scanner.py")
+    assert "laser off: True; still to be taken: (24000, 36000, 48000)" in said
+    assert said.count("points") == 5
