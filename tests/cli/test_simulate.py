@@ -46,15 +46,15 @@ def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None
     assert "box" in simulate.describe(result)
 
 
-def test_a_figure_from_two_sides(few_photographs: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_box_from_three_sides(few_photographs: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig_2003, "SCAN_FRAMES", 19)
     out = tmp_path / "world"
-    result = simulate.run(parse(str(out), "--object", "figure", "--sides", "2", "--apart", "18000"))
-    assert result["scans"] == ["scan-000", "scan-180"]
-    first, second = (read_scan_truth(out / "truth", which) for which in ("000", "180"))
-    assert read_scan(out / "scan-180").steps == (0, 18000, 36000) == tuple(first.steps)
+    result = simulate.run(parse(str(out), "--object", "box", "--sides", "3", "--apart", "18000"))
+    assert result["scans"] == ["scan-000", "scan-120", "scan-240"]
+    first, second = (read_scan_truth(out / "truth", which) for which in ("000", "120"))
+    assert read_scan(out / "scan-240").steps == (0, 18000, 36000) == tuple(first.steps)
     assert not np.array_equal(first.position, second.position, equal_nan=True)
-    assert "--turn 180" in simulate.describe(result)
+    assert "--turn 120" in simulate.describe(result)
 
 
 def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> None:
