@@ -23,6 +23,7 @@ COMMANDS = {
     "format": ("dev", ["ruff", "format"], "put the style right"),
     "types": ("dev", ["pyright"], "check the types"),
     "contract": ("dev", ["lint-imports"], "check which part imports which"),
+    "docs": ("docs", ["mkdocs", "build"], "build the documentation, into site/"),
     "bench": ("dev", ["python", "-m", "benchmarks"], "run the benchmarks"),
 }
 

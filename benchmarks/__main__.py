@@ -62,18 +62,7 @@ NOT_QUICK = {
 
 def main() -> int:
     """Run the suites that were asked for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks",
-        description="Measure accuracy and speed.",
-        epilog="suites:\n" + "\n".join(f"  {name:12} {words}" for name, words in SUITES.items()),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--only", choices=SUITES, action="append", help="one suite; may be given more than once")
-    parser.add_argument("--quick", action="store_true", help="fewer seeds and sizes: under three minutes")
-    parser.add_argument("--gate", action="store_true", help="fail where a figure is worse than the baseline")
-    parser.add_argument("--save-baseline", action="store_true", help="make these figures the baseline")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON too")
-    args = parser.parse_args()
+    args = command_line().parse_args()
     metrics: list[Metric] = []
     for name in args.only or [name for name in SUITES if not (args.quick and name in NOT_QUICK)]:
         print(f"\n{name}: {SUITES[name]}", flush=True)
@@ -95,6 +84,22 @@ def main() -> int:
         os.replace(beside, BASELINE)
         return 0
     return _gate(metrics, stored.get(key, {})) if args.gate else 0
+
+
+def command_line() -> argparse.ArgumentParser:
+    """What may be asked for."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description="Measure accuracy and speed.",
+        epilog="suites:\n" + "\n".join(f"  {name:12} {words}" for name, words in SUITES.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--only", choices=SUITES, action="append", help="one suite; may be given more than once")
+    parser.add_argument("--quick", action="store_true", help="fewer seeds and sizes: under three minutes")
+    parser.add_argument("--gate", action="store_true", help="fail where a figure is worse than the baseline")
+    parser.add_argument("--save-baseline", action="store_true", help="make these figures the baseline")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON too")
+    return parser
 
 
 def _line(metric: Metric) -> str:

@@ -1,7 +1,8 @@
-"""`python -m benchmarks.pictures`: the two pictures of the README, from simulated photographs.
+"""`python -m benchmarks.pictures`: the pictures of README and docs.
 
 `cup.png`: a cup by the pipeline of 2003 and by ours, coloured by the distance from the true surface, and one profile of
 each. `views.png`: the error of a scan against the number of board views in the calibration, by each pipeline.
+`placing.png`: σ of a point against the angle between laser and camera, and σ of a stripe against its width.
 """
 
 import argparse
@@ -18,8 +19,12 @@ from benchmarks import transcription
 from benchmarks.conditions import SHORT, Condition, Photographed, photograph
 from benchmarks.found import Found
 from benchmarks.pipelines import MATLAB, OURS, PIPELINES, Taken, matlab
+from benchmarks.stripes import profile
 from jaxscan.calibration import Observations
 from jaxscan.cli.compiled import keep_compiled
+from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.reconstruction.point_sigma import ray_jacobian
+from jaxscan.rig import Camera, LightPlane, Rig
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.accuracy import cloud_errors
 from jaxscan.simulation.distance import distance
@@ -43,21 +48,32 @@ _COLOURS: Final = {
     OURS: "black",
 }
 _SCALE_MM, _DPI = 0.8, 100
+# Of `placing.png`: a camera of 640 × 480 pixels and a stripe known to a tenth of one.
+_FOCAL_PX, _STRIPE_PX = 700.0, 0.1
+_BRIGHTEST_OVER_NOISE: Final = 50.0
+_DISTANCES_MM: Final = (200.0, 350.0, 600.0)
 
 
 def main() -> None:
-    """Draw one or both."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__)
-    parser.add_argument("--only", choices=("cup", "views"), help="one of the two")
-    parser.add_argument("--seeds", type=int, default=10, help="of the second picture (default: 10)")
-    parser.add_argument("-o", "--output", type=Path, default=HERE, metavar="DIR", help="default: docs/pictures")
-    args = parser.parse_args()
+    """Draw one or all."""
+    args = command_line().parse_args()
     keep_compiled()
     args.output.mkdir(parents=True, exist_ok=True)
-    if args.only != "views":
+    if args.only in (None, "cup"):
         draw_cup(args.output / "cup.png")
-    if args.only != "cup":
+    if args.only in (None, "views"):
         draw_views(args.output / "views.png", errors_of_seeds(range(args.seeds)))
+    if args.only in (None, "placing"):
+        draw_placing(args.output / "placing.png")
+
+
+def command_line() -> argparse.ArgumentParser:
+    """What may be asked for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__)
+    parser.add_argument("--only", choices=("cup", "views", "placing"), help="one of them")
+    parser.add_argument("--seeds", type=int, default=10, help="of the second picture (default: 10)")
+    parser.add_argument("-o", "--output", type=Path, default=HERE, metavar="DIR", help="default: docs/pictures")
+    return parser
 
 
 def draw_cup(path: Path, seed: int = 0) -> None:
@@ -122,6 +138,57 @@ def draw_views(path: Path, errors: Mapping[str, list[list[float]]]) -> None:
     axis.legend(loc="upper center", ncols=2)
     figure.savefig(path, dpi=_DPI)
     plt.close(figure)
+
+
+def draw_placing(path: Path) -> None:
+    """Left: σ of a point on the optical axis, along its ray, and the formula z / (f tan θ) σ. Right: σ of a stripe."""
+    plt = pyplot()
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), constrained_layout=True)
+    angles = np.linspace(3.0, 75.0, 49)
+    for distance_mm in _DISTANCES_MM:
+        sigma = [_STRIPE_PX * millimetres_for_a_pixel(distance_mm, angle) for angle in angles]
+        (line,) = left.plot(angles, sigma, label=f"{distance_mm:.0f} mm")
+        formula = distance_mm / (_FOCAL_PX * np.tan(np.radians(angles))) * _STRIPE_PX
+        left.plot(angles[::4], formula[::4], ".", color=line.get_color())
+    left.axvspan(20, 45, color="tab:green", alpha=0.12, lw=0)
+    left.set(yscale="log", xlabel="angle θ between laser and line of sight, °", ylabel="σ of a point, mm")
+    left.set(title=f"stripe known to {_STRIPE_PX:g} px, f = {_FOCAL_PX:.0f} px")
+    left.legend(title="distance")
+    widths = np.geomspace(0.5, 4.0, 13)
+    for words, height in (("as bright at every width", lambda s: 1.0), ("the same light, spread", lambda s: 0.5 / s)):
+        right.plot(widths, [sigma_of_stripe(s, height(s)) for s in widths], ".-", label=words)
+    right.set(xscale="log", yscale="log", xlabel="σ of the stripe's profile, px", ylabel="σ of its centre, px")
+    right.set(
+        title="noise a fiftieth of the brightest stripe", xticks=(0.5, 1, 2, 4), xticklabels=("0.5", "1", "2", "4")
+    )
+    right.minorticks_off()
+    right.set_yticks(ticks := [0.02, 0.05, 0.1, 0.2], [f"{t:g}" for t in ticks])
+    right.legend()
+    for axis in (left, right):
+        axis.grid(alpha=0.3)
+    figure.savefig(path, dpi=_DPI)
+    plt.close(figure)
+
+
+def millimetres_for_a_pixel(distance_mm: float, angle_deg: float) -> float:
+    """How far a point on the optical axis moves along it if its stripe is seen one row off.
+
+    The sheet meets the axis at this distance and angle: ω = (0, −1 / (z tan θ), 1 / z).
+    """
+    omega = np.array([0.0, -1 / np.tan(np.radians(angle_deg)), 1.0]) / distance_mm
+    middle = np.array([319.5, 239.5])
+    rig = Rig(Camera.create((640, 480), [_FOCAL_PX, _FOCAL_PX], middle, "none", []), (LightPlane.create(omega),))
+    return abs(float(ray_jacobian(rig, "", middle[None], np.zeros(1), True)[1][0]))
+
+
+def sigma_of_stripe(width_px: float, height: float, columns: int = 2000) -> float:
+    """RMS error of the stripe's centre as it is detected, px; the noise is a fiftieth of a height of 1."""
+    random = np.random.default_rng(0)
+    centre = 32 + 4 * np.sin(np.arange(columns) / 40) + random.uniform(-0.5, 0.5, columns)
+    levels = height * profile(centre, width_px) + random.standard_normal((64, columns)) / _BRIGHTEST_OVER_NOISE
+    image = np.rint(20_000 * (1 + levels)).astype(np.uint16)
+    error = detect_stripe(image, StripeSettings("grey")).position[0] - centre
+    return float(np.sqrt(np.nanmean(error**2)))
 
 
 def errors_by_views(seed: int) -> Mapping[str, list[float]]:

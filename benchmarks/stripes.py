@@ -48,7 +48,7 @@ def bound(quick: bool) -> list[Metric]:
             continue  # A core of five full pixels would be 600 times as bright as a pixel holds.
         noise = _HEIGHT / signal
         height = _HEIGHT * (np.exp(2.5**2 / (2 * s * s)) if kind == "full" else 1.0)
-        levels = _GROUND + height * _profile(centre, s)
+        levels = _GROUND + height * profile(centre, s)
         image = levels + noise * random.standard_normal(levels.shape)
         scale = _TOP / _FULL if kind == "full" else 1.0
         image = np.rint(image.clip(0, _FULL if kind == "full" else _TOP) * scale).astype(np.uint16)
@@ -71,7 +71,8 @@ def bound(quick: bool) -> list[Metric]:
     ]
 
 
-def _profile(centre: Float[np.ndarray, "columns"], s: float) -> Float[np.ndarray, "rows columns"]:
+def profile(centre: Float[np.ndarray, "columns"], s: float) -> Float[np.ndarray, "rows columns"]:
+    """A stripe of σ = s px and of height 1, each pixel its exact mean."""
     edges = (np.arange(_ROWS + 1)[:, None] - 0.5 - centre) / s
     return s * np.sqrt(2 * np.pi) * np.diff(ndtr(edges), axis=0)
 
@@ -83,14 +84,14 @@ def _bound(centre: Float[np.ndarray, "columns"], s: float, height: float, noise:
     J = np.stack(
         [
             np.ones((_ROWS, some.size)),
-            _profile(some, s),
-            height * (_profile(some, s + h) - _profile(some, s - h)) / (2 * h),
-            height * (_profile(some + h, s) - _profile(some - h, s)) / (2 * h),
+            profile(some, s),
+            height * (profile(some, s + h) - profile(some, s - h)) / (2 * h),
+            height * (profile(some + h, s) - profile(some - h, s)) / (2 * h),
         ],
         axis=-1,
     )
     # Information of a censored datum, in parts of a free one's, by the distance t of its mean from the limit.
-    t = np.minimum((full - _GROUND - height * _profile(some, s)) / noise, 30)
+    t = np.minimum((full - _GROUND - height * profile(some, s)) / noise, 30)
     censored = ndtr(t) - t * norm.pdf(t) + np.exp(2 * norm.logpdf(t) - norm.logsf(t))
     told = np.where(t < 30, censored, 1.0)
     information = np.einsum("kni,kn,knj->nij", J, told / noise**2, J)

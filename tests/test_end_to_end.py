@@ -1,8 +1,6 @@
 """Simulated photographs through the commands, as a user types them, and what the commands refuse."""
 
 import json
-import re
-import shlex
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -262,32 +260,3 @@ def test_an_output_that_cannot_be_written_is_refused_first(world: Path, capsys: 
     assert main(["calibrate", str(world / "session"), "-o", str(toml)]) == 2
     assert "end its name with .json" in capsys.readouterr().err
     assert toml.read_text().startswith("[board]")
-
-
-def _blocks(text: str, language: str) -> list[str]:
-    """The fenced blocks of a Markdown text in one language, "" for none."""
-    return [block for name, block in re.findall(r"^```(\w*)\n(.*?)^```$", text, flags=re.M | re.S) if name == language]
-
-
-def test_what_the_readme_says(world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its two TOML files over the simulated photographs, its commands, then its Python snippet."""
-    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    for text, name, folders in zip(
-        _blocks(readme, "toml"), ("session", "scan"), (("boards", "stage"), ("frames",)), strict=True
-    ):
-        (tmp_path / name).mkdir()
-        for folder in folders:
-            (tmp_path / name / folder).symlink_to(world / name / folder)
-        (tmp_path / name / f"{name}.toml").write_text(text)
-    monkeypatch.chdir(tmp_path)
-    commands = [line for block in _blocks(readme, "") for line in block.splitlines() if line.startswith("jaxscan ")]
-    assert [shlex.split(command)[1] for command in commands] == ["calibrate", "reconstruct"]
-    for command in commands:
-        assert main(shlex.split(command)[1:]) == 0
-    by_command = (tmp_path / "rig.json").read_bytes(), (tmp_path / "cup.ply").read_bytes()
-    (snippet,) = _blocks(readme, "python")
-    exec(compile(snippet, "README.md", "exec"), {})
-    assert (tmp_path / "rig.json").read_bytes() == by_command[0]
-    assert (tmp_path / "cup.ply").read_bytes() == by_command[1]
-    found, again = read_rig(world / "rig.json").rig, read_rig(tmp_path / "rig.json").rig
-    np.testing.assert_allclose(again.camera.focal, found.camera.focal, rtol=1e-9)

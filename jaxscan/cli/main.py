@@ -91,7 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run_program(program: Program, argv: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit status: 0 done, 1 failed, 2 bad input or usage, 130 interrupted."""
     try:
-        args = _parser(program).parse_args(argv)
+        args = parser_of(program).parse_args(argv)
     except SystemExit as ended:  # argparse has said what was wrong, or has printed the help
         return ended.code if isinstance(ended.code, int) else DONE
     try:
@@ -145,7 +145,8 @@ def _warnings_in_words(program: Program) -> Iterator[None]:
         yield
 
 
-def _parser(program: Program) -> argparse.ArgumentParser:
+def parser_of(program: Program) -> argparse.ArgumentParser:
+    """The program's command line."""
     parser = argparse.ArgumentParser(
         prog=program.name,
         description=program.description,

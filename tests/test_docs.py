@@ -1,0 +1,211 @@
+"""README and docs: the site builds, every command and option that they show is there, and what a guide says runs."""
+
+import argparse
+import importlib.util
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from itertools import chain
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dev
+import hardware.cli.main
+import jaxscan
+import jaxscan.cli.main
+from benchmarks.__main__ import command_line as bench_command_line
+from benchmarks.pictures import command_line as pictures_command_line
+from hardware.devices import read_scanner
+from jaxscan.cli.main import Program, main, parser_of
+from jaxscan.files.rig_file import read_rig
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PARSERS = {
+    "jaxscan": parser_of(Program("jaxscan", "", jaxscan.cli.main.COMMANDS)),
+    "scanner": parser_of(Program("scanner", "", hardware.cli.main.COMMANDS)),
+    "python -m benchmarks": bench_command_line(),
+    "python -m benchmarks.pictures": pictures_command_line(),
+}
+# Where these begin a line they are commands of others.
+OTHERS = ("pip ", ". ", "dask ")
+# What a guide shows and this test does not run: it never ends, or wants scans that are not there.
+NOT_RUN = ("jaxscan view", "jaxscan merge", "scanner", "python3 dev.py")
+# Snippets that want more than a folder of photographs: a lab server and its token; a calibration (below).
+COMPILED_ALONE = ("lab.md", "solve.md")
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of a page in one language, "" for none."""
+    found = re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    return [block for name, block in found if name == language]
+
+
+def commands(page: Path) -> list[str]:
+    """The lines of its blocks, without comments."""
+    lines = chain.from_iterable(block.splitlines() for block in blocks(page, ""))
+    return [line.partition("#")[0].strip() for line in lines if line.strip() and not line.startswith("#")]
+
+
+def mentioned(page: Path) -> list[str]:
+    """Commands in the midst of sentences: `jaxscan mesh`, `scanner move 20000`, `dev.py bench --only lab`."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    inline = re.findall(r"`((?:jaxscan|scanner|python3 dev\.py|(?:\.venv/bin/)?python -m benchmarks\S*) [^`]+)`", text)
+    return [line for line in inline if not line.startswith("jaxscan[")]
+
+
+def program(line: str) -> tuple[argparse.ArgumentParser | None, list[str]]:
+    """The parser of a command line, and its words; no parser where the words are handed on to another's program."""
+    words = shlex.split(line)
+    if words[:2] == ["python3", "dev.py"]:
+        _, command, _ = dev.COMMANDS[words[2]]
+        name, own = " ".join(command[:3]), command[1:]
+        words = [*own, *words[3:]]
+        if name == "python -m benchmarks":
+            return PARSERS[name], words[2:]
+        return PARSERS.get(command[0]), words
+    if "-m" in words:
+        at = words.index("-m")
+        return PARSERS[f"python -m {words[at + 1]}"], words[at + 2 :]
+    return PARSERS[words[0]], words[1:]
+
+
+def options_of(parser: argparse.ArgumentParser, command: str) -> set[str]:
+    """All options of a program's command, or of a program without commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            parser = action.choices[command]
+    return set(chain.from_iterable(action.option_strings for action in parser._actions))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mkdocs") is None, reason="mkdocs is not installed (extra docs)")
+def test_the_site_builds_and_asks_nobody(tmp_path: Path):
+    argv = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    env = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(argv, cwd=ROOT, env=env, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout + done.stderr == ""
+    for page in tmp_path.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert not re.findall(r'<(?:script|img|iframe)[^>]*src="https?:|<link[^>]*stylesheet[^>]*href="https?:', text)
+    reference = (tmp_path / "api.html").read_text(encoding="utf-8")
+    assert [name for name in jaxscan.__all__ if f">{name}<" not in reference.replace("</span>", "<")] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_are_as_the_programs_have_them(page: Path, capsys: pytest.CaptureFixture[str]):
+    for line in commands(page):
+        if line.startswith(OTHERS):
+            continue
+        parser, words = program(line)
+        if parser is None:
+            continue
+        try:
+            parser.parse_args(words)
+        except SystemExit:
+            pytest.fail(f"{page.name}: {line}\n{capsys.readouterr().err}")
+    for line in mentioned(page):
+        parser, words = program(line.replace("…", ""))
+        if parser is None:
+            continue
+        known = options_of(parser, words[0] if words else "")
+        unknown = [word for word in words if word.startswith("--") and word.partition("=")[0] not in known]
+        assert unknown == [], f"{page.name}: {line}"
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "toml")], ids=lambda page: page.name)
+def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: Path):
+    for folder in ("boards", "stage"):
+        (tmp_path / folder).symlink_to(world / "session" / folder)
+    (tmp_path / "stripes").symlink_to(world / "session" / "boards")
+    (tmp_path / "frames").symlink_to(world / "scan" / "frames")
+    (tmp_path / "dark.png").symlink_to(world / "scan" / "frames" / "000.png")
+    for text in blocks(page, "toml"):
+        path = tmp_path / "file.toml"
+        path.write_text(text)
+        if "[scan]" in text:
+            assert len(jaxscan.read_scan(path).steps) == 5
+        elif "[board]" in text:
+            assert len(jaxscan.read_session(path).views.boards) == 6
+        else:
+            assert read_scanner(path).path == path
+
+
+@pytest.fixture
+def guided(world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folders of photographs without their TOML files, as the working folder."""
+    for name, folders in (("session", ("boards", "stage")), ("scan", ("frames",))):
+        (tmp_path / name).mkdir()
+        for folder in folders:
+            (tmp_path / name / folder).symlink_to(world / name / folder)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def follow(page: Path) -> list[str]:
+    """Write a guide's TOML files, then run its commands, in order; those that were run."""
+    for text, name in zip(blocks(page, "toml"), ("session", "scan"), strict=True):
+        Path(name, f"{name}.toml").write_text(text)
+    ran = [line for line in commands(page) if not line.startswith((*NOT_RUN, *OTHERS))]
+    for line in ran:
+        assert main(shlex.split(line)[1:]) == 0, line
+    return [line.split()[1] for line in ran]
+
+
+def test_what_the_readme_says(world: Path, guided: Path):
+    """Its commands, then its Python snippet, which does the same."""
+    assert follow(ROOT / "README.md") == ["calibrate", "reconstruct"]
+    by_command = (guided / "rig.json").read_bytes(), (guided / "cup.ply").read_bytes()
+    (snippet,) = blocks(ROOT / "README.md", "python")
+    exec(compile(snippet, "README.md", "exec"), {})
+    assert (guided / "rig.json").read_bytes() == by_command[0]
+    assert (guided / "cup.ply").read_bytes() == by_command[1]
+    found, again = read_rig(world / "rig.json").rig, read_rig(guided / "rig.json").rig
+    np.testing.assert_allclose(again.camera.focal, found.camera.focal, rtol=1e-9)
+
+
+def test_the_first_scan(guided: Path, capsys: pytest.CaptureFixture[str]):
+    page = ROOT / "docs" / "first-scan.md"
+    ran = follow(page)
+    assert ran == ["inspect", "calibrate", "inspect", "inspect", "reconstruct", "inspect", "mesh"]
+    for name in ("report/report.html", "stripe.png", "cup.ply", "cup.stl", "cup-mesh.png"):
+        assert (guided / name).stat().st_size > 1000
+    (snippet,) = blocks(page, "python")
+    exec(compile(snippet, page.name, "exec"), {})
+    drawn = (guided / "board.svg").read_text()
+    assert drawn.count("<rect") == 35
+    assert 'width="250mm" height="175mm"' in drawn
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page, "python")], ids=lambda page: page.name)
+def test_snippets(page: Path, world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def camera():
+        scan = jaxscan.read_scan(world / "scan")
+        return ((jaxscan.images.read_image(path), step) for path, step in zip(scan.frames, scan.steps, strict=True))
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(world / "rig.json", tmp_path)
+    for snippet in blocks(page, "python"):
+        code = compile(snippet, page.name, "exec")
+        if page.name not in COMPILED_ALONE:
+            exec(code, {"camera": camera})
+
+
+@pytest.mark.long
+def test_derivatives_through_the_solution(world: Path, x64: None):
+    session = jaxscan.read_session(world / "session")
+    names = {
+        "calibration": jaxscan.calibrate(jaxscan.observe(session)),
+        "session": session,
+        "pixel": jnp.array([320.0, 240.0]),
+        "steps": 0.0,
+    }
+    (snippet,) = blocks(ROOT / "docs" / "solve.md", "python")
+    exec(compile(snippet.replace("jax.config.update", "str"), "solve.md", "exec"), names)
+    assert np.isfinite(names["gradient"].groups[0].corners).any()
