@@ -124,10 +124,14 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
     for folder in ("boards", "stage"):
         (tmp_path / folder).symlink_to(world / "session" / folder)
     (tmp_path / "stripes").symlink_to(world / "session" / "boards")
+    (tmp_path / "turntable").symlink_to(world / "session" / "stage")
     (tmp_path / "frames").symlink_to(world / "scan" / "frames")
     (tmp_path / "dark.png").symlink_to(world / "scan" / "frames" / "000.png")
+    session = blocks(ROOT / "README.md", "toml")[0]
     for text in blocks(page, "toml"):
         path = tmp_path / "file.toml"
+        if text.startswith("[turntable]"):  # a table of a session
+            text = f"{session}\n{text}"
         path.write_text(text)
         if "[scan]" in text:
             assert len(jaxscan.read_scan(path).steps) == 5
