@@ -9,6 +9,8 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_scan, simulate_session, write_truth
 from jaxscan.simulation.shapes import cup
 
+CALIBRATE = "jaxscan calibrate session -o rig.json --report report"
+
 
 def make(folder: Path) -> None:
     """A session of six boards and five stage photographs, a scan of five frames, calibrated and reconstructed."""
@@ -20,7 +22,8 @@ def make(folder: Path) -> None:
     scene = rig_2003.scan_scene(session.rig, cup(rig_2003.OBJECT_Y))
     scan = simulate_scan(folder / "scan", session.rig, scene, 1, frames=5, steps_apart=12000)
     write_truth(folder / "truth", session, scan)
-    report = ["--report", str(folder / "report")]
-    assert main(["calibrate", str(folder / "session"), "-o", str(folder / "rig.json"), *report]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main(CALIBRATE.split()[1:]) == 0
     points = ["-o", str(folder / "cup.ply"), "-o", str(folder / "cup.npz")]
     assert main(["reconstruct", str(folder / "scan"), "--rig", str(folder / "rig.json"), *points]) == 0
