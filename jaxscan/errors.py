@@ -23,8 +23,10 @@ class SolveError(JaxscanError):
 
 @contextmanager
 def said_of(where: str | os.PathLike[str]) -> Iterator[None]:
-    """Put the file, and the key, before the text of an `InputError` from code that sees values and no files."""
+    """Put the file, and the key, before the text of an `InputError`, unless it names them already."""
     try:
         yield
     except InputError as error:
+        if str(error).startswith(f"{where}: "):
+            raise
         raise type(error)(f"{where}: {error}") from error
