@@ -1,12 +1,15 @@
 """What all tests share: where the real data are, and strict JAX."""
 
-import fcntl
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import jax
 import pytest
+
+if TYPE_CHECKING:
+    from jaxscan.calibration import Calibration, Observations
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
@@ -21,19 +24,29 @@ def data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def world(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """Photographs and what the commands make of them, `small_world.make`: made by one worker, read by all."""
-    folder = tmp_path_factory.getbasetemp()
-    if worker_id != "master":
-        folder = folder.parent
-    with open(folder / "world.lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "world").is_dir():
-            from tests.small_world import make
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Photographs and what the commands make of them, `small_world.make`."""
+    from tests.small_world import make
 
-            make(folder / "making")
-            (folder / "making").rename(folder / "world")
-    return folder / "world"
+    folder = tmp_path_factory.mktemp("small") / "world"
+    make(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def session() -> "Observations":
+    """Eleven views and five stage photographs of the rig of 2003, drawn with noise."""
+    from tests.calibration import synthetic
+
+    return synthetic.observations(seed=0, n_stage=5)
+
+
+@pytest.fixture(scope="session")
+def calibration(session: "Observations") -> "Calibration":
+    """What `calibrate` makes of them: its solve compiles once for all tests that look at it."""
+    from jaxscan.calibration import calibrate
+
+    return calibrate(session)
 
 
 @pytest.fixture
@@ -54,3 +67,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker("long"):
                 item.add_marker(pytest.mark.skip(reason="takes long: run with --long"))
+
+
+# Modules that share what is dear to make: one worker runs them all.
+_TOGETHER = {
+    "calibrated": ("tests/calibration/", "tests/view/"),
+    "small world": ("tests/test_docs.py", "tests/test_end_to_end.py", "tests/test_examples.py"),
+}
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """A worker takes whole modules, and of those that share fixtures all."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFixtures(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            module = super()._split_scope(nodeid)
+            return next((name for name, paths in _TOGETHER.items() if module.startswith(paths)), module)
+
+    return ByFixtures(config, log)

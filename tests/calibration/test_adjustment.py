@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import synthetic
 
 from jaxscan.calibration import refit
 from jaxscan.calibration.bundle import solve
 from jaxscan.errors import InputError
+from tests.calibration import synthetic
 
 PIXEL, STEPS = (300.0, 200.0), 4000.0
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-import synthetic
 
 from jaxscan import Camera, calibrate, read_camera, read_rig, write_camera
 from jaxscan.calibration import Observations
@@ -14,6 +13,7 @@ from jaxscan.calibration.board_views import observations_from
 from jaxscan.cli.main import main
 from jaxscan.errors import InputError
 from jaxscan.files.cameras import read_camera_file
+from tests.calibration import synthetic
 
 
 @pytest.fixture(scope="module")

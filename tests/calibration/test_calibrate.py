@@ -5,12 +5,12 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-import synthetic
-from synthetic import TRUTH, Noise
 
 from jaxscan.calibration import calibrate
 from jaxscan.errors import InputError, ObservabilityError
 from jaxscan.rig.rig import parameter_names
+from tests.calibration import synthetic
+from tests.calibration.synthetic import TRUTH, Noise
 
 
 def errors_in_sigma(calibration):

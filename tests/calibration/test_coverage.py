@@ -5,13 +5,13 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import synthetic
 
 from jaxscan.calibration import calibrate
 from jaxscan.calibration.coverage import Coverage, StripeCoverage, measure_coverage
 from jaxscan.calibration.observability import OpenQuestion, cause_and_mend
 from jaxscan.errors import ObservabilityError
 from jaxscan.precision import as_float64, float64
+from tests.calibration import synthetic
 
 
 @pytest.fixture

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-import synthetic
-from synthetic import BOARD, IMAGE_SIZE
 
 from jaxscan.calibration import initial
+from tests.calibration import synthetic
+from tests.calibration.synthetic import BOARD, IMAGE_SIZE
 
 POINTS = BOARD.points()[:, :2]
 

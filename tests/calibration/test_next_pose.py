@@ -6,7 +6,6 @@ import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import synthetic
 
 from jaxscan.calibration import Calibration, Observations, StripePoints, View, calibrate
 from jaxscan.calibration import next_pose as module
@@ -18,6 +17,7 @@ from jaxscan.images import Board
 from jaxscan.precision import float64
 from jaxscan.rig import Rig
 from jaxscan.rig.rig import parameter_names
+from tests.calibration import synthetic
 
 # As many radians of tilt, and mm, as a session has it.
 DEPTH_LIMITS, TILT_LIMIT_DEG = 1.1, 45.0

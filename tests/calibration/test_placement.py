@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import synthetic
 from jaxtyping import Array, Float
 
 from jaxscan.calibration.placement import Reach, outline_of
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Camera
+from tests.calibration import synthetic
 
 MARGIN = 5.0
 

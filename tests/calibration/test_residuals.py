@@ -3,12 +3,12 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import synthetic
 
 from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.residuals import Noise, _tamed, block_errors, stripe_error
 from jaxscan.geometry import Pose, dual_plane
 from jaxscan.rig import Camera, LightPlane, Rig
+from tests.calibration import synthetic
 
 
 def true_rig():

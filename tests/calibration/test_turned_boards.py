@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-import synthetic
 
 from jaxscan.calibration import Calibration, Observations, calibrate
 from jaxscan.calibration.diagnostics.halves import halves, solve_apart
@@ -17,6 +16,7 @@ from jaxscan.files.rig_file import read_rig, write_rig
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig.rig import parameter_names
+from tests.calibration import synthetic
 
 TRUTH = synthetic.TRUTH_WITH_TURNTABLE
 STAGE_STEP = 3000

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import synthetic
 
 from jaxscan.calibration import Observations, View
+from tests.calibration import synthetic
 
 
 def of_another_camera(session: Observations, index: int, monkeypatch, focal: float = 1.3) -> Observations:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import synthetic
 from scipy import stats
 
 from jaxscan.calibration import calibrate
@@ -14,6 +13,7 @@ from jaxscan.calibration.observations import join
 from jaxscan.errors import InputError
 from jaxscan.images import Board
 from jaxscan.rig import Covariance
+from tests.calibration import synthetic
 from tests.calibration.diagnostics import cases
 
 

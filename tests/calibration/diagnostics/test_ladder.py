@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-import synthetic
 from scipy import stats
 
 from jaxscan.calibration import calibrate
 from jaxscan.calibration.diagnostics.ladder import climb, f_test
+from tests.calibration import synthetic
 
 
 def test_f_test_is_scipys():

@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import synthetic
 
 from jaxscan.calibration import calibrate
 from jaxscan.calibration.diagnostics.stage_errors import stage_errors
+from tests.calibration import synthetic
 
 MISSED_MM = 0.1
 
