@@ -1,6 +1,7 @@
 """Cameras that OpenCV opens: USB, a network stream (RTSP), a video file."""
 
 import math
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,8 @@ class OpenCvCamera:
         Raises:
             CameraError: there is no such camera, or it has no such size.
         """
+        # FFmpeg under OpenCV takes its voice from the environment, once: when the process opens its first source.
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         capture = within(_OPEN_S, lambda: cv2.VideoCapture(self.source), f"camera {self.source}")
         if not capture.isOpened():
             raise CameraError(

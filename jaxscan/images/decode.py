@@ -144,7 +144,7 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: there is no such file: check the name")
-    # FFmpeg under OpenCV has its own voice, which is set by the environment alone.
+    # FFmpeg under OpenCV has its own voice, which the environment sets alone, and only before the first is opened.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with _quiet():
         capture = cv2.VideoCapture(os.fspath(path))

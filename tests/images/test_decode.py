@@ -1,3 +1,7 @@
+import os
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -79,11 +83,32 @@ def test_what_is_no_image_is_named_and_nothing_else_is_printed(tmp_path, capfd):
     cv2.imwrite(str(tmp_path / "depth.tif"), np.zeros((4, 4), np.float32))
     with pytest.raises(InputError, match="float32"):
         read_image(tmp_path / "depth.tif")
-    with pytest.raises(InputError, match="video"):
+    assert capfd.readouterr().err == ""
+
+
+def test_what_is_no_video_is_named(tmp_path):
+    text = tmp_path / "notes.mp4"
+    text.write_bytes(b"\xff\xd8\xff")
+    with pytest.raises(InputError, match=r"notes\.mp4.*video"):
         read_video(text)
     with pytest.raises(InputError, match="no such file"):
         read_video(tmp_path / "missing.mp4")
-    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "opened",
+    [
+        "from jaxscan.images.decode import read_video as opened",
+        "from hardware.cameras.opencv import OpenCvCamera; opened = lambda path: OpenCvCamera(path).open()",
+    ],
+)
+def test_of_what_is_no_video_ffmpeg_prints_nothing(tmp_path, opened):
+    """In a process of its own, for FFmpeg asks how loud it may be once, when the first video is opened or written."""
+    (tmp_path / "notes.png").write_bytes(b"\xff\xd8\xff")
+    env = {name: value for name, value in os.environ.items() if name != "OPENCV_FFMPEG_LOGLEVEL"}
+    script = f"{opened}\ntry:\n    opened('notes.png')\nexcept Exception as error:\n    print(error)"
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=env, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_writing_to_a_format_that_cannot_hold_it(tmp_path):
