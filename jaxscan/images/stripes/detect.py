@@ -43,8 +43,11 @@ _AMBIENT_QUANTILE = 0.97
 _EVERY = 16
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
-# Lines are measured in groups of so many, whatever the image: few sizes are compiled, and one stays in the cache.
-_SMALL_GROUP, _GROUP, _FEW = (4, 64), (8, 512), 4
+# Lines are measured in groups of so many, whatever the image: few sizes are compiled. Large ones cost less a line, by
+# what it takes two cores to begin together; those few that are looked at again would not fill them.
+_GROUPS: Final = (4, 128), (32, 512)
+_GROUPS_AGAIN: Final = (4, 64), (8, 512)
+_FEW = 8
 # Points of a stripe follow one another within so many lines, off by no more than so much and a steep slope. It is so
 # much longer than it is thick, and longer than so many lines.
 _GAP, _COMPANY_PX, _STEEPEST = 4, 2.0, 4.0
@@ -147,7 +150,7 @@ def _detect(
     def look(at: tuple[np.ndarray, ...], half: int, model: Model) -> Measured:
         """The lines of frames `at[0]` and numbers `at[1]`, in groups of few sizes: each size compiles anew."""
         found = []
-        for group, count in _groups(*at, peak[at]):
+        for group, count in _groups(*at, peak[at], sizes=_GROUPS if model == "plain" else _GROUPS_AGAIN):
             windows = gather_windows(images, background, sensor, *group, color, columns, half)
             found.append(
                 jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measure(windows, sensor, group[0], detector, model))
@@ -245,12 +248,14 @@ def ambient_levels(frames: np.ndarray, dark: np.ndarray | None, color: str) -> I
     return np.partition(flat, rank, axis=1)[:, rank].astype(np.int32)
 
 
-def _groups(*at: Int[np.ndarray, "some"]) -> Iterator[tuple[list[Int[np.ndarray, "groups lines"]], int]]:
+def _groups(
+    *at: Int[np.ndarray, "some"], sizes: tuple[tuple[int, int], tuple[int, int]]
+) -> Iterator[tuple[list[Int[np.ndarray, "groups lines"]], int]]:
     """The indices in groups of one of two shapes, the last one filled up by repetition; and how many of each count."""
-    first, some = 0, len(at[0])
+    first, some, (small, large) = 0, len(at[0]), sizes
     while first < some:
         # A few small ones take less time than one large one that is almost empty.
-        shape = _GROUP if some - first > _FEW * prod(_SMALL_GROUP) else _SMALL_GROUP
+        shape = large if some - first > _FEW * prod(small) else small
         count = min(prod(shape), some - first)
         yield [np.resize(index[first : first + count], shape).astype(np.int32, copy=False) for index in at], count
         first += count

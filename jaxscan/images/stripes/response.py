@@ -98,9 +98,10 @@ def channel_weights(
     # Each line's own mean costs it a degree of freedom.
     freedom = jnp.maximum((count - 1).sum((1, 2)), 1)
     C = [[jnp.where(beside, p * q, 0.0).sum((1, 2)) / freedom for q in off] for p in off]
-    matrix = jnp.stack([jnp.stack(row, -1) for row in C], -2) + _ROUNDING * jnp.eye(3)[None]
+    rows = [jnp.stack([value + _ROUNDING * (i == j) for j, value in enumerate(row)], -1) for i, row in enumerate(C)]
     a = jnp.stack([(stripe * p).sum((1, 2)) for p in off], -1)
-    w = jnp.linalg.solve(matrix, a[..., None])[..., 0]
+    # C⁻¹ a but for its length, which the weights do not ask: the rows of the adjugate are cross products.
+    w = jnp.stack([(jnp.cross(rows[i - 2], rows[i - 1]) * a).sum(-1) for i in range(3)], -1)
     ratio = -2 * w[:, 1:] / jnp.maximum(w[:, :1], jnp.finfo(jnp.float32).tiny)
     # Where nothing stands out in the laser's own channel, neutral light cancels.
     m, n = jnp.where(w[:, :1] > 0, jnp.clip(ratio, 0.0, 2.0), 1.0).T
