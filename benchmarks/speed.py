@@ -1,6 +1,7 @@
 """Time, against the pipeline of 2003 in Octave, on one machine and in one run.
 
-- Reconstruction: photographs (JPEG, 1920 × 1080, a stripe in every column; and 640 × 480) to points, decoding included.
+- Reconstruction: photographs (JPEG, 1920 × 1080, a stripe in every column; and 640 × 480) to points, decoding included,
+  with the default detector and with the quickest.
   Both read the very same files, and the number of frames stated is what both were timed on.
 - Calibration of 40 views with 31 stage photographs: camera, light plane and stage, from corners and stripe pixels;
   detection is apart in both. Ours finds the covariance too. Beside it the camera by itself.
@@ -23,6 +24,7 @@ from benchmarks.drawn_2003 import STEPS_APART, Drawing
 from benchmarks.metric import Metric, ratio
 from benchmarks.pipeline_2003 import Outcome, Quirks
 from benchmarks.real import corners_only
+from benchmarks.throughput import OF_A_SCAN
 from jaxscan.calibration import calibrate
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
@@ -33,6 +35,7 @@ _VIEWS, _STAGE_VIEWS = 40, 31
 _SCAN_STEPS: Final = ("read_scan", "detect", "triangulate")
 _CALIBRATION_STEPS: Final = ("camera", "lines", "laser_plane", "stage")
 _REPEATS = 5
+_FRAMES_SEEN: Final = 40
 
 
 def measure(quick: bool) -> list[Metric]:
@@ -40,7 +43,7 @@ def measure(quick: bool) -> list[Metric]:
     if octave.octave() is None:
         print(f"  {octave.MISSING}: nothing measured")
         return []
-    sizes = (((1920, 1080), 8),) if quick else (((1920, 1080), 40), ((640, 480), 37))
+    sizes = (((1920, 1080), 8),) if quick else (((1920, 1080), 200), ((640, 480), 37))
     return [m for size, frames in sizes for m in reconstruction(size, frames)] + calibration(10 if quick else _VIEWS)
 
 
@@ -48,7 +51,9 @@ def reconstruction(size: tuple[int, int], frames: int) -> list[Metric]:
     """Photographs to points."""
     with tempfile.TemporaryDirectory() as name:
         drawing = Drawing(Path(name), size, every=16, ending=".jpg")
-        job = drawing.job(3, 3, frames)
+        # The stripe leaves the photograph after some forty frames: then it enters it again.
+        job = drawing.job(3, 3, min(frames, _FRAMES_SEEN))
+        job = replace(job, scan_photos=(job.scan_photos * -(-frames // _FRAMES_SEEN))[:frames])
         looped, at_once = (octave.run(job, quirks) for quirks in (Quirks(), Quirks(loops=False)))
         scan = Scan(
             Path(name) / "scan.toml",
@@ -57,23 +62,25 @@ def reconstruction(size: tuple[int, int], frames: int) -> list[Metric]:
             steps=tuple(STEPS_APART * i for i in range(frames)),
         )
         rig = RigFile(drawing.rig())
-        points = [0]
-
-        def ours() -> None:
-            points[0] = int(reconstruct(rig, scan).valid.sum())
-
-        first, seconds = timed(ours)
+        seconds = {name: timed(lambda name=name: reconstruct(rig, scan, detector=name)) for name in OF_A_SCAN}
+        points = {name: int(reconstruct(rig, scan, detector=name).valid.sum()) for name in OF_A_SCAN}
     stem = f"speed.reconstruction.{size[0]}"
-    print(
-        f"  {frames} frames of {size[0]} x {size[1]}: Octave {_of(looped, _SCAN_STEPS):.2f} s for {len(looped.points)} "
-        f"points, ours {seconds:.3f} s for {points[0]} (first call {first:.1f} s)"
-    )
-    over = ratio(f"{stem}.octave_over_ours", _of(looped, _SCAN_STEPS) / seconds, 80, "higher")
+    octave_s = _of(looped, _SCAN_STEPS)
+    print(f"  {frames} frames of {size[0]} x {size[1]}: Octave {octave_s:.2f} s for {len(looped.points)} points")
+    metrics = []
+    for name, (first, ours) in seconds.items():
+        print(f"    {name}: {ours:.3f} s for {points[name]} points (first call {first:.1f} s)")
+        # The goal is for large photographs, and for the detector that keeps up with decoding best.
+        over = ratio(f"{stem}.{name}.octave_over_ours", octave_s / ours, 80, "higher")
+        of_the_goal = size[0] == 1920 and name == OF_A_SCAN[-1]
+        metrics += [
+            over if of_the_goal else replace(over, better="shown", target=None),
+            Metric(f"{stem}.{name}.octave_without_loops_over_ours", _of(at_once, _SCAN_STEPS) / ours),
+            Metric(f"{stem}.{name}.ours", 1e3 * ours / frames, "ms"),
+        ]
     return [
-        over if size[0] == 1920 else replace(over, better="shown", target=None),
-        Metric(f"{stem}.octave_without_loops_over_ours", _of(at_once, _SCAN_STEPS) / seconds),
+        *metrics,
         *(Metric(f"{stem}.octave.{step}", 1e3 * looped.seconds[step] / frames, "ms") for step in _SCAN_STEPS),
-        Metric(f"{stem}.ours", 1e3 * seconds / frames, "ms"),
         Metric(f"{stem}.frames", frames),
     ]
 

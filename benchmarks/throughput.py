@@ -33,7 +33,7 @@ from jaxscan.rig.rig import parameter_names
 
 _LENSES = {"radial1": ((-0.134,), ()), "brown": ((-0.27, 0.05, 0.1), (1e-3, -2e-3))}
 # Which detectors a scan is measured with: the default, and the quickest.
-_OF_A_SCAN: tuple[Detector, ...] = (DEFAULT, "derivative")
+OF_A_SCAN: tuple[Detector, ...] = (DEFAULT, "derivative")
 # Which of them are to keep up with reading, and which are timed in the short form.
 _CLOSED: tuple[Detector, ...] = ("gravity", "derivative")
 _OF_A_READ = (*_CLOSED, DEFAULT)
@@ -131,7 +131,7 @@ def end_to_end(folder: Path, count: int, repeats: int, plain: bool) -> list[Metr
             list(pool.map(lambda i: read_image(scan.frames[i], buffer[i % 16]), range(count)))
 
     metrics = []
-    for name in _OF_A_SCAN:
+    for name in OF_A_SCAN:
         begin = time.perf_counter()
         scanner = Scanner(content, name)
         points = sum(int(part.valid.sum()) for part in scanner.scan(scan))
