@@ -1,7 +1,7 @@
 """Time, against the pipeline of 2003 in Octave, on one machine and in one run.
 
 - Reconstruction: photographs (JPEG, 1920 × 1080, a stripe in every column; and 640 × 480) to points, decoding included,
-  with the default detector and with the quickest.
+  with the default detector and with the quickest. Beside it detection alone, of photographs in memory.
   Both read the very same files, and the number of frames stated is what both were timed on.
 - Calibration of 40 views with 31 stage photographs: camera, light plane and stage, from corners and stripe pixels;
   detection is apart in both. Ours finds the covariance too. Beside it the camera by itself.
@@ -24,12 +24,14 @@ from benchmarks.drawn_2003 import STEPS_APART, Drawing
 from benchmarks.metric import Metric, ratio
 from benchmarks.pipeline_2003 import Outcome, Quirks
 from benchmarks.real import corners_only
-from benchmarks.throughput import OF_A_SCAN
+from benchmarks.throughput import CLOSED, OF_A_SCAN
 from jaxscan.calibration import calibrate
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
-from jaxscan.images import StripeSettings
+from jaxscan.images import StripeSettings, detect_stripe, read_image
+from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.reconstruction import reconstruct
+from jaxscan.reconstruction.frames import aligned
 
 _VIEWS, _STAGE_VIEWS = 40, 31
 _SCAN_STEPS: Final = ("read_scan", "detect", "triangulate")
@@ -63,6 +65,13 @@ def reconstruction(size: tuple[int, int], frames: int) -> list[Metric]:
         )
         rig = RigFile(drawing.rig())
         seconds = {name: timed(lambda name=name: reconstruct(rig, scan, detector=name)) for name in OF_A_SCAN}
+        some = aligned((FRAMES_AT_ONCE, *size[::-1], 3), np.uint8)
+        for path, frame in zip(job.scan_photos, some, strict=False):
+            read_image(path, frame)
+        detection = {
+            name: timed(lambda name=name: detect_stripe(some, scan.laser, detector=name))[1] / len(some)
+            for name in CLOSED
+        }
         points = {name: int(reconstruct(rig, scan, detector=name).valid.sum()) for name in OF_A_SCAN}
     stem = f"speed.reconstruction.{size[0]}"
     octave_s = _of(looped, _SCAN_STEPS)
@@ -78,6 +87,9 @@ def reconstruction(size: tuple[int, int], frames: int) -> list[Metric]:
             Metric(f"{stem}.{name}.octave_without_loops_over_ours", _of(at_once, _SCAN_STEPS) / ours),
             Metric(f"{stem}.{name}.ours", 1e3 * ours / frames, "ms"),
         ]
+    for name, ours in detection.items():
+        over = ratio(f"{stem}.{name}.octave_detects_over_ours", looped.seconds["detect"] / frames / ours, 250, "higher")
+        metrics.append(over if size[0] == 1920 else replace(over, better="shown", target=None))
     return [
         *metrics,
         *(Metric(f"{stem}.octave.{step}", 1e3 * looped.seconds[step] / frames, "ms") for step in _SCAN_STEPS),
