@@ -23,7 +23,7 @@ wrong by up to 10°.
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -44,9 +44,7 @@ from jaxscan.simulation import Scene, distance, rig_2003
 from jaxscan.simulation.drawn import drawn_scan, noisy_scan
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.shapes import figure
-from jaxscan.surface.clean import clean
 from jaxscan.surface.coarse import STILL, arrange
-from jaxscan.surface.floor import find_floor, stands_on
 from jaxscan.surface.merged import Merged, merge, merge_closed
 from jaxscan.surface.motion import Motion, after, inverse, moved
 from jaxscan.surface.register import Registration, moved_apart, register
@@ -65,11 +63,11 @@ def measure(quick: bool) -> list[Metric]:
     rig = rig_2003.simulated_rig(0)
     scenes, truth = turned(rig)
     drawn = [drawn_scan(rig, scene, _STEPS, _STRIPE_PX, k) for k, scene in enumerate(scenes)]
-    metrics = joined("merge.drawn", [side(k, scan.image) for k, scan in enumerate(drawn)], truth, scenes[0])
+    metrics = joined("merge.drawn", sides_of(scan.image for scan in drawn), truth, scenes[0])
     off, chained, predicted = [], {how: [] for how in CHAINS}, []
     for seed in range(2 if quick else 6):
         noisy = [noisy_scan(rig, scan.position, _STEPS, _STRIPE_PX, 8 * seed + k) for k, scan in enumerate(drawn)]
-        sides = [side(k, image) for k, image in enumerate(noisy)]
+        sides = sides_of(noisy)
         found = register(sides, truth)
         off.append(errors(found.poses, truth, found.centre))
         for how, pair in CHAINS.items():
@@ -87,7 +85,12 @@ def measure(quick: bool) -> list[Metric]:
     ]
     if not quick:
         images = [photographed(rig, scene, k) for k, scene in enumerate(scenes)]
-        metrics += joined("merge.photographed", [side(k, image) for k, image in enumerate(images)], truth, scenes[0])
+        metrics += joined(
+            "merge.photographed",
+            sides_of(images),
+            truth,
+            scenes[0],
+        )
     return metrics
 
 
@@ -109,11 +112,9 @@ def turned(rig: Rig) -> tuple[list[Scene], list[Motion]]:
     return scenes, truth
 
 
-def side(k: int, image: RangeImage) -> Side:
+def sides_of(images: Iterable[RangeImage]) -> list[Side]:
     """What stands on the floor."""
-    image = clean(image).image
-    floor = find_floor(image)
-    return side_of_image(f"view {k}", image.where(stands_on(image, floor)), floor)
+    return [side_of_image(f"view {k}", image) for k, image in enumerate(images)]
 
 
 # Two sides and a start, to T_first_second.

@@ -34,6 +34,7 @@ from jaxscan.simulation.drawn import drawn_scan
 from jaxscan.simulation.folders import simulate_session
 from jaxscan.simulation.shapes import figure
 from jaxscan.surface.register import register
+from jaxscan.surface.side import side_of_image
 from jaxscan.surface.turntable import turntable_poses
 
 _NOISE: Final = Noise(corner=0.05, stripe=0.1)
@@ -132,7 +133,7 @@ def used(rig: Rig, calibration: Calibration) -> list[Metric]:
     sides = []
     for k, steps in enumerate(_TURNS):
         scene = rig_2003.scan_scene(rig, rig_2003.turned_on(rig, figure(rig_2003.OBJECT_Y), steps))
-        sides.append(merge.side(k, drawn_scan(rig, scene, _STEPS, _STRIPE_PX, k).image))
+        sides.append(side_of_image(f"view {k}", drawn_scan(rig, scene, _STEPS, _STRIPE_PX, k).image))
     starts = turntable_poses(turntable_of(calibration.rig), _TURNS)
     found = register(sides, starts)
     metrics = []

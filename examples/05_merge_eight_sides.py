@@ -26,9 +26,7 @@ for k in range(SIDES):
     by_hand = TURN * k + (random.uniform(-5, 5) if k else 0.0)
     bodies = rig_2003.turned(shapes.figure(rig_2003.OBJECT_Y), by_hand)
     image = drawn_scan(rig, rig_2003.scan_scene(rig, bodies), STEPS, noise_px=0.03, seed=k).image
-    image = jaxscan.clean(image).image
-    floor = jaxscan.find_floor(image)
-    sides.append(jaxscan.side_of_image(f"side {k}", image.where(jaxscan.stands_on(image, floor)), floor))
+    sides.append(jaxscan.side_of_image(f"side {k}", image))
     print(f"{sides[-1].name}: {len(sides[-1].points)} points of the figure")
 
 starts = jaxscan.arrange(sides, [TURN * k for k in range(SIDES)])

@@ -179,17 +179,11 @@ def _side(path: Path, args: argparse.Namespace, advance: Any) -> "Side":
 
         side = side_of_cloud(name, read_ply(path))
     else:
-        from jaxscan.surface.clean import clean
-        from jaxscan.surface.floor import find_floor, stands_on
-
         image = _image(path, args)
         with said_of(path):
             if not image.valid.any():
                 raise InputError("has no points: check that the photographs show the stripe")
-            image = image if args.raw else clean(image).image
-            floor = find_floor(image) if args.floor == "auto" else None
-            image = image.where(stands_on(image, floor)) if floor else image
-        side = side_of_image(name, image, floor)
+            side = side_of_image(name, image, cleaned=not args.raw, on_floor=args.floor == "auto")
     advance(1)
     return side
 

@@ -21,7 +21,8 @@ from scipy.spatial import KDTree
 from jaxscan.errors import InputError
 from jaxscan.files.cloud import Cloud
 from jaxscan.reconstruction import RangeImage
-from jaxscan.surface.floor import Floor
+from jaxscan.surface.clean import clean
+from jaxscan.surface.floor import Floor, find_floor, stands_on
 from jaxscan.surface.links import sampling
 
 # Planes are laid through the points within so many spacings.
@@ -67,17 +68,21 @@ class Side:
         return KDTree(self.points)
 
 
-def side_of_image(name: str, image: RangeImage, floor: Floor | None = None) -> Side:
-    """A side from the points of a range image, cleaned and without the floor.
+def side_of_image(name: str, image: RangeImage, *, cleaned: bool = True, on_floor: bool = True) -> Side:
+    """A side from a range image as it was reconstructed.
 
     Args:
         name: what the scan is called.
         image: the range image.
-        floor: that was taken from it.
+        cleaned: whether to leave out what `clean` does.
+        on_floor: whether to find the floor that the object stands on, and leave it out.
 
     Raises:
-        InputError: there are too few points to register.
+        InputError: there is no floor, or there are too few points to register.
     """
+    image = clean(image).image if cleaned else image
+    floor = find_floor(image) if on_floor else None
+    image = image.where(stands_on(image, floor)) if floor else image
     how = sampling(image)
     points = image.points[image.valid].astype(np.float64)
     to_camera = np.broadcast_to(image.cameras()[:, None], image.points.shape)[image.valid] - points

@@ -4,7 +4,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxscan.reconstruction import RangeImage
-from jaxscan.surface.floor import find_floor, stands_on
 from jaxscan.surface.motion import Motion
 from jaxscan.surface.side import Side, side_of_image
 from tests.surface.scenes import grid, seen
@@ -38,5 +37,4 @@ def pose(degrees: float, shift: tuple[float, float] = (0.0, 0.0)) -> Motion:
 
 def side(name: str, image: RangeImage) -> Side:
     """What stands on the floor."""
-    floor = find_floor(image)
-    return side_of_image(name, image.where(stands_on(image, floor)), floor)
+    return side_of_image(name, image, cleaned=False)
