@@ -3,6 +3,7 @@
 import argparse
 import typing
 
+import cv2
 import numpy as np
 import pytest
 from scipy.special import ndtr
@@ -174,3 +175,28 @@ def test_help_teaches():
     add_choice_argument(parser)
     text = " ".join(parser.format_help().split())
     assert all(f"{name}, {words}" in text for names in (DETECTORS, CHOICES) for name, words in names.items())
+
+
+def red_stripe(brightness):
+    """A red stripe across a photograph of 480 rows, as bright as that in each column."""
+    v = np.arange(480)[:, None]
+    light = brightness * np.exp(-0.5 * ((v - 240.4 - 0.05 * np.arange(len(brightness))) / 1.5) ** 2)
+    noise = np.random.default_rng(0).normal(0, 2, (*light.shape, 3))
+    return np.rint(40 + light[..., None] * (1.0, 0.1, 0.05) + noise).clip(0, 255).astype(np.uint8)
+
+
+def test_what_a_jpeg_adds_beyond_a_stripes_end_is_no_stripe():
+    image = red_stripe(np.where(np.arange(640) % 160 < 100, 180.0, 0.0))
+    jpeg = cv2.imdecode(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1], 1)[..., ::-1]
+    column = np.flatnonzero(detect_stripe(jpeg, StripeSettings("red")).valid[0]) % 160
+    assert (column < 104).all()
+    assert (column < 100).mean() > 0.98
+
+
+def test_a_dark_surface_beside_a_bright_one_is_seen_to_its_end():
+    column = np.arange(640)
+    image = red_stripe(np.where(column < 300, 200.0, np.where(column < 400, 19.0, 0.0)))
+    valid = detect_stripe(image, StripeSettings("red")).valid[0]
+    assert valid[:300].mean() > 0.98
+    assert valid[302:398].mean() > 0.9
+    assert not valid[402:].any()

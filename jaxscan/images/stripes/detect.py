@@ -52,6 +52,8 @@ _FEW = 8
 # much longer than it is thick, and longer than so many lines.
 _GAP, _COMPANY_PX, _STEEPEST = 4, 2.0, 4.0
 _LONGER, _SHORTEST = 1.5, 2.5
+# A lens's flare, and a JPEG's blocks of 16 pixels, echo the end of a bright stripe so faintly at the most, no further.
+_ECHO, _ECHO_PX = 1 / 8, 16
 # Where a surface ends it is half as bright as it is further in, whatever blurs it: what is dimmer is light spilt beyond
 # its end. So many lines further in are asked, and so many are left out at most.
 _SPILT, _FURTHER_IN, _MOST_SPILT = 0.5, 2, 3
@@ -215,9 +217,43 @@ def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bo
     along2 = square / total - (mean / total) ** 2
     longer = along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12)
     length = np.diff(starts, append=place.size)
+    ends = starts + length - 1
+    kept = (
+        np.repeat(longer, length)
+        & ~_spilt(weight, starts, ends)
+        & ~_echoes(place, seen.shape[1], at, weight, starts, ends)
+    )
     found = np.zeros_like(seen)
-    found.flat[place] = np.repeat(longer, length) & ~_spilt(weight, starts, starts + length - 1)
+    found.flat[place] = kept
     return found
+
+
+def _echoes(
+    place: Int[np.ndarray, "points"],
+    lines: int,
+    at: Float[np.ndarray, "points"],
+    strength: Float[np.ndarray, "points"],
+    first: Int[np.ndarray, "runs"],
+    last: Int[np.ndarray, "runs"],
+) -> Bool[np.ndarray, "points"]:
+    """Which points lie beyond the end of what is so much brighter, within a run or in a short one beside it."""
+    echo = np.zeros(len(strength), bool)
+    brightest = np.maximum.reduceat(strength, first)
+    whole = np.zeros(len(first), bool)
+    # Of a run and the one before it, either may echo the other.
+    one, other = np.s_[1:], np.s_[:-1]
+    for end, inwards in ((first, 1), (last, -1)):
+        inner = np.clip(end + inwards * np.arange(_ECHO_PX + 1)[:, None], first, last)
+        bright = strength[inner].max(axis=0)
+        faint = np.logical_and.accumulate(strength[inner] < _ECHO * bright)
+        echo[inner[faint]] = True
+        # Towards the end of this run lies a run before it, or after it.
+        mine, its = (one, other) if inwards > 0 else (other, one)
+        beside = np.abs(place[end[mine]] - place[end[its]]) <= _ECHO_PX
+        beside &= np.abs(at[end[mine]] - at[end[its]]) <= _ECHO_PX
+        beside &= place[end[mine]] // lines == place[end[its]] // lines
+        whole[its] |= beside & (brightest[its] < _ECHO * bright[mine])
+    return echo | np.repeat(whole, last - first + 1)
 
 
 def _spilt(
