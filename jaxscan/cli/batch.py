@@ -50,13 +50,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     done, failed = [], []
     with progress("reconstructing scans", len(to_do), "scan") as advance:
         for outcome in run_batch(to_do, args.rig, args.detector, args.stripe, args.scheduler):
-            if outcome.written is None:
+            if outcome.points is None:
                 failed.append({"scan": outcome.task.name, "reason": outcome.reason})
                 print(f"jaxscan: {outcome.reason}", file=sys.stderr)
             else:
-                done.append(
-                    {"scan": outcome.task.name, "path": str(outcome.task.output), "points": outcome.written.points}
-                )
+                done.append({"scan": outcome.task.name, "path": str(outcome.task.output), "points": outcome.points})
             advance(1)
     return {
         "kind": "batch",

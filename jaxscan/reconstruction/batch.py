@@ -2,23 +2,28 @@
 
 A result that is younger than its scan.toml and the rig is kept, as `make` would, so that what was interrupted goes on
 with what is missing. A scan that fails is told of, and the others go on.
+
+A cluster runs a task again whose worker is lost before its answer was fetched. Such a task asks the same question once
+more: a result that is done, and is not the one that stood there when the batch began, is this batch's own.
 """
 
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
 from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError, JaxscanError
+from jaxscan.files.cloud import read_ply
 from jaxscan.files.listing import natural_key
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import SCAN_FILE, read_scan
-from jaxscan.reconstruction.reconstruct import Written, write_stream
+from jaxscan.reconstruction.range_image import read_range_image
+from jaxscan.reconstruction.reconstruct import write_stream
 from jaxscan.reconstruction.stream import Scanner
 
 # How long a scheduler may take to answer, and how many workers may die of one scan before it is given up.
@@ -48,6 +53,13 @@ class Task:
         except FileNotFoundError:
             return False
 
+    def made_at(self) -> int | None:
+        """When its points were written, ns, by the clock of their disk; None if they are not there."""
+        try:
+            return self.output.stat().st_mtime_ns
+        except FileNotFoundError:
+            return None
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -55,12 +67,12 @@ class Outcome:
 
     Attributes:
         task: which.
-        written: what was written; None where it failed.
+        points: how many were written; None where it failed.
         reason: why it failed, or "".
     """
 
     task: Task
-    written: Written | None
+    points: int | None
     reason: str = ""
 
 
@@ -123,10 +135,11 @@ def run_batch(
         except OSError as error:
             raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
     with _executor(scheduler) as executor:
-        futures: dict[Future[Written | str], Task] = {}
+        futures: dict[Future[int | str], Task] = {}
         for task in tasks:
-            scan, output, of = (os.path.abspath(path) for path in (task.scan, task.output, rig))
-            futures[executor.submit(reconstruct_one, scan, output, of, detector, choice)] = task
+            here = replace(task, scan=task.scan.absolute(), output=task.output.absolute())
+            future = executor.submit(reconstruct_one, here, rig.absolute(), here.made_at(), detector, choice)
+            futures[future] = task
         try:
             for future in as_completed(futures):
                 yield _outcome(futures[future], future)
@@ -135,24 +148,42 @@ def run_batch(
                 future.cancel()
 
 
-def reconstruct_one(scan: str, output: str, rig: str, detector: Detector, choice: Choice) -> Written | str:
-    """One scan to one file, on whatever machine; or, in words, why not."""
+def reconstruct_one(task: Task, rig: Path, stood: int | None, detector: Detector, choice: Choice) -> int | str:
+    """One scan to one file, on whatever machine.
+
+    Args:
+        task: with absolute paths.
+        rig: likewise.
+        stood: when what stands in its place at the beginning of the batch was made. What is done and was made at
+            another time is this batch's own, of these options, and is not made a second time.
+        detector: how the stripe's centre is measured.
+        choice: which stripe is taken where a line has several.
+
+    Returns:
+        How many points its file has; or, in words, why there is none.
+    """
     try:
-        scanner = _scanner(rig, os.stat(rig).st_mtime_ns, detector, choice)
-        return write_stream([output], scanner.scan(read_scan(scan)))
+        if task.made_at() != stood and task.is_done(rig):
+            return _points_in(task.output)
+        scanner = _scanner(rig, rig.stat().st_mtime_ns, detector, choice)
+        return write_stream([task.output], scanner.scan(read_scan(task.scan))).points
     except JaxscanError as error:
         return str(error)
     except Exception as error:  # noqa: BLE001 - what is wrong with one scan must not stop the others
-        return f"{scan}: unexpected error: {type(error).__name__}: {error}"
+        return f"{task.scan}: unexpected error: {type(error).__name__}: {error}"
+
+
+def _points_in(path: Path) -> int:
+    return len(read_ply(path).points) if path.suffix == ".ply" else int(read_range_image(path).valid.sum())
 
 
 @lru_cache(maxsize=4)
-def _scanner(rig: str, modified: int, detector: Detector, choice: Choice) -> Scanner:
+def _scanner(rig: Path, modified: int, detector: Detector, choice: Choice) -> Scanner:
     """Made ready once in each process, and again when the rig's file has changed."""
     return Scanner(read_rig(rig), detector, choice)
 
 
-def _outcome(task: Task, future: "Future[Written | str]") -> Outcome:
+def _outcome(task: Task, future: "Future[int | str]") -> Outcome:
     if (error := future.exception()) is not None:
         return Outcome(task, None, f"{task.scan}: {type(error).__name__}: {error}")
     result = future.result()

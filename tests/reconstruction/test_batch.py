@@ -15,7 +15,7 @@ from jaxscan.files.scan import Scan, write_scan
 from jaxscan.images import StripeSettings, write_image
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import batch
-from jaxscan.reconstruction.batch import find_tasks, run_batch
+from jaxscan.reconstruction.batch import find_tasks, reconstruct_one, run_batch
 from jaxscan.rig import Camera, LightPlane, Rig, Stage
 
 ROWS, COLUMNS = 96, 128
@@ -112,5 +112,35 @@ def test_on_a_cluster(tree):
     with distributed.LocalCluster(**options) as cluster:
         tasks = find_tasks(tree / "scans", tree / "out")
         outcomes = list(run_batch(tasks, tree / "rig.json", "gravity", scheduler=cluster.scheduler_address))
-    assert sorted(o.task.name for o in outcomes if o.written) == sorted(set(NAMES) - {"cups/2"})
-    assert next(o.reason for o in outcomes if not o.written).count("cut off") == 1
+    assert sorted(o.task.name for o in outcomes if o.points) == sorted(set(NAMES) - {"cups/2"})
+    assert next(o.reason for o in outcomes if not o.points).count("cut off") == 1
+
+
+@pytest.mark.parametrize("ending", [".ply", ".npz"])
+def test_a_cluster_that_runs_a_task_again_does_not_do_its_work_again(tree, ending):
+    """The worker that holds an answer is closed before it was fetched; the other is given the task once more."""
+    distributed = pytest.importorskip("distributed")
+    task = find_tasks(tree / "scans", tree, ending)[-1]
+    argument = (task, tree / "rig.json", None, "gravity", "strongest")
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster, set_as_default=False) as client:
+        first, second = client.scheduler_info()["workers"]
+        future = client.submit(reconstruct_one, *argument, pure=False, workers=[first], allow_other_workers=True)
+        with client.as_current():
+            distributed.wait(future, timeout=60)
+        made = task.made_at()
+        assert [len(keys) for keys in client.has_what([first, second]).values()] == [1, 0]
+        (worker,) = (w for w in cluster.workers.values() if w.address == first)
+        cluster.sync(worker.close)
+        points = future.result(timeout=60)
+        assert [tuple(on) for on in client.who_has([future]).values()] == [(second,)]
+    assert points > 100
+    assert task.made_at() == made
+
+    # What stood there when a batch began is of other options, or older than the rig: it is made anew.
+    assert reconstruct_one(*argument[:2], made, *argument[3:]) == points
+    assert task.made_at() != made
+    made = task.made_at()
+    os.utime(tree / "rig.json")
+    assert reconstruct_one(*argument) == points
+    assert task.made_at() != made
