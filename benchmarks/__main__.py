@@ -20,7 +20,7 @@ SUITES = {
     "throughput": "the kernel, detection and a scan from files to points against their limits; memory",
     "batch": "many scans, killed and gone on with; a cluster that loses a worker",
     "exposures": "exposures of a step merged: reflectances 1:50 against each exposure by itself; speed",
-    "spacetime": "spacetime analysis at a border of reflectance, at edges of depth and over step size",
+    "spacetime": "spacetime analysis: its σ; a border of reflectance, edges of depth, step size",
     "coherence": "which of several stripes: the share of lines in which each rule takes the true one",
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
     "accuracy": "the same photographs through the pipeline of 2003, makers' recipe, careful OpenCV and ours",

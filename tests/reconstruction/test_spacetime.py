@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.errors import InputError
 from jaxscan.files.scan import Scan
-from jaxscan.images import StripeSettings, write_image
+from jaxscan.images import StripeSettings, read_image, write_image
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import reconstruct
 from jaxscan.reconstruction.overlapping import overlapping
@@ -93,12 +93,52 @@ def test_each_frame_has_the_points_that_cross_the_sheet_at_its_time(images, scan
     np.testing.assert_allclose(image.points[away[:4], :, 2], DEPTH, atol=0.15)
 
 
-def test_points_do_not_depend_on_the_batches(rig, scan, images):
-    geometry, sigma = passage_of(rig, scan)
-    frames = np.stack([np.rint(photograph(n, -PER_STEP[1] * STEP * FRAMES / 2)).astype(np.uint16) for n in scan.steps])
-    batches = [(frames[i : i + 7], None, np.asarray(scan.steps[i : i + 7])) for i in range(0, FRAMES, 7)]
-    found = list(spacetime_profiles(geometry, sigma, GREY, batches, "gravity", "strongest"))
-    np.testing.assert_array_equal(np.concatenate([x.points for x in found]), images[1].points)
+@pytest.fixture(scope="module")
+def frames(scan):
+    return np.stack([read_image(path) for path in scan.frames])
+
+
+def points_of(rig, settings, frames, steps, sigma, dark=None):
+    """The points of frames that come seven at a time."""
+    geometry = Geometry.create(rig, settings, STEP)
+    own = dark is not None and dark.shape == frames.shape
+    batches = [
+        (frames[i : i + 7], dark[i : i + 7] if own else dark, np.asarray(steps[i : i + 7]))
+        for i in range(0, len(frames), 7)
+    ]
+    found = spacetime_profiles(geometry, sigma, settings, batches, "gravity", "strongest")
+    return np.concatenate([x.points for x in found])
+
+
+def test_points_do_not_depend_on_the_batches(rig, scan, frames, images):
+    _, sigma = passage_of(rig, scan)
+    np.testing.assert_array_equal(points_of(rig, GREY, frames, scan.steps, sigma), images[1].points)
+
+
+def test_lines_that_are_rows(rig, scan, frames, images):
+    """The scan turned over its diagonal, its rig likewise."""
+    with float64():
+        camera = Camera.create((ROWS, COLUMNS), np.array([600.0, 600.0]), np.array([48.0, 20.0]))
+        turned = as_numpy(Rig(camera, (LightPlane.create(OMEGA[[1, 0, 2]]),), Stage.create(PER_STEP[[1, 0, 2]])))
+    _, sigma = passage_of(rig, scan)
+    rows = StripeSettings("grey", columns=False)
+    points = points_of(turned, rows, np.ascontiguousarray(frames.swapaxes(1, 2)), scan.steps, sigma)
+    np.testing.assert_allclose(points[..., [1, 0, 2]], images[1].points, atol=1e-3)
+
+
+@pytest.mark.parametrize("photographs", [1, FRAMES])
+def test_a_red_laser_beside_a_lamp(rig, scan, frames, images, photographs):
+    """A lamp twice as bright as the stripe, as orange as lamps are, stands beside it and over some of its lines."""
+    _, sigma = passage_of(rig, scan)
+    v, u = np.mgrid[:ROWS, :COLUMNS]
+    lamp = 40000 * np.exp(-0.5 * (((v - 52) / 8) ** 2 + ((u - 30) / 6) ** 2))
+    dark = np.rint(lamp[..., None] * (1.0, 0.7, 0.4)).astype(np.uint16)
+    lit = dark + (frames[..., None] * np.array([0.5, 0.05, 0.02])).astype(np.uint16)
+    grounds = np.broadcast_to(dark, (photographs, *dark.shape))
+    points = points_of(rig, StripeSettings("red"), lit, scan.steps, sigma, grounds)
+    seen = np.isfinite(points[HALF:-HALF, :, 2])
+    assert seen.all()
+    np.testing.assert_allclose(points[HALF:-HALF], images[1].points[HALF:-HALF], atol=0.02)
 
 
 @pytest.mark.parametrize("size", [1, 3, 10])

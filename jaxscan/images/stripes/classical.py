@@ -90,25 +90,25 @@ def gravity(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
 
 def _variance(windows: Windows, outline: Outline, sensor: Sensor) -> Pixels:
     """Of each pixel; a full one does not scatter."""
-    return jnp.where(windows.full, 0.0, sensor.variance(windows.response - outline.floor))
+    return jnp.where(windows.full, 0.0, windows.variance(windows.response - outline.floor, sensor))
 
 
 def parabola(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
     """The peak of the parabola through the greatest of s and its two neighbours."""
-    return _peak_of_three(outline, sensor, logarithm=False)
+    return _peak_of_three(windows, outline, sensor, logarithm=False)
 
 
 def gaussian(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
     """The peak of the Gaussian through the greatest of s − b and its two neighbours."""
-    return _peak_of_three(outline, sensor, logarithm=True)
+    return _peak_of_three(windows, outline, sensor, logarithm=True)
 
 
-def _peak_of_three(outline: Outline, sensor: Sensor, logarithm: bool) -> Estimate:
+def _peak_of_three(windows: Windows, outline: Outline, sensor: Sensor, logarithm: bool) -> Estimate:
     s = outline.smooth - outline.floor
     k = places(s.shape[1])
     at = jnp.clip(outline.at, 1, s.shape[1] - 2)
     before, peak, after = ((jnp.where(k == at + i, s, 0.0)).sum(1, keepdims=True) for i in (-1, 0, 1))
-    v = sensor.variance(peak)
+    v = jnp.where(k == at, windows.variance(s, sensor), 0.0).sum(1, keepdims=True)
     if logarithm:
         least = jnp.maximum(1e-3 * peak, 1e-6)
         before, peak, after = (jnp.maximum(x, least) for x in (before, peak, after))

@@ -102,7 +102,7 @@ def likelihood(
         censored: whether there are full pixels.
     """
     found = fit(windows, outline, sensor, censored)
-    squares = (found.residual**2 / sensor.variance(found.height)).sum(1, keepdims=True)
+    squares = (found.residual**2 / windows.variance(found.height, sensor)).sum(1, keepdims=True)
     freedom = jnp.maximum(found.free.sum(1, keepdims=True) - len(Profile._fields), 0)
     scatter = (_FREEDOM_OF_NOISE + squares) / (_FREEDOM_OF_NOISE + freedom)
     sigma = jnp.sqrt(scatter) / found.inverse_sigma
@@ -186,7 +186,7 @@ def weigh(
     censored: bool,
 ) -> Weighed:
     """Compare μ = background + height with the pixels."""
-    v = sensor.variance(height)
+    v = windows.variance(height, sensor)
     residual = windows.response - background - height
     score, weight = residual / v, 1 / v
     if censored:

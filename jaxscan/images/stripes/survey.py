@@ -79,8 +79,18 @@ def survey(
 
 
 @partial(jax.jit, static_argnames="color")
-def survey_windows(lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str) -> Sensor:
-    """Look at each frame's sensor in some of its windows: their pixels with the laser on, and off."""
+def survey_windows(
+    lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str, gain: Pixels | float = 1.0
+) -> Sensor:
+    """Look at each frame's sensor in some of its windows.
+
+    Args:
+        lit: their pixels with the laser on.
+        dark: the same with the laser off, or None.
+        ambient: c of the response.
+        color: of the laser, or grey.
+        gain: as that of `Windows`; the noise is that of single pixels.
+    """
     levels = channels(lit, dark, color)
     laser = lit if color == "grey" else lit[..., CHANNELS[color][0]]
     full = _full_number(laser)
@@ -91,12 +101,12 @@ def survey_windows(lit: Array, dark: Array | None, ambient: Int[Array, "frames"]
     r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
     span = full.astype(jnp.float32) * (1 if color == "grey" else 2)
     rounding = _ROUNDING * (one if color == "grey" else jnp.sqrt(4 + weights[0] ** 2 + weights[1] ** 2))
-    ground = _ground(plain)
+    ground = _ground(plain, gain)
     first = Sensor(
-        weights, ambient, full, span, ground, jnp.maximum(_ground(r), rounding), 0 * one, 0 * one, _UNKNOWN * one
+        weights, ambient, full, span, ground, jnp.maximum(_ground(r, gain), rounding), 0 * one, 0 * one, _UNKNOWN * one
     )
     around, here = outline(r), jax.tree.map(lambda x: x[:, None, None], first)
-    windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32))
+    windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
     found = fit(windows, around, here, censored=True, steps=_STEPS)
     known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
     read, shot = _noise(found, windows, around, known, first)
@@ -133,10 +143,14 @@ def _weights(
     return channel_weights(levels, jnp.where(core, r - around.floor, 0.0), jnp.broadcast_to(beside, r.shape))
 
 
-def _ground(r: Float[Array, "frames window lines"]) -> Float[Array, "frames"]:
+def _ground(r: Float[Array, "frames window lines"], gain: Pixels | float) -> Float[Array, "frames"]:
     """What stands out without a laser: noise and texture (σ), from the ends of each frame's windows."""
-    flanks = jnp.stack([r[:, :_FLANK], r[:, -_FLANK:]])
-    deviation = jnp.abs(flanks - flanks.mean(-2, keepdims=True)).mean((0, -2))
+
+    def flanks(x: Pixels) -> Float[Array, "2 frames flank lines"]:
+        return jnp.stack([x[:, :_FLANK], x[:, -_FLANK:]])
+
+    off = flanks(r) - flanks(r).mean(-2, keepdims=True)
+    deviation = jnp.abs(off / jnp.sqrt(flanks(jnp.broadcast_to(gain, r.shape)))).mean((0, -2))
     return _DEVIATION_TO_SIGMA * _median(deviation)
 
 
@@ -145,7 +159,8 @@ def _noise(
 ) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
     """Read and shot noise, from what is left of the stripes when their profiles have been taken off.
 
-    A residual e has the expected square v (1 − h), v = read² + shot · A P, with h = w Jᵀ (Jᵀ W J)⁻¹ J its leverage.
+    A residual e has the expected square v (1 − h), v = gain · (read² + shot · A P), with h = w Jᵀ (Jᵀ W J)⁻¹ J its
+    leverage.
     Summed over the stripe's tails, where A P is small, and over its core, these are two equations; solved for groups of
     lines, of which the median is taken, for where a stripe meets an edge its profile is no Gaussian. Where stripes are
     so narrow that the ends of the windows are free of them, these tell `read` better.
@@ -163,15 +178,16 @@ def _noise(
     def usual(above: Float[Array, "frames groups"], below: Float[Array, "frames groups"]) -> Float[Array, "frames"]:
         return _median(jnp.where(below > 0, above / jnp.where(below > 0, below, 1.0), jnp.nan))
 
+    squares = found.residual**2 / windows.gain
     (e_tail, e_core), (n_tail, n_core), (p_tail, p_core) = (
-        [grouped(where, values) for where in (tail, ~tail)] for values in (found.residual**2, rest, rest * found.height)
+        [grouped(where, values) for where in (tail, ~tail)] for values in (squares, rest, rest * found.height)
     )
     read2 = usual(e_tail * p_core - e_core * p_tail, n_tail * p_core - n_core * p_tail)
     clear = _median(jnp.where(known, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     read2 = jnp.where(clear | ~(read2 > 0), first.read**2, jnp.minimum(read2, first.read**2))
     # Steep flanks beside a full core say more of the model than of photons.
     fair = ~windows.full.any(1, keepdims=True)
-    n, p, e = (grouped(fair, values) for values in (rest, rest * found.height, found.residual**2))
+    n, p, e = (grouped(fair, values) for values in (rest, rest * found.height, squares))
     shot = usual(e - read2[:, None] * n, p)
     # Drawn towards none where it is within what chance alone makes of so many residuals.
     chance = _CHANCE**2 * 2 * read2**2 * n.sum(1) / jnp.maximum((shot * p.sum(1)) ** 2, jnp.finfo(jnp.float32).tiny)

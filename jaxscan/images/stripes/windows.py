@@ -91,10 +91,6 @@ class Sensor(eqx.Module):
         """Of each line, as (groups, 1, lines)."""
         return jax.tree.map(lambda x: x[frame][:, None], self)
 
-    def variance(self, height: Pixels) -> Pixels:
-        """The noise of pixels that stand so high above the background."""
-        return self.read**2 + self.shot * jnp.maximum(height, 0.0)
-
 
 class Windows(eqx.Module):
     """The response in windows, one for each line: a column of the image, or a row.
@@ -104,12 +100,18 @@ class Windows(eqx.Module):
         neutral: the response in which neutral light cancels; None where there are no colours.
         full: whether the laser's channel was full there: then r is a lower bound.
         first: the row (or column) of the window's first pixel.
+        gain: variance of the noise of r over that of a pixel: less than 1 where r is interpolated.
     """
 
     response: Pixels
     neutral: Pixels | None
     full: Bool[Array, "groups window lines"]
     first: Places
+    gain: Pixels | float = 1.0
+
+    def variance(self, height: Pixels, sensor: Sensor) -> Pixels:
+        """The noise of pixels that stand so high above the background."""
+        return self.gain * (sensor.read**2 + sensor.shot * jnp.maximum(height, 0.0))
 
 
 @partial(jax.jit, static_argnames=("columns", "half"))
