@@ -131,10 +131,10 @@ def draw_views(path: Path, errors: Mapping[str, list[list[float]]]) -> None:
     axis.set(xscale="log", yscale="log", xlabel="photographs of the board", ylabel="absolute RMS error of a scan, mm")
     axis.set_xticks(VIEWS, [str(n) for n in VIEWS])
     axis.minorticks_off()
-    ticks = [0.05, 0.1, 0.2, 0.5, 1.0]
+    ticks = [0.02, 0.05, 0.1, 0.2, 0.5, 1.0]
     axis.set_yticks(ticks, [f"{t:g}" for t in ticks])
     axis.grid(alpha=0.3)
-    axis.set_ylim(0.03, 1.5)
+    axis.set_ylim(0.014, 1.6)
     axis.legend(loc="upper center", ncols=2)
     figure.savefig(path, dpi=_DPI)
     plt.close(figure)
