@@ -80,7 +80,7 @@ def survey(
 
 @partial(jax.jit, static_argnames="color")
 def survey_windows(
-    lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str, gain: Pixels | float = 1.0
+    lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str, gain: Pixels | None = None
 ) -> Sensor:
     """Look at each frame's sensor in some of its windows.
 
@@ -143,14 +143,14 @@ def _weights(
     return channel_weights(levels, jnp.where(core, r - around.floor, 0.0), jnp.broadcast_to(beside, r.shape))
 
 
-def _ground(r: Float[Array, "frames window lines"], gain: Pixels | float) -> Float[Array, "frames"]:
+def _ground(r: Float[Array, "frames window lines"], gain: Pixels | None) -> Float[Array, "frames"]:
     """What stands out without a laser: noise and texture (σ), from the ends of each frame's windows."""
 
     def flanks(x: Pixels) -> Float[Array, "2 frames flank lines"]:
         return jnp.stack([x[:, :_FLANK], x[:, -_FLANK:]])
 
     off = flanks(r) - flanks(r).mean(-2, keepdims=True)
-    deviation = jnp.abs(off / jnp.sqrt(flanks(jnp.broadcast_to(gain, r.shape)))).mean((0, -2))
+    deviation = jnp.abs(off if gain is None else off / jnp.sqrt(flanks(gain))).mean((0, -2))
     return _DEVIATION_TO_SIGMA * _median(deviation)
 
 
@@ -178,7 +178,7 @@ def _noise(
     def usual(above: Float[Array, "frames groups"], below: Float[Array, "frames groups"]) -> Float[Array, "frames"]:
         return _median(jnp.where(below > 0, above / jnp.where(below > 0, below, 1.0), jnp.nan))
 
-    squares = found.residual**2 / windows.gain
+    squares = found.residual**2 if windows.gain is None else found.residual**2 / windows.gain
     (e_tail, e_core), (n_tail, n_core), (p_tail, p_core) = (
         [grouped(where, values) for where in (tail, ~tail)] for values in (squares, rest, rest * found.height)
     )

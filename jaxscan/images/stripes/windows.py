@@ -100,18 +100,19 @@ class Windows(eqx.Module):
         neutral: the response in which neutral light cancels; None where there are no colours.
         full: whether the laser's channel was full there: then r is a lower bound.
         first: the row (or column) of the window's first pixel.
-        gain: variance of the noise of r over that of a pixel: less than 1 where r is interpolated.
+        gain: variance of the noise of r over that of a pixel, where r is interpolated; None where it is not.
     """
 
     response: Pixels
     neutral: Pixels | None
     full: Bool[Array, "groups window lines"]
     first: Places
-    gain: Pixels | float = 1.0
+    gain: Pixels | None = None
 
     def variance(self, height: Pixels, sensor: Sensor) -> Pixels:
         """The noise of pixels that stand so high above the background."""
-        return self.gain * (sensor.read**2 + sensor.shot * jnp.maximum(height, 0.0))
+        variance = sensor.read**2 + sensor.shot * jnp.maximum(height, 0.0)
+        return variance if self.gain is None else self.gain * variance
 
 
 @partial(jax.jit, static_argnames=("columns", "half"))
