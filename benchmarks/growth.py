@@ -1,7 +1,7 @@
 """How the time of a calibration grows with the number of views, and `cv2.calibrateCamera` on the same corners.
 
 Both get corners alone, in float32 precision, and start up by themselves; both find the same minimum. Compile time is
-measured apart. Times are medians of several runs in turn.
+measured apart. Times are medians of several runs in turn. In full also dense normal equations and SciPy, of few views.
 """
 
 import statistics
@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.dense import PEERS
 from benchmarks.metric import Metric, ratio
 from jaxscan.calibration import Calibration, Observations, View, calibrate
 from jaxscan.calibration.blocks import view_blocks
@@ -27,6 +28,8 @@ IMAGE_SIZE = (640, 480)
 K = np.array([[697.70833, 0, 310.29604], [0, 690.43328, 228.14934], [0, 0, 1]])
 K1 = -0.13396
 NOISE_PX = 0.05
+# With more views dense matrices take minutes.
+_PEERS_UP_TO = 40
 
 
 def observations(n_views: int, seed: int = 0) -> Observations:
@@ -84,6 +87,16 @@ def timed_step(session: Observations, found: Calibration) -> Callable[[], float]
     return seconds
 
 
+def _seconds(work: Callable[[], float], repeats: int) -> tuple[float, float]:
+    """Median time of some runs, and what the last returned."""
+    times, answer = [], 0.0
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        answer = work()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times), answer
+
+
 def measure(quick: bool) -> list[Metric]:
     """Time, steps and cost over the number of views."""
     sizes = (160, 640) if quick else (10, 40, 160, 640)
@@ -115,6 +128,14 @@ def measure(quick: bool) -> list[Metric]:
             Metric(f"growth.{n}_views.first_call_with_compiling", compiling, "s"),
             Metric(f"growth.{n}_views.steps", first.steps, ""),
         ]
+        if not quick and n <= _PEERS_UP_TO:
+            for name, peer in PEERS.items():
+                took, off = _seconds(lambda peer=peer, session=session: peer(session), 3)
+                metrics += [
+                    Metric(f"growth.{n}_views.{name}", 1000 * took, "ms"),
+                    Metric(f"growth.{n}_views.{name}_over_ours", took / mine),
+                    Metric(f"growth.{n}_views.{name}.rms_above_opencv", off / rms - 1),
+                ]
         if n >= 160:
             excess = (first.corner_rms_px / rms) ** 2 - 1
             metrics += [

@@ -6,10 +6,14 @@
 - Calibration of 40 views with 31 stage photographs: camera, light plane and stage, from corners and stripe pixels;
   detection is apart in both. Ours finds the covariance too. Beside it the camera by itself.
 
+- Start-up: what is imported, and the command line's help.
+
 Octave's loops are timed once, ours after a first call that compiles (printed apart), the median of five. The scripts go
 through points one by one as they did in 2003; what they take with whole photographs at once stands beside.
 """
 
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -46,7 +50,8 @@ def measure(quick: bool) -> list[Metric]:
         print(f"  {octave.MISSING}: nothing measured")
         return []
     sizes = (((1920, 1080), 8),) if quick else (((1920, 1080), 200), ((640, 480), 37))
-    return [m for size, frames in sizes for m in reconstruction(size, frames)] + calibration(10 if quick else _VIEWS)
+    metrics = [m for size, frames in sizes for m in reconstruction(size, frames)]
+    return metrics + calibration(10 if quick else _VIEWS) + start_up()
 
 
 def reconstruction(size: tuple[int, int], frames: int) -> list[Metric]:
@@ -122,6 +127,24 @@ def calibration(views: int) -> list[Metric]:
         Metric(f"{stem}.ours", seconds, "s"),
         Metric(f"{stem}.ours_first_call_with_compiling", first, "s"),
     ]
+
+
+def start_up() -> list[Metric]:
+    """From a command to its end: Python by itself, what is imported, the command line's help."""
+    programs = {
+        "python": "pass",
+        "numpy_and_cv2": "import numpy, cv2",
+        "jax": "import jax",
+        "jaxscan": "import jaxscan",
+        "jaxscan_help": "from jaxscan.cli.main import main; main(['--help'])",
+        "jaxscan_calibrate": "from jaxscan import calibrate, read_session",
+    }
+    metrics = []
+    for name, program in programs.items():
+        command = [sys.executable, "-c", program]
+        _, seconds = timed(lambda command=command: subprocess.run(command, check=True, capture_output=True))
+        metrics.append(Metric(f"speed.start_up.{name}", 1e3 * seconds, "ms"))
+    return metrics
 
 
 def timed(work: Callable[[], object]) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channe
 from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows, gather_pixels, outline
 
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
-_LINES, _GROUPS = 48, 8
+_LINES, _GROUPS = 96, 8
 # Newton's steps: as far as the noise need be known.
 _STEPS = 4
 # Rows at each end of the window that tell the noise without laser.
