@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import scipy.sparse
 from jaxtyping import Float
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from jaxscan.calibration import Observations
@@ -57,7 +57,7 @@ def dense(session: Observations) -> float:
     x, damping = problem.start(), _DAMPING
     r, blocks = problem.blocks(x)
     for _ in range(_STEPS):
-        J = _sparse(blocks).toarray()
+        J = _jacobian(blocks)
         normal, right = J.T @ J, J.T @ r.ravel()
         while True:
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), right)
@@ -75,13 +75,13 @@ def dense(session: Observations) -> float:
 def scipys(session: Observations) -> float:
     """`scipy.optimize.least_squares` by MINPACK; the RMS distance, px.
 
-    With a sparse Jacobian, `trf` and its `lsmr` take a hundred times as long.
+    With a sparse Jacobian `trf` and its `lsmr` take a hundred times as long.
     """
     problem = _Problem(session)
     found = least_squares(
         lambda x: problem.blocks(x)[0].ravel(),
         problem.start(),
-        lambda x: _sparse(problem.blocks(x)[1]).toarray(),
+        lambda x: _jacobian(problem.blocks(x)[1]),  # pyright: ignore[reportArgumentType]
         method="lm",
         x_scale="jac",
         ftol=_ENOUGH,
@@ -94,10 +94,9 @@ def scipys(session: Observations) -> float:
 PEERS: dict[str, Callable[[Observations], float]] = {"dense": dense, "scipy": scipys}
 
 
-def _sparse(blocks: Float[np.ndarray, "boards numbers 11"]) -> scipy.sparse.csr_matrix:
-    camera = scipy.sparse.csr_matrix(blocks[..., :_CAMERA].reshape(-1, _CAMERA))
-    boards = scipy.sparse.block_diag(list(blocks[..., _CAMERA:]))
-    return scipy.sparse.hstack([camera, boards], format="csr")
+def _jacobian(blocks: Float[np.ndarray, "boards numbers 11"]) -> Float[np.ndarray, "residuals parameters"]:
+    camera = blocks[..., :_CAMERA].reshape(-1, _CAMERA)
+    return np.hstack([camera, np.asarray(block_diag(*list(blocks[..., _CAMERA:])))])
 
 
 def _rms(residuals: Float[np.ndarray, "..."]) -> float:
