@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.dense import PEERS
 from benchmarks.metric import Metric, ratio
+from benchmarks.timing import timed
 from jaxscan.calibration import Calibration, Observations, View, calibrate
 from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.bundle import Estimate, solve
@@ -87,16 +88,6 @@ def timed_step(session: Observations, found: Calibration) -> Callable[[], float]
     return seconds
 
 
-def _seconds(work: Callable[[], float], repeats: int) -> tuple[float, float]:
-    """Median time of some runs, and what the last returned."""
-    times, answer = [], 0.0
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        answer = work()
-        times.append(time.perf_counter() - begin)
-    return statistics.median(times), answer
-
-
 def measure(quick: bool) -> list[Metric]:
     """Time, steps and cost over the number of views."""
     sizes = (160, 640) if quick else (10, 40, 160, 640)
@@ -128,13 +119,13 @@ def measure(quick: bool) -> list[Metric]:
             Metric(f"growth.{n}_views.first_call_with_compiling", compiling, "s"),
             Metric(f"growth.{n}_views.steps", first.steps, ""),
         ]
-        if not quick and n <= _PEERS_UP_TO:
+        if n <= _PEERS_UP_TO:
             for name, peer in PEERS.items():
-                took, off = _seconds(lambda peer=peer, session=session: peer(session), 3)
+                _, seconds, its_rms = timed(lambda peer=peer, session=session: peer(session), 3)
                 metrics += [
-                    Metric(f"growth.{n}_views.{name}", 1000 * took, "ms"),
-                    Metric(f"growth.{n}_views.{name}_over_ours", took / mine),
-                    Metric(f"growth.{n}_views.{name}.rms_above_opencv", off / rms - 1),
+                    Metric(f"growth.{n}_views.{name}", 1000 * seconds, "ms"),
+                    Metric(f"growth.{n}_views.{name}_over_ours", seconds / mine),
+                    Metric(f"growth.{n}_views.{name}.rms_above_opencv", its_rms / rms - 1),
                 ]
         if n >= 160:
             excess = (first.corner_rms_px / rms) ** 2 - 1

@@ -85,12 +85,7 @@ def measure(quick: bool) -> list[Metric]:
     ]
     if not quick:
         images = [photographed(rig, scene, k) for k, scene in enumerate(scenes)]
-        metrics += joined(
-            "merge.photographed",
-            sides_of(images),
-            truth,
-            scenes[0],
-        )
+        metrics += joined("merge.photographed", sides_of(images), truth, scenes[0])
     return metrics
 
 

@@ -15,8 +15,6 @@ through points one by one as they did in 2003; what they take with whole photogr
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -29,6 +27,7 @@ from benchmarks.metric import Metric, ratio
 from benchmarks.pipeline_2003 import Outcome, Quirks
 from benchmarks.real import corners_only
 from benchmarks.throughput import CLOSED, OF_A_SCAN
+from benchmarks.timing import timed
 from jaxscan.calibration import calibrate
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
@@ -40,7 +39,6 @@ from jaxscan.reconstruction.frames import aligned
 _VIEWS, _STAGE_VIEWS = 40, 31
 _SCAN_STEPS: Final = ("read_scan", "detect", "triangulate")
 _CALIBRATION_STEPS: Final = ("camera", "lines", "laser_plane", "stage")
-_REPEATS = 5
 _FRAMES_SEEN: Final = 40
 
 
@@ -69,31 +67,31 @@ def reconstruction(size: tuple[int, int], frames: int) -> list[Metric]:
             steps=tuple(STEPS_APART * i for i in range(frames)),
         )
         rig = RigFile(drawing.rig())
-        seconds = {name: timed(lambda name=name: reconstruct(rig, scan, detector=name)) for name in OF_A_SCAN}
+        ours = {name: timed(lambda name=name: reconstruct(rig, scan, detector=name)) for name in OF_A_SCAN}
         some = aligned((FRAMES_AT_ONCE, *size[::-1], 3), np.uint8)
         for path, frame in zip(job.scan_photos, some, strict=False):
             read_image(path, frame)
         detection = {
-            name: timed(lambda name=name: detect_stripe(some, scan.laser, detector=name))[1] / len(some)
+            name: timed(lambda name=name: detect_stripe(some, scan.laser, detector=name)).median / len(some)
             for name in CLOSED
         }
-        points = {name: int(reconstruct(rig, scan, detector=name).valid.sum()) for name in OF_A_SCAN}
     stem = f"speed.reconstruction.{size[0]}"
     octave_s = _of(looped, _SCAN_STEPS)
     print(f"  {frames} frames of {size[0]} x {size[1]}: Octave {octave_s:.2f} s for {len(looped.points)} points")
     metrics = []
-    for name, (first, ours) in seconds.items():
-        print(f"    {name}: {ours:.3f} s for {points[name]} points (first call {first:.1f} s)")
+    for name, (first, seconds, image) in ours.items():
+        print(f"    {name}: {seconds:.3f} s for {image.valid.sum()} points (first call {first:.1f} s)")
         # The goal is for large photographs, and for the detector that keeps up with decoding best.
-        over = ratio(f"{stem}.{name}.octave_over_ours", octave_s / ours, 80, "higher")
+        over = ratio(f"{stem}.{name}.octave_over_ours", octave_s / seconds, 80, "higher")
         of_the_goal = size[0] == 1920 and name == OF_A_SCAN[-1]
         metrics += [
             over if of_the_goal else replace(over, better="shown", target=None),
-            Metric(f"{stem}.{name}.octave_without_loops_over_ours", _of(at_once, _SCAN_STEPS) / ours),
-            Metric(f"{stem}.{name}.ours", 1e3 * ours / frames, "ms"),
+            Metric(f"{stem}.{name}.octave_without_loops_over_ours", _of(at_once, _SCAN_STEPS) / seconds),
+            Metric(f"{stem}.{name}.ours", 1e3 * seconds / frames, "ms"),
         ]
-    for name, ours in detection.items():
-        over = ratio(f"{stem}.{name}.octave_detects_over_ours", looped.seconds["detect"] / frames / ours, 250, "higher")
+    octave_detects = looped.seconds["detect"] / frames
+    for name, seconds in detection.items():
+        over = ratio(f"{stem}.{name}.octave_detects_over_ours", octave_detects / seconds, 250, "higher")
         metrics.append(over if size[0] == 1920 else replace(over, better="shown", target=None))
     return [
         *metrics,
@@ -110,8 +108,8 @@ def calibration(views: int) -> list[Metric]:
         job = drawing.job(views, _STAGE_VIEWS, 0)
         looped, at_once = (octave.run(job, quirks) for quirks in (Quirks(), Quirks(loops=False)))
         observations = drawing.observations(job)
-    first, seconds = timed(lambda: calibrate(observations))
-    _, alone = timed(lambda: calibrate(corners_only(observations), reject=False))
+    first, seconds, _ = timed(lambda: calibrate(observations))
+    alone = timed(lambda: calibrate(corners_only(observations), reject=False)).median
     stem = f"speed.calibration.{views}_views"
     print(
         f"  calibration of {views} views: Octave {_of(looped, _CALIBRATION_STEPS):.2f} s "
@@ -142,19 +140,9 @@ def start_up() -> list[Metric]:
     metrics = []
     for name, program in programs.items():
         command = [sys.executable, "-c", program]
-        _, seconds = timed(lambda command=command: subprocess.run(command, check=True, capture_output=True))
+        seconds = timed(lambda command=command: subprocess.run(command, check=True, capture_output=True)).median
         metrics.append(Metric(f"speed.start_up.{name}", 1e3 * seconds, "ms"))
     return metrics
-
-
-def timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Seconds of the first call, and the median of some more."""
-    times = []
-    for _ in range(1 + _REPEATS):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return times[0], float(np.median(times[1:]))
 
 
 def _of(outcome: Outcome, steps: tuple[str, ...]) -> float:
