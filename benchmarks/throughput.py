@@ -11,14 +11,16 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, UInt
+from jaxtyping import Float, Int, UInt
 
+from benchmarks.bare import bare_stripe
 from benchmarks.metric import Metric, ratio
 from jaxscan.detectors import DEFAULT, DETECTORS, Detector
 from jaxscan.files.rig_file import RigFile
@@ -98,18 +100,20 @@ def detection(rows: int, columns: int, names: Sequence[Detector], repeats: int) 
     frames[:] = np.random.default_rng(0).integers(0, 40, frames.shape, dtype=np.uint8)
     _draw(frames, np.zeros(16))
     words = np.array_split(frames.reshape(-1).view(np.uint64), 2)
+
+    def detect(name: Detector) -> Float[np.ndarray, "frames columns"]:
+        return detect_stripe(frames, StripeSettings("red"), detector=name).position
+
     metrics = []
-    for name in names:
-        detect_stripe(frames, StripeSettings("red"), detector=name)
+    for name, work in {"bare": partial(bare_stripe, frames), **{n: partial(detect, n) for n in names}}.items():
+        off = work() - _centre(rows, np.arange(columns), 0.0)
+        print(f"  {columns} x {rows}, {name}: RMS {np.sqrt(np.mean(off**2)):.4f} px of the drawn stripe", flush=True)
         with ThreadPoolExecutor(2) as pool:
 
             def read(pool: ThreadPoolExecutor = pool) -> None:
                 list(pool.map(np.bitwise_or.reduce, words))
 
-            def detect(name: Detector = name) -> None:
-                detect_stripe(frames, StripeSettings("red"), detector=name)
-
-            limit, took = _side_by_side(read, detect, repeats)
+            limit, took = _side_by_side(read, work, repeats)
         goal = None if name not in CLOSED else 0.5 if columns > 1000 else 0.35
         label = f"throughput.detect.{columns}.{name}"
         metrics.append(Metric(label, limit / took, "of a read", "higher", goal, slack=1.0, target_suffices=True))
@@ -211,11 +215,15 @@ def _draw(frames: UInt[np.ndarray, "frames rows columns 3"], phases: Float[np.nd
     _, rows, columns, _ = frames.shape
     u = np.arange(columns)
     for frame, phase in zip(frames, phases, strict=True):
-        centre = 0.55 * rows + rows / 18 * np.sin(u / 200 + phase)
+        centre = _centre(rows, u, phase)
         for k in range(-6, 7):
             row = np.floor(centre).astype(int) + k
             level = frame[row, u, 0] + 190 * np.exp(-0.5 * ((row - centre) / 1.5) ** 2)
             frame[row, u, 0] = level.clip(0, 255).astype(np.uint8)
+
+
+def _centre(rows: int, u: Int[np.ndarray, "columns"], phase: float) -> Float[np.ndarray, "columns"]:
+    return 0.55 * rows + rows / 18 * np.sin(u / 200 + phase)
 
 
 def _plain(scan: Scan, rig: Rig) -> None:
@@ -236,7 +244,7 @@ def _plain(scan: Scan, rig: Rig) -> None:
         _ = ray / (ray @ plane)[:, None]
 
 
-def _side_by_side(limit: Callable[[], None], work: Callable[[], None], repeats: int) -> tuple[float, float]:
+def _side_by_side(limit: Callable[[], object], work: Callable[[], object], repeats: int) -> tuple[float, float]:
     """Median seconds of both, taken in turn, so that a busy machine weighs on both."""
     times = []
     for _ in range(repeats):
