@@ -38,14 +38,14 @@ _NARROW, _WIDE = 12, 40
 # Smoothed as it is, the greatest of a thousand rows of noise stands out by two or three σ.
 _LEAST_SIGNAL = 4.7
 _LEAST_STRENGTH = 10.0
-# Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from every so many pixels.
+# Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from about so many pixels.
 _AMBIENT_QUANTILE = 0.97
-_EVERY = 16
+_SOME_PIXELS = 1200
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
 # Lines are measured in groups of so many, whatever the image: few sizes are compiled. Large ones cost less a line, by
 # what it takes two cores to begin together; those few that are looked at again would not fill them.
-_GROUPS: Final = (4, 128), (32, 512)
+_GROUPS: Final = (4, 128), (20, 512)
 _GROUPS_AGAIN: Final = (4, 64), (8, 512)
 _FEW = 8
 # Points of a stripe follow one another within so many lines, off by no more than so much and a steep slope. It is so
@@ -275,7 +275,8 @@ def ambient_levels(frames: np.ndarray, dark: np.ndarray | None, color: str) -> I
     """The level of the other two channels without laser, in each frame."""
     if color == "grey":
         return np.zeros(len(frames), np.int32)
-    some = (slice(None), slice(None, None, _EVERY), slice(None, None, _EVERY))
+    every = max(1, int((frames.shape[1] * frames.shape[2] / _SOME_PIXELS) ** 0.5))
+    some = (slice(None), slice(None, None, every), slice(None, None, every))
     others = sum(frames[(*some, i)].astype(np.int32) for i in CHANNELS[color][1:])
     if dark is not None:
         others = others - sum(dark[(*some, i)].astype(np.int32) for i in CHANNELS[color][1:])
