@@ -36,8 +36,10 @@ def laserline_rs(observations: Observations, folder: Path, scans: Sequence[Scan]
     result = vc.run_laserline_device(
         vc.LaserlineDataset(views),
         vc.LaserlineDeviceCalibrationConfig(
-            # By itself it holds the first board where its start put it.
-            optimize=vc.LaserlineDeviceOptimizeConfig(fix_poses=[]),
+            # By itself it holds the first board where its start put it, and measures a stripe point's distance from the
+            # line where plane and board meet: one that it can't measure so costs 1e4 whatever the estimate, and some
+            # ninety a session end its solve before the minimum.
+            optimize=vc.LaserlineDeviceOptimizeConfig(fix_poses=[], laser_residual_type="PointToPlane"),
             solver=vc.SolverConfig(max_iters=_ITERATIONS),
         ),
     )
