@@ -181,12 +181,7 @@ def errors_of(pipeline: Callable[[], Found], photographed: Photographed) -> Erro
     return errors
 
 
-_HEADLINE: Final = {
-    "cup.absolute": "cup",
-    "cup.absolute_after_fit": "… fitted",
-    "cup.to_true_point": "to point",
-    "cup.to_true_point_after_fit": "… fitted",
-    "cup.completeness": "complete",
+_BOTH: Final = {
     "boards.lit": "boards lit",
     "bench.steps": "steps",
     "bench.radius": "radius",
@@ -195,19 +190,21 @@ _HEADLINE: Final = {
     "rig.plane": "plane",
     "rig.stage": "stage",
 }
+_HEADLINE: Final = {
+    "cup.absolute": "cup",
+    "cup.absolute_after_fit": "… fitted",
+    "cup.to_true_point": "to point",
+    "cup.to_true_point_after_fit": "… fitted",
+    "cup.completeness": "complete",
+    **_BOTH,
+}
 _SWEPT: Final = {
     "bench.absolute": "absolute",
     "bench.to_true_point": "to point",
     "bench.to_true_point_after_fit": "… fitted",
     "bench.strays": "strays",
     "bench.completeness": "complete",
-    "boards.lit": "boards lit",
-    "bench.steps": "steps",
-    "bench.radius": "radius",
-    "bench.flatness": "flatness",
-    "rig.camera": "camera",
-    "rig.plane": "plane",
-    "rig.stage": "stage",
+    **_BOTH,
 }
 
 

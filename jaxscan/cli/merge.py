@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.cli.options import add_outputs_argument
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,15 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SCAN",
         help="two or more range images (.npz), clouds (.ply) without a floor, or folders of photographs (with --rig)",
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        action="append",
-        metavar="MESH",
-        help="what to write: .stl, .obj, .ply or .glb; may be repeated",
-    )
+    add_outputs_argument(parser, "MESH", ".stl, .obj, .ply or .glb")
     parser.add_argument("--rig", type=Path, help="the rig: of folders of photographs, and its turntable")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import numbers
+from jaxscan.cli.options import add_outputs_argument, numbers
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,15 +25,7 @@ _ENDINGS: Final = (".stl", ".obj", ".ply", ".glb", ".npz")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("points", type=Path, metavar="POINTS", help="a range image (.npz), or a cloud (.ply)")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        action="append",
-        metavar="MESH",
-        help="what to write: .stl, .obj, .ply, .glb, or what is left of the range image, .npz; may be repeated",
-    )
+    add_outputs_argument(parser, "MESH", ".stl, .obj, .ply, .glb, or what is left of the range image, .npz")
     parser.add_argument(
         "--floor",
         default="auto",

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
+from jaxscan.cli.options import add_outputs_argument
 from jaxscan.detectors import DEFAULT, Choice, Detector
 
 if TYPE_CHECKING:
@@ -18,15 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("scan", type=Path, metavar="SCAN", help="a folder with scan.toml, or that file")
     parser.add_argument("--rig", type=Path, required=True, help="the rig, as jaxscan calibrate writes it")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        action="append",
-        metavar="POINTS",
-        help="what to write: .ply (points) or .npz (the organised range image); may be given more than once",
-    )
+    add_outputs_argument(parser, "POINTS", ".ply (points) or .npz (the organised range image)")
     add_detector_argument(parser)
     add_choice_argument(parser)
     parser.add_argument(

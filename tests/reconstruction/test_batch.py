@@ -13,35 +13,27 @@ from jaxscan.files.cloud import read_ply
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.files.scan import Scan, write_scan
 from jaxscan.images import StripeSettings, write_image
-from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import batch
 from jaxscan.reconstruction.batch import find_tasks, reconstruct_one, run_batch
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from tests.reconstruction.small import small_rig, wavy_stripe
 
-ROWS, COLUMNS = 96, 128
 NAMES = ("cups/1", "cups/2", "cups/10", "dish")
 
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
     """Four scans of two frames and their rig; the second's last frame is cut short."""
-    rows = np.arange(ROWS)[:, None]
     for i, name in enumerate(NAMES):
         folder = tmp_path / "scans" / name
         folder.mkdir(parents=True)
         paths = []
         for k in range(2):
-            centre = 40 + i + k + 8 * np.sin(np.arange(COLUMNS) / 20)
-            levels = 20 + 180 * np.exp(-0.5 * ((rows - centre) / 1.5) ** 2)
             paths.append(folder / f"{k}.png")
-            write_image(paths[-1], np.rint(levels).astype(np.uint8))
+            write_image(paths[-1], np.rint(wavy_stripe(i + k)).astype(np.uint8))
         write_scan(Scan(folder / "scan.toml", StripeSettings("grey"), tuple(paths), steps=(0, 1000)))
     broken = tmp_path / "scans" / NAMES[1] / "1.png"
     broken.write_bytes(broken.read_bytes()[:300])
-    with float64():
-        camera = Camera.create((COLUMNS, ROWS), [140.0, 140.0], [63.5, 47.5], "radial1", [-0.1])
-        rig = as_numpy(Rig(camera, (LightPlane.create([0.0, -0.005, 0.003]),), Stage.create([0.0, 1e-3, -1e-4])))
-    write_rig(tmp_path / "rig.json", RigFile(rig))
+    write_rig(tmp_path / "rig.json", RigFile(small_rig()))
     return tmp_path
 
 

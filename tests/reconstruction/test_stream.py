@@ -11,21 +11,19 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, write_image
-from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Scanner, frames, reconstruct, write_stream
 from jaxscan.reconstruction.range_image import RangeImage, read_range_image
-from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
+from jaxscan.rig import Covariance
 from jaxscan.rig.rig import parameter_names
+from tests.reconstruction.small import small_rig, wavy_stripe
 
-ROWS, COLUMNS, COUNT = 96, 128, 7
+COUNT = 7
 GREY = StripeSettings("grey")
 
 
 @pytest.fixture(scope="module")
 def rig() -> RigFile:
-    with float64():
-        camera = Camera.create((COLUMNS, ROWS), [140.0, 140.0], [63.5, 47.5], "radial1", [-0.1])
-        rig = as_numpy(Rig(camera, (LightPlane.create([0.0, -0.005, 0.003]),), Stage.create([0.0, 1e-3, -1e-4])))
+    rig = small_rig()
     names = tuple(parameter_names(rig))
     return RigFile(rig, Covariance(names, np.diag(np.full(len(names), 1e-8))), {"stripe_sigma_ratio": 1.25})
 
@@ -33,9 +31,7 @@ def rig() -> RigFile:
 @pytest.fixture(scope="module")
 def photographs() -> np.ndarray:
     random = np.random.default_rng(0)
-    rows = np.arange(ROWS)[:, None]
-    centre = 40 + 8 * np.sin(np.arange(COLUMNS) / 20) + np.arange(COUNT)[:, None]
-    levels = 20 + 180 * np.exp(-0.5 * ((rows - centre[:, None]) / 1.5) ** 2)
+    levels = np.stack([wavy_stripe(i) for i in range(COUNT)])
     return np.rint(levels + 2 * random.standard_normal(levels.shape)).clip(0, 255).astype(np.uint8)
 
 
