@@ -77,14 +77,17 @@ def _password(args: argparse.Namespace) -> str:
     """From standard input, or asked for twice at the terminal.
 
     Raises:
-        InputError: the two differ.
+        InputError: the two differ, or there is no terminal to ask at.
     """
     from jaxscan.errors import InputError
 
     if args.password_stdin:
         return sys.stdin.readline().rstrip("\r\n")
-    password = getpass.getpass(f"password for {args.name}: ")
-    if getpass.getpass("once more: ") != password:
+    try:
+        password, again = getpass.getpass(f"password for {args.name}: "), getpass.getpass("once more: ")
+    except EOFError as error:
+        raise InputError("no password was typed: type it at a terminal, or pipe it to --password-stdin") from error
+    if again != password:
         raise InputError("the two passwords differ: try again")
     return password
 

@@ -63,6 +63,15 @@ def test_a_password_is_asked_for_twice(tmp_path: Path, monkeypatch: pytest.Monke
     assert "the two passwords differ" in capsys.readouterr().err
 
 
+def test_a_password_cannot_be_asked_for_without_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    def closed(words: str) -> str:
+        raise EOFError
+
+    monkeypatch.setattr("getpass.getpass", closed)
+    assert main(["user", "add", "maria", "--data", str(tmp_path)]) == 2
+    assert "--password-stdin" in capsys.readouterr().err
+
+
 def test_a_server_that_is_killed_in_mid_scan_and_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """`scanner serve` as a process of its own: kill -9, start, what it says of the scan, and on."""
     import cv2
