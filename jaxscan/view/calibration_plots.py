@@ -224,7 +224,7 @@ def volume(each: WorkingVolume) -> Any:
     rig = np.sqrt(np.maximum(sigma**2 - pixel**2, 0))
     for values, name, colour in ((sigma, "together", "black"), (rig, "rig", BLUE), (pixel, "pixel", RED)):
         right.plot(np.nanmedian(values, axis=1), each.depths_mm, color=colour, label=name)
-    right.set(xlabel=f"median σ / {unit}", xlim=(0, None))
+    right.set(xlabel=f"median σ / {unit}", ylabel="depth / mm", xlim=(0, None))
     right.invert_yaxis()
     right.legend(fontsize=8)
     return figure
@@ -317,7 +317,7 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
         X = place(outline @ R.T + np.asarray(translation))
         drawn.append(X)
         axes.add_collection3d(Poly3DCollection([X], facecolor=colour, edgecolor=colour, alpha=alpha, linewidth=0.8))
-        named["boards" if colour == BLUE else "moved boards"] = Patch(facecolor=colour, alpha=0.5)
+        named["boards" if colour == BLUE else "boards moved by motor"] = Patch(facecolor=colour, alpha=0.5)
 
     boards, rig = calibration.system.boards, calibration.rig
     for rotation, translation in zip(boards.rotation, boards.translation, strict=True):

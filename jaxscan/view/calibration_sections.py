@@ -72,9 +72,9 @@ def photographs(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         corners = f"{p.corner_rms_px:.3f}" if np.isfinite(p.corner_rms_px) else "none fits"
         kept = f"{p.stripe_kept} of {p.stripe_points}" if p.stripe_points else "–"
         worst = f"{p.corner_worst_px:.2f}"
-        where = "moved" if p.staged else "view"
+        where = "by motor" if p.staged else "by hand"
         rows.append((p.name, where, corners, worst, f"{p.corners_kept} of {p.corners}", stripe, kept))
-    columns = ("photograph", "", "corners RMS / px", "worst / px", "kept", "stripe RMS / px", "kept")
+    columns = ("photograph", "board moved", "corners RMS / px", "worst / px", "kept", "stripe RMS / px", "kept")
     caption = (
         "RMS of each photograph, the worst first"
         + (f" ({plots.MOST_PHOTOGRAPHS} of {len(rows)})" if len(rows) > plots.MOST_PHOTOGRAPHS else "")
