@@ -106,6 +106,10 @@ def _kind(path: Path) -> tuple[str, Path]:
 def _kind_of_folder(path: Path) -> tuple[str, Path]:
     there = [kind for kind in ("session", "scan") if (path / f"{kind}.toml").is_file()]
     if not there:
+        from jaxscan.files.settings import check_ending
+
+        for name in ("session.toml", "scan.toml"):
+            check_ending(path, name)
         raise InputError(f"{path}: has neither session.toml nor scan.toml: name the folder that has, or a file")
     if len(there) > 1:
         raise InputError(f"{path}: has both session.toml and scan.toml: name one of the two files")

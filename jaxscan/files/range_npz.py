@@ -148,13 +148,15 @@ def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
         raise InputError(f"{path}: is a folder: name an .npz file in it") from error
     except _NOT_WHOLE as error:
         raise InputError(f"{path}: is not a whole NPZ file ({error}): copy or write it again") from error
-    for name, dtype in _DTYPES.items():
-        if name not in arrays and name in _WHERE_KNOWN:
-            continue
-        if name not in arrays:
-            raise InputError(f'{path}: has no array "{name}", so it is not a range image: reconstruct again')
-        if arrays[name].dtype != dtype:
-            raise InputError(f'{path}: "{name}" is {arrays[name].dtype}, {dtype} is expected: reconstruct again')
+    missing = [name for name in _ALWAYS if name not in arrays]
+    if missing:
+        raise InputError(
+            f'{path}: has no array "{missing[0]}", so it is not a range image: '
+            "name one that `jaxscan reconstruct` has written"
+        )
+    for name, array in arrays.items():
+        if array.dtype != _DTYPES[name]:
+            raise InputError(f'{path}: "{name}" is {array.dtype}, {_DTYPES[name]} is expected: reconstruct again')
     _check(path, arrays)
     return RangeArrays(**arrays)
 

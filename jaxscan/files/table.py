@@ -102,7 +102,7 @@ class Table:
         """A finite number."""
         value = self._required(key, "a number")
         if not _is_finite(value):
-            raise self.error(key, "must be a finite number")
+            raise self.error(key, f"must be a finite number{_text_hint(value)}")
         return float(value)
 
     def numbers(self, key: str, count: int | None = None) -> tuple[float, ...]:
@@ -110,7 +110,7 @@ class Table:
         values = self.sequence(key, "numbers")
         for i, value in enumerate(values):
             if not _is_finite(value):
-                raise self.error(key, f"entry {i} is {show(value)}: must be a finite number")
+                raise self.error(key, f"entry {i} is {show(value)}: must be a finite number{_text_hint(value)}")
         if count is not None and len(values) != count:
             raise self.error(key, f"must hold {count} number{'s' if count != 1 else ''}, it holds {len(values)}")
         return tuple(float(value) for value in values)
@@ -158,6 +158,10 @@ def _is_finite(value: Any) -> bool:
         return math.isfinite(value)
     except OverflowError:  # a whole number that no float can hold
         return False
+
+
+def _text_hint(value: Any) -> str:
+    return " (no quotes, and a point before decimals)" if isinstance(value, str) else ""
 
 
 def _float_hint(value: Any) -> str:

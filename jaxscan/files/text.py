@@ -50,7 +50,8 @@ def parse_file(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
         raise InputError(f"{path}: is a folder, but a {kind} file is expected: name the file in it") from error
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{path}: is not text (byte {error.start}), but a {kind} file is expected: save it as UTF-8"
+            f"{path}: is not text (byte {error.start}), but a {kind} file is expected: "
+            "save it as UTF-8, or name another file"
         ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}): check its permissions") from error
@@ -61,7 +62,7 @@ def parse_file(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
     except RecursionError as error:
         raise InputError(f"{path}: is nested too deeply to be read as {kind}: write it again") from error
     except ValueError as error:  # the parsers' own errors, which name line and column, and numbers without end
-        raise InputError(f"{path}: is not valid {kind}: {error}: correct it there") from error
+        raise InputError(f"{path}: is not valid {kind}: {error}: correct it there, or name another file") from error
 
 
 def _without_twins(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
