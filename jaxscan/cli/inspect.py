@@ -63,7 +63,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     result = facts.camera_facts(path, args.name, args.image_size) if kind == "camera" else read[kind](path)
     if args.png is not None:
         from jaxscan.cli import picture
+        from jaxscan.cli.compiled import keep_compiled
 
+        keep_compiled()
         frame = args.frame or 0
         out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.absolute().parent.name}-{frame}.png")
         if kind == "range image":
