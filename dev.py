@@ -36,7 +36,8 @@ def main() -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("command", choices=COMMANDS)
-    args, rest = parser.parse_known_args()
+    parser.add_argument("rest", nargs=argparse.REMAINDER, help="what the command is given")
+    args = parser.parse_args()
     extra, command, _ = COMMANDS[args.command]
     if sys.version_info < (3, 11):  # noqa: UP036 (this file is what says so to an older Python)
         print(f"Python 3.11 or later is needed; this is {sys.version.split()[0]}", file=sys.stderr)
@@ -50,7 +51,7 @@ def main() -> int:
         return 1
     # What a user's own command compiles belongs to the user's cache, where the next command looks for it.
     env = _compiled_once() if extra == "dev" else None
-    return subprocess.run([BIN / command[0], *command[1:], *rest], cwd=ROOT, env=env).returncode
+    return subprocess.run([BIN / command[0], *command[1:], *args.rest], cwd=ROOT, env=env).returncode
 
 
 def _compiled_once() -> dict[str, str]:

@@ -23,6 +23,7 @@ class StripePoints:
         laser: which of the observations' lasers.
         half_width_px: how far the stripe's light reaches to either side; within it the board must have one colour.
         sigmas: σ of each as the detector predicts it, px, where there was one.
+        brighter: the colour in which the stripe is far brighter than in that of its laser; None where there is none.
     """
 
     pixels: Float[np.ndarray, "points 2"]
@@ -30,6 +31,7 @@ class StripePoints:
     laser: int = 0
     half_width_px: float = 3.0
     sigmas: Float[np.ndarray, "points"] | None = None
+    brighter: str | None = None
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from jaxscan.images import (
     shows_second_board,
 )
 from jaxscan.images.board import LEAST_POINTS
+from jaxscan.images.stripes.brightest import brighter_color
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
@@ -108,7 +109,7 @@ def observe(
             f"a second board is in view in {', '.join(twice)}: which of the two was found is chance, so cover one "
             "of them and take these photographs again"
         )
-    notes += _across(session.lasers, views)
+    notes += _across(session.lasers, views) + _miscoloured(session.lasers, views)
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts
         notes.append(
@@ -154,6 +155,20 @@ def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str
             notes.append(
                 f"the stripe{f' of laser {laser.name}' if laser.name else ''} runs {way} in most photographs, where it "
                 f"is badly measured as it is looked for: set columns = {wanted} under [laser]"
+            )
+    return notes
+
+
+def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
+    """Of which lasers the stripe has another colour than it is looked for."""
+    notes = []
+    for i, laser in enumerate(lasers):
+        found = [stripe.brighter for view in views for stripe in view.stripes if stripe.laser == i]
+        brighter = max(set(found), key=found.count, default=None)
+        if brighter is not None:
+            notes.append(
+                f"the stripe{f' of laser {laser.name}' if laser.name else ''} is brightest in {brighter} in most "
+                f'photographs, and is looked for in {laser.color}: set color = "{brighter}" under [laser]'
             )
     return notes
 
@@ -212,7 +227,8 @@ def stripe_points(
     pixels = np.stack([index, position] if settings.columns else [position, index], axis=-1)
     width = stripe.width.ravel()[np.isfinite(position)]
     half = 0.5 * float(np.median(width)) + _SMEAR_PX if width.size else _SMEAR_PX
-    return StripePoints(pixels, settings.columns, laser, half, np.asarray(stripe.sigma, np.float64).ravel())
+    sigmas = np.asarray(stripe.sigma, np.float64).ravel()
+    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter_color(image, pixels, settings))
 
 
 def _sequence(

@@ -29,4 +29,4 @@ def add_choice_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def _words(names: dict) -> str:
-    return "; ".join(f"{name}, {words}" for name, words in names.items())
+    return ", ".join(f"{name} ({words})" for name, words in names.items())

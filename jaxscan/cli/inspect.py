@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const=Path(_DEFAULT),
         metavar="OUT",
         help="draw the stripe over the scan's photograph N, or corners and stripe over the session's view N, "
-        "or a range image in its views (default: a file named after both, here)",
+        "or a range image in its views (default: named after what is drawn, here)",
     )
     add_detector_argument(parser)
     add_choice_argument(parser)
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         frame = args.frame or 0
         out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.absolute().parent.name}-{frame}.png")
         if kind == "range image":
-            out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.stem}.png")
+            out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.stem}-views.png")
             result["picture"] = picture.draw_range_image(path, out)
         else:
             draw = picture.draw_view if kind == "session" else picture.draw_frame

@@ -9,7 +9,7 @@ import pytest
 
 from jaxscan.calibration import View
 from jaxscan.calibration.observations import StripePoints
-from jaxscan.calibration.observe import _across, _once, _Photograph, observe
+from jaxscan.calibration.observe import _across, _miscoloured, _once, _Photograph, observe
 from jaxscan.errors import InputError
 from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
@@ -74,3 +74,15 @@ def test_a_stripe_that_is_looked_for_the_wrong_way(columns: bool) -> None:
     assert [("up and down" in note, "columns = false" in note) for note in _across([laser], turned)] == (
         [(True, True)] if columns else []
     )
+
+
+def test_a_stripe_of_another_colour_is_pointed_out() -> None:
+    """Once most photographs say so, and where the laser is not grey."""
+
+    def notes(*brighter: str | None) -> list[str]:
+        stripes = [StripePoints(np.zeros((1, 2)), brighter=one) for one in brighter]
+        return _miscoloured([StripeSettings("green")], [View("0", np.zeros((4, 2)), None, (s,)) for s in stripes])
+
+    assert notes("red", None, None) == notes() == []
+    (note,) = notes("red", "red", None)
+    assert 'set color = "red"' in note

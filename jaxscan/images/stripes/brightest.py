@@ -1,0 +1,47 @@
+"""In which colour a stripe is brightest: what was said of the laser may be wrong, and a JPEG shows a little of any."""
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, UInt
+
+from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
+
+# How far beside a stripe its surroundings are looked at, px.
+_BESIDE_PX: Final = 10
+# Another colour rises by so many times what the laser's own does, and by so many 255ths of a full pixel.
+_TIMES, _LEAST_RISE = 2.0, 10 / 255
+# From this part of the greatest number on a pixel may be full, and how much it rises is not known.
+_FULL = 0.98
+_LEAST_POINTS = 20
+
+
+def brighter_color(
+    image: UInt[np.ndarray, "rows columns *rgb"], pixels: Float[np.ndarray, "points 2"], settings: StripeSettings
+) -> str | None:
+    """The colour in which a stripe rises far more above what is beside it than in the laser's; None if there is none.
+
+    Args:
+        image: the photograph.
+        pixels: (u, v) of the stripe's points; NaN for one that is missing.
+        settings: what was said of the laser.
+    """
+    if settings.color == "grey" or image.ndim == 2:
+        return None
+    own = CHANNELS[settings.color][0]
+    u, v = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(int).T
+    rows, columns = image.shape[:2]
+    across = (0, _BESIDE_PX) if settings.columns else (_BESIDE_PX, 0)
+    greatest = np.iinfo(image.dtype).max
+    there = image[v, u].astype(np.float64)
+    beside = [
+        image[np.clip(v + way * across[1], 0, rows - 1), np.clip(u + way * across[0], 0, columns - 1)]
+        for way in (-1, 1)
+    ]
+    known = there[:, own] < _FULL * greatest
+    if known.sum() < _LEAST_POINTS:
+        return None
+    rise = np.median((there - np.mean(beside, axis=0))[known], axis=0)
+    brightest = max(CHANNELS, key=lambda color: rise[CHANNELS[color][0]])
+    far = rise.max() > _TIMES * max(rise[own], _LEAST_RISE * greatest)
+    return brightest if far else None
