@@ -34,19 +34,20 @@ def stripe_on_board(
     """
     views, left_out = [], []
     for i, view in enumerate(observations.views):
-        stripes, off, edge = [], 0, 0
+        stripes, points, off, edge = [], 0, 0, 0
         for stripe in view.stripes:
             seen = np.isfinite(stripe.pixels).all(axis=1)
             at, before, after = _board_positions(camera, poses[i], stripe)
             inside = seen & _inside(observations.board, at)
             clean = inside & _same_reflectance(observations.board, at, before, after)
+            points += int(seen.sum())
             off += int((seen & ~inside).sum())
             edge += int((inside & ~clean).sum())
             stripes.append(replace(stripe, pixels=np.where(clean[:, None], stripe.pixels, np.nan)))
-        if off:
-            left_out.append(f"{view.name}: {off} stripe points beyond the board")
-        if edge:
-            left_out.append(f"{view.name}: {edge} stripe points at the edges of squares")
+        where = [f"{n} {place}" for n, place in ((off, "beyond the board"), (edge, "at the edges of squares")) if n]
+        if where:
+            none_left = "; none is left" if off + edge == points else ""
+            left_out.append(f"{view.name}: of {points} stripe points {' and '.join(where)}{none_left}")
         views.append(replace(view, stripes=tuple(stripes)))
     return replace(observations, views=tuple(views)), tuple(left_out)
 

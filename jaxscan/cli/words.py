@@ -126,8 +126,8 @@ def _range_image(facts: Facts) -> Iterator[Line]:
     frames = facts["frames"]
     cells = frames["count"] * facts["columns"]
     yield "frames", f"{frames['count']}, {_travel(frames)}"
-    yield "columns", str(facts["columns"])
-    yield "points", f"{facts['points']}, {100 * facts['points'] / max(cells, 1):.1f} % of frames × columns"
+    yield "lines", f"{facts['columns']}: columns of the photographs, or rows"
+    yield "points", f"{facts['points']}, {100 * facts['points'] / max(cells, 1):.1f} % of frames × lines"
     yield from _extent(facts)
     if facts["strength"] is not None:
         yield "strength", f"{facts['strength']:.1f} grey levels in the median"

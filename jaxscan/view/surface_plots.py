@@ -78,7 +78,7 @@ def draw_range(
         if title == "removed":
             look = {"cmap": ListedColormap(_REMOVED), "vmin": -0.5, "vmax": len(RULES) + 0.5}
         shown = ax.imshow(values, aspect=how.along_mm / how.across_mm, interpolation="nearest", **look)
-        ax.set(title=title, xlabel="column", ylabel="frame")
+        ax.set(title=title, xlabel="column (or row)", ylabel="frame")
         ax.set(xlim=(columns[0] - 0.5, columns[-1] + 0.5), ylim=(frames[-1] + 0.5, frames[0] - 0.5))
         if title == "removed":
             bar = figure.colorbar(shown, ax=ax, shrink=0.8, ticks=range(len(RULES) + 1))

@@ -126,7 +126,7 @@ def test_a_range_image(tmp_path, capsys):
     found = facts(capsys, tmp_path / "cup.npz")
     assert found["points"] == 2
     assert found["sigma_mm"] is None
-    assert "2, 66.7 % of frames × columns" in words(capsys, tmp_path / "cup.npz")
+    assert "2, 66.7 % of frames × lines" in words(capsys, tmp_path / "cup.npz")
 
 
 def test_an_empty_range_image(tmp_path, capsys):

@@ -173,7 +173,7 @@ def test_help_teaches():
     add_detector_argument(parser)
     add_choice_argument(parser)
     text = " ".join(parser.format_help().split())
-    assert all(f"{name}, {words}" in text for names in (DETECTORS, CHOICES) for name, words in names.items())
+    assert all(f"{name} ({words})" in text for names in (DETECTORS, CHOICES) for name, words in names.items())
 
 
 def red_stripe(brightness):
