@@ -20,6 +20,7 @@ from jaxscan.calibration.bundle import Estimate, Outcome, solve
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.residuals import Blocks, Noise, block_errors
 from jaxscan.calibration.uncertainty import Precision, precision
+from jaxscan.precision import as_numpy
 
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
 CORNER_LIMIT = 4.5
@@ -63,7 +64,7 @@ class Refined:
     stripe_sigma: float
     stripe_correlation: float
     groups: tuple[Blocks, ...]
-    errors: tuple[tuple[Float[Array, "_ _ 2"], Float[Array, "_ _"]], ...]
+    errors: tuple[tuple[Float[np.ndarray, "_ _ 2"], Float[np.ndarray, "_ _"]], ...]
     precision: Precision
     outcome: Outcome
     solves: int
@@ -90,12 +91,13 @@ def refine(
         reject: whether observations may be left out; otherwise every candidate is used.
         weigh: whether photographs are weighted by their own σ.
     """
-    groups = candidates
+    # What is reckoned between solves is NumPy's: small arrays of many shapes, for each of which JAX would compile anew.
+    groups = candidates = as_numpy(candidates)
     solves = 0
     if reject:
         first = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
         estimate = solve(estimate, free, groups, first).estimate
-        errors = group_errors(estimate, candidates)
+        errors = as_numpy(group_errors(estimate, candidates))
         noise = _median_noise(groups, errors, noise)
         groups = _keep(candidates, errors, noise)
         solves = 1
@@ -104,8 +106,8 @@ def refine(
         solves += 1
         outcome = solve(estimate, free, groups, noise)
         estimate = outcome.estimate
-        errors = group_errors(estimate, candidates)
-        leverage = precision(estimate, free, groups, noise).leverage
+        errors = as_numpy(group_errors(estimate, candidates))
+        leverage = as_numpy(precision(estimate, free, groups, noise).leverage)
         believed = _believed(candidates, groups, errors) if weigh else candidates
         single, photographs = _variance_components(believed, groups, errors, leverage, noise, board_points)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
@@ -117,6 +119,7 @@ def refine(
         ratio = float((settled.stripe / settled.corner) / (noise.stripe / noise.corner))
         calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
         if calm or solves >= _MAX_SOLVES:
+            groups = jax.tree.map(jnp.asarray, groups)
             spread = precision(estimate, free, groups, settled)
             return Refined(
                 estimate, settled, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves, calm
@@ -130,8 +133,8 @@ def _same(old: tuple[Blocks, ...], new: tuple[Blocks, ...]) -> bool:
         bool(
             (a.corner_used == b.corner_used).all()
             and (a.stripe_used == b.stripe_used).all()
-            and jnp.allclose(a.weights, b.weights, rtol=_SCALES_SETTLED)
-            and jnp.allclose(a.stripe_weights, b.stripe_weights, rtol=_SCALES_SETTLED)
+            and np.allclose(a.weights, b.weights, rtol=_SCALES_SETTLED)
+            and np.allclose(a.stripe_weights, b.stripe_weights, rtol=_SCALES_SETTLED)
         )
         for a, b in zip(old, new, strict=True)
     )
@@ -139,7 +142,7 @@ def _same(old: tuple[Blocks, ...], new: tuple[Blocks, ...]) -> bool:
 
 def _stripe_correlation(groups: tuple[Blocks, ...], errors: tuple) -> float:
     rows = [
-        (np.asarray(error), np.asarray(used))
+        (error, used)
         for group, (_, stripe) in zip(groups, errors, strict=True)
         for error, used in zip(stripe, group.stripe_used, strict=True)
     ]
@@ -162,9 +165,10 @@ def _keep(candidates: tuple[Blocks, ...], errors: tuple, noise: Noise) -> tuple[
     """The candidates within their limits. One whose error is not a number is out."""
     kept = []
     for group, (corner, stripe) in zip(candidates, errors, strict=True):
-        distance = jnp.linalg.norm(corner, axis=-1) * group.weights / noise.corner
+        distance = np.linalg.norm(corner, axis=-1) * group.weights / float(noise.corner)
         corner_used = group.corner_used & (distance <= CORNER_LIMIT)
-        stripe_used = group.stripe_used & (jnp.abs(stripe) * group.stripe_weights <= STRIPE_LIMIT * noise.stripe)
+        far = STRIPE_LIMIT * float(noise.stripe)
+        stripe_used = group.stripe_used & (np.abs(stripe) * group.stripe_weights <= far)
         kept.append(eqx.tree_at(lambda g: (g.corner_used, g.stripe_used), group, (corner_used, stripe_used)))
     return tuple(kept)
 
@@ -172,14 +176,9 @@ def _keep(candidates: tuple[Blocks, ...], errors: tuple, noise: Noise) -> tuple[
 def _median_noise(groups: tuple[Blocks, ...], errors: tuple, noise: Noise) -> Noise:
     """σ from the median of absolute errors, which half of the observations may spoil without effect."""
     corner = np.concatenate(
-        [
-            np.asarray(c * g.weights[..., None])[np.asarray(g.corner_used)].ravel()
-            for g, (c, _) in zip(groups, errors, strict=True)
-        ]
+        [(c * g.weights[..., None])[g.corner_used].ravel() for g, (c, _) in zip(groups, errors, strict=True)]
     )
-    stripe = np.concatenate(
-        [np.asarray(s * g.stripe_weights)[np.asarray(g.stripe_used)] for g, (_, s) in zip(groups, errors, strict=True)]
-    )
+    stripe = np.concatenate([(s * g.stripe_weights)[g.stripe_used] for g, (_, s) in zip(groups, errors, strict=True)])
 
     def sigma(values: np.ndarray, otherwise: Float[Array, ""]) -> Float[Array, ""]:
         if values.size == 0:
@@ -210,7 +209,7 @@ def _variance_components(
     candidates: tuple[Blocks, ...],
     groups: tuple[Blocks, ...],
     errors: tuple,
-    leverage: tuple[Float[Array, "_ _"], ...],
+    leverage: tuple[Float[np.ndarray, "_ _"], ...],
     noise: Noise,
     board_points: int,
 ) -> tuple[Noise, tuple[_Sums, ...]]:
@@ -219,14 +218,14 @@ def _variance_components(
     for candidate, group, (corner, stripe), h in zip(candidates, groups, errors, leverage, strict=True):
         n = corner.shape[1]
         images = (len(corner), n // board_points, board_points, 2)
-        square = jnp.where(group.corner_used[..., None], (corner * candidate.weights[..., None]) ** 2, 0.0)
-        redundancy = jnp.where(group.corner_used[..., None], 1 - h[:, : 2 * n].reshape(corner.shape), 0.0)
+        square = np.where(group.corner_used[..., None], corner * candidate.weights[..., None], 0.0) ** 2
+        redundancy = np.where(group.corner_used[..., None], 1 - h[:, : 2 * n].reshape(corner.shape), 0.0)
         sums.append(
             _Sums(
-                np.asarray(square.reshape(images).sum((2, 3))),
-                np.asarray(redundancy.reshape(images).sum((2, 3))),
-                np.asarray(jnp.where(group.stripe_used, stripe**2, 0.0).sum(1)),
-                np.asarray(jnp.where(group.stripe_used, 1 - h[:, 2 * n :], 0.0).sum(1)),
+                square.reshape(images).sum((2, 3)),
+                redundancy.reshape(images).sum((2, 3)),
+                (np.where(group.stripe_used, stripe, 0.0) ** 2).sum(1),
+                np.where(group.stripe_used, 1 - h[:, 2 * n :], 0.0).sum(1),
             )
         )
 
@@ -258,11 +257,9 @@ def _believed(candidates: tuple[Blocks, ...], groups: tuple[Blocks, ...], errors
     corners alike. c is that part of the variance; its value is the most likely one for normal errors with a common
     scale.
     """
-    given = np.concatenate(
-        [np.asarray(all_.weights[kept.corner_used]) for all_, kept in zip(candidates, groups, strict=True)]
-    )
+    given = np.concatenate([all_.weights[kept.corner_used] for all_, kept in zip(candidates, groups, strict=True)])
     squares = np.concatenate(
-        [np.asarray((error**2).sum(-1)[group.corner_used]) for group, (error, _) in zip(groups, errors, strict=True)]
+        [(error**2).sum(-1)[group.corner_used] for group, (error, _) in zip(groups, errors, strict=True)]
     )
 
     def unlikeliness(common: float) -> float:
@@ -271,11 +268,13 @@ def _believed(candidates: tuple[Blocks, ...], groups: tuple[Blocks, ...], errors
 
     common = min(_COMMON_PARTS, key=unlikeliness)
 
-    def drawn(weights: Float[Array, "blocks corners"]) -> Float[Array, "blocks corners"]:
+    def drawn(group: Blocks) -> Blocks:
+        weights = np.asarray(group.weights)
         seen = weights > 0
-        return jnp.where(seen, (common + (1 - common) / jnp.where(seen, weights, 1.0) ** 2) ** -0.5, 0.0)
+        w = np.where(seen, (common + (1 - common) / np.where(seen, weights, 1.0) ** 2) ** -0.5, 0.0)
+        return eqx.tree_at(lambda g: g.weights, group, w)
 
-    return tuple(eqx.tree_at(lambda g: g.weights, group, drawn(group.weights)) for group in candidates)
+    return tuple(drawn(group) for group in candidates)
 
 
 def _weighted(
@@ -294,8 +293,8 @@ def _weighted(
                 lambda g: (g.weights, g.stripe_weights),
                 group,
                 (
-                    group.weights / jnp.asarray(np.repeat(corner, board_points, axis=1)),
-                    group.stripe_weights / jnp.asarray(stripe)[:, None],
+                    group.weights / np.repeat(corner, board_points, axis=1),
+                    group.stripe_weights / stripe[:, None],
                 ),
             )
         )
