@@ -25,6 +25,7 @@ from jaxscan.images import (
     shows_second_board,
 )
 from jaxscan.images.board import LEAST_POINTS
+from jaxscan.images.stripe_settings import CHANNELS
 from jaxscan.images.stripes.brightest import brighter_color
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
@@ -164,7 +165,7 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
     notes = []
     for i, laser in enumerate(lasers):
         found = [stripe.brighter for view in views for stripe in view.stripes if stripe.laser == i]
-        brighter = max(set(found), key=found.count, default=None)
+        brighter = next((color for color in CHANNELS if 2 * found.count(color) > len(found)), None)
         if brighter is not None:
             notes.append(
                 f"the stripe{f' of laser {laser.name}' if laser.name else ''} is brightest in {brighter} in most "

@@ -71,6 +71,8 @@ class Refined:
     settled: bool
 
 
+# An error that is no number, or without bound, is left out by its comparison with the limit.
+@np.errstate(invalid="ignore", over="ignore")
 def refine(
     estimate: Estimate,
     free: Bool[Array, "shared"],
