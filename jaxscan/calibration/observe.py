@@ -101,8 +101,7 @@ def observe(
     for seen in views:
         for stripe in seen.stripes:
             if not np.isfinite(stripe.pixels).any():
-                laser = session.lasers[stripe.laser].name
-                left_out.append(f"{seen.name}: no stripe{f' of laser {laser}' if laser else ''} was found")
+                left_out.append(f"{seen.name}: no {_stripe_of(session.lasers[stripe.laser])} was found")
     notes = []
     twice = [p.name for p in (*photographs, *staged) if p.second_board]
     if twice:
@@ -140,6 +139,10 @@ def photograph_count(session: Session) -> int:
     return len(session.views.boards) + sum(len(s.images) for s in (session.stage, session.turntable) if s)
 
 
+def _stripe_of(laser: StripeSettings) -> str:
+    return f"stripe of laser {laser.name}" if laser.name else "stripe"
+
+
 def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
     """Of which lasers the stripe runs the other way than it is looked for."""
     notes = []
@@ -154,7 +157,7 @@ def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str
         if steep and np.median(steep) == 1:
             way, wanted = ("up and down", "false") if laser.columns else ("from left to right", "true")
             notes.append(
-                f"the stripe{f' of laser {laser.name}' if laser.name else ''} runs {way} in most photographs, where it "
+                f"the {_stripe_of(laser)} runs {way} in most photographs, where it "
                 f"is badly measured as it is looked for: set columns = {wanted} under [laser]"
             )
     return notes
@@ -168,7 +171,7 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
         brighter = next((color for color in CHANNELS if 2 * found.count(color) > len(found)), None)
         if brighter is not None:
             notes.append(
-                f"the stripe{f' of laser {laser.name}' if laser.name else ''} is brightest in {brighter} in most "
+                f"the {_stripe_of(laser)} is brightest in {brighter} in most "
                 f'photographs, and is looked for in {laser.color}: set color = "{brighter}" under [laser]'
             )
     return notes

@@ -67,9 +67,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
         keep_compiled()
         frame = args.frame or 0
-        out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.absolute().parent.name}-{frame}.png")
+        own = f"{path.stem}-views" if kind == "range image" else f"{path.absolute().parent.name}-{frame}"
+        out = args.png if args.png != Path(_DEFAULT) else Path(f"{own}.png")
         if kind == "range image":
-            out = args.png if args.png != Path(_DEFAULT) else Path(f"{path.stem}-views.png")
             result["picture"] = picture.draw_range_image(path, out)
         else:
             draw = picture.draw_view if kind == "session" else picture.draw_frame
@@ -108,10 +108,10 @@ def _kind(path: Path) -> tuple[str, Path]:
 def _kind_of_folder(path: Path) -> tuple[str, Path]:
     there = [kind for kind in ("session", "scan") if (path / f"{kind}.toml").is_file()]
     if not there:
-        from jaxscan.files.settings import check_ending
+        from jaxscan.files.settings import refuse_hidden_ending
 
         for name in ("session.toml", "scan.toml"):
-            check_ending(path, name)
+            refuse_hidden_ending(path, name)
         raise InputError(f"{path}: has neither session.toml nor scan.toml: name the folder that has, or a file")
     if len(there) > 1:
         raise InputError(f"{path}: has both session.toml and scan.toml: name one of the two files")

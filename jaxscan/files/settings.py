@@ -21,13 +21,13 @@ def toml_in(path: Path, name: str) -> Path:
     """
     if path.is_dir():
         if not (path / name).is_file():
-            check_ending(path, name)
+            refuse_hidden_ending(path, name)
             raise InputError(f"{path}: has no {name}: write one there, or name another folder")
         return path / name
     return path
 
 
-def check_ending(folder: Path, name: str) -> None:
+def refuse_hidden_ending(folder: Path, name: str) -> None:
     """Refuse a TOML file to which an editor has added an ending that file managers hide.
 
     Raises:

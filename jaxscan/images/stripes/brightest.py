@@ -5,14 +5,14 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, UInt
 
+from jaxscan.images.exposures import full_number
 from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 
 # How far beside a stripe its surroundings are looked at, px.
 _BESIDE_PX: Final = 10
-# Another colour rises by so many times what the laser's own does, and by so many 255ths of a full pixel.
-_TIMES, _LEAST_RISE = 2.0, 10 / 255
-# From this part of the greatest number on a pixel may be full, and how much it rises is not known.
-_FULL = 0.98
+# Another colour rises by so many times what the laser's own does, and what that may be is no less than this part of a
+# full pixel.
+_TIMES, _LEAST_RISE = 2.0, 0.04
 _LEAST_POINTS = 20
 
 
@@ -32,16 +32,17 @@ def brighter_color(
     u, v = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(int).T
     rows, columns = image.shape[:2]
     across = (0, _BESIDE_PX) if settings.columns else (_BESIDE_PX, 0)
-    greatest = np.iinfo(image.dtype).max
+    full = full_number(int(image.max()), image.dtype)
     there = image[v, u].astype(np.float64)
     beside = [
         image[np.clip(v + way * across[1], 0, rows - 1), np.clip(u + way * across[0], 0, columns - 1)]
         for way in (-1, 1)
     ]
-    known = there[:, own] < _FULL * greatest
+    # How far a full pixel rises is not known.
+    known = there[:, own] < full
     if known.sum() < _LEAST_POINTS:
         return None
     rise = np.median((there - np.mean(beside, axis=0))[known], axis=0)
     brightest = max(CHANNELS, key=lambda color: rise[CHANNELS[color][0]])
-    far = rise.max() > _TIMES * max(rise[own], _LEAST_RISE * greatest)
+    far = rise.max() > _TIMES * max(rise[own], _LEAST_RISE * full)
     return brightest if far else None
