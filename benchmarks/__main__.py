@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 
 from benchmarks.metric import Metric
+from jaxscan.atomic import check_writable, replacing
+from jaxscan.errors import InputError
 
 HERE = Path(__file__).parent
 BASELINE = HERE / "baseline.json"
@@ -62,7 +64,18 @@ NOT_QUICK = {
 
 def main() -> int:
     """Run the suites that were asked for."""
-    args = command_line().parse_args()
+    parser = command_line()
+    args = parser.parse_args()
+    # What takes hours must not fail at its end.
+    try:
+        for path in (args.json, BASELINE if args.save_baseline else None):
+            if path is not None:
+                check_writable(path)
+    except InputError as error:
+        parser.error(str(error))
+    data = os.environ.get("JAXSCAN_DATA")
+    if data and not Path(data).is_dir():
+        parser.error(f"JAXSCAN_DATA is {data}, and there is no such folder: set it right, or unset it")
     metrics: list[Metric] = []
     for name in args.only or [name for name in SUITES if not (args.quick and name in NOT_QUICK)]:
         print(f"\n{name}: {SUITES[name]}", flush=True)
@@ -75,15 +88,18 @@ def main() -> int:
     key = "quick" if args.quick else "full"
     figures = {metric.name: metric.value for metric in metrics}
     if args.json:
-        args.json.write_text(json.dumps({"kind": key, "figures": figures}, indent=2))
+        _write(args.json, {"kind": key, "figures": figures})
     stored = json.loads(BASELINE.read_text()) if BASELINE.exists() else {}
     if args.save_baseline:
         stored[key] = dict(sorted({**stored.get(key, {}), **figures}.items()))
-        beside = BASELINE.with_suffix(".part")
-        beside.write_text(json.dumps(stored, indent=2) + "\n")
-        os.replace(beside, BASELINE)
+        _write(BASELINE, stored)
         return 0
     return _gate(metrics, stored.get(key, {})) if args.gate else 0
+
+
+def _write(path: Path, content: dict) -> None:
+    with replacing(path, "w") as file:
+        file.write(json.dumps(content, indent=2) + "\n")
 
 
 def command_line() -> argparse.ArgumentParser:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from benchmarks.__main__ import _gate
+from benchmarks.__main__ import _gate, main
 from benchmarks.metric import Metric, ratio
 
 BASELINE = {"cloud.rms": 0.05, "kept": 0.99, "over_a_copy": 0.8}
@@ -43,3 +43,17 @@ def test_slack_is_a_part_of_the_baseline(value, worse):
     assert Metric("x", value, "", "lower").worse_than(1.0) is worse
     assert Metric("x", 1 / value, "", "higher").worse_than(1.0) is worse
     assert not Metric("x", 100 * value).worse_than(1.0)
+
+
+def test_what_cannot_be_written_or_read_is_refused_before_anything_is_measured(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("sys.argv", ["benchmarks", "--only", "nist", "--json", str(tmp_path / "none" / "x.json")])
+    with pytest.raises(SystemExit):
+        main()
+    monkeypatch.setattr("sys.argv", ["benchmarks", "--only", "nist"])
+    monkeypatch.setenv("JAXSCAN_DATA", str(tmp_path / "none"))
+    with pytest.raises(SystemExit):
+        main()
+    heard = capsys.readouterr()
+    assert heard.out == ""
+    assert "create it first" in heard.err
+    assert "JAXSCAN_DATA is" in heard.err
