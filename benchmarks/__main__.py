@@ -20,6 +20,7 @@ SUITES = {
     "corners": "corners of checkerboards: accuracy, σ and speed, beside OpenCV's, and what a calibration gains",
     "stripes": "stripe detectors against the Cramér-Rao bound, at a step of reflectance, among spots, on a real bed",
     "throughput": "the kernel, detection and a scan from files to points against their limits; memory",
+    "device": "detection and the kernel on JAX's device, a GPU where there is one: transfer and work apart",
     "batch": "many scans, killed and gone on with; a cluster that loses a worker",
     "exposures": "exposures of a step merged: reflectances 1:50 against each exposure by itself; speed",
     "spacetime": "spacetime analysis: its σ; a border of reflectance, edges of depth, step size",
@@ -43,6 +44,7 @@ SUITES = {
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
 NOT_QUICK = {
+    "device",
     "derivatives",
     "starts",
     "next_pose",

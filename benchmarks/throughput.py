@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from jaxtyping import Float, Int, UInt
 
 from benchmarks.bare import bare_stripe
 from benchmarks.metric import Metric, ratio
+from benchmarks.timing import side_by_side
 from jaxscan.detectors import DEFAULT, DETECTORS, Detector
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan, read_scan
@@ -38,7 +39,7 @@ _LENSES = {"radial1": ((-0.134,), ()), "brown": ((-0.27, 0.05, 0.1), (1e-3, -2e-
 OF_A_SCAN: tuple[Detector, ...] = (DEFAULT, "derivative")
 # Which of them are to keep up with reading, and which are timed in the short form.
 CLOSED: tuple[Detector, ...] = ("gravity", "derivative")
-_OF_A_READ = (*CLOSED, DEFAULT)
+OF_A_READ = (*CLOSED, DEFAULT)
 _ROWS, _COLUMNS = 1080, 1920
 
 
@@ -46,7 +47,7 @@ def measure(quick: bool) -> list[Metric]:
     """All figures; in the short form one size of each, and no memory."""
     metrics = kernel(quick)
     for rows, columns in ((480, 640),) if quick else ((480, 640), (_ROWS, _COLUMNS)):
-        metrics += detection(rows, columns, _OF_A_READ if quick else tuple(DETECTORS), repeats=7 if quick else 15)
+        metrics += detection(rows, columns, OF_A_READ if quick else tuple(DETECTORS), repeats=7 if quick else 15)
     with tempfile.TemporaryDirectory() as folder:
         metrics += end_to_end(Path(folder), 32 if quick else 200, repeats=3 if quick else 5, plain=not quick)
     return metrics if quick else metrics + memory()
@@ -86,7 +87,7 @@ def kernel(quick: bool) -> list[Metric]:
                     list(pool.map(lambda pair: np.copyto(pair[1], pair[0]), halves))
 
                 once()
-                copied, took = _side_by_side(copy, once, 21 if count < 10**7 else 9)
+                copied, took = side_by_side(copy, once, 21 if count < 10**7 else 9)
         name = f"throughput.kernel.{dtype}.{lens}.{count:.0e}".replace("+0", "")
         rate = 2 * source.nbytes / copied / 1e9
         print(f"  {name}: {took / count * 1e9:.2f} ns a point; the copy moves {rate:.1f} GB/s", flush=True)
@@ -96,9 +97,7 @@ def kernel(quick: bool) -> list[Metric]:
 
 def detection(rows: int, columns: int, names: Sequence[Detector], repeats: int) -> list[Metric]:
     """Sixteen colour frames in memory to stripes, against reading every byte once by two threads."""
-    frames = aligned((16, rows, columns, 3), np.uint8)
-    frames[:] = np.random.default_rng(0).integers(0, 40, frames.shape, dtype=np.uint8)
-    _draw(frames, np.zeros(16))
+    frames = sixteen_frames(rows, columns)
     words = np.array_split(frames.reshape(-1).view(np.uint64), 2)
 
     def detect(name: Detector) -> Float[np.ndarray, "frames columns"]:
@@ -106,14 +105,14 @@ def detection(rows: int, columns: int, names: Sequence[Detector], repeats: int) 
 
     metrics = []
     for name, work in {"bare": partial(bare_stripe, frames), **{n: partial(detect, n) for n in names}}.items():
-        off = work() - _centre(rows, np.arange(columns), 0.0)
+        off = work() - stripe_centre(rows, np.arange(columns), 0.0)
         print(f"  {columns} x {rows}, {name}: RMS {np.sqrt(np.mean(off**2)):.4f} px of the drawn stripe", flush=True)
         with ThreadPoolExecutor(2) as pool:
 
             def read(pool: ThreadPoolExecutor = pool) -> None:
                 list(pool.map(np.bitwise_or.reduce, words))
 
-            limit, took = _side_by_side(read, work, repeats)
+            limit, took = side_by_side(read, work, repeats)
         goal = None if name not in CLOSED else 0.5 if columns > 1000 else 0.35
         label = f"throughput.detect.{columns}.{name}"
         better = "shown" if name == "bare" else "higher"
@@ -146,7 +145,7 @@ def end_to_end(folder: Path, count: int, repeats: int, plain: bool) -> list[Metr
             for _ in scanner.scan(scan):
                 pass
 
-        limit, took = _side_by_side(decode, whole, repeats)
+        limit, took = side_by_side(decode, whole, repeats)
         label = f"throughput.scan.{name}"
         print(
             f"  {label}: {points} points, {count / took:.0f} frames/s, decoding alone {count / limit:.0f}", flush=True
@@ -154,7 +153,7 @@ def end_to_end(folder: Path, count: int, repeats: int, plain: bool) -> list[Metr
         print(f"  {label}: the first time, compilation and all, {first:.1f} s", flush=True)
         metrics.append(ratio(f"{label}.over_decoding", took / limit, 1.15))
         if plain:
-            slow, took = _side_by_side(lambda: _plain(scan, content.rig), whole, 3)
+            slow, took = side_by_side(lambda: _plain(scan, content.rig), whole, 3)
             metrics.append(ratio(f"{label}.times_a_plain_loop", slow / took, 4.5, "higher"))
     return metrics
 
@@ -211,19 +210,28 @@ def _scan(folder: Path, count: int, rows: int = _ROWS, columns: int = _COLUMNS) 
     return read_scan(folder)
 
 
+def sixteen_frames(rows: int, columns: int) -> UInt[np.ndarray, "16 rows columns 3"]:
+    """Noise, and a red stripe across it; in memory from which a compiled function takes them as they are."""
+    frames = aligned((16, rows, columns, 3), np.uint8)
+    frames[:] = np.random.default_rng(0).integers(0, 40, frames.shape, dtype=np.uint8)
+    _draw(frames, np.zeros(16))
+    return frames
+
+
 def _draw(frames: UInt[np.ndarray, "frames rows columns 3"], phases: Float[np.ndarray, "frames"]) -> None:
     """A red stripe of σ 1.5 px across each frame."""
     _, rows, columns, _ = frames.shape
     u = np.arange(columns)
     for frame, phase in zip(frames, phases, strict=True):
-        centre = _centre(rows, u, phase)
+        centre = stripe_centre(rows, u, phase)
         for k in range(-6, 7):
             row = np.floor(centre).astype(int) + k
             level = frame[row, u, 0] + 190 * np.exp(-0.5 * ((row - centre) / 1.5) ** 2)
             frame[row, u, 0] = level.clip(0, 255).astype(np.uint8)
 
 
-def _centre(rows: int, u: Int[np.ndarray, "columns"], phase: float) -> Float[np.ndarray, "columns"]:
+def stripe_centre(rows: int, u: Int[np.ndarray, "columns"], phase: float) -> Float[np.ndarray, "columns"]:
+    """Where that stripe runs, px."""
     return 0.55 * rows + rows / 18 * np.sin(u / 200 + phase)
 
 
@@ -243,16 +251,3 @@ def _plain(scan: Scan, rig: Rig) -> None:
         x = cv2.undistortPoints(pixels[:, None], matrix, lens)[:, 0]
         ray = np.column_stack([x, np.ones(len(x))])
         _ = ray / (ray @ plane)[:, None]
-
-
-def _side_by_side(limit: Callable[[], object], work: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """Median seconds of both, taken in turn, so that a busy machine weighs on both."""
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        limit()
-        between = time.perf_counter()
-        work()
-        times.append((between - begin, time.perf_counter() - between))
-    of_limit, of_work = np.median(times, axis=0)
-    return float(of_limit), float(of_work)

@@ -26,6 +26,13 @@ def timed(work: Callable[[], _Answer], repeats: int = 5) -> Timed[_Answer]:
     return Timed(first, statistics.median(times), answer)
 
 
+def side_by_side(limit: Callable[[], object], work: Callable[[], object], repeats: int) -> tuple[float, float]:
+    """Median seconds of both, taken in turn, so that a busy machine weighs on both."""
+    times = [(_once(limit)[0], _once(work)[0]) for _ in range(repeats)]
+    of_limit, of_work = (statistics.median(some) for some in zip(*times, strict=True))
+    return of_limit, of_work
+
+
 def _once(work: Callable[[], _Answer]) -> tuple[float, _Answer]:
     begin = time.perf_counter()
     answer = work()

@@ -165,9 +165,11 @@ def fit_saddles(
         bends=pad(bends),
         scale=pad(reach_px.mean(axis=1)),
     )
+    # A GPU's own products of matrices would round to ten bits.
+    with jax.default_matmul_precision("highest"):
+        found = _fit(patches, pad(shape), jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32), 2 * half + 1)
     (shape, light, moved), variance, residual, share, correlation, by_bends = jax.tree.map(
-        lambda x: np.asarray(x, np.float64)[: len(starts)],
-        _fit(patches, pad(shape), jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32), 2 * half + 1),
+        lambda x: np.asarray(x, np.float64)[: len(starts)], found
     )
     told = np.column_stack([shape, light, variance, residual, correlation])
     settled = np.isfinite(told).all(axis=1) & (moved < _SETTLED_PX)

@@ -281,5 +281,5 @@ def _points(
     norm = jnp.linalg.norm(X, axis=-1)
     omega = geometry.kernel.omega[0]
     # ω · X = 1.
-    by_frame = jnp.abs(omega @ geometry.per_frame) * norm
+    by_frame = jnp.abs((omega * geometry.per_frame).sum()) * norm
     return points, by_frame / jnp.abs((along * X).sum(-1) / norm)

@@ -138,7 +138,7 @@ def _detect(
     color, columns = settings.color, settings.columns
     length = frames.shape[1 if columns else 2]
     narrow, wide = (min(half, (length - 1) // 2) for half in (_NARROW, _WIDE))
-    ambient = ambient_levels(np.asarray(frames), None if dark is None else np.asarray(dark), color)
+    ambient = ambient_levels(frames, dark, color)
     # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
     images, background = jax.device_put((frames, dark))
     peaks = coarse_peaks(images, background, ambient, color, columns)
@@ -271,15 +271,21 @@ def _spilt(
     return spilt
 
 
-def ambient_levels(frames: np.ndarray, dark: np.ndarray | None, color: str) -> Int[np.ndarray, "frames"]:
+def ambient_levels(
+    frames: np.ndarray | Array, dark: np.ndarray | Array | None, color: str
+) -> Int[np.ndarray, "frames"]:
     """The level of the other two channels without laser, in each frame."""
     if color == "grey":
         return np.zeros(len(frames), np.int32)
     every = max(1, int((frames.shape[1] * frames.shape[2] / _SOME_PIXELS) ** 0.5))
-    some = (slice(None), slice(None, None, every), slice(None, None, every))
-    others = sum(frames[(*some, i)].astype(np.int32) for i in CHANNELS[color][1:])
-    if dark is not None:
-        others = others - sum(dark[(*some, i)].astype(np.int32) for i in CHANNELS[color][1:])
+    _, first, second = CHANNELS[color]
+
+    def others_of(images: np.ndarray | Array) -> Int[np.ndarray, "frames rows columns"]:
+        # Of frames on a device no more is fetched than that.
+        some = np.asarray(images[:, ::every, ::every], np.int32)
+        return some[..., first] + some[..., second]
+
+    others = others_of(frames) if dark is None else others_of(frames) - others_of(dark)
     flat = np.reshape(others, (len(frames), -1))
     rank = int(_AMBIENT_QUANTILE * (flat.shape[1] - 1))
     return np.partition(flat, rank, axis=1)[:, rank].astype(np.int32)
