@@ -25,8 +25,7 @@ from jaxscan.images import (
     shows_second_board,
 )
 from jaxscan.images.board import LEAST_POINTS
-from jaxscan.images.stripe_settings import CHANNELS
-from jaxscan.images.stripes.brightest import brighter_color
+from jaxscan.images.stripes.brightest import brighter_color, brighter_in_most
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
@@ -168,7 +167,7 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
     notes = []
     for i, laser in enumerate(lasers):
         found = [stripe.brighter for view in views for stripe in view.stripes if stripe.laser == i]
-        brighter = next((color for color in CHANNELS if 2 * found.count(color) > len(found)), None)
+        brighter = brighter_in_most(found)
         if brighter is not None:
             notes.append(
                 f"the {_stripe_of(laser)} is brightest in {brighter} in most "

@@ -40,13 +40,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     for path in args.output:
         check_writable(path)
-    done = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime)
+    done, notes = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime)
     return {
         "kind": "points",
         "path": [str(path) for path in args.output],
         "frames": done.frames,
         "frames_without_stripe": done.empty,
         "points": done.points,
+        "notes": notes,
     }
 
 
@@ -57,8 +58,8 @@ def reconstruct_scan(
     detector: Detector = DEFAULT,
     choice: Choice = "strongest",
     spacetime: bool = False,
-) -> "Written":
-    """Reconstruct with a progress bar, writing the points to each output."""
+) -> tuple["Written", list[str]]:
+    """Reconstruct with a progress bar, writing the points to each output; what was written, and what is amiss."""
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
@@ -70,7 +71,7 @@ def reconstruct_scan(
     calibrated, photographs = read_rig(rig), read_scan(scan)
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
         scanner = Scanner(calibrated, detector, choice, spacetime)
-        return write_stream(outputs, scanner.scan(photographs, advance))
+        return write_stream(outputs, scanner.scan(photographs, advance)), scanner.notes
 
 
 def describe(result: dict[str, Any]) -> str:
@@ -80,4 +81,5 @@ def describe(result: dict[str, Any]) -> str:
         f"{result['points']} points from {result['frames']} frames"
         + (f" ({empty} without a stripe)" if empty else "")
         + f": {', '.join(result['path'])}"
+        + "".join(f"\nnote: {note}" for note in result["notes"])
     )

@@ -16,6 +16,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.decode import Image
+from jaxscan.images.stripes.brightest import brighter_color, brighter_in_most
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wrong_size
@@ -37,6 +38,9 @@ class Scanner:
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
         spacetime: measure the centre of the light's passage over each point in time: of scans in small, equal steps.
+
+    Attributes:
+        notes: what the photographs of the last scan have shown to be wrong in its settings.
     """
 
     def __init__(
@@ -51,6 +55,7 @@ class Scanner:
         self._choice: Choice = choice
         self._spacetime = spacetime
         self._ready: dict[StripeSettings, _Laser] = {}
+        self.notes: list[str] = []
 
     def scan(self, scan: Scan, advance: Callable[[int], object] = lambda by: None) -> Iterator[RangeImage]:
         """The range image of a scan, some frames at a time, in their order.
@@ -67,6 +72,7 @@ class Scanner:
         with said_of(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
+        self.notes = []
         for image in self._images(laser, scan, advance):
             frames += len(image.steps)
             seen += int(np.isfinite(image.pixels).sum())
@@ -112,9 +118,13 @@ class Scanner:
         photographs = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
         several = scan.exposures_s is not None and len(set(scan.steps)) < len(scan.steps)
         if not (several or self._spacetime or self._choice == "coherent"):
+            looked = False
             for some in photographs:
                 with said_of(scan.path):
                     image = laser.range_image(some)
+                if not looked and np.isfinite(image.pixels).any():
+                    looked = True
+                    self.notes += _miscoloured(scan.laser, some, image)
                 yield image
             return
         steps = merged_steps(scan, _kept(photographs), FRAMES_AT_ONCE)
@@ -178,6 +188,23 @@ class _Laser:
             sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, position, points, count, own))
         points = np.where(valid[..., None], points, np.float32(np.nan))
         return RangeImage(points, position, strength, sigma, sigma_pixel, valid, steps, self._per_step)
+
+
+def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> list[str]:
+    """Whether the stripe has another colour than it is looked for."""
+    line = np.arange(found.pixels.shape[1])
+    colors = [
+        brighter_color(image, np.stack((line, at) if laser.columns else (at, line), axis=-1), laser)
+        for image, at in zip(frames.images, found.pixels, strict=False)
+        if np.isfinite(at).any()
+    ]
+    brighter = brighter_in_most(colors)
+    if brighter is None:
+        return []
+    return [
+        f"the stripe is brightest in {brighter}, and is looked for in {laser.color}: "
+        f'set color = "{brighter}" under [laser] in scan.toml'
+    ]
 
 
 def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterator[Frames]:

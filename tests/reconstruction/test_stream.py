@@ -1,6 +1,7 @@
 """The stream: the same points whatever is looked at together, from files of any kind and from a camera as they come."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -169,3 +170,15 @@ def test_jpegs_are_those_of_opencv(tmp_path):
         out = np.empty(shape, np.uint8)
         assert read_image(path, out) is out
         np.testing.assert_array_equal(out, read_image(path))
+
+
+@pytest.mark.parametrize(("said", "notes"), [("green", 1), ("red", 0)])
+def test_a_stripe_of_another_colour_than_was_said_is_pointed_out(rig, photographs, tmp_path, said, notes):
+    # A white surface throws a little of a red laser's light into the green channel.
+    short = np.where(np.arange(photographs.shape[2]) < 32, photographs, 20)
+    coloured = np.stack([short, 20 + 0.3 * short, np.full(short.shape, 20)], axis=-1).astype(np.uint8)
+    scan = replace(scan_of(tmp_path, coloured, ".png"), laser=StripeSettings(said))
+    scanner = Scanner(rig, "gravity")
+    assert sum(image.valid.sum() for image in scanner.scan(scan))
+    assert len(scanner.notes) == notes
+    assert all('set color = "red"' in note for note in scanner.notes)

@@ -1,5 +1,6 @@
 """In which colour a stripe is brightest: what was said of the laser may be wrong, and a JPEG shows a little of any."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -46,3 +47,8 @@ def brighter_color(
     brightest = max(CHANNELS, key=lambda color: rise[CHANNELS[color][0]])
     far = rise.max() > _TIMES * max(rise[own], _LEAST_RISE * full)
     return brightest if far else None
+
+
+def brighter_in_most(found: Sequence[str | None]) -> str | None:
+    """The colour that was found in more than half of the photographs; None if there is none."""
+    return next((color for color in CHANNELS if 2 * found.count(color) > len(found)), None)
