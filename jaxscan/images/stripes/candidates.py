@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxscan.detectors import Choice
-from jaxscan.images.stripes.coarse import stand_out
+from jaxscan.images.stripes.coarse import level_of, row_of, stand_out
 from jaxscan.images.stripes.coherent import support
 
 # How many candidates of a line are kept.
@@ -33,7 +33,10 @@ def candidates(
 
     A strength is how much the candidate stands out, in parts of the line's best; 0 where there are fewer.
     """
-    score, row = (jnp.moveaxis(x, 1 if columns else 2, 2) for x in stand_out(peaks, length, columns))
+    down = 1 if columns else 2
+    score = jnp.moveaxis(stand_out(level_of(peaks), columns), down, 2)
+    block = jax.lax.broadcasted_iota(jnp.int32, score.shape, 2)
+    row = row_of(jnp.moveaxis(peaks, down, 2).astype(jnp.int32), block, length)
     beyond = [(0, 0), (0, 0), (1, 1)]
     around = jnp.pad(score, beyond, constant_values=jnp.iinfo(score.dtype).min)
     best = score.max(2, keepdims=True)

@@ -25,13 +25,6 @@ def block_size(length: int) -> int:
     return next((b for b in _BLOCKS if length % b == 0), _BLOCKS[0])
 
 
-def block_starts(length: int) -> list[int]:
-    """The first row of each block."""
-    block = block_size(length)
-    whole = list(range(0, length - block + 1, block))
-    return whole if length % block == 0 else [*whole, length - block]
-
-
 @partial(jax.jit, static_argnames=("color", "columns"))
 def coarse_peaks(
     images: Images, background: Backgrounds | None, ambient: Int[Array, "frames"], color: str, columns: bool
@@ -59,23 +52,30 @@ def _reduce_blocks(level: Int[Array, "frames rows columns"], block: int, axis: i
     return (split * 2**_BITS + place).max(axis + 1)
 
 
-def stand_out(peaks: Int[Array, "frames across down"], length: int, columns: bool) -> tuple[Array, Array]:
-    """How much each block stands out from its surroundings, and the row (or column) of its peak.
+def stand_out(level: Int[Array, "frames across down"], columns: bool) -> Int[Array, "frames across down"]:
+    """How much each block stands out from its surroundings, twice.
 
     A stripe is narrow and a glare is broad: half the level of the brighter of the surroundings is taken off. What lies
     beyond the image's edge is taken to be as bright as the last block.
     """
     axis = 1 if columns else 2
-    # Twice a level and its difference from another still fit the integers of the peaks, that hold 32 of them.
-    level = peaks >> _BITS
     n = level.shape[axis]
     far = [(0, 0)] * 3
     far[axis] = (_SURROUNDINGS, _SURROUNDINGS)
     padded = jnp.pad(level, far, mode="edge")
     before, after = (jax.lax.slice_in_dim(padded, i, i + n, axis=axis) for i in (0, 2 * _SURROUNDINGS))
-    starts = jnp.asarray(block_starts(length), peaks.dtype).reshape(_along(axis, 3))
-    row = starts + (2**_BITS - 1) - (peaks & (2**_BITS - 1))
-    return 2 * level - jnp.maximum(before, after), row
+    return 2 * level - jnp.maximum(before, after)
+
+
+def level_of(peaks: Int[Array, "..."]) -> Int[Array, "..."]:
+    """The response of packed peaks."""
+    return peaks >> _BITS
+
+
+def row_of(peaks: Int[Array, "..."], block: Int[Array, "..."], length: int) -> Int[Array, "..."]:
+    """The row (or column) of packed peaks."""
+    start = jnp.minimum(block * block_size(length), length - block_size(length))
+    return start + (2**_BITS - 1) - (peaks & (2**_BITS - 1))
 
 
 @partial(jax.jit, static_argnames=("length", "columns"))
@@ -85,9 +85,15 @@ def choose_peaks(peaks: Int[Array, "frames across down"], length: int, columns: 
     Of equals the first is taken.
     """
     axis = 1 if columns else 2
-    score, row = stand_out(peaks, length, columns)
-    # Two plain reductions: one that returns the place of a maximum is ten times slower.
-    return jnp.where(score == score.max(axis, keepdims=True), row, length).min(axis).astype(jnp.int32)
+    n = peaks.shape[axis]
+    bits = (n - 1).bit_length()
+    score = stand_out(level_of(peaks).astype(jnp.int32), columns)
+    # Packed once more, for a reduction that also returns the place of a maximum is ten times slower.
+    place = jax.lax.broadcasted_iota(jnp.int32, score.shape, axis)
+    best = (score * 2**bits + (n - 1 - place)).max(axis, keepdims=True)
+    block = n - 1 - (best & (2**bits - 1))
+    peak = jnp.take_along_axis(peaks, block, axis, mode="promise_in_bounds")
+    return row_of(peak.astype(jnp.int32), block, length).squeeze(axis)
 
 
 def _along(axis: int, rank: int) -> list[int]:
