@@ -62,42 +62,49 @@ class LensInverse(eqx.Module):
     across: Float[Array, "fewer shift"]
     corrections: int = eqx.field(static=True)
 
-    def __call__(
-        self, xd: Float[Array, ""], yd: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        """Undistorted coordinates, and how far within the reach the pixel lies: 1 − ρ; beyond it nothing holds."""
+    def __call__(self, xd: Float[Array, ""], yd: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Undistorted coordinates; NaN beyond the reach, where nothing holds."""
         if not self.tangential.size:
-            return self._radial(xd, yd)
+            return self._radial(xd, yd, jnp.nan)
         p1, p2 = self.tangential
-        m, powers = self._invariants(xd, yd)
-        F, G = (_horner(m, [_horner(powers, row) for row in rows]) for rows in (self.along, self.across))
-        x, y, margin = self._radial(xd - F * xd - G * p2, yd - F * yd - G * p1)
+        m, t = self._invariants(xd, yd)
+        F, G = (_polynomial(m, [_polynomial(t, row) for row in rows]) for rows in (self.along, self.across))
+        at = xd - F * xd - G * p2, yd - F * yd - G * p1
         for _ in range(self.corrections):
+            # Held at the reach: a correction that starts beyond it must not be thrown about by the polynomial's tail.
+            x, y = self._radial(*at, self.factor.sum())
             moved = distort((), (p1, p2), jnp.stack([x, y])) - jnp.stack([x, y])
-            x, y, margin = self._radial(xd - moved[0], yd - moved[1])
-        return x, y, margin
+            at = xd - moved[0], yd - moved[1]
+        return self._radial(*at, jnp.nan)
 
     def _radial(
-        self, xd: Float[Array, ""], yd: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        rho = (xd * xd + yd * yd) * self.inverse_reach
-        # Held at the reach: a correction that starts beyond it must not be thrown about by the polynomial's tail.
-        s = _horner(2 * jnp.minimum(rho, 1.0) - 1, self.factor)
-        return xd * s, yd * s, 1 - rho
+        self, xd: Float[Array, ""], yd: Float[Array, ""], beyond: Float[Array, ""] | float
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """The radial lens alone, with a factor of one's own beyond the reach."""
+        t = self._place(xd, yd)
+        s = jnp.where(t < 1, _polynomial(t, self.factor), beyond)
+        return xd * s, yd * s
+
+    def _place(self, xd: Float[Array, "*n"], yd: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """2ρ − 1."""
+        return (xd * xd + yd * yd) * (2 * self.inverse_reach) - 1
 
     def _invariants(self, xd: Float[Array, "*n"], yd: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
-        """m, and 2ρ − 1 of the distorted ray."""
+        """m, and 2ρ − 1 of the distorted ray, held at the reach."""
         p1, p2 = self.tangential
-        rho = (xd * xd + yd * yd) * self.inverse_reach
-        return p2 * xd + p1 * yd, 2 * jnp.minimum(rho, 1.0) - 1
+        t = self._place(xd, yd)
+        # Not `minimum`, which asks for NaN too.
+        return p2 * xd + p1 * yd, jnp.where(t < 1, t, 1.0)
 
 
-def _horner(x: Float[Array, "*n"], coefficients: Float[Array, "coefficients"] | list) -> Float[Array, "*n"]:
-    """Σ c_i x^i."""
-    total = coefficients[-1]
-    for c in coefficients[-2::-1]:
-        total = total * x + c
-    return jnp.broadcast_to(total, x.shape)
+def _polynomial(x: Float[Array, "*n"], coefficients: Float[Array, "coefficients"] | list) -> Float[Array, "*n"]:
+    """Σ c_i x^i by halves, each of powers of x²: steps wait for one another, and these are half as many (G. Estrin)."""
+    terms = list(coefficients)
+    while len(terms) > 1:
+        ends = terms[-1:] if len(terms) % 2 else []
+        terms = [low + high * x for low, high in zip(terms[::2], terms[1::2], strict=False)] + ends
+        x = x * x
+    return jnp.broadcast_to(terms[0], x.shape)
 
 
 def lens_inverse(camera: Camera) -> LensInverse:
@@ -134,8 +141,8 @@ def lens_inverse(camera: Camera) -> LensInverse:
             inverse = _with_shift(inverse, np.stack(tangential), xd[within], (xd - straight)[within])
             for corrections in _CORRECTIONS:
                 inverse = replace(inverse, corrections=corrections)
-                x, y, margin = (np.asarray(z) for z in _over_image(inverse, *jnp.asarray(xd.T)))
-                off = np.hypot(x - exact[:, 0], y - exact[:, 1])[margin > 0] * focal
+                x, y = (np.asarray(z) for z in _over_image(inverse, *jnp.asarray(xd.T)))
+                off = np.hypot(x - exact[:, 0], y - exact[:, 1])[np.isfinite(x)] * focal
                 if (off <= _FIT_LIMIT_PX).all():
                     return inverse
     raise InputError(

@@ -62,11 +62,13 @@ class Kernel(eqx.Module):
         """One stripe pixel at a motor step count to its point (mm, object frame); NaN where it sees no sheet."""
         xd = (u - self.principal[0]) * self.inverse_focal[0]
         yd = (v - self.principal[1]) * self.inverse_focal[1]
-        x, y, margin = self.lens(xd, yd)
-        inverse_depth = self.omega[:, 0] * x + self.omega[:, 1] * y + self.omega[:, 2]
-        point = (self.axes[:, 0] * x + self.axes[:, 1] * y + self.axes[:, 2]) / inverse_depth + self.back * steps
-        # One comparison: a loop over the conjunction of two is not vectorised, and takes seven times as long.
-        return jnp.where(jnp.minimum(inverse_depth, margin) > 0, point, jnp.nan)
+        x, y = self.lens(xd, yd)
+        # In brackets, each term is one instruction with the next.
+        inverse_depth = self.omega[:, 0] * x + (self.omega[:, 1] * y + self.omega[:, 2])
+        point = (self.axes[:, 0] * x + (self.axes[:, 1] * y + self.axes[:, 2])) / inverse_depth + self.back * steps
+        # One comparison, NaN beyond the lens: a loop over the conjunction of two is not vectorised, and takes seven
+        # times as long.
+        return jnp.where(inverse_depth > 0, point, jnp.nan)
 
 
 @jax.jit
