@@ -53,7 +53,7 @@ def detection(device: Any, rows: int, columns: int, names: Sequence[Detector], r
         limit, took = side_by_side(lambda: jax.block_until_ready(read_once(there)), detect, repeats)
         print(f"  {name}.{detector}: {took * 1e3:.2f} ms for 16 frames; the first time {first:.1f} s", flush=True)
         metrics.append(Metric(f"{name}.{detector}.ns_a_column", took / (16 * columns) * 1e9, "ns"))
-        metrics.append(Metric(f"{name}.{detector}.over_a_read", took / limit))
+        metrics.append(Metric(f"{name}.{detector}.of_a_read", limit / took))
     return metrics
 
 

@@ -15,7 +15,7 @@ def test_transfer_and_work_are_figures_of_their_own():
         m.name: m.value for m in (*device.detection(here, 64, 96, ("gravity",), 1), *device.kernel(here, 1000, 1))
     }
     assert all(value > 0 for value in figures.values())
-    for name in ("96.to_device.ms", "96.gravity.over_a_read", "kernel.1e3.of_a_copy", "kernel.1e3.to_host.rate"):
+    for name in ("96.to_device.ms", "96.gravity.of_a_read", "kernel.1e3.of_a_copy", "kernel.1e3.to_host.rate"):
         assert f"device.cpu.{name}" in figures
 
 
