@@ -15,12 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from benchmarks.metric import Metric
-from benchmarks.throughput import OF_A_READ, rig, sixteen_frames
+from benchmarks.throughput import OF_A_READ, power_of_ten, random_pixels, sixteen_frames, triangulation
 from benchmarks.timing import side_by_side, timed
 from jaxscan.detectors import DETECTORS, Detector
 from jaxscan.images import StripeSettings, detect_stripe
-from jaxscan.reconstruction import Kernel
-from jaxscan.reconstruction.triangulate import triangulate_into
 
 
 def measure(quick: bool) -> list[Metric]:
@@ -61,28 +59,24 @@ def detection(device: Any, rows: int, columns: int, names: Sequence[Detector], r
 
 def kernel(device: Any, count: int, repeats: int) -> list[Metric]:
     """Triangulation of pixels that are on the device, into a buffer there; and both ways between."""
-    name = f"device.{device.platform}.kernel.{count:.0e}".replace("+0", "")
-    random = np.random.default_rng(0)
-    pixels = [random.uniform(0, top, count).astype(np.float32) for top in (639, 479, 7e4)]
+    name = f"device.{device.platform}.kernel.{power_of_ten(count)}"
+    pixels = random_pixels(count, "float32")
 
     def send() -> list[jax.Array]:
         return jax.block_until_ready(jax.device_put(pixels, device))
 
     with jax.default_device(device):
-        ready, inputs = Kernel.create(rig(640, 480)), send()
-        points, numbers, copied = jnp.zeros((count, 3)), jnp.ones(3 * count), jnp.zeros(3 * count)
+        once = triangulation(pixels, "radial1")
+        numbers, copied = jnp.ones(3 * count), jnp.zeros(3 * count)
 
     def copy() -> None:
         nonlocal copied
         copied = jax.block_until_ready(_negative_into(copied, numbers))
 
-    def once() -> None:
-        nonlocal points
-        points = jax.block_until_ready(triangulate_into(points, ready, *inputs))
-
     copy()
     once()
     limit, took = side_by_side(copy, once, repeats)
+    points = once()
     print(f"  {name}: {took / count * 1e9:.3f} ns a point; the copy {24e-9 * count / limit:.0f} GB/s", flush=True)
     return [
         Metric(f"{name}.of_a_copy", limit / took),

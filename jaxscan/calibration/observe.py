@@ -25,7 +25,7 @@ from jaxscan.images import (
     shows_second_board,
 )
 from jaxscan.images.board import LEAST_POINTS
-from jaxscan.images.stripes.brightest import brighter_color, brighter_in_most
+from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
@@ -167,12 +167,9 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
     notes = []
     for i, laser in enumerate(lasers):
         found = [stripe.brighter for view in views for stripe in view.stripes if stripe.laser == i]
-        brighter = brighter_in_most(found)
-        if brighter is not None:
-            notes.append(
-                f"the {_stripe_of(laser)} is brightest in {brighter} in most "
-                f'photographs, and is looked for in {laser.color}: set color = "{brighter}" under [laser]'
-            )
+        said = miscoloured(found, laser)
+        if said is not None:
+            notes.append(f"the {_stripe_of(laser)} {said}")
     return notes
 
 

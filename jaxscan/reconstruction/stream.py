@@ -16,7 +16,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.decode import Image
-from jaxscan.images.stripes.brightest import brighter_color, brighter_in_most
+from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wrong_size
@@ -192,19 +192,13 @@ class _Laser:
 
 def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> list[str]:
     """Whether the stripe has another colour than it is looked for."""
-    line = np.arange(found.pixels.shape[1])
     colors = [
-        brighter_color(image, np.stack((line, at) if laser.columns else (at, line), axis=-1), laser)
+        brighter_color(image, np.stack(_u_and_v(at, laser.columns), axis=-1), laser)
         for image, at in zip(frames.images, found.pixels, strict=False)
         if np.isfinite(at).any()
     ]
-    brighter = brighter_in_most(colors)
-    if brighter is None:
-        return []
-    return [
-        f"the stripe is brightest in {brighter}, and is looked for in {laser.color}: "
-        f'set color = "{brighter}" under [laser] in scan.toml'
-    ]
+    said = miscoloured(colors, laser)
+    return [] if said is None else [f"the stripe {said} in scan.toml"]
 
 
 def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterator[Frames]:
@@ -223,11 +217,17 @@ def _kept(frames: Iterable[Frames]) -> Iterator[Batch]:
 def _triangulated(
     kernel: Kernel, position: Float[np.ndarray, "frames lines"], steps: Float[np.ndarray, "frames"], columns: bool
 ) -> Float[np.ndarray, "frames lines 3"]:
-    index = np.broadcast_to(np.arange(position.shape[1], dtype=np.float32), position.shape)
-    u, v = (index, position) if columns else (position, index)
+    u, v = _u_and_v(position, columns)
     count = np.broadcast_to(steps[:, None], position.shape)
     points = triangulate(kernel, *(jnp.asarray(x.ravel()) for x in (u, v, count)))
     return np.asarray(points).reshape(*position.shape, 3)
+
+
+def _u_and_v(
+    position: Float[np.ndarray, "*frames lines"], columns: bool
+) -> tuple[Float[np.ndarray, "*frames lines"], Float[np.ndarray, "*frames lines"]]:
+    line = np.broadcast_to(np.arange(position.shape[-1], dtype=np.float32), position.shape)
+    return (line, position) if columns else (position, line)
 
 
 def _check(rig: Rig, scan: Scan) -> None:

@@ -49,6 +49,12 @@ def brighter_color(
     return brightest if far else None
 
 
-def brighter_in_most(found: Sequence[str | None]) -> str | None:
-    """The colour that was found in more than half of the photographs; None if there is none."""
-    return next((color for color in CHANNELS if 2 * found.count(color) > len(found)), None)
+def miscoloured(found: Sequence[str | None], settings: StripeSettings) -> str | None:
+    """What is said of a stripe that is brightest in another colour in more than half of the photographs."""
+    brighter = next((color for color in CHANNELS if 2 * found.count(color) > len(found)), None)
+    if brighter is None:
+        return None
+    return (
+        f"is brightest in {brighter} in most photographs, and is looked for in {settings.color}: "
+        f'set color = "{brighter}" under [laser]'
+    )
