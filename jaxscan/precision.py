@@ -1,4 +1,4 @@
-"""Float64 where it is needed, whatever the caller's JAX configuration says."""
+"""Float64 or float32 as the work needs it, whatever the caller's JAX configuration says."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,6 +31,13 @@ def float64() -> Iterator[None]:
             'jax.config.update("jax_enable_x64", True) before anything else'
         )
     with jax.enable_x64(True):
+        yield
+
+
+@contextmanager
+def float32() -> Iterator[None]:
+    """Run a block in float32 and leave the caller's configuration as it was."""
+    with jax.enable_x64(False):
         yield
 
 

@@ -19,6 +19,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscan.elimination import solve_blocks
+
 
 class Arrow(eqx.Module):
     """A vector of unknowns, or of residuals, in the shape of the problem.
@@ -109,8 +111,10 @@ class NormalEquations(eqx.Module):
         """The Gauss-Newton step −(JᵀJ)⁻¹ Jᵀr; NaN where JᵀJ is not positive definite."""
         eliminated = [_eliminate(group) for group in self.groups]
         S, g, scale = *self._reduced(eliminated), _scale(self.U)
-        factor = jnp.linalg.cholesky(scale[:, None] * S * scale[None])
-        return _with_blocks(-scale * jax.scipy.linalg.cho_solve((factor, True), scale * g), eliminated)
+        # One matrix, no batch, here and below: LAPACK's calls are not split then, and cannot wait for each other.
+        factor = jnp.linalg.cholesky(scale[:, None] * S * scale[None])  # noqa: TID251
+        step = -scale * jax.scipy.linalg.cho_solve((factor, True), scale * g)  # noqa: TID251
+        return _with_blocks(step, eliminated)
 
     def determined_step(self) -> tuple[Arrow, Float[Array, ""]]:
         """The Gauss-Newton step along what the data determine, and gᵀ (JᵀJ)⁻¹ g, by how much ‖r‖² would fall.
@@ -119,7 +123,7 @@ class NormalEquations(eqx.Module):
         """
         eliminated = [_eliminate(group) for group in self.groups]
         S, g, scale = *self._reduced(eliminated), _scale(self.U)
-        values, vectors = jnp.linalg.eigh(scale[:, None] * S * scale[None])
+        values, vectors = jnp.linalg.eigh(scale[:, None] * S * scale[None])  # noqa: TID251
         # Below this an eigenvalue is rounding: the direction is not determined, and no step along it is wanted.
         determined = values > 1e3 * jnp.finfo(values.dtype).eps
         along = vectors.T @ (scale * g)
@@ -158,37 +162,6 @@ def _eliminate(group: Group) -> _Eliminated:
 def _with_blocks(step: Float[Array, "shared"], eliminated: list[_Eliminated]) -> Arrow:
     """A step of the shared unknowns and those of the blocks that follow from it."""
     return Arrow(step, tuple(-(e.own + e.coupling @ step) for e in eliminated))
-
-
-def solve_blocks(
-    V: Float[Array, "blocks size size"], right: Float[Array, "blocks size columns"]
-) -> Float[Array, "blocks size columns"]:
-    """V_b⁻¹ times a right-hand side for each block.
-
-    An unknown on which no residual depends (a padded block) stays where it is. Gauss-Jordan elimination, which needs no
-    pivoting on a positive definite matrix, runs over the few columns of a block and over all blocks at once: LAPACK,
-    called for each small matrix, is slower by an order of magnitude.
-    """
-    size = V.shape[-1]
-    diagonal = jnp.diagonal(V, axis1=-2, axis2=-1)
-    unused = diagonal <= 0
-    scale = jax.lax.rsqrt(jnp.where(unused, 1.0, diagonal))
-    unit = scale[..., :, None] * V * scale[..., None, :]
-    gaps = jnp.where(unused, 1.0, 0.0).astype(V.dtype)[..., None] * jnp.eye(size, dtype=V.dtype)[None]
-    augmented = jnp.concatenate([unit + gaps, scale[..., None] * right], -1)
-
-    def eliminate(j: Array, M: Float[Array, "size columns blocks"]) -> Float[Array, "size columns blocks"]:
-        row = jax.lax.dynamic_index_in_dim(M, j, 0, keepdims=False)
-        pivot = jax.lax.dynamic_index_in_dim(row, j, 0)
-        # Rounding in place of a pivot: a direction without data, which stays where it is (a generalised inverse).
-        determined = pivot > 1e3 * jnp.finfo(M.dtype).eps
-        row = jnp.where(determined, row / jnp.where(determined, pivot, 1.0), 0.0)
-        M = M - jax.lax.dynamic_index_in_dim(M, j, 1) * row[None]
-        return jax.lax.dynamic_update_index_in_dim(M, row, j, 0)
-
-    # Blocks last: the long axis is then the one that vectorises.
-    solved = jax.lax.fori_loop(0, size, eliminate, jnp.transpose(augmented, (1, 2, 0)))
-    return scale[..., None] * jnp.transpose(solved[:, size:], (2, 0, 1))
 
 
 def _scale(U: Float[Array, "n n"]) -> Float[Array, "n"]:

@@ -10,9 +10,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, linearise, solve_blocks
+from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, linearise
 from jaxscan.calibration.bundle import Estimate, ObservationGroup, Prior, as_arrow
 from jaxscan.calibration.residuals import Noise
+from jaxscan.elimination import solve_blocks
 
 # An eigenvalue of the Schur complement, scaled to a unit diagonal, below this is rounding: a direction not determined.
 UNDETERMINED = 1e-11
@@ -56,7 +57,8 @@ def arrow_precision(value: Arrow, jacobian: Jacobian) -> Precision:
     S = normal.schur_complement()
     diagonal = jnp.diagonal(normal.U)
     scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
-    eigenvalues, vectors = jnp.linalg.eigh(scale[:, None] * S * scale[None])
+    # One matrix, no batch: see `block_arrow`.
+    eigenvalues, vectors = jnp.linalg.eigh(scale[:, None] * S * scale[None])  # noqa: TID251
     directions = scale[:, None] * vectors
     covariance = (directions / jnp.maximum(eigenvalues, jnp.finfo(eigenvalues.dtype).eps)[None]) @ directions.T
     n = covariance.shape[0]

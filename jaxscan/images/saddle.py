@@ -37,9 +37,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import solve
 from jax.scipy.special import erf
 from jaxtyping import Array, Bool, Float
+
+from jaxscan.elimination import solve_blocks
+from jaxscan.precision import float32
 
 Vectors = Float[np.ndarray, "corners 2"]
 Scalars = Float[np.ndarray, "corners"]
@@ -155,18 +157,18 @@ def fit_saddles(
     # Across an edge a part of a square is shorter than along the other one, where they do not cross at right angles.
     sine = np.abs(np.linalg.det(lattice))[:, None]
     pad = partial(_padded, by=-len(starts) % _BATCH)
-    patches = _Patches(
-        levels=pad((levels - middle[:, None]) / spread[:, None]),
-        inside=pad(inside),
-        full=pad(full),
-        to_lattice=pad(np.linalg.inv(lattice) * sine[:, :, None]),
-        reach=pad(reach_px * sine),
-        clear=pad(np.stack([clear, clear], axis=1)),
-        bends=pad(bends),
-        scale=pad(reach_px.mean(axis=1)),
-    )
     # A GPU's own products of matrices would round to ten bits.
-    with jax.default_matmul_precision("highest"):
+    with float32(), jax.default_matmul_precision("highest"):
+        patches = _Patches(
+            levels=pad((levels - middle[:, None]) / spread[:, None]),
+            inside=pad(inside),
+            full=pad(full),
+            to_lattice=pad(np.linalg.inv(lattice) * sine[:, :, None]),
+            reach=pad(reach_px * sine),
+            clear=pad(np.stack([clear, clear], axis=1)),
+            bends=pad(bends),
+            scale=pad(reach_px.mean(axis=1)),
+        )
         found = _fit(patches, pad(shape), jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32), 2 * half + 1)
     (shape, light, moved), variance, residual, share, correlation, by_bends = jax.tree.map(
         lambda x: np.asarray(x, np.float64)[: len(starts)], found
@@ -226,9 +228,7 @@ def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tupl
         biweight = jnp.clip(1 - (residuals / limit) ** 2, 0) ** 2
         weights = window * trusted * jnp.where(phase == 1, biweight, 1.0)
         damping = jnp.where((phase == 0) & (k < _DAMPED_STEPS), _DAMPING, 0.0)
-        state = jax.vmap(_step, in_axes=(0, 0, 0, 0, 0, None))(
-            state.shape, state.light, residuals, jacobian, weights, damping
-        )
+        state = _step(state.shape, state.light, residuals, jacobian, weights, damping)
         done = (k + 1 >= most[phase]) | ((k > 0) & (state.moved < step_done[phase]).all())
         return jnp.where(done, phase + 1, phase), jnp.where(done, 0, k + 1), state, trusted
 
@@ -243,9 +243,7 @@ def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tupl
     weights = window * trusted
     total = weights.sum(1)
     normal = (jacobian * weights[:, None]) @ jacobian.mT
-    # The inverse's diagonal in units of the parameters' own, which rounding needs.
-    unit = jax.lax.rsqrt(jnp.einsum("nii->ni", normal) + _TINY)
-    inverse = jnp.linalg.inv(normal * unit[:, :, None] * unit[:, None, :]) * unit[:, :, None] * unit[:, None, :]
+    inverse = solve_blocks(normal, jnp.broadcast_to(jnp.eye(_PARAMETERS), normal.shape))
     variance = jnp.einsum("nii->ni", inverse)[:, :2]
     # How far a residual of one level at each pixel would move the corner.
     pull = inverse[:, :2] @ (jacobian * weights[:, None])
@@ -336,26 +334,28 @@ def _saddle(x: Array, y: Array, shape: Array, bends: Array) -> tuple[Array, list
 
 
 def _step(shape: Array, light: Array, residuals: Array, jacobian: Array, weights: Array, damping: Array) -> _State:
-    """One step of Gauss and Newton, held short.
+    """One step of Gauss and Newton for each corner, held short.
 
     A blur that stands at the end of its range and would leave it is held (D. Bertsekas 1982): a step that is cut off
     afterwards would carry the corner along with a change of the blur that is not made.
     """
     sharpest, widest = np.log(_BLUR_RANGE_PX)
-    downhill = (jacobian[4:6] * weights[None]) @ residuals
-    held = ((shape[4:] <= sharpest) & (downhill < 0)) | ((shape[4:] >= widest) & (downhill > 0))
-    jacobian = jacobian.at[4:6].multiply(jnp.where(held, 0.0, 1.0)[:, None])
+    weighted = jacobian * weights[:, None]
+    downhill = (weighted[:, 4:6] @ residuals[..., None])[..., 0]
+    held = ((shape[:, 4:] <= sharpest) & (downhill < 0)) | ((shape[:, 4:] >= widest) & (downhill > 0))
+    jacobian = jacobian.at[:, 4:6].multiply(jnp.where(held, 0.0, 1.0)[..., None])
     change = _least_squares(jacobian, residuals, weights, damping)
-    longest = jnp.asarray(_LONGEST_STEP)
-    shape = shape + jnp.clip(change[:6], -longest, longest)
-    shape = shape.at[4:].set(jnp.clip(shape[4:], sharpest, widest))
-    return _State(shape, light + change[6:], jnp.abs(change[:2]).max())
+    longest = jnp.asarray(_LONGEST_STEP)[None]
+    shape = shape + jnp.clip(change[:, :6], -longest, longest)
+    shape = shape.at[:, 4:].set(jnp.clip(shape[:, 4:], sharpest, widest))
+    return _State(shape, light + change[:, 6:], jnp.abs(change[:, :2]).max(1))
 
 
 def _least_squares(jacobian: Array, residuals: Array, weights: Array, damping: Array) -> Array:
-    weighted = jacobian * weights[None]
-    normal = weighted @ jacobian.T
-    scale = jnp.diagonal(normal)
+    weighted = jacobian * weights[:, None]
+    normal = weighted @ jacobian.mT
+    scale = jnp.einsum("nii->ni", normal)
     # A flat window has no saddle: a little on the diagonal keeps its equations solvable, and it does not settle.
-    extra = damping * scale + _TINY * (1 + scale.max())
-    return solve(normal + jnp.diag(extra), weighted @ residuals, assume_a="pos")
+    extra = damping * scale + _TINY * (1 + scale.max(1, keepdims=True))
+    damped = normal + extra[:, None] * jnp.eye(_PARAMETERS)[None]
+    return solve_blocks(damped, weighted @ residuals[..., None])[..., 0]

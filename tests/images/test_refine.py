@@ -1,3 +1,4 @@
+import jax
 import numpy as np
 import pytest
 import render
@@ -143,3 +144,11 @@ def test_neighbours():
     assert away.max() < 3.1
     corners[:] = np.nan
     assert np.isnan(distance_from_prediction(corners)).all()
+
+
+def test_corners_are_the_same_in_float64_mode(x64):
+    centre, angles = np.array([20.2, 19.7]), (0.1, 1.7)
+    image = saddle_image(centre, angles, 1.0)
+    found = fit(100 * image, centre, angles, start=(0.5, -0.4))
+    with jax.enable_x64(False):
+        np.testing.assert_array_equal(found.pixels, fit(100 * image, centre, angles, start=(0.5, -0.4)).pixels)
