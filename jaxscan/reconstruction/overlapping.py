@@ -1,6 +1,6 @@
 """Batches of frames with their neighbours in time, for whatever looks at several frames together."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +13,14 @@ class Overlapping(NamedTuple):
     """Some frames of a scan, and neighbours of theirs.
 
     Attributes:
-        frames: neighbours before, the frames, neighbours after, as far as the scan has them.
+        frames: a buffer that holds first neighbours before, the frames, neighbours after, as far as the scan has them.
+            It has one size in all batches, so that a shorter batch compiles nothing anew; what is left of it is black.
         backgrounds: one for each of these, or one for all, or None.
-        steps: of all of these.
+        steps: their motor step counts, as many as there are frames.
         inner: which of them the batch is of.
     """
 
-    frames: UInt[np.ndarray, "frames rows columns *rgb"]
+    frames: UInt[np.ndarray, "buffer rows columns *rgb"]
     backgrounds: UInt[np.ndarray, "backgrounds rows columns *rgb"] | None
     steps: Int[np.ndarray, "frames"]
     inner: slice
@@ -42,8 +43,13 @@ def overlapping(batches: Iterable[Batch], before: int, after: int, size: int) ->
 
     def ready(count: int) -> Overlapping:
         frames, darks, steps = zip(*held[: done + count + after], strict=True)
-        backgrounds = shared if darks[0] is None else np.stack(darks)
-        return Overlapping(np.stack(frames), backgrounds, np.asarray(steps), slice(done, done + count))
+        backgrounds = shared if darks[0] is None else buffer(darks)
+        return Overlapping(buffer(frames), backgrounds, np.asarray(steps), slice(done, done + count))
+
+    def buffer(images: Sequence[np.ndarray]) -> np.ndarray:
+        full = np.zeros((before + size + after, *images[0].shape), images[0].dtype)
+        full[: len(images)] = images
+        return full
 
     for frames, backgrounds, steps in batches:
         darks: Iterable[np.ndarray | None] = [None] * len(frames)

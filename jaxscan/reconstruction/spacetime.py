@@ -188,8 +188,8 @@ def _profiles(
     images, grounds = jax.device_put((batch.frames, batch.backgrounds))
     half, farthest = half_window(sigma), _FARTHEST * sigma
     window = some[:, None] + np.arange(-half, half + 1)
-    within = (window >= 0) & (window < len(images))
-    frame = jnp.asarray(window.clip(0, len(images) - 1), jnp.int32)
+    within = (window >= 0) & (window < len(batch.steps))
+    frame = jnp.asarray(window.clip(0, len(batch.steps) - 1), jnp.int32)
     begin = jnp.full(stripe.valid.shape, -half, jnp.int32)
     group = jnp.broadcast_to(jnp.arange(len(some), dtype=jnp.int32)[:, None], stripe.valid.shape)
 

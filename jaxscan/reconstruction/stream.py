@@ -163,14 +163,23 @@ class _Laser:
 
     def range_image(self, frames: Frames) -> RangeImage:
         """Find the stripe in some frames and triangulate it."""
-        count = len(frames.steps)
+        count, size = len(frames.steps), len(frames.images)
         stripe = detect_stripe(
-            frames.images, self._laser, frames.backgrounds, detector=self._detector, choice=self._choice
+            frames.images,
+            self._laser,
+            frames.backgrounds,
+            detector=self._detector,
+            choice=self._choice,
+            count=count,
         )
-        steps = np.zeros(len(frames.images), np.int64)
-        steps[:count] = frames.steps
-        points = _triangulated(self._kernel, stripe.position, steps.astype(np.float32), self._laser.columns)
-        return self.with_sigma(stripe.position, stripe.sigma, stripe.strength, points, steps)[:count, :]
+        # Whatever follows keeps the buffer's size too.
+        position, sigma, strength = (
+            np.pad(x, ((0, size - count), (0, 0)), constant_values=np.nan)
+            for x in (stripe.position, stripe.sigma, stripe.strength)
+        )
+        steps = np.pad(frames.steps, (0, size - count))
+        points = _triangulated(self._kernel, position, steps.astype(np.float32), self._laser.columns)
+        return self.with_sigma(position, sigma, strength, points, steps)[:count, :]
 
     def with_sigma(
         self,

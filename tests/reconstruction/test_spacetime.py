@@ -151,7 +151,8 @@ def test_overlapping_batches_have_every_frame_once_and_its_neighbours(size):
         some = batch.steps[batch.inner]
         inner += some.tolist()
         assert {some[0] - 1, some[0] - 2, some[-1] + 1} & set(range(10)) <= set(batch.steps.tolist())
-        np.testing.assert_array_equal(batch.frames[:, 0, 0], batch.steps)
+        np.testing.assert_array_equal(batch.frames[: len(batch.steps), 0, 0], batch.steps)
+        assert len(batch.frames) == 2 + 4 + 1
         assert batch.backgrounds.shape == (1, 1, 1)
     assert inner == list(range(10))
 

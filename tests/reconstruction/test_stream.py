@@ -12,6 +12,11 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, write_image
+from jaxscan.images.stripes.candidates import candidates
+from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
+from jaxscan.images.stripes.coherent import HALO
+from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
+from jaxscan.images.stripes.windows import gather_pixels, gather_windows
 from jaxscan.reconstruction import Scanner, frames, reconstruct, write_stream
 from jaxscan.reconstruction.range_image import RangeImage, read_range_image
 from jaxscan.rig import Covariance
@@ -182,3 +187,30 @@ def test_a_stripe_of_another_colour_than_was_said_is_pointed_out(rig, photograph
     assert sum(image.valid.sum() for image in scanner.scan(scan))
     assert len(scanner.notes) == notes
     assert all('set color = "red"' in note for note in scanner.notes)
+
+
+@pytest.mark.parametrize("mode", [{"choice": "coherent"}, {"exposures": True}])
+def test_a_scan_of_another_length_compiles_nothing(rig, photographs, tmp_path, mode):
+    """Neither the last batch of a scan nor a shorter scan has shapes of its own."""
+    choice = mode.get("choice", "strongest")
+
+    def points(images, name):
+        (tmp_path / name).mkdir()
+        scan = scan_of(tmp_path / name, images, ".npy")
+        if "exposures" in mode:
+            steps = tuple(1000 * (i // 2) for i in range(len(images)))
+            scan = replace(scan, steps=steps, exposures_s=tuple((0.01, 0.02)[i % 2] for i in range(len(images))))
+        return reconstruct(rig, scan, detector="gravity", choice=choice)
+
+    many = np.concatenate([photographs] * 6)[: 2 * FRAMES_AT_ONCE + 4]
+    first = points(many, "long")
+    before = compiled_sizes()
+    second = points(many[: len(photographs) + 1], "short")
+    assert compiled_sizes() == before
+    inner = len(second.steps) - HALO
+    np.testing.assert_array_equal(second.points[:inner], first.points[:inner])
+
+
+def compiled_sizes() -> list[int]:
+    """For how many shapes each function that sees whole frames has been compiled."""
+    return [each._cache_size() for each in (coarse_peaks, choose_peaks, candidates, gather_pixels, gather_windows)]

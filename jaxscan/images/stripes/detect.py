@@ -86,6 +86,7 @@ def detect_stripe(
     *,
     detector: Detector = DEFAULT,
     choice: Choice = "strongest",
+    count: int | None = None,
 ) -> Stripe:
     """Find the laser stripe in one photograph or in a batch of them.
 
@@ -95,6 +96,11 @@ def detect_stripe(
         background: the scene with the laser off: one image for all frames, or one for each.
         detector: how the centre is measured.
         choice: which is taken where there are several in a line.
+        count: how many of the images are looked at, the first ones; all by default. A buffer that keeps its size and
+            is not always full compiles nothing anew.
+
+    Returns:
+        The stripe in the first `count` images.
 
     Raises:
         InputError: shapes, depths or colour do not go together.
@@ -104,17 +110,28 @@ def detect_stripe(
     if dark is not None:
         _check_background(frames, dark)
     devices = jax.local_devices()
+    count = len(frames) if count is None else count
 
     def piece(first: int, device: Any) -> Stripe:
-        some = slice(first, first + length)
+        # The last piece begins early enough to be as long as the others, for another length would compile anew.
+        begin = max(0, min(first, len(frames) - length))
+        some, inner = slice(begin, begin + length), slice(first - begin, None)
         with jax.default_device(device):
-            return _detect(
-                frames[some], dark if dark is None or len(dark) == 1 else dark[some], settings, detector, choice
+            found = _detect(
+                frames[some],
+                dark if dark is None or len(dark) == 1 else dark[some],
+                settings,
+                detector,
+                choice,
+                min(count - begin, length),
             )
+        return found if first == begin else Stripe(*(getattr(found, f.name)[inner] for f in fields(Stripe)))
 
-    # Frames are looked at each by itself, so several devices share them without a word to one another.
-    length = min(FRAMES_AT_ONCE, -(-len(frames) // len(devices)))
-    firsts = range(0, len(frames), length)
+    # Frames are looked at each by itself, so several devices share them without a word to one another; a choice that
+    # depends on the frames beside it keeps them together.
+    shares = 1 if choice == "coherent" else len(devices)
+    length = min(FRAMES_AT_ONCE, -(-len(frames) // shares))
+    firsts = range(0, count, length)
     if len(devices) == 1 or len(firsts) == 1:
         found = [piece(first, devices[0]) for first in firsts]
     else:
@@ -133,8 +150,9 @@ def _detect(
     settings: StripeSettings,
     detector: Detector,
     choice: Choice,
+    count: int,
 ) -> Stripe:
-    """The stripe in no more frames than `FRAMES_AT_ONCE`."""
+    """The stripe in the first `count` of no more frames than `FRAMES_AT_ONCE`."""
     color, columns = settings.color, settings.columns
     length = frames.shape[1 if columns else 2]
     narrow, wide = (min(half, (length - 1) // 2) for half in (_NARROW, _WIDE))
@@ -143,10 +161,10 @@ def _detect(
     images, background = jax.device_put((frames, dark))
     peaks = coarse_peaks(images, background, ambient, color, columns)
     if choice == "strongest":
-        peak = np.asarray(choose_peaks(peaks, length, columns))
+        peak = np.asarray(choose_peaks(peaks, length, columns))[:count]
     else:
-        rows, strength = candidates(peaks, length, columns)
-        peak = choose(np.asarray(rows), np.asarray(strength), choice)
+        rows, strength = (np.asarray(each)[:count] for each in candidates(peaks, length, columns))
+        peak = choose(rows, strength, choice)
     sensor = survey(images, background, ambient, peak, color, columns, narrow, FRAMES_AT_ONCE)
 
     def look(at: tuple[np.ndarray, ...], half: int, model: Model) -> Measured:
