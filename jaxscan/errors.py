@@ -21,6 +21,10 @@ class SolveError(JaxscanError):
     """The solve did not reach a minimum."""
 
 
+class StalledError(JaxscanError):
+    """Something that was waited for did not end in time."""
+
+
 @contextmanager
 def said_of(where: str | os.PathLike[str]) -> Iterator[None]:
     """Put the file, and the key, before the text of an `InputError`, unless it names them already."""

@@ -1,6 +1,6 @@
 """`calibrate`: from observations to a rig with its covariance."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -49,6 +49,7 @@ def calibrate(
     board_warp: bool = False,
     reject: bool = True,
     keep: Sequence[Kept] | None = None,
+    advance: Callable[[str], object] = lambda doing: None,
 ) -> Calibration:
     """Refine camera, lens, light planes, stage, turntable and all board poses together.
 
@@ -65,6 +66,7 @@ def calibrate(
         keep: which observations take part, as the `kept` of a finished calibration says it. None of them is then
             rejected, and nothing else is read, neither for the start nor later; σ and the photographs' weights are
             estimated as ever.
+        advance: called as each solve begins, with what it is, in words.
 
     Raises:
         InputError: too little to work with, or a trace; the text says what.
@@ -105,9 +107,10 @@ def calibrate(
         poses = (first_poses(camera, views), *(far_away(len(group.steps)) for group in groups[1:]))
         corners = _corners_of_views(groups)
         rounds = partial(refine, board_points=board_points, reject=judge, weigh=reject)
-        refined = rounds(Estimate((rig, warp), poses), free, corners, noise)
+        of_camera = partial(rounds, begins=lambda solve: advance(f"camera, round {solve}"))
+        refined = of_camera(Estimate((rig, warp), poses), free, corners, noise)
         if judge and (elsewhere := better_poses(refined.estimate, corners, refined.noise)) is not None:
-            refined = rounds(elsewhere, free, corners, refined.noise)
+            refined = of_camera(elsewhere, free, corners, refined.noise)
         _check(refined, usable, free)
 
         if usable.lasers or usable.stages:
@@ -120,8 +123,10 @@ def calibrate(
             groups = (view_blocks(usable), *groups[1:])
             along = {f"turntable.centre.{turntable.along()}"} if turntable else set()
             free = _free(rig, None, held | along, ("camera", "laser", "stage", "turntable"))
-            refined = rounds(Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise)
+            of_rig = partial(rounds, begins=lambda solve: advance(f"whole rig, round {solve}"))
+            refined = of_rig(Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise)
             _check(refined, usable, free)
+        advance("uncertainty")
         result = assemble(refined, free, usable, held, left_out)
     kept = iter(result.kept)
     return replace(

@@ -1,14 +1,14 @@
 """From the photographs of a session to observations: corners and stripes, read and found on all cores."""
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from os import cpu_count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxscan.calibration.observations import Observations, StageSequence, StripePoints, View
+from jaxscan.deadline import Workers, result_of
 from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.session import Session, StageImages, TurntableImages
@@ -61,6 +61,7 @@ def observe(
 
     Raises:
         InputError: a photograph that cannot be read, or a board that is found in none of them.
+        StalledError: what is in one of them was looked for without an end.
     """
     sequences = [sequence for sequence in (session.stage, session.turntable) if sequence]
 
@@ -77,19 +78,19 @@ def observe(
         found = find_board(session.board, image)
         return _Photograph(name(path), found, (), _second(session.board, image, found))
 
-    def counted(photographs: Iterable[_Photograph]) -> list[_Photograph]:
+    def looked_at(look: Callable[[Any], _Photograph], paths: Sequence[Path], each: Iterable[Any]) -> list[_Photograph]:
         seen = []
-        for photograph in photographs:
-            seen.append(photograph)
+        for path, future in zip(paths, [workers.submit(look, one) for one in each], strict=True):
+            seen.append(result_of(future, str(path)))
             advance(1)
         return seen
 
-    with ThreadPoolExecutor(cpu_count()) as pool:
-        photographs = counted(pool.map(view, range(len(session.views.boards))))
+    with Workers() as workers:
+        photographs = looked_at(view, session.views.boards, range(len(session.views.boards)))
         left_out = _not_found(session, photographs, "view")
         moved = []
         for sequence in sequences:
-            moved.append(counted(pool.map(along, sequence.images)))
+            moved.append(looked_at(along, sequence.images, sequence.images))
             what = "turntable" if isinstance(sequence, TurntableImages) else "stage"
             left_out += _not_found(session, moved[-1], f"{what} photograph")
     staged = [photograph for each in moved for photograph in each]

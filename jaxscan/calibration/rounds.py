@@ -8,6 +8,7 @@ by about a photograph's worth. Weights that corners were given are believed as f
 stripe point is weighted less than its σ alone says, by the correlation of errors along the stripe.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -81,6 +82,7 @@ def refine(
     board_points: int,
     reject: bool,
     weigh: bool,
+    begins: Callable[[int], object] = lambda solve: None,
 ) -> Refined:
     """Solve with σ from the data, leave outliers out and weigh photographs, as far as either is wanted.
 
@@ -92,11 +94,13 @@ def refine(
         board_points: how many corners a photograph has.
         reject: whether observations may be left out; otherwise every candidate is used.
         weigh: whether photographs are weighted by their own σ.
+        begins: called with the number of each solve, from 1, as it begins.
     """
     # What is reckoned between solves is NumPy's: small arrays of many shapes, for each of which JAX would compile anew.
     groups = candidates = as_numpy(candidates)
     solves = 0
     if reject:
+        begins(1)
         first = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
         estimate = solve(estimate, free, groups, first).estimate
         errors = as_numpy(group_errors(estimate, candidates))
@@ -106,6 +110,7 @@ def refine(
     two_kinds = any(bool(group.stripe_used.any()) for group in groups)
     while True:
         solves += 1
+        begins(solves)
         outcome = solve(estimate, free, groups, noise)
         estimate = outcome.estimate
         errors = as_numpy(group_errors(estimate, candidates))

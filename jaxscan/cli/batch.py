@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     tasks = find_tasks(args.scans, args.output, args.ending)
     to_do = [task for task in tasks if args.again or not task.is_done(args.rig)]
     done, failed = [], []
-    with progress("reconstructing scans", len(to_do), "scan") as advance:
+    with progress("reconstructing scans", len(to_do), "scan", elsewhere=args.scheduler is not None) as advance:
         for outcome in run_batch(to_do, args.rig, args.detector, args.stripe, args.scheduler):
             if outcome.points is None:
                 failed.append({"scan": outcome.task.name, "reason": outcome.reason})

@@ -160,15 +160,15 @@ def solve_sessions(
         ]
     observations = join(_names(paths), each) if len(each) > 1 else each[0]
     held = parameter_names(Rig(start)) if start and hold else ()
-    with progress("solving", 1, "rig") as advance:
+    with progress("solving", unit="step") as advance:
         calibration = calibrate(
             observations,
             lens=settings[0].lens,
             principal_point=settings[0].principal_point,
             start=start,
             hold=held,
+            advance=advance.says,
         )
-        advance(1)
     return calibration
 
 

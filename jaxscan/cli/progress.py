@@ -1,40 +1,109 @@
-"""How far the work is, on standard error: a bar on a terminal, one line at the end anywhere else."""
+"""How far the work is, on standard error: a bar that moves on a terminal, a line now and then anywhere else.
 
+A thread beside the work watches it. Work that neither gets on nor uses the processor for too long is stuck, and the
+command ends with a message.
+"""
+
+import faulthandler
+import os
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, Final, TypeVar
+
+from jaxscan.deadline import HOW_TO_GO_ON, patience_s
 
 Item = TypeVar("Item")
 
+_PULSE_S: Final = 0.5
+# Without a terminal a line is printed so often.
+_LINE_S: Final = 15.0
+# What is stuck uses less of one core than this.
+_IDLE: Final = 0.01
+
+
+class Progress:
+    """What a block of work says of itself. Calling it says that some units are done."""
+
+    def __init__(self, words: str, unit: str, bar: Any) -> None:
+        self._words, self._unit, self._bar = words, unit, bar
+        self._begin = time.monotonic()
+        self._sign = time.monotonic(), time.process_time()
+        self._count = 0
+        self._doing = ""
+
+    def __call__(self, by: int = 1) -> None:
+        """So many more units are done."""
+        self._sign = time.monotonic(), time.process_time()
+        self._count += by
+        self._bar.update(by)
+
+    def says(self, doing: str) -> None:
+        """Another unit is done; what is being done next, in words."""
+        self._doing = doing
+        self._bar.set_postfix_str(doing, refresh=False)
+        self()
+
+    def line(self) -> str:
+        """How far it is."""
+        total = "" if self._bar.total is None or self._count == self._bar.total else f" of {self._bar.total}"
+        number = self._bar.total if total else self._count
+        doing = f" ({self._doing})" if self._doing else ""
+        units = f"{self._unit}{'' if number == 1 else 's'}"
+        return f"{self._words}: {self._count}{total} {units}{doing}, {time.monotonic() - self._begin:.1f} s"
+
+    def watch(self, ended: threading.Event, limit: float) -> None:
+        """Keep the bar moving, or print lines, until the block has ended; end the program where it is stuck."""
+        printed = time.monotonic()
+        while not ended.wait(_PULSE_S):
+            if not self._bar.disable:
+                self._bar.refresh()
+            elif time.monotonic() - printed > _LINE_S:
+                printed = time.monotonic()
+                print(self.line(), file=sys.stderr, flush=True)
+            since, used = self._sign
+            if time.monotonic() - since > limit and time.process_time() - used < _IDLE * limit:
+                self._give_up(limit)
+
+    def _give_up(self, limit: float) -> None:
+        self._bar.close()
+        print(f"error: {self.line()}: stuck for {limit:g} s: {HOW_TO_GO_ON}", file=sys.stderr, flush=True)
+        if os.environ.get("JAXSCAN_DEBUG"):
+            faulthandler.dump_traceback(all_threads=True)
+        # Whatever is stuck would not let the program end. Files are renamed into place whole, so none is half-written.
+        os._exit(1)
+
 
 @contextmanager
-def progress(words: str, total: int | None = None, unit: str = "image") -> Iterator[Callable[[int], object]]:
-    """A bar for the length of the block, advanced by the function that the block is given.
+def progress(words: str, total: int | None = None, unit: str = "image", elsewhere: bool = False) -> Iterator[Progress]:
+    """A bar for the length of the block, advanced by the object that the block is given.
 
     Args:
         words: what is being done, as "reading corners".
         total: how many units there are, where it is known.
         unit: what one step is, in the singular.
+        elsewhere: whether others do the work, so that this process is idle.
     """
     from tqdm import tqdm
 
-    # Its monitor thread would outlive the command; a bar of ours is moved often enough without it.
+    # Its monitor thread would outlive the command, and ours moves the bar.
     tqdm.monitor_interval = 0
-    begin = time.monotonic()
-    terminal = sys.stderr.isatty()
-    with tqdm(desc=words, total=total, unit=unit, file=sys.stderr, disable=not terminal, leave=True) as bar:
-        count = 0
-
-        def advance(by: int = 1) -> None:
-            nonlocal count
-            count += by
-            bar.update(by)
-
-        yield advance
-    if not terminal:
-        print(f"{words}: {count} {unit}{'' if count == 1 else 's'}, {time.monotonic() - begin:.1f} s", file=sys.stderr)
+    limit, ended = float("inf") if elsewhere else patience_s(), threading.Event()
+    with tqdm(desc=words, total=total, unit=unit, file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
+        # A bar that is not shown forgets its total.
+        bar.total = total
+        made = Progress(words, unit, bar)
+        watch = threading.Thread(target=made.watch, args=(ended, limit), daemon=True)
+        watch.start()
+        try:
+            yield made
+        finally:
+            ended.set()
+            watch.join()
+    if bar.disable:
+        print(made.line(), file=sys.stderr)
 
 
 def track(items: Iterable[Item], words: str, total: int | None = None, unit: str = "image") -> Iterator[Item]:

@@ -7,16 +7,16 @@ compiled for anew.
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from itertools import islice
-from os import cpu_count
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from jaxtyping import Int, Shaped, UInt
 
+from jaxscan.deadline import Workers, result_of
 from jaxscan.errors import InputError
 from jaxscan.files.scan import Scan
 from jaxscan.images import read_image, read_video
@@ -134,16 +134,17 @@ def _of_files(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
     form = _Form(read_image(scan.frames[0]), size, scan.frames[0])
     batch, dark = form.batch, _Backgrounds(scan, size)
 
-    def fill(pool: ThreadPoolExecutor, first: int, slot: _Slot) -> list[Future[None]]:
+    def fill(first: int, slot: _Slot) -> list[tuple[Future[None], str]]:
         some = range(first, min(first + batch, count))
-        futures = [pool.submit(form.read, scan.frames[i], slot.images[i - first]) for i in some]
+        tasks = [(workers.submit(form.read, scan.frames[i], slot.images[i - first]), str(scan.frames[i])) for i in some]
         if slot.backgrounds is not None:
-            futures += [pool.submit(dark.read, i, slot.backgrounds[i - first]) for i in some]
-        return futures
+            for i in some:
+                tasks.append((workers.submit(dark.read, i, slot.backgrounds[i - first]), f"background of frame {i}"))
+        return tasks
 
     slots = [_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(min(_SLOTS, -(-count // batch)))]
-    with ThreadPoolExecutor(cpu_count()) as pool:
-        for first, slot in _ring(pool, slots, range(0, count, batch), fill):
+    with Workers() as workers:
+        for first, slot in _ring(slots, range(0, count, batch), fill):
             yield Frames(slot.images, dark.of(slot), _steps(scan, first, min(batch, count - first)))
 
 
@@ -180,24 +181,20 @@ class _Backgrounds:
 
 
 def _ring(
-    pool: ThreadPoolExecutor,
     slots: Sequence[_Slot],
     firsts: Iterable[int],
-    fill: Callable[[ThreadPoolExecutor, int, _Slot], list[Future[None]]],
+    fill: Callable[[int, _Slot], list[tuple[Future[None], str]]],
 ) -> Iterator[tuple[int, _Slot]]:
     """Each full slot in its turn, while those behind it are being filled."""
     to_come = iter(firsts)
-    under_way = deque((first, slot, fill(pool, first, slot)) for slot, first in zip(slots, to_come, strict=False))
-    try:
-        while under_way:
-            first, slot, futures = under_way.popleft()
-            for future in futures:
-                future.result()
-            yield first, slot
-            if (following := next(to_come, None)) is not None:
-                under_way.append((following, slot, fill(pool, following, slot)))
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    under_way = deque((first, slot, fill(first, slot)) for slot, first in zip(slots, to_come, strict=False))
+    while under_way:
+        first, slot, tasks = under_way.popleft()
+        for future, what in tasks:
+            result_of(future, what)
+        yield first, slot
+        if (following := next(to_come, None)) is not None:
+            under_way.append((following, slot, fill(following, slot)))
 
 
 def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
@@ -224,14 +221,14 @@ def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
 
     slots = deque(_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(2))
     done = 0
-    with ThreadPoolExecutor(1) as pool:
-        ahead = pool.submit(fill, 0, slots[0])
-        while count := ahead.result():
+    with Workers(1) as workers:
+        ahead = workers.submit(fill, 0, slots[0])
+        while count := result_of(ahead, str(video)):
             slot = slots[0]
             slots.rotate()
             steps = _steps(scan, done, count)
             done += count
-            ahead = pool.submit(fill, done, slots[0])
+            ahead = workers.submit(fill, done, slots[0])
             yield Frames(slot.images, dark.of(slot), steps)
     if scan.steps and done < len(scan.steps):
         raise InputError(

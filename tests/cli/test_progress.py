@@ -2,6 +2,8 @@
 
 import io
 import sys
+import threading
+import time
 
 from jaxscan.cli.progress import progress, track
 
@@ -41,3 +43,30 @@ def test_an_error_passes_and_leaves_no_line(capsys):
     except KeyError:
         pass
     assert capsys.readouterr().err == ""
+
+
+def test_long_work_says_now_and_then_what_it_does(capsys, monkeypatch):
+    monkeypatch.setattr("jaxscan.cli.progress._LINE_S", 0.05)
+    monkeypatch.setattr("jaxscan.cli.progress._PULSE_S", 0.02)
+    printed = threading.Event()
+    with progress("solving", 7, "round") as advance:
+        advance.says("lens")
+        for _ in range(1000):
+            if "solving: 1 of 7 rounds (lens), " in capsys.readouterr().err:
+                printed.set()
+                break
+            time.sleep(0.02)
+    assert printed.is_set()
+
+
+def test_the_bar_moves_while_nothing_is_done(monkeypatch):
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr("jaxscan.cli.progress._PULSE_S", 0.02)
+    with progress("solving", 3):
+        before = terminal.tell()
+        for _ in range(1000):
+            if terminal.tell() > before:
+                break
+            time.sleep(0.02)
+        assert terminal.tell() > before

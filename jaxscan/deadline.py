@@ -1,0 +1,110 @@
+"""Threads that are never waited for without a limit."""
+
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from types import TracebackType
+from typing import Any, Final, Self, TypeVar
+
+from jaxscan.errors import InputError, StalledError
+
+PATIENCE: Final = "JAXSCAN_PATIENCE_S"
+_PATIENCE_S: Final = 600.0
+_LET_GO_S: Final = 5.0
+HOW_TO_GO_ON: Final = (
+    f"try again, and report it if it comes again; if the machine or the disk is only slow, set {PATIENCE} to more "
+    "seconds"
+)
+
+Result = TypeVar("Result")
+
+
+def patience_s() -> float:
+    """How long a step of the work may take, in seconds: 600, or what the variable `JAXSCAN_PATIENCE_S` says.
+
+    Raises:
+        InputError: it is no positive number.
+    """
+    text = os.environ.get(PATIENCE, "")
+    try:
+        seconds = float(text) if text else _PATIENCE_S
+    except ValueError:
+        seconds = -1.0
+    if not 0 < seconds < float("inf"):
+        raise InputError(f'{PATIENCE} is "{text}": give a number of seconds above 0, or unset it')
+    return seconds
+
+
+class Workers:
+    """Threads for a block of work. The block, and the program, can end while one of them is stuck.
+
+    `concurrent.futures.ThreadPoolExecutor` waits for its threads without a limit. Here the end of the block cancels
+    what has not begun, and waits a few seconds for what has.
+
+    Args:
+        count: how many threads; as many as the machine has cores by default.
+    """
+
+    def __init__(self, count: int | None = None) -> None:
+        self._tasks: queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]] | None]
+        self._tasks = queue.SimpleQueue()
+        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(count or os.cpu_count() or 1)]
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        while True:
+            try:
+                task = self._tasks.get_nowait()
+            except queue.Empty:
+                break
+            if task is not None:
+                task[0].cancel()
+        for _ in self._threads:
+            self._tasks.put(None)
+        until = time.monotonic() + _LET_GO_S
+        for thread in self._threads:
+            thread.join(max(0.0, until - time.monotonic()))
+
+    def submit(self, work: Callable[..., Result], *args: Any) -> "Future[Result]":
+        """Begin a task as soon as a thread is free; the tasks begin in their order."""
+        future: Future[Result] = Future()
+        self._tasks.put((future, work, args))
+        return future
+
+    def _work(self) -> None:
+        while (task := self._tasks.get()) is not None:
+            future, work, args = task
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                future.set_result(work(*args))
+            except BaseException as error:  # noqa: BLE001 (raised again in the thread that asks for the result)
+                future.set_exception(error)
+
+
+def result_of(future: "Future[Result]", what: str) -> Result:
+    """What a task returns or raises.
+
+    Args:
+        future: the task, of which those that were begun before have ended.
+        what: the task in words, a file's name for one.
+
+    Raises:
+        StalledError: it has not ended in `patience_s` seconds.
+    """
+    limit = patience_s()
+    try:
+        return future.result(limit)
+    except TimeoutError:
+        if future.done():  # its own error
+            raise
+        raise StalledError(f"{what}: it was worked on for {limit:g} s without an end: {HOW_TO_GO_ON}") from None

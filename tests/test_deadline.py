@@ -1,0 +1,76 @@
+"""Nothing is waited for without a limit."""
+
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from jaxscan.deadline import PATIENCE, Workers, patience_s, result_of
+from jaxscan.errors import InputError, StalledError
+
+
+def test_results_come_in_order_and_errors_are_those_of_the_work():
+    with Workers(2) as workers:
+        futures = [workers.submit(lambda k: 10 // k, k) for k in (5, 2, 0)]
+        assert [result_of(future, "a division") for future in futures[:2]] == [2, 5]
+        with pytest.raises(ZeroDivisionError):
+            result_of(futures[2], "a division")
+
+
+def test_a_limit_of_the_work_itself_is_no_stall():
+    def work():
+        raise TimeoutError("of the work")
+
+    with Workers(1) as workers, pytest.raises(TimeoutError, match="of the work"):
+        result_of(workers.submit(work), "it")
+
+
+def test_what_does_not_end_is_named_and_left_behind(monkeypatch):
+    monkeypatch.setenv(PATIENCE, "0.2")
+    stuck, begun = threading.Event(), []
+    with Workers(1) as workers:
+        first = workers.submit(stuck.wait, 30)
+        second = workers.submit(begun.append, 2)
+        with pytest.raises(StalledError, match=r"photograph 7: it was worked on for 0.2 s .* JAXSCAN_PATIENCE_S"):
+            result_of(first, "photograph 7")
+        monkeypatch.setattr("jaxscan.deadline._LET_GO_S", 0.1)
+        begin = time.monotonic()
+    assert time.monotonic() - begin < 20
+    assert second.cancelled()
+    assert not begun
+    stuck.set()
+
+
+@pytest.mark.parametrize("text", ["soon", "0", "-3", "nan", "inf"])
+def test_a_patience_that_is_no_time_is_refused(monkeypatch, text):
+    monkeypatch.setenv(PATIENCE, text)
+    with pytest.raises(InputError, match=f'JAXSCAN_PATIENCE_S is "{text}"'):
+        patience_s()
+
+
+def run(work: str, patience: str) -> subprocess.CompletedProcess[str]:
+    code = f"""
+import threading, time
+from jaxscan.cli.progress import progress
+with progress("solving", unit="step") as advance:
+    advance.says("round 1")
+    {work}
+"""
+    env = {PATIENCE: patience, "JAXSCAN_DEBUG": "1"}
+    return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120)
+
+
+def test_a_command_that_is_stuck_ends_and_says_where():
+    done = run("threading.Event().wait()", "1")
+    assert done.returncode == 1
+    assert "error: solving: 1 step (round 1), " in done.stderr
+    assert "stuck for 1 s" in done.stderr
+    assert "most recent call first" in done.stderr
+
+
+def test_a_command_that_works_is_not_stuck():
+    done = run("begin = time.monotonic()\n    while time.monotonic() - begin < 3: pass", "1")
+    assert done.returncode == 0
+    assert "stuck" not in done.stderr
