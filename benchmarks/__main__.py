@@ -29,6 +29,7 @@ SUITES = {
     "accuracy": "the same photographs through the pipeline of 2003, makers' recipe, careful OpenCV and ours",
     "speed": "reconstruction and calibration against the pipeline of 2003 in Octave",
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
+    "concurrency": "calibrations two at a time on 1 to 16 threads, boards of 12 to 600 corners: none hangs",
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",
     "starts": "whether a calibration ends in the same minimum wherever it starts",
     "nist": "the 27 nonlinear regression problems of NIST through the same solver (needs JAXSCAN_DATA)",
@@ -44,6 +45,7 @@ SUITES = {
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
 NOT_QUICK = {
+    "concurrency",
     "device",
     "derivatives",
     "starts",
