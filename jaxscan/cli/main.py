@@ -15,6 +15,7 @@ import argparse
 import importlib
 import json
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -147,13 +148,13 @@ def _warnings_in_words(program: Program) -> Iterator[None]:
 
 def parser_of(program: Program) -> argparse.ArgumentParser:
     """The program's command line."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=program.name,
         description=program.description,
         epilog="exit status: 0 done, 1 failed, 2 bad input or usage",
     )
     parser.add_argument("--version", action=_Version)
-    common = argparse.ArgumentParser(add_help=False)
+    common = _Parser(add_help=False)
     common.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
     common.add_argument("--debug", action="store_true", help="show where an error arose (as does JAXSCAN_DEBUG=1)")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -170,6 +171,14 @@ def parser_of(program: Program) -> argparse.ArgumentParser:
         command.add_arguments(sub)
         sub.set_defaults(command=command)
     return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """Takes what starts with a minus and a digit for a value, as Python does from 3.14 on; -1,2,3 and -1e-3 too."""
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
 
 class _Version(argparse.Action):

@@ -1,0 +1,59 @@
+"""Every option that takes numbers takes them with a minus in front."""
+
+import argparse
+
+import pytest
+
+from hardware.cli import main as scanner
+from jaxscan.cli import main as jaxscan
+
+PROGRAMS = (jaxscan.Program("jaxscan", "", jaxscan.COMMANDS), jaxscan.Program("scanner", "", scanner.COMMANDS))
+TEXTS = ("-1", "-.5", "-1e-3", *(",".join(["-2"] * count) for count in range(2, 8)), "-1,2,3:-4,5,6:7,8,9", "-1:2")
+
+
+def parsers() -> dict[str, argparse.ArgumentParser]:
+    """Of every command."""
+    return {
+        f"{program.name} {name}": parser
+        for program in PROGRAMS
+        for action in jaxscan.parser_of(program)._actions
+        if isinstance(action, argparse._SubParsersAction)
+        for name, parser in action.choices.items()
+    }
+
+
+def accepted(action: argparse.Action) -> list[str]:
+    """The texts that it would take as its value, if they reached it."""
+    texts = []
+    for text in TEXTS:
+        try:
+            if action.nargs != 0 and (action.type is None or (callable(action.type) and action.type(text) is not None)):
+                texts.append(text)
+        except (ValueError, argparse.ArgumentTypeError):
+            continue
+    return [] if action.choices else texts
+
+
+CASES = [
+    pytest.param(parser, action, texts, id=f"{name} {(action.option_strings or [action.dest])[-1]}")
+    for name, parser in parsers().items()
+    for action in parser._actions
+    if (texts := accepted(action))
+]
+
+
+@pytest.mark.parametrize(("parser", "action", "texts"), CASES)
+def test_a_negative_value_is_a_value(parser, action, texts, monkeypatch):
+    others = [other for other in parser._actions if other is not action]
+    for needed in (*others, *parser._mutually_exclusive_groups):
+        monkeypatch.setattr(needed, "required", False)
+    monkeypatch.setattr(parser, "_actions", [action, *(other for other in others if other.option_strings)])
+    for text in texts:
+        value = getattr(parser.parse_args([*action.option_strings[-1:], text]), action.dest)
+        assert value not in (None, action.default)
+
+
+def test_the_options_that_take_numbers_are_among_them():
+    assert {"jaxscan compare --region", "jaxscan mesh --crop", "jaxscan mesh --floor", "jaxscan merge --turn"} <= {
+        case.id for case in CASES
+    }
