@@ -41,54 +41,42 @@ def run(args: argparse.Namespace) -> None:
     from hardware.devices import open_scanner, read_scanner
     from jaxscan.cli.compiled import keep_compiled
     from jaxscan.errors import InputError
+    from jaxscan.extras import extra
 
     settings = read_scanner(args.scanner)
     if not 1 <= args.lease <= 3600 or not 0.05 <= args.live <= 3600:
         raise InputError(f"--lease {args.lease:g} --live {args.live:g}: give 1 to 3600 s, and 0.05 to 3600 s")
     if not 0 <= args.port < 1 << 16:
         raise InputError(f"--port {args.port}: give 0 to 65535")
-    lab_parts = _parts()
-    tls = lab_parts.check_tls(args.cert, args.key)
+    extra("lab")
+    from hardware.lab.lab import Lab
+    from hardware.lab.server import Server, bind, check_tls
+    from hardware.lab.worker import Habits
+
+    tls = check_tls(args.cert, args.key)
     rig = None
     if args.rig is not None:
         from jaxscan import read_rig
 
         rig = read_rig(args.rig)
-    habits = lab_parts.Habits(settings.travel, settings.stripe, settings.exposure_s, settings.gain)
-    listening = lab_parts.bind(args.host, args.port, tls, args.insecure)
+    habits = Habits(settings.travel, settings.stripe, settings.exposure_s, settings.gain)
+    listening = bind(args.host, args.port, tls, args.insecure)
 
     def connect() -> "Devices":
         if settings.camera.values["kind"] == "simulated":
             keep_compiled()
         return open_scanner(settings, args.seed, args.homed)
 
-    lab = lab_parts.Lab(args.data, connect, habits, rig, args.lease, args.live)
+    lab = Lab(args.data, connect, habits, rig, args.lease, args.live)
     try:
         if not lab.accounts.everybody():
             raise InputError(f"{args.data}: nobody is registered yet: scanner user add NAME --admin")
         say(f"scanner: {settings.path or 'simulated, there is no scanner.toml'}; data: {args.data}")
-        server = lab_parts.Server(lab, listening, args.cert, args.key, lambda url: say(f"serving at {url}"))
+        server = Server(lab, listening, args.cert, args.key, lambda url: say(f"serving at {url}"))
         server.serve_here()
     finally:
         lab.close()
         listening.close()
-
-
-def _parts() -> Any:
-    """What only this command needs, from the extra `lab`."""
-    from types import SimpleNamespace
-
-    from jaxscan.errors import InputError
-
-    try:
-        from hardware.lab.lab import Lab
-        from hardware.lab.server import Server, bind, check_tls
-        from hardware.lab.worker import Habits
-    except ModuleNotFoundError as error:
-        if error.name and error.name.partition(".")[0] in ("hardware", "jaxscan"):
-            raise
-        raise InputError(f"the lab server needs {error.name}: pip install 'jaxscan[lab]'") from error
-    return SimpleNamespace(Lab=Lab, Server=Server, bind=bind, check_tls=check_tls, Habits=Habits)
 
 
 def describe(result: dict[str, Any]) -> str:

@@ -36,12 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Do it."""
     from jaxscan.errors import InputError
+    from jaxscan.extras import extra
 
-    try:
-        from hardware.lab.accounts import NAME, Accounts
-        from hardware.lab.database import DATABASE, Database, make_folder
-    except ModuleNotFoundError as error:
-        raise InputError(f"accounts need {error.name}: pip install 'jaxscan[lab]'") from error
+    extra("lab")
+    from hardware.lab.accounts import NAME, Accounts
+    from hardware.lab.database import DATABASE, Database, make_folder
+
     data: Path = args.data
     if args.action != "list" and args.name is None:
         raise InputError(f"scanner user {args.action}: give a NAME")

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
+from jaxscan.extras import extra
 
 HELP: Final = "reconstruct every scan of a tree, here or on a cluster, and go on where it stopped"
 EXAMPLE: Final = "jaxscan batch scans --rig rig.json -o clouds"
@@ -39,6 +40,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Find the scans, leave out what is done, reconstruct the others, and tell of each that failed."""
     import sys
 
+    if args.scheduler:
+        extra("cluster")
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()

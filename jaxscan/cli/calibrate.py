@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from jaxscan.cli.detector_options import add_detector_argument
 from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 
 if TYPE_CHECKING:
     from jaxscan.calibration import Calibration
@@ -69,9 +70,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError("--hold-camera and --camera-name speak of the camera of a file: name it with --camera FILE")
     pages = [args.report / name for name in _PAGES] if args.report else []
     if pages:
-        from jaxscan.view.matplotlib_setup import pyplot
-
-        pyplot()
+        extra("plots")
         _make_folder(args.report)
         for page in pages:
             check_writable(page)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.options import numbers
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 
 if TYPE_CHECKING:
     import numpy as np
@@ -53,6 +54,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"--within {args.within:g}: give a distance that is more than 0")
     if args.output and args.output.suffix.lower() != ".ply":
         raise InputError(f"{args.output}: write .ply")
+    if args.png:
+        extra("plots")
     from jaxscan.atomic import check_writable
 
     for path in (args.output, args.png):

@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
+from jaxscan.extras import extra
+
 HELP: Final = "simulate a scanner, calibrate it, scan a cup, and compare with the truth"
 EXAMPLE: Final = "jaxscan demo -o jaxscan-demo"
 
@@ -20,6 +22,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Simulate, calibrate, reconstruct, compare, draw."""
     import time
 
+    extra("plots")
     begin = time.monotonic()
     from jaxscan.cli.simulate import check_folder, simulate_into
 

@@ -8,6 +8,7 @@ from jaxscan.cli.camera_options import add_camera_arguments
 from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
 from jaxscan.cli.words import in_words
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 from jaxscan.files.formats import ENDINGS
 
 HELP: Final = "say in words what a session, scan, rig, camera, cloud, range image or mesh holds"
@@ -50,6 +51,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"{path}: --frame chooses a photograph, and a range image is drawn whole: leave it out")
     if kind != "camera" and (args.name or args.image_size):
         raise InputError(f"{path}: --name and --image-size are for cameras of other programs, not for a {kind}")
+    if args.png is not None and kind == "range image":
+        extra("plots")
     from jaxscan.cli import facts
 
     read = {

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.options import add_outputs_argument
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -124,6 +125,14 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError(f"--cube {args.cube:g}: give a size that is more than 0, and not with --closed")
     if args.simplify is not None and args.simplify < 4:
         raise InputError(f"--simplify {args.simplify}: give 4 triangles or more")
+    needed = {
+        "plots": args.png,
+        "poisson": args.closed,
+        "simplify": args.simplify is not None,
+        "features": not (args.turn or args.steps),
+    }
+    for name in [name for name, asked in needed.items() if asked]:
+        extra(name)
     for name in ("turn", "steps", "fit_turntable"):
         values = getattr(args, name)
         if values:

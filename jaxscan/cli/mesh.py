@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.options import add_outputs_argument, numbers
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 
 if TYPE_CHECKING:
     import trimesh
@@ -105,12 +106,8 @@ def simplified(mesh: "trimesh.Trimesh", triangles: int) -> "trimesh.Trimesh":
     Raises:
         InputError: the extra is not installed.
     """
-    if triangles >= len(mesh.faces):
-        return mesh
-    try:
-        return mesh.simplify_quadric_decimation(face_count=triangles)
-    except ImportError as error:
-        raise InputError('--simplify needs fast-simplification: pip install "jaxscan[simplify]"') from error
+    extra("simplify")
+    return mesh if triangles >= len(mesh.faces) else mesh.simplify_quadric_decimation(face_count=triangles)
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -139,6 +136,9 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError("--quads: only the grid has quadrilaterals: leave --method out")
     if args.rig and args.method != "delaunay":
         raise InputError("--rig: only --method delaunay looks along the light of a rig: add it, or leave --rig out")
+    needed = {"plots": args.png, "poisson": args.method == "poisson", "simplify": args.simplify is not None}
+    for name in [name for name, asked in needed.items() if asked]:
+        extra(name)
 
 
 def _prepared(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 
 if TYPE_CHECKING:
     from jaxscan.simulation import Body, Scene, Sensor
@@ -206,6 +207,7 @@ def _bodies(args: argparse.Namespace) -> tuple[Any, str]:
     from jaxscan.simulation.rig_2003 import OBJECT_Y
 
     if args.mesh is not None:
+        extra("mesh-scenes")
         return (shapes.mesh(OBJECT_Y, shapes.mesh_to_scan(args.mesh)),), args.mesh.stem
     bodies = getattr(shapes, args.object)(OBJECT_Y)
     return bodies if isinstance(bodies, tuple) else (bodies,), args.object

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 
 HELP: Final = "look at a range image, a cloud or a mesh, in the browser or as a picture"
 EXAMPLE: Final = "jaxscan view cup.npz --rig rig.json"
@@ -24,6 +25,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
     """Read and show."""
     if not 0 < args.port < 65536:
         raise InputError(f"--port {args.port}: give a number from 1 to 65535")
+    extra("plots" if args.png else "viewer")
     from jaxscan.atomic import check_writable
 
     if args.png:

@@ -18,6 +18,7 @@ from typing import Final
 
 from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError, JaxscanError
+from jaxscan.extras import extra
 from jaxscan.files.cloud import read_ply
 from jaxscan.files.listing import natural_key
 from jaxscan.files.rig_file import read_rig
@@ -197,15 +198,12 @@ def _executor(scheduler: str | None) -> Iterator[Executor]:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             yield pool
         return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise InputError('--scheduler needs the extra "cluster": pip install "jaxscan[cluster]"') from error
+    distributed = extra("cluster")
     from dask.config import set as dask_settings
 
     with dask_settings({"distributed.comm.timeouts.connect": _ANSWER_S}):
         try:
-            client = Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
+            client = distributed.Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(
                 f"{scheduler}: no Dask scheduler answers within {_ANSWER_S} s ({error}): start one with dask "

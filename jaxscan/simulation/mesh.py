@@ -15,6 +15,7 @@ import trimesh
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 from jaxscan.geometry.closest import ClosestOnTriangles
 from jaxscan.simulation.solids import Matrix, Shape, Vector
 from jaxscan.simulation.vector import Rays, Vec, dot, scale, subtract, vec
@@ -33,13 +34,10 @@ class Triangles:
         Raises:
             InputError: Embree is not installed, or the mesh has no triangles or too many.
         """
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise InputError(
-                'meshes are rendered by embreex, which is not installed: pip install "jaxscan[mesh-scenes]"'
-            ) from error
+        extra("mesh-scenes")
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
         if not 0 < len(mesh.faces) < _MOST_TRIANGLES:
             raise InputError(f"the mesh has {len(mesh.faces)} triangles: give 1 to {_MOST_TRIANGLES - 1}")
         self.corners = np.asarray(mesh.triangles, np.float64)

@@ -9,13 +9,14 @@ Features are fast point feature histograms matched by KISS-Matcher (H. Lim et al
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError, ObservabilityError
+from jaxscan.extras import extra
 from jaxscan.surface.motion import Motion, after, inverse
 from jaxscan.surface.register import Pair, Registration, register
 from jaxscan.surface.side import Side
@@ -140,7 +141,7 @@ def _up(side: Side) -> Float[np.ndarray, "3"]:
 
 
 def _by_features(a: Side, b: Side) -> Iterator[Motion]:
-    matcher = _kiss_matcher()
+    matcher = extra("features")
     size = float(np.linalg.norm(np.ptp(np.concatenate([a.points - a.points.mean(0), b.points - b.points.mean(0)]), 0)))
     for cubes in _CUBES:
         cube = cubes * max(a.spacing_mm, b.spacing_mm, _SMALLEST_CUBE * size)
@@ -177,13 +178,3 @@ def _together(a: Side, b: Side, starts: list[Motion]) -> Motion | None:
     except InputError:
         return None
     return found.poses[1] if fits(found.pairs[0]) else None
-
-
-def _kiss_matcher() -> Any:
-    try:
-        import kiss_matcher
-    except ImportError as error:
-        raise InputError(
-            'how the sides stand is told by --turn, or by features: pip install "jaxscan[features]"'
-        ) from error
-    return kiss_matcher

@@ -6,7 +6,7 @@ plane, and its normal, the middle of the fan of light, lies in that plane. In it
 triangles, and those with a side that is long beside the others are left out: they cross a hole or a depth edge.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import trimesh
@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from jaxscan.errors import InputError
+from jaxscan.extras import extra
 from jaxscan.geometry.robust_plane import dominant_plane
 from jaxscan.rig import Rig
 
@@ -98,7 +99,7 @@ def poisson_surface(
     Raises:
         InputError: PyMeshLab is not installed, or no surface comes of the points.
     """
-    pymeshlab = _pymeshlab()
+    pymeshlab = extra("poisson")
     known = np.isfinite(normals).all(axis=1)
     if known.sum() < 4:
         raise InputError(f"{int(known.sum())} points with a normal make no closed surface: scan more")
@@ -114,11 +115,3 @@ def poisson_surface(
     if not found.face_number():
         raise InputError("screened Poisson finds no surface in these points: use the grid")
     return trimesh.Trimesh(found.vertex_matrix(), found.face_matrix(), process=False)
-
-
-def _pymeshlab() -> Any:
-    try:
-        import pymeshlab
-    except ImportError as error:
-        raise InputError('screened Poisson needs PyMeshLab: pip install "jaxscan[poisson]"') from error
-    return pymeshlab

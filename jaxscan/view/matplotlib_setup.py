@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from jaxscan.errors import InputError
+from jaxscan.extras import extra
 
 
 def pyplot() -> Any:
@@ -11,11 +11,7 @@ def pyplot() -> Any:
     Raises:
         InputError: matplotlib is not installed.
     """
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise InputError('pictures need matplotlib: pip install "jaxscan[plots]"') from error
-    matplotlib.use("Agg")
+    extra("plots").use("Agg")
     import matplotlib.pyplot as plt
 
     return plt

@@ -18,6 +18,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from jaxscan.atomic import replacing
+from jaxscan.view.matplotlib_setup import pyplot
 
 Level = Literal["good", "care", "stop"]
 
@@ -171,8 +172,7 @@ def plain(value: Any) -> Any:
 
 def draw(name: str, caption: str, figure: Any) -> Figure:
     """A matplotlib figure as part of a report; it is closed."""
-    import matplotlib.pyplot as plt
-
+    plt = pyplot()
     out = BytesIO()
     figure.savefig(out, format="png", dpi=_DPI, metadata={"Software": None})
     plt.close(figure)

@@ -44,6 +44,9 @@ def draw_range(
     Raises:
         InputError: matplotlib is not installed, there is no surface, or the file cannot be written.
     """
+    plt = pyplot()
+    from matplotlib.colors import ListedColormap
+
     how = sampling(image)
     panels: list[tuple[str, Any, str]] = [("shaded", views.shaded(image), "")]
     if floor is None:
@@ -58,9 +61,6 @@ def draw_range(
         panels.append(("σ along the ray", 1000 * views.sigma(image), "µm"))
     if removed is not None:
         panels.append(("removed", np.where(image.valid, removed, np.nan), ""))
-    plt = pyplot()
-    from matplotlib.colors import ListedColormap
-
     rows = -(-len(panels) // 2)
     frames, columns = (np.flatnonzero(image.valid.any(axis=axis)) for axis in (1, 0))
     tall = how.along_mm * np.ptp(frames) / max(how.across_mm * np.ptp(columns), how.across_mm)
@@ -107,9 +107,9 @@ def draw_mesh(
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
+    plt = pyplot()
     from matplotlib.collections import PolyCollection
 
-    plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(15, 6.5), layout="constrained")
     # A picture has no room for more: then only every so many-th is drawn, larger.
     every = max(1, len(triangles) // _MOST_TRIANGLES)

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, UInt8
 
-from jaxscan.errors import InputError
+from jaxscan.extras import extra
 from jaxscan.surface.colours import sequential
 from jaxscan.view.exhibit import UNITS, Exhibit
 
@@ -28,7 +28,7 @@ def serve(shown: Exhibit, port: int, colour: str | None = None) -> Any:
         InputError: viser is not installed, or the values are not known.
     """
     colour = shown.colour(colour)
-    viser = _viser()
+    viser = extra("viewer")
     server = viser.ViserServer(host=HOST, port=port, label="jaxscan", verbose=False)
     points = shown.points.astype(np.float64)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -96,13 +96,3 @@ def limits(values: Float[np.ndarray, "points"]) -> tuple[float, float]:
 def _words(shown: Exhibit, name: str, low: float, high: float) -> str:
     what = f"{len(shown.points)} points" if shown.triangles is None else f"{len(shown.triangles)} triangles"
     return f"{what}; {name} from {low:.3g} (dark) to {high:.3g} {UNITS[name]} (bright)"
-
-
-def _viser() -> Any:
-    try:
-        import viser
-    except ImportError as error:
-        raise InputError(
-            'looking at it in the browser needs viser: pip install "jaxscan[viewer]"; or draw it with --png'
-        ) from error
-    return viser
