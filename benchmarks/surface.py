@@ -15,6 +15,8 @@ ideal camera sees it.
   RMS of all of it, and that with its edges.
 - `grid.million_triangles_per_s`: range image in, vertices and triangles out, 1000 × 1920 points, the best
   of 8 (other work on the machine makes a single one several times slower), and the median.
+- `compare.*`: 10⁶ points against 100 000 small triangles and a plate of two large ones under them, in a process of its
+  own: time, memory beyond what it had, and how many pieces of triangles were measured for each point.
 - `ply.write_over_plain`: 10 million vertices, against writing and syncing the same bytes, medians of 5 taken in turn.
 - The pyramid is scanned with the rig of `stage-pyramid`, its stage turned round: with the sign that it has there a
   tenth of the mesh faces away from the camera. Points belong to the nearest of five planes; those further than 1 mm are
@@ -22,9 +24,12 @@ ideal camera sees it.
 """
 
 import os
+import re
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import jax
@@ -40,6 +45,7 @@ from jaxscan.files.cloud import Cloud, write_ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
+from jaxscan.geometry.closest import ClosestOnTriangles
 from jaxscan.geometry.robust_plane import NORMAL_MAD, refined_plane
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import Rig, Stage
@@ -50,9 +56,11 @@ from jaxscan.simulation.render import rays_of
 from jaxscan.simulation.shapes import box, cup, sphere
 from jaxscan.simulation.vector import Rays, Vec
 from jaxscan.surface.clean import clean
+from jaxscan.surface.compare import compare
 from jaxscan.surface.floor import Floor, find_floor, stands_on
 from jaxscan.surface.links import links
 from jaxscan.surface.normals import normals
+from jaxscan.surface.reference import MeshReference
 from jaxscan.surface.triangles import Surface, facing_away, grid_surface
 
 # A range image, and the true points and rows of its frames and columns.
@@ -73,7 +81,7 @@ _PYRAMID_FAR_MM = 1.0
 
 def measure(quick: bool) -> list[Metric]:
     """All of it; the pyramid's photographs only in the full form."""
-    return [*simulated(quick), *grid_speed(), *ply_speed(), *ply_set(), *([] if quick else pyramid())]
+    return [*simulated(quick), *grid_speed(), *compare_speed(), *ply_speed(), *ply_set(), *([] if quick else pyramid())]
 
 
 def simulated(quick: bool) -> list[Metric]:
@@ -212,6 +220,44 @@ def grid_speed() -> list[Metric]:
         Metric("surface.grid.million_triangles_per_s.median", float(np.median(speeds))),
         Metric("surface.grid.triangles", count),
     ]
+
+
+def compare_speed() -> list[Metric]:
+    """A cloud against a mesh with triangles of very different size."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as process:
+        seconds, mib, pieces = process.submit(_compared).result(timeout=600)
+    return [
+        Metric("surface.compare.seconds", seconds, "s", "lower", 10.0, slack=2.0, target_suffices=True),
+        Metric("surface.compare.memory", mib, "MiB", "lower", 1024.0, slack=0.5),
+        Metric("surface.compare.pieces_per_point", pieces, "", "lower", 5.0, slack=0.1),
+    ]
+
+
+def _compared() -> tuple[float, float, float]:
+    """Seconds, MiB and pieces for each point."""
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(*[0.5 * (np.arange(224) - 112)] * 2)
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
+    small = np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in ((a, b, d), (a, d, c))])
+    sheet = np.stack([x, y, 5 + 2 * np.sin(x / 5) * np.cos(y / 7)], axis=-1).reshape(-1, 3)
+    plate = 150.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    faces = np.concatenate([small, x.size + np.array([[0, 1, 2], [0, 2, 3]])])
+    mesh = trimesh.Trimesh(np.concatenate([sheet, plate]), faces, process=False)
+    some = rng.integers(0, len(small), 700_000)
+    points = np.concatenate([mesh.triangles_center[some], rng.uniform(-150, 150, (300_000, 3)) * [1, 1, 0]])
+    points += 0.2 * rng.normal(size=points.shape)
+    before, begin = _peak_mib(), time.perf_counter()
+    compare(points, MeshReference(mesh))
+    seconds, mib = time.perf_counter() - begin, _peak_mib() - before
+    closest = ClosestOnTriangles(np.asarray(mesh.triangles))
+    closest(points[::100])
+    return seconds, mib, closest.looked_at / len(points[::100])
+
+
+def _peak_mib() -> float:
+    """The most memory that this process ever had."""
+    return int(re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())[1]) / 1024  # pyright: ignore[reportOptionalSubscript]
 
 
 def ply_speed() -> list[Metric]:

@@ -1,25 +1,52 @@
-"""The nearest point of a set of triangles to each of many points."""
+"""The nearest point of a set of triangles to each of many points.
+
+Triangles that are large beside the others, or long, are cut in two across their longest side until they are not. A tree
+of boxes parallel to the axes holds the pieces, eight boxes in a node (a bounding volume hierarchy: J. Goldsmith and J.
+Salmon, Automatic creation of object hierarchies for ray tracing, 1987; here halved at the median of the widest
+direction). Points descend, many at a time, into the boxes that are nearer than the piece with the nearest centre.
+
+In the plane of a piece, x goes along its longest side from a corner of it and y to the corner (c, h) opposite, so that
+0 ≤ c ≤ length. The nearest point to one below that side is on the side; else it is the point itself, if that is inside,
+or on one of the two other sides. No digits are lost where a triangle is a needle, a line or a point.
+"""
+
+from typing import Final
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-_POINTS_AT_ONCE = 2048
+# Points begun together, and pairs of a point and a node that are looked at together.
+_POINTS_AT_ONCE, _PAIRS_AT_ONCE = 1 << 15, 1 << 16
+# Boxes in a node.
+_FAN: Final = 8
+# A side longer than so many times the root of the mean area is cut, as long as there are no more pieces than so many
+# beside twice the triangles.
+_LONG: Final = 4.0
+_MOST_MORE: Final = 50_000
+
+# Of the children of each node of a level: their lowest and highest coordinates.
+_Level = tuple[Float[np.ndarray, "nodes 3 fan"], Float[np.ndarray, "nodes 3 fan"]]
 
 
 class ClosestOnTriangles:
     """Triangles, made ready to be asked.
 
-    The nearest triangle's centre is no further away than the nearest corner and the largest triangle's radius together,
-    so only the triangles within that are looked at.
+    Attributes:
+        looked_at: how many pairs of a point and a piece of a triangle were measured until now.
     """
 
     def __init__(self, corners: Float[np.ndarray, "triangles 3 3"]):
-        self.corners = np.asarray(corners, np.float64)
-        centres = self.corners.mean(axis=1)
-        self._reach = float(np.linalg.norm(self.corners - centres[:, None], axis=-1).max())
-        self._centres, self._corners = KDTree(centres), KDTree(self.corners.reshape(-1, 3))
+        pieces, owner = _cut(np.asarray(corners, np.float64))
+        order = _in_order(pieces.mean(axis=1))
+        real = order < len(pieces)
+        order = np.minimum(order, len(pieces) - 1)
+        pieces = pieces[order]
+        self.looked_at = 0
+        self._levels = _levels(pieces, real)
+        self._frames, self._owner = _frames(pieces), owner[order]
+        self._leaf = np.flatnonzero(real)
+        self._centres = KDTree(pieces[real].mean(axis=1))
 
     def __call__(
         self, points: Float[np.ndarray, "points 3"]
@@ -28,16 +55,133 @@ class ClosestOnTriangles:
         nearest, triangle = np.empty((len(points), 3)), np.empty(len(points), int)
         for start in range(0, len(points), _POINTS_AT_ONCE):
             here = slice(start, start + _POINTS_AT_ONCE)
-            some = points[here]
-            near = self._centres.query_ball_point(some, self._corners.query(some)[0] * (1 + 1e-9) + self._reach)
-            count = np.array([len(ids) for ids in near])
-            ids = np.concatenate([np.asarray(ids, int) for ids in near])
-            on = trimesh.triangles.closest_point(self.corners[ids], np.repeat(some, count, axis=0))
-            away = np.linalg.norm(on - np.repeat(some, count, axis=0), axis=1)
-            first = np.cumsum(count) - count
-            least = np.repeat(np.minimum.reduceat(away, first), count)
-            # Of a point's candidates the first that is as near as any.
-            hits = np.flatnonzero(away == least)
-            best = hits[np.searchsorted(hits, first)]
-            nearest[here], triangle[here] = on[best], ids[best]
+            nearest[here], piece = self._nearest(np.asarray(points[here], np.float64))
+            triangle[here] = self._owner[piece]
         return nearest, triangle
+
+    def _nearest(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "points 3"], Int[np.ndarray, "points"]]:
+        """The nearest point to each, and its piece."""
+        every = np.arange(len(points))
+        best = self._leaf[self._centres.query(points, workers=-1)[1]]
+        nearest = self._on(points, best)
+        square = _squares(points - nearest)
+        # The last that was put there is taken first, so that what is known of the first points bounds the next.
+        waiting = [(0, every, np.zeros_like(every))]
+        while waiting:
+            level, point, node = waiting.pop()
+            if len(point) > _PAIRS_AT_ONCE:
+                half = len(point) // 2
+                waiting += [(level, point[half:], node[half:]), (level, point[:half], node[:half])]
+            elif level < len(self._levels):
+                low, high = self._levels[level]
+                p = points[point][:, :, None]
+                gap = np.maximum(low[node] - p, p - high[node])
+                np.maximum(gap, 0.0, out=gap)
+                pair, child = np.nonzero(np.einsum("ijk,ijk->ik", gap, gap) < square[point][:, None])
+                if len(pair):
+                    waiting.append((level + 1, point[pair], node[pair] * low.shape[2] + child))
+            else:
+                on = self._on(points[point], node)
+                away = _squares(points[point] - on)
+                # Pairs stand in the order of their points.
+                first = np.flatnonzero(np.diff(point, prepend=-1))
+                least = np.minimum.reduceat(away, first)
+                hits = np.flatnonzero(away == np.repeat(least, np.diff(first, append=len(point))))
+                at = hits[np.searchsorted(hits, first)]
+                at = at[least < square[point[first]]]
+                best[point[at]], nearest[point[at]], square[point[at]] = node[at], on[at], away[at]
+        return nearest, best
+
+    def _on(
+        self, points: Float[np.ndarray, "points 3"], piece: Int[np.ndarray, "points"]
+    ) -> Float[np.ndarray, "points 3"]:
+        """The nearest point of one piece to each point."""
+        self.looked_at += len(points)
+        frames = self._frames[piece]
+        a, along, across = frames[:, :3], frames[:, 3:6], frames[:, 6:9]
+        length, c, h = frames[:, 9:].T
+        from_a = points - a
+        x, y = np.einsum("ij,ij->i", from_a, along), np.einsum("ij,ij->i", from_a, across)
+        below = y <= 0
+        inside = ~below & (h * x > c * y) & (h * (length - x) > (length - c) * y)
+        # Along the two sides that end in the corner opposite, from their other ends.
+        d = c - length
+        left = np.clip((x * c + y * h) / np.maximum(c * c + h * h, 1e-300), 0, 1)
+        right = np.clip(((x - length) * d + y * h) / np.maximum(d * d + h * h, 1e-300), 0, 1)
+        to_left = (x - left * c) ** 2 + (y - left * h) ** 2
+        to_right = (x - length - right * d) ** 2 + (y - right * h) ** 2
+        on_left = to_left <= to_right
+        side_x, side_y = np.where(on_left, left * c, length + right * d), np.where(on_left, left, right) * h
+        x = np.where(inside, x, np.where(below, np.clip(x, 0, length), side_x))
+        y = np.where(inside, y, np.where(below, 0.0, side_y))
+        return a + x[:, None] * along + y[:, None] * across
+
+
+def _squares(differences: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points"]:
+    return np.einsum("ij,ij->i", differences, differences)
+
+
+def _cut(
+    corners: Float[np.ndarray, "triangles 3 3"],
+) -> tuple[Float[np.ndarray, "pieces 3 3"], Int[np.ndarray, "pieces"]]:
+    """Pieces of triangles, none much larger than the others, and the triangle of each."""
+    pieces, owner = corners, np.arange(len(corners))
+    a, b, c = np.moveaxis(corners, 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).mean() / 2
+    while True:
+        sides = np.linalg.norm(np.roll(pieces, -1, axis=1) - pieces, axis=-1)
+        length = sides.max(axis=1)
+        long = np.flatnonzero(length > max(length.max() / 2, _LONG * np.sqrt(area)))
+        if not len(long) or len(pieces) + len(long) > 2 * len(corners) + _MOST_MORE:
+            return pieces, owner
+        which = (sides[long].argmax(axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.moveaxis(np.take_along_axis(pieces[long], which[:, :, None], axis=1), 1, 0)
+        middle = (a + b) / 2
+        pieces = np.concatenate([pieces, np.stack([middle, b, c], axis=1)])
+        pieces[long] = np.stack([a, middle, c], axis=1)
+        owner = np.concatenate([owner, owner[long]])
+
+
+def _in_order(centres: Float[np.ndarray, "pieces 3"]) -> Int[np.ndarray, "leaves"]:
+    """Pieces so that halves, quarters and so on of the order lie together, down to those of one node.
+
+    They are filled up to a power of two with numbers beyond the last.
+    """
+    leaves = 1 << (len(centres) - 1).bit_length()
+    groups = np.arange(leaves)[None]
+    while groups.shape[1] > _FAN:
+        places = centres[np.minimum(groups, len(centres) - 1)]
+        widest = np.ptp(places, axis=1).argmax(axis=1)
+        key = np.take_along_axis(places, widest[:, None, None], axis=2)[..., 0]
+        half = groups.shape[1] // 2
+        groups = np.take_along_axis(groups, np.argpartition(key, half, axis=1), axis=1).reshape(-1, half)
+    return groups.ravel()
+
+
+def _levels(pieces: Float[np.ndarray, "leaves 3 3"], real: np.ndarray) -> list[_Level]:
+    """The boxes, from the top of the tree to its leaves; those that are not real are empty."""
+    low = np.where(real[:, None], pieces.min(axis=1), np.inf)
+    high = np.where(real[:, None], pieces.max(axis=1), -np.inf)
+    levels = []
+    while True:
+        fan = min(_FAN, len(low))
+        low, high = (np.ascontiguousarray(box.reshape(-1, fan, 3).transpose(0, 2, 1)) for box in (low, high))
+        levels.append((low, high))
+        if len(low) == 1:
+            return levels[::-1]
+        low, high = low.min(axis=2), high.max(axis=2)
+
+
+def _frames(pieces: Float[np.ndarray, "leaves 3 3"]) -> Float[np.ndarray, "leaves 12"]:
+    """Of each piece: the start of its longest side, the directions of x and y, the side's length, and c, h."""
+    sides = np.linalg.norm(np.roll(pieces, -1, axis=1) - pieces, axis=-1)
+    which = (sides.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    a, b, c = np.moveaxis(np.take_along_axis(pieces, which[:, :, None], axis=1), 1, 0)
+    length = sides.max(axis=1, keepdims=True)
+    along = (b - a) / np.where(length > 0, length, 1.0)
+    normal = np.cross(along, c - a)
+    height = np.linalg.norm(normal, axis=1, keepdims=True)
+    across = np.cross(normal / np.where(height > 0, height, 1.0), along)
+    return np.hstack([a, along, across, length, ((c - a) * along).sum(axis=1, keepdims=True), height])
