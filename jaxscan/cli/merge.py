@@ -223,6 +223,8 @@ def _registered(sides: "list[Side]", starts: "list[Motion]", found: "Registratio
         "centre_mm": found.centre.tolist(),
         "residual_in_sigma": float(np.sqrt(found.variance)),
         "closure_mm": found.closure_mm,
+        "converged": found.converged,
+        "rounds": found.rounds,
         "pairs": [
             {
                 "scans": [pair.first, pair.second],
@@ -308,6 +310,10 @@ def describe(result: dict[str, Any]) -> str:
         f"{max(pair['rms_mm'] for pair in pairs):.3f} mm RMS at most",
         f"  closure    {result['closure_mm']:.3f} mm: the furthest that a pair alone would stand apart",
     ]
+    if not result["converged"]:
+        lines.append(
+            f"  not settled: {result['rounds']} rounds did not suffice; the poses and their σ are not to be relied upon"
+        )
     lines += [
         f"  {scan['path']}: {scan['points']} points, pose within {scan['sigma_mm']:.4f} mm and {scan['sigma_deg']:.4f}°"
         for scan in scans[1:]

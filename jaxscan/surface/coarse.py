@@ -7,6 +7,7 @@ the points have a partner, and the scatter of their distances is that of their Ï
 Features are fast point feature histograms matched by KISS-Matcher (H. Lim et al., ICRA 2025; extra `features`).
 """
 
+import warnings
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import Final
@@ -18,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from jaxscan.errors import InputError, ObservabilityError
 from jaxscan.extras import extra
 from jaxscan.surface.motion import Motion, after, inverse
-from jaxscan.surface.register import Pair, Registration, register
+from jaxscan.surface.register import NotSettledWarning, Pair, Registration, register
 from jaxscan.surface.side import Side
 
 STILL: Final[Motion] = (np.eye(3), np.zeros(3))
@@ -154,11 +155,18 @@ def _by_features(a: Side, b: Side) -> Iterator[Motion]:
 def _together(a: Side, b: Side, starts: list[Motion]) -> Motion | None:
     """T_a_b from the best of its starts; None where none fits."""
     size = float(np.sqrt(((a.points - a.points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    # Where a trial has not come to rest the next step goes on from there.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotSettledWarning)
+        return _best_of(a, b, starts, 2 * _REACH * size)
+
+
+def _best_of(a: Side, b: Side, starts: list[Motion], reach_mm: float) -> Motion | None:
     best, score = None, 0.0
     sliding: ObservabilityError | None = None
     for start in starts:
         try:
-            tried = register((a, b), (STILL, start), most=_TRY_POINTS, reach_mm=2 * _REACH * size, rounds=_TRY_ROUNDS)
+            tried = register((a, b), (STILL, start), most=_TRY_POINTS, reach_mm=reach_mm, rounds=_TRY_ROUNDS)
         except ObservabilityError as error:
             sliding = error
             continue

@@ -9,6 +9,7 @@ The covariance counts every point's error once, however many residuals it is in:
 residuals in units of their σ where that is more than 1.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -33,6 +34,10 @@ _REACH: Final = 2.0
 LEAST_OVERLAP, _FEWEST = 0.1, 60
 # A motion along which points leave the surface by less than this part of their way is a sliding.
 _SLIDING: Final = 0.04
+
+
+class NotSettledWarning(UserWarning):
+    """The rounds ran out before the poses came to rest."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,10 @@ class Registration:
             the first.
         pairs: those that overlap.
         variance: mean square of the residuals in units of their σ.
+        rounds: how many it took.
+        left_in_sigma: the step of the last round in units of the estimates' own σ, RMS.
+        converged: whether that step was negligible, and the reach of the matches had shrunk to what it should; if not,
+            the rounds ran out, and the covariance says too little.
     """
 
     poses: tuple[Motion, ...]
@@ -76,6 +85,9 @@ class Registration:
     covariance: Float[np.ndarray, "parameters parameters"]
     pairs: tuple[Pair, ...]
     variance: float
+    rounds: int
+    left_in_sigma: float
+    converged: bool
 
     @property
     def closure_mm(self) -> float:
@@ -106,7 +118,7 @@ def register(
         most: points of each side that are looked up in each of the others.
         reach_mm: how far apart matched points may be to begin with; by default twice the spacing. It shrinks as the
             sides come together.
-        rounds: at most so many.
+        rounds: at most so many; if they do not suffice there is a `NotSettledWarning`.
 
     Raises:
         InputError: sides do not overlap, named.
@@ -117,8 +129,8 @@ def register(
     size = _size(sides, poses, centre)
     reach = {(a, b): reach_mm or 0.0 for a, b in combinations(range(len(sides)), 2)}
     linked: dict[tuple[int, int], tuple[Matches, Equations]] = {}
-    H = np.zeros((0, 0))
-    for _ in range(rounds):
+    H, left, done, converged = np.zeros((0, 0)), np.inf, 0, False
+    while done < rounds and not converged:
         linked, shrinking = {}, False
         for a, b in reach:
             least = _REACH * max(sides[a].spacing_mm, sides[b].spacing_mm)
@@ -135,9 +147,18 @@ def register(
             turn, shift = step[6 * k - 6 : 6 * k - 3], step[6 * k - 3 : 6 * k]
             R = Rotation.from_rotvec(turn).as_matrix()
             poses[k] = R @ poses[k][0], R @ (poses[k][1] - centre) + centre + shift
-        if step @ H @ step < len(step) * _NEGLIGIBLE**2 and not shrinking:
-            break
-    return _registration(sides, poses, centre, size, linked, H)
+        left = float(np.sqrt(step @ H @ step / len(step)))
+        done, converged = done + 1, left < _NEGLIGIBLE and not shrinking
+    found = _registration(sides, poses, centre, size, linked, H, (done, left, converged))
+    if not converged:
+        warnings.warn(
+            f"after {done} rounds the poses still moved by {left:.2g} of their σ, where {_NEGLIGIBLE:g} was to be "
+            "reached: they and their σ are not to be relied upon; begin nearer to how the scans stand, or scan more "
+            "of what they have in common",
+            NotSettledWarning,
+            stacklevel=2,
+        )
+    return found
 
 
 def moved_apart(side: Side, T: Motion, other: Motion) -> float:
@@ -204,6 +225,7 @@ def _registration(
     size: float,
     linked: dict[tuple[int, int], tuple[Matches, Equations]],
     H: np.ndarray,
+    how: tuple[int, float, bool],
 ) -> Registration:
     inverse_H = np.linalg.inv(H)
     # Of every point, the sum of its residuals' pulls.
@@ -234,7 +256,7 @@ def _registration(
         )
         for (a, b), (found, own) in linked.items()
     )
-    return Registration(tuple(poses), centre, covariance, pairs, variance)
+    return Registration(tuple(poses), centre, covariance, pairs, variance, *how)
 
 
 def _apart(own: Equations, arms: Float[np.ndarray, "matches 3"], size: float) -> float:

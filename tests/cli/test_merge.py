@@ -12,6 +12,7 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.reconstruction import write_points
 from jaxscan.simulation.rig_2003 import simulated_rig
+from jaxscan.surface.register import register
 from tests.surface import scenes
 from tests.surface.hills import NOISE, height, scanned
 
@@ -64,6 +65,17 @@ def test_by_angle_then_by_the_turntable_that_it_gave(folder, capsys):
     said = capsys.readouterr().out
     assert "3 overlap" in said
     assert "open" in said
+
+
+@pytest.mark.filterwarnings("always::jaxscan.surface.register.NotSettledWarning")
+def test_rounds_that_run_out_are_said(folder, capsys, monkeypatch):
+    assert register.__kwdefaults__ is not None
+    monkeypatch.setitem(register.__kwdefaults__, "rounds", 2)
+    words = ["merge", folder / "0.npz", folder / "1.npz", "--turn", "83", "-o", folder / "rough.stl"]
+    assert main([str(word) for word in words]) == 0
+    out, err = capsys.readouterr()
+    assert "not settled: 2 rounds did not suffice" in out
+    assert err.count("jaxscan: warning: after 2 rounds the poses still moved") == 1
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from jaxscan.errors import InputError, ObservabilityError
 from jaxscan.surface.coarse import STILL, arrange, check_fits
 from jaxscan.surface.motion import after, inverse, moved
 from jaxscan.surface.pairs import equations, match
-from jaxscan.surface.register import register
+from jaxscan.surface.register import NotSettledWarning, register
 from tests.surface import scenes
 from tests.surface.hills import NOISE, height, pose, scanned, side
 
@@ -75,6 +75,19 @@ def test_all_sides_together_within_the_predicted_covariance(sides, truth):
     assert found.closure_mm < 0.01
     assert found.sigma(0) == (0.0, 0.0)
     assert 0 < found.sigma(2)[0] < np.radians(0.1)
+
+
+def test_rounds_that_run_out_are_said(sides, truth):
+    starts = [STILL, after((np.eye(3), np.array([0.3, 0.2, 0.2])), truth[1])]
+    with pytest.warns(NotSettledWarning, match=r"after 2 rounds the poses still moved by"):
+        found = register(sides[:2], starts, rounds=2)
+    assert not found.converged
+    assert found.rounds == 2
+    assert found.left_in_sigma > 0.02
+    found = register(sides[:2], starts)
+    assert found.converged
+    assert 2 < found.rounds < 40
+    assert found.left_in_sigma < 0.02
 
 
 def test_features_need_no_angle(sides, truth):

@@ -28,7 +28,7 @@ def registered(sigma_rad: float, sigma_mm: float, seed: int = 0) -> Registration
             R, t = turn @ R, turn @ (t - CENTRE) + CENTRE + sigma_mm * rng.normal(size=3)
         poses.append((R, t))
     covariance = np.diag(np.tile([sigma_rad**2] * 3 + [sigma_mm**2] * 3, 7))
-    return Registration(tuple(poses), CENTRE, covariance, (), 1.0)
+    return Registration(tuple(poses), CENTRE, covariance, (), 1.0, 5, 0.01, True)
 
 
 def test_recovered_within_the_covariance():
