@@ -9,6 +9,9 @@ from benchmarks import calibration_rs
 from benchmarks.sub_pix import with_sub_pix
 from benchmarks.surface import pyramid_of
 from jaxscan import Calibration, ObservabilityError, calibrate, observe, read_rig, read_scan, read_session, reconstruct
+from jaxscan.surface.clean import clean
+from jaxscan.surface.floor import find_floor
+from jaxscan.surface.plateaus import plateaus
 
 LEAVES = ("focal.0", "focal.1", "principal.0", "principal.1")
 
@@ -76,6 +79,9 @@ def test_a_pyramid(data: Path) -> None:
     depth = image.points[image.valid][:, 2]
     assert depth.max() < 84
     assert depth.min() > 40
+    # Its faces are no plateaus, and its top is smaller than one.
+    cleaned = clean(image).image
+    assert plateaus(cleaned, find_floor(cleaned)) == ()
     found = {metric.name.removeprefix("surface.pyramid."): metric.value for metric in pyramid_of(image)}
     # As published the stage moves the wrong way, which folds the surface.
     assert found["facing_away.stage_plus"] > 0.05
@@ -83,3 +89,9 @@ def test_a_pyramid(data: Path) -> None:
     assert found["share_further_than_1_mm"] < 0.02
     assert max(found[f"{name}.rms"] for name in ("top", "face_0", "face_1", "face_2", "face_3")) < 0.3
     assert max(found["slopes_0_and_2_apart"], found["slopes_1_and_3_apart"]) < 3.0
+
+
+def test_a_bare_bed_has_no_plateau(data: Path) -> None:
+    image = clean(reconstruct(read_rig(data / "stage-pyramid" / "rig.json"), read_scan(data / "stage-flat"))).image
+    assert image.valid.any(axis=1).all()
+    assert plateaus(image, find_floor(image)) == ()

@@ -26,14 +26,20 @@ _ENDINGS: Final = (".stl", ".obj", ".ply", ".glb", ".npz")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("points", type=Path, metavar="POINTS", help="a range image (.npz), or a cloud (.ply)")
-    add_outputs_argument(parser, "MESH", ".stl, .obj, .ply, .glb, or what is left of the range image, .npz")
+    add_outputs_argument(parser, "MESH", ".stl, .obj, .ply, .glb, or what is left of the range image, .npz", False)
     parser.add_argument(
         "--floor",
         default="auto",
         metavar="FLOOR",
-        help="auto (default): found and taken away | keep | a scan of the bare stage (.npz) | three or more points of "
-        "it, X,Y,Z:X,Y,Z:X,Y,Z (mm)",
+        help="auto (default): found and taken away | keep | a scan of the bare stage (.npz): heights are above its "
+        "points, flat or not | three or more points of it, X,Y,Z:X,Y,Z:X,Y,Z (mm)",
     )
+    parser.add_argument(
+        "--plateaus",
+        action="store_true",
+        help="list level pieces with their heights above the floor; needs no -o",
+    )
+    parser.add_argument("--plateau-area", type=float, metavar="MM2", help="of the smallest plateau (default: 20 mm²)")
     parser.add_argument("--raw", action="store_true", help="keep mixed, grazing and isolated points")
     parser.add_argument("--crop", type=numbers(6), metavar="X,Y,Z,X,Y,Z", help="the points within this box alone (mm)")
     parser.add_argument(
@@ -65,11 +71,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.errors import said_of
 
     result: dict[str, Any] = {"kind": "mesh", "path": [str(path) for path in args.output]}
+    meshed = bool(args.output or args.png)
     with said_of(args.points):
         if args.points.suffix.lower() == ".npz":
             from jaxscan.reconstruction import read_range_image
 
             image, floor = _prepared(read_range_image(args.points), args, result)
+            if not meshed:
+                return result
             mesh, cloud, quads = _of_image(image, args, result)
         else:
             from jaxscan.files.cloud import read_ply
@@ -88,8 +97,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         from jaxscan.geometry.robust_plane import dominant_plane
         from jaxscan.view.surface_plots import draw_mesh
 
-        up = floor.R[:, 2] if floor else dominant_plane(np.asarray(mesh.vertices))[0][:, 2]
-        draw_mesh(args.png, np.asarray(mesh.vertices), np.asarray(mesh.faces), up, f"{len(mesh.faces)} triangles")
+        vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        up = floor.R[:, 2] if floor else dominant_plane(vertices)[0][:, 2]
+        height = floor.height(vertices) if floor and "scan" in result["floor"] else None
+        draw_mesh(args.png, vertices, faces, up, f"{len(faces)} triangles", height)
         result["picture"] = str(args.png)
     return result | {
         "vertices": len(mesh.vertices),
@@ -112,6 +123,12 @@ def simplified(mesh: "trimesh.Trimesh", triangles: int) -> "trimesh.Trimesh":
 
 def _check(args: argparse.Namespace) -> None:
     """Refuse options that do not go together, before any work."""
+    if not (args.output or args.plateaus):
+        raise InputError("give -o MESH for what is to be written, or --plateaus")
+    if args.plateau_area is not None and not (args.plateaus and args.plateau_area > 0):
+        raise InputError(f"--plateau-area {args.plateau_area:g}: give an area that is more than 0, and --plateaus")
+    if args.plateaus and args.floor == "keep":
+        raise InputError("--plateaus: heights are above the floor: leave --floor keep out")
     ending = args.points.suffix.lower()
     if ending not in (".npz", ".ply"):
         raise InputError(f"{args.points}: give a range image (.npz) or a cloud (.ply)")
@@ -119,7 +136,7 @@ def _check(args: argparse.Namespace) -> None:
         if path.suffix.lower() not in _ENDINGS:
             raise InputError(f"{path}: the ending is not known: write {', '.join(_ENDINGS)}")
     if ending == ".ply":
-        given = [name for name in ("crop", "every", "grid", "fill", "raw", "quads") if getattr(args, name)]
+        given = [name for name in ("crop", "every", "grid", "fill", "raw", "quads", "plateaus") if getattr(args, name)]
         given += ["floor"] if args.floor not in ("auto", "keep") else []
         given += ["-o .npz"] if any(path.suffix.lower() == ".npz" for path in args.output) else []
         if given:
@@ -145,6 +162,11 @@ def _prepared(
     image: "RangeImage", args: argparse.Namespace, result: dict[str, Any]
 ) -> "tuple[RangeImage, Floor | None]":
     """Cropped, thinned, cleaned, without the floor, filled and resampled, as was asked for."""
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from jaxscan.surface.bed import ScannedFloor
     from jaxscan.surface.clean import clean
     from jaxscan.surface.floor import stands_on
     from jaxscan.surface.holes import fill_holes
@@ -163,6 +185,13 @@ def _prepared(
         result["removed"] = cleaned.counts()
         image = cleaned.image
     floor = _floor(image, args.floor)
+    if floor is not None and args.plateaus:
+        from jaxscan.surface.plateaus import plateaus
+
+        found = plateaus(image, floor, **({"least_mm2": args.plateau_area} if args.plateau_area else {}))
+        result["plateaus"] = [asdict(one) | {"centre": one.centre.tolist()} for one in found]
+        if not (args.output or args.png):
+            return image, floor
     if floor is not None:
         kept = stands_on(image, floor)
         result["floor"] = {
@@ -172,6 +201,9 @@ def _prepared(
             "normal": floor.R[:, 2].tolist(),
             "points": int((image.valid & ~kept).sum()),
         }
+        if isinstance(floor, ScannedFloor):
+            beside = image.valid & np.isnan(floor.height(image.points))
+            result["floor"] |= {"scan": args.floor, "points_beside_the_scan": int(beside.sum())}
         image = image.where(kept)
     if args.fill is not None:
         image = fill_holes(image, args.fill)
@@ -184,6 +216,7 @@ def _prepared(
 
 
 def _floor(image: "RangeImage", how: str) -> "Floor | None":
+    from jaxscan.surface.bed import floor_from_scan
     from jaxscan.surface.floor import find_floor, floor_from_picks
 
     if how == "keep":
@@ -195,7 +228,7 @@ def _floor(image: "RangeImage", how: str) -> "Floor | None":
         from jaxscan.reconstruction import read_range_image
 
         with said_of(how):
-            return find_floor(read_range_image(how))
+            return floor_from_scan(read_range_image(how))
     try:
         picks = [numbers(3)(pick) for pick in how.split(":")]
     except argparse.ArgumentTypeError as error:
@@ -267,8 +300,11 @@ def _write(path: Path, mesh: "trimesh.Trimesh", cloud: "Cloud | None", quads: An
 
 def describe(result: dict[str, Any]) -> str:
     """The result in words."""
+    lines = _plateaus_in_words(result) if "plateaus" in result else []
+    if "triangles" not in result:
+        return "\n".join(lines)
     closed = f"closed, {result['volume_mm3']:.6g} mm³" if result["closed"] else "open"
-    lines = [
+    lines += [
         f"{result['triangles']} triangles between {result['vertices']} points: {', '.join(result['path'])}",
         f"  surface    {result['area_mm2']:.6g} mm², {closed}",
     ]
@@ -281,6 +317,11 @@ def describe(result: dict[str, Any]) -> str:
             f"  floor      {floor['points']} points within {floor['tolerance_mm']:.3f} mm or loose above it; "
             f"σ {floor['sigma_mm']:.3f} mm, flat within {floor['flatness_mm']:.3f} mm"
         )
+        if floor.get("points_beside_the_scan"):
+            lines.append(
+                f"             {floor['points_beside_the_scan']} points lie beside the scan of the stage: "
+                "they were held against the plane through it"
+            )
     if result.get("facing_away", 0.0) > _FOLDED:
         lines.append(
             f"  folded     {100 * result['facing_away']:.0f} % of the surface face away from the camera, as when the "
@@ -289,3 +330,17 @@ def describe(result: dict[str, Any]) -> str:
     if "picture" in result:
         lines.append(f"  picture    {result['picture']}")
     return "\n".join(lines)
+
+
+def _plateaus_in_words(result: dict[str, Any]) -> list[str]:
+    found = result["plateaus"]
+    if not found:
+        return ["no plateaus: nothing that stands on the floor is level and large enough"]
+    lines = [f"{len(found)} plateau{'s' if len(found) > 1 else ''}, heights above the floor with 95 % intervals"]
+    lines += [
+        f"  {one['height_mm']:10.4f} ± {one['interval_mm']:.4f} mm (σ {one['sigma_mm']:.4f}), spread "
+        f"{one['spread_mm']:.4f} mm, {one['points']} points, {one['area_mm2']:.0f} mm², "
+        f"tilted by {one['tilt_deg']:.2f}°, at {', '.join(f'{c:.1f}' for c in one['centre'])}"
+        for one in found
+    ]
+    return lines

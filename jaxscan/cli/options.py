@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 
-def add_outputs_argument(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
+def add_outputs_argument(parser: argparse.ArgumentParser, metavar: str, what: str, required: bool = True) -> None:
     """Declare `-o`, which may be given more than once: the file's ending says what is written."""
     words = f"what to write: {what}; may be given more than once"
-    parser.add_argument("-o", "--output", type=Path, required=True, action="append", metavar=metavar, help=words)
+    parser.add_argument(
+        "-o", "--output", type=Path, required=required, default=[], action="append", metavar=metavar, help=words
+    )
 
 
 def numbers(count: int, kind: Callable[[str], Any] = float) -> Callable[[str], list[Any]]:

@@ -132,6 +132,8 @@ def stands_on(image: RangeImage, floor: Floor, linked: Links | None = None) -> B
     """
     with np.errstate(invalid="ignore"):
         height = floor.height(image.points)
+        # Beside a bed that was scanned its plane goes on.
+        height = np.where(np.isnan(height), (image.points - floor.origin) @ floor.R[:, 2], height)
         above = image.valid & (height > _LOW * floor.sigma_mm)
         core = above & (height > _HIGH * floor.sigma_mm)
     linked = linked or links(image)

@@ -94,6 +94,7 @@ def draw_mesh(
     triangles: Int[np.ndarray, "triangles 3"],
     up: Float[np.ndarray, "3"],
     title: str,
+    height: Float[np.ndarray, "vertices"] | None = None,
 ) -> None:
     """A mesh from two sides, shaded, its nearer triangles over the farther ones.
 
@@ -103,12 +104,15 @@ def draw_mesh(
         triangles: three vertices each, anticlockwise from outside.
         up: the direction that is up in the picture.
         title: over the picture.
+        height: of each vertex above the floor, mm: what it is coloured by, grey where it is not known.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
     plt = pyplot()
+    from matplotlib.cm import ScalarMappable
     from matplotlib.collections import PolyCollection
+    from matplotlib.colors import Normalize
 
     figure, axes = plt.subplots(1, 2, figsize=(15, 6.5), layout="constrained")
     # A picture has no room for more: then only every so many-th is drawn, larger.
@@ -117,6 +121,13 @@ def draw_mesh(
     if every > 1:
         middle = corners.mean(axis=1, keepdims=True)
         corners = middle + np.sqrt(every) * (corners - middle)
+    own = np.full(len(corners), np.nan) if height is None else height[triangles[::every]].mean(axis=1)
+    known = np.isfinite(own)
+    colour = np.tile([0.95, 0.9, 0.8], (len(corners), 1))
+    if known.any():
+        scale = ScalarMappable(Normalize(*np.percentile(own[known], _SHOWN)), "viridis")
+        colour[known] = scale.to_rgba(own[known])[:, :3]
+        figure.colorbar(scale, ax=axes, label="height over the floor, mm", shrink=0.8)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     for ax, turn in zip(axes, (_AZIMUTH, _AZIMUTH + np.pi), strict=True):
@@ -128,7 +139,7 @@ def draw_mesh(
         shade = normals @ (light / np.linalg.norm(light))
         # The back of a surface is shown too, and darker.
         grey = np.where(normals @ toward > 0, 0.2 + 0.8 * np.clip(shade, 0, 1), 0.12)
-        colours = np.repeat(grey[order, None], 3, axis=1) * [0.95, 0.9, 0.8]
+        colours = grey[order, None] * colour[order]
         ax.add_collection(PolyCollection(flat[order].tolist(), facecolors=colours, edgecolors=colours, linewidths=0.3))
         ax.autoscale_view()
         ax.set(aspect="equal", xlabel="mm", ylabel="mm")

@@ -12,6 +12,7 @@ from jaxscan.cli.main import main
 from jaxscan.files.ply import Lists
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.reconstruction import RangeImage, read_range_image, write_points
+from tests.surface import scenes
 
 
 def drawn(noise: float = 0.02) -> RangeImage:
@@ -72,6 +73,43 @@ def test_a_mesh_in_every_format(folder, capsys):
     assert (folder / "out.png").read_bytes().startswith(b"\x89PNG")
     assert main(["mesh", str(folder / "block.npz"), "-o", str(folder / "out.stl")]) == 0
     assert "3248 triangles between 1711 points" in capsys.readouterr().out
+
+
+def test_plateaus_need_no_mesh(folder, capsys):
+    found = run(capsys, "mesh", folder / "block.npz", "--plateaus")
+    (one,) = found["plateaus"]
+    assert abs(one["height_mm"] - 5.0) <= one["interval_mm"] < 0.01
+    assert {"sigma_mm", "spread_mm", "points", "area_mm2", "centre", "tilt_deg"} <= set(one)
+    assert "triangles" not in found
+    out = folder / "plateaus.stl"
+    assert main([str(word) for word in ("mesh", folder / "block.npz", "--plateaus", "-o", out)]) == 0
+    said = capsys.readouterr().out
+    assert "1 plateau, heights above the floor with 95 % intervals" in said
+    assert "triangles between" in said
+    assert run(capsys, "mesh", folder / "bare.npz", "--plateaus")["plateaus"] == []
+    assert run(capsys, "mesh", folder / "block.npz", "--plateaus", "--plateau-area", "500")["plateaus"] == []
+    assert main(["mesh", str(folder / "bare.npz"), "--plateaus"]) == 0
+    assert "no plateaus" in capsys.readouterr().out
+
+
+def test_a_scan_of_the_stage_is_a_surface(folder, capsys):
+    x, _ = scenes.grid()
+    block = drawn().points[..., 2] < 297
+    for name, high in (("bent", 0.0), ("on-bent", 5.0)):
+        image = scenes.seen(0.005 * x**2 + high * block, 0.02, seed=int(high))
+        write_points(folder / f"{name}.npz", image)
+    found = run(
+        capsys, "mesh", folder / "on-bent.npz", "--floor", folder / "bent.npz", "--plateaus", "-o", folder / "b.stl",
+        "--png", folder / "b.png",
+    )  # fmt: skip
+    assert found["plateaus"][0]["height_mm"] == pytest.approx(5.0, abs=0.005)
+    assert found["vertices"] == pytest.approx(block.sum(), abs=10)
+    assert found["floor"]["sigma_mm"] == pytest.approx(0.02, rel=0.15)
+    assert found["floor"]["points_beside_the_scan"] == 0
+    assert (folder / "b.png").read_bytes().startswith(b"\x89PNG")
+    words = ["mesh", folder / "block.npz", "--floor", folder / "bare.npz", "-o", folder / "c.stl"]
+    assert main([str(word) for word in words]) == 0
+    assert "points lie beside the scan of the stage" in capsys.readouterr().out
 
 
 def test_floors_methods_and_options(folder, capsys):
@@ -138,6 +176,10 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("mesh block.npz -o x.step", "x.step: the ending is not known"),
         ("mesh block.ply -o x.npz", "needs the order of a range image"),
         ("mesh block.ply -o x.stl --fill 3", "--fill needs the order of a range image"),
+        ("mesh block.npz", "give -o MESH for what is to be written, or --plateaus"),
+        ("mesh block.npz --plateaus --floor keep", "--plateaus: heights are above the floor"),
+        ("mesh block.npz --plateaus --plateau-area 0", "--plateau-area 0: give an area"),
+        ("mesh block.ply --plateaus", "--plateaus needs the order of a range image"),
         ("mesh block.npz -o x.stl --floor maybe", "--floor maybe: is none of auto, keep"),
         ("mesh block.npz -o x.stl --fill -1", "holes of up to -1 mm"),
         ("mesh block.npz -o x.stl --grid 0", "a grid of 0 mm"),
