@@ -15,7 +15,7 @@ EXTRAS: Final = {
     "viewer": ("to look at a surface in the browser", "; or draw it with --png", ("viser",)),
     "features": (
         "to find by their shape how scans stand to each other",
-        "; or say it with --turn or --steps",
+        "; or say it with --turn, --steps or --poses",
         ("kiss_matcher",),
     ),
     "cluster": ("to hand scans to a scheduler", "", ("distributed",)),

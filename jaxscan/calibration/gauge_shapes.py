@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from jaxscan.errors import InputError
 from jaxscan.files.mesh import read_mesh
+from jaxscan.files.units import in_millimetres
 from jaxscan.geometry.closest import ClosestOnTriangles
 from jaxscan.geometry.robust_plane import Frame, dominant_plane
 
@@ -225,8 +226,12 @@ class Solid:
         return float(np.minimum(away, np.quantile(away, 0.9)).mean()), turn, move
 
 
-def parse_shape(text: str) -> Shape:
+def parse_shape(text: str, units: str | None = None) -> Shape:
     """A shape as the command line names it: `plate`, `steps:1.48,3.68,8.94`, `ball:22`, or a mesh file.
+
+    Args:
+        text: how it is named.
+        units: of a mesh, as `in_millimetres` has them.
 
     Raises:
         InputError: it names none of these, or a file that holds no mesh.
@@ -245,4 +250,6 @@ def parse_shape(text: str) -> Shape:
             f'"{text}": is no shape and no file: give plate, steps:1.48,3.68,8.94 (heights in mm above the plate), '
             "ball:22 (radius in mm), or a mesh file (.stl, .ply, .obj)"
         )
-    return Solid(read_mesh(path))
+    mesh = read_mesh(path)
+    mesh.vertices = in_millimetres(text, np.asarray(mesh.vertices), units)
+    return Solid(mesh)

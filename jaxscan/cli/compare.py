@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import numbers
+from jaxscan.cli.options import add_units_argument, numbers
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -27,6 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="REFERENCE",
         help="a mesh (.stl, .ply, .obj …) or a cloud (.ply, .npz)",
     )
+    add_units_argument(parser, "the cloud")
+    add_units_argument(parser, "the reference", "--reference-units")
     parser.add_argument("--fit", action="store_true", help="move the cloud rigidly onto the reference first")
     parser.add_argument(
         "--within", type=float, default=float("inf"), metavar="MM", help="points further away do not count"
@@ -62,9 +64,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         if path:
             check_writable(path)
     from jaxscan.errors import said_of
+    from jaxscan.files.units import in_millimetres
     from jaxscan.surface.compare import region
 
-    points = read_points(args.cloud)
+    points = in_millimetres(str(args.cloud), read_points(args.cloud), args.units)
     result: dict[str, Any] = {"kind": "comparison", "path": str(args.cloud)}
     if args.reference is not None:
         result |= _compared(points, args)
@@ -87,7 +90,7 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.errors import said_of
     from jaxscan.surface.compare import compare
 
-    reference = read_reference(args.reference)
+    reference = read_reference(args.reference, args.reference_units)
     with said_of(f"{args.cloud} against {args.reference}"):
         found = compare(points, reference, fit=args.fit, within_mm=args.within)
     figures = found.figures()
@@ -130,26 +133,33 @@ def read_points(path: Path) -> "np.ndarray":
     return np.asarray(read_mesh(path).vertices)
 
 
-def read_reference(path: Path) -> "Reference":
-    """A mesh where the file holds one, else a cloud."""
+def read_reference(path: Path, units: str | None = None) -> "Reference":
+    """A mesh where the file holds one, else a cloud; in millimetres, as `in_millimetres`."""
+    import numpy as np
+
+    from jaxscan.files.units import in_millimetres
     from jaxscan.surface.reference import CloudReference, MeshReference
 
+    def in_mm(points: np.ndarray) -> np.ndarray:
+        return in_millimetres(str(path), points, units, "--reference-units")
+
+    if path.suffix.lower() == ".npz":
+        return CloudReference(in_mm(read_points(path)))
     if path.suffix.lower() == ".ply":
         from jaxscan.files.cloud import cloud_of
         from jaxscan.files.mesh import has_faces, mesh_of
         from jaxscan.files.ply_read import read_ply_file
 
         content = read_ply_file(path)
-        return (
-            MeshReference(mesh_of(path, content))
-            if has_faces(content)
-            else CloudReference(cloud_of(path, content).points)
-        )
-    if path.suffix.lower() == ".npz":
-        return CloudReference(read_points(path))
-    from jaxscan.files.mesh import read_mesh
+        if not has_faces(content):
+            return CloudReference(in_mm(cloud_of(path, content).points))
+        mesh = mesh_of(path, content)
+    else:
+        from jaxscan.files.mesh import read_mesh
 
-    return MeshReference(read_mesh(path))
+        mesh = read_mesh(path)
+    mesh.vertices = in_mm(np.asarray(mesh.vertices))
+    return MeshReference(mesh)
 
 
 def write_coloured(path: Path, points: "np.ndarray", distance: "np.ndarray", limit: float) -> None:

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.cli.options import add_units_argument
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SESSION",
         help="the calibration sessions themselves: boards and gauges in one solve",
     )
+    add_units_argument(parser, "a mesh file of --shape")
     parser.add_argument(
         "--shape",
         required=True,
@@ -61,7 +63,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.atomic import check_writable
 
     check_writable(args.output)
-    shapes = _shapes(args.shape, len(args.scan))
+    shapes = _shapes(args.shape, len(args.scan), args.units)
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
@@ -101,11 +103,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _shapes(texts: list[str], scans: int) -> "list[Shape]":
+def _shapes(texts: list[str], scans: int, units: str | None) -> "list[Shape]":
     """A shape for each scan."""
     from jaxscan.calibration.gauge_shapes import parse_shape
 
-    shapes = [parse_shape(text) for text in texts]
+    shapes = [parse_shape(text, units) for text in texts]
     if len(shapes) not in (1, scans):
         raise InputError(f"--shape: {len(shapes)} shapes for {scans} scans: give one for all of them, or one for each")
     return shapes * (scans // len(shapes))

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_outputs_argument
+from jaxscan.cli.options import add_outputs_argument, add_units_argument
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="two or more range images (.npz), clouds (.ply) without a floor, or folders of photographs (with --rig)",
     )
     add_outputs_argument(parser, "MESH", ".stl, .obj, .ply or .glb")
+    add_units_argument(parser, "clouds (.ply) and --poses")
     parser.add_argument("--rig", type=Path, help="the rig: of folders of photographs, and its turntable")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
@@ -46,6 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_list(float),
         metavar="N",
         help="motor steps of the rig's turntable from scan to scan, or N,N,… for each: its axis gives the start",
+    )
+    how.add_argument(
+        "--poses",
+        type=Path,
+        metavar="FILE",
+        help="where the scans stand roughly, by their file names: .json (4 x 4, or position and quaternion w, x, y, "
+        "z), or .conf of the Stanford scans",
     )
     parser.add_argument(
         "--fit-turntable",
@@ -129,7 +137,7 @@ def _check(args: argparse.Namespace) -> None:
         "plots": args.png,
         "poisson": args.closed,
         "simplify": args.simplify is not None,
-        "features": not (args.turn or args.steps),
+        "features": not (args.turn or args.steps or args.poses),
     }
     for name in [name for name, asked in needed.items() if asked]:
         extra(name)
@@ -159,7 +167,15 @@ def _for_each(option: str, values: list[float], count: int) -> list[float]:
 
 
 def _start(args: argparse.Namespace) -> "tuple[Sequence[Motion] | None, Sequence[float] | None]":
-    """Poses by the rig's turntable, or angles."""
+    """Poses as they are given or by the rig's turntable, or angles."""
+    if args.poses:
+        from jaxscan.files.scan_poses import read_scan_poses
+        from jaxscan.files.units import UNITS
+        from jaxscan.surface.motion import after, inverse
+
+        scale = UNITS[args.units or "mm"]
+        poses = [(R, scale * t) for R, t in read_scan_poses(args.poses, args.scans)]
+        return [after(inverse(poses[0]), T) for T in poses], None
     if not args.steps:
         return None, args.turn
     from jaxscan.files.rig_file import read_rig
@@ -178,8 +194,9 @@ def _side(path: Path, args: argparse.Namespace, advance: Any) -> "Side":
     name = str(path)
     if path.suffix.lower() == ".ply":
         from jaxscan.files.cloud import read_ply
+        from jaxscan.files.units import cloud_in_millimetres
 
-        side = side_of_cloud(name, read_ply(path))
+        side = side_of_cloud(name, cloud_in_millimetres(name, read_ply(path), args.units))
     else:
         image = _image(path, args)
         with said_of(path):

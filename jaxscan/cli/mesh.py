@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_outputs_argument, numbers
+from jaxscan.cli.options import add_outputs_argument, add_units_argument, numbers
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("points", type=Path, metavar="POINTS", help="a range image (.npz), or a cloud (.ply)")
     add_outputs_argument(parser, "MESH", ".stl, .obj, .ply, .glb, or what is left of the range image, .npz", False)
+    add_units_argument(parser, "a cloud (.ply)")
     parser.add_argument(
         "--floor",
         default="auto",
@@ -82,9 +83,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             mesh, cloud, quads = _of_image(image, args, result)
         else:
             from jaxscan.files.cloud import read_ply
+            from jaxscan.files.units import cloud_in_millimetres
 
             image, floor, quads = None, None, None
-            cloud = read_ply(args.points)
+            cloud = cloud_in_millimetres(str(args.points), read_ply(args.points), args.units)
             mesh = _of_cloud(cloud, args)
         if args.simplify is not None:
             mesh = simplified(mesh, args.simplify)

@@ -14,6 +14,12 @@ def add_outputs_argument(parser: argparse.ArgumentParser, metavar: str, what: st
     )
 
 
+def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str = "--units") -> None:
+    """Declare in which unit of length what is read is given."""
+    words = f"unit of length of {what} (default: mm; what is less than 2 mm across is pointed out)"
+    parser.add_argument(option, choices=("mm", "cm", "m", "inch"), help=words)
+
+
 def numbers(count: int, kind: Callable[[str], Any] = float) -> Callable[[str], list[Any]]:
     """So many numbers with commas between them."""
 

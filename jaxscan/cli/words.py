@@ -164,8 +164,15 @@ def _picture(facts: Facts) -> Iterator[Line]:
 
 def _extent(facts: Facts) -> Iterator[Line]:
     if facts["box_mm"]:
+        import numpy as np
+
+        from jaxscan.files.units import too_small
+
         ranges = (f"{axis} {low:.1f} … {high:.1f}" for axis, low, high in zip("xyz", *facts["box_mm"], strict=True))
         yield "extent", f"{', '.join(ranges)} mm"
+        across = too_small(np.array(facts["box_mm"]))
+        if across is not None:
+            yield "", f"{across:.3g} mm across: if its numbers are metres, other commands take --units m"
     if facts["sigma_mm"] is not None:
         yield "sigma", f"{facts['sigma_mm']:.4f} mm in the median"
 

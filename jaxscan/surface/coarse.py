@@ -47,9 +47,9 @@ def arrange(
 
     Args:
         sides: two or more.
-        degrees: how far the object was turned at each scan, anticlockwise as seen from above its floor; without, the
-            features of the shapes tell.
-        known: T_first_side as a turntable has it, in place of both.
+        degrees: how far the object was turned at each scan, anticlockwise as seen from above its floor, or where no
+            floor is known about any of the axes of its frame; without, the features of the shapes tell.
+        known: T_first_side as a turntable or somebody has it, in place of both.
 
     Raises:
         InputError: sides do not overlap, named; or there are no angles and the extra is not installed.
@@ -118,27 +118,29 @@ def _starts(
     if known is not None:
         yield after(inverse(known[i]), known[j])
     elif degrees is not None:
-        for offset in _OFFSETS_DEG:
-            yield _turned(a, b, degrees[j] - degrees[i] + offset)
+        for up_a, up_b in _ups(a, b):
+            for offset in _OFFSETS_DEG:
+                yield _turned(a, b, up_a, up_b, degrees[j] - degrees[i] + offset)
     else:
         yield from _by_features(a, b)
 
 
-def _turned(a: Side, b: Side, degrees: float) -> Motion:
-    """T_a_b where the object was turned about its floor's normal between a and b, and stayed where it was."""
-    up_a, up_b = (_up(side) for side in (a, b))
+def _ups(a: Side, b: Side) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
+    """Which way is up in a and in b: their floors' normals, or where there is none each axis of the frame.
+
+    One scanner has scanned both from where it stands, so what is up in the one is in the other.
+    """
+    known = [side.floor.R[:, 2] for side in (a, b) if side.floor is not None]
+    if known:
+        return [(known[0], known[-1])]
+    return [(up, up) for up in (*-np.eye(3), *np.eye(3))]
+
+
+def _turned(a: Side, b: Side, up_a: Float[np.ndarray, "3"], up_b: Float[np.ndarray, "3"], degrees: float) -> Motion:
+    """T_a_b where the object was turned about what is up between a and b, and stayed where it was."""
     turn = turns_about(up_a, np.zeros(3), -degrees)[0]
     R = turn @ Rotation.align_vectors(up_a[None], up_b[None])[0].as_matrix()
     return R, a.points.mean(axis=0) - R @ b.points.mean(axis=0)
-
-
-def _up(side: Side) -> Float[np.ndarray, "3"]:
-    if side.floor is None:
-        raise InputError(
-            f"{side.name}: an angle is about the floor's normal, and the floor is not known: give a range image with "
-            "its floor, the rig's turntable, or leave the angle out"
-        )
-    return side.floor.R[:, 2]
 
 
 def _by_features(a: Side, b: Side) -> Iterator[Motion]:

@@ -27,6 +27,8 @@ from jaxscan.surface.side import Side
 
 # Rounds go on until the step left is negligible in units of the estimates' own σ, RMS; matches flip for ever.
 _NEGLIGIBLE: Final = 0.02
+# Matches that flip for ever carry the poses round in circles: they rest where so many rounds together hardly move them.
+_CIRCLE, _CIRCLE_NEGLIGIBLE = 10, 0.1
 _ROUNDS: Final = 40
 # Points are matched over so many spacings in the end.
 _REACH: Final = 2.0
@@ -75,9 +77,10 @@ class Registration:
         pairs: those that overlap.
         variance: mean square of the residuals in units of their σ.
         rounds: how many it took.
-        left_in_sigma: the step of the last round in units of the estimates' own σ, RMS.
-        converged: whether that step was negligible, and the reach of the matches had shrunk to what it should; if not,
-            the rounds ran out, and the covariance says too little.
+        left_in_sigma: the step of the last round in units of the estimates' own σ, RMS; where that was not negligible
+            when the rounds ran out, what the last ten moved the poses by together.
+        converged: whether that was negligible, and the reach of the matches had shrunk to what it should; if not, the
+            covariance says too little.
     """
 
     poses: tuple[Motion, ...]
@@ -129,8 +132,9 @@ def register(
     size = _size(sides, poses, centre)
     reach = {(a, b): reach_mm or 0.0 for a, b in combinations(range(len(sides)), 2)}
     linked: dict[tuple[int, int], tuple[Matches, Equations]] = {}
-    H, left, done, converged = np.zeros((0, 0)), np.inf, 0, False
-    while done < rounds and not converged:
+    H, left, steps, converged = np.zeros((0, 0)), np.inf, [], False
+    shrinking = True
+    while len(steps) < rounds and not converged:
         linked, shrinking = {}, False
         for a, b in reach:
             least = _REACH * max(sides[a].spacing_mm, sides[b].spacing_mm)
@@ -147,14 +151,17 @@ def register(
             turn, shift = step[6 * k - 6 : 6 * k - 3], step[6 * k - 3 : 6 * k]
             R = Rotation.from_rotvec(turn).as_matrix()
             poses[k] = R @ poses[k][0], R @ (poses[k][1] - centre) + centre + shift
-        left = float(np.sqrt(step @ H @ step / len(step)))
-        done, converged = done + 1, left < _NEGLIGIBLE and not shrinking
-    found = _registration(sides, poses, centre, size, linked, H, (done, left, converged))
+        steps.append(step)
+        left = _in_sigma(step, H)
+        converged = left < _NEGLIGIBLE and not shrinking
+    if not converged and len(steps) >= _CIRCLE:
+        left = _in_sigma(np.sum(steps[-_CIRCLE:], axis=0), H)
+        converged = left < _CIRCLE_NEGLIGIBLE and not shrinking
+    found = _registration(sides, poses, centre, size, linked, H, (len(steps), left, converged))
     if not converged:
         warnings.warn(
-            f"after {done} rounds the poses still moved by {left:.2g} of their σ, where {_NEGLIGIBLE:g} was to be "
-            "reached: they and their σ are not to be relied upon; begin nearer to how the scans stand, or scan more "
-            "of what they have in common",
+            f"after {len(steps)} rounds the poses still moved, in the end by {left:.2g} of their σ: they and their σ "
+            "are not to be relied upon; begin nearer to how the scans stand, or scan more of what they have in common",
             NotSettledWarning,
             stacklevel=2,
         )
@@ -164,6 +171,11 @@ def register(
 def moved_apart(side: Side, T: Motion, other: Motion) -> float:
     """How far the points of a side are apart in two of its poses, RMS, mm."""
     return float(np.sqrt(((moved(side.points, T) - moved(side.points, other)) ** 2).sum(axis=1).mean()))
+
+
+def _in_sigma(step: np.ndarray, H: np.ndarray) -> float:
+    """How large a step is in units of the estimates' own σ, RMS."""
+    return float(np.sqrt(step @ H @ step / len(step)))
 
 
 def _size(sides: Sequence[Side], poses: Sequence[Motion], centre: np.ndarray) -> float:

@@ -153,6 +153,9 @@ def test_a_shape_from_a_file(tmp_path):
     path = tmp_path / "block.stl"
     trimesh.creation.box((10.0, 10.0, 5.0)).export(path)
     assert isinstance(parse_shape(str(path)), Solid)
+    solid = parse_shape(str(path), "cm")
+    assert isinstance(solid, Solid)
+    np.testing.assert_allclose(np.ptp(solid.mesh.bounds, axis=0).ravel(), [100.0, 100.0, 50.0], rtol=1e-6)
     path.write_bytes(b"no mesh")
     with pytest.raises(InputError, match=r"block\.stl"):
         parse_shape(str(path))

@@ -6,15 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from jaxscan.cli.main import main
+from jaxscan.files.cloud import Cloud, write_ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.reconstruction import write_points
 from jaxscan.simulation.rig_2003 import simulated_rig
+from jaxscan.surface.coarse import turns_about
+from jaxscan.surface.floor import find_floor, stands_on
+from jaxscan.surface.motion import after, inverse
 from jaxscan.surface.register import register
 from tests.surface import scenes
-from tests.surface.hills import NOISE, height, scanned
+from tests.surface.hills import NOISE, height, pose, scanned
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +72,65 @@ def test_by_angle_then_by_the_turntable_that_it_gave(folder, capsys):
     assert "open" in said
 
 
+@pytest.fixture(scope="module")
+def clouds(folder) -> Path:
+    """The same scans as clouds without their floor, in metres too, and where they stood roughly."""
+    poses = {}
+    for k in range(3):
+        image = scanned(90.0 * k, k)
+        cloud = image.where(stands_on(image, find_floor(image))).cloud()
+        write_ply(folder / f"{k}.ply", cloud)
+        write_ply(folder / f"metres-{k}.ply", Cloud(cloud.points / 1000))
+        R, t = after(turns_about(np.array([0.1, 0.2, 1.0]), np.array([0.0, -12.0, 300.0]), 6.0), pose(90.0 * k))
+        quaternion = Rotation.from_matrix(R).as_quat()
+        poses[f"{k}.ply"] = {"position": t.tolist(), "quaternion": np.roll(quaternion, 1).tolist()}
+        poses[f"metres-{k}.ply"] = np.vstack([np.column_stack([R, t / 1000]), [0, 0, 0, 1]]).tolist()
+    (folder / "poses.json").write_text(json.dumps(poses))
+    lines = ["camera 0 0 0 0 0 0 1"]
+    for name in ("0.ply", "1.ply"):
+        qw, *vector = poses[name]["quaternion"]
+        lines.append(f"bmesh {name} {' '.join(map(str, [*poses[name]['position'], *vector, -qw]))}")
+    (folder / "hills.conf").write_text("\n".join(lines))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("scans", "how"),
+    [
+        ("0.ply 1.ply 2.ply", "--poses poses.json"),
+        ("0.ply 1.ply", "--poses hills.conf"),
+        ("metres-0.ply metres-1.ply", "--poses poses.json --units m"),
+        ("0.ply 1.ply", "--turn 84"),
+    ],
+    ids=["json", "conf", "metres", "angle"],
+)
+def test_clouds_without_features(clouds, capsys, monkeypatch, scans, how):
+    monkeypatch.chdir(clouds)
+    found = run(capsys, "merge", *scans.split(), *how.split(), "-o", "clouds.stl")
+    assert found["converged"]
+    for k, scan in enumerate(found["scans"]):
+        R, t = after(inverse(pose(0.0)), pose(90.0 * k))
+        np.testing.assert_allclose(Rotation.from_rotvec(scan["rotation"]).as_matrix(), R, atol=0.004)
+        np.testing.assert_allclose(scan["translation_mm"], t, atol=1.0)
+    assert found["closure_mm"] < 0.02
+
+
+@pytest.mark.filterwarnings("always::jaxscan.files.units.UnitsWarning")
+def test_small_numbers_are_pointed_out(clouds, capsys, monkeypatch):
+    monkeypatch.chdir(clouds)
+    assert main(["inspect", "metres-0.ply"]) == 0
+    assert "mm across: if its numbers are metres, other commands take --units m" in capsys.readouterr().out
+    assert main(["mesh", "metres-0.ply", "-o", "metres.stl"]) == 0
+    assert "warning: metres-0.ply: is 0.0" in (said := capsys.readouterr().err)
+    assert "say --units m" in said
+    area = run(capsys, "mesh", "metres-0.ply", "--units", "m", "-o", "metres.stl")["area_mm2"]
+    assert area == pytest.approx(run(capsys, "mesh", "0.ply", "-o", "mm.stl")["area_mm2"], rel=1e-3)
+    compared = run(capsys, "compare", "metres-0.ply", "0.ply", "--units", "m")
+    assert compared["figures"]["largest_mm"] < 1e-3
+    compared = run(capsys, "compare", "0.ply", "metres-0.ply", "--reference-units", "m")
+    assert compared["figures"]["largest_mm"] < 1e-3
+
+
 @pytest.mark.filterwarnings("always::jaxscan.surface.register.NotSettledWarning")
 def test_rounds_that_run_out_are_said(folder, capsys, monkeypatch):
     assert register.__kwdefaults__ is not None
@@ -75,7 +139,7 @@ def test_rounds_that_run_out_are_said(folder, capsys, monkeypatch):
     assert main([str(word) for word in words]) == 0
     out, err = capsys.readouterr()
     assert "not settled: 2 rounds did not suffice" in out
-    assert err.count("jaxscan: warning: after 2 rounds the poses still moved") == 1
+    assert err.count("jaxscan: warning: after 2 rounds the poses still moved, in the end") == 1
 
 
 @pytest.mark.parametrize(
@@ -94,6 +158,7 @@ def test_rounds_that_run_out_are_said(folder, capsys, monkeypatch):
         ("0.npz 1.npz --turn 0,90,180 -o x.stl", "--turn: 3 numbers for 2 scans"),
         ("0.npz 1.npz --turn quarter -o x.stl", "is no number"),
         ("0.npz 1.npz --steps 500 -o x.stl", "--steps: are those of a rig's turntable"),
+        ("0.npz 1.npz --poses gone.json -o x.stl", "gone.json: there is no such file"),
         ("0.npz 1.npz --rig rig.json --steps 500 -o x.stl", "rig.json: has no turntable"),
         ("0.npz 1.npz --write-rig r.json -o x.stl", "--write-rig: writes --rig with the turntable"),
         ("0.npz 1.npz --cube 0 -o x.stl", "--cube 0: give a size"),

@@ -201,7 +201,7 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
 def test_bad_input(folder, capsys, monkeypatch, words, problem):
     monkeypatch.chdir(folder)
     if "far.stl" in words:
-        trimesh.creation.box((1, 1, 1)).export("far.stl")
+        trimesh.creation.box((3, 3, 3)).export("far.stl")
     if "nan.ply" in words:
         main(["mesh", "block.npz", "-o", "nan.ply"])
         content = Path("nan.ply").read_bytes()

@@ -1,0 +1,113 @@
+"""Where scans stand to each other, as a person or another program has it: JSON, or a `.conf` of the Stanford scans.
+
+JSON is a list in the order of the scans, or an object with a pose for each scan's file name. A pose is a matrix of
+4 × 4 (or 3 × 4), row by row, or {"position": [x, y, z], "quaternion": [w, x, y, z]}: what carries the scan's points
+into the frame that all share, in the scans' own unit of length.
+
+In a `.conf` a line `bmesh NAME tx ty tz qi qj qk qw` stands for each scan. Points p go to R p + t with R the
+*transpose* of the matrix that the quaternion (qi, qj, qk, qw) usually stands for: that of (qi, qj, qk, −qw). Only so do
+the bunny's scans fall onto each other. The `camera` line says from where to look, and is of no use here.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from jaxscan.errors import InputError
+from jaxscan.files.table import show
+from jaxscan.files.text import parse_file
+
+# How far a matrix may be from a rotation, and the length of a quaternion from 1.
+_OFF: Final = 1e-3
+_CONF_WORDS: Final = 9
+
+Pose = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
+
+
+def read_scan_poses(path: Path, scans: Sequence[Path]) -> list[Pose]:
+    """T_common_scan of each scan, as R, t, in the scans' own unit of length.
+
+    Args:
+        path: `.json` or `.conf`.
+        scans: found in the file by their names, without the folder; others that it has do not matter.
+
+    Raises:
+        InputError: the file is missing or not of its kind, a scan has no pose, or a pose is no rigid motion.
+    """
+    if path.suffix.lower() not in (".json", ".conf"):
+        raise InputError(f"{path}: give the poses as .json, or as .conf of the Stanford scans")
+    if path.suffix.lower() == ".conf":
+        poses = parse_file(path, "conf", lambda text: _of_conf(path, text))
+    else:
+        content = parse_file(path, "JSON", json.loads)
+        if isinstance(content, list):
+            if len(content) != len(scans):
+                raise InputError(
+                    f"{path}: has {len(content)} poses for {len(scans)} scans: give one for each, in order"
+                )
+            return [_of_json(path, f"pose {k}", value) for k, value in enumerate(content)]
+        if not isinstance(content, dict):
+            raise InputError(f"{path}: holds {show(content)}, but a list of poses or an object is expected")
+        poses = {name: _of_json(path, f'"{name}"', value) for name, value in content.items()}
+    missing = [scan.name for scan in scans if scan.name not in poses]
+    if missing:
+        raise InputError(
+            f"{path}: has no pose for {', '.join(missing)}, but for {', '.join(poses) or 'nothing'}: "
+            "name each scan's file there, without its folder"
+        )
+    return [poses[scan.name] for scan in scans]
+
+
+def _of_conf(path: Path, text: str) -> dict[str, Pose]:
+    poses: dict[str, Pose] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if not words or words[0] in ("camera", "mesh") or words[0].startswith("#"):
+            continue
+        where = f"line {number}"
+        if words[0] != "bmesh" or len(words) != _CONF_WORDS:
+            raise InputError(f"{path}: {where}: is {line!r}, but bmesh NAME tx ty tz qi qj qk qw is expected")
+        if words[1] in poses:
+            raise InputError(f"{path}: {where}: {words[1]} stands twice: keep one of them")
+        try:
+            values = np.array([float(word) for word in words[2:]])
+        except ValueError as error:
+            raise InputError(f"{path}: {where}: is {line!r}, but seven numbers are expected after the name") from error
+        poses[words[1]] = _rotation(path, where, values[3:]).T, values[:3]
+    return poses
+
+
+def _of_json(path: Path, where: str, value: Any) -> Pose:
+    expected = 'a matrix of 4 × 4, or {"position": [x, y, z], "quaternion": [w, x, y, z]}, is expected'
+    try:
+        if isinstance(value, dict):
+            if set(value) != {"position", "quaternion"}:
+                raise InputError(f"{path}: {where}: has {', '.join(value) or 'nothing'}, but {expected}")
+            position, quaternion = (np.array(value[key], np.float64) for key in ("position", "quaternion"))
+            if position.shape != (3,) or quaternion.shape != (4,) or not np.isfinite(position).all():
+                raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")
+            return _rotation(path, where, np.roll(quaternion, -1)), position
+        T = np.array(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: {where}: is {show(value)}, but {expected}") from error
+    if T.shape not in ((3, 4), (4, 4)) or not np.isfinite(T).all():
+        raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")
+    R = T[:3, :3]
+    rigid = np.abs(R @ R.T - np.eye(3)).max() < _OFF and np.linalg.det(R) > 0
+    if not rigid or (len(T) == 4 and np.abs(T[3] - [0, 0, 0, 1]).max() > _OFF):
+        raise InputError(f"{path}: {where}: is no rotation with a translation: leave scale and mirroring out")
+    u, _, vt = np.linalg.svd(R)
+    return u @ vt, T[:3, 3]
+
+
+def _rotation(path: Path, where: str, quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Of x, y, z, w."""
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1) < _OFF:
+        raise InputError(f"{path}: {where}: the quaternion has the length {length:.4g}, but 1 is expected")
+    return Rotation.from_quat(quaternion).as_matrix()
