@@ -24,7 +24,8 @@ def order_grid(board: Board, corners: Corners, grey: UInt[np.ndarray, "rows colu
     """The points of one photograph, found row by row from whichever end, in the order that the rules ask for."""
     columns, rows = board.counts
     grid = corners.reshape(rows, columns, -1)
-    along_x, along_y = grid[-1, -1] - grid[-1, 0], grid[-1, 0] - grid[0, 0]
+    whole = _whole(grid)
+    along_x, along_y = whole[-1, -1] - whole[-1, 0], whole[-1, 0] - whole[0, 0]
     if along_x[0] * along_y[1] - along_x[1] * along_y[0] < 0:
         grid = grid[::-1]
     if board.kind == "checkerboard" and not _first_square_is_dark(grid, grey):
@@ -36,7 +37,8 @@ def order_grid(board: Board, corners: Corners, grey: UInt[np.ndarray, "rows colu
 def carry_order(board: Board, previous_corners: Corners, corners: Corners) -> Corners:
     """Of the orders that one photograph cannot tell apart, the one nearest to the corners of the image before.
 
-    Points that are NaN in either image are not compared.
+    All points of the board are compared: those that are NaN stand where the others put them. So an order is not the
+    nearer for what is hidden, and two photographs that share no point are told as well as any.
     """
     if not board.half_turn_ambiguous:
         return corners
@@ -45,9 +47,21 @@ def carry_order(board: Board, previous_corners: Corners, corners: Corners) -> Co
     if board.kind == "checkerboard" and columns % 2:
         # Quarter turns of an odd square board exchange dark and light, and the colours were right already.
         orders = orders[:2]
-    flat = [order.reshape(len(corners), -1) for order in orders]
-    distances = [np.nansum(((order[:, :2] - previous_corners[:, :2]) ** 2).sum(axis=1)) for order in flat]
-    return flat[int(np.argmin(distances))]
+    previous = _whole(previous_corners.reshape(rows, columns, -1))
+    nearest = np.argmin([((_whole(order) - previous) ** 2).sum() for order in orders])
+    return orders[nearest].reshape(len(corners), -1)
+
+
+def _whole(grid: Grid) -> Float[np.ndarray, "grid_rows grid_columns 2"]:
+    """Pixels of all points by the affine map that the seen ones fit best.
+
+    Perspective and lens are left out: they move no point as far as a turn does, and would run away from a few points.
+    """
+    rows, columns = grid.shape[:2]
+    y, x = np.indices((rows, columns)).reshape(2, -1) - (np.array([[rows], [columns]]) - 1) / 2
+    basis, pixels = np.stack([np.ones_like(x), x, y], axis=1), grid[..., :2].reshape(-1, 2)
+    seen = np.isfinite(pixels).all(axis=1)
+    return (basis @ np.linalg.lstsq(basis[seen], pixels[seen], rcond=None)[0]).reshape(rows, columns, 2)
 
 
 def _turns(grid: Grid) -> list[Grid]:

@@ -4,6 +4,7 @@ import pytest
 import render
 
 from jaxscan.images import Board, carry_order, find_board, read_image
+from jaxscan.images.order import order_grid
 
 SHAPE = (300, 400)
 BOARD = Board.checkerboard((7, 6), 10.0)
@@ -107,6 +108,29 @@ def test_carrying_an_order_leaves_a_unique_one_alone_and_skips_what_was_not_seen
     previous = grid + 0.5
     previous[2] = np.nan
     np.testing.assert_array_equal(carry_order(board, previous, grid[::-1]), grid)
+
+
+@pytest.mark.parametrize(
+    ("before", "now"), [("left", "left"), ("left", "right"), ("left", "first"), ("first", "first")]
+)
+def test_hidden_points_make_no_order_the_nearer(before, now):
+    board = Board.circles((6, 5), 10.0)
+    H = placed([[-10, -10], [60, -10], [60, 50], [-10, 50]])
+    truth = render.project(H, board.points())
+    x, y = board.points()[:, :2].T
+    hidden = {"left": x < 30, "right": x >= 30, "first": (x > 15) | (y > 15)}
+    previous = np.where(hidden[before][:, None], np.nan, truth + np.array([12, -9]))
+    corners = np.where(hidden[now][:, None], np.nan, truth)
+    for found in (corners, corners[::-1]):
+        np.testing.assert_array_equal(carry_order(board, previous, found), corners)
+
+
+def test_a_hidden_outermost_corner_does_not_leave_an_order_mirrored():
+    board = Board.circles((6, 5), 10.0)
+    truth = render.project(placed([[-10, -10], [60, -10], [60, 50], [-10, 50]]), board.points())
+    truth[[0, -1]] = np.nan
+    mirrored = truth.reshape(5, 6, 2)[::-1].reshape(-1, 2)
+    np.testing.assert_array_equal(order_grid(board, mirrored, np.zeros(SHAPE, np.uint8)), truth)
 
 
 def test_a_small_light_board_on_a_dark_ground():
