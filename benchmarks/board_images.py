@@ -16,10 +16,7 @@ CELLS = 8
 _SAMPLES = 4
 IMAGE_SIZE = (640, 480)
 COUNTS = (9, 6)
-FOCAL_PX = 700.0
 _PRINCIPAL = np.array([315.3, 236.8])
-# A barrel lens: k1 of about −0.13.
-_UNDISTORT = 0.13
 _DARK, _LIGHT = 0.15, 0.85
 
 
@@ -39,6 +36,8 @@ class Shot:
         jpeg: quality of JPEG compression, 0 for none.
         bayer: whether each pixel has one colour, the others interpolated.
         turn: largest roll of the camera, radians.
+        focal_px: focal length.
+        undistort: a of the lens; 0.13 is a barrel of about k1 = −0.13.
     """
 
     square_px: float = 27.0
@@ -52,6 +51,8 @@ class Shot:
     jpeg: int = 0
     bayer: bool = False
     turn: float = 0.3
+    focal_px: float = 700.0
+    undistort: float = 0.13
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def photograph(shot: Shot, seed: int) -> Photograph:
     """A board in a random pose, lit from the side."""
     random = np.random.default_rng([seed, 77])
     columns, rows = COUNTS
-    distance = FOCAL_PX / shot.square_px
+    distance = shot.focal_px / shot.square_px
     axis = random.uniform(0, 2 * np.pi)
     tilt = shot.tilt * np.sqrt(random.uniform())
     R = cv2.Rodrigues(tilt * np.array([np.cos(axis), np.sin(axis), 0.0]))[0]
@@ -85,10 +86,10 @@ def photograph(shot: Shot, seed: int) -> Photograph:
     aside = random.uniform(-0.6, 0.6, 2) * room
     if shot.trouble == "border":
         aside = np.array([1, 0.6]) * (np.array(IMAGE_SIZE) - shot.square_px * (np.array(COUNTS) - 1)) / 2
-    middle = np.array([*(aside / FOCAL_PX * distance), distance])
+    middle = np.array([*(aside / shot.focal_px * distance), distance])
     t = middle - R @ np.array([(columns - 1) / 2, (rows - 1) / 2, 0.0])
     H = np.column_stack([R[:, 0], R[:, 1], t])
-    corners = _pixels(np.column_stack([grid, np.ones(len(grid))]) @ H.T)
+    corners = _pixels(np.column_stack([grid, np.ones(len(grid))]) @ H.T, shot)
     clean = _light(H, corners, shot, random)
     if shot.trouble:
         clean = _troubled(clean, corners, shot, random)
@@ -96,20 +97,20 @@ def photograph(shot: Shot, seed: int) -> Photograph:
     return Photograph(_sensor(levels, shot, random), corners, levels, shot)
 
 
-def _pixels(X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
+def _pixels(X: Float[np.ndarray, "points 3"], shot: Shot) -> Float[np.ndarray, "points 2"]:
     """Pinhole, and the lens backwards."""
     x = X[:, :2] / X[:, 2:]
     r_u = np.hypot(x[:, 0], x[:, 1])
     r = r_u.copy()
     for _ in range(20):
-        r -= (r + _UNDISTORT * r**3 - r_u) / (1 + 3 * _UNDISTORT * r**2)
-    return FOCAL_PX * x * (r / np.where(r_u > 0, r_u, 1))[:, None] + _PRINCIPAL
+        r -= (r + shot.undistort * r**3 - r_u) / (1 + 3 * shot.undistort * r**2)
+    return shot.focal_px * x * (r / np.where(r_u > 0, r_u, 1))[:, None] + _PRINCIPAL
 
 
-def _board_points(H: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _board_points(H: np.ndarray, shot: Shot, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where the rays of pixels meet the board, in squares from the first corner."""
-    x, y = (u - _PRINCIPAL[0]) / FOCAL_PX, (v - _PRINCIPAL[1]) / FOCAL_PX
-    s = 1 + _UNDISTORT * (x * x + y * y)
+    x, y = (u - _PRINCIPAL[0]) / shot.focal_px, (v - _PRINCIPAL[1]) / shot.focal_px
+    s = 1 + shot.undistort * (x * x + y * y)
     x, y = x * s, y * s
     h = np.linalg.inv(H)
     w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
@@ -135,7 +136,7 @@ def _light(H: np.ndarray, corners: np.ndarray, shot: Shot, random: np.random.Gen
         (np.arange(CELLS * (b - a + 2 * margin)) + 0.5) / CELLS - 0.5 + a - margin
         for a, b in zip(low, high, strict=True)
     )
-    cells = _albedo(*_board_points(H, u[None, :], v[:, None]))
+    cells = _albedo(*_board_points(H, shot, u[None, :], v[:, None]))
     edge = np.zeros(cells.shape, np.uint8)
     edge[:, 1:] |= cells[:, 1:] != cells[:, :-1]
     edge[1:] |= cells[1:] != cells[:-1]
@@ -144,7 +145,7 @@ def _light(H: np.ndarray, corners: np.ndarray, shot: Shot, random: np.random.Gen
     fine = np.zeros(len(at_u), np.float32)
     for du in offsets:
         for dv in offsets:
-            fine += _albedo(*_board_points(H, u[at_u] + du, v[at_v] + dv))
+            fine += _albedo(*_board_points(H, shot, u[at_u] + du, v[at_v] + dv))
     cells[at_v, at_u] = fine / _SAMPLES**2
     slope, curve = random.uniform(-0.4, 0.4, 2), random.uniform(-0.3, 0)
     far_u, far_v = (u[None, :] / size[0] - 0.5).astype(np.float32), (v[:, None] / size[1] - 0.5).astype(np.float32)

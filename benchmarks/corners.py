@@ -44,6 +44,7 @@ _VARIED = {
     "large": [Shot(square_px=60.0)],
     "facing": [Shot(tilt=0.0)],
     "steep": [Shot(tilt=np.radians(55.0))],
+    "wide_angle": [Shot(square_px=s, focal_px=256.0, undistort=0.25) for s in (45.0, 60.0)],
     "turned": [Shot(turn=np.pi)],
     "sharp": [Shot(blur_px=0.2)],
     "blur_0.5": [Shot(blur_px=0.5)],

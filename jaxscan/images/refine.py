@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
+from jaxscan.images.board_map import FEWEST, BoardMap, largest_degree, map_board, polynomials
 from jaxscan.images.decode import Image, to_grey
 from jaxscan.images.saddle import Saddles, fit_saddles
 
@@ -41,12 +42,6 @@ _MOST_SIGMA_PX = 0.3
 _SYSTEMATIC_PX = 0.002
 # What the correlation of residuals comes to where they are white, because the fit has used up what they had in common.
 _WHITE_CORRELATION = 0.65
-# The bend of the board's lines is a polynomial of this degree over the grid; the median of what is further off is no
-# part of it.
-_BEND_DEGREE = 2
-_BEND_ROUNDS = 3
-_BEND_LIMIT = 3.0
-_NORMAL_MAD = 1.4826
 # A corner is off the board by more than so many times the median, and than so many pixels.
 _SHAPE_DEGREE = 3
 _MOST_APART = 8.0
@@ -70,10 +65,11 @@ def refine_corners(image: Image, grid: Grid, clear: float = 1.0) -> tuple[Grid, 
     """
     near = _near(to_grey(image), grid, min(clear, _FIRST_WINDOW))
     spacing = neighbour_distance(near)
-    refined, sigma = _fit(image, near, spacing, clear)
+    refined, sigma, seen = _fit(image, near, spacing, clear)
     strayed = distance_from_prediction(refined) > _FARTHEST * spacing
     refined[strayed] = np.nan
-    strayed |= _off_the_board(refined, sigma)
+    if seen is not None:
+        strayed |= _off_the_board(refined, sigma, seen)
     strayed |= np.linalg.norm(refined - grid, axis=-1) > _FARTHEST_FROM_START * spacing
     outside = (refined < -0.5).any(axis=-1) | (refined > np.array(image.shape[1::-1]) - 0.5).any(axis=-1)
     lost = strayed | outside | ~np.isfinite(sigma)
@@ -95,17 +91,20 @@ def _near(grey: UInt[np.ndarray, "rows columns"], grid: Grid, window: float) -> 
     return near
 
 
-def _fit(image: Image, grid: Grid, spacing: GridScalars, clear: float) -> tuple[Grid, GridScalars]:
+def _fit(image: Image, grid: Grid, spacing: GridScalars, clear: float) -> tuple[Grid, GridScalars, BoardMap | None]:
     """Fit the saddles of all corners that have a neighbour along both lines of the grid.
 
     What all corners of a board share, the bends, must not carry the error of a rough start: a hundredth of a pixel
     there would move whole rows by thousandths. So the bends are read again from what was fitted.
     """
-    along_x, along_y, bends = _lines(grid)
+    rows, columns = image.shape[:2]
+    along_x, along_y = _directions(grid), _directions(grid.transpose(1, 0, 2)).transpose(1, 0, 2)
     known = np.isfinite(grid[..., 0]) & np.isfinite(along_x[..., 0]) & np.isfinite(along_y[..., 0])
     refined, sigma = np.full_like(grid, np.nan), np.full_like(spacing, np.nan)
     if not known.any():
-        return refined, sigma
+        return refined, sigma, None
+    rough = map_board(grid, (columns, rows))
+    bends = np.zeros_like(grid) if rough is None else rough.bends
     saddles = fit_saddles(
         image,
         grid[known],
@@ -115,11 +114,12 @@ def _fit(image: Image, grid: Grid, spacing: GridScalars, clear: float) -> tuple[
         np.maximum(clear * spacing[known] - _SMEAR_PX, _SMEAR_PX),
         _LARGEST_PX,
     )
-    refined[known] = saddles.pixels
-    change = _lines(refined)[2] - bends
-    refined[known] += np.einsum("nij,nj->ni", saddles.by_bends, change[known])
-    sigma[known] = _sigma(saddles)
-    return refined, sigma
+    refined[known], sigma[known] = saddles.pixels, _sigma(saddles)
+    trusted = np.where(np.isfinite(sigma)[..., None], refined, np.nan)
+    exact = None if rough is None else map_board(trusted, (columns, rows), rough.parameters)
+    if exact is not None:
+        refined[known] += np.einsum("nij,nj->ni", saddles.by_bends, (exact.bends - bends)[known])
+    return refined, sigma, exact
 
 
 def _sigma(saddles: Saddles) -> Float[np.ndarray, "corners"]:
@@ -137,62 +137,29 @@ def _sigma(saddles: Saddles) -> Float[np.ndarray, "corners"]:
     return np.where(trusted & (sigma < _MOST_SIGMA_PX), sigma, np.nan)
 
 
-def _lines(grid: Grid) -> tuple[Grid, Grid, Grid]:
-    """Directions along the board's x and y, px a square, and the bends of both lines, 1/px."""
-    (along_x, bend_x), (along_y, bend_y) = _rows(grid), _rows(grid.transpose(1, 0, 2))
-    return along_x, along_y.transpose(1, 0, 2), np.stack([bend_x, bend_y.T], axis=-1)
-
-
-def _rows(grid: Grid) -> tuple[Grid, GridScalars]:
-    """Of the line of corners through each corner: its direction, px a square, and its bend, 1/px.
-
-    The bend is the part of the second difference that stands across the line; perspective alone gives none.
-    """
+def _directions(grid: Grid) -> Grid:
+    """Of the line of corners through each corner along a row, px a square."""
     gaps = np.pad(np.diff(grid, axis=1), ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
-    direction = quiet_nan(np.nanmean, np.stack([gaps[:, :-1], gaps[:, 1:]]))
-    second = gaps[:, 1:] - gaps[:, :-1]
-    across = direction[..., 0] * second[..., 1] - direction[..., 1] * second[..., 0]
-    return direction, _smooth(across / np.linalg.norm(direction, axis=-1) ** 3)
+    return quiet_nan(np.nanmean, np.stack([gaps[:, :-1], gaps[:, 1:]]))
 
 
-def _smooth(bend: GridScalars) -> GridScalars:
-    """A polynomial over the grid: the bend of one line alone would be known no better than three corners are."""
-    rows, columns = bend.shape
-    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
-    basis = _polynomials(x.ravel(), y.ravel(), _BEND_DEGREE)
-    kept = np.isfinite(bend.ravel())
-    values = np.nan_to_num(bend.ravel())
-    smooth = np.zeros_like(values)
-    for _ in range(_BEND_ROUNDS):
-        if kept.sum() < 2 * basis.shape[1]:
-            return np.zeros_like(bend)
-        smooth = basis @ np.linalg.lstsq(basis[kept], values[kept], rcond=None)[0]
-        off = np.abs(values - smooth)
-        kept &= off <= _BEND_LIMIT * _NORMAL_MAD * np.median(off[kept])
-    return smooth.reshape(bend.shape)
-
-
-def _off_the_board(grid: Grid, sigma: GridScalars) -> Bool[np.ndarray, "grid_rows grid_columns"]:
+def _off_the_board(grid: Grid, sigma: GridScalars, board: BoardMap) -> Bool[np.ndarray, "grid_rows grid_columns"]:
     """Which corners are off what all the others say of the board.
 
-    That is a homography and, for the lens and a bent board, a polynomial over the grid on top of it. Each corner is
+    That is a homography with a lens and, for a bent board, a polynomial over the grid on top of it. Each corner is
     compared with the fit of the others; the worst is left out first, so that it does not accuse its neighbours.
     """
     off = np.zeros(sigma.shape, bool)
     seen = np.isfinite(grid[..., 0]) & np.isfinite(sigma)
-    if seen.sum() < 2 * _terms(1):
+    if seen.sum() < FEWEST:
         return off
     at = np.argwhere(seen)[:, ::-1].astype(np.float64)
     pixels, weights = grid[seen], 1 / np.hypot(sigma[seen], np.median(sigma[seen]))
-    H = cv2.findHomography(at, pixels, cv2.LMEDS)[0]
-    plane = cv2.perspectiveTransform(at[:, None], H)[:, 0] if H is not None else at
-    at = 2 * at / np.maximum(at.max(axis=0), 1) - 1
-    degree = max(n for n in range(1, _SHAPE_DEGREE + 1) if len(at) >= 2 * _terms(n))
-    basis = _polynomials(at[:, 0], at[:, 1], degree)
+    basis = polynomials(2 * at / np.maximum(at.max(axis=0), 1) - 1, largest_degree(len(at), _SHAPE_DEGREE))
     kept = np.ones(len(at), bool)
     while kept.sum() > 1.5 * basis.shape[1]:
         Q = np.linalg.qr(basis[kept] * weights[kept, None])[0]
-        difference = (pixels - plane)[kept] * weights[kept, None]
+        difference = (pixels - board.pixels[seen])[kept] * weights[kept, None]
         left = 1 - np.minimum((Q**2).sum(axis=1), 1 - 1e-9)
         apart = np.linalg.norm(difference - Q @ (Q.T @ difference), axis=1) / left / weights[kept]
         # The leverage of a corner of the board makes its prediction uncertain.
@@ -204,15 +171,6 @@ def _off_the_board(grid: Grid, sigma: GridScalars) -> Bool[np.ndarray, "grid_row
         kept[np.flatnonzero(kept)[worst]] = False
     off[seen] = ~kept
     return off
-
-
-def _terms(degree: int) -> int:
-    return (degree + 1) * (degree + 2) // 2
-
-
-def _polynomials(x: np.ndarray, y: np.ndarray, degree: int) -> Float[np.ndarray, "points terms"]:
-    """All products of powers up to a degree."""
-    return np.stack([x**i * y**j for j in range(degree + 1) for i in range(degree + 1 - j)], axis=1)
 
 
 def neighbour_distance(grid: Grid) -> GridScalars:

@@ -19,14 +19,37 @@ def project(H, points_mm):
     return p[:, :2] / p[:, 2:]
 
 
-def photograph(pattern, H, shape, *, dark=30.0, light=210.0, noise=0.0, blur=0.0, seed=0):
-    """A board by area-exact pixels: `pattern(x, y)` in mm is 1 on light, 0 on dark; `H` takes mm to pixels (u, v)."""
+class Barrel:
+    """A lens in OpenCV's meaning, after the homography: focal length (px), k1, k2 and the principal point (px)."""
+
+    def __init__(self, focal, k1, k2, centre):
+        self.focal, self.k1, self.k2, self.centre = focal, k1, k2, np.array(centre)
+        self.table = np.linspace(0, 3, 30001)
+
+    def bend(self, pixels):
+        x = (pixels - self.centre) / self.focal
+        square = (x**2).sum(axis=-1, keepdims=True)
+        return self.centre + self.focal * x * (1 + self.k1 * square + self.k2 * square**2)
+
+    def straighten(self, u, v):
+        x, y = (u - self.centre[0]) / self.focal, (v - self.centre[1]) / self.focal
+        r = np.hypot(x, y)
+        factor = np.interp(r, self.table * (1 + self.k1 * self.table**2 + self.k2 * self.table**4), self.table) / r
+        return self.centre[0] + self.focal * x * factor, self.centre[1] + self.focal * y * factor
+
+
+def photograph(pattern, H, shape, *, dark=30.0, light=210.0, noise=0.0, blur=0.0, seed=0, lens=None):
+    """A board by area-exact pixels: `pattern(x, y)` in mm is 1 on light, 0 on dark; `H` takes mm to pixels (u, v).
+
+    A `lens` bends what `H` has made.
+    """
     rows, columns = shape
     inverse = np.linalg.inv(H)
     total = np.zeros(shape)
     v, u = np.mgrid[:rows, :columns].astype(np.float64)
     for du, dv in _OFFSETS:
-        x, y, w = (inverse[i, 0] * (u + du) + inverse[i, 1] * (v + dv) + inverse[i, 2] for i in range(3))
+        at_u, at_v = (u + du, v + dv) if lens is None else lens.straighten(u + du, v + dv)
+        x, y, w = (inverse[i, 0] * at_u + inverse[i, 1] * at_v + inverse[i, 2] for i in range(3))
         total += pattern(x / w, y / w)
     image = dark + (light - dark) * total / len(_OFFSETS)
     if blur:

@@ -121,6 +121,17 @@ def board_image():
     return np.rint(image).clip(0, 255).astype(np.uint8), render.project(H, board.points()).reshape(6, 7, 2)
 
 
+def test_a_wide_angle_lens_moves_no_corner():
+    lens = render.Barrel(focal=140.0, k1=-0.25, k2=0.06, centre=(176.3, 137.8))
+    H = render.homography([[0, 0], [80, 0], [80, 50], [0, 50]], [[45, 5], [370, 20], [330, 230], [55, 265]])
+    truth = lens.bend(render.project(H, Board.checkerboard((9, 6), 10.0).points()))
+    image = render.photograph(render.checkerboard((9, 6), 10.0), H, (280, 350), blur=0.7, lens=lens)
+    corners, sigma = refine_corners(np.rint(256 * image).astype(np.uint16), truth.reshape(6, 9, 2))
+    assert np.isfinite(sigma).all()
+    # The renderer's eighty samples a pixel leave about 0.005 px.
+    assert np.linalg.norm(corners.reshape(-1, 2) - truth, axis=1).max() < 0.025
+
+
 def test_where_nothing_is_to_be_seen_a_corner_is_lost_and_not_invented():
     assert all(np.isnan(each).all() for each in refine_corners(np.full((200, 200), 90, np.uint8), grid()))
 
