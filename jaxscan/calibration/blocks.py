@@ -110,4 +110,5 @@ def _pack(
         stripe_columns=jnp.asarray(columns),
         stripe_laser=jnp.asarray(laser),
         turns=None if turns is None else jnp.asarray(turns),
+        radius=jnp.full((n_blocks, n_corners), observations.radius_mm) if observations.radius_mm else None,
     )

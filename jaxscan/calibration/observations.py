@@ -129,6 +129,7 @@ class Observations:
         lasers: the names of the lasers, "" for the only one.
         left_out: what was looked for and not found, in words.
         notes: what a reader should know of the photographs: ambiguities, guesses.
+        radius_mm: of a board's circles, whose centres of gravity `corners` are; 0 for points.
     """
 
     image_size: tuple[int, int]
@@ -138,6 +139,7 @@ class Observations:
     lasers: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    radius_mm: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not fit together."""
@@ -231,6 +233,7 @@ def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:
         ),
         left_out=tuple(f"{name}/{line}" for name, own in pairs for line in own.left_out),
         notes=(*common, *notes),
+        radius_mm=sum(own.radius_mm for own in each) / len(each),
     )
 
 

@@ -126,6 +126,7 @@ def observe(
         lasers=tuple(laser.name for laser in session.lasers),
         left_out=tuple(left_out),
         notes=tuple(notes),
+        radius_mm=_radius(session.board, [p.found for p in (*photographs, *staged) if p.found is not None]),
     )
 
 
@@ -191,6 +192,14 @@ def _usual_sigma(found: Sequence[BoardView]) -> float:
     """The median σ of all corners, px."""
     known = [view.sigma[np.isfinite(view.sigma)] for view in found if view.sigma is not None]
     return float(np.median(np.concatenate(known))) if known else 1.0
+
+
+def _radius(board: Board, found: Sequence[BoardView]) -> float:
+    """That of the board's circles, as it is given or as most photographs show it, mm; 0 for corners."""
+    seen = [view.radius for view in found if view.radius is not None and np.isfinite(view.radius)]
+    if board.diameter_mm or not seen:
+        return board.diameter_mm / 2
+    return board.pitch_mm * float(np.median(seen))
 
 
 def _look(

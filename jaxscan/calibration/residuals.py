@@ -1,14 +1,18 @@
 """The residuals of the joint solve: raw detector pixels, each divided by its own σ.
 
-Corner: reprojection, predicted minus seen. Stripe on a board: light plane ω and board plane β are both linear in a
-pixel's ray x at equal depth, so h = (ω − β) · x vanishes where the sheet meets the board, and −h / (∂h/∂v) is the
-distance in rows from the seen stripe to the predicted one (∂h/∂u, in columns, for a stripe found row by row). It is
-differentiated whole, denominator too: holding the denominator still would bias and spoil the estimate.
+Corner: reprojection, predicted minus seen; a circle is predicted as the centre of gravity of its image. Stripe on a
+board: light plane ω and board plane β are both linear in a pixel's ray x at equal depth, so h = (ω − β) · x vanishes
+where the sheet meets the board, and −h / (∂h/∂v) is the distance in rows from the seen stripe to the predicted one
+(∂h/∂u, in columns, for a stripe found row by row). It is differentiated whole, denominator too: holding the denominator
+still would bias and spoil the estimate.
 """
+
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.geometry import Pose, dual_plane
@@ -34,6 +38,7 @@ class Blocks(eqx.Module):
         stripe_columns: True where v was measured, False where u was.
         stripe_laser: which laser each belongs to.
         turns: motor steps of the turntable, as `steps`; None where no block was turned.
+        radius: of the circles about the points, mm; None where points are seen.
     """
 
     points: Float[Array, "*blocks corners 3"]
@@ -48,6 +53,7 @@ class Blocks(eqx.Module):
     stripe_columns: Bool[Array, "*blocks stripe"]
     stripe_laser: Int[Array, "*blocks stripe"]
     turns: Float[Array, "*blocks corners"] | None = None
+    radius: Float[Array, "*blocks corners"] | None = None
 
     def residuals(
         self, rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], noise: "Noise"
@@ -85,17 +91,42 @@ def corner_error(
     steps: Float[Array, ""],
     corner: Float[Array, "2"],
     turns: Float[Array, ""] | None = None,
+    radius: Float[Array, ""] | None = None,
 ) -> Float[Array, "2"]:
-    """Predicted minus seen position of a board point, pixels."""
+    """Predicted minus seen position of a board point, or of the circle about it, pixels."""
     if warp is not None:
         point = point + jnp.array([0.0, 0.0, 1.0]) * warp.height(relative)
-    # Written out, here and below: XLA fuses sums with what surrounds them, but not small matrix products.
-    X = jnp.stack([R[i, 0] * point[0] + R[i, 1] * point[1] + R[i, 2] * point[2] + t[i] for i in range(3)])
-    if turns is not None and rig.turntable is not None:
-        X = rig.turntable.turned(turns).apply(X)
-    if rig.stage is not None:
-        X = X + rig.stage.displacement(steps)
-    return rig.camera.project(X) - corner
+
+    def seen(at: Float[Array, "2"]) -> Float[Array, "2"]:
+        # Written out, here and below: XLA fuses sums with what surrounds them, but not small matrix products.
+        X = jnp.stack([R[i, 0] * at[0] + R[i, 1] * at[1] + R[i, 2] * point[2] + t[i] for i in range(3)])
+        if turns is not None and rig.turntable is not None:
+            X = rig.turntable.turned(turns).apply(X)
+        if rig.stage is not None:
+            X = X + rig.stage.displacement(steps)
+        return rig.camera.project(X)
+
+    if radius is None:
+        return seen(point[:2]) - corner
+    return _centre_of_gravity(seen, point, radius) - corner
+
+
+def _centre_of_gravity(
+    seen: Callable[[Float[Array, "2"]], Float[Array, "2"]],
+    centre: Float[Array, "3"],
+    radius: Float[Array, ""],
+) -> Float[Array, "2"]:
+    """Of the image of a disc on the board.
+
+    The mean of the image u over the disc, weighted by how much |∂u / ∂(x, y)| each part of it is enlarged, by four
+    points that have the disc's second moments: what is left out is of the fourth order in the radius. Perspective and
+    lens are both in it.
+    """
+    apart = radius / np.sqrt(2) * jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    at = centre[None, :2] + apart
+    u, J = jax.vmap(seen)(at), jax.vmap(jax.jacfwd(seen))(at)
+    enlarged = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
+    return (u * enlarged[:, None]).sum(0) / enlarged.sum()
 
 
 def stripe_error(
@@ -117,7 +148,7 @@ def block_errors(
     centre = jnp.stack(rig.camera.principal)
     seen = jnp.where(block.corner_used[:, None], block.corners, 0.0)
     corner = jax.vmap(lambda *each: corner_error(rig, warp, R, pose[3:], *each))(
-        block.points, block.relative, block.steps, seen, block.turns
+        block.points, block.relative, block.steps, seen, block.turns, block.radius
     )
     corner = jnp.where(block.corner_used[:, None], corner, 0.0)
     if not rig.lasers or block.stripe.shape[0] == 0:

@@ -19,7 +19,7 @@ SESSION_FILE: Final = "session.toml"
 
 _BOARD_KEYS: Final = {
     "checkerboard": ("inner_corners", "square_mm"),
-    "circles": ("circles", "pitch_mm"),
+    "circles": ("circles", "pitch_mm", "diameter_mm"),
     "charuco": ("squares", "square_mm", "marker_mm", "dictionary"),
 }
 
@@ -168,7 +168,8 @@ def _board(table: Table) -> Board:
     kind = board.string("kind", "checkerboard", tuple(_BOARD_KEYS))
     board.only("kind", *_BOARD_KEYS[kind])
     if kind == "circles":
-        make = partial(Board.circles, board.size("circles"), board.number("pitch_mm"))
+        diameter = board.number("diameter_mm") if "diameter_mm" in board else None
+        make = partial(Board.circles, board.size("circles"), board.number("pitch_mm"), diameter)
     elif kind == "charuco":
         lengths = board.number("square_mm"), board.number("marker_mm")
         make = partial(Board.charuco, board.size("squares"), *lengths, board.string("dictionary"))
@@ -183,7 +184,8 @@ def _board(table: Table) -> Board:
 def _board_values(board: Board) -> dict[str, Any]:
     columns, rows = board.counts
     if board.kind == "circles":
-        return {"kind": board.kind, "circles": [columns, rows], "pitch_mm": board.pitch_mm}
+        diameter = {"diameter_mm": board.diameter_mm} if board.diameter_mm else {}
+        return {"kind": board.kind, "circles": [columns, rows], "pitch_mm": board.pitch_mm, **diameter}
     if board.kind == "charuco":
         values = {"square_mm": board.pitch_mm, "marker_mm": board.marker_mm, "dictionary": board.dictionary}
         return {"kind": board.kind, "squares": [columns + 1, rows + 1], **values}

@@ -31,6 +31,7 @@ class Board:
         pitch_mm: distance between neighbouring points, mm.
         marker_mm: side of a ChArUco board's markers, mm; 0 for the others.
         dictionary: name of OpenCV's dictionary of markers; empty for the others.
+        diameter_mm: of circles, mm; 0 where it is to be measured in the photographs, and for the others.
     """
 
     kind: Literal["checkerboard", "circles", "charuco"]
@@ -38,6 +39,7 @@ class Board:
     pitch_mm: float
     marker_mm: float = 0.0
     dictionary: str = ""
+    diameter_mm: float = 0.0
 
     @staticmethod
     def checkerboard(inner_corners: Sequence[int], square_mm: float) -> "Board":
@@ -50,13 +52,21 @@ class Board:
         return Board("checkerboard", counts, _length("square_mm", square_mm))
 
     @staticmethod
-    def circles(circles: Sequence[int], pitch_mm: float) -> "Board":
-        """A rectangular grid of circles, with so many in a row and in a column.
+    def circles(circles: Sequence[int], pitch_mm: float, diameter_mm: float | None = None) -> "Board":
+        """A rectangular grid of circles, with so many in a row and in a column; their diameter where it is known.
 
         Raises:
-            InputError: as `checkerboard`.
+            InputError: as `checkerboard`; circles that touch each other.
         """
-        return Board("circles", _counts("circles", circles, LEAST_POINTS), _length("pitch_mm", pitch_mm))
+        counts, pitch = _counts("circles", circles, LEAST_POINTS), _length("pitch_mm", pitch_mm)
+        if diameter_mm is None:
+            return Board("circles", counts, pitch)
+        diameter = _length("diameter_mm", diameter_mm)
+        if diameter >= pitch:
+            raise InputError(
+                f"diameter_mm = {diameter}: circles {pitch} mm apart would touch: measure one across, or leave it out"
+            )
+        return Board("circles", counts, pitch, diameter_mm=diameter)
 
     @staticmethod
     def charuco(squares: Sequence[int], square_mm: float, marker_mm: float, dictionary: str) -> "Board":

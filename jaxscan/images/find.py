@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Float, UInt, UInt8
 
 from jaxscan.images.board import Board
-from jaxscan.images.circles import find_circles, refine_circles
+from jaxscan.images.circles import find_circles, radius_in_pitches, refine_circles
 from jaxscan.images.decode import Image, to_grey
 from jaxscan.images.order import order_grid
 from jaxscan.images.refine import refine_corners
 
 Grey = UInt[np.ndarray, "rows columns"]
 Grey8 = UInt8[np.ndarray, "rows columns"]
-# u, v and, for corners, σ.
+# u, v and, for corners, σ, for circles the area of their image.
 Points = Float[np.ndarray, "grid_rows grid_columns values"]
 
 # Longer sides, in pixels, at which the board is looked for. Few boards fill so little of a large photograph that more
@@ -45,11 +45,13 @@ class BoardView:
         sigma: of each corner along an axis, px, as its patch of the photograph tells it; NaN where the corner is.
             None for circles.
         ambiguous: whether half a turn of the board would fit the photograph as well.
+        radius: of circles as they are seen, in pitches; None for corners.
     """
 
     corners: Float[np.ndarray, "points 2"]
     sigma: Float[np.ndarray, "points"] | None
     ambiguous: bool
+    radius: float | None = None
 
 
 def find_board(board: Board, image: Image) -> BoardView | None:
@@ -62,7 +64,9 @@ def find_board(board: Board, image: Image) -> BoardView | None:
     if grid is None or np.isfinite(grid[..., 0]).sum() < _LEAST_SEEN:
         return None
     points = order_grid(board, grid.reshape(-1, grid.shape[-1]), grey)
-    return BoardView(points[:, :2], points[:, 2] if points.shape[1] > 2 else None, board.half_turn_ambiguous)
+    if board.kind == "circles":
+        return BoardView(points[:, :2], None, board.half_turn_ambiguous, radius_in_pitches(grid))
+    return BoardView(points[:, :2], points[:, 2], board.half_turn_ambiguous)
 
 
 def shows_checkerboard(counts: tuple[int, int], image: Image) -> bool:

@@ -22,7 +22,7 @@ from jaxscan.simulation.solids import Box, Cylinder, Difference, HalfSpace, Inte
 _UP = np.array([0.0, 0.0, 1.0])
 _ACROSS = np.array([0.0, 1.0, 0.0])
 
-# Radius of a calibration board's circles, in parts of their pitch.
+# Radius of a calibration board's circles, in parts of their pitch, where the board does not say.
 _CIRCLE_RADIUS = 0.3
 # What a scan of 74 mm takes of a mesh: x, y, z, and the least of its largest extent, mm.
 _LARGEST = np.array([140.0, 66.0, 60.0])
@@ -173,7 +173,7 @@ def board_plate(board: Board, margin_mm: float = 8.0, white: float = 0.9, ink: f
         raise InputError('boards of kind "charuco" are not simulated: use a checkerboard or circles')
     pattern: Pattern
     if board.kind == "circles":
-        pattern, reach = Circles(counts, pitch, _CIRCLE_RADIUS * pitch), pitch
+        pattern, reach = Circles(counts, pitch, board.diameter_mm / 2 or _CIRCLE_RADIUS * pitch), pitch
     else:
         pattern, reach = Checks(counts, pitch), pitch
     low, high = np.full(2, -reach - margin_mm), (counts - 1) * pitch + reach + margin_mm

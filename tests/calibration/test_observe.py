@@ -9,10 +9,10 @@ import pytest
 
 from jaxscan.calibration import View
 from jaxscan.calibration.observations import StripePoints
-from jaxscan.calibration.observe import _across, _miscoloured, _once, _Photograph, observe
+from jaxscan.calibration.observe import _across, _miscoloured, _once, _Photograph, _radius, observe
 from jaxscan.errors import InputError
 from jaxscan.files.session import read_session
-from jaxscan.images import StripeSettings
+from jaxscan.images import Board, StripeSettings
 from jaxscan.images.find import BoardView
 from tests.images import render
 
@@ -86,3 +86,10 @@ def test_a_stripe_of_another_colour_is_pointed_out() -> None:
     assert notes("red", None, None) == notes() == []
     (note,) = notes("red", "red", None)
     assert 'set color = "red"' in note
+
+
+def test_the_circles_radius_is_given_or_that_of_most_photographs():
+    views = [BoardView(np.zeros((9, 2)), None, True, radius) for radius in (0.2, 0.21, 0.4, np.nan)]
+    assert _radius(Board.circles((3, 3), 10.0), views) == pytest.approx(2.1)
+    assert _radius(Board.circles((3, 3), 10.0, 5.0), views) == 2.5
+    assert _radius(Board.checkerboard((3, 4), 10.0), [BoardView(np.zeros((12, 2)), np.ones(12), False)]) == 0

@@ -105,6 +105,7 @@ def test_where_the_stripe_is_looked_for(folder, parts, lasers, stripes):
     [
         ('kind = "checkerboard"\ninner_corners = [9, 6]\nsquare_mm = 10', Board.checkerboard((9, 6), 10.0)),
         ('kind = "circles"\ncircles = [7, 7]\npitch_mm = 37.5', Board.circles((7, 7), 37.5)),
+        ('kind = "circles"\ncircles = [7, 7]\npitch_mm = 37.5\ndiameter_mm = 18', Board.circles((7, 7), 37.5, 18.0)),
         (
             'kind = "charuco"\nsquares = [10, 7]\nsquare_mm = 20\nmarker_mm = 15\ndictionary = "DICT_4X4_50"',
             Board.charuco((10, 7), 20.0, 15.0, "DICT_4X4_50"),
@@ -174,6 +175,10 @@ BAD = {
     "board is a number": (["board = 3", VIEWS], ["board = 3", "must be a table"]),
     "mistyped table": ([BOARD, VIEWS, "[lazer]"], ["lazer", 'did you mean "laser"?']),
     "mistyped key": ([BOARD.replace("square_mm", "squares_mm"), VIEWS], ["[board] squares_mm = 10.0", '"square_mm"?']),
+    "circles that touch": (
+        ['[board]\nkind = "circles"\ncircles = [7, 7]\npitch_mm = 10\ndiameter_mm = 11', VIEWS],
+        ["[board] diameter_mm = 11", "touch"],
+    ),
     "key of another board": ([BOARD + "circles = [7, 7]", VIEWS], ["[board] circles = [7, 7]", "unknown key"]),
     "unknown kind": (['[board]\nkind = "hexagons"', VIEWS], ['[board] kind = "hexagons"', "checkerboard, circles"]),
     "one number of corners": ([BOARD.replace("[9, 6]", "[9]"), VIEWS], ["inner_corners = [9]", "columns, rows"]),

@@ -33,7 +33,7 @@ class Barrel:
 
     def straighten(self, u, v):
         x, y = (u - self.centre[0]) / self.focal, (v - self.centre[1]) / self.focal
-        r = np.hypot(x, y)
+        r = np.maximum(np.hypot(x, y), 1e-9)
         factor = np.interp(r, self.table * (1 + self.k1 * self.table**2 + self.k2 * self.table**4), self.table) / r
         return self.centre[0] + self.focal * x * factor, self.centre[1] + self.focal * y * factor
 

@@ -153,6 +153,7 @@ def test_circles(inverted):
     errors = min((np.linalg.norm(view.corners - order, axis=1) for order in (truth, truth[::-1])), key=np.max)
     # A few hundredths of it are perspective: the middle of an ellipse is not the image of the circle's.
     assert errors.max() < 0.08
+    np.testing.assert_allclose(view.radius, 0.25, rtol=0.01)
 
 
 def test_charuco_whole_and_in_part():
