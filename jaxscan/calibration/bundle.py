@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
@@ -29,9 +28,9 @@ class ObservationGroup(Protocol):
     """Observations of one group of like blocks: boards, or gauges. A pytree."""
 
     def residuals(
-        self, rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], noise: Noise
-    ) -> Float[Array, "residuals"]:
-        """The residuals of one block, dimensionless, given the pose of what is seen in it."""
+        self, rig: Rig, warp: BoardWarp | None, poses: Float[Array, "blocks 6"], noise: Noise
+    ) -> Float[Array, "blocks residuals"]:
+        """The residuals of each block, dimensionless, given the poses of what is seen in them."""
         ...
 
 
@@ -98,10 +97,7 @@ def as_arrow(
 
     def residual(y: Arrow) -> Arrow:
         (rig, warp), poses = back(y).shared, y.blocks
-        blocks = tuple(
-            jax.vmap(lambda pose, block: block.residuals(rig, warp, pose, noise))(pose, group)
-            for pose, group in zip(poses, groups, strict=True)
-        )
+        blocks = tuple(group.residuals(rig, warp, pose, noise) for pose, group in zip(poses, groups, strict=True))
         if prior is None:
             return Arrow(jnp.zeros(0, y.shared.dtype), blocks)
         return Arrow(prior.root @ (jnp.where(free, y.shared, start) - prior.mean), blocks)

@@ -250,27 +250,27 @@ def _free(rig: Rig, warp: BoardWarp | None, held: set[str], parts: tuple[str, ..
 
 def _check(refined: Refined, observations: Observations, free: Bool[Array, "shared"]) -> None:
     """Refuse what is no calibration."""
-    if refined.outcome.result != optx.RESULTS.successful:
-        raise SolveError(
-            f"the solve did not reach a minimum within {MAX_STEPS} steps ({refined.solves} rounds): the photographs "
-            "may not belong to one camera, or the lens may need a simpler model"
-        )
     rig, warp = refined.estimate.shared
     names = np.array([*parameter_names(rig), *["board warp"] * len(jax.tree.leaves(warp))])
     at = np.flatnonzero(free)
     values = np.array([float(leaf) for leaf in jax.tree.leaves((rig, warp))])
-    open_question = undetermined(
-        names[at].tolist(),
-        values[at],
-        np.asarray(refined.precision.eigenvalues),
-        np.asarray(refined.precision.directions)[at],
-        np.asarray(refined.precision.covariance)[np.ix_(at, at)],
-        max(float(refined.noise.corner), float(refined.noise.stripe)),
-    )
+    spread = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
+    directions = np.asarray(refined.precision.directions)[at]
+    noise_px = max(float(refined.noise.corner), float(refined.noise.stripe))
+    open_question = None
+    if np.isfinite(values).all() and np.isfinite(spread).all():
+        eigenvalues = np.asarray(refined.precision.eigenvalues)
+        open_question = undetermined(names[at].tolist(), values[at], eigenvalues, directions, spread, noise_px)
     if open_question:
         with_rig = rig if any(name.startswith("laser") for name in names[at]) else Rig(rig.camera)
         coverage = measure_coverage(observations, with_rig, refined.estimate.poses[0])
         raise ObservabilityError(
             f"from these {len(observations.views)} views {open_question.words}: "
             f"{cause_and_mend(open_question, coverage)}"
+        )
+    # Last, since what is not determined is mostly not reached either.
+    if refined.outcome.result != optx.RESULTS.successful:
+        raise SolveError(
+            f"the solve did not reach a minimum within {MAX_STEPS} steps ({refined.solves} rounds): the photographs "
+            "may not belong to one camera, or the lens may need a simpler model"
         )

@@ -46,13 +46,13 @@ class GaugePoints(eqx.Module):
     laid_to: Float[Array, "*scans 6"]
 
     def residuals(
-        self, rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], noise: Noise
-    ) -> Float[Array, "residuals"]:
-        """The residuals of one scan, dimensionless: of the stripe, then of the pose. A gauge has weights of its own."""
+        self, rig: Rig, warp: BoardWarp | None, poses: Float[Array, "scans 6"], noise: Noise
+    ) -> Float[Array, "scans residuals"]:
+        """The residuals of each scan, dimensionless: of the stripe, then of the pose. A gauge has its own weights."""
         del warp, noise
-        errors, _ = gauge_errors(rig, pose, self)
-        moved = (pose - self.laid) / self.laid_to
-        return jnp.concatenate([errors * jnp.where(self.used, self.weights, 0.0), moved])
+        errors, _ = jax.vmap(lambda pose, scan: gauge_errors(rig, pose, scan))(poses, self)
+        moved = (poses - self.laid) / self.laid_to
+        return jnp.concatenate([errors * jnp.where(self.used, self.weights, 0.0), moved], axis=1)
 
 
 def point_of_object(

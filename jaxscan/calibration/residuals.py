@@ -8,6 +8,7 @@ still would bias and spoil the estimate.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -56,15 +57,24 @@ class Blocks(eqx.Module):
     radius: Float[Array, "*blocks corners"] | None = None
 
     def residuals(
-        self, rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], noise: "Noise"
-    ) -> Float[Array, "residuals"]:
-        """The residuals of one block, dimensionless: corners (u, v in turn), then stripe."""
-        corner, stripe = block_errors(rig, warp, pose, self)
-        corner = corner * (self.weights / noise.corner)[:, None]
-        corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[:, None]
-        stripe = stripe * (self.stripe_weights / noise.stripe)
-        stripe = stripe * _tamed(noise.robustness**2 * stripe**2)
-        return jnp.concatenate([corner.ravel(), stripe])
+        self, rig: Rig, warp: BoardWarp | None, poses: Float[Array, "blocks 6"], noise: "Noise"
+    ) -> Float[Array, "blocks residuals"]:
+        """The residuals of all blocks, dimensionless: of each the corners (u, v in turn), then stripe.
+
+        Where no stripe takes part none is computed: their rays cost more than all else.
+        """
+        corner = jax.vmap(partial(corner_errors, rig, warp))(poses, self)
+        corner = corner * (self.weights / noise.corner)[..., None]
+        corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[..., None]
+
+        def stripe_residuals() -> Float[Array, "blocks stripe"]:
+            stripe = jax.vmap(partial(stripe_errors, rig))(poses, self) * (self.stripe_weights / noise.stripe)
+            return stripe * _tamed(noise.robustness**2 * stripe**2)
+
+        stripe = jnp.zeros(self.stripe_used.shape, corner.dtype)
+        if rig.lasers and stripe.size:
+            stripe = jax.lax.cond(self.stripe_used.any(), stripe_residuals, lambda: stripe)
+        return jnp.concatenate([corner.reshape(len(corner), -1), stripe], axis=1)
 
 
 class Noise(eqx.Module):
@@ -143,22 +153,33 @@ def block_errors(
     rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], block: Blocks
 ) -> tuple[Float[Array, "corners 2"], Float[Array, "stripe"]]:
     """All errors of one block in pixels; zero where masked, whatever stands there."""
-    T = Pose.from_vector(pose)
-    R = T.matrix()
-    centre = jnp.stack(rig.camera.principal)
+    corner = corner_errors(rig, warp, pose, block)
+    if not rig.lasers or block.stripe.shape[0] == 0:
+        return corner, jnp.zeros(block.stripe.shape[0], corner.dtype)
+    return corner, stripe_errors(rig, pose, block)
+
+
+def corner_errors(
+    rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], block: Blocks
+) -> Float[Array, "corners 2"]:
+    """The corners' errors of one block in pixels; zero where masked."""
+    R = Pose.from_vector(pose).matrix()
     seen = jnp.where(block.corner_used[:, None], block.corners, 0.0)
     corner = jax.vmap(lambda *each: corner_error(rig, warp, R, pose[3:], *each))(
         block.points, block.relative, block.steps, seen, block.turns, block.radius
     )
-    corner = jnp.where(block.corner_used[:, None], corner, 0.0)
-    if not rig.lasers or block.stripe.shape[0] == 0:
-        return corner, jnp.zeros(block.stripe.shape[0], corner.dtype)
-    beta = dual_plane(T)
+    return jnp.where(block.corner_used[:, None], corner, 0.0)
+
+
+def stripe_errors(rig: Rig, pose: Float[Array, "6"], block: Blocks) -> Float[Array, "stripe"]:
+    """The stripe's errors of one block in pixels; zero where masked. The rig has a laser, the block a stripe."""
+    centre = jnp.stack(rig.camera.principal)
+    beta = dual_plane(Pose.from_vector(pose))
     omegas = jnp.stack([laser.omega for laser in rig.lasers])
     omega = jnp.broadcast_to(omegas[:1], (block.stripe.shape[0], 3)) if len(omegas) == 1 else omegas[block.stripe_laser]
     pixel = jnp.where(block.stripe_used[:, None], block.stripe, centre)
     stripe = jax.vmap(lambda *each: stripe_error(rig, beta, *each))(omega, pixel, block.stripe_columns)
-    return corner, jnp.where(block.stripe_used, stripe, 0.0)
+    return jnp.where(block.stripe_used, stripe, 0.0)
 
 
 def _tamed(square: Float[Array, "*any"]) -> Float[Array, "*any"]:

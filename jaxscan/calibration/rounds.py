@@ -2,10 +2,11 @@
 
 The first solve tames large residuals by a robust loss. From then on each round estimates the two σ, leaves out what
 lies beyond a fixed number of them, readmits what no longer does, and solves plain least squares on the rest, until
-neither the set nor the σ change. The σ are variance components: squared residuals over redundancy. Photographs differ
-in their light, their sharpness and how flat the board was held, so each has a σ of its own, drawn towards that of all
-by about a photograph's worth. Weights that corners were given are believed as far as the residuals bear them out. A
-stripe point is weighted less than its σ alone says, by the correlation of errors along the stripe.
+neither the set nor the σ change, or it shows that the data do not determine what is asked. The σ are variance
+components: squared residuals over redundancy. Photographs differ in their light, their sharpness and how flat the board
+was held, so each has a σ of its own, drawn towards that of all by about a photograph's worth. Weights that corners were
+given are believed as far as the residuals bear them out. A stripe point is weighted less than its σ alone says, by the
+correlation of errors along the stripe.
 """
 
 from collections.abc import Callable
@@ -15,12 +16,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.bundle import Estimate, Outcome, solve
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.residuals import Blocks, Noise, block_errors
-from jaxscan.calibration.uncertainty import Precision, precision
+from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, precision
 from jaxscan.precision import as_numpy
 
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
@@ -28,6 +30,8 @@ CORNER_LIMIT = 4.5
 STRIPE_LIMIT = 4.0
 # A set of outliers that still changes by a point or two after so many solves changes nothing else.
 _MAX_SOLVES = 12
+# So many solves in a row without a minimum, or with a direction that the data leave open, and more will not help.
+_MAX_FUTILE = 2
 _SIGMA_SETTLED = 0.01
 # A photograph's own σ² counts for its redundancy, that of all photographs for so many residuals more: about as many as
 # one photograph has, so that only what clearly differs counts clearly less.
@@ -56,7 +60,8 @@ class Refined:
         precision: covariance and leverages at the estimate.
         outcome: the last solve.
         solves: how many solves it took.
-        settled: whether σ, weights and outliers had come to rest; otherwise the rounds ended by their number.
+        settled: whether σ, weights and outliers had come to rest; otherwise the rounds ended by their number, or
+            because more of them would not help.
     """
 
     estimate: Estimate
@@ -98,11 +103,12 @@ def refine(
     """
     # What is reckoned between solves is NumPy's: small arrays of many shapes, for each of which JAX would compile anew.
     groups = candidates = as_numpy(candidates)
-    solves = 0
+    solves = futile = 0
     if reject:
         begins(1)
         first = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
-        estimate = solve(estimate, free, groups, first).estimate
+        outcome = solve(estimate, free, groups, first)
+        estimate, futile = outcome.estimate, int(outcome.result != optx.RESULTS.successful)
         errors = as_numpy(group_errors(estimate, candidates))
         noise = _median_noise(groups, errors, noise)
         groups = _keep(candidates, errors, noise)
@@ -114,9 +120,9 @@ def refine(
         outcome = solve(estimate, free, groups, noise)
         estimate = outcome.estimate
         errors = as_numpy(group_errors(estimate, candidates))
-        leverage = as_numpy(precision(estimate, free, groups, noise).leverage)
+        known = as_numpy(precision(estimate, free, groups, noise))
         believed = _believed(candidates, groups, errors) if weigh else candidates
-        single, photographs = _variance_components(believed, groups, errors, leverage, noise, board_points)
+        single, photographs = _variance_components(believed, groups, errors, known.leverage, noise, board_points)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
         settled = Noise(single.corner, single.stripe * tau**0.5, single.robustness)
         kept = _weighted(believed, photographs, single, tau, board_points) if weigh else candidates
@@ -125,7 +131,9 @@ def refine(
         # Only the ratio of the two σ moves the estimate; their common scale is in the covariance alone.
         ratio = float((settled.stripe / settled.corner) / (noise.stripe / noise.corner))
         calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
-        if calm or solves >= _MAX_SOLVES:
+        open_ended = outcome.result != optx.RESULTS.successful or known.eigenvalues[0] < UNDETERMINED
+        futile = futile + 1 if open_ended else 0
+        if calm or futile >= _MAX_FUTILE or solves >= _MAX_SOLVES:
             groups = jax.tree.map(jnp.asarray, groups)
             spread = precision(estimate, free, groups, settled)
             return Refined(

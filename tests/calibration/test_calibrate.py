@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import jax
 import numpy as np
+import optimistix as optx
 import pytest
 
-from jaxscan.calibration import calibrate
-from jaxscan.errors import InputError, ObservabilityError
+from jaxscan.calibration import calibrate, rounds
+from jaxscan.calibration.bundle import MAX_STEPS
+from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.rig.rig import parameter_names
 from tests.calibration import synthetic
 from tests.calibration.synthetic import TRUTH, Noise
@@ -230,3 +232,39 @@ def test_noise_free_observations_give_the_truth():
 def test_what_cannot_be_held_is_refused(session, hold, words):
     with pytest.raises(InputError, match=words):
         calibrate(session, hold=hold)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """The solves of the rounds as they come, and a result to report in place of theirs."""
+    outcomes, real = [], rounds.solve
+
+    def solve(*args):
+        outcomes.append(replace(real(*args), **counted_as))
+        return outcomes[-1]
+
+    counted_as = {}
+    monkeypatch.setattr(rounds, "solve", solve)
+    return outcomes, counted_as
+
+
+def test_what_has_no_minimum_is_refused_after_two_solves(session, counted):
+    outcomes, counted_as = counted
+    counted_as["result"] = optx.RESULTS.nonlinear_max_steps_reached
+    with pytest.raises(SolveError, match=r"did not reach a minimum within 200 steps \(2 rounds\)"):
+        calibrate(session)
+    assert len(outcomes) == 2
+
+
+def test_a_lens_that_the_views_do_not_determine_is_refused_soon(counted):
+    """The outliers, and with them what is minimised, change from round to round: it took twelve solves."""
+    outcomes, _ = counted
+    rng, views = np.random.default_rng(2), []
+    seen = synthetic.observations(seed=3, n_stage=0, laser=False)
+    for view in seen.views:
+        astray = rng.normal(size=(54, 2)) * np.where(rng.random((54, 1)) < 0.3, 1.0, 0.0)
+        views.append(replace(view, corners=view.corners + astray))
+    with pytest.raises((ObservabilityError, SolveError)):
+        calibrate(replace(seen, views=tuple(views)), lens="rational")
+    assert len(outcomes) <= 4
+    assert sum(int(outcome.steps) for outcome in outcomes) <= 4 * MAX_STEPS

@@ -1,9 +1,12 @@
 """The stripe's residual is the distance in rows that it says it is, and its derivative is whole."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscan.calibration import residuals
 from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.residuals import Noise, _tamed, block_errors, stripe_error
 from jaxscan.geometry import Pose, dual_plane
@@ -62,14 +65,11 @@ def test_masked_entries_are_not_read(x64):
     noise = Noise(jnp.array(0.05), jnp.array(0.1), jnp.array(0.0))
 
     def cost(pose, block):
-        return (block.residuals(true_rig(), None, pose, noise) ** 2).sum()
+        alone = jax.tree.map(lambda leaf: leaf[None], block)
+        return (alone.residuals(true_rig(), None, pose[None], noise) ** 2).sum()
 
-    import dataclasses
-
-    kept = dataclasses.replace(block, **mask)
-    spoilt = dataclasses.replace(
-        kept, corners=kept.corners.at[:7].set(jnp.nan), stripe=kept.stripe.at[:301].set(jnp.nan)
-    )
+    kept = replace(block, **mask)
+    spoilt = replace(kept, corners=kept.corners.at[:7].set(jnp.nan), stripe=kept.stripe.at[:301].set(jnp.nan))
     value = jax.jit(jax.value_and_grad(cost))
     for a, b in zip(value(pose, kept), value(pose, spoilt), strict=True):
         np.testing.assert_array_equal(a, b)
@@ -83,3 +83,24 @@ def test_robust_loss_is_square_then_straight(x64):
     r = jnp.array([1e-4, 0.01, 100.0, 1e4])
     loss = (r * _tamed(r**2)) ** 2
     np.testing.assert_allclose(loss, 2 * (np.sqrt(1 + r**2) - 1), rtol=1e-6)
+
+
+def test_a_stripe_that_takes_no_part_is_not_computed(x64, monkeypatch):
+    computed, real = [], residuals.stripe_errors
+
+    def stripe_errors(rig, pose, block):
+        jax.debug.callback(lambda: computed.append(1))
+        return real(rig, pose, block)
+
+    monkeypatch.setattr(residuals, "stripe_errors", stripe_errors)
+    views = view_blocks(synthetic.observations(seed=1, n_views=3, n_stage=0))
+    poses = jnp.tile(jnp.array([0.1, 0.2, 0.0, -60.0, -40.0, 340.0]), (len(views.steps), 1))
+    one = jnp.ones(())
+    of_group = jax.jit(lambda group: group.residuals(true_rig(), None, poses, Noise(one, one, one)))
+    masked = replace(views, stripe_used=jnp.zeros_like(views.stripe_used))
+    assert (of_group(masked)[:, -views.stripe_used.shape[1] :] == 0).all()
+    jax.effects_barrier()
+    assert not computed
+    assert (of_group(views)[:3, -views.stripe_used.shape[1] :] != 0).any()
+    jax.effects_barrier()
+    assert computed
