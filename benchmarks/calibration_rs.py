@@ -25,7 +25,7 @@ def calibration_rs(data: Path) -> list[Metric]:
     metrics = []
     for side in ("left", "right"):
         observations, published = corners(content, side), focal_and_principal_of(content["intrinsics"][side])
-        ours = calibrate(observations, lens="brown", reject=False)
+        ours = calibrate(observations, lens="brown", plain=True)
         values, sigma = focal_and_principal(ours)
         theirs, their_sigma = opencv_focal_and_principal(observations)
         off = np.abs(values - published)

@@ -31,7 +31,7 @@ _DAMPING = 1e-4
 
 def measure(quick: bool) -> list[Metric]:
     """Differences from the dense answers, and times."""
-    adjustment = calibrate(observations(VIEWS), reject=False).adjustment
+    adjustment = calibrate(observations(VIEWS), plain=True).adjustment
     with float64():
         adjustment = jax.tree.map(jnp.asarray, adjustment)
         return [step_difference(adjustment), *gradients(adjustment, 3 if quick else 9)]

@@ -49,7 +49,7 @@ def observations(n_views: int, seed: int = 0) -> Observations:
 
 def ours(session: Observations) -> Calibration:
     """Least squares over all corners."""
-    return calibrate(session, reject=False)
+    return calibrate(session, plain=True)
 
 
 def opencvs(session: Observations) -> float:

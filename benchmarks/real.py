@@ -80,7 +80,7 @@ def etna(data: Path, names: list[str]) -> list[Metric]:
         session = read_session(data / name)
         observations = observe(session)
         alone = in_float32(corners_only(observations))
-        least = calibrate(alone, lens="radial2", reject=False)
+        least = calibrate(alone, lens="radial2", plain=True)
         rms, _ = opencv_rms(alone, cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3)
         joint = calibrate(observations, lens="radial2")
         rigs.append(joint)
@@ -112,7 +112,7 @@ def _same_corners(joint: Calibration, observations: Observations) -> tuple[float
         replace(view, corners=np.where(by_name[view.name][:, None], view.corners, np.nan))
         for view in corners_only(observations).views
     )
-    alone = calibrate(replace(corners_only(observations), views=views), lens="radial2", reject=False)
+    alone = calibrate(replace(corners_only(observations), views=views), lens="radial2", plain=True)
     return joint.corner_rms_px, alone.corner_rms_px
 
 
@@ -171,7 +171,7 @@ def opencv_left(data: Path) -> list[Metric]:
     theirs = with_sub_pix(own, folder)
     metrics = []
     for corners, observations in (("their_corners", theirs), ("own_corners", own)):
-        result = calibrate(observations, lens=session.camera.lens, reject=corners == "own_corners")
+        result = calibrate(observations, lens=session.camera.lens, plain=corners != "own_corners")
         metrics.append(Metric(f"real.opencv_left.{corners}.rms", result.corner_rms_px, "px", "lower", slack=0.01))
         for name, published in _TUTORIAL.items():
             axis, i = name.split("_")
@@ -195,7 +195,7 @@ def figueroa(data: Path) -> list[Metric]:
     views = tuple(View(f"{i}", x[:, :2], w) for i, (x, w) in enumerate(zip(seen, weights, strict=True)))
     start = Camera.create(size, [2000.0, 2000.0], [(size[0] - 1) / 2, (size[1] - 1) / 2], "rational")
     result = calibrate(
-        Observations(size, Board.checkerboard([10, 10], 77.0), views), start=start, board_warp=True, reject=False
+        Observations(size, Board.checkerboard([10, 10], 77.0), views), start=start, board_warp=True, plain=True
     )
     errors = [(fit.corner_errors * w[:, None])[fit.corner_kept] for fit, w in zip(result.fits, weights, strict=True)]
     weighted = np.concatenate(errors)

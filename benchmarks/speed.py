@@ -109,7 +109,7 @@ def calibration(views: int) -> list[Metric]:
         looped, at_once = (octave.run(job, quirks) for quirks in (Quirks(), Quirks(loops=False)))
         observations = drawing.observations(job)
     first, seconds, _ = timed(lambda: calibrate(observations))
-    alone = timed(lambda: calibrate(corners_only(observations), reject=False)).median
+    alone = timed(lambda: calibrate(corners_only(observations), plain=True)).median
     stem = f"speed.calibration.{views}_views"
     print(
         f"  calibration of {views} views: Octave {_of(looped, _CALIBRATION_STEPS):.2f} s "

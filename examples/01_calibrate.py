@@ -14,7 +14,9 @@ import jaxscan
 session = jaxscan.read_session(photographs.world() / "session")
 observations = jaxscan.observe(session)
 camera = session.camera  # what session.toml says of it: which lens terms, and whether the principal point is free
-calibration = jaxscan.calibrate(observations, lens=camera.lens, principal_point=camera.principal_point)
+calibration = jaxscan.calibrate(
+    observations, lens=camera.lens, principal_point=camera.principal_point, hold=camera.hold
+)
 
 # Each residual is divided by its own σ, and both σ come out of the fit: nobody has to tell them.
 print(f"{len(calibration.fits)} boards, {len(calibration.stage_fits)} photographs of the stage")

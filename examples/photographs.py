@@ -34,7 +34,9 @@ def calibration() -> jaxscan.Calibration:
     """What example 1 is about, in three lines."""
     session = jaxscan.read_session(world() / "session")
     camera = session.camera
-    return jaxscan.calibrate(jaxscan.observe(session), lens=camera.lens, principal_point=camera.principal_point)
+    return jaxscan.calibrate(
+        jaxscan.observe(session), lens=camera.lens, principal_point=camera.principal_point, hold=camera.hold
+    )
 
 
 def rig() -> jaxscan.RigFile:

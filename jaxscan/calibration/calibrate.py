@@ -17,6 +17,7 @@ from jaxscan.calibration.bundle import MAX_STEPS, Estimate
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.first_motions import first_motions
 from jaxscan.calibration.first_poses import far_away, first_poses
+from jaxscan.calibration.held import held_parameters
 from jaxscan.calibration.observability import cause_and_mend, undetermined
 from jaxscan.calibration.observations import Kept, Observations, View
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
@@ -37,6 +38,7 @@ _FEWEST_STRIPE_POINTS = 10
 _FEWEST_PLACES = {"stage": 2, "turntable": 3}
 # A light plane to hold while none is known: across the view, half a metre away.
 _NO_PLANE_YET = (0.0, 0.0, 0.002)
+_PLAIN = "plain least squares: every corner took part with the same weight, also where it does not fit the others"
 
 
 def calibrate(
@@ -47,7 +49,7 @@ def calibrate(
     start: Camera | None = None,
     hold: Sequence[str] = (),
     board_warp: bool = False,
-    reject: bool = True,
+    plain: bool = False,
     keep: Sequence[Kept] | None = None,
     advance: Callable[[str], object] = lambda doing: None,
 ) -> Calibration:
@@ -60,9 +62,13 @@ def calibrate(
         lens: a rung of the lens ladder: none, radial1, radial2, radial3, brown, rational.
         principal_point: "free", or "centre" to hold it at the image centre.
         start: a camera to start from; its lens takes the place of `lens`. Without it a closed-form start is used.
-        hold: names of rig parameters, as in `rig.json`, that keep the value of `start`.
+        hold: names of the camera's parameters, as in `rig.json`, that keep the value of `start`; without a start lens
+            terms can be held, at 0: `lens="brown", hold=["camera.radial.2"]` is k1 k2 p1 p2 with k3 = 0. Zeros of a
+            camera that was read from a file were mostly held there: `hold=start.zero_terms()` holds them here.
         board_warp: whether the board's bulge is estimated too (corners only).
-        reject: whether outliers are left out; otherwise plain least squares over every observation.
+        plain: plain least squares, the estimate that OpenCV and Bouguet's toolbox make: every corner takes part with
+            the same weight. What it gives up: outliers are not left out, a blurred photograph counts like a sharp
+            one, and what the detector knows of each corner is not used.
         keep: which observations take part, as the `kept` of a finished calibration says it. None of them is then
             rejected, and nothing else is read, neither for the start nor later; σ and the photographs' weights are
             estimated as ever.
@@ -73,22 +79,18 @@ def calibrate(
         ObservabilityError: the photographs do not determine the rig.
         SolveError: no minimum was reached.
     """
-    if principal_point not in ("free", "centre"):
-        raise InputError(f'principal_point is "{principal_point}": use "free" or "centre"')
-    if elsewhere := [name for name in hold if not name.startswith("camera.")]:
-        raise InputError(f"hold names {', '.join(elsewhere)}: only the camera, which start gives, can be held")
-    if hold and start is None:
-        raise InputError(f"hold names {', '.join(hold)}, but there is no start whose values they could keep: give one")
+    held = held_parameters(hold, start.lens if start else lens, principal_point, has_start=start is not None)
     _refuse_tracers(observations)
     if keep is not None:
         observations = observations.only(keep)
-    judge = reject and keep is None
+    if plain:
+        observations = observations.unweighted()
+    judge = keep is None and not plain
     with float64():
         usable, left_out = _usable(observations)
         if board_warp and usable.lasers:
             raise InputError("board_warp goes with corners alone: the stripe is compared with a flat board")
         camera = as_float64(start) if start else _first_camera(usable, lens)
-        held = set(hold) | ({"camera.principal.0", "camera.principal.1"} if principal_point == "centre" else set())
         warp = BoardWarp(jnp.zeros(()), jnp.zeros(())) if board_warp else None
         unit, board_points = jnp.ones(()), len(usable.board.points())
         noise = Noise(unit, unit, jnp.zeros(()))
@@ -106,7 +108,7 @@ def calibrate(
         free = _free(rig, warp, held, ("camera",))
         poses = (first_poses(camera, views), *(far_away(len(group.steps)) for group in groups[1:]))
         corners = _corners_of_views(groups)
-        rounds = partial(refine, board_points=board_points, reject=judge, weigh=reject)
+        rounds = partial(refine, board_points=board_points, reject=judge, weigh=not plain)
         of_camera = partial(rounds, begins=lambda solve: advance(f"camera, round {solve}"))
         refined = of_camera(Estimate((rig, warp), poses), free, corners, noise)
         if judge and (elsewhere := better_poses(refined.estimate, corners, refined.noise)) is not None:
@@ -129,9 +131,9 @@ def calibrate(
         advance("uncertainty")
         result = assemble(refined, free, usable, held, left_out)
     kept = iter(result.kept)
-    return replace(
-        result, kept=tuple(next(kept) if _enough(view) else Kept.none(view) for view in observations.photographs())
-    )
+    notes = (*result.notes, _PLAIN) if plain else result.notes
+    masks = tuple(next(kept) if _enough(view) else Kept.none(view) for view in observations.photographs())
+    return replace(result, kept=masks, plain=plain, notes=notes)
 
 
 def _refuse_tracers(observations: Observations) -> None:
@@ -241,9 +243,6 @@ def _corners_of_views(groups: tuple[Blocks, ...]) -> tuple[Blocks, ...]:
 def _free(rig: Rig, warp: BoardWarp | None, held: set[str], parts: tuple[str, ...]) -> Bool[Array, "shared"]:
     """Which shared parameters are refined: those of some parts of the rig that are not held, and the board's warp."""
     names = parameter_names(rig)
-    unknown = held - set(names)
-    if unknown:
-        raise InputError(f"hold names {', '.join(sorted(unknown))}; this rig has {', '.join(names)}")
     free = [name.startswith(parts) and name not in held for name in names]
     return jnp.asarray(free + [True] * len(jax.tree.leaves(warp)))
 

@@ -170,6 +170,18 @@ class Observations:
         """All photographs of the board: the views, then those on stage and turntable, sequence by sequence."""
         return *self.views, *(view for stage in self.stages for view in stage.views)
 
+    def unweighted(self) -> "Observations":
+        """The same with equal weights for all corners that take part."""
+
+        def equal(views: Sequence[View]) -> tuple[View, ...]:
+            return tuple(
+                view if view.weights is None else replace(view, weights=view.used().astype(np.float64))
+                for view in views
+            )
+
+        stages = tuple(replace(stage, views=equal(stage.views)) for stage in self.stages)
+        return replace(self, views=equal(self.views), stages=stages)
+
     def only(self, keep: Sequence[Kept]) -> "Observations":
         """The same with NaN in place of all that is not kept.
 

@@ -75,6 +75,7 @@ class Calibration:
         settled: whether they did; otherwise the rounds ended by their number. A solve that reached no minimum is an
             error.
         steps: evaluations of the last solve.
+        plain: whether every observation took part with the same weight.
     """
 
     rig: Rig
@@ -98,6 +99,7 @@ class Calibration:
     solves: int
     settled: bool
     steps: int
+    plain: bool = False
 
     def rig_file(self) -> RigFile:
         """What `write_rig` writes."""

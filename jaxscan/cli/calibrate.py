@@ -2,10 +2,12 @@
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_detector_argument
+from jaxscan.cli.estimate_options import AS_THE_SESSION, Estimate, add_estimate_arguments, estimate_asked
 from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
@@ -18,7 +20,8 @@ if TYPE_CHECKING:
 HELP: Final = "find camera, lens, light plane and stage from photographs of a board, all together"
 EXAMPLE: Final = (
     "jaxscan calibrate session -o rig.json --report report\n"
-    "  jaxscan calibrate session --camera camera.yml --hold-camera"
+    "  jaxscan calibrate session --camera camera.yml --hold-camera\n"
+    "  jaxscan calibrate calib_data.mat --lens brown --hold camera.radial.2 --plain"
 )
 
 _PAGES: Final = ("report.html", "report.json")
@@ -50,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--hold-camera", action="store_true", help="keep the camera of --camera as it is")
     parser.add_argument("--camera-name", metavar="CAM", help="which camera of a camchain of several: cam0, cam1, …")
+    add_estimate_arguments(parser)
     parser.add_argument(
         "--report",
         type=Path,
@@ -66,16 +70,19 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.output.suffix.lower() != ".json":
         raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")
     check_writable(args.output)
-    if args.camera is None and (args.hold_camera or args.camera_name):
-        raise InputError("--hold-camera and --camera-name speak of the camera of a file: name it with --camera FILE")
+    if args.camera is None and (args.hold_camera or args.camera_name or args.free):
+        raise InputError(
+            "--hold-camera, --camera-name and --free speak of the camera of a file: name it with --camera FILE"
+        )
     pages = [args.report / name for name in _PAGES] if args.report else []
     if pages:
         extra("plots")
         _make_folder(args.report)
         for page in pages:
             check_writable(page)
+    estimate = estimate_asked(args)
     calibration = calibrate_session(
-        args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector
+        args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector, estimate
     )
     verdict = write_report(calibration, *pages) if pages else None
     from jaxscan.cli.facts import rig_facts
@@ -95,11 +102,12 @@ def calibrate_session(
     name: str | None = None,
     hold: bool = False,
     detector: Detector = DEFAULT,
+    estimate: Estimate = AS_THE_SESSION,
 ) -> "Calibration":
     """Calibrate as `solve_sessions`, and write the rig to `output`."""
     from jaxscan.files.rig_file import write_rig
 
-    calibration = solve_sessions(paths, camera, name, hold, detector)
+    calibration = solve_sessions(paths, camera, name, hold, detector, estimate)
     write_rig(output, calibration.rig_file())
     return calibration
 
@@ -110,6 +118,7 @@ def solve_sessions(
     name: str | None = None,
     hold: bool = False,
     detector: Detector = DEFAULT,
+    estimate: Estimate = AS_THE_SESSION,
 ) -> "Calibration":
     """Calibrate with progress bars.
 
@@ -119,12 +128,14 @@ def solve_sessions(
         name: which camera of that file.
         hold: whether that camera is kept as it is.
         detector: how the stripe's centre is measured.
+        estimate: lens, held parameters and weights, as far as they are not the sessions'.
     """
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
     from jaxscan.calibration import calibrate
     from jaxscan.calibration.board_views import observations_from
+    from jaxscan.calibration.held import held_parameters
     from jaxscan.calibration.observations import join
     from jaxscan.calibration.observe import observe, photograph_count, unseen
     from jaxscan.cli.progress import progress
@@ -137,12 +148,11 @@ def solve_sessions(
     for path in paths:
         mat = path.suffix.lower() == ".mat"
         contents.append(read_camera_file(path) if mat else read_session(path))
-        settings.append(CameraSettings() if mat else contents[-1].camera)
+        settings.append(estimate.of(CameraSettings() if mat else contents[-1].camera))
         if settings[-1] != settings[0]:
             raise InputError(
-                f"{path}: its lens is {settings[-1].lens}, its principal point {settings[-1].principal_point}; those "
-                f"of {paths[0]} are {settings[0].lens} and {settings[0].principal_point}: sessions of one rig have one "
-                "camera, so give all the same [camera]"
+                f"{path}: its {_in_words(settings[-1])}; those of {paths[0]}: {_in_words(settings[0])}: sessions "
+                "of one rig have one camera, so give all the same [camera]"
             )
     each = [
         unseen(content) if isinstance(content, Session) else observations_from(content, path)
@@ -151,6 +161,8 @@ def solve_sessions(
     # Here for its errors, so that they come before the long work.
     join(_names(paths), each)
     start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
+    asked, lens = settings[0], start.lens if start else settings[0].lens
+    held_parameters(asked.hold, lens, asked.principal_point, has_start=start is not None)
     photographs = sum(photograph_count(content) for content in contents if isinstance(content, Session))
     with progress("finding boards and stripes", photographs) as advance:
         each = [
@@ -158,7 +170,12 @@ def solve_sessions(
             for content, given in zip(contents, each, strict=True)
         ]
     observations = join(_names(paths), each) if len(each) > 1 else each[0]
-    held = parameter_names(Rig(start)) if start and hold else ()
+    held = settings[0].hold
+    if start is not None and camera is not None:
+        zeros = estimate.zeros(camera, start)
+        held = parameter_names(Rig(start)) if hold else tuple({*held, *zeros})
+        if zeros and not hold:
+            observations = replace(observations, notes=(*observations.notes, _kept_at_zero(camera, zeros)))
     with progress("solving", unit="step") as advance:
         calibration = calibrate(
             observations,
@@ -167,8 +184,20 @@ def solve_sessions(
             start=start,
             hold=held,
             advance=advance.says,
+            plain=estimate.plain,
         )
     return calibration
+
+
+def _in_words(settings: "CameraSettings") -> str:
+    held = f", {', '.join(settings.hold)} held" if settings.hold else ""
+    return f"lens {settings.lens}, principal point {settings.principal_point}{held}"
+
+
+def _kept_at_zero(path: Path, zeros: Sequence[str]) -> str:
+    """The note on terms that a file has as 0."""
+    are = "is" if len(zeros) == 1 else "are"
+    return f"{', '.join(zeros)} {are} 0 in {path} and stayed 0: to have one found, name it with --free"
 
 
 def _start(path: Path, name: str | None, settings: "CameraSettings", image_size: tuple[int, int]) -> "Camera":

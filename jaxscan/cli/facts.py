@@ -44,6 +44,7 @@ def session_facts(path: Path) -> Facts:
         "image_size": list(session.image_size),
         "lens": session.camera.lens,
         "principal_point": session.camera.principal_point,
+        "hold": list(session.camera.hold),
         "views": len(session.views.boards),
         "stripes": stripes and {name: sum(p is not None for p in paths) for name, paths in stripes.items()},
         "lasers": [_laser_settings(laser) for laser in session.lasers],

@@ -32,7 +32,8 @@ def _session(facts: Facts) -> Iterator[Line]:
     if turntable := facts["turntable"]:
         yield "turntable", f"{turntable['count']} photographs, {_travel(turntable)}, at step {turntable['stage_step']}"
     held = "found" if facts["principal_point"] == "free" else "held at the centre of the image"
-    yield "camera", f"lens {facts['lens']}, principal point {held}"
+    also = f", {', '.join(facts['hold'])} held" if facts["hold"] else ""
+    yield "camera", f"lens {facts['lens']}, principal point {held}{also}"
 
 
 def _scan(facts: Facts) -> Iterator[Line]:

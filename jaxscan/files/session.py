@@ -14,6 +14,7 @@ from jaxscan.files.table import Table, show
 from jaxscan.files.text import read_toml
 from jaxscan.images import Board, StripeSettings
 from jaxscan.rig import LENSES
+from jaxscan.rig.camera import camera_parameters
 
 SESSION_FILE: Final = "session.toml"
 
@@ -31,10 +32,12 @@ class CameraSettings:
     Attributes:
         lens: a rung of the lens ladder.
         principal_point: found, or held at the centre of the image.
+        hold: further parameters that are not sought, by their names in `rig.json`, in the order of these.
     """
 
     lens: str = "radial1"
     principal_point: Literal["free", "centre"] = "free"
+    hold: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,9 @@ def write_session(session: Session) -> None:
     """
     folder = session.path.parent
     values: dict[str, Any] = {"board": _board_values(session.board)}
-    values["camera"] = {"lens": session.camera.lens, "principal_point": session.camera.principal_point}
+    asked = session.camera
+    values["camera"] = {"lens": asked.lens, "principal_point": asked.principal_point}
+    values["camera"] |= {"hold": list(asked.hold)} if asked.hold else {}
     values["views"] = {"boards": [relative_name(path, folder) for path in session.views.boards]}
     lasers = [stripe_values(laser) for laser in session.lasers]
     if session.views.stripes is not None:
@@ -195,10 +200,15 @@ def _board_values(board: Board) -> dict[str, Any]:
 def _camera(table: Table) -> CameraSettings:
     if "camera" not in table:
         return CameraSettings()
-    camera = table.table("camera", "[camera] ").only("lens", "principal_point")
+    camera = table.table("camera", "[camera] ").only("lens", "principal_point", "hold")
     principal_point = camera.string("principal_point", "free", ("free", "centre"))
     lens = camera.string("lens", "radial1", tuple(LENSES))
-    return CameraSettings(lens, cast(Literal["free", "centre"], principal_point))
+    names = camera_parameters(lens)
+    hold = camera.values.get("hold", [])
+    if not isinstance(hold, list) or not all(name in names for name in hold):
+        raise camera.error("hold", f'must be a list of parameters of the lens "{lens}": {", ".join(names)}')
+    held = tuple(name for name in names if name in hold)
+    return CameraSettings(lens, cast(Literal["free", "centre"], principal_point), held)
 
 
 def _stage(table: Table) -> StageImages | None:

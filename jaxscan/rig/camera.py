@@ -77,6 +77,11 @@ class Camera(eqx.Module):
         """The rung of the lens ladder, by its number of coefficients."""
         return next(name for name, size in LENSES.items() if size == (len(self.radial), len(self.tangential)))
 
+    def zero_terms(self) -> tuple[str, ...]:
+        """The names of those lens terms that are zero: in a file mostly terms that were held there, so also here."""
+        terms = zip(camera_parameters(self.lens)[4:], (*self.radial, *self.tangential), strict=True)
+        return tuple(name for name, term in terms if float(term) == 0)
+
     def project(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
         """A point of the camera frame (mm) to its pixel (u, v); NaN for a point that is not in front of the camera."""
         in_front = point[2] > 0
@@ -93,6 +98,20 @@ class Camera(eqx.Module):
         xd = (pixel - jnp.stack(self.principal)) / jnp.stack(self.focal)
         x = undistort(self.radial, self.tangential, xd)
         return jnp.concatenate([x, jnp.ones_like(x[:1])])
+
+
+def camera_parameters(lens: str) -> tuple[str, ...]:
+    """The names of a camera's parameters, in the order of its leaves: `camera.focal.0` … `camera.tangential.1`.
+
+    Args:
+        lens: a rung of the lens ladder.
+
+    Raises:
+        InputError: there is no such lens.
+    """
+    n_radial, n_tangential = lens_size(lens)
+    counts = {"focal": 2, "principal": 2, "radial": n_radial, "tangential": n_tangential}
+    return tuple(f"camera.{part}.{i}" for part, count in counts.items() for i in range(count))
 
 
 def lens_size(lens: str) -> tuple[int, int]:

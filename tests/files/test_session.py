@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxscan.cli.calibrate import solve_sessions
 from jaxscan.errors import InputError
 from jaxscan.files.session import CameraSettings, Session, StageImages, Views, read_session, write_session
 from jaxscan.images import Board, StripeSettings
@@ -52,13 +53,13 @@ def test_everything_that_the_format_has(folder):
     read = session(
         folder,
         BOARD,
-        '[camera]\nlens = "brown"\nprincipal_point = "centre"',
+        '[camera]\nlens = "brown"\nprincipal_point = "centre"\nhold = ["camera.radial.2", "camera.focal.0"]',
         VIEWS,
         'stripes = ["stripes/v1.png", "", "stripes/v10.png"]',
         '[stage]\nimages = "stage/*.png"\nsteps = [-100000, 0, 2000]',
         '[laser]\ncolor = "green"\ncolumns = false',
     )
-    assert read.camera == CameraSettings("brown", "centre")
+    assert read.camera == CameraSettings("brown", "centre", ("camera.focal.0", "camera.radial.2"))
     assert read.views.stripes == {"": (folder / "stripes/v1.png", None, folder / "stripes/v10.png")}
     assert read.stage is not None
     assert read.stage.steps == (-100_000, 0, 2000)
@@ -128,7 +129,7 @@ def test_what_is_written_reads_the_same(folder, names, own):
         path=folder / "session.toml",
         board=Board.checkerboard((7, 6), 12.345678901234567),
         views=Views(boards, stripes or None),
-        camera=CameraSettings("rational", "centre"),
+        camera=CameraSettings("rational", "centre", ("camera.radial.5", "camera.tangential.0")),
         stage=StageImages(boards[::-1], (5, -7)),
         lasers=tuple(StripeSettings(color="blue", columns=False, name=name) for name in names),
         image_size=(32, 24),
@@ -194,6 +195,11 @@ BAD = {
         ["[board] dictionary", "DICT_4X4_50"],
     ),
     "unknown lens": ([BOARD, VIEWS, '[camera]\nlens = "radial9"'], ['[camera] lens = "radial9"', "radial1, radial2"]),
+    "no term of this lens": (
+        [BOARD, VIEWS, '[camera]\nlens = "radial2"\nhold = ["camera.radial.2"]'],
+        ["[camera] hold", 'of the lens "radial2"', "camera.radial.0, camera.radial.1"],
+    ),
+    "a name to hold": ([BOARD, VIEWS, '[camera]\nhold = "camera.radial.0"'], ["[camera] hold", "must be a list"]),
     "centre in American": ([BOARD, VIEWS, '[camera]\nprincipal_point = "center"'], ["principal_point", "free, centre"]),
     "glob without files": ([BOARD, '[views]\nboards = "board/*.png"'], ["[views] boards", "matches no file"]),
     "glob of a folder": ([BOARD, '[views]\nboards = "boards"'], ["[views] boards", "matches no file"]),
@@ -323,3 +329,11 @@ def test_a_photograph_that_is_not_whole_is_found_before_any_work(folder, share, 
     message = refusal(folder, BOARD, VIEWS)
     assert message.startswith(str(photograph))
     assert problem in message
+
+
+def test_sessions_of_one_rig_hold_the_same(folder):
+    session(folder, BOARD, VIEWS)
+    other = folder / "other.toml"
+    other.write_text(f'{BOARD}{VIEWS}[camera]\nhold = ["camera.radial.0"]', encoding="utf-8")
+    with pytest.raises(InputError, match=r"other.toml: its lens radial1, .*, camera.radial.0 held; those of"):
+        solve_sessions([folder / "session.toml", other])

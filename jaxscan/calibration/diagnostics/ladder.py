@@ -9,7 +9,8 @@ best one below it:
   their own corners with the camera held, and each view's mean squared error has to fall, in the mean of its logarithm
   over views by more than two standard errors, and by 5 %. What only fits noise, or the bend of a plate, does not pass.
 
-Every rung is the rational lens with what it lacks held at zero, so the whole ladder is one compiled function.
+Every rung is the rational lens with what it lacks held at zero, so the whole ladder is one compiled function. What the
+calibration held stays as it was on every rung; of rungs that then seek the same terms one is tried.
 """
 
 from dataclasses import dataclass, replace
@@ -28,6 +29,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import group_errors, refine
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import LENSES, Camera, Rig
+from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.rig import parameter_names
 
 _FOLDS = 5
@@ -45,7 +47,7 @@ class Rung:
 
     Attributes:
         lens: its name.
-        terms: how many coefficients it has.
+        terms: how many coefficients were sought; those that the calibration held are not among them.
         rms_px: RMS distance of the corners in the fit; NaN where no minimum was found.
         held_out_px: RMS distance of corners in views that the camera was not fitted to, their boards placed anew.
         p: of the F-test against the best rung below it; None for the first.
@@ -96,19 +98,20 @@ class _Solved:
 def climb(calibration: Calibration) -> Ladder:
     """Solve every rung on the corners of the views."""
     chosen = calibration.rig.camera.lens
-    names = list(LENSES)
     with float64():
         estimate, group = _corners_alone(calibration)
         held = {
             name for name in parameter_names(Rig(calibration.rig.camera)) if name not in calibration.covariance.names
         }
-        reference = max(_REFERENCE, chosen, key=names.index)
+        names = _distinct(chosen, held)
+        reference = max(_REFERENCE, chosen, key=list(LENSES).index)
         noise = Noise(jnp.asarray(calibration.corner_sigma_px, jnp.float64), jnp.ones(()), jnp.zeros(()))
         each = len(calibration.observations.board.points())
-        best = refine(estimate, _free(reference, held), (group,), noise, each, reject=True, weigh=True)
+        judge = not calibration.plain
+        best = refine(estimate, _free(reference, held), (group,), noise, each, reject=judge, weigh=judge)
         n = len(calibration.observations.views)
         solved = {
-            lens: _solve_rung(_without(estimate, _terms(lens)), _free(lens, held), best.groups[0], best.noise, n)
+            lens: _solve_rung(_without(estimate, lens, held), _free(lens, held), best.groups[0], best.noise, n)
             for lens in names
         }
     observations = float(2 * np.asarray(best.groups[0].corner_used).sum())
@@ -116,14 +119,14 @@ def climb(calibration: Calibration) -> Ladder:
     for lens in names:
         own, below = solved[lens], solved[top]
         if lens == names[0]:
-            rungs.append(_rung(lens, own, None, None, None, supported=True))
+            rungs.append(_rung(lens, _sought(lens, held), own, None, None, None, supported=True))
             continue
-        terms = sum(LENSES[lens]) - sum(LENSES[top])
-        dof = observations - 6 * n - 4 - sum(LENSES[lens])
+        terms = _sought(lens, held) - _sought(top, held)
+        dof = observations - 6 * n - float(_free(lens, held).sum())
         p = f_test(below.chi2, own.chi2, terms, dof)
         gain, error = _gain(below, own)
         supported = bool(np.isfinite(own.chi2) and p < _P and gain > max(_WORTH, _STANDARD_ERRORS * error))
-        rungs.append(_rung(lens, own, p, gain, error, supported))
+        rungs.append(_rung(lens, _sought(lens, held), own, p, gain, error, supported))
         top = lens if supported else top
     own = solved[chosen]
     return Ladder(tuple(rungs), chosen, top, n, np.sqrt(2 * own.held_out / np.maximum(own.count, 1)))
@@ -158,18 +161,25 @@ def _corners_alone(calibration: Calibration) -> tuple[Estimate, Blocks]:
     return Estimate((Rig(camera), None), (padded,)), group
 
 
-def _terms(lens: str) -> list[bool]:
-    """Which leaves of the rational camera a lens has."""
-    n_radial, n_tangential = LENSES[lens]
-    radial, tangential = LENSES["rational"]
-    return [True] * 4 + [i < n_radial for i in range(radial)] + [i < n_tangential for i in range(tangential)]
-
-
 def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:
-    radial, tangential = LENSES["rational"]
-    names = ["camera.focal.0", "camera.focal.1", "camera.principal.0", "camera.principal.1"]
-    names += [f"camera.radial.{i}" for i in range(radial)] + [f"camera.tangential.{i}" for i in range(tangential)]
-    return jnp.asarray([own and name not in held for own, name in zip(_terms(lens), names, strict=True)])
+    """Which leaves of the rational camera are sought with a lens."""
+    own = set(camera_parameters(lens)) - held
+    return jnp.asarray([name in own for name in camera_parameters("rational")])
+
+
+def _sought(lens: str, held: set[str]) -> int:
+    """How many coefficients of a lens are sought."""
+    return len(set(camera_parameters(lens)[4:]) - held)
+
+
+def _distinct(chosen: str, held: set[str]) -> list[str]:
+    """The rungs, without those that seek the same terms as another; the calibration's own is kept."""
+    rungs: dict[frozenset[str], str] = {}
+    for lens in LENSES:
+        sought = frozenset(camera_parameters(lens)) - held
+        if sought not in rungs or lens == chosen:
+            rungs[sought] = lens
+    return list(rungs.values())
 
 
 def _solve_rung(estimate: Estimate, free: Bool[Array, "shared"], group: Blocks, noise: Noise, n: int) -> _Solved:
@@ -195,10 +205,11 @@ def _solve_rung(estimate: Estimate, free: Bool[Array, "shared"], group: Blocks, 
     return _Solved(chi2, pixels * float(np.sqrt(2 * square.sum() / used.sum())), pixels**2 * held_out, count)
 
 
-def _without(estimate: Estimate, terms: list[bool]) -> Estimate:
-    """The estimate with those lens terms at zero that the lens does not have."""
+def _without(estimate: Estimate, lens: str, held: set[str]) -> Estimate:
+    """The estimate with those lens terms at zero that the lens does not have and that are not held."""
     rig, warp = estimate.shared
-    own = iter(terms[4:])
+    kept = {*camera_parameters(lens), *held}
+    own = (name in kept for name in camera_parameters("rational")[4:])
     zero = jnp.zeros(())
     radial = tuple(k if next(own) else zero for k in rig.camera.radial)
     tangential = tuple(p if next(own) else zero for p in rig.camera.tangential)
@@ -231,9 +242,8 @@ def _gain(below: _Solved, own: _Solved) -> tuple[float, float]:
 
 
 def _rung(
-    lens: str, solved: _Solved, p: float | None, gain: float | None, error: float | None, supported: bool
+    lens: str, terms: int, solved: _Solved, p: float | None, gain: float | None, error: float | None, supported: bool
 ) -> Rung:
     held_out = float(np.sqrt(2 * solved.held_out.sum() / solved.count.sum()))
-    return Rung(
-        lens, sum(LENSES[lens]), solved.rms if np.isfinite(solved.chi2) else np.nan, held_out, p, gain, error, supported
-    )
+    rms = solved.rms if np.isfinite(solved.chi2) else np.nan
+    return Rung(lens, terms, rms, held_out, p, gain, error, supported)

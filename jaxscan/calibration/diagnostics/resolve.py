@@ -68,8 +68,8 @@ def resolve(calibration: Calibration, part: Part) -> PartialRig | None:
             _masked(calibration, groups, part),
             as_float64(calibration.adjustment.noise),
             each,
-            reject=True,
-            weigh=True,
+            reject=not calibration.plain,
+            weigh=not calibration.plain,
         )
         return _partial(refined, part, [name for name, one in zip(names, free, strict=False) if one])
 

@@ -1,0 +1,44 @@
+"""Which of the camera's parameters keep their value, and at what."""
+
+from collections.abc import Sequence
+
+from jaxscan.errors import InputError
+from jaxscan.rig.camera import camera_parameters
+
+_PRINCIPAL = ("camera.principal.0", "camera.principal.1")
+
+
+def held_parameters(hold: Sequence[str], lens: str, principal_point: str, *, has_start: bool) -> set[str]:
+    """The names of the parameters that are not refined.
+
+    Args:
+        hold: the names asked for.
+        lens: the camera's.
+        principal_point: "free" or "centre".
+        has_start: whether there is a camera whose values they can keep. Without one a lens term is held at 0.
+
+    Raises:
+        InputError: a name that the camera does not have, or whose value is not known.
+    """
+    if principal_point not in ("free", "centre"):
+        raise InputError(f'principal_point is "{principal_point}": use "free" or "centre"')
+    known = camera_parameters(lens)
+    if unknown := [name for name in hold if name not in known]:
+        beyond = "" if unknown[0].startswith("camera.") else "only the camera can be held; "
+        raise InputError(
+            f'hold names {", ".join(unknown)}: {beyond}a camera with the lens "{lens}" has {", ".join(known)}'
+        )
+    centred = set(_PRINCIPAL) if principal_point == "centre" else set()
+    if not has_start:
+        for name in set(hold) - centred:
+            if name in _PRINCIPAL:
+                raise InputError(
+                    f'hold names {name}, but there is no start whose value it could keep: principal_point = "centre" '
+                    "holds it at the centre of the image; for another place give a camera to start from"
+                )
+            if name.startswith("camera.focal"):
+                raise InputError(
+                    f"hold names {name}, but there is no start whose value it could keep: give a camera to start from, "
+                    "start=Camera.create(...) in Python, --camera FILE on the command line"
+                )
+    return set(hold) | centred

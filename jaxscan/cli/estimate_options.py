@@ -1,0 +1,113 @@
+"""What `jaxscan calibrate` is to find of the camera, and how it weighs what was seen."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from jaxscan.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxscan.files.session import CameraSettings
+    from jaxscan.rig import Camera
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the command line asks for beyond the session's [camera].
+
+    Attributes:
+        lens: in place of the session's.
+        hold: parameters that are held in addition.
+        free: lens terms that are sought although the start camera has them as 0.
+        plain: plain least squares, every corner with the same weight.
+    """
+
+    lens: str | None = None
+    hold: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    plain: bool = False
+
+    def of(self, settings: "CameraSettings") -> "CameraSettings":
+        """A session's settings with what was asked for."""
+        hold = tuple(sorted({*settings.hold, *self.hold}))
+        return replace(settings, lens=self.lens or settings.lens, hold=hold)
+
+    def zeros(self, path: Path, start: "Camera") -> tuple[str, ...]:
+        """The lens terms of a file's camera that are 0 and not to be sought.
+
+        Raises:
+            InputError: a term is to be free that the file does not have as 0.
+        """
+        zeros = start.zero_terms()
+        if others := [name for name in self.free if name not in zeros]:
+            terms = f"the terms {', '.join(zeros)}" if zeros else "no term"
+            raise InputError(
+                f"--free {', '.join(others)}: frees a lens term that --camera has as 0; {path}, whose lens is "
+                f'"{start.lens}", has {terms} as 0'
+            )
+        return tuple(name for name in zeros if name not in self.free)
+
+
+AS_THE_SESSION: Final = Estimate()
+
+
+def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare --lens, --hold, --free and --plain."""
+    parser.add_argument(
+        "--lens",
+        metavar="LENS",
+        help="none, radial1, radial2, radial3, brown or rational, in place of the session's (default: radial1); "
+        "--camera brings its own",
+    )
+    parser.add_argument(
+        "--hold",
+        action="append",
+        type=_names,
+        default=[],
+        metavar="NAME[,NAME]",
+        help="do not seek this parameter of the camera, named as in rig.json: camera.radial.0 to .5 are k1 to k6, "
+        "camera.tangential.0 and .1 are p1 and p2. It keeps the value of --camera; without one a lens term is held at "
+        "0. `--lens brown` is OpenCV's default, k1 k2 p1 p2 k3; with `--hold camera.radial.2` it is that of Bouguet's "
+        "toolbox, k1 k2 p1 p2",
+    )
+    parser.add_argument(
+        "--free",
+        action="append",
+        type=_names,
+        default=[],
+        metavar="NAME[,NAME]",
+        help="seek a lens term although it is 0 in the file of --camera, where it was mostly held; without this it "
+        "stays 0",
+    )
+    parser.add_argument(
+        "--plain",
+        action="store_true",
+        help="plain least squares over all corners, the estimate that OpenCV and Bouguet's toolbox make, to compare "
+        "with them. What it gives up: no outlier is left out, a blurred photograph counts like a sharp one, and what "
+        "the detector knows of each corner is not used",
+    )
+
+
+def estimate_asked(args: argparse.Namespace) -> Estimate:
+    """What the arguments of `add_estimate_arguments` say.
+
+    Raises:
+        InputError: they contradict each other, or --camera.
+    """
+    hold, free = (tuple(name for names in given for name in names) for given in (args.hold, args.free))
+    if both := sorted(set(hold) & set(free)):
+        raise InputError(f"--hold and --free both name {', '.join(both)}: keep one of them")
+    if args.lens is not None:
+        from jaxscan.rig.camera import lens_size
+
+        lens_size(args.lens)
+        if args.camera is not None:
+            raise InputError("--lens and --camera: the camera of a file brings its own lens, so leave out one of them")
+    return Estimate(args.lens, hold, free, args.plain)
+
+
+def _names(text: str) -> Sequence[str]:
+    """The names of a comma list."""
+    return [name for name in (part.strip() for part in text.split(",")) if name]
