@@ -33,6 +33,7 @@ class BoardView:
         pose_sigma: their standard deviations; NaN where they are not known.
         points: points of the board, in the file's unit of length.
         pixels: where they were seen, (u, v).
+        active: whether it was to take part in the calibration.
     """
 
     name: str
@@ -40,6 +41,7 @@ class BoardView:
     pose_sigma: Float64[np.ndarray, "6"]
     points: Float64[np.ndarray, "points 3"]
     pixels: Float64[np.ndarray, "points 2"]
+    active: bool = True
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class CameraFile:
         camera: the camera, with NumPy float64 leaves; None where the file holds corners alone.
         sigma: standard deviations by the names that `rig.json` has for parameters, where they are known.
         views: the photographs of the board, where the format has them.
+        unseen: the names of further photographs, in which no corner was found.
         beside: what else the file holds and no other format takes, in words.
     """
 
@@ -58,6 +61,7 @@ class CameraFile:
     camera: Camera | None
     sigma: Mapping[str, float] = field(default_factory=dict)
     views: tuple[BoardView, ...] = ()
+    unseen: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
 
     def the_camera(self, path: Path) -> Camera:

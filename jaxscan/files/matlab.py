@@ -5,7 +5,8 @@ Pixel (0, 0) is the centre of the top left pixel, in cc and in the corners x_i a
 Matlab's coordinates. The board's frame is the toolbox's own, x along the first side that was clicked, z towards the
 camera: omc_i and Tc_i take X_i to the camera's frame. Its `…_error` are three standard deviations.
 
-`calib_data.mat` is the same without the camera and the poses. Corners of photographs that were left out are NaN.
+`calib_data.mat` is the same without the camera and the poses. Of `n_ima` photographs those take part of which
+`active_images` is 1; where no corners were found they are NaN, or not there.
 
 Source: J.-Y. Bouguet, "Description of the calibration parameters", and the files that the toolbox writes.
 """
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
@@ -32,11 +33,14 @@ from jaxscan.files.camera_file import (
     terms_from,
 )
 from jaxscan.files.mat5 import read_matrices
-from jaxscan.files.table import Table
+from jaxscan.files.table import Table, show
 
 _CAMERA: Final = ("fc", "cc", "kc", "alpha_c")
-_READABLE: Final = re.compile(r"(fc|cc|kc|alpha_c)(_error)?|n[xy]|(x|X|omc|Tc|omc_error|Tc_error)_[1-9][0-9]{0,4}")
+_READABLE: Final = re.compile(
+    r"(fc|cc|kc|alpha_c)(_error)?|n[xy]|n_ima|active_images|(x|X|omc|Tc|omc_error|Tc_error)_[1-9][0-9]{0,4}"
+)
 _SIGMAS: Final = 3.0
+_MOST: Final = 99999
 # Where each of the terms of kc stands in `rig.json`.
 _KC_NAMES: Final = ("radial.0", "radial.1", "tangential.0", "tangential.1", "radial.2")
 
@@ -45,7 +49,7 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
     """Camera, standard deviations and the photographs of the board; the camera is None in `calib_data.mat`."""
     one_camera(path, name)
     arrays = read_matrices(path, _READABLE)
-    views = _views(path, arrays)
+    views, unseen = _views(path, arrays)
     if not any(name in arrays for name in _CAMERA) and not views:
         raise InputError(
             f"{path}: has neither fc, cc and kc, as Calib_Results.mat of Bouguet's toolbox, nor X_1 and x_1, as its "
@@ -55,13 +59,13 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
     scalars = Table(path, "", {name: table.numbers(name, 1)[0] for name in ("nx", "ny") if name in table})
     size = size_of(scalars, ("nx", "ny"), image_size)
     if not any(name in arrays for name in _CAMERA):
-        return CameraFile(size, None, views=views)
+        return CameraFile(size, None, views=views, unseen=unseen)
     skew = table.numbers("alpha_c", 1)[0] if "alpha_c" in table else 0.0
     if skew != 0:
         raise skewed(table, "alpha_c", skew)
     terms = terms_from(table, "kc", table.numbers("kc"), (4, 5))
     camera = camera_from_terms(table, "fc", size, (*table.numbers("fc", 2), *table.numbers("cc", 2)), terms)
-    return CameraFile(size, camera, _sigmas(arrays), views)
+    return CameraFile(size, camera, _sigmas(arrays), views, unseen)
 
 
 def write(path: Path, content: CameraFile) -> None:
@@ -74,7 +78,7 @@ def write(path: Path, content: CameraFile) -> None:
 
     variables = _camera_variables(path, content) if content.camera is not None else {}
     variables |= {"nx": content.image_size[0], "ny": content.image_size[1], "n_ima": len(content.views)}
-    variables["active_images"] = np.ones((1, len(content.views)))
+    variables["active_images"] = np.array([[view.active for view in content.views]])
     for i, view in enumerate(content.views, start=1):
         variables |= {f"X_{i}": view.points.T, f"x_{i}": view.pixels.T}
         if content.camera is not None:
@@ -127,11 +131,12 @@ def _sigmas(arrays: dict[str, np.ndarray]) -> dict[str, float]:
     return sigma
 
 
-def _views(path: Path, arrays: dict[str, np.ndarray]) -> tuple[BoardView, ...]:
-    """The photographs in which the board was seen."""
+def _views(path: Path, arrays: dict[str, np.ndarray]) -> tuple[tuple[BoardView, ...], tuple[str, ...]]:
+    """The photographs in which the board was seen, and the names of the others."""
     numbers = sorted({int(name.rsplit("_", 1)[1]) for name in arrays if re.match(r"(x|X|omc)_[0-9]+$", name)})
-    views = []
-    for i in numbers:
+    active = _active(path, arrays, max(numbers, default=0))
+    views, unseen = [], []
+    for i in range(1, len(active) + 1):
         pixels = _shaped(path, arrays, f"x_{i}", 2)
         points = _shaped(path, arrays, f"X_{i}", 3)
         if len(pixels) != len(points):
@@ -141,8 +146,29 @@ def _views(path: Path, arrays: dict[str, np.ndarray]) -> tuple[BoardView, ...]:
             for names in (("omc", "Tc"), ("omc_error", "Tc_error"))
         )
         if np.isfinite(pixels).any() or np.isfinite(pose).all():
-            views.append(BoardView(f"image {i}", pose, sigma / _SIGMAS, points, pixels))
-    return tuple(views)
+            views.append(BoardView(f"image {i}", pose, sigma / _SIGMAS, points, pixels, bool(active[i - 1])))
+        else:
+            unseen.append(f"image {i}")
+    return tuple(views), tuple(unseen)
+
+
+def _active(path: Path, arrays: dict[str, np.ndarray], last: int) -> Bool[np.ndarray, "images"]:
+    """Which photographs take part: of n_ima, or of as many as there are corners of."""
+    active = arrays.get("active_images")
+    count = arrays["n_ima"].ravel() if "n_ima" in arrays else np.array([last if active is None else active.size])
+    if count.size != 1 or not float(count[0]).is_integer() or not last <= count[0] <= _MOST:
+        raise InputError(
+            f"{path}: n_ima = {show(count.tolist())}, but it must be the number of images, here {last} or more: "
+            "save the file again"
+        )
+    if active is None:
+        return np.ones(int(count[0]), bool)
+    if active.size != count[0] or not np.isin(active, (0, 1)).all():
+        raise InputError(
+            f"{path}: active_images must be 0 or 1 for each of the {int(count[0])} images, it is "
+            f"{show(active.ravel().tolist())}: save the file again"
+        )
+    return active.ravel() == 1
 
 
 def _shaped(path: Path, arrays: dict[str, np.ndarray], name: str, rows: int) -> Float64[np.ndarray, "points rows"]:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import scipy.io
@@ -12,7 +13,8 @@ from jaxscan.calibration import Observations
 from jaxscan.calibration.board_views import observations_from
 from jaxscan.cli.main import main
 from jaxscan.errors import InputError
-from jaxscan.files.cameras import read_camera_file
+from jaxscan.files.cameras import read_camera_file, write_camera_file
+from jaxscan.rig.camera import camera_parameters
 from tests.calibration import synthetic
 
 
@@ -80,7 +82,15 @@ def test_a_camera_that_cannot_have_taken_the_photographs(saved, tmp_path, capsys
     ("change", "text"),
     [
         (lambda v: {k: x for k, x in v.items() if not k.startswith("X_")}, "has 54 corners, X_1 has 0"),
-        (lambda v: v | {"X_2": 2 * v["X_2"]}, "image 2 shows other points of the board than image 1"),
+        (lambda v: v | {"X_2": 2 * v["X_2"]}, r"9 x 6 corners at 16 mm, but not image 2 \(9 x 6 corners at 32 mm\)"),
+        (
+            lambda v: v | {f"{a}_{i}": v[f"{a}_{i}"][:, :45] for a in "Xx" for i in (3, 5)},
+            r"not image 3 \(9 x 5 corners at 16 mm\), image 5",
+        ),
+        (lambda v: v | {"active_images": np.ones((1, 5))}, "active_images must be 0 or 1 for each of the 6 images"),
+        (lambda v: v | {"active_images": np.full((1, 6), 2)}, "active_images must be 0 or 1"),
+        (lambda v: v | {"n_ima": 4}, "n_ima = .*, but it must be the number of images, here 6"),
+        (lambda v: v | {"active_images": np.zeros((1, 6))}, r"holds no corners(.|\n)*image 6: it is not among"),
         (lambda v: {k: x * [[1], [2], [1]] if k.startswith("X_") else x for k, x in v.items()}, "no grid of squares"),
         (lambda v: {k: x[:, ::-1] if k.startswith("X_") else x for k, x in v.items()}, "no grid"),
         (lambda v: {k: x[:, :2] if k[1] == "_" else x for k, x in v.items()}, "no grid of three by three"),
@@ -91,3 +101,82 @@ def test_what_is_no_board(saved, change, text):
     scipy.io.savemat(saved, change(variables))
     with pytest.raises(InputError, match=text):
         observations_from(read_camera_file(saved), saved)
+
+
+@pytest.fixture
+def example(tmp_path: Path, seen: Observations) -> tuple[Path, Observations]:
+    """Six photographs in the structure of the toolbox's own example, and what of them takes part, in our order.
+
+    In image 5 the board's rows were counted as columns, image 2 is not active, image 7 has no corners. The board was
+    turned by a quarter before its fifth photograph, so that the toolbox's first corner is again the top left one.
+    """
+    P = seen.board.points()
+    up = np.stack([P[:, 0], P[:, 1].max() - P[:, 1], 0 * P[:, 2]])
+    nothing = np.full((2, 1), np.nan)
+    variables = {"nx": 640.0, "ny": 480.0, "n_ima": 7.0, "active_images": np.array([[1, 0, 1, 1, 1, 1, 1.0]])}
+    variables |= {"X_7": np.full((3, 1), np.nan), "x_7": nothing, "n_sq_x_7": np.nan, "dX": 16.0, "dY": 16.0}
+    for i, view in enumerate(seen.views, start=1):
+        columns, rows = seen.board.counts
+        X, x = up, view.corners.T
+        if i == 5:
+            # Down the last column first, then down the one before it: six in a row, nine rows.
+            order = np.arange(P.shape[0]).reshape(rows, columns)[:, ::-1].T.ravel()
+            X, x = np.stack([P[order, 1], P[order, 0], 0 * P[:, 2]]), view.corners[order].T
+        variables |= {f"X_{i}": X, f"x_{i}": x, f"n_sq_x_{i}": np.ptp(X[0]) / 16, f"n_sq_y_{i}": np.ptp(X[1]) / 16}
+    scipy.io.savemat(tmp_path / "calib_data.mat", variables)
+    taking_part = tuple(replace(view, stripes=()) for i, view in enumerate(seen.views, start=1) if i != 2)
+    return tmp_path / "calib_data.mat", replace(seen, lasers=(), views=taking_part)
+
+
+def test_an_image_whose_counts_are_exchanged_is_the_board_turned_by_a_quarter(example):
+    path, ours = example
+    found = observations_from(read_camera_file(path), path)
+    assert found.board == ours.board
+    assert found.left_out == (
+        "image 7: no corners were found in it",
+        "image 2: it is not among the active_images",
+    )
+    for own, theirs in zip(ours.views, found.views, strict=True):
+        # Either quarter turn is right: the other one counts the board's points from the last to the first.
+        assert (own.corners == theirs.corners).all() or (own.corners[::-1] == theirs.corners).all()
+
+
+def test_what_is_active_comes_back(example, tmp_path):
+    path, _ = example
+    content = read_camera_file(path)
+    write_camera_file(tmp_path / "again.mat", content, format="bouguet")
+    assert [view.active for view in read_camera_file(tmp_path / "again.mat").views] == [True, False] + 4 * [True]
+
+
+@pytest.mark.parametrize(("hold", "flags"), [((), 0), (("camera.radial.2",), cv2.CALIB_FIX_K3)])
+def test_plain_least_squares_is_opencvs_minimum_whatever_is_held(example, hold, flags):
+    """OpenCV's default lens, and that of the toolbox."""
+    path, _ = example
+    found = observations_from(read_camera_file(path), path)
+    # OpenCV takes corners in float32.
+    found = replace(found, views=tuple(replace(v, corners=v.corners.astype(np.float32) * 1.0) for v in found.views))
+    # Weights do not count, nor does where a corner is: this one is no outlier that could be left out.
+    found.views[0].corners[7] += np.float32(2.0)
+    weighted = tuple(replace(view, weights=np.linspace(0.5, 2.0, 54)) for view in found.views)
+    result = calibrate(replace(found, views=weighted), lens="brown", hold=hold, plain=True)
+    rms, K, terms, _, _ = cv2.calibrateCamera(
+        [found.board.points().astype(np.float32)] * len(found.views),
+        [view.corners.astype(np.float32)[:, None] for view in found.views],
+        found.image_size,
+        None,
+        None,
+        flags=flags,
+        criteria=(3, 1000, 1e-15),
+    )
+    camera = result.rig.camera
+    np.testing.assert_allclose(camera.focal, [K[0, 0], K[1, 1]], rtol=1e-6)
+    np.testing.assert_allclose(camera.principal, K[:2, 2], rtol=1e-6)
+    k1, k2, p1, p2, k3 = terms.ravel()
+    # In units of each one's σ: k3 is found to a few tenths at best.
+    for name, theirs in zip(camera_parameters("brown")[4:], (k1, k2, k3, p1, p2), strict=True):
+        part, i = name.split(".")[1:]
+        assert abs(float(getattr(camera, part)[int(i)]) - theirs) <= 1e-4 * (result.covariance.sigma(name) or 0)
+    assert result.corner_rms_px == pytest.approx(rms, rel=1e-8)
+    assert all(fit.corner_kept.all() for fit in result.fits)
+    assert set(camera_parameters("brown")) - set(result.covariance.names) == set(hold)
+    assert any("plain least squares" in note for note in result.notes)
