@@ -40,6 +40,12 @@ for name, (value, unit) in shown.items():
 per_step = np.linalg.norm(rig.stage.per_step)
 print(f"the stage moves its load by {1000 * per_step:.5f} mm in 1000 steps, {rig.stage.way()}")
 
+# What can be told in a moment of how far to trust it; `--report` looks longer.
+judged = jaxscan.verdict(calibration)
+print(judged.statement)
+for warning in judged.warnings:
+    print(f"{warning.level}: {warning.statement}")
+
 # The file has the covariance too. `jaxscan calibrate session -o rig.json --report report` writes the same rig.
 out = photographs.folder() / "rig.json"
 jaxscan.write_rig(out, calibration.rig_file())

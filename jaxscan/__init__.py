@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from jaxscan.surface.merged import merge
     from jaxscan.surface.register import register
     from jaxscan.surface.side import side_of_image
+    from jaxscan.view.verdict import Verdict, verdict
 
 _HOME = {
     "Adjustment": "jaxscan.calibration",
@@ -87,6 +88,8 @@ _HOME = {
     "merge": "jaxscan.surface.merged",
     "register": "jaxscan.surface.register",
     "side_of_image": "jaxscan.surface.side",
+    "Verdict": "jaxscan.view.verdict",
+    "verdict": "jaxscan.view.verdict",
 }
 
 __all__ = [
@@ -114,6 +117,7 @@ __all__ = [
     "StageSequence",
     "StripePoints",
     "System",
+    "Verdict",
     "View",
     "arrange",
     "calibrate",
@@ -133,6 +137,7 @@ __all__ = [
     "register",
     "side_of_image",
     "stands_on",
+    "verdict",
     "write_camera",
     "write_ply",
     "write_points",

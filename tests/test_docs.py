@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from itertools import chain
 from pathlib import Path
 
@@ -189,7 +190,21 @@ def test_the_first_scan(world: Path, guided: Path):
     exec(compile(snippet, page.name, "exec"), {})
     drawn = (guided / "board.svg").read_text()
     assert drawn.count("<rect") == 35
-    assert 'width="250mm" height="175mm"' in drawn
+    assert 'width="160mm" height="112mm"' in drawn
+
+
+def test_the_board_that_is_drawn_is_the_one_that_is_configured():
+    """What is printed, what session.toml says and what the guide's command says are one board, and it fits on A4."""
+    page = ROOT / "docs" / "first-scan.md"
+    across, down, mm = map(int, re.findall(r"across, down, mm = (\d+), (\d+), (\d+)", page.read_text())[0])
+    for text in (text for text in blocks(page, "toml") if "[board]" in text):
+        board = tomllib.loads(text)["board"]
+        assert board == {"inner_corners": [across - 1, down - 1], "square_mm": mm}
+    (command,) = (line for line in commands(page) if line.startswith("scanner calibrate"))
+    args = PARSERS["scanner"].parse_args(shlex.split(command)[1:])
+    assert (args.board, args.square) == (f"{across - 1}x{down - 1}", mm)
+    assert mm * across < 297
+    assert mm * down < 210
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page, "python")], ids=lambda page: page.name)

@@ -68,7 +68,7 @@ def test_a_saturated_stripe_on_a_dark_board(data: Path) -> None:
     omega = np.stack(result.rig.lasers[0].plane)
     # Measured before with OpenCV and a plane by SVD: (−0.00808, −0.00122, 0.00521); weakly tied to the focal length.
     np.testing.assert_allclose(omega, [-0.00808, -0.00122, 0.00521], atol=4e-4)
-    assert any("beyond the board" in line for line in result.left_out)
+    assert any("beyond the board" in line for line in (*result.left_out, *result.rejected))
 
 
 def test_a_pyramid(data: Path) -> None:

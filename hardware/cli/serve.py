@@ -59,6 +59,8 @@ def run(args: argparse.Namespace) -> None:
         from jaxscan import read_rig
 
         rig = read_rig(args.rig)
+        for warning in rig.warnings:
+            say(f"warning: {args.rig}: {warning}.")
     habits = Habits(settings.travel, settings.stripe, settings.exposure_s, settings.gain)
     listening = bind(args.host, args.port, tls, args.insecure)
 

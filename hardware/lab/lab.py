@@ -47,6 +47,7 @@ class State(BaseModel):
         live: whether the camera's live picture is on, and with the laser.
         first, last: the step counts between which the stage may be sent.
         rig: whether one is loaded: profiles then come with points.
+        rig_warnings: what is known against it, in words.
         lease_s: how long the operator may be silent.
     """
 
@@ -59,6 +60,7 @@ class State(BaseModel):
     first: int
     last: int
     rig: bool
+    rig_warnings: tuple[str, ...]
     lease_s: float
 
 
@@ -128,6 +130,7 @@ class Lab:
             first=self.habits.travel.first,
             last=self.habits.travel.last,
             rig=self._rig is not None,
+            rig_warnings=() if self._rig is None else self._rig.warnings,
             lease_s=self.lease_s,
         )
 

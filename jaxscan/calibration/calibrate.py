@@ -1,6 +1,7 @@
 """`calibrate`: from observations to a rig with its covariance."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -15,11 +16,13 @@ from jaxscan.calibration import initial
 from jaxscan.calibration.blocks import stage_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Estimate
 from jaxscan.calibration.coverage import measure_coverage
+from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
+from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
 from jaxscan.calibration.first_motions import first_motions
 from jaxscan.calibration.first_poses import far_away, first_poses
 from jaxscan.calibration.held import held_parameters
 from jaxscan.calibration.observability import cause_and_mend, undetermined
-from jaxscan.calibration.observations import Kept, Observations, View
+from jaxscan.calibration.observations import Kept, Observations, Unused, View
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration, assemble
@@ -29,6 +32,7 @@ from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import BoardWarp, Camera, LightPlane, Rig, Stage, Turntable
 from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.system import warp_names
 
 _FEWEST_CORNERS = 6
 _FEWEST_VIEWS = 3
@@ -65,7 +69,7 @@ def calibrate(
         hold: names of the camera's parameters, as in `rig.json`, that keep the value of `start`; without a start lens
             terms can be held, at 0: `lens="brown", hold=["camera.radial.2"]` is k1 k2 p1 p2 with k3 = 0. Zeros of a
             camera that was read from a file were mostly held there: `hold=start.zero_terms()` holds them here.
-        board_warp: whether the board's bulge is estimated too (corners only).
+        board_warp: whether the board's bulge, the same in all photographs, is estimated too; not with a laser.
         plain: plain least squares, the estimate that OpenCV and Bouguet's toolbox make: every corner takes part with
             the same weight. What it gives up: outliers are not left out, a blurred photograph counts like a sharp
             one, and what the detector knows of each corner is not used.
@@ -86,10 +90,16 @@ def calibrate(
     if plain:
         observations = observations.unweighted()
     judge = keep is None and not plain
-    with float64():
-        usable, left_out = _usable(observations)
+    usable = _with_enough_corners(observations)
+    # What is known so far of photographs and stripes that cannot be used.
+    known = [usable]
+    with float64(), _with_remarks(known):
+        _check_enough(usable)
+        unused = Unused(usable.left_out)
         if board_warp and usable.lasers:
-            raise InputError("board_warp goes with corners alone: the stripe is compared with a flat board")
+            raise InputError(
+                "board_warp does not go with a laser, whose stripe is compared with a flat board: leave the stripes out"
+            )
         camera = as_float64(start) if start else _first_camera(usable, lens)
         warp = BoardWarp(jnp.zeros(()), jnp.zeros(())) if board_warp else None
         unit, board_points = jnp.ones(()), len(usable.board.points())
@@ -119,21 +129,38 @@ def calibrate(
             camera, view_poses = refined.estimate.shared[0].camera, refined.estimate.poses[0]
             if keep is None:
                 usable, off_board = stripe_on_board(usable, camera, view_poses)
-                left_out += off_board
+                unused = unused.and_then(off_board)
+                known.append(replace(usable, left_out=unused.left_out))
             stage, turntable, *stage_poses = first_motions(usable, camera) if usable.stages else (None, None)
             rig = Rig(camera, _first_light_planes(usable, camera, view_poses), stage, turntable)
             groups = (view_blocks(usable), *groups[1:])
             along = {f"turntable.centre.{turntable.along()}"} if turntable else set()
-            free = _free(rig, None, held | along, ("camera", "laser", "stage", "turntable"))
+            warp = refined.estimate.shared[1]
+            free = _free(rig, warp, held | along, ("camera", "laser", "stage", "turntable"))
             of_rig = partial(rounds, begins=lambda solve: advance(f"whole rig, round {solve}"))
-            refined = of_rig(Estimate((rig, None), (view_poses, *stage_poses)), free, groups, refined.noise)
+            refined = of_rig(Estimate((rig, warp), (view_poses, *stage_poses)), free, groups, refined.noise)
             _check(refined, usable, free)
         advance("uncertainty")
-        result = assemble(refined, free, usable, held, left_out)
+        result = assemble(refined, free, usable, held, unused)
     kept = iter(result.kept)
-    notes = (*result.notes, _PLAIN) if plain else result.notes
-    masks = tuple(next(kept) if _enough(view) else Kept.none(view) for view in observations.photographs())
-    return replace(result, kept=masks, plain=plain, notes=notes)
+    return replace(
+        result,
+        kept=tuple(next(kept) if _enough(view) else Kept.none(view) for view in observations.photographs()),
+        plain=plain,
+        notes=(*result.notes, _PLAIN) if plain else result.notes,
+        warnings=light_plane_doubts(stripe_shapes(result)),
+    )
+
+
+@contextmanager
+def _with_remarks(known: list[Observations]) -> Iterator[None]:
+    """Let a refusal say what was seen amiss in the photographs (the last of what is known): often it is the reason."""
+    try:
+        yield
+    except (InputError, ObservabilityError, SolveError) as error:
+        if remarks := known[-1].remarks():
+            raise type(error)(f"{error}{remarks}") from error
+        raise
 
 
 def _refuse_tracers(observations: Observations) -> None:
@@ -152,22 +179,30 @@ def _enough(view: View) -> bool:
     return int(view.used().sum()) >= _FEWEST_CORNERS
 
 
-def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
-    """The observations that can take part, and what was left out of them; or the error that says what is missing."""
-    left_out = list(observations.left_out)
+def _with_enough_corners(observations: Observations) -> Observations:
+    """Without the photographs that have too few corners for a pose; they are among what was left out."""
+    few = [
+        f"{view.name}: {int(view.used().sum())} corners, fewer than {_FEWEST_CORNERS}"
+        for view in observations.photographs()
+        if not _enough(view)
+    ]
+    return replace(
+        observations,
+        views=tuple(view for view in observations.views if _enough(view)),
+        stages=tuple(
+            stage.only([i for i, view in enumerate(stage.views) if _enough(view)]) for stage in observations.stages
+        ),
+        left_out=(*observations.left_out, *few),
+    )
 
-    def enough(view: View) -> bool:
-        if _enough(view):
-            return True
-        left_out.append(f"{view.name}: {int(view.used().sum())} corners, fewer than {_FEWEST_CORNERS}")
-        return False
 
-    views = tuple(view for view in observations.views if enough(view))
-    because = "".join(f"\n  {line}" for line in left_out)
+def _check_enough(observations: Observations) -> None:
+    """Refuse observations that are too few, and say what is missing."""
+    views = observations.views
     if len(views) < _FEWEST_VIEWS:
         raise InputError(
             f"{len(views)} usable views of the board; at least {_FEWEST_VIEWS} are needed: photograph the board in "
-            f"more poses, all of it in view and tilted in different directions{because}"
+            f"more poses, all of it in view and tilted in different directions"
         )
     for i, name in enumerate(observations.lasers):
         striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in views)
@@ -176,24 +211,21 @@ def _usable(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
             raise InputError(
                 f"{striped} usable stripes {which}on the board; at least {_FEWEST_STRIPES} are needed, at different "
                 f"distances: check [laser] color and columns, that the stripe crosses the board, and, where it has "
-                f"photographs of its own, that boards and stripes are not exchanged{because}"
+                f"photographs of its own, that boards and stripes are not exchanged"
             )
-    stages = []
     for stage in observations.stages:
-        usable = stage.only([i for i, view in enumerate(stage.views) if enough(view)])
-        places = len(np.unique(usable.steps if usable.turns is None else usable.turns))
+        places = len(np.unique(stage.steps if stage.turns is None else stage.turns))
         if places < _FEWEST_PLACES[stage.place]:
             raise InputError(
                 f"{places} usable {stage.place} photographs at different step counts; at least "
-                f"{_FEWEST_PLACES[stage.place]} are needed{because}"
+                f"{_FEWEST_PLACES[stage.place]} are needed"
             )
-        stages.append(usable)
+    stages = observations.stages
     if any(stage.steps.any() for stage in stages) and all(stage.turns is not None for stage in stages):
         raise InputError(
             "the turntable was photographed away from the stage's step 0, but no board on the stage tells how far "
             "that is: photograph one, or give stage_step = 0 under [turntable]"
         )
-    return replace(observations, views=views, stages=tuple(stages)), tuple(left_out)
 
 
 def _stripe_points(view: View, laser: int) -> int:
@@ -250,7 +282,7 @@ def _free(rig: Rig, warp: BoardWarp | None, held: set[str], parts: tuple[str, ..
 def _check(refined: Refined, observations: Observations, free: Bool[Array, "shared"]) -> None:
     """Refuse what is no calibration."""
     rig, warp = refined.estimate.shared
-    names = np.array([*parameter_names(rig), *["board warp"] * len(jax.tree.leaves(warp))])
+    names = np.array([*parameter_names(rig), *warp_names(warp)])
     at = np.flatnonzero(free)
     values = np.array([float(leaf) for leaf in jax.tree.leaves((rig, warp))])
     spread = np.asarray(refined.precision.covariance)[np.ix_(at, at)]

@@ -5,13 +5,12 @@ The numbers behind every sentence that says why something is not known better, a
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.on_board import stripe_points_in_space
-from jaxscan.geometry import Pose
 from jaxscan.rig import Rig
 
 # The image is looked at in so many columns and rows of cells.
@@ -78,8 +77,9 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "
         rig: camera, lasers and stage, JAX float64 leaves; a laser that is not known yet is left out of it.
         poses: of the views' boards, in the order of the views; there may be more.
     """
-    boards = Pose.from_vector(poses[: len(observations.views)])
-    R = np.asarray(jax.vmap(Pose.matrix)(boards))
+    # NumPy's: many small arrays, for each of which JAX would compile anew.
+    boards = np.array(poses)[: len(observations.views)]
+    R = Rotation.from_rotvec(boards[:, :3]).as_matrix()
     normals = R[:, :, 2]
     middle = observations.board.points().mean(axis=0)
     corners = np.concatenate([view.corners[view.used()] for view in observations.views])
@@ -100,7 +100,7 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "
         tilts_deg=np.degrees(np.arccos(np.abs(normals[:, 2]).clip(0, 1))),
         normals=normals,
         tilt_spread_deg=float(np.degrees(np.arccos((normals @ normals.T).clip(-1, 1))).max()),
-        distances_mm=np.linalg.norm(R @ middle + np.asarray(boards.translation), axis=1),
+        distances_mm=np.linalg.norm(R @ middle + boards[:, 3:], axis=1),
         corners_in_cells=counts,
         image_share=float((counts > 0).mean()),
         reach=float(np.linalg.norm(corners - (size - 1) / 2, axis=1).max() / np.linalg.norm(size / 2)),

@@ -24,6 +24,7 @@ _IN_WORDS = {
     "laser": "the light plane",
     "stage": "the stage's travel",
     "turntable": "the turntable's turn",
+    "warp": "the board's bulge",
 }
 
 

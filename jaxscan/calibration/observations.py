@@ -12,6 +12,9 @@ from jaxtyping import Bool, Float
 from jaxscan.errors import InputError
 from jaxscan.images import Board
 
+# Of what was left out an error names so many.
+_NAMED = 12
+
 
 @dataclass(frozen=True)
 class StripePoints:
@@ -118,6 +121,27 @@ class Kept:
 
 
 @dataclass(frozen=True)
+class Unused:
+    """What was seen and does not take part, in words.
+
+    Attributes:
+        left_out: photographs and stripes of which nothing does.
+        rejected: how many corners or stripe points of a photograph do not.
+    """
+
+    left_out: tuple[str, ...] = ()
+    rejected: tuple[str, ...] = ()
+
+    def add(self, line: str, wholly: bool) -> "Unused":
+        """With one line more."""
+        return self.and_then(Unused((line,)) if wholly else Unused((), (line,)))
+
+    def and_then(self, other: "Unused") -> "Unused":
+        """With those lines after these."""
+        return Unused((*self.left_out, *other.left_out), (*self.rejected, *other.rejected))
+
+
+@dataclass(frozen=True)
 class Observations:
     """All that the joint solve is given.
 
@@ -181,6 +205,12 @@ class Observations:
 
         stages = tuple(replace(stage, views=equal(stage.views)) for stage in self.stages)
         return replace(self, views=equal(self.views), stages=stages)
+
+    def remarks(self) -> str:
+        """Notes and what was left out, a line each, to follow an error's text."""
+        more = len(self.left_out) - _NAMED
+        lines = [f"note: {note}" for note in self.notes] + [f"left out: {line}" for line in self.left_out[:_NAMED]]
+        return "".join(f"\n  {line}" for line in (*lines, *([f"left out: {more} more"] if more > 0 else [])))
 
     def only(self, keep: Sequence[Kept]) -> "Observations":
         """The same with NaN in place of all that is not kept.

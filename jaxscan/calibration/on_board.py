@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscan.calibration.observations import Observations, StripePoints
+from jaxscan.calibration.observations import Observations, StripePoints, Unused
 from jaxscan.geometry import Pose, dual_plane
 from jaxscan.images import Board
 from jaxscan.rig import Camera
@@ -26,13 +26,13 @@ _MARGIN = 2.0
 
 def stripe_on_board(
     observations: Observations, camera: Camera, poses: Float[Array, "blocks 6"]
-) -> tuple[Observations, tuple[str, ...]]:
+) -> tuple[Observations, Unused]:
     """The observations with only those stripe points that lie on their board; the others become NaN.
 
     Returns:
-        The observations, and in words how many points of which view were left out.
+        The observations, and in words how many points of which view do not take part.
     """
-    views, left_out = [], []
+    views, unused = [], Unused()
     for i, view in enumerate(observations.views):
         stripes, points, off, edge = [], 0, 0, 0
         for stripe in view.stripes:
@@ -47,9 +47,10 @@ def stripe_on_board(
         where = [f"{n} {place}" for n, place in ((off, "beyond the board"), (edge, "at the edges of squares")) if n]
         if where:
             none_left = "; none is left" if off + edge == points else ""
-            left_out.append(f"{view.name}: of {points} stripe points {' and '.join(where)}{none_left}")
+            line = f"{view.name}: of {points} stripe points {' and '.join(where)}{none_left}"
+            unused = unused.add(line, wholly=bool(none_left))
         views.append(replace(view, stripes=tuple(stripes)))
-    return replace(observations, views=tuple(views)), tuple(left_out)
+    return replace(observations, views=tuple(views)), unused
 
 
 def stripe_points_in_space(

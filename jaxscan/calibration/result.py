@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.adjustment import Adjustment
 from jaxscan.calibration.blocks import reference_step, reference_turn
-from jaxscan.calibration.observations import Kept, Observations, StageSequence, View
+from jaxscan.calibration.observations import Kept, Observations, StageSequence, Unused, View
 from jaxscan.calibration.rounds import Refined
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
@@ -20,6 +20,7 @@ from jaxscan.precision import as_numpy
 from jaxscan.rig import Covariance, Rig, System, Turntable
 from jaxscan.rig.covariance import with_nearest_centre
 from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.system import warp_names
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Calibration:
         covariance: of the rig's parameters; one that was held is not among them.
         board_covariances: view by view, of the rig's parameters and that board's pose together.
         stage_covariances: the same of the pose of each sequence on stage or turntable at motor step 0.
+        warp_covariance: of the board's bulge, `warp.x` and `warp.y` (mm); None where the board was taken to be flat.
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
         stripe_correlation: how many neighbouring stripe points are worth one, by the correlation of their errors.
@@ -66,8 +68,10 @@ class Calibration:
         stripe_rms_px: root mean square stripe error of the points that were kept; None without stripes.
         fits: view by view.
         stage_fits: photograph by photograph of the sequences on stage and turntable.
-        left_out: what was not used, and why, in words.
+        left_out: photographs and stripes that were not used, and why, in words.
+        rejected: how many corners and stripe points of which photograph that was used were not, and why, in words.
         notes: what a reader should know.
+        warnings: what the rig must not be used without knowing; `rig_file` carries it on.
         kept: which points of each photograph took part, in the order of `Observations.photographs`; what `calibrate`
             takes as `keep`.
         adjustment: the last least-squares problem, NumPy leaves; what `refit` takes.
@@ -84,6 +88,7 @@ class Calibration:
     covariance: Covariance
     board_covariances: tuple[Covariance, ...]
     stage_covariances: tuple[Covariance, ...]
+    warp_covariance: Covariance | None
     corner_sigma_px: float
     stripe_sigma_px: float | None
     stripe_correlation: float | None
@@ -93,7 +98,9 @@ class Calibration:
     fits: tuple[PhotographFit, ...]
     stage_fits: tuple[PhotographFit, ...]
     left_out: tuple[str, ...]
+    rejected: tuple[str, ...]
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
     kept: tuple[Kept, ...]
     adjustment: Adjustment
     solves: int
@@ -119,11 +126,13 @@ class Calibration:
             }
         if self.stripe_sigma_ratio is not None:
             fit["stripe_sigma_ratio"] = self.stripe_sigma_ratio
+        if self.warnings:
+            fit["warnings"] = list(self.warnings)
         return RigFile(self.rig, self.covariance, fit)
 
 
 def assemble(
-    refined: Refined, free: Bool[Array, "shared"], observations: Observations, held: set[str], left_out: tuple[str, ...]
+    refined: Refined, free: Bool[Array, "shared"], observations: Observations, held: set[str], unused: Unused
 ) -> Calibration:
     """The result of the last rounds, in the order of the observations that took part; inside a `float64` block."""
     shared = refined.estimate.shared[0]
@@ -152,6 +161,7 @@ def assemble(
         ),
         (),
     )
+    unused = unused.and_then(_rejected((*fits, *stage_fits)))
     corners = np.concatenate([fit.corner_errors[fit.corner_kept] for fit in (*fits, *stage_fits)])
     stripe = np.concatenate([fit.stripe_errors[fit.stripe_kept] for fit in fits])
     return Calibration(
@@ -166,6 +176,7 @@ def assemble(
                 zip(_with_poses(joint[1][:n_stages], names, at) if n_stages else (), observations.stages, strict=True)
             )
         ),
+        warp_covariance=_of_warp(refined, len(names)),
         corner_sigma_px=float(refined.noise.corner),
         stripe_sigma_px=refined.stripe_sigma if stripe.size else None,
         stripe_correlation=refined.stripe_correlation if stripe.size else None,
@@ -174,14 +185,22 @@ def assemble(
         stripe_rms_px=float(np.sqrt((stripe**2).mean())) if stripe.size else None,
         fits=fits,
         stage_fits=stage_fits,
-        left_out=left_out + _rejected((*fits, *stage_fits)),
+        left_out=unused.left_out,
+        rejected=unused.rejected,
         notes=observations.notes,
+        warnings=(),
         kept=_kept(observations, refined),
         adjustment=as_numpy(adjustment),
         solves=refined.solves,
         settled=refined.settled,
         steps=int(refined.outcome.steps),
     )
+
+
+def _of_warp(refined: Refined, leaves: int) -> Covariance | None:
+    """The covariance of the board's bulge, which stands behind that of so many leaves of the rig."""
+    names = warp_names(refined.estimate.shared[1])
+    return Covariance(names, np.asarray(refined.precision.covariance)[leaves:, leaves:]) if names else None
 
 
 _POSE = tuple(f"board.{part}.{i}" for part in ("rotation", "translation") for i in range(3))
@@ -295,19 +314,19 @@ def _sigmas(sigma: float, weights: Float[Array, "*any"]) -> Float[np.ndarray, "*
     return np.divide(sigma, relative, out=np.full(relative.shape, np.inf), where=relative > 0)
 
 
-def _rejected(fits: Sequence[PhotographFit]) -> tuple[str, ...]:
-    """What the rounds threw out, photograph by photograph."""
-    lines = []
+def _rejected(fits: Sequence[PhotographFit]) -> Unused:
+    """What the rounds threw out, photograph by photograph: wholly, or some of its points."""
+    unused = Unused()
     for fit in fits:
         seen = np.isfinite(fit.corner_errors).all(axis=1)
         corners = np.flatnonzero(seen & ~fit.corner_kept)
         if corners.size:
             worst = np.nanmax(np.linalg.norm(fit.corner_errors[corners], axis=1))
-            lines.append(
-                f"{fit.name}: {corners.size} of {int(seen.sum())} corners rejected "
-                f"(numbers {', '.join(map(str, corners))}; the worst {worst:.2f} px off)"
-            )
+            some = f" (numbers {', '.join(map(str, corners))}; the worst" if fit.corner_kept.any() else " (the worst"
+            line = f"{fit.name}: {corners.size} of {int(seen.sum())} corners rejected{some} {worst:.2f} px off)"
+            unused = unused.add(line, wholly=not fit.corner_kept.any())
         points = fit.stripe_kept.size - int(fit.stripe_kept.sum())
         if points:
-            lines.append(f"{fit.name}: {points} of {fit.stripe_kept.size} stripe points rejected")
-    return tuple(lines)
+            line = f"{fit.name}: {points} of {fit.stripe_kept.size} stripe points rejected"
+            unused = unused.add(line, wholly=not fit.stripe_kept.any())
+    return unused

@@ -46,6 +46,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     keep_compiled()
     from jaxscan.cli.progress import progress
+    from jaxscan.files.rig_file import read_rig
     from jaxscan.reconstruction.batch import find_tasks, run_batch
 
     tasks = find_tasks(args.scans, args.output, args.ending)
@@ -66,6 +67,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "kept": len(tasks) - len(to_do),
         "done": done,
         "failed": failed,
+        "warnings": [f"{args.rig}: {warning}" for warning in read_rig(args.rig).warnings],
     }
 
 
@@ -79,5 +81,6 @@ def describe(result: dict[str, Any]) -> str:
             + (f", {len(failed)} failed:" if failed else ""),
             *(f"  {one['scan']}: {one['reason']}" for one in failed),
             *(["run the same command again to try these again"] if failed else []),
+            *(f"warning: {warning}." for warning in result["warnings"]),
         ]
     )

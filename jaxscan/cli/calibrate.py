@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from jaxscan.calibration import Calibration
     from jaxscan.files.session import CameraSettings
     from jaxscan.rig import Camera
+    from jaxscan.view.verdict import Verdict
 
 HELP: Final = "find camera, lens, light plane and stage from photographs of a board, all together"
 EXAMPLE: Final = (
@@ -84,14 +85,19 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     calibration = calibrate_session(
         args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector, estimate
     )
-    verdict = write_report(calibration, *pages) if pages else None
+    judged = write_report(calibration, *pages) if pages else judge_calibration(calibration)
     from jaxscan.cli.facts import rig_facts
+    from jaxscan.view.report import plain
 
+    said = plain(judged)
     return {
         **rig_facts(args.output),
         "left_out": list(calibration.left_out),
+        "rejected": list(calibration.rejected),
         "notes": list(calibration.notes),
-        "report": verdict and {"html": str(pages[0]), "json": str(pages[1]), **verdict},
+        "warnings": said.pop("warnings"),
+        "verdict": said,
+        "report": {"html": str(pages[0]), "json": str(pages[1])} if pages else None,
     }
 
 
@@ -214,22 +220,24 @@ def _start(path: Path, name: str | None, settings: "CameraSettings", image_size:
     return camera
 
 
-def write_report(calibration: "Calibration", html: Path, json: Path) -> dict[str, Any]:
-    """Look at a calibration from every side, with a progress bar; what a reader must know of it in any case."""
+def judge_calibration(calibration: "Calibration") -> "Verdict":
+    """What can be told of a calibration in a moment."""
+    from jaxscan.view.verdict import verdict
+
+    return verdict(calibration)
+
+
+def write_report(calibration: "Calibration", html: Path, json: Path) -> "Verdict":
+    """Look at a calibration from every side, with a progress bar; the verdict of that."""
     from jaxscan.cli.progress import progress
     from jaxscan.view.calibration_report import REPORT_PARTS, calibration_report
     from jaxscan.view.report import write_report_html, write_report_json
 
     with progress("judging", REPORT_PARTS, "part") as advance:
-        report = calibration_report(calibration, advance)
+        report, judged = calibration_report(calibration, advance)
     write_report_html(html, report)
     write_report_json(json, report)
-    found, helps = report.sections[0].boxes, report.sections[2].paragraphs[0]
-    return {
-        "verdict": report.verdict.statement,
-        "findings": [box.statement for box in found if box.level != "good"],
-        "next_photograph": helps,
-    }
+    return judged
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -247,15 +255,18 @@ def _make_folder(path: Path) -> None:
 
 
 def describe(result: dict[str, Any]) -> str:
-    """The rig in words, then what was left out."""
+    """The rig in words, what was left out and found amiss, and at the end the verdict in three lines."""
     from jaxscan.cli.words import in_words
 
-    lines = [in_words(result)]
-    for title, key in (("left out", "left_out"), ("note", "notes")):
-        lines += [f"{title}: {line}" for line in result[key]]
+    # What the rig's file warns of is among what the verdict does.
+    lines = [in_words({**result, "warnings": []})]
+    lines += [f"left out: {line}" for line in result["left_out"]]
+    if rejected := result["rejected"]:
+        lines.append(f"rejected as outliers: some points of {len(rejected)} photographs, listed by --report and --json")
+    lines += [f"note: {line}" for line in result["notes"]]
     if result["report"]:
-        report = result["report"]
-        lines += [f"warning: {line}" for line in report["findings"]]
-        lines += [report["verdict"], f"next photograph: {report['next_photograph']}"]
-        lines += [f"report: {report['html']}, {report['json']}"]
-    return "\n".join(lines)
+        lines.append(f"report: {result['report']['html']}, {result['report']['json']}")
+    lines += [f"warning: {box['statement']} {box['advice']}".rstrip() for box in result["warnings"]]
+    verdict = result["verdict"]
+    lines += [f"verdict: {verdict['statement']}", f"what limits it: {verdict['limits']}"]
+    return "\n".join([*lines, f"photograph next: {verdict['next']}"])

@@ -103,7 +103,8 @@ def rig_facts(path: Path) -> Facts:
         "lasers": lasers,
         "stage": stage,
         "turntable": (turntable := rig_turn_facts(rig, covariance)) and asdict(turntable),
-        "fit": content.fit,
+        "fit": {name: value for name, value in content.fit.items() if name != "warnings"},
+        "warnings": list(content.warnings),
     }
 
 

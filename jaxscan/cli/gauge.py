@@ -85,7 +85,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     with progress("fitting the gauge", 1, "rig") as advance:
         fit = refine_by_gauge(known, gauges, [part for part in ("laser", "stage") if part not in args.trust])
         advance(1)
-    write_rig(args.output, fit.rig_file(content.fit))
+    # A light plane that the gauge has found anew is not the one that was warned of.
+    kept = content.fit if "laser" in args.trust else {k: v for k, v in content.fit.items() if k != "warnings"}
+    write_rig(args.output, fit.rig_file(kept))
     return {
         "path": str(args.output),
         "gauges": [

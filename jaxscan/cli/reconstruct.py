@@ -9,7 +9,7 @@ from jaxscan.cli.options import add_outputs_argument
 from jaxscan.detectors import DEFAULT, Choice, Detector
 
 if TYPE_CHECKING:
-    from jaxscan.reconstruction import Written
+    from jaxscan.reconstruction import Scanner, Written
 
 HELP: Final = "turn the photographs of a scan into points"
 EXAMPLE: Final = "jaxscan reconstruct scans/cup --rig rig.json -o cup.ply"
@@ -40,14 +40,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     for path in args.output:
         check_writable(path)
-    done, notes = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime)
+    done, scanner = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime)
     return {
         "kind": "points",
         "path": [str(path) for path in args.output],
         "frames": done.frames,
         "frames_without_stripe": done.empty,
         "points": done.points,
-        "notes": notes,
+        "notes": scanner.notes,
+        "warnings": [f"{args.rig}: {warning}" for warning in scanner.warnings],
     }
 
 
@@ -58,8 +59,8 @@ def reconstruct_scan(
     detector: Detector = DEFAULT,
     choice: Choice = "strongest",
     spacetime: bool = False,
-) -> tuple["Written", list[str]]:
-    """Reconstruct with a progress bar, writing the points to each output; what was written, and what is amiss."""
+) -> tuple["Written", "Scanner"]:
+    """Reconstruct with a progress bar, writing the points to each output; what was written, and what did it."""
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
@@ -71,7 +72,7 @@ def reconstruct_scan(
     calibrated, photographs = read_rig(rig), read_scan(scan)
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
         scanner = Scanner(calibrated, detector, choice, spacetime)
-        return write_stream(outputs, scanner.scan(photographs, advance)), scanner.notes
+        return write_stream(outputs, scanner.scan(photographs, advance)), scanner
 
 
 def describe(result: dict[str, Any]) -> str:
@@ -82,4 +83,5 @@ def describe(result: dict[str, Any]) -> str:
         + (f" ({empty} without a stripe)" if empty else "")
         + f": {', '.join(result['path'])}"
         + "".join(f"\nnote: {note}" for note in result["notes"])
+        + "".join(f"\nwarning: {warning}." for warning in result["warnings"])
     )

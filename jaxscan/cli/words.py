@@ -80,6 +80,8 @@ def _rig(facts: Facts) -> Iterator[Line]:
         yield from zip(("turntable", ""), turn_in_words(turntable), strict=True)
     for name, value in facts["fit"].items():
         yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
+    for warning in facts["warnings"]:
+        yield "warning", f"{warning}."
 
 
 def _camera(facts: Facts) -> Iterator[Line]:

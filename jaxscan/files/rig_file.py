@@ -40,11 +40,17 @@ class RigFile:
         rig: the rig, with NumPy float64 leaves.
         covariance: that of the rig's parameters, where it is known.
         fit: how the fit went: `corner_rms_px`, `stripe_rms_px`, `views` and whatever else the calibration had to say.
+            `warnings`, if there, are sentences that whoever uses the rig has to be told.
     """
 
     rig: Rig
     covariance: Covariance | None = None
     fit: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is known against the rig, in words; empty for most."""
+        return tuple(self.fit.get("warnings", ()))
 
 
 def read_rig(path: str | os.PathLike[str]) -> RigFile:
@@ -203,6 +209,8 @@ def _fit(table: Table) -> dict[str, Any]:
     for key in _STRIPE_ERRORS:
         if key in fit and fit.number(key) < 0:
             raise fit.error(key, "must be a number that is not negative: calibrate again")
+    if "warnings" in fit and not all(isinstance(word, str) for word in fit.sequence("warnings", "sentences")):
+        raise fit.error("warnings", "must be a list of sentences: calibrate again")
     return dict(fit.values)
 
 

@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.next_pose import NextPose, suggest
 from jaxscan.precision import as_float64, float64
-from jaxscan.reconstruction.point_sigma import ray_jacobian
-from jaxscan.reconstruction.working_volume import WorkingVolume, volume_pixels, working_volumes
+from jaxscan.reconstruction.point_sigma import jacobian_along
+from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays, working_volumes
 from jaxscan.rig import Camera, Covariance
 from jaxscan.rig.covariance import projection_jacobian
 
@@ -91,11 +91,10 @@ def wanted(calibration: Calibration, volumes: tuple[WorkingVolume, ...]) -> Want
         return _pixels(calibration)
     jacobians, own = [], []
     for volume in volumes:
-        # All at once, as the map was made, so that nothing compiles anew.
-        pixels, seen = volume_pixels(calibration.rig, volume)
-        of_rig, of_pixel = ray_jacobian(calibration.rig, volume.laser, pixels, np.zeros(len(pixels)), volume.columns)
-        jacobians.append(of_rig[seen])
-        own.append(np.abs(of_pixel[seen]) * (calibration.stripe_sigma_px or 0.0))
+        rays = volume_rays(calibration.rig, volume)
+        of_rig, of_pixel = jacobian_along(calibration.rig, volume.laser, rays, np.zeros(len(rays)), volume.columns)
+        jacobians.append(of_rig)
+        own.append(np.abs(of_pixel) * (calibration.stripe_sigma_px or 0.0))
     return Wanted("mm", np.concatenate(jacobians), np.concatenate(own))
 
 

@@ -15,7 +15,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Covariance, Rig
+from jaxscan.rig import Camera, Covariance, Rig
+from jaxscan.rig.projection import project_points
+from jaxscan.rig.rig import parameter_names
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ def point_covariance(
     """
     with float64():
         of_rig, of_pixel = (
-            np.asarray(J) for J in _jacobians(as_float64(rig), laser, *_as_arrays(pixels, steps, columns), False)
+            np.asarray(J) for J in _jacobians(as_float64(rig), laser, *_as_arrays(pixels, steps, columns))
         )
     return PointCovariance(
         rig=of_rig @ covariance.of_leaves(rig) @ np.swapaxes(of_rig, 1, 2),
@@ -79,7 +81,17 @@ def point_sigma(
 
     The arguments are those of `point_covariance`; σ of the stripe may be one for each point.
     """
-    of_rig, of_pixel = ray_jacobian(rig, laser, pixels, steps, columns)
+    return sigma_of(rig, covariance, stripe_sigma_px, *ray_jacobian(rig, laser, pixels, steps, columns))
+
+
+def sigma_of(
+    rig: Rig,
+    covariance: Covariance,
+    stripe_sigma_px: float | Float[np.ndarray, "points"],
+    of_rig: Float[np.ndarray, "points leaves"],
+    of_pixel: Float[np.ndarray, "points"],
+) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
+    """What `point_sigma` gives, of the derivatives that `ray_jacobian` gives."""
     variance = np.einsum("pi,ij,pj->p", of_rig, covariance.of_leaves(rig), of_rig)
     pixel = np.abs(of_pixel) * stripe_sigma_px
     return np.sqrt(variance + pixel**2), pixel
@@ -97,8 +109,49 @@ def ray_jacobian(
     The arguments are those of `point_covariance`; mm for each unit of the parameters, mm for each pixel.
     """
     with float64():
-        of_rig, of_pixel = _jacobians(as_float64(rig), laser, *_as_arrays(pixels, steps, columns), True)
-        return np.asarray(of_rig)[:, 0], np.asarray(of_pixel)[:, 0]
+        rays = np.asarray(_rays(as_float64(rig.camera), jnp.asarray(pixels, jnp.float64)))
+    return jacobian_along(rig, laser, rays, steps, columns)
+
+
+def jacobian_along(
+    rig: Rig,
+    laser: str,
+    rays: Float[np.ndarray, "points 3"],
+    steps: Float[np.ndarray, "points"],
+    columns: bool,
+) -> tuple[Float[np.ndarray, "points leaves"], Float[np.ndarray, "points"]]:
+    """What `ray_jacobian` gives, for points on rays (x, y, 1) that are known.
+
+    With the pixel p = π(x; θ) held, ∂x/∂θ = −(∂π/∂x)⁻¹ ∂π/∂θ and ∂x/∂s = (∂π/∂x)⁻¹ e: no lens is inverted. With
+    z = 1 / (ω · x) the point z x moves by dz x + z dx, dz = −z² (dω · x + ω · dx), and by −n · per_step with the stage.
+    """
+    sheet = rig.laser(laser)
+    omega = np.stack([float(c) for c in sheet.plane])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = np.where(rays @ omega > 0, 1 / (rays @ omega), np.nan)
+        seen = project_points(rig.camera, rays)
+        along = np.array([[0.0], [1.0]] if columns else [[1.0], [0.0]])
+        right = np.concatenate([-seen.by_camera, np.broadcast_to(along, (len(rays), 2, 1))], axis=2)
+        dx = np.full(right.shape, np.nan)
+        whole = np.isfinite(seen.by_ray).all(axis=(1, 2)) & np.isfinite(z)
+        dx[whole] = np.linalg.solve(seen.by_ray[whole], right[whole])
+    length = np.linalg.norm(rays, axis=1)
+    of_x = (z / length)[:, None] * rays[:, :2] - (z**2 * length)[:, None] * omega[:2]
+    moved = np.einsum("pi,pij->pj", of_x, dx)
+    names = parameter_names(rig)
+    J = np.zeros((len(rays), len(names)))
+    J[:, : moved.shape[1] - 1] = moved[:, :-1]
+    stem = f"laser.{sheet.name}.plane" if sheet.name else "laser.plane"
+    J[:, [names.index(f"{stem}.{i}") for i in range(3)]] = -(z**2 * length)[:, None] * rays
+    if rig.stage is not None:
+        J[:, [names.index(f"stage.per_step.{i}") for i in range(3)]] = -(steps / length)[:, None] * rays
+    J[~whole] = np.nan
+    return J, moved[:, -1]
+
+
+@jax.jit
+def _rays(camera: Camera, pixels: Float[Array, "points 2"]) -> Float[Array, "points 3"]:
+    return jax.vmap(camera.ray)(pixels)
 
 
 def _as_arrays(
@@ -115,19 +168,13 @@ def _jacobians(
     pixels: Float[Array, "points 2"],
     steps: Float[Array, "points"],
     along: Float[Array, "2"],
-    along_ray: bool,
-) -> tuple[Float[Array, "points out leaves"], Float[Array, "points out"]]:
-    """∂X/∂θ and ∂X/∂s of each point: of its three coordinates, or of the one along its ray."""
+) -> tuple[Float[Array, "points 3 leaves"], Float[Array, "points 3"]]:
+    """∂X/∂θ and ∂X/∂s of each point."""
     theta, unravel = ravel_pytree(rig)
 
-    def each(
-        pixel: Float[Array, "2"], count: Float[Array, ""]
-    ) -> tuple[Float[Array, "out leaves"], Float[Array, "out"]]:
-        ray = rig.camera.ray(pixel)
-        axes = (ray / jnp.linalg.norm(ray))[None] if along_ray else jnp.eye(3)
-
-        def coordinates(theta: Float[Array, "leaves"], s: Float[Array, ""]) -> Float[Array, "out"]:
-            return axes @ unravel(theta).triangulate(pixel + s * along, count, laser)
+    def each(pixel: Float[Array, "2"], count: Float[Array, ""]) -> tuple[Float[Array, "3 leaves"], Float[Array, "3"]]:
+        def coordinates(theta: Float[Array, "leaves"], s: Float[Array, ""]) -> Float[Array, "3"]:
+            return unravel(theta).triangulate(pixel + s * along, count, laser)
 
         return jax.jacrev(coordinates, argnums=(0, 1))(theta, jnp.zeros(()))
 

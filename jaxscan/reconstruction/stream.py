@@ -51,6 +51,7 @@ class Scanner:
         spacetime: bool = False,
     ) -> None:
         self._content = rig if isinstance(rig, RigFile) else RigFile(rig)
+        self.warnings = self._content.warnings
         self._detector: Detector = detector
         self._choice: Choice = choice
         self._spacetime = spacetime

@@ -10,19 +10,17 @@ If a part of the rig (camera, light plane) were known exactly, the rest would ha
 
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.precision import as_float64, float64
-from jaxscan.reconstruction.point_sigma import point_sigma
+from jaxscan.reconstruction.point_sigma import jacobian_along, sigma_of
 from jaxscan.rig import Camera, Covariance, Rig
+from jaxscan.rig.projection import project_points, within_fold
 
 _DEPTHS, _POSITIONS = 25, 41
-_SAME_RAY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -108,16 +106,18 @@ def working_volume(
     # Wide enough for the image's diagonal at the largest depth; what the camera does not see is left out below.
     reach = 0.6 * np.hypot(*rig.camera.image_size) * depths[-1] / float(min(rig.camera.focal))
     positions = np.linspace(-reach, reach, 8 * _POSITIONS)
-    _, seen = _seen(rig.camera, _sheet(omega, depths, positions))
+    seen = _seen(rig.camera, _sheet(omega, depths, positions))
     if not seen.any():
         return None
     within = positions[seen.any(axis=0)]
     positions = np.linspace(within[0], within[-1], _POSITIONS)
-    pixels, seen = _seen(rig.camera, _sheet(omega, depths, positions))
+    sheet = _sheet(omega, depths, positions)
+    seen = _seen(rig.camera, sheet)
+    rays = (sheet / sheet[..., 2:]).reshape(-1, 3)
 
     def sigma(covariance: Covariance, count: float) -> tuple[np.ndarray, np.ndarray]:
-        steps = np.full(seen.size, count)
-        parts = point_sigma(rig, laser, covariance, stripe_sigma_px, pixels.reshape(-1, 2), steps, columns)
+        jacobian = jacobian_along(rig, laser, rays, np.full(seen.size, count), columns)
+        parts = sigma_of(rig, covariance, stripe_sigma_px, *jacobian)
         total, pixel = (np.where(seen, part.reshape(seen.shape), np.nan) for part in parts)
         return total, pixel
 
@@ -142,11 +142,11 @@ def given(covariance: Covariance, stem: str) -> Covariance:
     return Covariance(covariance.names, S * np.outer(scale, scale))
 
 
-def volume_pixels(rig: Rig, volume: WorkingVolume) -> tuple[Float[np.ndarray, "points 2"], Bool[np.ndarray, "points"]]:
-    """The pixel of each point of a working volume, in the order of its ravelled σ, and whether the camera sees it."""
+def volume_rays(rig: Rig, volume: WorkingVolume) -> Float[np.ndarray, "points 3"]:
+    """The rays (x, y, 1) of those points of a working volume that the camera sees."""
     omega = np.stack(rig.laser(volume.laser).plane).astype(np.float64)
-    pixels, seen = _seen(rig.camera, _sheet(omega, volume.depths_mm, volume.positions_mm))
-    return pixels.reshape(-1, 2), seen.ravel()
+    sheet = _sheet(omega, volume.depths_mm, volume.positions_mm)
+    return (sheet / sheet[..., 2:])[_seen(rig.camera, sheet)]
 
 
 def _sheet(
@@ -159,21 +159,12 @@ def _sheet(
     return np.concatenate([aside, depths[:, None]], axis=1)[:, None] + positions[:, None] * along
 
 
-def _seen(
-    camera: Camera, X: Float[np.ndarray, "depths positions 3"]
-) -> tuple[Float[np.ndarray, "depths positions 2"], Bool[np.ndarray, "depths positions"]]:
-    """The pixel of each point, and whether the point is in the image there."""
-    with float64():
-        pixels, back = (np.asarray(x) for x in _there_and_back(as_float64(camera), jnp.asarray(X.reshape(-1, 3))))
-    inside = ((pixels > -0.5) & (pixels < np.array(camera.image_size) - 0.5)).all(axis=-1)
+def _seen(camera: Camera, X: Float[np.ndarray, "depths positions 3"]) -> Bool[np.ndarray, "depths positions"]:
+    """Whether each point is in the image."""
+    points = X.reshape(-1, 3)
+    pixels = project_points(camera, points).pixels
+    inside = np.all((pixels > -0.5) & (pixels < np.array(camera.image_size) - 0.5), axis=-1)
     # Beyond the fold of a lens a point has a pixel too, but that pixel's ray is another.
-    same = (np.abs(back - X.reshape(-1, 3) / X.reshape(-1, 3)[:, 2:]) < _SAME_RAY).all(axis=-1)
-    return pixels.reshape(*X.shape[:-1], 2), np.reshape(inside & same, X.shape[:-1])
-
-
-@jax.jit
-def _there_and_back(
-    camera: Camera, X: Float[Array, "points 3"]
-) -> tuple[Float[Array, "points 2"], Float[Array, "points 3"]]:
-    pixels = jax.vmap(camera.project)(X)
-    return pixels, jax.vmap(camera.ray)(pixels)
+    seen = np.zeros(len(points), bool)
+    seen[inside] = within_fold(camera, points[inside])
+    return seen.reshape(X.shape[:-1])

@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Float64
 
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig.camera import Camera
+from jaxscan.rig.projection import project_points
 from jaxscan.rig.rig import Rig, parameter_names
 
 
@@ -90,15 +90,8 @@ def turntable_leaves(rig: Rig) -> list[int]:
 
 def projection_jacobian(rig: Rig, points: Float[np.ndarray, "points 3"]) -> Float64[np.ndarray, "points 2 leaves"]:
     """How the pixels (u, v) at which the rig's camera sees points of its frame (mm) move with the rig's leaves."""
-    with float64():
-        of_camera = _projection_jacobian(as_float64(rig.camera), jnp.asarray(points, jnp.float64))
+    of_camera = project_points(rig.camera, points).by_camera
     # The camera's leaves are the rig's first.
     J = np.zeros((*of_camera.shape[:2], len(parameter_names(rig))))
     J[..., : of_camera.shape[2]] = of_camera
     return J
-
-
-@jax.jit
-def _projection_jacobian(camera: Camera, points: Float[Array, "points 3"]) -> Float[Array, "points 2 parameters"]:
-    theta, unravel = ravel_pytree(camera)
-    return jax.vmap(lambda point: jax.jacfwd(lambda theta: unravel(theta).project(point))(theta))(points)

@@ -29,6 +29,11 @@ class BoardWarp(eqx.Module):
         return jnp.stack([self.x, self.y]) @ bulge
 
 
+def warp_names(warp: BoardWarp | None) -> tuple[str, ...]:
+    """The names of a warp's leaves, in their order; none without one."""
+    return () if warp is None else ("warp.x", "warp.y")
+
+
 class System(eqx.Module):
     """What the joint solve refines, all of it.
 

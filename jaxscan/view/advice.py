@@ -41,15 +41,12 @@ def advise(planned: NextPhotographs, volumes: tuple[WorkingVolume, ...], observa
     """
     before = (planned.median_now, *planned.medians)
     worth = bool(planned.poses) and planned.medians[-1] <= (1 - _WORTH) * planned.median_now
-    limit = []
-    if volumes and (share := 1 - max(volumes, key=lambda v: v.median_mm).rig_share) > 0.5:
-        limit.append(
-            f"none of the board will do much: {100 * share:.0f} % of a point's variance is the stripe's own, which "
-            "calibration does not change. A finer or brighter stripe and a longer exposure in the scans help more"
-            + (". The most that the board can do is drawn in the report" if worth else "")
-        )
+    limit = [
+        words + (". The most that the board can do is drawn in the report" if worth else "")
+        for words in _of_the_stripe(volumes)
+    ]
     if not worth:
-        return Advice((*limit, "more views like those there are: each σ falls with the root of their number"))
+        return Advice((*limit, _MORE))
     words = []
     for i, (pose, sigma) in enumerate(zip(planned.poses, planned.medians, strict=True)):
         what = "a point" if planned.unit == "mm" else "where a point is seen"
@@ -61,6 +58,24 @@ def advise(planned: NextPhotographs, volumes: tuple[WorkingVolume, ...], observa
     )
     picture = draw("next-photographs", caption, plots.next_photographs(planned.poses, observations))
     return Advice((*limit, *words), (picture,))
+
+
+def advise_unplanned(volumes: tuple[WorkingVolume, ...]) -> Advice:
+    """What can be said where no poses were sought: only whether more photographs of the board help at all."""
+    return Advice((*_of_the_stripe(volumes), f"{_MORE}; --report draws where the board helps most"))
+
+
+_MORE = "more views like those there are: each σ falls with the root of their number"
+
+
+def _of_the_stripe(volumes: tuple[WorkingVolume, ...]) -> list[str]:
+    """That the board will do little, where the stripe's own error is most of a point's."""
+    if not volumes or (share := 1 - max(volumes, key=lambda v: v.median_mm).rig_share) <= 0.5:
+        return []
+    return [
+        f"none of the board will do much: {100 * share:.0f} % of a point's variance is the stripe's own, which "
+        "calibration does not change. A finer or brighter stripe and a longer exposure in the scans help more"
+    ]
 
 
 def place(pose: NextPose, image_size: tuple[int, int]) -> str:

@@ -280,7 +280,7 @@ def apart(diagnostics: Diagnostics) -> Section:
             "one in twenty in the pale band."
         )
         figures.append(draw(f"agreement-{i}", caption, plots.agreement(a)))
-    if diagnostics.halves is None:
+    if diagnostics.too_few_for_halves:
         paragraphs.append("There are too few photographs for two halves that give a rig each.")
     return Section("Parts of the photographs, solved apart", paragraphs=tuple(paragraphs), figures=tuple(figures))
 
@@ -347,7 +347,16 @@ def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
 def left_out(calibration: Calibration) -> Section:
     """What was not used, and notes."""
     lines = (*calibration.notes, *calibration.left_out)
-    return Section("What was left out, and notes", items=lines or ("Nothing was left out.",))
+    rejected = Table(
+        "Corners and stripe points of photographs that were used",
+        ("rejected",),
+        tuple((r,) for r in calibration.rejected),
+    )
+    return Section(
+        "What was left out, and notes",
+        items=lines or ("No photograph and no stripe was left out.",),
+        tables=(rejected,) if calibration.rejected else (),
+    )
 
 
 def _points_in_space(calibration: Calibration) -> list[np.ndarray]:

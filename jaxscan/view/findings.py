@@ -10,7 +10,7 @@ from jaxscan.calibration.diagnostics import Diagnostics, Suspect
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.suspects import REJECTED
 from jaxscan.reconstruction.working_volume import WorkingVolume
-from jaxscan.view.model_findings import listed, model_findings
+from jaxscan.view.model_findings import listed, mixed_up, model_findings
 from jaxscan.view.report import Box
 
 # A point, or a focal length, known no better than this share of itself is a reason to stop.
@@ -23,18 +23,21 @@ _SCALE, _SCALE_SIGMA = 0.01, 5.0
 _WORSE = 1.5
 _TILT_SPREAD_DEG, _IMAGE_SHARE, _REACH = 30.0, 0.5, 0.6
 # Notes of what was seen that say more than how the board is read.
-_GRAVE_NOTES = "second board", "columns ="
+_GRAVE_NOTES = "second board", "columns =", "color ="
 _STRIPE_VIEWS, _DEPTH_RATIO, _STAGE_IMAGES = 4, 1.15, 5
 
 
 def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[WorkingVolume, ...]) -> tuple[Box, ...]:
     """Everything that is wrong or weak, the worst first; empty where nothing is."""
     # Where two sessions have different millimetres, their photographs do not fit together for that reason alone.
-    boxes = [*_scales(diagnostics), *map(_suspect, diagnostics.suspects), *_sessions(diagnostics)]
+    # Nor do photographs on the stage that were mixed up.
+    mixed = {name for each in diagnostics.stage_orders for name in each.names}
+    suspected = [suspect for suspect in diagnostics.suspects if suspect.name not in mixed]
+    boxes = [*_scales(diagnostics), *mixed_up(diagnostics), *map(_suspect, suspected), *_sessions(diagnostics)]
     boxes += _notes(calibration)
     boxes += _imprecise(calibration, diagnostics.sigma_factor, volumes)
     boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics), *_worse(diagnostics)]
-    boxes += _thin(diagnostics)
+    boxes += thin(diagnostics)
     return tuple(sorted(boxes, key=lambda box: ("stop", "care", "good").index(box.level)))
 
 
@@ -144,7 +147,7 @@ def _notes(calibration: Calibration) -> list[Box]:
 
 def _halves(diagnostics: Diagnostics) -> list[Box]:
     each = diagnostics.halves
-    if each is None:
+    if diagnostics.too_few_for_halves:
         return [
             Box(
                 "care",
@@ -153,7 +156,15 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
                 "Take at least six views of the board, four of them with the stripe.",
             )
         ]
-    if not each.disagree or each.sigma_factor <= _FACTOR:
+    if each is None and diagnostics.thorough:
+        return [
+            Box(
+                "care",
+                "A half of the photographs gives no rig by itself, so nothing but the residuals speaks for the σ.",
+                "Take more views of the board, tilted in different directions, with the stripe at different distances.",
+            )
+        ]
+    if each is None or not each.disagree or each.sigma_factor <= _FACTOR:
         return []
     worst = int(np.argmax(np.abs(each.differences_in_sigma)))
     return [
@@ -196,7 +207,7 @@ def _worse(diagnostics: Diagnostics) -> list[Box]:
     ]
 
 
-def _thin(diagnostics: Diagnostics) -> list[Box]:
+def thin(diagnostics: Diagnostics) -> list[Box]:
     """Photographs that leave much to the model."""
     cover, boxes = diagnostics.coverage, []
     if cover.tilt_spread_deg < _TILT_SPREAD_DEG:

@@ -4,11 +4,17 @@ import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics
+from jaxscan.calibration.diagnostics.missing_terms import MissingTerms
 from jaxscan.rig import LENSES
 from jaxscan.view.report import Box
 
 # A richer lens is worth a word when held-out corners are nearer by this share.
 _LENS_GAIN = 0.025
+# Without other lenses solved: what noise does less often than this, and moves focal length or principal point by so
+# many of its σ or explains this share of the squared errors, is the lens's.
+_BY_CHANCE, _MOVES, _EXPLAINS = 1e-4, 2.0, 0.05
+# A stripe point's σ of more pixels than this is no line.
+_ROUGH_PX = 1.0
 # A mean residual of so many standard errors, and of this share of a corner's σ, is the lens's.
 _ERRORS, _SHARE = 5.0, 0.25
 # A stripe that bends by so many times what noise gives, and by so many times its noise, is on a bent plate.
@@ -26,13 +32,30 @@ _NAMED = 5
 
 def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     """All of them, none for a model that follows what was seen."""
+    lens = _lens(diagnostics)
     return [
-        *_lens(diagnostics),
+        *lens,
         *_camera_model(calibration, diagnostics),
+        *_sheets(calibration, lens),
         *_bent(diagnostics),
         *_stage(diagnostics),
         *_turntable(diagnostics),
         *_tails(calibration, diagnostics),
+    ]
+
+
+def mixed_up(diagnostics: Diagnostics) -> list[Box]:
+    """Stage photographs that do not go with their step counts."""
+    return [
+        Box(
+            "stop",
+            "The photographs on the stage do not go with their step counts: the board stood "
+            f"{each.error_mm:.2g} mm RMS away from where they say, and {each.sorted_mm:.2g} mm if they were in the "
+            f"order {listed(list(each.by_place))}.",
+            "Photograph names that sort otherwise than they were taken do this: correct images or steps under [stage] "
+            "in session.toml.",
+        )
+        for each in diagnostics.stage_orders
     ]
 
 
@@ -45,7 +68,7 @@ def listed(words: list[str]) -> str:
 def _lens(diagnostics: Diagnostics) -> list[Box]:
     tried, names = diagnostics.ladder, list(LENSES)
     if tried is None:
-        return []
+        return _missing_terms(diagnostics.missing_terms)
     by_name = {rung.lens: rung for rung in tried.rungs}
     chosen, supported = by_name[tried.chosen], by_name[tried.supported]
     richer = names.index(tried.supported) > names.index(tried.chosen)
@@ -76,6 +99,22 @@ def _lens(diagnostics: Diagnostics) -> list[Box]:
     return []
 
 
+def _missing_terms(missing: MissingTerms | None) -> list[Box]:
+    """What the residuals alone say of the lens, where no other one was solved."""
+    if missing is None or missing.p > _BY_CHANCE or (missing.shift_in_sigma < _MOVES and missing.gain < _EXPLAINS):
+        return []
+    moves = f", and move {missing.parameter} by {missing.shift_in_sigma:.1f} of its σ" if missing.parameter else ""
+    return [
+        Box(
+            "care",
+            f'The lens is not followed: one of the kind "{missing.lens}" would explain {100 * missing.gain:.0f} % of '
+            f"the corners' squared errors{moves}.",
+            f'Set lens = "{missing.lens}" under [camera] in session.toml. A bent board looks alike: --report tells, by '
+            "views that a lens has not seen.",
+        )
+    ]
+
+
 def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     by = diagnostics.by_radius
     out = np.abs(by.radial_px) / by.radial_error_px
@@ -103,6 +142,26 @@ def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Bo
                 "care",
                 f"In {100 * share:.0f} % of the image the corners are off in the same direction in every photograph.",
                 "The model of the camera misses something: try a richer lens, and see whether the boards are flat.",
+            )
+        )
+    return boxes
+
+
+def _sheets(calibration: Calibration, lens: list[Box]) -> list[Box]:
+    """Light planes that do not fit their stripes, be it by the lens, and stripes that are hardly lines."""
+    advice = (
+        "The line is thicker than half a square, a reflection or another light was taken for it, or the plates are "
+        "bent: focus the laser, see by jaxscan inspect --png what was found, check [laser] color and columns."
+    )
+    boxes = [Box("stop", f"{doubt}.", lens[0].advice if lens else advice) for doubt in calibration.warnings]
+    sigma = calibration.stripe_sigma_px
+    if sigma is not None and sigma > _ROUGH_PX:
+        boxes.append(
+            Box(
+                "care",
+                f"Stripe points scatter by {sigma:.1f} px about the light plane, where a tenth of a pixel is usual.",
+                "See by jaxscan inspect --png whether the line is what was found: check [laser] color and columns, "
+                "make the line thinner and brighter, and the room darker.",
             )
         )
     return boxes
@@ -206,7 +265,7 @@ def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
                     "care",
                     f"Errors of the {what} are not normal: {100 * normality.beyond_3:.1f} % lie beyond 3 σ, where 0.3 "
                     "% should.",
-                    "A mixture of good and bad photographs looks like this; see the worst of them below.",
+                    "A mixture of good and bad photographs looks like this: the report has the worst of them.",
                 )
             )
     fits = (*calibration.fits, *calibration.stage_fits)
@@ -223,7 +282,7 @@ def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
                 Box(
                     "care",
                     f"{100 * (1 - kept / seen):.0f} % of all {what} were rejected as outliers.",
-                    "See the list of what was left out for the photographs that they are from.",
+                    "The report lists the photographs that they are from.",
                 )
             )
     return boxes

@@ -66,8 +66,9 @@ def test_outliers_are_left_out_and_named(session, calibration):
     views[4] = replace(views[4], stripes=(replace(views[4].stripes[0], pixels=pixels),))
     spoilt = calibrate(replace(session, views=tuple(views)))
     assert not spoilt.fits[2].corner_kept[[3, 17]].any()
-    assert any("view-2: 2 of 54 corners" in line and "3, 17" in line for line in spoilt.left_out)
-    assert any("view-4: 40 of" in line for line in spoilt.left_out)
+    assert any("view-2: 2 of 54 corners" in line and "3, 17" in line for line in spoilt.rejected)
+    assert any("view-4: 40 of" in line for line in spoilt.rejected)
+    assert spoilt.left_out == ()
     # The rig moves by no more than losing those points explains.
     a, b = (np.array([float(x) for x in jax.tree.leaves(c.rig)]) for c in (spoilt, calibration))
     sigma = np.sqrt(np.diagonal(calibration.covariance.matrix))
@@ -160,7 +161,7 @@ def test_stripe_beyond_the_board_does_not_spoil_the_plane(session, calibration):
     result = calibrate(replace(session, views=tuple(views)))
     a, b = (np.array([float(x) for x in jax.tree.leaves(c.rig.lasers)]) for c in (result, calibration))
     np.testing.assert_allclose(a, b, atol=3 * calibration.covariance.sigma("laser.plane.2"))
-    assert any("beyond the board" in line for line in result.left_out)
+    assert any("beyond the board" in line for line in result.rejected)
 
 
 def parallel(observations):
@@ -262,3 +263,38 @@ def test_a_lens_that_the_views_do_not_determine_is_refused_soon(counted):
         calibrate(replace(seen, views=tuple(views)), lens="rational")
     assert len(outcomes) <= 4
     assert sum(int(outcome.steps) for outcome in outcomes) <= 4 * MAX_STEPS
+
+
+COLUMNS = "the stripe runs up and down in most photographs: set columns = false under [laser]"
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        (lambda o: replace(o, views=tuple(replace(v, stripes=()) for v in o.views)), InputError),
+        (lambda o: parallel(o), ObservabilityError),
+        (lambda o: replace(o, views=tuple(beside(v) for v in o.views)), InputError),
+    ],
+    ids=["too little", "not determined", "stripes beside the boards"],
+)
+def test_a_refusal_brings_notes_and_what_was_left_out(session, change, error):
+    noted = replace(change(session), notes=(COLUMNS,), left_out=("07.png: the board was not found",))
+    with pytest.raises(error) as refused:
+        calibrate(noted)
+    lines = str(refused.value).split("\n")
+    assert f"  note: {COLUMNS}" in lines
+    assert "  left out: 07.png: the board was not found" in lines
+    assert len(lines) == len(set(lines))
+
+
+def beside(view):
+    """A view with its stripe in the upper corner of the image, beside the board."""
+    stripe = view.stripes[0]
+    pixels = np.stack([np.arange(640.0), np.full(640, 1.0)], axis=-1)
+    return replace(view, stripes=(replace(stripe, pixels=pixels),))
+
+
+def test_a_photograph_with_few_corners_is_named_where_too_few_are_left(session):
+    few = tuple(replace(v, corners=np.where(np.arange(54)[:, None] < 4, v.corners, np.nan)) for v in session.views)
+    with pytest.raises(InputError, match="left out: view-3: 4 corners, fewer than 6"):
+        calibrate(replace(session, views=few))

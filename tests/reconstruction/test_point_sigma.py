@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.precision import as_float64, as_numpy, float64
-from jaxscan.reconstruction.point_sigma import point_covariance, point_sigma
+from jaxscan.reconstruction.point_sigma import point_covariance, point_sigma, ray_jacobian
 from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
 from jaxscan.rig.rig import parameter_names
 
@@ -79,3 +79,35 @@ def test_a_stripe_found_row_by_row_is_uncertain_along_u(rig, covariance):
     _, by_columns = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=True)
     # ω has no x component: on the axis a step along u moves the point across the ray alone, not in depth.
     assert by_rows[near_axis] < 0.02 * by_columns[near_axis]
+
+
+def test_derivatives_along_the_ray_are_differences(rig):
+    """By a lens with all terms, two lasers and a stage; a pixel that does not see the sheet has none."""
+    with float64():
+        lens = {"radial": [-0.13, 0.02, 0.003, 0.01, 0.002, 0.001], "tangential": [4e-4, -3e-4]}
+        camera = Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], "rational", **lens)
+        other = LightPlane.create([0.0, 0.004, 0.003], "lower")
+        both = as_numpy(Rig(camera, (LightPlane.create([1e-4, -0.00494, 0.00303], "upper"), other), rig.stage))
+        found, of_pixel = ray_jacobian(both, "upper", PIXELS, STEPS, columns=True)
+        leaves, tree = jax.tree.flatten(as_float64(both))
+
+        @jax.jit
+        def points(leaves, shift):
+            moved = jax.tree.unflatten(tree, list(leaves))
+            pixels = jnp.asarray(PIXELS) + shift * jnp.array([[0.0, 1.0]])
+            return jax.vmap(lambda p, n: moved.triangulate(p, n, "upper"))(pixels, jnp.asarray(STEPS))
+
+        values = np.array([float(leaf) for leaf in leaves])
+        ray = np.asarray(points(values, 0.0)) + STEPS[:, None] * np.stack(both.stage.per_step)
+        along = ray / np.linalg.norm(ray, axis=1)[:, None]
+
+        def difference(step, shift):
+            up, down = (np.asarray(points(values + way * step, way * shift)) for way in (1, -1))
+            return np.einsum("pi,pi->p", (up - down) / 2, along)
+
+        for i, value in enumerate(values):
+            h = 1e-5 * max(abs(value), 1e-3)
+            expected = difference(h * (np.arange(len(values)) == i), 0.0) / h
+            np.testing.assert_allclose(found[:, i], expected, rtol=1e-5, atol=1e-4)
+        np.testing.assert_allclose(of_pixel, difference(0.0, 1e-3) / 1e-3, rtol=1e-5)
+    assert np.isnan(ray_jacobian(rig, "", np.array([[320.0, 700.0]]), np.zeros(1), columns=True)[0]).all()

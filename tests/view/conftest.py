@@ -10,4 +10,4 @@ from jaxscan.view.report import Report
 @pytest.fixture(scope="session")
 def report(calibration: Calibration) -> Report:
     pytest.importorskip("matplotlib", reason="the extra plots is not installed")
-    return calibration_report(calibration)
+    return calibration_report(calibration)[0]

@@ -9,6 +9,7 @@ import numpy as np
 from jaxscan.calibration.coverage import Coverage, measure_coverage
 from jaxscan.calibration.diagnostics.halves import Agreement, halves, sessions, solve_apart
 from jaxscan.calibration.diagnostics.ladder import Ladder, climb
+from jaxscan.calibration.diagnostics.missing_terms import MissingTerms, missing_terms
 from jaxscan.calibration.diagnostics.residual_statistics import (
     ByRadius,
     CornerResiduals,
@@ -28,6 +29,7 @@ from jaxscan.calibration.diagnostics.stage_errors import (
     stage_errors,
     turntable_errors,
 )
+from jaxscan.calibration.diagnostics.stage_order import StageOrder, stage_orders
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape, stripe_shapes
 from jaxscan.calibration.diagnostics.suspects import Suspect, suspects
 from jaxscan.calibration.result import Calibration
@@ -52,8 +54,12 @@ class Diagnostics:
         stripes: each stripe's distance from the light plane.
         stages: errors of the stage, sequence by sequence.
         turntables: errors of the turntable, sequence by sequence.
+        stage_orders: sequences on the stage whose photographs were mixed up.
+        missing_terms: what a richer lens would change, to first order; None where there is none or the camera was held.
         coverage: what the photographs cover.
-        halves: two halves of the photographs solved apart; None where there are too few for two rigs.
+        thorough: whether parts of the photographs and other lenses were solved too; otherwise what follows is empty.
+        too_few_for_halves: whether there are too few photographs for two rigs.
+        halves: two halves of the photographs solved apart; None where there are too few.
         sessions: each further session against the first; empty for a single one.
         ladder: the lenses tried; None where the camera was held.
     """
@@ -68,7 +74,11 @@ class Diagnostics:
     stripes: tuple[StripeShape, ...]
     stages: tuple[StageErrors, ...]
     turntables: tuple[TurntableErrors, ...]
+    stage_orders: tuple[StageOrder, ...]
+    missing_terms: MissingTerms | None
     coverage: Coverage
+    thorough: bool
+    too_few_for_halves: bool
     halves: Agreement | None
     sessions: tuple[Agreement, ...]
     ladder: Ladder | None
@@ -79,28 +89,33 @@ class Diagnostics:
         return self.halves.sigma_factor if self.halves is not None and self.halves.disagree else 1.0
 
 
-def diagnose(calibration: Calibration, advance: Callable[[int], object] = lambda by: None) -> Diagnostics:
-    """Look for whatever a small RMS hides. Solves parts of the problem some dozens of times.
+def diagnose(
+    calibration: Calibration, advance: Callable[[int], object] = lambda by: None, *, thorough: bool = True
+) -> Diagnostics:
+    """Look for whatever a small RMS hides.
 
     Args:
         calibration: what `calibrate` returned.
         advance: called with 1 after each of `PARTS` parts of the work.
+        thorough: whether parts of the problem are solved again, some dozens of times: photographs that do not fit
+            mirrored and turned, halves and sessions apart, other lenses. The rest takes a fraction of a second.
     """
     residuals = corner_residuals(calibration)
     principal = np.stack(calibration.rig.camera.principal).astype(np.float64)
     with float64():
-        poses = jnp.asarray(np.asarray(as_float64(calibration.system.boards).as_vector()))
+        boards = calibration.system.boards
+        poses = jnp.asarray(np.concatenate([boards.rotation, boards.translation], axis=1))
         coverage = measure_coverage(calibration.observations, as_float64(calibration.rig), poses)
-    suspected = suspects(calibration)
+    suspected = suspects(calibration, explain=thorough)
     advance(1)
     parts = halves(calibration.observations)
-    agreement = solve_apart(calibration, *parts) if parts else None
+    agreement = solve_apart(calibration, *parts) if parts and thorough else None
     advance(1)
     each = sessions(calibration.observations)
-    apart = [solve_apart(calibration, each[0], other) for other in each[1:]]
+    apart = [solve_apart(calibration, each[0], other) for other in each[1:]] if thorough else []
     advance(1)
     found = any(name.startswith("camera") for name in calibration.covariance.names)
-    ladder = climb(calibration) if found else None
+    ladder = climb(calibration) if found and thorough else None
     advance(1)
     return Diagnostics(
         photographs=photographs(calibration),
@@ -113,7 +128,11 @@ def diagnose(calibration: Calibration, advance: Callable[[int], object] = lambda
         stripes=stripe_shapes(calibration),
         stages=stage_errors(calibration),
         turntables=turntable_errors(calibration),
+        stage_orders=stage_orders(calibration),
+        missing_terms=missing_terms(calibration),
         coverage=coverage,
+        thorough=thorough,
+        too_few_for_halves=parts is None,
         halves=agreement,
         sessions=tuple(a for a in apart if a is not None),
         ladder=ladder,

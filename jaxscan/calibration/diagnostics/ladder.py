@@ -15,11 +15,12 @@ calibration held stays as it was on every rung; of rungs that then seek the same
 
 from dataclasses import dataclass, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jax.scipy.special import betainc
 from jaxtyping import Array, Bool, Float
+from scipy.special import fdtrc
 
 from jaxscan.calibration.blocks import bucket, view_blocks
 from jaxscan.calibration.bundle import Estimate, Outcome, solve
@@ -28,8 +29,9 @@ from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import group_errors, refine
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import LENSES, Camera, Rig
+from jaxscan.rig import LENSES, Rig
 from jaxscan.rig.camera import camera_parameters
+from jaxscan.rig.projection import with_richest_lens
 from jaxscan.rig.rig import parameter_names
 
 _FOLDS = 5
@@ -105,13 +107,18 @@ def climb(calibration: Calibration) -> Ladder:
         }
         names = _distinct(chosen, held)
         reference = max(_REFERENCE, chosen, key=list(LENSES).index)
+        shape = len(jax.tree.leaves(estimate.shared[1]))
+
+        def free(lens: str) -> Bool[Array, "shared"]:
+            return jnp.pad(_free(lens, held), (0, shape))
+
         noise = Noise(jnp.asarray(calibration.corner_sigma_px, jnp.float64), jnp.ones(()), jnp.zeros(()))
         each = len(calibration.observations.board.points())
         judge = not calibration.plain
-        best = refine(estimate, _free(reference, held), (group,), noise, each, reject=judge, weigh=judge)
+        best = refine(estimate, free(reference), (group,), noise, each, reject=judge, weigh=judge)
         n = len(calibration.observations.views)
         solved = {
-            lens: _solve_rung(_without(estimate, lens, held), _free(lens, held), best.groups[0], best.noise, n)
+            lens: _solve_rung(_without(estimate, lens, held), free(lens), best.groups[0], best.noise, n)
             for lens in names
         }
     observations = float(2 * np.asarray(best.groups[0].corner_used).sum())
@@ -133,32 +140,22 @@ def climb(calibration: Calibration) -> Ladder:
 
 
 def f_test(chi2_poor: float, chi2_rich: float, terms: int, dof: float) -> float:
-    """How often so large a fall of χ² would come by chance: F's upper tail, by the incomplete beta function."""
+    """How often so large a fall of χ² would come by chance: F's upper tail."""
     if not np.isfinite(chi2_rich) or dof <= 0 or chi2_rich >= chi2_poor:
         return 1.0
     F = (chi2_poor - chi2_rich) / terms / (chi2_rich / dof)
-    with float64():
-        return float(betainc(jnp.asarray(dof / 2), jnp.asarray(terms / 2), jnp.asarray(dof / (dof + terms * F))))
+    return float(fdtrc(terms, dof, F))
 
 
 def _corners_alone(calibration: Calibration) -> tuple[Estimate, Blocks]:
-    """The views' corners, and the calibration's camera as a rational lens."""
+    """The views' corners, and the calibration's camera as a rational lens; the board bulges as it was found to."""
     observations = calibration.observations
     views = tuple(replace(view, stripes=()) for view in observations.views)
     group = view_blocks(replace(observations, views=views, stages=(), lasers=()))
-    own = as_float64(calibration.rig.camera)
-    n_radial, n_tangential = LENSES["rational"]
-    zero = jnp.zeros(())
-    camera = Camera(
-        own.focal,
-        own.principal,
-        own.radial + (zero,) * (n_radial - len(own.radial)),
-        own.tangential + (zero,) * (n_tangential - len(own.tangential)),
-        own.image_size,
-    )
+    camera = with_richest_lens(as_float64(calibration.rig.camera))
     poses = np.asarray(as_float64(calibration.system.boards).as_vector())
     padded = far_away(bucket(len(poses))).at[: len(poses)].set(poses)
-    return Estimate((Rig(camera), None), (padded,)), group
+    return Estimate((Rig(camera), as_float64(calibration.system.warp)), (padded,)), group
 
 
 def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:

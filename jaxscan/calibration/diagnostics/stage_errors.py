@@ -9,15 +9,13 @@ the board about its middle give the board's own place to first order: δ = −(J
 
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration.observations import StageSequence
 from jaxscan.calibration.result import Calibration, PhotographFit
-from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Camera
+from jaxscan.rig.projection import project_points
 
 
 @dataclass(frozen=True)
@@ -149,26 +147,33 @@ class _Places:
 def _own_places(calibration: Calibration) -> list[tuple[list[PhotographFit], StageSequence, _Places]]:
     """Sequence by sequence, those photographs of it that tell where their board stood."""
     points, at, found = calibration.observations.board.points(), 0, []
-    with float64():
-        system = as_float64(calibration.system)
-        for i, whole in enumerate(calibration.observations.stages):
-            fits = calibration.stage_fits[at : at + len(whole.views)]
-            at += len(whole.views)
-            used = [j for j, fit in enumerate(fits) if fit.corner_kept.sum() >= 4]
-            if len(used) < 2:
-                continue
-            sequence = whole.only(used)
-            turns = sequence.turns if sequence.turns is not None else np.zeros(len(used))
-            boards = [
-                system.stage_board(i, jnp.asarray(n), None if sequence.turns is None else jnp.asarray(k))
-                for n, k in zip(sequence.steps, turns, strict=True)
-            ]
-            X = np.stack([points @ np.asarray(board.matrix()).T + np.asarray(board.translation) for board in boards])
-            J = np.asarray(_point_jacobians(system.rig.camera, jnp.asarray(X)))
-            each = [_own_place(fits[j], J[k], X[k]) for k, j in enumerate(used)]
-            places = _Places(*(np.stack(part) for part in zip(*each, strict=True)))
-            found.append(([fits[j] for j in used], sequence, places))
+    for i, whole in enumerate(calibration.observations.stages):
+        fits = calibration.stage_fits[at : at + len(whole.views)]
+        at += len(whole.views)
+        used = [j for j, fit in enumerate(fits) if fit.corner_kept.sum() >= 4]
+        if len(used) < 2:
+            continue
+        sequence = whole.only(used)
+        X = _corners_in_space(calibration, i, sequence, points)
+        J = project_points(calibration.rig.camera, X.reshape(-1, 3)).by_point.reshape(*X.shape[:2], 2, 3)
+        each = [_own_place(fits[j], J[k], X[k]) for k, j in enumerate(used)]
+        places = _Places(*(np.stack(part) for part in zip(*each, strict=True)))
+        found.append(([fits[j] for j in used], sequence, places))
     return found
+
+
+def _corners_in_space(
+    calibration: Calibration, index: int, sequence: StageSequence, points: Float[np.ndarray, "corners 3"]
+) -> Float[np.ndarray, "images corners 3"]:
+    """Where the corners stand in the camera frame by the rig, photograph by photograph of a sequence (mm)."""
+    rig, stages = calibration.rig, calibration.system.stages
+    at_0 = Rotation.from_rotvec(np.array(stages.rotation[index])).apply(points) + stages.translation[index]
+    X = np.repeat(at_0[None], len(sequence.views), axis=0)
+    if sequence.turns is not None and rig.turntable is not None:
+        per_step, centre = np.stack(rig.turntable.per_step), np.stack(rig.turntable.centre)
+        X = np.stack([Rotation.from_rotvec(n * per_step).apply(at_0 - centre) + centre for n in sequence.turns])
+    per_step = np.zeros(3) if rig.stage is None else np.stack(rig.stage.per_step)
+    return X + sequence.steps[:, None, None] * per_step
 
 
 def _sigmas(
@@ -201,8 +206,3 @@ def _own_place(
     both = np.concatenate([(J[kept] @ turn * weight[..., None]).reshape(-1, 3), shift], axis=1)
     C_shift, C_both = np.linalg.inv(shift.T @ shift), np.linalg.inv(both.T @ both)
     return -C_shift @ shift.T @ e, C_shift, (-C_both @ both.T @ e)[:3], C_both[:3, :3]
-
-
-@jax.jit
-def _point_jacobians(camera: Camera, X: Float[Array, "images corners 3"]) -> Float[Array, "images corners 2 3"]:
-    return jax.vmap(jax.vmap(jax.jacfwd(camera.project)))(X)

@@ -20,6 +20,9 @@ _FEWEST_POINTS = 20
 _WINDOW = 0.1
 # The expected range of ten independent standard normal numbers (L. H. C. Tippett 1925): as many as there are windows.
 _RANGE_OF_TEN = 3.08
+# What noise gives the square of a running mean with its line, in parts of the noise's square over the window's length:
+# a little more than the window's own 1, for the ends, where the window is cut, and the line.
+_LEFT_OF_NOISE = 1.5
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class StripeShape:
         bend_mm: the running mean about the straight line, from peak to valley.
         bend_of_noise_mm: what noise alone gives it, expected.
         noise_mm: RMS about the running mean.
+        tied_mm: RMS of what neighbours share: of the running mean, less what noise alone gives it.
+        depth_mm: median distance of the points from the camera, along its axis.
     """
 
     name: str
@@ -51,6 +56,8 @@ class StripeShape:
     bend_mm: float
     bend_of_noise_mm: float
     noise_mm: float
+    tied_mm: float
+    depth_mm: float
 
 
 def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
@@ -62,24 +69,32 @@ def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
         for i, (view, fit) in enumerate(zip(calibration.observations.views, calibration.fits, strict=True)):
             at = 0
             for stripe in view.stripes:
-                pixels = stripe.pixels[np.isfinite(stripe.pixels).all(axis=1)]
-                kept = fit.stripe_kept[at : at + len(pixels)]
-                at += len(pixels)
-                if kept.sum() < _FEWEST_POINTS:
+                seen = np.flatnonzero(np.isfinite(stripe.pixels).all(axis=1))
+                kept = seen[fit.stripe_kept[at : at + len(seen)]]
+                at += len(seen)
+                if len(kept) < _FEWEST_POINTS:
                     continue
-                one = replace(view, stripes=(replace(stripe, pixels=pixels[kept], sigmas=None),))
+                # As long as it was, so that nothing compiles anew.
+                pixels = np.full_like(stripe.pixels, np.nan)
+                pixels[kept] = stripe.pixels[kept]
+                one = replace(view, stripes=(replace(stripe, pixels=pixels),))
                 X, _ = stripe_points_in_space(
                     replace(calibration.observations, views=(one,)), camera, jnp.asarray(poses[i : i + 1]), stripe.laser
                 )
                 laser = calibration.rig.lasers[stripe.laser]
                 omega = np.stack(laser.plane)
-                along = pixels[kept][:, 0 if stripe.columns else 1]
-                shapes.append(shape(view.name, laser.name, along, (X @ omega - 1) / np.linalg.norm(omega)))
+                along = stripe.pixels[kept][:, 0 if stripe.columns else 1]
+                distance = (X @ omega - 1) / np.linalg.norm(omega)
+                shapes.append(shape(view.name, laser.name, along, distance, float(np.median(X[:, 2]))))
     return tuple(sorted(shapes, key=lambda s: -s.bend_mm))
 
 
 def shape(
-    name: str, laser: str, along: Float[np.ndarray, "points"], distance: Float[np.ndarray, "points"]
+    name: str,
+    laser: str,
+    along: Float[np.ndarray, "points"],
+    distance: Float[np.ndarray, "points"],
+    depth_mm: float,
 ) -> StripeShape:
     """The shape of one stripe."""
     order = np.argsort(along)
@@ -104,4 +119,6 @@ def shape(
         bend_mm=float(np.ptp(whole[window // 2 : len(whole) - window // 2])),
         bend_of_noise_mm=_RANGE_OF_TEN * noise / np.sqrt(window),
         noise_mm=noise,
+        tied_mm=float(np.sqrt(max(((A @ line + whole) ** 2).mean() - _LEFT_OF_NOISE * noise**2 / window, 0.0))),
+        depth_mm=depth_mm,
     )

@@ -48,7 +48,8 @@ class Suspect:
         staged: whether the board was on the stage.
         corners_rejected: share of its corners.
         stripe_rejected: share of its stripe points; None without any.
-        corner_median_px: median distance of its corners, with the board of a view placed anew by them alone.
+        corner_median_px: median distance of its corners; where it is explained, with the board of a view placed anew by
+            them alone.
         usual_corner_median_px: the median of that over all photographs.
         stripe_median_px: median absolute error of its stripe then; None without any.
         explanation: what was done to it, where that makes it fit; else None.
@@ -64,8 +65,13 @@ class Suspect:
     explanation: str | None
 
 
-def suspects(calibration: Calibration) -> tuple[Suspect, ...]:
-    """The photographs that do not fit the others, those rejected most first."""
+def suspects(calibration: Calibration, explain: bool = True) -> tuple[Suspect, ...]:
+    """The photographs that do not fit the others, those rejected most first.
+
+    Args:
+        calibration: what `calibrate` returned.
+        explain: whether each is placed anew, mirrored and turned, which takes some solves.
+    """
     fits = [(fit, i, False) for i, fit in enumerate(calibration.fits)]
     fits += [(fit, i, True) for i, fit in enumerate(calibration.stage_fits)]
     usual = float(np.nanmedian([_median(fit.corner_errors) for fit, _, _ in fits]))
@@ -74,7 +80,7 @@ def suspects(calibration: Calibration) -> tuple[Suspect, ...]:
         corners, stripe = _rejected(fit)
         if max(corners, stripe or 0.0) > REJECTED or _median(fit.corner_errors) > _WORSE * usual:
             corner, median, explanation = _median(fit.corner_errors), None, None
-            if not staged:
+            if explain and not staged:
                 corner, median, explanation = _explain(calibration, i, usual)
             found.append(Suspect(fit.name, staged, corners, stripe, corner, usual, median, explanation))
     return tuple(sorted(found, key=lambda s: -(s.corners_rejected + (s.stripe_rejected or 0.0))))

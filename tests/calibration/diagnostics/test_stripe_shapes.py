@@ -11,7 +11,7 @@ def test_noise_has_the_bend_that_noise_has():
     along = np.arange(100.0, 500.0)
     bends = []
     for _ in range(50):
-        found = shape("a", "", along, 0.3 + 0.02 * rng.normal(size=400))
+        found = shape("a", "", along, 0.3 + 0.02 * rng.normal(size=400), 300.0)
         bends.append(found.bend_mm / found.bend_of_noise_mm)
         assert found.offset_mm == pytest.approx(0.3, abs=5 * found.offset_error_mm)
     # A running mean is not ten independent numbers, but within a third of their range.
@@ -21,7 +21,7 @@ def test_noise_has_the_bend_that_noise_has():
 def test_a_bow_is_measured_from_peak_to_valley():
     along = np.random.default_rng(1).permutation(np.arange(400.0))
     t = 2 * along / 399 - 1
-    found = shape("a", "", along, 0.1 + 0.05 * t - 0.4 * t**2)
+    found = shape("a", "", along, 0.1 + 0.05 * t - 0.4 * t**2, 300.0)
     assert found.tilt_mm == pytest.approx(0.05, abs=1e-3)
     # The running mean is read where its window is whole: t from −0.9 to 0.9.
     assert found.bend_mm == pytest.approx(0.4 * 0.9**2, rel=0.03)

@@ -1,0 +1,115 @@
+"""How a camera's pixels move with the point that is seen and with the camera: what every covariance is made of.
+
+A pixel is a function of x = (X/Z, Y/Z) and of the camera's numbers θ. Whatever lens a camera has, it is looked at as a
+rational one, whose further terms are zero, and points come in batches of one size: one compiled function for all.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Float64
+
+from jaxscan.precision import as_float64, float64
+from jaxscan.rig.camera import LENSES, Camera
+
+# The lens that every other one is a part of.
+RICHEST: Final = "rational"
+_AT_ONCE: Final = 1024
+# A ray is followed outwards from the axis in so many steps: where the lens folds on its way no pixel is its own.
+_ON_THE_WAY: Final = 4
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Pixels of points, and their derivatives.
+
+    Attributes:
+        pixels: (u, v); NaN for a point that is not in front of the camera.
+        by_point: by the point's coordinates in the camera frame, px for each mm.
+        by_ray: by (x, y) of its ray (x, y, 1), px.
+        by_camera: by the camera's leaves in their order; by those of the richest lens where that was asked for.
+    """
+
+    pixels: Float64[np.ndarray, "points 2"]
+    by_point: Float64[np.ndarray, "points 2 3"]
+    by_ray: Float64[np.ndarray, "points 2 2"]
+    by_camera: Float64[np.ndarray, "points 2 leaves"]
+
+
+def lens_leaves(lens: str) -> Bool[np.ndarray, "leaves"]:
+    """Which leaves of a camera with the richest lens one with this lens has."""
+    (radial, tangential), (most, most_tangential) = LENSES[lens], LENSES[RICHEST]
+    return np.concatenate([np.ones(4, bool), np.arange(most) < radial, np.arange(most_tangential) < tangential])
+
+
+def with_richest_lens(camera: Camera) -> Camera:
+    """The same camera with all terms of the richest lens, those that it lacks zero."""
+    most, most_tangential = LENSES[RICHEST]
+    zero = jnp.zeros(())
+    radial = camera.radial + (zero,) * (most - len(camera.radial))
+    tangential = camera.tangential + (zero,) * (most_tangential - len(camera.tangential))
+    return Camera(camera.focal, camera.principal, radial, tangential, camera.image_size)
+
+
+def project_points(camera: Camera, points: Float[np.ndarray, "points 3"], *, richest: bool = False) -> Projection:
+    """The pixels of points of the camera frame (mm), with their derivatives.
+
+    Args:
+        camera: any.
+        points: camera frame, mm.
+        richest: whether derivatives are by all terms of the richest lens.
+    """
+    depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
+    x = points[:, :2] / depth[:, None]
+    pixels, by_ray, by_camera = _by_ray(camera, x)
+    # x = (X, Y) / Z
+    by_point = np.concatenate([by_ray, -by_ray @ x[:, :, None]], axis=2) / depth[:, None, None]
+    return Projection(pixels, by_point, by_ray, by_camera if richest else by_camera[..., lens_leaves(camera.lens)])
+
+
+def within_fold(camera: Camera, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
+    """Whether the lens is one to one all the way from its axis to a point's ray: beyond, its pixel is another's."""
+    along = np.linspace(0, 1, _ON_THE_WAY + 1)[1:]
+    x = (along[:, None, None] * (points[:, :2] / points[:, 2:])).reshape(-1, 2)
+    by_ray = _by_ray(camera, x)[1]
+    # Symmetric but for the two focal lengths: positive definite where its trace and its determinant are positive.
+    with np.errstate(invalid="ignore"):
+        grows = (np.trace(by_ray, axis1=1, axis2=2) > 0) & (np.linalg.det(by_ray) > 0)
+    return grows.reshape(_ON_THE_WAY, -1).all(axis=0) & (points[:, 2] > 0)
+
+
+def _by_ray(
+    camera: Camera, x: Float[np.ndarray, "points 2"]
+) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 2"], Float[np.ndarray, "points 2 leaves"]]:
+    padded = np.zeros((max(-(-len(x) // _AT_ONCE), 1) * _AT_ONCE, 2))
+    padded[: len(x)] = x
+    with float64():
+        richest = as_float64(with_richest_lens(camera))
+        parts = [
+            [np.asarray(part) for part in _pixels(richest, jnp.asarray(batch))]
+            for batch in padded.reshape(-1, _AT_ONCE, 2)
+        ]
+    pixels, by_ray, by_camera = (np.concatenate(part)[: len(x)] for part in zip(*parts, strict=True))
+    return pixels, by_ray, by_camera
+
+
+@eqx.filter_jit
+def _pixels(
+    camera: Camera, x: Float[Array, "batch 2"]
+) -> tuple[Float[Array, "batch 2"], Float[Array, "batch 2 2"], Float[Array, "batch 2 leaves"]]:
+    theta, unravel = ravel_pytree(camera)
+
+    def pixel(x: Float[Array, "2"], theta: Float[Array, "leaves"]) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+        seen = unravel(theta).project(jnp.concatenate([x, jnp.ones_like(x[:1])]))
+        return seen, seen
+
+    def each(x: Float[Array, "2"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"], Float[Array, "2 leaves"]]:
+        (by_ray, by_camera), seen = jax.jacfwd(pixel, argnums=(0, 1), has_aux=True)(x, theta)
+        return seen, by_ray, by_camera
+
+    return jax.vmap(each)(x)

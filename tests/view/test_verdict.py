@@ -1,0 +1,114 @@
+"""The verdict that ends every calibration: it speaks up where something is wrong, and not of a good session."""
+
+import re
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxscan.calibration import Calibration, Observations, calibrate
+from jaxscan.view.report import Report
+from jaxscan.view.verdict import verdict
+from tests.calibration import synthetic
+from tests.calibration.synthetic import BOARD, IMAGE_SIZE, K1, Noise
+
+
+def pose_in_view(rng: np.random.Generator, tilt: float = 0.6) -> tuple[np.ndarray, np.ndarray]:
+    """A board anywhere in the image, with a long stripe on it."""
+    while True:
+        R = cv2.Rodrigues(np.array([*rng.uniform(-tilt, tilt, 2), rng.uniform(-0.2, 0.2)]))[0]
+        middle = np.array([rng.uniform(-75, 75), rng.uniform(-55, 55), rng.uniform(280, 400)])
+        t = middle - R @ BOARD.points().mean(axis=0)
+        seen = synthetic.project(BOARD.points() @ R.T + t)
+        within = (seen > 5).all() and (seen < np.array(IMAGE_SIZE) - 6).all()
+        if within and np.isfinite(synthetic.stripe_on(R, t, True)[:, 1]).sum() > 100:
+            return R, t
+
+
+@pytest.fixture
+def draw(monkeypatch: pytest.MonkeyPatch):
+    """A session of eleven views all over the image and nine stage photographs; tilt and lens can be others."""
+
+    def drawn(seed: int, tilt: float = 0.6, k2: float = 0.0, **how) -> Observations:
+        def project(X: np.ndarray) -> np.ndarray:
+            (fu, fv), (u0, v0) = synthetic.FOCAL, synthetic.PRINCIPAL
+            K, lens = np.array([[fu, 0, u0], [0, fv, v0], [0, 0, 1.0]]), np.array([K1, k2, 0, 0])
+            return cv2.projectPoints(X.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), K, lens)[0].reshape(-1, 2)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(synthetic, "board_pose", lambda rng: pose_in_view(rng, tilt))
+            patch.setattr(synthetic, "project", project)
+            return synthetic.observations(seed=seed, n_stage=9, **how)
+
+    return drawn
+
+
+def three_boards(session: Observations) -> Observations:
+    return replace(session, views=session.views[:3])
+
+
+def mixed_up(session: Observations) -> Observations:
+    """The stage's photographs in the order that their names 0, 1, 10, 11, … would have."""
+    (stage,) = session.stages
+    order = [0, 8, 1, 2, 3, 4, 5, 6, 7]
+    return replace(session, stages=(replace(stage, views=tuple(stage.views[i] for i in order)),))
+
+
+def as_it_is(session: Observations) -> Observations:
+    return session
+
+
+@pytest.mark.parametrize(
+    ("how", "change", "lens", "level", "words", "next_words"),
+    [
+        ({"k2": 0.2}, as_it_is, "radial1", "care", 'kind "radial2" would explain', "More views"),
+        ({}, as_it_is, "none", "stop", 'kind "radial1" would explain', 'Set lens = "radial1"'),
+        ({}, three_boards, "radial1", "care", "too few photographs to solve two halves", "Hold the board"),
+        ({"tilt": 0.12}, as_it_is, "radial1", "care", "nearly parallel", "Tilt the board by 30°"),
+        ({"noise": Noise(0.05, 3.0)}, as_it_is, "radial1", "care", "scatter by 3.0 px", "None of the board"),
+        ({"noise": Noise(0.05, 6.0)}, as_it_is, "radial1", "stop", "scatter by [56].. px", "First put right"),
+        ({}, mixed_up, "radial1", "stop", "do not go with their step counts", "correct images or steps"),
+    ],
+    ids=["lens", "no lens", "three boards", "parallel", "3 px", "6 px", "mixed up"],
+)
+def test_what_is_wrong_is_said_without_the_report(draw, how, change, lens, level, words, next_words):
+    found = verdict(calibrate(change(draw(0, **how)), lens=lens))
+    said = " ".join(box.statement for box in found.warnings)
+    assert found.level == level, said
+    assert re.search(words, said)
+    assert next_words in found.next
+    assert found.limits
+    assert found.statement.startswith({"care": "Usable, with care.", "stop": "Do not use"}[level])
+    assert not found.thorough
+
+
+def test_mixed_up_photographs_are_not_suspected_one_by_one(draw):
+    found = verdict(calibrate(mixed_up(draw(1))))
+    assert "step counts" in found.warnings[0].statement
+    assert not any("does not fit the others" in box.statement for box in found.warnings)
+
+
+@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 26), marks=pytest.mark.long)])
+def test_good_sessions_are_not_warned_of(draw, seeds: range):
+    """Prints how many are: none of these, and a wrong alarm in a hundred would be as much as can be stood."""
+    warned = [seed for seed in seeds if verdict(calibrate(draw(seed))).warnings]
+    print(f"{len(warned)} of {len(seeds)} good sessions were warned of")
+    assert warned == []
+
+
+def test_a_rig_without_a_laser_has_a_verdict_too(draw):
+    session = draw(2, laser=False)
+    found = verdict(calibrate(replace(session, stages=())))
+    assert found.level == "good"
+    assert "The focal length is" in found.statement
+    assert "Corners" in found.limits
+
+
+def test_the_report_begins_with_the_same_judgement(calibration: Calibration, report: Report):
+    """Of what both look at, the words are the same: one function makes them."""
+    quick = verdict(calibration)
+    assert report.verdict.statement == quick.statement
+    assert report.verdict.level == quick.level
+    assert set(quick.warnings) <= set(report.sections[0].boxes)
+    assert report.sections[1].paragraphs[0] == quick.limits
