@@ -16,6 +16,7 @@ from jaxscan.calibration.observations import Kept, Observations, StageSequence, 
 from jaxscan.calibration.rounds import Refined
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
+from jaxscan.geometry.robust_plane import NORMAL_MAD
 from jaxscan.precision import as_numpy
 from jaxscan.rig import Covariance, Rig, System, Turntable
 from jaxscan.rig.covariance import with_nearest_centre
@@ -63,7 +64,7 @@ class Calibration:
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
         stripe_correlation: how many neighbouring stripe points are worth one, by the correlation of their errors.
-        stripe_sigma_ratio: `stripe_sigma_px` in parts of what the detector predicted of these points, where it did.
+        stripe_sigma_ratio: how far these points scatter in parts of what the detector predicted, where it did.
         corner_rms_px: root mean square distance of the corners that were kept.
         stripe_rms_px: root mean square stripe error of the points that were kept; None without stripes.
         fits: view by view.
@@ -180,7 +181,7 @@ def assemble(
         corner_sigma_px=float(refined.noise.corner),
         stripe_sigma_px=refined.stripe_sigma if stripe.size else None,
         stripe_correlation=refined.stripe_correlation if stripe.size else None,
-        stripe_sigma_ratio=_sigma_ratio(observations.views, fits, refined.stripe_sigma),
+        stripe_sigma_ratio=_sigma_ratio(observations.views, fits),
         corner_rms_px=float(np.sqrt((corners**2).sum(axis=1).mean())),
         stripe_rms_px=float(np.sqrt((stripe**2).mean())) if stripe.size else None,
         fits=fits,
@@ -283,17 +284,22 @@ def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: 
     return tuple(fits)
 
 
-def _sigma_ratio(views: Sequence[View], fits: Sequence[PhotographFit], sigma: float) -> float | None:
-    """How the σ that the residuals tell compares with the detector's own, over the points that were kept."""
-    squares = []
+def _sigma_ratio(views: Sequence[View], fits: Sequence[PhotographFit]) -> float | None:
+    """How far the stripe points that were kept scatter, in parts of the σ that the detector gave each of them.
+
+    Each error is compared with its own σ, and the median is taken: a few points on dark squares have a σ a hundred
+    times as large as the others, and say nothing of these.
+    """
+    scaled = []
     for view, fit in zip(views, fits, strict=True):
         predicted = [s.sigmas if s.sigmas is not None else np.full(len(s.pixels), np.nan) for s in view.stripes]
         if predicted:
             candidate = np.isfinite(np.concatenate([s.pixels for s in view.stripes])).all(axis=1)
-            squares.append(np.concatenate(predicted)[candidate][fit.stripe_kept] ** 2)
-    known = np.concatenate(squares) if squares else np.zeros(0)
+            own = np.concatenate(predicted)[candidate][fit.stripe_kept]
+            scaled.append(np.abs(fit.stripe_errors[fit.stripe_kept]) / own)
+    known = np.concatenate(scaled) if scaled else np.zeros(0)
     known = known[np.isfinite(known)]
-    return float(sigma / np.sqrt(known.mean())) if known.size else None
+    return NORMAL_MAD * float(np.median(known)) if known.size else None
 
 
 def _stage_fits(views: Sequence[View], refined: Refined, sequence: int, each: int) -> tuple[PhotographFit, ...]:

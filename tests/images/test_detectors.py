@@ -58,6 +58,35 @@ def test_photon_noise_is_found_and_weighed():
     assert rms < errors(photograph(noise=100.0, shot=20.0), "gravity")[0]
 
 
+@pytest.mark.parametrize("contrast", [0.1, 0.2])
+def test_speckle_is_found_and_weighed(contrast):
+    """The light of each pixel times a gamma variable: neither an edge of reflectance nor the sensor's noise."""
+    random, noise = np.random.default_rng(2), 200.0
+    light = photograph().astype(np.float64) - 2000
+    lit = 2000 + light * random.gamma(contrast**-2, contrast**2, light.shape)
+    image = np.rint(lit + noise * random.standard_normal(lit.shape)).clip(0, 65535).astype(np.uint16)
+    rms, predicted, _ = errors(image, "likelihood")
+    variance = noise**2 + (contrast * light) ** 2
+    assert rms < 1.15 * bound_with(variance)
+    assert predicted == pytest.approx(rms, rel=0.12)
+    assert rms < 0.8 * errors(image, "gravity")[0]
+
+
+def bound_with(variance, s=1.5):
+    """Cramér and Rao's, for pixels of known variance; background, height and width unknown."""
+
+    def profile(centre, s):
+        edges = (np.arange(ROWS + 1)[:, None] - 0.5 - centre) / s
+        return HEIGHT * s * np.sqrt(2 * np.pi) * np.diff(ndtr(edges), axis=0)
+
+    h = 1e-4
+    by_s = (profile(CENTRE, s + h) - profile(CENTRE, s - h)) / (2 * h)
+    by_centre = (profile(CENTRE + h, s) - profile(CENTRE - h, s)) / (2 * h)
+    J = np.stack([np.ones_like(by_s), profile(CENTRE, s) / HEIGHT, by_s, by_centre], axis=-1)
+    information = np.einsum("kni,kn,knj->nij", J, 1 / variance, J)
+    return np.sqrt(np.linalg.inv(information)[:, 3, 3].mean())
+
+
 def test_a_full_core_is_a_bound_not_a_level():
     # Five pixels of the core are full.
     image = photograph(1.5, height=HEIGHT * np.exp(2.5**2 / (2 * 1.5**2)), noise=200.0, full=22000.0)
@@ -199,3 +228,9 @@ def test_a_dark_surface_beside_a_bright_one_is_seen_to_its_end():
     assert valid[:300].mean() > 0.98
     assert valid[302:398].mean() > 0.9
     assert not valid[402:].any()
+
+
+def test_two_glints_are_no_line():
+    image = np.full((480, 640), 20, np.uint8)
+    image[200:203, 100] = image[201:204, 103] = 90
+    assert not detect_stripe(image, GREY).valid.any()

@@ -27,6 +27,7 @@ from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Measured, Model, measure
+from jaxscan.images.stripes.evidence import edges_go_on
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.survey import survey
 from jaxscan.images.stripes.windows import gather_windows
@@ -200,7 +201,8 @@ def _detect(
         measured = look_again(measured, burnt, narrow, "censored")
         # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.
         halo = burnt | (burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
-        strained = measured.strained & strong & ~cramped & ~halo
+        plain = strong & ~cramped & ~halo
+        strained = plain & measured.strained & edges_go_on(np.asarray(measured.h3), np.asarray(measured.h4), plain)
         measured = look_again(measured, strained, narrow, "torn")
     else:
         measured = look_again(measured, cramped, wide, "plain")
@@ -233,8 +235,9 @@ def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bo
         np.add.reduceat(x, starts) for x in (weight, weight * line, weight * line**2, weight * (width / FWHM) ** 2)
     )
     along2 = square / total - (mean / total) ** 2
-    longer = along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12)
     length = np.diff(starts, append=place.size)
+    # Any two points are in a line.
+    longer = (along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12)) & (length > 2)
     ends = starts + length - 1
     kept = (
         np.repeat(longer, length)

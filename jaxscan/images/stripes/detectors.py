@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxscan.detectors import Detector
 from jaxscan.images.stripes import classical
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import likelihood
+from jaxscan.images.stripes.likelihood import Misfit, likelihood
 from jaxscan.images.stripes.torn import torn
 from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bump, outline
 
@@ -44,6 +44,9 @@ class Measured(eqx.Module):
         cramped: whether a wider window would tell more.
         burnt: whether some pixel of the window is full.
         strained: whether the pixels are off the detector's profile by more than noise; it may be torn.
+        h3: the third Gauss-Hermite coefficient of what the profile leaves, in parts of its height; 0 of other
+            detectors.
+        h4: the fourth.
     """
 
     position: Float[Array, "groups lines"]
@@ -55,6 +58,8 @@ class Measured(eqx.Module):
     cramped: Bool[Array, "groups lines"]
     burnt: Bool[Array, "groups lines"]
     strained: Bool[Array, "groups lines"]
+    h3: Float[Array, "groups lines"]
+    h4: Float[Array, "groups lines"]
 
 
 @partial(jax.jit, static_argnames=("detector", "model"))
@@ -71,11 +76,12 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
     r = windows.response
     size = r.shape[1]
     around, here = outline(r), sensor.of(frame)
-    strained = jnp.zeros_like(around.whole)
+    zero = jnp.zeros_like(around.top)
+    misfit = Misfit(jnp.zeros_like(around.whole), zero, zero)
     if model == "torn":
         found = torn(windows, around, here)
     elif detector == "likelihood":
-        found, strained = likelihood(windows, around, here, model == "censored")
+        found, misfit = likelihood(windows, around, here, model == "censored")
     else:
         found = _CLOSED[detector](windows, around, here)
     seen = bump(windows.neutral) if windows.neutral is not None else around
@@ -91,5 +97,7 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
         whole=whole[:, 0],
         cramped=((around.start < _MARGIN) | (around.end >= size - _MARGIN))[:, 0],
         burnt=windows.full.any(1),
-        strained=strained[:, 0],
+        strained=misfit.strained[:, 0],
+        h3=misfit.h3[:, 0],
+        h4=misfit.h4[:, 0],
     )

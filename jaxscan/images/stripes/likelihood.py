@@ -87,10 +87,22 @@ class Fit(NamedTuple):
     inverse_sigma: Lines
 
 
-def likelihood(
-    windows: Windows, outline: Outline, sensor: Sensor, censored: bool
-) -> tuple[Estimate, Bool[Array, "groups 1 lines"]]:
-    """The maximum-likelihood centre of each stripe, and which are strained: off the profile by more than noise.
+class Misfit(NamedTuple):
+    """What a fitted profile leaves, for each line.
+
+    Attributes:
+        strained: whether it is off by more than noise.
+        h3: the third Gauss-Hermite coefficient of the residual, in parts of the height.
+        h4: the fourth.
+    """
+
+    strained: Bool[Array, "groups 1 lines"]
+    h3: Lines
+    h4: Lines
+
+
+def likelihood(windows: Windows, outline: Outline, sensor: Sensor, censored: bool) -> tuple[Estimate, Misfit]:
+    """The maximum-likelihood centre of each stripe, and what its profile leaves.
 
     σ is that of the fit, scaled by how the line's own residuals compare with the sensor's noise: a profile that is not
     the model's is known less well.
@@ -113,7 +125,18 @@ def likelihood(
     usual = sensor.read**2 + (_USUAL_MISFIT * (outline.top - outline.floor)) ** 2
     squares = (found.residual**2).sum(1, keepdims=True)
     strained = squares > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
-    return Estimate(profile.centre, sigma, FWHM * s, jnp.isfinite(sigma) & within), strained
+    estimate = Estimate(profile.centre, sigma, FWHM * s, jnp.isfinite(sigma) & within)
+    return estimate, Misfit(strained, *_hermite(profile, found.residual))
+
+
+def _hermite(profile: Profile, residual: Pixels) -> tuple[Lines, Lines]:
+    """h₃ and h₄ of a residual: its projections on the Hermite polynomials He₃ and He₄ times the Gaussian."""
+    z = (places(residual.shape[1]) - profile.centre) / jnp.exp(profile.ln_s)
+    bell = residual * jnp.exp(-0.5 * z * z - profile.ln_height - profile.ln_s)
+    return (
+        (bell * z * (z * z - 3)).sum(1, keepdims=True),
+        (bell * (z * z * (z * z - 6) + 3)).sum(1, keepdims=True),
+    )
 
 
 def fit(

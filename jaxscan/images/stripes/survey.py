@@ -4,6 +4,7 @@ All of it is estimated from some of the windows about the coarse peaks, frame by
 depend on what else is in the batch.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -20,6 +21,8 @@ from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows, gat
 _LINES, _GROUPS = 96, 8
 # Newton's steps: as far as the noise need be known.
 _STEPS = 4
+# Where speckle is strong, what a fit leaves tells the noise only once the fit has weighted its pixels by it.
+_LOOKS = 2
 # Rows at each end of the window that tell the noise without laser.
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
@@ -32,6 +35,8 @@ _DEPTHS = (10, 12, 14)
 _ROUNDING = 12**-0.5
 # A stripe's tails are lower than this part of what is seen of its peak.
 _TAIL = 0.1
+# Its core is higher.
+_CORE = 0.5
 # Up to this full width at half height the last five of 25 pixels are free of it: 2.5 px is 2.1 σ less than 8 px away.
 _CLEAR_WIDTH_PX = 5.0
 # A residual that the fit all but removes tells nothing of the noise.
@@ -102,21 +107,28 @@ def survey_windows(
     span = full.astype(jnp.float32) * (1 if color == "grey" else 2)
     rounding = _ROUNDING * (one if color == "grey" else jnp.sqrt(4 + weights[0] ** 2 + weights[1] ** 2))
     ground = _ground(plain, gain)
-    first = Sensor(
-        weights, ambient, full, span, ground, jnp.maximum(_ground(r, gain), rounding), 0 * one, 0 * one, _UNKNOWN * one
-    )
-    around, here = outline(r), jax.tree.map(lambda x: x[:, None, None], first)
+    read = jnp.maximum(_ground(r, gain), rounding)
+    sensor = Sensor(weights, ambient, full, span, ground, read, 0 * one, 0 * one, 0 * one, _UNKNOWN * one)
+    around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
-    found = fit(windows, around, here, censored=True, steps=_STEPS)
-    known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
-    read, shot = _noise(found, windows, around, known, first)
-    ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
-    usual = _median(ln_s)
-    spread = jnp.maximum(_NORMAL_MAD * _median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
-    any_ = known.any(1)
-    return Sensor(
-        weights, ambient, full, span, ground, read, shot, jnp.where(any_, usual, 0.0), jnp.where(any_, spread, _UNKNOWN)
-    )
+
+    def look(_: Array, sensor: Sensor) -> Sensor:
+        """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
+        found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
+        known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
+        ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
+        usual = _median(ln_s)
+        spread = jnp.maximum(_NORMAL_MAD * _median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
+        any_ = known.any(1)
+        noise = _noise(found, windows, around, known, read)
+        return replace(
+            sensor,
+            **dict(zip(("read", "shot", "speckle"), noise, strict=True)),
+            ln_s=jnp.where(any_, usual, 0.0),
+            ln_s_spread=jnp.where(any_, spread, _UNKNOWN),
+        )
+
+    return jax.lax.fori_loop(0, _LOOKS, look, sensor)
 
 
 def greatest_numbers(bits: int) -> list[int]:
@@ -155,19 +167,21 @@ def _ground(r: Float[Array, "frames window lines"], gain: Pixels | None) -> Floa
 
 
 def _noise(
-    found: Fit, windows: Windows, around: Outline, known: Bool[Array, "frames lines"], first: Sensor
-) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
-    """Read and shot noise, from what is left of the stripes when their profiles have been taken off.
+    found: Fit, windows: Windows, around: Outline, known: Bool[Array, "frames lines"], ground: Float[Array, "frames"]
+) -> tuple[Float[Array, "frames"], Float[Array, "frames"], Float[Array, "frames"]]:
+    """Read noise, shot noise and speckle, from what is left of the stripes when their profiles have been taken off.
 
-    A residual e has the expected square v (1 − h), v = gain · (read² + shot · A P), with h = w Jᵀ (Jᵀ W J)⁻¹ J its
-    leverage.
-    Summed over the stripe's tails, where A P is small, and over its core, these are two equations; solved for groups of
-    lines, of which the median is taken, for where a stripe meets an edge its profile is no Gaussian. Where stripes are
-    so narrow that the ends of the windows are free of them, these tell `read` better.
+    A residual e has the expected square v (1 − h), v = gain · (read² + shot · A P + speckle · (A P)²), with
+    h = w Jᵀ (Jᵀ W J)⁻¹ J its leverage.
+    Summed over the stripe's tails, its flanks and its core, these are three equations; solved for groups of lines, of
+    which the median is taken, for where a stripe meets an edge its profile is no Gaussian. Where stripes are so narrow
+    that the ends of the windows are free of them, these tell `read` better.
     """
     rest = 1 - found.weight * _leverage(found.jacobian, found.factor)
     free = (found.weight > 0) & ~windows.full & known[:, None] & (rest > _LEAST_REDUNDANCY)
-    tail = found.height < _TAIL * (around.top - around.floor)
+    height = jnp.maximum(found.height, 0.0)
+    peak = around.top - around.floor
+    tail, core = height < _TAIL * peak, height > _CORE * peak
 
     def grouped(where: Array, values: Pixels) -> Float[Array, "frames groups"]:
         each = jnp.where(free & where, values, 0.0).sum(1)
@@ -179,19 +193,39 @@ def _noise(
         return _median(jnp.where(below > 0, above / jnp.where(below > 0, below, 1.0), jnp.nan))
 
     squares = found.residual**2 if windows.gain is None else found.residual**2 / windows.gain
-    (e_tail, e_core), (n_tail, n_core), (p_tail, p_core) = (
-        [grouped(where, values) for where in (tail, ~tail)] for values in (squares, rest, rest * found.height)
+    (e_tail, e_rest), (n_tail, n_rest), (p_tail, p_rest), (q_tail, q_rest) = (
+        [grouped(where, values) for where in (tail, ~tail)]
+        for values in (squares, rest, rest * height, rest * height**2)
     )
-    read2 = usual(e_tail * p_core - e_core * p_tail, n_tail * p_core - n_core * p_tail)
+    # Of the two laws by which the light may scatter, photons leave the least of what the tails show to the sensor.
+    by_photons = usual(e_tail * p_rest - e_rest * p_tail, n_tail * p_rest - n_rest * p_tail)
+    by_speckle = usual(e_tail * q_rest - e_rest * q_tail, n_tail * q_rest - n_rest * q_tail)
+    read2 = jnp.where(by_photons > 0, by_photons, by_speckle)
     clear = _median(jnp.where(known, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
-    read2 = jnp.where(clear | ~(read2 > 0), first.read**2, jnp.minimum(read2, first.read**2))
+    read2 = jnp.where(clear | ~(read2 > 0), ground**2, jnp.minimum(read2, ground**2))
     # Steep flanks beside a full core say more of the model than of photons.
     fair = ~windows.full.any(1, keepdims=True)
-    n, p, e = (grouped(fair, values) for values in (rest, rest * found.height, squares))
-    shot = usual(e - read2[:, None] * n, p)
-    # Drawn towards none where it is within what chance alone makes of so many residuals.
-    chance = _CHANCE**2 * 2 * read2**2 * n.sum(1) / jnp.maximum((shot * p.sum(1)) ** 2, jnp.finfo(jnp.float32).tiny)
-    return jnp.sqrt(read2), jnp.where((shot > 0) & (chance < 1), shot * (1 - chance), 0.0)
+    (n, n_core), (e, e_core), (p, p_core), (q, q_core) = (
+        [grouped(where, values) for where in (fair & ~core, fair & core)]
+        for values in (rest, squares, rest * height, rest * height**2)
+    )
+    excess, excess_core = e - read2[:, None] * n, e_core - read2[:, None] * n_core
+    shot = usual(excess * q_core - excess_core * q, p * q_core - p_core * q)
+    speckle = usual(excess_core * p - excess * p_core, p * q_core - p_core * q)
+    alone = usual(excess + excess_core, p + p_core), usual(excess + excess_core, q + q_core)
+    # Neither is negative: where one would be, the other explains it all.
+    shot, speckle = (
+        jnp.where(speckle > 0, jnp.where(shot > 0, shot, 0.0), alone[0]),
+        jnp.where(shot > 0, jnp.where(speckle > 0, speckle, 0.0), alone[1]),
+    )
+    # Drawn towards none where they are within what chance alone makes of so many residuals.
+    found_squares = shot * (p + p_core).sum(1) + speckle * (q + q_core).sum(1)
+    tiny = jnp.finfo(jnp.float32).tiny
+    chance = _CHANCE**2 * 2 * read2**2 * (n + n_core).sum(1) / jnp.maximum(found_squares**2, tiny)
+    sure = jnp.where((found_squares > 0) & (chance < 1), 1 - chance, 0.0)
+    # Nothing is known where every line is full.
+    shot, speckle = (jnp.where(value > 0, sure * value, 0.0) for value in (shot, speckle))
+    return jnp.sqrt(read2), shot, speckle
 
 
 def _leverage(jacobian: tuple[Pixels, ...], factor: list[list[Array]]) -> Pixels:

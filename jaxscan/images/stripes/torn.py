@@ -9,7 +9,8 @@ its bright flank tells where its centre is. With the edge at e and the reflectan
 θ = (b, ln A, ln s, ln ρ, e, c) is fitted as `likelihood` fits its four, by damped steps (D. Marquardt 1963), from
 several places of the edge and both ways that it can face. The fit is taken where it explains the pixels so much better
 than the plain profile that chance would seldom do it (the F test of two nested models), down to the sensor's noise, and
-nowhere else: what has no edge is not measured better with two more unknowns.
+nowhere else: what has no edge is not measured better with two more unknowns. A single line's test can be weak, for only
+lines are asked whose neighbours show an edge too (`evidence`).
 """
 
 from dataclasses import replace
@@ -39,8 +40,8 @@ _LN_RATIO_SPREAD, _EDGE_SPREAD = 2.0, 2.0
 _DAMPING, _LONGEST_LN, _LONGEST = 0.02, 0.7, 0.7
 # Pixels further out than the plain profile's: an edge makes it narrow.
 _FURTHER_PX: Final = 2.0
-# The least F with 2 and some 5 degrees of freedom: one line in fifty has it by chance, of those that are strained.
-_LEAST_F: Final = 10.0
+# The least F with 2 and some 5 degrees of freedom: one line in seven has it by chance, of those beside an edge.
+_LEAST_F: Final = 3.0
 # What the edge leaves unexplained, at the most so many times the sensor's own noise: photons and speckle leave more.
 _MOST_LEFT: Final = 4.0
 
@@ -142,4 +143,4 @@ def _misfit(background: Lines, height: Pixels, windows: Windows, plain: Fit, sen
     """The squares of what is left, in units of the noise; a full pixel counts where it ought not to be full."""
     residual = windows.response - background - height
     residual = jnp.where(windows.full, jnp.maximum(residual, 0.0), residual)
-    return jnp.where(plain.used, (residual / sensor.read) ** 2, 0.0).sum(1, keepdims=True)
+    return jnp.where(plain.used, residual**2 / windows.variance(height, sensor), 0.0).sum(1, keepdims=True)

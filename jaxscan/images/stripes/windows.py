@@ -71,8 +71,8 @@ class Sensor(eqx.Module):
         ground: σ beside the stripe, texture and all, of the response in which stripes are looked for (m = n = 1), grey
             levels: what a stripe must stand out from.
         read: σ of the sensor's noise without laser, grey levels.
-        shot: variance of the response for each grey level of it, above the background. What scatters in proportion
-            to the light: photons, and to first order speckle.
+        shot: variance of the response for each grey level of it, above the background: photons.
+        speckle: variance of the laser's light in a pixel, in parts of its square: the speckle's contrast, squared.
         ln_s: ln of the stripe's usual standard deviation, px.
         ln_s_spread: σ of that of single lines.
     """
@@ -84,6 +84,7 @@ class Sensor(eqx.Module):
     ground: Float[Array, "*of"]
     read: Float[Array, "*of"]
     shot: Float[Array, "*of"]
+    speckle: Float[Array, "*of"]
     ln_s: Float[Array, "*of"]
     ln_s_spread: Float[Array, "*of"]
 
@@ -111,7 +112,8 @@ class Windows(eqx.Module):
 
     def variance(self, height: Pixels, sensor: Sensor) -> Pixels:
         """The noise of pixels that stand so high above the background."""
-        variance = sensor.read**2 + sensor.shot * jnp.maximum(height, 0.0)
+        light = jnp.maximum(height, 0.0)
+        variance = sensor.read**2 + light * (sensor.shot + sensor.speckle * light)
         return variance if self.gain is None else self.gain * variance
 
 

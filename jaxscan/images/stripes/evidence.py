@@ -1,0 +1,84 @@
+"""Evidence for an edge of reflectance in a stripe that speckle cannot give: an edge goes on from line to line.
+
+Where an edge runs along a stripe, what the plain profile leaves has a shape, and neighbouring lines have it alike.
+Speckle multiplies the light of each pixel by chance: it leaves as much, but in each line another shape. The shape is
+told by h₃ and h₄, the Gauss-Hermite coefficients of third and fourth order (R. van der Marel and M. Franx 1993). Over
+a window of n lines, with m the mean of a coefficient, v its variance and ρ_k its correlation at a distance of k lines,
+
+    t² = n / τ (m₃² / v₃ + m₄² / v₄),    τ = 1 + 2 Σ ρ_k,  k < K
+
+v and ρ are those of chance alone. They are read from the differences of lines that are at most K apart, over which an
+edge goes on and beyond which no grain of speckle does: γ_k = ½ ⟨(h_i − h_(i+k))²⟩ = v (1 − ρ_k), and ρ_K = 0.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+# Half the lengths of the windows: an edge may run along a stripe for long or for a little.
+_HALF_WINDOWS = (4, 16)
+# K.
+_GRAIN = 8
+# t² by chance alone. Of two squares of normal numbers one in 10^5 is as large as 23; v of a few lines is not exact.
+_LEAST_T2 = 40.0
+_FEWEST = 5
+# In a few lines v may come out small by chance: it is no less than this part of what most lines of the frame have.
+_LEAST_OF_USUAL = 0.5
+
+Lines = Float[np.ndarray, "frames lines"]
+
+
+def edges_go_on(h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
+    """Which lines lie in a window over which the shape of what is left goes on.
+
+    Args:
+        h3: of each line, in parts of the stripe's height.
+        h4: likewise.
+        seen: which lines have a stripe; the others are not read.
+    """
+    t2 = [np.zeros(seen.shape) for _ in _HALF_WINDOWS]
+    for h in (h3, h4):
+        known = seen & np.isfinite(h)
+        h = np.where(known, h, 0.0).astype(np.float64)
+        tau, usual = _chance(h, known)
+        squares, pairs = _differences(h, known, _GRAIN)
+        for total, half in zip(t2, _HALF_WINDOWS, strict=True):
+            n = _over(known.astype(np.float64), half)
+            mean = _over(h, half) / np.maximum(n, 1)
+            variance = _over(squares, half) / np.maximum(_over(pairs, half), 1)
+            variance = np.maximum(variance, _LEAST_OF_USUAL * usual)
+            total += np.where((n >= _FEWEST) & (variance > 0), n / tau * mean**2 / np.maximum(variance, 1e-30), 0.0)
+    found = [
+        _over((each > _LEAST_T2).astype(np.float64), half) > 0 for each, half in zip(t2, _HALF_WINDOWS, strict=True)
+    ]
+    return seen & np.any(found, axis=0)
+
+
+def _differences(h: Lines, known: Bool[np.ndarray, "frames lines"], k: int) -> tuple[Lines, Lines]:
+    """½ (h_i − h_(i+k))² in the middle between the two, 0 where one is not known; and 1 where both are."""
+    both = (known[:, k:] & known[:, :-k]).astype(np.float64)
+    squares = 0.5 * both * (h[:, k:] - h[:, :-k]) ** 2
+    pad = (0, 0), (k // 2, k - k // 2)
+    return np.pad(squares, pad), np.pad(both, pad)
+
+
+def _chance(
+    h: Lines, known: Bool[np.ndarray, "frames lines"]
+) -> tuple[Float[np.ndarray, "frames 1"], Float[np.ndarray, "frames 1"]]:
+    """τ and v of each frame, by medians, which the ends of edges do not move."""
+    gamma = []
+    for k in range(1, _GRAIN + 1):
+        squares, pairs = _differences(h, known, k)
+        each = [
+            np.median(row[there > 0]) if (there > 0).any() else 0.0 for row, there in zip(squares, pairs, strict=True)
+        ]
+        gamma.append(np.asarray(each)[:, None])
+    last = np.maximum(gamma[-1], np.finfo(np.float64).tiny)
+    tau = 1 + 2 * sum(np.clip(1 - each / last, 0.0, 1.0) for each in gamma[:-1])
+    # The median of the square of a normal number is 0.455 of its mean.
+    return np.asarray(tau), gamma[-1] / 0.455
+
+
+def _over(values: Lines, half: int) -> Lines:
+    """The sum over the lines up to so many away."""
+    sums = np.cumsum(np.pad(values, ((0, 0), (half + 1, half))), axis=1)
+    return sums[:, 2 * half + 1 :] - sums[:, : -2 * half - 1]
