@@ -30,6 +30,8 @@ _SIDES = (640, 1280, 2560)
 # serves a small light board on a dark ground.
 _WHITE_PERCENTILES = (90.0, 99.5)
 _BLACK_PERCENTILE = 1
+# Numbers of 16 bits for one of 8: 65535 / 255.
+_FINE = 257
 # Local levels are compared over this part of the longer side.
 _NEIGHBOURHOOD = 1 / 12
 # Four points fix a pose; with fewer a view says nothing.
@@ -127,9 +129,10 @@ def _refined(image: Image, grid: Float[np.ndarray, "grid_rows grid_columns 2"], 
 
 
 def _stretched(grey: Grey) -> Iterator[tuple[Grey8, float]]:
-    """The photograph at each white level and each size."""
+    """The photograph at each size: at each white level, then as it is, for either may cut off too much."""
     for white in _WHITE_PERCENTILES:
         yield from _sizes(_stretch(grey, white))
+    yield from _sizes(grey if grey.dtype == np.uint8 else _to_8_bits(grey / np.float32(_FINE)))
 
 
 def _stretch(grey: Grey, white: float) -> Grey8:

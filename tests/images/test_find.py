@@ -142,6 +142,37 @@ def test_a_small_light_board_on_a_dark_ground():
     assert distances(find_board(BOARD, to_bytes(image)), H).max() < 0.3
 
 
+@pytest.mark.parametrize("seed", [10, 15, 26])
+def test_a_small_board_in_a_dark_scene_with_lamps_needs_no_slow_finder(monkeypatch, seed):
+    """A fifth of the image's width; spreading the levels cuts off what the plain photograph shows."""
+    image = dark_scene(seed)
+    monkeypatch.setattr("cv2.findChessboardCornersSB", lambda *_, **__: (False, None))
+    assert find_board(Board.checkerboard((9, 6), 10.0), image) is not None
+
+
+def dark_scene(seed):
+    rng = np.random.default_rng(seed)
+    corners_mm = np.array([[0, 0], [80, 0], [80, 50], [0, 50]])
+    at, turn = np.array([rng.uniform(150, 400), rng.uniform(120, 300)]), rng.uniform(-0.4, 0.4)
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    H = render.homography(corners_mm, 1.28 * corners_mm @ R.T + at + rng.uniform(-4, 4, (4, 2)))
+    board = render.checkerboard((9, 6), 10.0)
+
+    def pattern(x, y):
+        paper = (x > -13) & (x < 93) & (y > -13) & (y < 63)
+        return np.where(paper, np.where(board(x, y), 1.0, 0.15), 0.0)
+
+    light = rng.uniform(25, 60)
+    image = render.photograph(pattern, H, (480, 640), dark=rng.uniform(2, 8), light=light, blur=0.7)
+    v, u = np.mgrid[:480, :640]
+    for _ in range(rng.integers(2, 9)):
+        across, down, size = rng.uniform(0, 640), rng.uniform(0, 480), rng.uniform(4, 40)
+        if abs(across - at[0] - 50) >= 110 or abs(down - at[1] - 30) >= 90:
+            spot = np.exp(-((u - across) ** 2 + (v - down) ** 2) / 2 / size**2)
+            image += rng.uniform(40, 260) * spot
+    return to_bytes(image + rng.uniform(0.5, 2.5) * rng.standard_normal(image.shape))
+
+
 @pytest.mark.parametrize("inverted", [False, True])
 def test_circles(inverted):
     board = Board.circles((6, 5), 10.0)
