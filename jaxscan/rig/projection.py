@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Float64
 
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig.camera import LENSES, Camera
+from jaxscan.rig.camera import LENSES, Camera, camera_parameters
 
 # The lens that every other one is a part of.
 RICHEST: Final = "rational"
@@ -43,8 +43,7 @@ class Projection:
 
 def lens_leaves(lens: str) -> Bool[np.ndarray, "leaves"]:
     """Which leaves of a camera with the richest lens one with this lens has."""
-    (radial, tangential), (most, most_tangential) = LENSES[lens], LENSES[RICHEST]
-    return np.concatenate([np.ones(4, bool), np.arange(most) < radial, np.arange(most_tangential) < tangential])
+    return np.isin(camera_parameters(RICHEST), camera_parameters(lens))
 
 
 def with_richest_lens(camera: Camera) -> Camera:

@@ -39,6 +39,10 @@ _TAIL = 0.1
 _CORE = 0.5
 # Up to this full width at half height the last five of 25 pixels are free of it: 2.5 px is 2.1 σ less than 8 px away.
 _CLEAR_WIDTH_PX = 5.0
+# A stripe stands above its background by more than so many times the noise.
+_LEAST_SIGNAL = 4.7
+# Light's own noise is read where at least this part of the lines is not full.
+_LEAST_FAIR = 0.25
 # A residual that the fit all but removes tells nothing of the noise.
 _LEAST_REDUNDANCY = 0.25
 # Chance, in standard deviations: the median of groups scatters 1.25 times as much as a mean.
@@ -178,9 +182,11 @@ def _noise(
     that the ends of the windows are free of them, these tell `read` better.
     """
     rest = 1 - found.weight * _leverage(found.jacobian, found.factor)
-    free = (found.weight > 0) & ~windows.full & known[:, None] & (rest > _LEAST_REDUNDANCY)
     height = jnp.maximum(found.height, 0.0)
     peak = around.top - around.floor
+    # A line without a stripe has a peak too, of noise.
+    lit = known & (peak > _LEAST_SIGNAL * ground[:, None, None])[:, 0]
+    free = (found.weight > 0) & ~windows.full & lit[:, None] & (rest > _LEAST_REDUNDANCY)
     tail, core = height < _TAIL * peak, height > _CORE * peak
 
     def grouped(where: Array, values: Pixels) -> Float[Array, "frames groups"]:
@@ -223,8 +229,9 @@ def _noise(
     tiny = jnp.finfo(jnp.float32).tiny
     chance = _CHANCE**2 * 2 * read2**2 * (n + n_core).sum(1) / jnp.maximum(found_squares**2, tiny)
     sure = jnp.where((found_squares > 0) & (chance < 1), 1 - chance, 0.0)
-    # Nothing is known where every line is full.
-    shot, speckle = (jnp.where(value > 0, sure * value, 0.0) for value in (shot, speckle))
+    # Of a burnt-out stripe the few lines that are not full are its ends and edges, which are no sample of the others.
+    lines = (fair & lit[:, None]).sum((1, 2)) >= _LEAST_FAIR * lit.sum(1)
+    shot, speckle = (jnp.where(lines & (value > 0), sure * value, 0.0) for value in (shot, speckle))
     return jnp.sqrt(read2), shot, speckle
 
 
