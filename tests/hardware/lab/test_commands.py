@@ -114,5 +114,5 @@ def test_a_server_that_is_killed_in_mid_scan_and_started_again(tmp_path: Path, m
     assert 0 < taken < FRAMES
     client.close()
     child.terminate()
-    _, err = child.communicate(timeout=20)
+    _, err = child.communicate(timeout=120)
     assert (child.returncode, err) == (130, "scanner: interrupted\n")
