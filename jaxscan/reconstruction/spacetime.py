@@ -49,6 +49,7 @@ from jaxscan.errors import InputError
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.stripes.detect import ambient_levels
 from jaxscan.images.stripes.detectors import Measured, measure
+from jaxscan.images.stripes.survey import LEAST_SIGNAL
 from jaxscan.images.stripes.tracks import Tracks, gather_passage, number_scale, passage_windows, survey_passage
 from jaxscan.reconstruction.merged_steps import Batch
 from jaxscan.reconstruction.overlapping import Overlapping, overlapping
@@ -64,8 +65,6 @@ _START: Detector = "gravity"
 _REACH, _MARGIN, _LEAST_HALF = 4.0, 4, 8
 # Tracks whose light passes further off than this, in standard deviations, are another stripe's.
 _FARTHEST = 4.0
-# The light stands out in time by so many times the noise, as in the image.
-_LEAST_SIGNAL = 4.7
 # How many lines of a frame tell its noise.
 _SURVEYED = 96
 _BATCH = 16
@@ -205,7 +204,7 @@ def _profiles(
         if which == "likelihood" and bool(seen.burnt.any()):
             full = measure(windows, sensor, group, which, "censored")
             seen = jax.tree.map(lambda new, old: jnp.where(seen.burnt, new, old), full, seen)
-        return seen, _LEAST_SIGNAL * sensor.ground[:, None]
+        return seen, LEAST_SIGNAL * sensor.ground[:, None]
 
     u, v = geometry.pixels(jnp.where(stripe.valid, stripe.position, 0.0))
     seen, _ = look(u, v, _START)

@@ -29,15 +29,13 @@ from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Measured, Model, measure
 from jaxscan.images.stripes.evidence import edges_go_on
 from jaxscan.images.stripes.likelihood import FWHM
-from jaxscan.images.stripes.survey import survey
+from jaxscan.images.stripes.survey import LEAST_SIGNAL, survey
 from jaxscan.images.stripes.windows import gather_windows
 
 # Frames that are looked at together.
 FRAMES_AT_ONCE: Final = 16
 # Half windows, px: the wide one holds stripes up to some 60 px wide.
 _NARROW, _WIDE = 12, 40
-# Smoothed as it is, the greatest of a thousand rows of noise stands out by two or three σ.
-_LEAST_SIGNAL = 4.7
 _LEAST_STRENGTH = 10.0
 # Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from about so many pixels.
 _AMBIENT_QUANTILE = 0.97
@@ -191,7 +189,7 @@ def _detect(
     everywhere = tuple(index.ravel() for index in np.indices(peak.shape, np.int32))
     measured = jax.tree.map(lambda x: x.reshape(peak.shape), look(everywhere, narrow, "plain"))
     ground = np.asarray(sensor.ground)[: len(peak), None]
-    least = np.maximum(_LEAST_SIGNAL * ground, _LEAST_STRENGTH)
+    least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
     # A window inside a burnt-out stripe sees no background, but it sees one end of it.
     strong = measured.relief > least
     cramped = measured.cramped & strong & (wide > narrow)

@@ -39,8 +39,9 @@ _TAIL = 0.1
 _CORE = 0.5
 # Up to this full width at half height the last five of 25 pixels are free of it: 2.5 px is 2.1 σ less than 8 px away.
 _CLEAR_WIDTH_PX = 5.0
-# A stripe stands above its background by more than so many times the noise.
-_LEAST_SIGNAL = 4.7
+# A stripe stands above its background by more than so many times the noise: smoothed as it is, the greatest of a
+# thousand rows of noise stands out by two or three σ.
+LEAST_SIGNAL = 4.7
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
 # A residual that the fit all but removes tells nothing of the noise.
@@ -124,10 +125,12 @@ def survey_windows(
         usual = _median(ln_s)
         spread = jnp.maximum(_NORMAL_MAD * _median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
         any_ = known.any(1)
-        noise = _noise(found, windows, around, known, read)
+        own, shot, speckle = _noise(found, windows, around, known, read)
         return replace(
             sensor,
-            **dict(zip(("read", "shot", "speckle"), noise, strict=True)),
+            read=own,
+            shot=shot,
+            speckle=speckle,
             ln_s=jnp.where(any_, usual, 0.0),
             ln_s_spread=jnp.where(any_, spread, _UNKNOWN),
         )
@@ -185,7 +188,7 @@ def _noise(
     height = jnp.maximum(found.height, 0.0)
     peak = around.top - around.floor
     # A line without a stripe has a peak too, of noise.
-    lit = known & (peak > _LEAST_SIGNAL * ground[:, None, None])[:, 0]
+    lit = known & (peak > LEAST_SIGNAL * ground[:, None, None])[:, 0]
     free = (found.weight > 0) & ~windows.full & lit[:, None] & (rest > _LEAST_REDUNDANCY)
     tail, core = height < _TAIL * peak, height > _CORE * peak
 
