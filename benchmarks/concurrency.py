@@ -2,8 +2,8 @@
 
 Each pool is a process of its own: JAX's pool of threads has the size that `NPROC` says, and photographs are looked at
 in as many threads, whatever the machine has. A process that shows no finished calibration for `_STILL_S` seconds hangs.
-Each calibration's time is compared with the median of the same board in the same process, without the first, which
-compiles.
+Each calibration's time is compared with the median of the same board in the same process. Before that all boards are
+calibrated once, which compiles.
 """
 
 import json
@@ -53,9 +53,9 @@ def measure(quick: bool) -> list[Metric]:
 
 
 def _over_median(done: list[tuple[str, float]]) -> Iterator[float]:
-    """Each calibration's time over the median of its board; the first two of a board compile."""
+    """Each calibration's time over the median of its board."""
     for name in {name for name, _ in done}:
-        times = [seconds for other, seconds in done if other == name][2:]
+        times = [seconds for other, seconds in done if other == name]
         yield from (seconds / float(np.median(times)) for seconds in times)
 
 
@@ -75,7 +75,9 @@ def _run(threads: int, seconds: float, sessions: list[str]) -> tuple[list[tuple[
     done = []
     try:
         while (line := lines.get(timeout=_STILL_S)) is not None:
-            done.append(tuple(json.loads(line)))
+            # What compiles gives a sign of life and no figure.
+            if line.strip():
+                done.append(tuple(json.loads(line)))
     except queue.Empty:
         return done, True
     finally:
@@ -92,8 +94,12 @@ def _calibrate_all(threads: int, seconds: float, sessions: list[str]) -> None:
     from jaxscan.calibration.observe import observe
     from jaxscan.files.session import read_session
 
-    until, printing = time.monotonic() + seconds, threading.Lock()
+    printing = threading.Lock()
     failed: list[BaseException] = []
+    for path in sessions:
+        calibrate(observe(read_session(Path(path))))
+        print(flush=True)
+    until = time.monotonic() + seconds
 
     def work(first: int) -> None:
         k = first

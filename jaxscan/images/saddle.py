@@ -48,7 +48,7 @@ Scalars = Float[np.ndarray, "corners"]
 
 # Half sides of the windows, px: each size is compiled once. The larger ones serve larger squares.
 _HALF_SIDES = (8, 16)
-# As many corners as this, or a multiple, share a compilation.
+# Corners that are fitted together: one size is compiled.
 _BATCH = 64
 _PARAMETERS = 13
 _FIRST_BLUR_PX = 1.2
@@ -156,22 +156,29 @@ def fit_saddles(
     shape = np.column_stack([starts - centres, angles, np.full((len(starts), 2), np.log(_FIRST_BLUR_PX))])
     # Across an edge a part of a square is shorter than along the other one, where they do not cross at right angles.
     sine = np.abs(np.linalg.det(lattice))[:, None]
-    pad = partial(_padded, by=-len(starts) % _BATCH)
-    # A GPU's own products of matrices would round to ten bits.
-    with float32(), jax.default_matmul_precision("highest"):
-        patches = _Patches(
-            levels=pad((levels - middle[:, None]) / spread[:, None]),
-            inside=pad(inside),
-            full=pad(full),
-            to_lattice=pad(np.linalg.inv(lattice) * sine[:, :, None]),
-            reach=pad(reach_px * sine),
-            clear=pad(np.stack([clear, clear], axis=1)),
-            bends=pad(bends),
-            scale=pad(reach_px.mean(axis=1)),
-        )
-        found = _fit(patches, pad(shape), jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32), 2 * half + 1)
+    whole = _Patches(
+        levels=(levels - middle[:, None]) / spread[:, None],
+        inside=inside,
+        full=full,
+        to_lattice=np.linalg.inv(lattice) * sine[:, :, None],
+        reach=reach_px * sine,
+        clear=np.stack([clear, clear], axis=1),
+        bends=bends,
+        scale=reach_px.mean(axis=1),
+    )
+    # Few at a time: one size is compiled for boards of all sizes, a corner that takes many steps keeps few others, and
+    # whoever else uses the processor waits no longer for a large board than for a small one.
+    with (
+        float32(),
+        jax.default_matmul_precision("highest"),
+    ):  # A GPU's own products of matrices would round to ten bits.
+        pixels = jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32)
+        parts = [
+            _fit(*jax.tree.map(partial(_batch, first=first), (whole, shape)), *pixels, 2 * half + 1)
+            for first in range(0, len(starts), _BATCH)
+        ]
     (shape, light, moved), variance, residual, share, correlation, by_bends = jax.tree.map(
-        lambda x: np.asarray(x, np.float64)[: len(starts)], found
+        lambda *x: np.concatenate(x, dtype=np.float64)[: len(starts)], *parts
     )
     told = np.column_stack([shape, light, variance, residual, correlation])
     settled = np.isfinite(told).all(axis=1) & (moved < _SETTLED_PX)
@@ -188,9 +195,10 @@ def fit_saddles(
     )
 
 
-def _padded(x: np.ndarray, by: int) -> Array:
-    """As the fit takes it, with the first corner so many times more."""
-    return jnp.asarray(np.concatenate([x, np.repeat(x[:1], by, axis=0)]), bool if x.dtype == bool else jnp.float32)
+def _batch(x: np.ndarray, first: int) -> Array:
+    """Some corners as the fit takes them, the last one repeated."""
+    some = np.minimum(np.arange(first, first + _BATCH), len(x) - 1)
+    return jnp.asarray(x[some], bool if x.dtype == bool else jnp.float32)
 
 
 def _windows(

@@ -19,12 +19,12 @@ def chance(seed, grain=0.0):
 @pytest.mark.parametrize("grain", [0.0, 1.0, 2.0])
 def test_chance_is_hardly_ever_taken_for_an_edge(grain):
     h3, h4 = chance(0, grain)
-    assert edges_go_on(h3, h4, SEEN).mean() < 0.01
+    assert edges_go_on(h3, h4, SEEN, SEEN).mean() < 0.01
 
 
 def test_heavy_tails_are_hardly_ever_taken_for_an_edge():
     h3, h4 = np.random.default_rng(1).standard_t(4, (2, FRAMES, LINES))
-    assert edges_go_on(h3, h4, SEEN).mean() < 0.01
+    assert edges_go_on(h3, h4, SEEN, SEEN).mean() < 0.01
 
 
 @pytest.mark.parametrize(("length", "share"), [(25, 0.85), (100, 0.98), (LINES, 0.98)])
@@ -32,7 +32,7 @@ def test_heavy_tails_are_hardly_ever_taken_for_an_edge():
 def test_a_shape_that_goes_on_is_found_in_its_lines(length, share, part):
     h = chance(2)
     h[part, :, 300 : 300 + length] += 4.0
-    found = edges_go_on(*h, SEEN)
+    found = edges_go_on(*h, SEEN, SEEN)
     assert found[:, 300 : 300 + length].mean() > share
     assert found[:, : 300 - 40].mean() < 0.01
 
@@ -41,7 +41,7 @@ def test_lines_without_a_stripe_are_not_read():
     h = chance(3)
     h[:, :, ::2] = np.nan
     seen = np.broadcast_to(np.arange(LINES) % 2 == 1, (FRAMES, LINES))
-    found = edges_go_on(*h, seen)
+    found = edges_go_on(*h, seen, seen)
     assert not found[:, ::2].any()
     assert found.mean() < 0.01
-    assert not edges_go_on(*h, np.zeros_like(seen)).any()
+    assert not edges_go_on(*h, np.zeros_like(seen), seen).any()

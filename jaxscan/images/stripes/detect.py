@@ -28,9 +28,9 @@ from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Measured, Model, measure
 from jaxscan.images.stripes.evidence import edges_go_on
-from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.likelihood import FWHM, ROUGH
 from jaxscan.images.stripes.survey import LEAST_SIGNAL, survey
-from jaxscan.images.stripes.windows import gather_windows
+from jaxscan.images.stripes.windows import Sensor, gather_windows
 
 # Frames that are looked at together.
 FRAMES_AT_ONCE: Final = 16
@@ -195,12 +195,16 @@ def _detect(
     cramped = measured.cramped & strong & (wide > narrow)
     burnt = measured.burnt & strong & ~cramped
     if detector == "likelihood":
-        measured = look_again(measured, cramped, wide, "censored")
-        measured = look_again(measured, burnt, narrow, "censored")
         # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.
         halo = burnt | (burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
         plain = strong & ~cramped & ~halo
-        strained = plain & measured.strained & edges_go_on(np.asarray(measured.h3), np.asarray(measured.h4), plain)
+        strained = edges_go_on(np.asarray(measured.h3), np.asarray(measured.h4), plain, plain & measured.strained)
+        grained, rough = (strong & each for each in _speckled(sensor, measured))
+        measured = look_again(measured, cramped & ~(grained | rough), wide, "censored")
+        measured = look_again(measured, burnt & ~(grained | rough), narrow, "censored")
+        measured = look_again(measured, cramped & (grained | rough), wide, "grained and censored")
+        measured = look_again(measured, (rough | grained & burnt) & ~cramped, narrow, "grained and censored")
+        measured = look_again(measured, grained & ~(rough | burnt | cramped), narrow, "grained")
         measured = look_again(measured, strained, narrow, "torn")
     else:
         measured = look_again(measured, cramped, wide, "plain")
@@ -210,6 +214,20 @@ def _detect(
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
     return Stripe(position, sigma, np.asarray(measured.strength), width, valid)
+
+
+def _speckled(
+    sensor: Sensor, measured: Measured
+) -> tuple[Bool[np.ndarray, "frames lines"], Bool[np.ndarray, "frames lines"]]:
+    """Which lines have speckle of several pixels, and which have so much that it makes them ragged.
+
+    Either only where it counts beside the sensor's noise.
+    """
+    speckle, grain, read = (
+        np.asarray(x)[: len(measured.relief), None] for x in (sensor.speckle, sensor.grain, sensor.read)
+    )
+    counts = speckle * measured.relief**2 > read**2
+    return counts & (grain > 0), counts & (speckle > ROUGH)
 
 
 def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:

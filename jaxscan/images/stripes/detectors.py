@@ -16,7 +16,7 @@ from jaxscan.images.stripes.likelihood import Misfit, likelihood
 from jaxscan.images.stripes.torn import torn
 from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bump, outline
 
-Model = Literal["plain", "censored", "torn"]
+Model = Literal["plain", "censored", "grained", "grained and censored", "torn"]
 
 _CLOSED: Final[dict[str, Callable[[Windows, Outline, Sensor], Estimate]]] = {
     "gravity": classical.gravity,
@@ -81,7 +81,7 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
     if model == "torn":
         found = torn(windows, around, here)
     elif detector == "likelihood":
-        found, misfit = likelihood(windows, around, here, model == "censored")
+        found, misfit = likelihood(windows, around, here, "censored" in model, "grained" in model)
     else:
         found = _CLOSED[detector](windows, around, here)
     seen = bump(windows.neutral) if windows.neutral is not None else around

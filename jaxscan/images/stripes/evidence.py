@@ -18,8 +18,8 @@ from jaxtyping import Bool, Float
 _HALF_WINDOWS = (4, 16)
 # K.
 _GRAIN = 8
-# t² by chance alone. Of two squares of normal numbers one in 10^5 is as large as 23; v of a few lines is not exact.
-_LEAST_T2 = 40.0
+# t² by chance alone: of two squares of normal numbers one in 20 000 is as large.
+_LEAST_T2 = 20.0
 _FEWEST = 5
 # In a few lines v may come out small by chance: it is no less than this part of what most lines of the frame have.
 _LEAST_OF_USUAL = 0.5
@@ -27,14 +27,25 @@ _LEAST_OF_USUAL = 0.5
 Lines = Float[np.ndarray, "frames lines"]
 
 
-def edges_go_on(h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
+def edges_go_on(
+    h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"], asked: Bool[np.ndarray, "frames lines"]
+) -> Bool[np.ndarray, "frames lines"]:
     """Which lines lie in a window over which the shape of what is left goes on.
 
     Args:
         h3: of each line, in parts of the stripe's height.
         h4: likewise.
         seen: which lines have a stripe; the others are not read.
+        asked: of which lines it is asked. Frames in which they are few have no edge.
     """
+    found = np.zeros_like(seen)
+    some = asked.sum(1) >= _FEWEST
+    if some.any():
+        found[some] = _go_on(h3[some], h4[some], seen[some])
+    return found & asked
+
+
+def _go_on(h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
     t2 = [np.zeros(seen.shape) for _ in _HALF_WINDOWS]
     for h in (h3, h4):
         known = seen & np.isfinite(h)

@@ -28,14 +28,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.images.stripes.classical import Estimate
+from jaxscan.images.stripes.grain import innovations
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
 _STEPS, _STEPS_CENSORED = 2, 8
+# With correlated speckle so many follow: one comes within 0.04 σ of the minimum from there.
+_STEPS_GRAINED, _STEPS_GRAINED_CENSORED = 1, 3
 # The model holds about the stripe, not for what else is in the window: so many standard deviations, and pixels, beyond
 # where it falls to half its seen height. What lies further out holds 1 % of what is known of the centre.
-_REACH, _REACH_PX = 1.3, 2.0
+_REACH, _REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
 LN_HEIGHT_SPREAD = 2.0
+# Squared contrast of speckle that makes a stripe ragged.
+ROUGH = 0.3**2
 # The longest step: in c, of s; in the logarithms.
 _LONGEST = 0.7
 FWHM = 2.354820
@@ -70,6 +75,7 @@ class Fit(NamedTuple):
         jacobian: J of each pixel.
         weight: w of each pixel; 0 of those beyond the model's reach.
         residual: y − μ of each free pixel, 0 of the others.
+        standard: the same as independent numbers of unit variance.
         used: which pixels are within the model's reach.
         free: which of these are not full.
         factor: the Cholesky factor, row by row.
@@ -81,6 +87,7 @@ class Fit(NamedTuple):
     jacobian: tuple[Pixels, ...]
     weight: Pixels
     residual: Pixels
+    standard: Pixels
     used: Bool[Array, "groups window lines"]
     free: Bool[Array, "groups window lines"]
     factor: list[list[Lines]]
@@ -101,7 +108,9 @@ class Misfit(NamedTuple):
     h4: Lines
 
 
-def likelihood(windows: Windows, outline: Outline, sensor: Sensor, censored: bool) -> tuple[Estimate, Misfit]:
+def likelihood(
+    windows: Windows, outline: Outline, sensor: Sensor, censored: bool, grained: bool = False
+) -> tuple[Estimate, Misfit]:
     """The maximum-likelihood centre of each stripe, and what its profile leaves.
 
     σ is that of the fit, scaled by how the line's own residuals compare with the sensor's noise: a profile that is not
@@ -112,9 +121,11 @@ def likelihood(windows: Windows, outline: Outline, sensor: Sensor, censored: boo
         outline: where to start.
         sensor: its noise.
         censored: whether there are full pixels.
+        grained: whether speckle goes on from pixel to pixel.
     """
-    found = fit(windows, outline, sensor, censored)
-    squares = (found.residual**2 / windows.variance(found.height, sensor)).sum(1, keepdims=True)
+    more = _STEPS_GRAINED_CENSORED if censored else _STEPS_GRAINED
+    found = fit(windows, outline, sensor, censored, grain_steps=more if grained else 0)
+    squares = (found.standard**2).sum(1, keepdims=True)
     freedom = jnp.maximum(found.free.sum(1, keepdims=True) - len(Profile._fields), 0)
     scatter = (_FREEDOM_OF_NOISE + squares) / (_FREEDOM_OF_NOISE + freedom)
     sigma = jnp.sqrt(scatter) / found.inverse_sigma
@@ -146,33 +157,83 @@ def fit(
     censored: bool,
     steps: int | None = None,
     further_px: float = 0.0,
+    grain_steps: int = 0,
 ) -> Fit:
-    """The profile that makes the pixels likeliest, after so many of Newton's steps, and so much further out."""
+    """The profile that makes the pixels likeliest.
+
+    Args:
+        windows: the response.
+        outline: where to start.
+        sensor: its noise.
+        censored: whether there are full pixels.
+        steps: how many of Newton's steps are taken with independent pixels.
+        further_px: how much further out than usual pixels are used.
+        grain_steps: how many steps follow with pixels whose speckle is correlated.
+    """
     start = first_guess(windows, outline, sensor, censored)
+    reach = outline.width / 2 + _REACH * jnp.exp(start.ln_s) + _REACH_PX + further_px
+    # A dark grain splits a stripe, so that its outline tells little. And the light's tails tell the centre as well as
+    # its flanks do, down to the sensor's noise.
+    rough = (sensor.speckle > ROUGH) & (sensor.ln_s_spread < 1)
+    start = start._replace(ln_s=jnp.where(rough, sensor.ln_s, start.ln_s))
+    reach = jnp.where(rough, jnp.maximum(reach, _REACH_ROUGH * jnp.exp(sensor.ln_s) + _REACH_PX), reach)
     mean = start._replace(ln_s=sensor.ln_s)
     precision = Profile(*(jnp.zeros(()), jnp.asarray(LN_HEIGHT_SPREAD**-2), sensor.ln_s_spread**-2, jnp.zeros(())))
-    reach = outline.width / 2 + _REACH * jnp.exp(start.ln_s) + _REACH_PX + further_px
     used = jnp.abs(places(windows.response.shape[1]) - start.centre) <= reach
 
     free = used & ~windows.full if censored else used
 
-    def step(profile: Profile) -> Fit:
+    def step(profile: Profile, grain: bool) -> Fit:
         height, jacobian = _pixels(profile, windows.response.shape[1])
         seen = weigh(profile.background, height, windows, used, sensor, censored)
-        L = factor(jacobian, seen.weight, precision)
-        newton = solve(L, gradient(jacobian, seen.score, precision, profile, mean))
+        if grain:
+            *basis, score = _independent(jacobian, height, seen, free, sensor, windows.gain)
+            weight = jnp.ones_like(score)
+        else:
+            basis, score, weight = jacobian, seen.score, seen.weight
+        L = factor(basis, weight, precision)
+        newton = solve(L, gradient(basis, score, precision, profile, mean))
         longest = (jnp.inf, 2 * _LONGEST, _LONGEST, _LONGEST * jnp.exp(profile.ln_s))
         change = [jnp.clip(by, -most, most) for by, most in zip(newton, longest, strict=True)]
         moved = Profile(*(now + by for now, by in zip(profile, change, strict=True)))
         # To first order, which spares an evaluation: of two steps it is a third of the work.
         left = seen.residual - sum(J * by for J, by in zip(jacobian, change, strict=True))
+        if grain:
+            standard = score - sum(J * by for J, by in zip(basis, change, strict=True))
+        else:
+            standard = jnp.sqrt(seen.weight) * left
         # In even noise σ_c goes as √s / A.
         inverse_sigma = L[-1][-1] * jnp.exp(change[1] - change[2] / 2)
-        return Fit(moved, height, jacobian, seen.weight, jnp.where(free, left, 0.0), used, free, L, inverse_sigma)
+        left, standard = (jnp.where(free, value, 0.0) for value in (left, standard))
+        return Fit(moved, height, jacobian, seen.weight, left, standard, used, free, L, inverse_sigma)
 
     if steps is None:
         steps = _STEPS_CENSORED if censored else _STEPS
-    return step(jax.lax.fori_loop(0, steps - 1, lambda _, profile: step(profile).profile, start))
+    if not grain_steps:
+        return step(jax.lax.fori_loop(0, steps - 1, lambda _, profile: step(profile, False).profile, start), False)
+    begun = jax.lax.fori_loop(0, steps, lambda _, profile: step(profile, False).profile, start)
+    return step(jax.lax.fori_loop(0, grain_steps - 1, lambda _, profile: step(profile, True).profile, begun), True)
+
+
+def _independent(
+    jacobian: Sequence[Pixels],
+    height: Pixels,
+    seen: "Weighed",
+    free: Bool[Array, "groups window lines"],
+    sensor: Sensor,
+    gain: Pixels | None,
+) -> list[Pixels]:
+    """J and the residual as independent numbers of unit variance.
+
+    A full pixel has no speckle of its own: it is a datum of the variance 1 / w that is off by g / w.
+    """
+    weight = jnp.maximum(seen.weight, _LEAST_PIVOT)
+    light = jnp.where(free, jnp.maximum(height, 0.0), 0.0)
+    if gain is not None:
+        light = light * jnp.sqrt(gain)
+    used = jnp.where(seen.weight > 0, 1.0, 0.0)
+    own = jnp.where(free, 1 / weight - sensor.speckle * light**2, 1 / weight)
+    return innovations([*jacobian, seen.score / weight], light, own, used, sensor.speckle, sensor.grain)
 
 
 def _pixels(profile: Profile, size: int) -> tuple[Pixels, tuple[Pixels, ...]]:

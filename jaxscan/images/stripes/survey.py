@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.images.stripe_settings import CHANNELS
-from jaxscan.images.stripes.likelihood import Fit, fit
+from jaxscan.images.stripes.grain import Chance, chance
+from jaxscan.images.stripes.likelihood import ROUGH, Fit, fit
+from jaxscan.images.stripes.ranks import median
 from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channel_weights, channels, response
 from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows, gather_pixels, outline
 
@@ -22,11 +24,13 @@ _LINES, _GROUPS = 96, 8
 # Newton's steps: as far as the noise need be known.
 _STEPS = 4
 # Where speckle is strong, what a fit leaves tells the noise only once the fit has weighted its pixels by it.
-_LOOKS = 2
+_LOOKS, _SKIPPED = 3, 3
 # Rows at each end of the window that tell the noise without laser.
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
 _DEVIATION_TO_SIGMA = 1.2533 / (1 - 1 / _FLANK) ** 0.5
+# A mean of two such deviations over the lesser of them.
+_QUIETER = 1.26
 # A pixel is full from its greatest number on, and what a JPEG makes of it.
 FULL = 0.99
 # Numbers of 16 bits may come from a sensor of fewer.
@@ -44,10 +48,9 @@ _CLEAR_WIDTH_PX = 5.0
 LEAST_SIGNAL = 4.7
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
-# A residual that the fit all but removes tells nothing of the noise.
-_LEAST_REDUNDANCY = 0.25
-# Chance, in standard deviations: the median of groups scatters 1.25 times as much as a mean.
-_CHANCE = 3.0
+_WIDE_ENOUGH_PX = 0.9
+# A line that leaves so many times as much as most is no sample of the noise.
+_MOST_OF_USUAL = 8.0
 _NORMAL_MAD = 1.4826
 # How far ln s of a line may be from that of the others: no less than this, and before anything is known a factor of e.
 _LEAST_SPREAD, _UNKNOWN = 0.1, 1.0
@@ -111,31 +114,45 @@ def survey_windows(
     r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
     span = full.astype(jnp.float32) * (1 if color == "grey" else 2)
     rounding = _ROUNDING * (one if color == "grey" else jnp.sqrt(4 + weights[0] ** 2 + weights[1] ** 2))
-    ground = _ground(plain, gain)
-    read = jnp.maximum(_ground(r, gain), rounding)
-    sensor = Sensor(weights, ambient, full, span, ground, read, 0 * one, 0 * one, 0 * one, _UNKNOWN * one)
+    ground = _ground(plain, burnt, gain)
+    read = jnp.maximum(_ground(r, burnt, gain), rounding)
+    sensor = Sensor(weights, ambient, full, span, ground, read, 0 * one, 0 * one, 0 * one, 0 * one, _UNKNOWN * one)
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
+    # With no idea of the noise some lines will do.
+    some, about = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
+    sensor = _look(some, about, sensor, read)
 
-    def look(_: Array, sensor: Sensor) -> Sensor:
-        """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
-        found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
-        known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
-        ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
-        usual = _median(ln_s)
-        spread = jnp.maximum(_NORMAL_MAD * _median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
-        any_ = known.any(1)
-        own, shot, speckle = _noise(found, windows, around, known, read)
-        return replace(
-            sensor,
-            read=own,
-            shot=shot,
-            speckle=speckle,
-            ln_s=jnp.where(any_, usual, 0.0),
-            ln_s_spread=jnp.where(any_, spread, _UNKNOWN),
-        )
+    def again(looked: Array, sensor: Sensor) -> Sensor:
+        seen, more = _look(windows, around, sensor, read), (looked == 0) | (sensor.speckle > ROUGH)
+        return jax.tree.map(partial(jnp.where, more), seen, sensor)
 
-    return jax.lax.fori_loop(0, _LOOKS, look, sensor)
+    # The last looks are for those that speckle has made ragged; where there are none they are not taken.
+    def unfinished(state: tuple[Array, Sensor]) -> Array:
+        return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].speckle > ROUGH).any())
+
+    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), (jnp.asarray(0), sensor))[1]
+
+
+def _look(windows: Windows, around: Outline, sensor: Sensor, read: Float[Array, "frames"]) -> Sensor:
+    """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
+    found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
+    known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
+    ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
+    usual = median(ln_s)
+    spread = jnp.maximum(_NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
+    # A line without a stripe has a peak too, of noise.
+    shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
+    light = _chance(found, windows, around, shines, read)
+    return replace(
+        sensor,
+        read=jnp.sqrt(light.read2),
+        shot=light.shot,
+        speckle=light.speckle,
+        grain=light.grain,
+        ln_s=jnp.where(known.any(1), usual, 0.0),
+        ln_s_spread=jnp.where(known.any(1), spread, _UNKNOWN),
+    )
 
 
 def greatest_numbers(bits: int) -> list[int]:
@@ -162,102 +179,65 @@ def _weights(
     return channel_weights(levels, jnp.where(core, r - around.floor, 0.0), jnp.broadcast_to(beside, r.shape))
 
 
-def _ground(r: Float[Array, "frames window lines"], gain: Pixels | None) -> Float[Array, "frames"]:
-    """What stands out without a laser: noise and texture (σ), from the ends of each frame's windows."""
+def _ground(r: Float[Array, "frames window lines"], burnt: Array, gain: Pixels | None) -> Float[Array, "frames"]:
+    """What stands out without a laser: noise and texture (σ), from the ends of each frame's windows.
+
+    A burnt-out stripe is flat, so that its window may begin or end on it: there the quieter end counts.
+    """
 
     def flanks(x: Pixels) -> Float[Array, "2 frames flank lines"]:
         return jnp.stack([x[:, :_FLANK], x[:, -_FLANK:]])
 
     off = flanks(r) - flanks(r).mean(-2, keepdims=True)
-    deviation = jnp.abs(off if gain is None else off / jnp.sqrt(flanks(gain))).mean((0, -2))
-    return _DEVIATION_TO_SIGMA * _median(deviation)
+    deviation = jnp.abs(off if gain is None else off / jnp.sqrt(flanks(gain))).mean(-2)
+    each = jnp.where(burnt.any(1), _QUIETER * deviation.min(0), deviation.mean(0))
+    return _DEVIATION_TO_SIGMA * median(each)
 
 
-def _noise(
-    found: Fit, windows: Windows, around: Outline, known: Bool[Array, "frames lines"], ground: Float[Array, "frames"]
-) -> tuple[Float[Array, "frames"], Float[Array, "frames"], Float[Array, "frames"]]:
-    """Read noise, shot noise and speckle, from what is left of the stripes when their profiles have been taken off.
+def _chance(
+    found: Fit,
+    windows: Windows,
+    around: Outline,
+    shines: Bool[Array, "frames lines"],
+    ground: Float[Array, "frames"],
+) -> Chance:
+    """Noise and speckle, from lines without full pixels where these are no exception.
 
-    A residual e has the expected square v (1 − h), v = gain · (read² + shot · A P + speckle · (A P)²), with
-    h = w Jᵀ (Jᵀ W J)⁻¹ J its leverage.
-    Summed over the stripe's tails, its flanks and its core, these are three equations; solved for groups of lines, of
-    which the median is taken, for where a stripe meets an edge its profile is no Gaussian. Where stripes are so narrow
-    that the ends of the windows are free of them, these tell `read` better.
+    Steep flanks beside a full core say more of the model than of the light. But of a burnt-out stripe the few lines
+    that are not full are its ends and edges, which are no sample of the others. Where stripes are so narrow that the
+    ends of the windows are free of them, these tell the sensor's noise.
     """
-    rest = 1 - found.weight * _leverage(found.jacobian, found.factor)
+    clean = shines & ~windows.full.any(1)
+    usual = median(jnp.where(shines, found.profile.ln_s[:, 0], jnp.nan))
+    # Of a narrow one what is not full is all flank.
+    rest = shines & (usual > jnp.log(_WIDE_ENOUGH_PX))[:, None]
+    fair = jnp.where((clean.sum(1) >= _LEAST_FAIR * shines.sum(1))[:, None], clean, rest)
+    # Where an edge runs along the stripe, the profile leaves much more than chance does.
+    left = (found.weight * found.residual**2).sum(1)
+    fair &= left < _MOST_OF_USUAL * median(jnp.where(fair, left, jnp.nan))[:, None]
+    root = jnp.where(fair[:, None], jnp.sqrt(found.weight), 0.0)
     height = jnp.maximum(found.height, 0.0)
+    # A full pixel takes its part of what the fit takes, and shows nothing.
+    square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
     peak = around.top - around.floor
-    # A line without a stripe has a peak too, of noise.
-    lit = known & (peak > LEAST_SIGNAL * ground[:, None, None])[:, 0]
-    free = (found.weight > 0) & ~windows.full & lit[:, None] & (rest > _LEAST_REDUNDANCY)
-    tail, core = height < _TAIL * peak, height > _CORE * peak
-
-    def grouped(where: Array, values: Pixels) -> Float[Array, "frames groups"]:
-        each = jnp.where(free & where, values, 0.0).sum(1)
-        groups = min(_GROUPS, each.shape[1])
-        use = each.shape[1] // groups * groups
-        return each[:, :use].reshape(each.shape[0], groups, -1).sum(2)
-
-    def usual(above: Float[Array, "frames groups"], below: Float[Array, "frames groups"]) -> Float[Array, "frames"]:
-        return _median(jnp.where(below > 0, above / jnp.where(below > 0, below, 1.0), jnp.nan))
-
-    squares = found.residual**2 if windows.gain is None else found.residual**2 / windows.gain
-    (e_tail, e_rest), (n_tail, n_rest), (p_tail, p_rest), (q_tail, q_rest) = (
-        [grouped(where, values) for where in (tail, ~tail)]
-        for values in (squares, rest, rest * height, rest * height**2)
+    core, tail = (jnp.where(where, 1.0, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
+    clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
+    return chance(
+        standard=root * found.residual,
+        unit=square,
+        photons=square * height,
+        light=jnp.sqrt(square) * height,
+        regions=(tail, 1 - core - tail, core),
+        taken=[root * y for y in _taken(found)],
+        read2=ground**2,
+        known=clear,
+        groups=_GROUPS,
     )
-    # Of the two laws by which the light may scatter, photons leave the least of what the tails show to the sensor.
-    by_photons = usual(e_tail * p_rest - e_rest * p_tail, n_tail * p_rest - n_rest * p_tail)
-    by_speckle = usual(e_tail * q_rest - e_rest * q_tail, n_tail * q_rest - n_rest * q_tail)
-    read2 = jnp.where(by_photons > 0, by_photons, by_speckle)
-    clear = _median(jnp.where(known, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
-    read2 = jnp.where(clear | ~(read2 > 0), ground**2, jnp.minimum(read2, ground**2))
-    # Steep flanks beside a full core say more of the model than of photons.
-    fair = ~windows.full.any(1, keepdims=True)
-    (n, n_core), (e, e_core), (p, p_core), (q, q_core) = (
-        [grouped(where, values) for where in (fair & ~core, fair & core)]
-        for values in (rest, squares, rest * height, rest * height**2)
-    )
-    excess, excess_core = e - read2[:, None] * n, e_core - read2[:, None] * n_core
-    shot = usual(excess * q_core - excess_core * q, p * q_core - p_core * q)
-    speckle = usual(excess_core * p - excess * p_core, p * q_core - p_core * q)
-    alone = usual(excess + excess_core, p + p_core), usual(excess + excess_core, q + q_core)
-    # Neither is negative: where one would be, the other explains it all.
-    shot, speckle = (
-        jnp.where(speckle > 0, jnp.where(shot > 0, shot, 0.0), alone[0]),
-        jnp.where(shot > 0, jnp.where(speckle > 0, speckle, 0.0), alone[1]),
-    )
-    # Drawn towards none where they are within what chance alone makes of so many residuals.
-    found_squares = shot * (p + p_core).sum(1) + speckle * (q + q_core).sum(1)
-    tiny = jnp.finfo(jnp.float32).tiny
-    chance = _CHANCE**2 * 2 * read2**2 * (n + n_core).sum(1) / jnp.maximum(found_squares**2, tiny)
-    sure = jnp.where((found_squares > 0) & (chance < 1), 1 - chance, 0.0)
-    # Of a burnt-out stripe the few lines that are not full are its ends and edges, which are no sample of the others.
-    lines = (fair & lit[:, None]).sum((1, 2)) >= _LEAST_FAIR * lit.sum(1)
-    shot, speckle = (jnp.where(lines & (value > 0), sure * value, 0.0) for value in (shot, speckle))
-    return jnp.sqrt(read2), shot, speckle
 
 
-def _leverage(jacobian: tuple[Pixels, ...], factor: list[list[Array]]) -> Pixels:
-    """Jᵀ (L Lᵀ)⁻¹ J of each pixel: the square of L⁻¹ J."""
+def _taken(found: Fit) -> list[Pixels]:
+    """L⁻¹ J of each pixel, L Lᵀ = Jᵀ W J: the sum of their squares times W is the leverage."""
     y: list[Pixels] = []
-    for i, J in enumerate(jacobian):
-        y.append((J - sum(factor[i][m] * y[m] for m in range(i))) / factor[i][i])
-    return sum((value**2 for value in y), start=jnp.zeros_like(jacobian[0]))
-
-
-def _median(values: Float[Array, "frames some"]) -> Float[Array, "frames"]:
-    """The median of each frame's values that are not NaN.
-
-    By their ranks: of so few, counting is sooner done, and much sooner compiled, than a sort.
-    """
-    known = ~jnp.isnan(values)
-    count = known.sum(1, keepdims=True)
-    others = jnp.where(known, values, jnp.inf)[:, None]
-    before = (others < values[..., None]).sum(2)
-    upto = (others <= values[..., None]).sum(2)
-
-    def ranked(rank: Int[Array, "frames 1"]) -> Float[Array, "frames"]:
-        return jnp.where(known & (before <= rank) & (rank < upto), values, -jnp.inf).max(1)
-
-    return jnp.where(count[:, 0] > 0, (ranked((count - 1) // 2) + ranked(count // 2)) / 2, jnp.nan)
+    for i, J in enumerate(found.jacobian):
+        y.append((J - sum(found.factor[i][m] * y[m] for m in range(i))) / found.factor[i][i])
+    return y

@@ -44,6 +44,11 @@ _FURTHER_PX: Final = 2.0
 _LEAST_F: Final = 3.0
 # What the edge leaves unexplained, at the most so many times the sensor's own noise: photons and speckle leave more.
 _MOST_LEFT: Final = 4.0
+# Or else this part of what the plain profile leaves: speckle leaves more than the sensor does.
+_MOST_UNEXPLAINED: Final = 0.3
+# In place of the light's own scatter: no edge is as simple as this one, so that the brightest pixels do not decide
+# alone (squared contrast).
+_SPECKLE: Final = 0.1**2
 
 
 class Torn(NamedTuple):
@@ -59,8 +64,9 @@ class Torn(NamedTuple):
 
 def torn(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
     """The centre of each stripe with an edge in it; `found` where there is one."""
-    # Where a whole stripe is torn, the residuals that the shot noise was taken from are the edge's.
-    sensor = replace(sensor, shot=jnp.zeros_like(sensor.shot))
+    # Where a whole stripe is torn, the residuals that shot noise and speckle were taken from are the edge's.
+    zero = jnp.zeros_like(sensor.shot)
+    sensor = replace(sensor, shot=zero, speckle=zero + _SPECKLE, grain=zero)
     plain = fit(windows, outline, sensor, censored=True, further_px=_FURTHER_PX)
     used, size = plain.used, windows.response.shape[1]
     s = jnp.exp(plain.profile.ln_s)
@@ -115,7 +121,7 @@ def torn(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
     freedom = jnp.maximum((used & ~windows.full).sum(1, keepdims=True) - len(Torn._fields), 1)
     f = (without - misfit) / 2 / (jnp.maximum(misfit, 1e-6) / freedom)
     sigma = jnp.sqrt(jnp.maximum(misfit / freedom, 1.0)) / factor(jacobian, seen.weight, precision)[-1][-1]
-    explained = (f > _LEAST_F) & (misfit < _MOST_LEFT * freedom)
+    explained = (f > _LEAST_F) & ((misfit < _MOST_LEFT * freedom) | (misfit < _MOST_UNEXPLAINED * without))
     near = jnp.abs(theta.centre - plain.profile.centre) < FWHM * jnp.exp(theta.ln_s)
     return Estimate(theta.centre, sigma, FWHM * jnp.exp(theta.ln_s), jnp.isfinite(sigma) & explained & near)
 

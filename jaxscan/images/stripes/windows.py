@@ -73,6 +73,7 @@ class Sensor(eqx.Module):
         read: σ of the sensor's noise without laser, grey levels.
         shot: variance of the response for each grey level of it, above the background: photons.
         speckle: variance of the laser's light in a pixel, in parts of its square: the speckle's contrast, squared.
+        grain: correlation of the speckle of neighbouring pixels of a line; of pixels k apart it is grain^(k²).
         ln_s: ln of the stripe's usual standard deviation, px.
         ln_s_spread: σ of that of single lines.
     """
@@ -85,6 +86,7 @@ class Sensor(eqx.Module):
     read: Float[Array, "*of"]
     shot: Float[Array, "*of"]
     speckle: Float[Array, "*of"]
+    grain: Float[Array, "*of"]
     ln_s: Float[Array, "*of"]
     ln_s_spread: Float[Array, "*of"]
 

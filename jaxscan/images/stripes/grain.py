@@ -1,0 +1,264 @@
+"""Speckle whose grains are larger than a pixel: what neighbouring pixels have in common is taken off.
+
+Speckle multiplies the light A P of a pixel by 1 + ε. Of pixels j apart in a line, ε has the covariance C² ρ^(j²), with
+C the contrast and ρ the correlation of neighbours, a Gaussian law, and the pixels of a line that of
+
+    V = diag(v) + C² diag(A P) (R − I) diag(A P),    R_ij = ρ^((i − j)²),    v = read² + shot · A P + C² (A P)²
+
+V is not factored: ε is taken for the autoregressive sequence of second order that has the same variance and first two
+correlations (N. Levinson 1947, J. Durbin 1960),
+
+    ε_k = ρ (1 + ρ²) ε_(k−1) − ρ² ε_(k−2) + η_k,    var η = C² (1 − ρ²) (1 − ρ⁴)
+
+and R. Kalman's filter (1960) makes of a sequence of pixels its innovations over their σ, which are independent and of
+unit variance, in one pass along the window.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxscan.images.stripes.ranks import median
+from jaxscan.images.stripes.windows import Lines, Pixels
+
+# Products of pixels so far apart are looked at, less one; beyond so many pixels no grain goes on.
+_LAGS: Final = 3
+_DISTANCES: Final = 5
+# ρ is one of so many, up to this: a grain of 2 px has 0.88.
+_MOST, _STEPS = 0.92, 47
+# What each further number must explain at the least, in squares of standard deviations.
+_PRICE: Final = 4.0
+_TINY: Final = 1e-12
+
+Frames = Float[Array, "frames"]
+PerLine = Float[Array, "frames lines"]
+
+
+class _Pixel(NamedTuple):
+    """A pixel of each line: what is filtered, its light where it has speckle, its own noise, and 1 where it is used."""
+
+    values: tuple[Lines, ...]
+    light: Lines
+    own: Lines
+    used: Lines
+
+
+class _State(NamedTuple):
+    """What is expected of ε_k and ε_(k−1): for each sequence its means; and of all, their variances and covariance."""
+
+    now: tuple[Lines, ...]
+    before: tuple[Lines, ...]
+    p: Lines
+    q: Lines
+    r: Lines
+
+
+def innovations(
+    values: Sequence[Pixels], light: Pixels, own: Pixels, used: Pixels, speckle: Lines, grain: Lines
+) -> list[Pixels]:
+    """Sequences of pixels as independent numbers of unit variance; 0 where a pixel is not used.
+
+    Args:
+        values: the sequences: residuals, derivatives.
+        light: A P of each pixel; 0 where it has no speckle of its own.
+        own: the rest of its variance.
+        used: 1 of those that are read, 0 of the others.
+        speckle: C².
+        grain: ρ.
+    """
+    rho2 = grain**2
+    a, b, fresh = grain * (1 + rho2), -rho2, speckle * (1 - rho2) * (1 - rho2**2)
+    zero = jnp.zeros_like(speckle)
+    start = _State((zero,) * len(values), (zero,) * len(values), speckle, speckle * grain, speckle)
+
+    def step(state: _State, pixel: _Pixel) -> tuple[_State, tuple[Lines, ...]]:
+        known = pixel.used / (pixel.light**2 * state.p + pixel.own)
+        off = [value - pixel.light * now for value, now in zip(pixel.values, state.now, strict=True)]
+        gain = pixel.light * known
+        now = [mean + state.p * gain * by for mean, by in zip(state.now, off, strict=True)]
+        before = [mean + state.q * gain * by for mean, by in zip(state.before, off, strict=True)]
+        told = gain * pixel.light
+        p, q, r = state.p - state.p**2 * told, state.q - state.p * state.q * told, state.r - state.q**2 * told
+        after = _State(
+            tuple(a * one + b * other for one, other in zip(now, before, strict=True)),
+            tuple(now),
+            a * a * p + 2 * a * b * q + b * b * r + fresh,
+            a * p + b * q,
+            p,
+        )
+        root = jnp.sqrt(known)
+        return after, tuple(root * by for by in off)
+
+    along = jax.tree.map(
+        lambda x: jnp.moveaxis(jnp.broadcast_to(x, light.shape), 1, 0)[:, :, None],
+        _Pixel(tuple(values), light, own, used),
+    )
+    _, found = jax.lax.scan(step, start, along)
+    return [jnp.moveaxis(x[:, :, 0], 0, 1) for x in found]
+
+
+class Chance(NamedTuple):
+    """How a frame's pixels scatter: variance of the sensor's noise, shot noise, C² of the speckle, ρ."""
+
+    read2: Frames
+    shot: Frames
+    speckle: Frames
+    grain: Frames
+
+
+def chance(
+    standard: Pixels,
+    unit: Pixels,
+    photons: Pixels,
+    light: Pixels,
+    regions: Sequence[Pixels],
+    taken: Sequence[Pixels],
+    read2: Frames,
+    known: Bool[Array, "frames"],
+    groups: int,
+) -> Chance:
+    """Noise and speckle of each frame, from what fits of its stripes leave.
+
+    A fit whose pixels have the weights W takes the projection on its derivatives out of what chance has put in:
+
+        E z zᵀ = (I − Y Yᵀ) W^½ V W^½ (I − Y Yᵀ),    z = W^½ (y − μ),    Y an orthonormal basis of W^½ J
+
+    What it leaves of z² in the stripe's regions, and of the products of pixels that are one and two apart, is linear in
+    read², shot noise and C² ρ^(j²). Of these equations the solution is taken in which none is negative and that needs
+    least: another number must explain more than chance does (H. Akaike 1974, at twice his price).
+
+    Args:
+        standard: z; 0 of lines and pixels that are not read.
+        unit: the variance of W^½ y that read noise of 1 makes, likewise.
+        photons: the variance that shot noise of 1 makes, likewise.
+        light: W^½ A P, likewise.
+        regions: 1 in each of the stripe's regions, 0 elsewhere.
+        taken: Y, likewise.
+        read2: the variance of the sensor's noise; of frames that do not tell it, the most that it can be.
+        known: which do.
+        groups: into how many groups of lines a frame is divided: of their sums the median is taken.
+    """
+    count = len(taken)
+    lags = range(1, _LAGS)
+
+    def sums(pairs: Sequence[tuple[Pixels, Pixels]]) -> list[PerLine]:
+        """Of products of pixels: in each region, and of those so far apart, everywhere."""
+        own = _total([a * b for a, b in pairs])
+        apart = [_total([a[:, lag:] * b[:, :-lag] + a[:, :-lag] * b[:, lag:] for a, b in pairs]) / 2 for lag in lags]
+        return [*((at * own).sum(1) for at in regions), *(x.sum(1) for x in apart)]
+
+    again = {(i, k): sums([(taken[i], taken[k])]) for i in range(count) for k in range(i + 1)}
+
+    def left(direct: Sequence[PerLine | float], through: Callable[[Pixels], Pixels]) -> list[PerLine]:
+        """What is left of a covariance's sums, from its own sums and what it makes of Y."""
+        made = [through(y) for y in taken]
+        lost = sums(list(zip(taken, made, strict=True)))
+        shared = {(i, k): (1 if i == k else 2) * (taken[i] * made[k]).sum(1) for i, k in again}
+        return [
+            one - 2 * two + sum((shared[pair] * again[pair][n] for pair in again), start=jnp.zeros(()))
+            for n, (one, two) in enumerate(zip(direct, lost, strict=True))
+        ]
+
+    def independent(v: Pixels) -> list[PerLine]:
+        return left([*((at * v).sum(1) for at in regions), *[0.0] * len(lags)], lambda y: v * y)
+
+    def alike(apart: int) -> list[PerLine]:
+        direct = [(light[:, apart:] * light[:, :-apart]).sum(1) if lag == apart else 0.0 for lag in lags]
+        return left([*[0.0] * len(regions), *direct], lambda y: light * _both_ways(light * y, apart))
+
+    def usual(each: PerLine, number: Frames) -> Frames:
+        use = each.shape[1] // groups * groups
+        grouped = each[:, :use].reshape(each.shape[0], groups, -1).sum(2)
+        return median(grouped / number[:, None])
+
+    # How many independent pixels each sum has.
+    rest = jnp.where(unit > 0, 1.0 - sum(y * y for y in taken), 0.0)
+    free = [(at * rest).sum((1, 2)) for at in regions]
+    number = [jnp.maximum(n, 1.0) / groups for n in (*free, *[sum(free)] * len(lags))]
+
+    def stacked(parts: list[PerLine]) -> Float[Array, "sums frames"]:
+        return jnp.stack([usual(part, n) for part, n in zip(parts, number, strict=True)])
+
+    seen = stacked(sums([(standard, standard)]))
+    by_read, by_photons = stacked(independent(unit)), stacked(independent(photons))
+    by_distance = [stacked(part) for part in (independent(light**2), *(alike(j) for j in range(1, _DISTANCES)))]
+    rho = jnp.linspace(0.0, _MOST, _STEPS)
+    powers = rho[None] ** (jnp.arange(_DISTANCES)[:, None] ** 2)
+    by_speckle = jnp.einsum("jg,jsf->sgf", powers, jnp.stack(by_distance))
+    # How well each is known: z² of variance v scatters by 2 v², the product of two such numbers by v².
+    own = [v**2 for v in seen[: len(regions)]]
+    product = jnp.stack([n * v for n, v in zip(number, own, strict=False)]).sum(0) / number[-1]
+    scatter = [*(2 * v for v in own), *[product] * len(lags)]
+    weight = jnp.stack([groups * n / jnp.maximum(v, _TINY) for n, v in zip(number, scatter, strict=True)])
+    found = _least(seen[:, None], weight[:, None], by_read[:, None], by_photons[:, None], by_speckle, rho, read2, known)
+    # More than what is seen beside the stripe no sensor makes.
+    return found._replace(read2=jnp.where(known | ~(found.read2 > 0), read2, jnp.minimum(found.read2, read2)))
+
+
+def _least(
+    seen: Array,
+    weight: Array,
+    by_read: Array,
+    by_photons: Array,
+    by_speckle: Array,
+    rho: Float[Array, "grains"],
+    read2: Frames,
+    known: Array,
+) -> Chance:
+    """The numbers that explain what is seen with the least need; all as (sums, grains, frames)."""
+
+    def dot(a: Array, b: Array) -> Array:
+        return (weight * a * b).sum(0)
+
+    def less_read(a: Array) -> Array:
+        """What read noise leaves unexplained, where it is not known."""
+        return a - (jnp.where(known[None], 0.0, dot(by_read, a) / dot(by_read, by_read)))[None] * by_read
+
+    whole = seen
+    seen, photons, speckles = (
+        less_read(seen - read2[None, None] * by_read),
+        less_read(by_photons),
+        less_read(by_speckle),
+    )
+    pp, ss, ps = dot(photons, photons), dot(speckles, speckles), dot(photons, speckles)
+    p, s = dot(photons, seen), dot(speckles, seen)
+    determinant = pp * ss - ps**2
+    zero = jnp.zeros_like(s)
+    every = [
+        (zero, zero),
+        (p / pp + zero, zero),
+        (zero, s / ss),
+        ((p * ss - s * ps) / determinant, (s * pp - p * ps) / determinant),
+    ]
+    grained = jnp.where(rho > 0, 1.0, 0.0)[:, None]
+    need = []
+    for count, (a, b) in enumerate(every):
+        left = seen - a[None] * photons - b[None] * speckles
+        numbers = (0, 1, 1, 2)[count] + (grained if count > 1 else 0.0)
+        possible = (a >= 0) & (b >= 0) & jnp.isfinite(a + b)
+        need.append(jnp.where(possible, dot(left, left) + _PRICE * numbers, jnp.inf))
+    best = jnp.argmin(jnp.stack(need).reshape(-1, need[0].shape[-1]), axis=0)[None]
+    shot, speckle = (
+        jnp.take_along_axis(jnp.concatenate([pair[n] for pair in every]), best, axis=0)[0] for n in range(2)
+    )
+    at = best % len(rho)
+    grain = jnp.where(best[0] >= 2 * len(rho), rho[at[0]], 0.0)
+    left = whole - shot[None, None] * by_photons
+    left -= speckle[None, None] * jnp.take_along_axis(
+        by_speckle, jnp.broadcast_to(at[None], (len(whole), *at.shape)), axis=1
+    )
+    own = (dot(by_read, left) / dot(by_read, by_read))[0]
+    return Chance(own, shot, speckle, grain)
+
+
+def _total(parts: list[Pixels]) -> Pixels:
+    return sum(parts[1:], start=parts[0])
+
+
+def _both_ways(values: Pixels, apart: int) -> Pixels:
+    """The sum of the values so far before and so far after each pixel."""
+    padded = jnp.pad(values, [(0, 0), (apart, apart), (0, 0)])
+    return padded[:, : -2 * apart] + padded[:, 2 * apart :]
