@@ -199,7 +199,7 @@ def _prepared(
         result["floor"] = {
             "sigma_mm": floor.sigma_mm,
             "tolerance_mm": floor.tolerance_mm,
-            "flatness_mm": floor.flatness_mm,
+            "flatness_mm": floor.flatness_mm if np.isfinite(floor.flatness_mm) else None,
             "normal": floor.R[:, 2].tolist(),
             "points": int((image.valid & ~kept).sum()),
         }
@@ -315,9 +315,10 @@ def describe(result: dict[str, Any]) -> str:
         lines.append(f"  removed    {words}, of {result['points_read']} points")
     if "floor" in result:
         floor = result["floor"]
+        flat = floor["flatness_mm"]
         lines.append(
             f"  floor      {floor['points']} points within {floor['tolerance_mm']:.3f} mm or loose above it; "
-            f"σ {floor['sigma_mm']:.3f} mm, flat within {floor['flatness_mm']:.3f} mm"
+            f"σ {floor['sigma_mm']:.3f} mm{'' if flat is None else f', flat within {flat:.3f} mm'}"
         )
         if floor.get("points_beside_the_scan"):
             lines.append(

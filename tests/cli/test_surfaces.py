@@ -92,6 +92,17 @@ def test_plateaus_need_no_mesh(folder, capsys):
     assert "no plateaus" in capsys.readouterr().out
 
 
+def test_a_floor_too_coarse_to_tell_its_flatness(folder, capsys):
+    """Its points are 2.4 mm apart: at most six in a square of 5 mm."""
+    path = folder / "coarse.npz"
+    x, y = scenes.grid(30, 30, (2.4, 2.4))
+    write_points(path, scenes.seen(np.where((np.abs(x) < 12) & (np.abs(y) < 12), 9.0, 0.0), 0.02, (2.4, 2.4)))
+    found = run(capsys, "mesh", path, "-o", folder / "coarse.stl")
+    assert found["floor"]["flatness_mm"] is None
+    assert main(["mesh", str(path), "-o", str(folder / "coarse.stl")]) == 0
+    assert "flat within" not in capsys.readouterr().out
+
+
 def test_a_scan_of_the_stage_is_a_surface(folder, capsys):
     x, _ = scenes.grid()
     block = drawn().points[..., 2] < 297
