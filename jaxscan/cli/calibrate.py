@@ -75,6 +75,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(
             "--hold-camera, --camera-name and --free speak of the camera of a file: name it with --camera FILE"
         )
+    if args.hold_camera and args.free:
+        free = ", ".join(name for names in args.free for name in names)
+        raise InputError(
+            f"--hold-camera keeps all of the camera, --free {free} seeks a part of it: leave out one of them"
+        )
     pages = [args.report / name for name in _PAGES] if args.report else []
     if pages:
         extra("plots")

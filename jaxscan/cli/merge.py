@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--write-rig", type=Path, metavar="OUT", help="write the rig with that turntable")
     parser.add_argument(
-        "--floor", choices=("auto", "keep"), default="auto", help="auto (default): found and taken away"
+        "--floor", choices=("auto", "keep"), default="auto", help="auto (default): found and taken away | keep"
     )
     parser.add_argument("--raw", action="store_true", help="keep mixed, grazing and isolated points")
     parser.add_argument(
