@@ -267,7 +267,8 @@ def describe(result: dict[str, Any]) -> str:
     lines = [in_words({**result, "warnings": []})]
     lines += [f"left out: {line}" for line in result["left_out"]]
     if rejected := result["rejected"]:
-        lines.append(f"rejected as outliers: some points of {len(rejected)} photographs, listed by --report and --json")
+        of = "1 photograph" if len(rejected) == 1 else f"{len(rejected)} photographs"
+        lines.append(f"rejected as outliers: some points of {of}, listed by --report and --json")
     lines += [f"note: {line}" for line in result["notes"]]
     if result["report"]:
         lines.append(f"report: {result['report']['html']}, {result['report']['json']}")

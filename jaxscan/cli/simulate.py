@@ -6,6 +6,7 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.cli.options import finite
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -43,9 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="STEPS",
         help="motor steps from frame to frame of a scan, 1000 to a millimetre (default: 2000)",
     )
-    parser.add_argument("--noise", type=float, default=2.0, help="of the sensor, grey levels (default: 2)")
-    parser.add_argument("--blur", type=float, default=0.6, help="of the lens, pixels (default: 0.6)")
-    parser.add_argument("--speckle", type=float, default=0.0, help="contrast of the laser's, 0 to 1 (default: 0)")
+    parser.add_argument("--noise", type=finite, default=2.0, help="of the sensor, grey levels (default: 2)")
+    parser.add_argument("--blur", type=finite, default=0.6, help="of the lens, pixels (default: 0.6)")
+    parser.add_argument("--speckle", type=finite, default=0.0, help="contrast of the laser's, 0 to 1 (default: 0)")
     parser.add_argument(
         "--lasers", type=int, choices=(1, 2), default=1, help="2: a second one, and a scan by each (default: 1)"
     )
