@@ -93,10 +93,10 @@ def test_plateaus_need_no_mesh(folder, capsys):
 
 
 def test_a_floor_too_coarse_to_tell_its_flatness(folder, capsys):
-    """Its points are 2.4 mm apart: at most six in a square of 5 mm."""
+    """Its points are 3 mm apart: at most four in a square of 5 mm."""
     path = folder / "coarse.npz"
-    x, y = scenes.grid(30, 30, (2.4, 2.4))
-    write_points(path, scenes.seen(np.where((np.abs(x) < 12) & (np.abs(y) < 12), 9.0, 0.0), 0.02, (2.4, 2.4)))
+    x, y = scenes.grid(40, 40, (3.0, 3.0))
+    write_points(path, scenes.seen(np.where((np.abs(x) < 12) & (np.abs(y) < 12), 9.0, 0.0), 0.02, (3.0, 3.0)))
     found = run(capsys, "mesh", path, "-o", folder / "coarse.stl")
     assert found["floor"]["flatness_mm"] is None
     assert main(["mesh", str(path), "-o", str(folder / "coarse.stl")]) == 0
