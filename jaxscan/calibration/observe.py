@@ -184,11 +184,14 @@ def _once(photographs: Sequence[_Photograph]) -> tuple[list[_Photograph], list[s
     first: dict[bytes, str] = {}
     once, repeated = [], []
     for photograph in photographs:
-        corners = photograph.found.corners.tobytes() if photograph.found is not None else None
-        copied = corners is not None and first.setdefault(corners, photograph.name) != photograph.name
-        once.append(replace(photograph, found=None) if copied else photograph)
-        if copied:
-            repeated.append(f"{photograph.name}: a copy of {first[corners]}, which counts once")
+        name = photograph.name
+        if photograph.found is not None:
+            name = first.setdefault(photograph.found.corners.tobytes(), name)
+        if name == photograph.name:
+            once.append(photograph)
+        else:
+            once.append(replace(photograph, found=None))
+            repeated.append(f"{photograph.name}: a copy of {name}, which counts once")
     return once, repeated
 
 

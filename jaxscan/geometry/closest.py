@@ -107,8 +107,7 @@ class ClosestOnTriangles:
         """
         away, index = self._centres.query(points, distance_upper_bound=self._reach, workers=-1)
         far = np.flatnonzero(np.isinf(away))
-        index[far] = 0
-        first = self._leaf[index]
+        first = self._leaf[np.where(np.isinf(away), 0, index)]
         for start in range(0, len(far), _PAIRS_AT_ONCE // _BEAM):
             some = far[start : start + _PAIRS_AT_ONCE // _BEAM]
             first[some] = self._from_afar(points[some])
