@@ -226,6 +226,7 @@ def _shoot(folder: Path, world: _World, scene: Scene, frames: int, blur: float, 
         laser_power=_PEAK / _BRIGHT,
         sheet_sigma_mm=_SHEET_MM,
         speckle=speckle,
+        speckle_length_px=(1.0, 1.0),
     )
     sensor = Sensor(blur_px=blur, noise=_PEAK / 100, bits=16)
     paths, counts = [], tuple(_STEPS * i for i in range(frames))
