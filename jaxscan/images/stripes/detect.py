@@ -22,7 +22,6 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 
 from jaxscan.detectors import DEFAULT, Choice, Detector
 from jaxscan.errors import InputError
-from jaxscan.images.decode import to_grey
 from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
@@ -339,10 +338,7 @@ def _batch(images: np.ndarray | Array, settings: StripeSettings, what: str) -> n
             f"{what} has the shape {images.shape}: give (rows, columns) or (rows, columns, 3), or a batch of either"
         )
     frames = images if images.ndim - coloured == 3 else images[None]
-    if settings.color == "grey" and coloured:
-        # A grey camera's photographs may have been saved with three channels.
-        frames = np.stack([to_grey(np.asarray(frame)) for frame in frames])
-    elif not coloured and settings.color != "grey":
+    if not coloured and settings.color != "grey":
         raise InputError(f'{what} is grey, and the laser\'s colour {settings.color}: write color = "grey"')
     length = frames.shape[1 if settings.columns else 2]
     if length <= 2 * _NARROW:

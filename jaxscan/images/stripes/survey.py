@@ -12,10 +12,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscan.images.stripe_settings import CHANNELS
 from jaxscan.images.stripes.likelihood import Fit, fit
-from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channel_weights, channels, response
-from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows, gather_pixels, outline
+from jaxscan.images.stripes.response import (
+    FULL_OF_LUMA,
+    NEUTRAL,
+    Backgrounds,
+    Images,
+    channel_weights,
+    channels,
+    detail_of,
+    detailed,
+    has_half_chroma,
+    luma_error,
+    numbers,
+    response,
+)
+from jaxscan.images.stripes.windows import Outline, Pixels, Places, Sensor, Windows, first_pixel, gather_pixels, outline
 
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
 _LINES, _GROUPS = 96, 8
@@ -85,12 +97,22 @@ def survey(
     at = (frame, line, peak[of][:, some], columns, half)
     lit = gather_pixels(images, *at)
     dark = None if background is None else gather_pixels(background, *at)
-    return survey_windows(lit, dark, ambient, color)
+    first = first_pixel(images, jnp.asarray(peak[of][:, some]), columns, half)
+    # Merged exposures have 16 bits, and their own rounding.
+    chroma = None if color == "grey" or lit.dtype != jnp.uint8 else has_half_chroma(lit, first, color)
+    if chroma is None or not np.asarray(chroma).any():
+        return survey_windows(lit, dark, ambient, color)
+    return survey_windows(lit, dark, ambient, color, chroma=(chroma, first))
 
 
 @partial(jax.jit, static_argnames="color")
 def survey_windows(
-    lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str, gain: Pixels | None = None
+    lit: Array,
+    dark: Array | None,
+    ambient: Int[Array, "frames"],
+    color: str,
+    gain: Pixels | None = None,
+    chroma: tuple[Bool[Array, "frames"], Places] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor in some of its windows.
 
@@ -100,20 +122,30 @@ def survey_windows(
         ambient: c of the response.
         color: of the laser, or grey.
         gain: as that of `Windows`; the noise is that of single pixels.
+        chroma: whether each frame's colours are at half resolution, and the windows' first pixels; None where none are.
     """
     levels = channels(lit, dark, color)
-    laser = lit if color == "grey" else lit[..., CHANNELS[color][0]]
-    full = _full_number(laser)
+    laser = numbers(lit, color)
+    full, half, detail = _full_number(laser), None, None
+    if chroma is not None:
+        half, first = chroma
+        detail, half = detail_of(levels, _FLANK, half, color)
+        full = jnp.where(half, jnp.floor(FULL_OF_LUMA / FULL * full).astype(full.dtype), full)
+        of_line = tuple(by[:, None, None] for by in detail)
+        laser = detailed(channels(lit, None, color), first, of_line, color)[0]
+        levels = detailed(levels, first, of_line, color)
     burnt = laser >= full[:, None, None].astype(laser.dtype)
     one = jnp.ones(len(lit), jnp.float32)
     plain = response(levels, NEUTRAL, ambient[:, None, None])
-    weights = (one, one) if color == "grey" else _weights(levels, plain, burnt)
+    weights = (one, one) if color == "grey" else _weights(levels, plain, burnt, half, color)
     r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
     span = full.astype(jnp.float32) * (1 if color == "grey" else 2)
     rounding = _ROUNDING * (one if color == "grey" else jnp.sqrt(4 + weights[0] ** 2 + weights[1] ** 2))
     ground = _ground(plain, gain)
+    if half is not None and detail is not None:
+        rounding = jnp.hypot(rounding, luma_error(detail, half, weights))
     read = jnp.maximum(_ground(r, gain), rounding)
-    sensor = Sensor(weights, ambient, full, span, ground, read, 0 * one, 0 * one, 0 * one, _UNKNOWN * one)
+    sensor = Sensor(weights, ambient, full, span, ground, read, 0 * one, 0 * one, 0 * one, _UNKNOWN * one, detail)
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
 
@@ -153,13 +185,18 @@ def _full_number(laser: Int[Array, "frames window lines"]) -> Int[Array, "frames
 
 
 def _weights(
-    levels: tuple[Array, ...], r: Float[Array, "frames window lines"], burnt: Array
+    levels: tuple[Array, ...],
+    r: Float[Array, "frames window lines"],
+    burnt: Array,
+    half: Bool[Array, "frames"] | None,
+    color: str,
 ) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
     around = outline(r)
     k = jnp.arange(r.shape[1])[None, :, None]
     beside = (k < _FLANK) | (k >= r.shape[1] - _FLANK)
     core = (k > around.start) & (k < around.end) & around.whole & ~burnt
-    return channel_weights(levels, jnp.where(core, r - around.floor, 0.0), jnp.broadcast_to(beside, r.shape))
+    stripe = jnp.where(core, r - around.floor, 0.0)
+    return channel_weights(levels, stripe, jnp.broadcast_to(beside, r.shape), half, color)
 
 
 def _ground(r: Float[Array, "frames window lines"], gain: Pixels | None) -> Float[Array, "frames"]:
