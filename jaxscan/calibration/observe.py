@@ -238,7 +238,8 @@ def stripe_points(
     width = stripe.width.ravel()[np.isfinite(position)]
     half = 0.5 * float(np.median(width)) + _SMEAR_PX if width.size else _SMEAR_PX
     sigmas = np.asarray(stripe.sigma, np.float64).ravel()
-    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter_color(image, pixels, settings))
+    brighter = brighter_color(image, pixels, settings)
+    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter, stripe.light[0])
 
 
 def _sequence(

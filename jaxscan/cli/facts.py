@@ -24,6 +24,7 @@ from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
+from jaxscan.images.light import Light
 from jaxscan.rig import Camera, Rig
 from jaxscan.rig.turn_facts import rig_turn_facts
 
@@ -176,6 +177,7 @@ def range_facts(path: Path) -> Facts:
         "box_mm": _box(image.points[image.valid]),
         "sigma_mm": _median(image.sigma[image.valid]),
         "strength": _median(image.strength[image.valid]),
+        "light": None if image.light is None or (light := Light.of([image.light])) is None else asdict(light),
     }
 
 

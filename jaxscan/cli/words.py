@@ -134,6 +134,10 @@ def _range_image(facts: Facts) -> Iterator[Line]:
     yield from _extent(facts)
     if facts["strength"] is not None:
         yield "strength", f"{facts['strength']:.1f} grey levels in the median"
+    if facts["light"] is not None:
+        from jaxscan.images.light import Light
+
+        yield "light", Light(**facts["light"]).in_words()
 
 
 _WORDS: dict[str, Callable[[Facts], Iterator[Line]]] = {

@@ -4,6 +4,7 @@ The points of a frame are the same whatever is looked at together with it, and m
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -180,7 +181,8 @@ class _Laser:
         )
         steps = np.pad(frames.steps, (0, size - count))
         points = _triangulated(self._kernel, position, steps.astype(np.float32), self._laser.columns)
-        return self.with_sigma(position, sigma, strength, points, steps)[:count, :]
+        found = self.with_sigma(position, sigma, strength, points, steps)[:count, :]
+        return replace(found, light=stripe.light)
 
     def with_sigma(
         self,

@@ -129,6 +129,17 @@ def test_a_range_image(tmp_path, capsys):
     assert "2, 66.7 % of frames × lines" in words(capsys, tmp_path / "cup.npz")
 
 
+def test_what_a_range_image_knows_of_its_light(tmp_path, capsys):
+    one = np.ones((2, 3), np.float32)
+    light = np.array([[2, 0.5, 0.18, 252], [np.nan] * 4], np.float32)
+    points = np.ones((2, 3, 3), np.float32)
+    write_range_npz(tmp_path / "cup.npz", RangeArrays(points, one, one, one > 0, np.arange(2), light=light))
+    assert facts(capsys, tmp_path / "cup.npz")["light"]["gain"] == 0.5
+    assert "read noise 2 grey levels, gain 0.5 grey levels for each electron, speckle contrast 0.18" in words(
+        capsys, tmp_path / "cup.npz"
+    )
+
+
 def test_an_empty_range_image(tmp_path, capsys):
     none = np.zeros((0, 3), np.float32)
     arrays = RangeArrays(np.zeros((0, 3, 3), np.float32), none, none, none > 0, np.zeros(0, np.int64))

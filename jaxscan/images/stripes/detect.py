@@ -28,7 +28,7 @@ from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Measured, Model, measure
 from jaxscan.images.stripes.evidence import edges_go_on
 from jaxscan.images.stripes.likelihood import FWHM
-from jaxscan.images.stripes.survey import LEAST_SIGNAL, survey
+from jaxscan.images.stripes.survey import LEAST_SIGNAL, light_of, survey
 from jaxscan.images.stripes.windows import gather_windows
 
 # Frames that are looked at together.
@@ -68,6 +68,7 @@ class Stripe:
             laser's channel, or of the intensity.
         width: full width at half the height, px; NaN where it is not valid.
         valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
+        light: read noise, gain, speckle contrast and saturation of each frame (`images.light`); NaN without a stripe.
     """
 
     position: Float32[np.ndarray, "frames lines"]
@@ -75,6 +76,7 @@ class Stripe:
     strength: Float32[np.ndarray, "frames lines"]
     width: Float32[np.ndarray, "frames lines"]
     valid: Bool[np.ndarray, "frames lines"]
+    light: Float32[np.ndarray, "frames 4"]
 
 
 def detect_stripe(
@@ -208,7 +210,8 @@ def _detect(
     position, sigma, width = (
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
-    return Stripe(position, sigma, np.asarray(measured.strength), width, valid)
+    light = np.where(valid.any(axis=1, keepdims=True), light_of(sensor, color)[: len(valid)], np.float32(np.nan))
+    return Stripe(position, sigma, np.asarray(measured.strength), width, valid, light)
 
 
 def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:

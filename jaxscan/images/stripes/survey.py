@@ -10,7 +10,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Float32, Int
 
 from jaxscan.images.stripes.likelihood import Fit, fit
 from jaxscan.images.stripes.response import (
@@ -168,6 +168,24 @@ def survey_windows(
         )
 
     return jax.lax.fori_loop(0, _LOOKS, look, sensor)
+
+
+def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
+    """Read noise, gain, speckle contrast and saturation of each frame, of a pixel's laser channel.
+
+    Light that the laser adds to its own channel counts twice in the response of a colour, and so does its noise. Where
+    colours are at half resolution, they are luma's.
+    """
+    m, n = (np.asarray(w) for w in sensor.weights)
+    by_light, by_noise = (
+        (np.ones(m.shape),) * 2 if color == "grey" else (np.full(m.shape, 2.0), np.sqrt(4 + m**2 + n**2))
+    )
+    if sensor.detail is not None:
+        laser, first, second = (1 + np.asarray(by) for by in sensor.detail)
+        by_luma = 2 * laser - m * first - n * second
+        by_light, by_noise = (np.where(laser > 1, by_luma, by) for by in (by_light, by_noise))
+    read, shot, speckle, full = (np.asarray(x) for x in (sensor.read, sensor.shot, sensor.speckle, sensor.full))
+    return np.stack([read / by_noise, shot / by_light, np.sqrt(speckle), full], axis=-1).astype(np.float32)
 
 
 def greatest_numbers(bits: int) -> list[int]:
