@@ -1,4 +1,4 @@
-"""Colours at half resolution: how a JPEG or a video keeps them."""
+"""Colours at half resolution: how a JPEG mostly keeps them."""
 
 import numpy as np
 import pytest

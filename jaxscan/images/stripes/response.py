@@ -16,7 +16,7 @@ beside the stripe, texture and noise together, the response w · p in which the 
 (R. A. Fisher 1936). Under warm light it is warm texture that cancels; where there is none, m and n are near zero, for
 the other channels would bring nothing but their noise.
 
-A JPEG or a video mostly keeps luma Y = 0.299 R + 0.587 G + 0.114 B for each pixel, and the colour's differences from
+A JPEG mostly keeps luma Y = 0.299 R + 0.587 G + 0.114 B for each pixel, and the colour's differences from
 it, chroma, for every second one (4:2:0). With S what keeping every second and interpolating does, such a photograph
 shows a channel l as Y + S(l − Y): a stripe of a pixel or two comes out wide, crooked, and never full. Laser light has
 one colour, whatever it falls on. With g its part in channel l, and q = Σ w g its luma, both in parts of that in the
