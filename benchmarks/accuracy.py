@@ -1,6 +1,6 @@
 """The same photographs through every pipeline: the MATLAB pipeline of 2003, makers' recipe, careful OpenCV, and ours.
 
-- `headline`: the simulated rig of 2003, twenty seeds; a cup, and a bench with steps, ball and floor.
+- `headline`: the simulated rig of 2003 without speckle, twenty seeds; a cup, and a bench with steps, ball and floor.
 - `quirks`: the same with each quirk of the pipeline of 2003 put right, alone and all together.
 - `sweeps`: one thing changed at a time, on a third of the photographs of a scan.
 
@@ -47,11 +47,17 @@ SWEEPS: Final[dict[str, dict[str, Condition]]] = {
     "board views": {f"{x}": replace(SHORT, views=x) for x in (5, 20)},
     "lens k1": {f"{x:g}": replace(SHORT, k1=x) for x in (0.0, -0.3)},
     "sheet σ, mm": {f"{x:g}": replace(SHORT, lighting={"sheet_sigma_mm": x}) for x in (0.12, 0.5, 1.0)},
-    "speckle": {f"{x:g}": replace(SHORT, lighting={"speckle": x}) for x in (0.5, 1.0)},
+    "speckle": {
+        f"{x:g}": replace(SHORT, lighting={"speckle": x, "speckle_length_px": (grain, grain)})
+        for x, grain in ((0.2, 0.0), (0.37, 1.4), (0.74, 1.4))
+    },
     "floor's darker squares": {f"{x:g}": replace(SHORT, floor_ink=x) for x in (0.5, 0.2)},
     "ambient light, grey levels": {f"{x:g}": replace(SHORT, lighting={"ambient": x}) for x in (10.0, 120.0)},
     "red spots a photograph": {f"{x}": replace(SHORT, spots=x) for x in (3, 20)},
-    "file format": {"JPEG": replace(SHORT, ending=".jpg")},
+    "file format": {
+        "JPEG": replace(SHORT, ending=".jpg"),
+        "JPEG of quality 90": replace(SHORT, ending=".jpg", quality=90),
+    },
 }
 
 
@@ -140,12 +146,13 @@ def of_a_seed(
 ) -> dict[str, Errors]:
     """Photograph once, and run every pipeline on it."""
     with tempfile.TemporaryDirectory() as folder:
-        taken_of = photograph(Path(folder), condition, seed, scenes)
-        taken = Taken.of(taken_of.session)
-        return {
-            name: errors_of(lambda p=p: p(taken, list(taken_of.scans.values())), taken_of)
-            for name, p in pipelines.items()
-        }
+        return of_photographs(photograph(Path(folder), condition, seed, scenes), pipelines)
+
+
+def of_photographs(photographed: Photographed, pipelines: Mapping[str, Pipeline]) -> dict[str, Errors]:
+    """Run every pipeline on the same photographs."""
+    taken, scans = Taken.of(photographed.session), list(photographed.scans.values())
+    return {name: errors_of(lambda p=p: p(taken, scans), photographed) for name, p in pipelines.items()}
 
 
 def errors_of(pipeline: Callable[[], Found], photographed: Photographed) -> Errors:

@@ -23,7 +23,7 @@ from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, Rig
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.accuracy import near_its_true_point
-from jaxscan.simulation.folders import ScanTruth, simulate_scan, simulate_session
+from jaxscan.simulation.folders import JPEG_QUALITY, ScanTruth, simulate_scan, simulate_session
 from jaxscan.simulation.light import Sensor
 from jaxscan.simulation.plate import Checks, Plate
 from jaxscan.simulation.profile import true_profile
@@ -46,11 +46,12 @@ class Condition:
         frames: of a scan.
         steps_apart: motor steps from one frame to the next, and from one of the stage's photographs to the next.
         sensor: of all photographs.
-        lighting: changes to the lighting of boards and objects.
+        lighting: changes to the lighting of boards and objects, which is without speckle.
         k1: of the lens; None for that of 2003.
         floor_ink: brightness of every second square of the floor; 1 is a plain floor.
         spots: red spots in each photograph where no stripe is, as of glints and lamps.
         ending: file format.
+        quality: of JPEG, whose colour has half the resolution.
     """
 
     views: int = rig_2003.BOARD_VIEWS
@@ -58,11 +59,12 @@ class Condition:
     frames: int = rig_2003.SCAN_FRAMES
     steps_apart: int = rig_2003.STEPS_APART
     sensor: Sensor = rig_2003.SENSOR
-    lighting: Mapping[str, float] = field(default_factory=dict)
+    lighting: Mapping[str, Any] = field(default_factory=dict)
     k1: float | None = None
     floor_ink: float = 1.0
     spots: int = 0
     ending: str = ".png"
+    quality: int = JPEG_QUALITY
 
 
 # A third of the photographs: what is compared here is one condition with another.
@@ -103,7 +105,11 @@ def photograph(folder: Path, condition: Condition, seed: int, scenes: tuple[str,
                 np.array([condition.k1]),
             )
             rig = as_numpy(replace(rig, camera=camera))
-    common: dict[str, Any] = {"sensor": condition.sensor, "ending": condition.ending}
+    common: dict[str, Any] = {
+        "sensor": condition.sensor,
+        "ending": condition.ending,
+        "quality": condition.quality,
+    }
     truth = simulate_session(
         folder / "session",
         seed,

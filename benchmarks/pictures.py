@@ -77,9 +77,9 @@ def command_line() -> argparse.ArgumentParser:
 
 
 def draw_cup(path: Path, seed: int = 0) -> None:
-    """Both clouds of one scan."""
+    """Both clouds of one scan, with the speckle of an ordinary laser."""
     with tempfile.TemporaryDirectory() as folder:
-        world = photograph(Path(folder), Condition(), seed, ("cup",))
+        world = photograph(Path(folder), Condition(lighting={"speckle": rig_2003.SPECKLE}), seed, ("cup",))
         taken = Taken.of(world.session)
         clouds = {name: PIPELINES[name](taken, list(world.scans.values())).clouds[0] for name in (MATLAB, OURS)}
     truth = world.truths["cup"].points

@@ -150,7 +150,7 @@ def reflectance(folder: Path, world: _World, names: tuple[Detector, ...]) -> lis
     bodies = floor((-30.0, -15.0), (30.0, border), _BRIGHT), floor((-30.0, border), (30.0, 95.0), _DARK)
     scene = Scene(tuple(body.moved(world.R, world.origin) for body in bodies))
     metrics = []
-    for kind, blur, speckle in (("ideal", 0.0, 0.0), ("blur", _BLUR_PX, 0.0), ("speckle", 0.0, 0.5)):
+    for kind, blur, speckle in (("ideal", 0.0, 0.0), ("blur", _BLUR_PX, 0.0), ("speckle", 0.0, 0.47)):
         scan = _shoot(folder / kind, world, scene, frames, blur, speckle)
         y = _STEPS * _MM_PER_STEP * np.arange(frames)
         near, far = np.abs(y - border) < 2 * _SHEET_MM, (y > 2.5) & (y < border - 4 * _SHEET_MM)
@@ -226,6 +226,7 @@ def _shoot(folder: Path, world: _World, scene: Scene, frames: int, blur: float, 
         laser_power=_PEAK / _BRIGHT,
         sheet_sigma_mm=_SHEET_MM,
         speckle=speckle,
+        speckle_length_px=(1.1, 1.1),
     )
     sensor = Sensor(blur_px=blur, noise=_PEAK / 100, bits=16)
     paths, counts = [], tuple(_STEPS * i for i in range(frames))

@@ -1,5 +1,9 @@
-"""Threads that are never waited for without a limit."""
+"""Threads that are never waited for without a limit.
 
+What counts is time in which this process runs: one that is stopped, by Ctrl-Z or a machine that sleeps, is not stuck.
+"""
+
+import math
 import os
 import queue
 import threading
@@ -14,6 +18,8 @@ from jaxscan.errors import InputError, StalledError
 PATIENCE: Final = "JAXSCAN_PATIENCE_S"
 _PATIENCE_S: Final = 600.0
 _LET_GO_S: Final = 5.0
+# The longest that is waited in one go, of which the time that the process was stopped may be the whole.
+_LOOK_S: Final = 1.0
 HOW_TO_GO_ON: Final = (
     f"try again, and report it if it comes again; if the machine or the disk is only slow, set {PATIENCE} to more "
     "seconds"
@@ -102,9 +108,11 @@ def result_of(future: "Future[Result]", what: str) -> Result:
         StalledError: it has not ended in `patience_s` seconds.
     """
     limit = patience_s()
-    try:
-        return future.result(limit)
-    except TimeoutError:
-        if future.done():  # its own error
-            raise
-        raise StalledError(f"{what}: it was worked on for {limit:g} s without an end: {HOW_TO_GO_ON}") from None
+    looks = math.ceil(limit / _LOOK_S)
+    for _ in range(looks):
+        try:
+            return future.result(limit / looks)
+        except TimeoutError:
+            if future.done():  # its own error
+                raise
+    raise StalledError(f"{what}: it was worked on for {limit:g} s without an end: {HOW_TO_GO_ON}")

@@ -3,7 +3,7 @@
 from typing import Final, Literal
 
 Detector = Literal["likelihood", "gravity", "derivative", "ridge", "gaussian", "parabola", "threshold"]
-Choice = Literal["strongest", "first", "last", "continuous", "coherent"]
+Choice = Literal["likeliest", "strongest", "first", "last", "continuous", "coherent"]
 
 DETECTORS: Final[dict[Detector, str]] = {
     "likelihood": "fit of the profile, burnt-out cores too; the most accurate",
@@ -15,6 +15,7 @@ DETECTORS: Final[dict[Detector, str]] = {
     "threshold": "mean of what reaches a threshold, whole rows: the method of 2003, to compare with",
 }
 CHOICES: Final[dict[Choice, str]] = {
+    "likeliest": "the run of points that is most like a stripe: longer than thick, as wide as usual, no one's ghost",
     "strongest": "the one that stands out most",
     "first": "the topmost (leftmost)",
     "last": "the lowest (rightmost)",
@@ -22,3 +23,4 @@ CHOICES: Final[dict[Choice, str]] = {
     "coherent": "those that go on from line to line and from frame to frame",
 }
 DEFAULT: Final[Detector] = "likelihood"
+DEFAULT_CHOICE: Final[Choice] = "likeliest"

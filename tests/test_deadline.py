@@ -1,5 +1,6 @@
 """Nothing is waited for without a limit."""
 
+import signal
 import subprocess
 import sys
 import threading
@@ -74,3 +75,27 @@ def test_a_command_that_works_is_not_stuck():
     done = run("begin = time.monotonic()\n    while time.monotonic() - begin < 3: pass", "1")
     assert done.returncode == 0
     assert "stuck" not in done.stderr
+
+
+def test_a_command_that_was_stopped_goes_on():
+    """Ctrl-Z for longer than is waited for what is stuck, then fg."""
+    code = """
+import sys
+from jaxscan.cli.progress import progress
+from jaxscan.deadline import Workers, result_of
+with Workers(1) as workers, progress("solving", unit="step"):
+    future = workers.submit(sys.stdin.readline)
+    print("begun", flush=True)
+    result_of(future, "a line")
+"""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, env={PATIENCE: "2"}, text=True, **pipes) as process:
+        assert process.stdout.readline() == "begun\n"
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(2.5)
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.2)
+        _, said = process.communicate("a line\n", timeout=60)
+    assert process.returncode == 0, said
+    assert "stuck" not in said

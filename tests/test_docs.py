@@ -20,6 +20,7 @@ import hardware.cli.main
 import jaxscan
 import jaxscan.cli.main
 from benchmarks.__main__ import command_line as bench_command_line
+from benchmarks.headline import command_line as headline_command_line
 from benchmarks.pictures import command_line as pictures_command_line
 from hardware.devices import read_scanner
 from jaxscan.cli.main import Program, main, parser_of
@@ -32,6 +33,7 @@ PARSERS = {
     "jaxscan": parser_of(Program("jaxscan", "", jaxscan.cli.main.COMMANDS)),
     "scanner": parser_of(Program("scanner", "", hardware.cli.main.COMMANDS)),
     "python -m benchmarks": bench_command_line(),
+    "python -m benchmarks.headline": headline_command_line(),
     "python -m benchmarks.pictures": pictures_command_line(),
 }
 # Where these begin a line they are commands of others.

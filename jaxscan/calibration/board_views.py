@@ -34,6 +34,8 @@ def observations_from(content: CameraFile, path: Path) -> Observations:
     views = [view for view in content.views if view.active and len(view.points)]
     if not views:
         because = "".join(f"\n  {line}" for line in left_out)
+        if any(len(view.points) for view in content.views):
+            raise InputError(f"{path}: none of its photographs takes part: make some active in the toolbox{because}")
         raise InputError(
             f"{path}: holds no corners (x_1, X_1): save them with the toolbox, or calibrate a session{because}"
         )

@@ -29,6 +29,7 @@ from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import Refined, refine
 from jaxscan.calibration.second_poses import better_poses
 from jaxscan.errors import InputError, ObservabilityError, SolveError
+from jaxscan.images import Board
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import BoardWarp, Camera, LightPlane, Rig, Stage, Turntable
 from jaxscan.rig.rig import parameter_names
@@ -145,7 +146,9 @@ def calibrate(
     kept = iter(result.kept)
     return replace(
         result,
-        kept=tuple(next(kept) if _enough(view) else Kept.none(view) for view in observations.photographs()),
+        kept=tuple(
+            Kept.none(view) if _lacking(view, observations.board) else next(kept) for view in observations.photographs()
+        ),
         plain=plain,
         notes=(*result.notes, _PLAIN) if plain else result.notes,
         warnings=light_plane_doubts(stripe_shapes(result)),
@@ -174,23 +177,30 @@ def _refuse_tracers(observations: Observations) -> None:
         )
 
 
-def _enough(view: View) -> bool:
-    """Whether a photograph has corners enough for its pose."""
-    return int(view.used().sum()) >= _FEWEST_CORNERS
+def _lacking(view: View, board: Board) -> str:
+    """What a photograph lacks of corners enough for its pose, in words; empty where it lacks nothing."""
+    used = view.used()
+    if used.sum() < _FEWEST_CORNERS:
+        return f"{int(used.sum())} corners, fewer than {_FEWEST_CORNERS}"
+    points = board.points()[used, :2]
+    # Where all but one lie on a line, two of any three do.
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        (x, y), offset = points[j] - points[i], points - points[i]
+        if (np.abs(offset[:, 1] * x - offset[:, 0] * y) > 1e-6 * board.pitch_mm**2).sum() < 2:
+            return f"its {int(used.sum())} corners lie on one line of the board, or all but one do"
+    return ""
 
 
 def _with_enough_corners(observations: Observations) -> Observations:
     """Without the photographs that have too few corners for a pose; they are among what was left out."""
-    few = [
-        f"{view.name}: {int(view.used().sum())} corners, fewer than {_FEWEST_CORNERS}"
-        for view in observations.photographs()
-        if not _enough(view)
-    ]
+    board = observations.board
+    few = [f"{view.name}: {lacks}" for view in observations.photographs() if (lacks := _lacking(view, board))]
     return replace(
         observations,
-        views=tuple(view for view in observations.views if _enough(view)),
+        views=tuple(view for view in observations.views if not _lacking(view, board)),
         stages=tuple(
-            stage.only([i for i, view in enumerate(stage.views) if _enough(view)]) for stage in observations.stages
+            stage.only([i for i, view in enumerate(stage.views) if not _lacking(view, board)])
+            for stage in observations.stages
         ),
         left_out=(*observations.left_out, *few),
     )

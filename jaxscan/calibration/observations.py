@@ -27,6 +27,7 @@ class StripePoints:
         half_width_px: how far the stripe's light reaches to either side; within it the board must have one colour.
         sigmas: σ of each as the detector predicts it, px, where there was one.
         brighter: the colour in which the stripe is far brighter than in that of its laser; None where there is none.
+        light: read noise, gain, speckle contrast and saturation of the photograph, where there was a detector.
     """
 
     pixels: Float[np.ndarray, "points 2"]
@@ -35,6 +36,7 @@ class StripePoints:
     half_width_px: float = 3.0
     sigmas: Float[np.ndarray, "points"] | None = None
     brighter: str | None = None
+    light: Float[np.ndarray, "4"] | None = None
 
 
 @dataclass(frozen=True)

@@ -93,10 +93,11 @@ def observe(
             moved.append(looked_at(along, sequence.images, sequence.images))
             what = "turntable" if isinstance(sequence, TurntableImages) else "stage"
             left_out += _not_found(session, moved[-1], f"{what} photograph")
+    usual = _usual_sigma([p.found for p in (*photographs, *(p for each in moved for p in each)) if p.found is not None])
+    # Views and each sequence by itself: a photograph on the stage may serve as a view, too.
+    (photographs, *moved), repeated = zip(*map(_once, (photographs, *moved)), strict=True)
+    left_out += [line for lines in repeated for line in lines]
     staged = [photograph for each in moved for photograph in each]
-    usual = _usual_sigma([p.found for p in (*photographs, *staged) if p.found is not None])
-    photographs, repeated = _once(photographs)
-    left_out += repeated
     views = [_view(p, p.found, usual) for p in photographs if p.found is not None]
     for seen in views:
         for stripe in seen.stripes:
@@ -176,16 +177,22 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
 
 
 def _once(photographs: Sequence[_Photograph]) -> tuple[list[_Photograph], list[str]]:
-    """The photographs without copies of others, and which these were: to the last bit, corners do not fall alike."""
+    """The photographs, with nothing found in copies of others, and which these are.
+
+    To the last bit, corners do not fall alike.
+    """
     first: dict[bytes, str] = {}
-    kept, repeated = [], []
+    once, repeated = [], []
     for photograph in photographs:
-        corners = photograph.found.corners.tobytes() if photograph.found is not None else None
-        if corners is None or first.setdefault(corners, photograph.name) == photograph.name:
-            kept.append(photograph)
+        name = photograph.name
+        if photograph.found is not None:
+            name = first.setdefault(photograph.found.corners.tobytes(), name)
+        if name == photograph.name:
+            once.append(photograph)
         else:
-            repeated.append(f"{photograph.name}: a copy of {first[corners]}, which counts once")
-    return kept, repeated
+            once.append(replace(photograph, found=None))
+            repeated.append(f"{photograph.name}: a copy of {name}, which counts once")
+    return once, repeated
 
 
 def _usual_sigma(found: Sequence[BoardView]) -> float:
@@ -238,7 +245,8 @@ def stripe_points(
     width = stripe.width.ravel()[np.isfinite(position)]
     half = 0.5 * float(np.median(width)) + _SMEAR_PX if width.size else _SMEAR_PX
     sigmas = np.asarray(stripe.sigma, np.float64).ravel()
-    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter_color(image, pixels, settings))
+    brighter = brighter_color(image, pixels, settings)
+    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter, stripe.light[0])
 
 
 def _sequence(

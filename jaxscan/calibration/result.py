@@ -13,11 +13,12 @@ from jaxtyping import Array, Bool, Float
 from jaxscan.calibration.adjustment import Adjustment
 from jaxscan.calibration.blocks import reference_step, reference_turn
 from jaxscan.calibration.observations import Kept, Observations, StageSequence, Unused, View
+from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.calibration.rounds import Refined
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.geometry.robust_plane import NORMAL_MAD
-from jaxscan.precision import as_numpy
+from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Covariance, Rig, System, Turntable
 from jaxscan.rig.covariance import with_nearest_centre
 from jaxscan.rig.rig import parameter_names
@@ -125,11 +126,21 @@ class Calibration:
                 "stripe_sigma_px": self.stripe_sigma_px,
                 "stripe_correlation": self.stripe_correlation,
             }
+        if (depths := self._stripe_depths()) is not None:
+            fit["stripe_depths_mm"] = depths
         if self.stripe_sigma_ratio is not None:
             fit["stripe_sigma_ratio"] = self.stripe_sigma_ratio
         if self.warnings:
             fit["warnings"] = list(self.warnings)
         return RigFile(self.rig, self.covariance, fit)
+
+    def _stripe_depths(self) -> list[float] | None:
+        """The nearest and the farthest depth of a stripe on a board, along the optical axis, mm."""
+        with float64():
+            camera, poses = as_float64(self.rig.camera), as_float64(self.system.boards).as_vector()
+            seen = [stripe_points_in_space(self.observations, camera, poses, i)[0] for i in range(len(self.rig.lasers))]
+        depths = np.concatenate([X[:, 2] for X in seen]) if seen else np.empty(0)
+        return [round(float(depths.min()), 1), round(float(depths.max()), 1)] if depths.size else None
 
 
 def assemble(

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
-from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
+from jaxscan.cli.detector_options import add_choice_argument, add_depths_argument, add_detector_argument, depths_of
 from jaxscan.extras import extra
 
 HELP: Final = "reconstruct every scan of a tree, here or on a cluster, and go on where it stopped"
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--again", action="store_true", help="also what is there already, younger than scan and rig")
     add_detector_argument(parser)
     add_choice_argument(parser)
+    add_depths_argument(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -53,7 +54,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     to_do = [task for task in tasks if args.again or not task.is_done(args.rig)]
     done, failed = [], []
     with progress("reconstructing scans", len(to_do), "scan", elsewhere=args.scheduler is not None) as advance:
-        for outcome in run_batch(to_do, args.rig, args.detector, args.stripe, args.scheduler):
+        how = args.detector, args.stripe, args.scheduler, depths_of(args)
+        for outcome in run_batch(to_do, args.rig, *how):
             if outcome.points is None:
                 failed.append({"scan": outcome.task.name, "reason": outcome.reason})
                 print(f"jaxscan: {outcome.reason}", file=sys.stderr)

@@ -75,6 +75,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(
             "--hold-camera, --camera-name and --free speak of the camera of a file: name it with --camera FILE"
         )
+    if args.hold_camera and args.free:
+        free = ", ".join(name for names in args.free for name in names)
+        raise InputError(
+            f"--hold-camera keeps all of the camera, --free {free} seeks a part of it: leave out one of them"
+        )
     pages = [args.report / name for name in _PAGES] if args.report else []
     if pages:
         extra("plots")
@@ -262,7 +267,8 @@ def describe(result: dict[str, Any]) -> str:
     lines = [in_words({**result, "warnings": []})]
     lines += [f"left out: {line}" for line in result["left_out"]]
     if rejected := result["rejected"]:
-        lines.append(f"rejected as outliers: some points of {len(rejected)} photographs, listed by --report and --json")
+        of = "1 photograph" if len(rejected) == 1 else f"{len(rejected)} photographs"
+        lines.append(f"rejected as outliers: some points of {of}, listed by --report and --json")
     lines += [f"note: {line}" for line in result["notes"]]
     if result["report"]:
         lines.append(f"report: {result['report']['html']}, {result['report']['json']}")

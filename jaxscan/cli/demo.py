@@ -27,11 +27,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.cli.simulate import check_folder, simulate_into
 
     check_folder(args.output, args.seed)
-    from jaxscan.simulation.rig_2003 import OBJECT_Y
+    from jaxscan.simulation.rig_2003 import OBJECT_Y, SPECKLE
     from jaxscan.simulation.shapes import cup
 
     out = args.output
-    scene, _, (truth,) = simulate_into(out, args.seed, cup(OBJECT_Y), "cup")
+    scene, _, (truth,) = simulate_into(out, args.seed, cup(OBJECT_Y), "cup", light={"speckle": SPECKLE})
     from jaxscan.cli.calibrate import calibrate_session
     from jaxscan.cli.reconstruct import reconstruct_scan
     from jaxscan.images import draw_stripe, read_image

@@ -1,8 +1,9 @@
-"""`--detector` and `--stripe`: how a stripe's centre is measured, and which is taken of several."""
+"""`--detector`, `--stripe` and `--depths`: how a stripe is measured, which is taken of several, and where it can be."""
 
 import argparse
 
-from jaxscan.detectors import CHOICES, DEFAULT, DETECTORS
+from jaxscan.cli.options import numbers
+from jaxscan.detectors import CHOICES, DEFAULT, DEFAULT_CHOICE, DETECTORS
 
 
 def add_detector_argument(parser: argparse.ArgumentParser) -> None:
@@ -21,11 +22,27 @@ def add_choice_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stripe",
         choices=tuple(CHOICES),
-        default="strongest",
+        default=DEFAULT_CHOICE,
         metavar="RULE",
         help="which is taken where a column shows several, reflections or two lit surfaces "
-        f"(default: strongest): {_words(CHOICES)}",
+        f"(default: {DEFAULT_CHOICE}): {_words(CHOICES)}",
     )
+
+
+def add_depths_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare `--depths`."""
+    parser.add_argument(
+        "--depths",
+        type=numbers(2),
+        metavar="NEAR,FAR",
+        help="how near and how far along the optical axis there can be a stripe, mm; what is bright elsewhere is none "
+        "(default: from 1 / 1.5 of the nearest to 1.5 times the farthest stripe of the calibration; 0,inf: anywhere)",
+    )
+
+
+def depths_of(args: argparse.Namespace) -> tuple[float, float] | None:
+    """What `--depths` says."""
+    return None if args.depths is None else (args.depths[0], args.depths[1])
 
 
 def _words(names: dict) -> str:

@@ -20,7 +20,7 @@ class Estimate:
     Attributes:
         lens: in place of the session's.
         hold: parameters that are held in addition.
-        free: lens terms that are sought although the start camera has them as 0.
+        free: lens terms that are sought although the start camera has them as 0, and the session may hold them.
         plain: plain least squares, every corner with the same weight.
     """
 
@@ -31,7 +31,7 @@ class Estimate:
 
     def of(self, settings: "CameraSettings") -> "CameraSettings":
         """A session's settings with what was asked for."""
-        hold = tuple(sorted({*settings.hold, *self.hold}))
+        hold = tuple(sorted({*settings.hold, *self.hold} - set(self.free)))
         return replace(settings, lens=self.lens or settings.lens, hold=hold)
 
     def zeros(self, path: Path, start: "Camera") -> tuple[str, ...]:
@@ -67,9 +67,10 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         type=_names,
         default=[],
         metavar="NAME[,NAME]",
-        help="do not seek this parameter of the camera, named as in rig.json: camera.radial.0 to .5 are k1 to k6, "
-        "camera.tangential.0 and .1 are p1 and p2. It keeps the value of --camera; without one a lens term is held at "
-        "0. `--lens brown` is OpenCV's default, k1 k2 p1 p2 k3; with `--hold camera.radial.2` it is that of Bouguet's "
+        help="do not seek this parameter of the camera, named as in rig.json: camera.focal.0 and .1, "
+        "camera.principal.0 and .1; camera.radial.0 to .5 are k1 to k6, camera.tangential.0 and .1 are p1 and p2. It "
+        "keeps the value of --camera; without one a lens term is held at 0. `--lens brown` is OpenCV's default, "
+        "k1 k2 p1 p2 k3; with `--hold camera.radial.2` it is that of Bouguet's "
         "toolbox, k1 k2 p1 p2",
     )
     parser.add_argument(
@@ -78,8 +79,8 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         type=_names,
         default=[],
         metavar="NAME[,NAME]",
-        help="seek a lens term although it is 0 in the file of --camera, where it was mostly held; without this it "
-        "stays 0",
+        help="seek a lens term although it is 0 in the file of --camera, where it was mostly held, or the session "
+        "holds it; without this it stays 0",
     )
     parser.add_argument(
         "--plain",

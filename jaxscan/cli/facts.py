@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from jaxscan.errors import InputError
 from jaxscan.files.cameras import format_of, read_camera_file
 from jaxscan.files.cloud import cloud_of
 from jaxscan.files.formats import FORMATS
@@ -24,11 +25,15 @@ from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
+from jaxscan.images.light import Light
 from jaxscan.rig import Camera, Rig
+from jaxscan.rig.speckle_limit import Optics, speckle_limit
 from jaxscan.rig.turn_facts import rig_turn_facts
 
 Facts = dict[str, Any]
 
+# How far points may be from the sheet, in parts of their distance, that a rig is theirs.
+_OFF_SHEET = 0.01
 _CAMERA_PARTS = ("focal", "principal", "radial", "tangential")
 
 
@@ -176,7 +181,29 @@ def range_facts(path: Path) -> Facts:
         "box_mm": _box(image.points[image.valid]),
         "sigma_mm": _median(image.sigma[image.valid]),
         "strength": _median(image.strength[image.valid]),
+        "light": None if image.light is None or (light := Light.of([image.light])) is None else asdict(light),
     }
+
+
+def speckle_limit_facts(path: Path, rig_path: Path, f_number: float, wavelength_nm: float, pixel_um: float) -> Facts:
+    """What speckle alone leaves of a range image's points, along their rays, and how near they come to it.
+
+    Raises:
+        InputError: the points do not lie on the rig's light, have no σ, or a number is not positive.
+    """
+    image, rig, optics = read_range_npz(path), read_rig(rig_path).rig, Optics(f_number, wavelength_nm, pixel_um)
+    per_step = np.zeros(3) if image.per_step is None else image.per_step
+    points = (image.points + (image.steps[:, None] * per_step)[:, None])[image.valid].astype(np.float64)
+    light = None if image.light is None else Light.of([image.light])
+    contrast = light.speckle_contrast if light is not None and light.speckle_contrast else 1.0
+    sigma = None if image.sigma_pixel is None else _median(image.sigma_pixel[image.valid])
+    if not len(points) or sigma is None:
+        raise InputError(f"{path}: has no points with a σ: reconstruct them with a rig that has its covariance")
+    planes = [np.asarray([float(c) for c in laser.plane]) for laser in rig.lasers]
+    if not any(np.median(np.abs(points @ plane - 1)) < _OFF_SHEET for plane in planes):
+        raise InputError(f"{path}: its points do not lie on the light of {rig_path}: give the rig of this scan")
+    limit = float(np.median(speckle_limit(rig, points, optics, contrast)))
+    return {"contrast": contrast, "limit_mm": limit, "sigma_pixel_mm": sigma, "times": sigma / limit}
 
 
 def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Facts:

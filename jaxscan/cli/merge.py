@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_outputs_argument, add_units_argument
+from jaxscan.cli.options import add_outputs_argument, add_units_argument, finite
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -37,14 +37,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
         "--turn",
-        type=_list(float),
+        type=_some,
         metavar="DEG",
         help="how far the object was turned from scan to scan, within 10 degrees, anticlockwise as seen from above; or "
         "0,DEG,DEG,… for each scan (default: features of the shape tell, by the extra features)",
     )
     how.add_argument(
         "--steps",
-        type=_list(float),
+        type=_some,
         metavar="N",
         help="motor steps of the rig's turntable from scan to scan, or N,N,… for each: its axis gives the start",
     )
@@ -57,20 +57,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--fit-turntable",
-        type=_list(float),
+        type=_some,
         metavar="N",
         help="motor steps from scan to scan, or N,N,… for each: find axis and angle of the turntable they stood on",
     )
     parser.add_argument("--write-rig", type=Path, metavar="OUT", help="write the rig with that turntable")
     parser.add_argument(
-        "--floor", choices=("auto", "keep"), default="auto", help="auto (default): found and taken away"
+        "--floor", choices=("auto", "keep"), default="auto", help="auto (default): found and taken away | keep"
     )
     parser.add_argument("--raw", action="store_true", help="keep mixed, grazing and isolated points")
     parser.add_argument(
         "--closed", action="store_true", help="close what was not seen, by screened Poisson (extra poisson)"
     )
     parser.add_argument(
-        "--cube", type=float, metavar="MM", help="distance of the vertices (default: 0.7 of the points')"
+        "--cube", type=finite, metavar="MM", help="distance of the vertices (default: 0.7 of the points')"
     )
     parser.add_argument("--simplify", type=int, metavar="N", help="to so many triangles, by the extra simplify")
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw the surface")
@@ -147,14 +147,12 @@ def _check(args: argparse.Namespace) -> None:
             setattr(args, name, _for_each(f"--{name.replace('_', '-')}", values, len(args.scans)))
 
 
-def _list(kind: type) -> Any:
-    def read(text: str) -> list[Any]:
-        try:
-            return [kind(word) for word in text.split(",")]
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(f"{text!r} is no number, nor numbers with commas between them") from error
-
-    return read
+def _some(text: str) -> list[float]:
+    """A number, or several with commas between them."""
+    try:
+        return [finite(word) for word in text.split(",")]
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number, nor numbers with commas between them") from error
 
 
 def _for_each(option: str, values: list[float], count: int) -> list[float]:

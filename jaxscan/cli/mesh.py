@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_outputs_argument, add_units_argument, numbers
+from jaxscan.cli.options import add_outputs_argument, add_units_argument, finite, numbers
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -40,14 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="list level pieces with their heights above the floor; needs no -o",
     )
-    parser.add_argument("--plateau-area", type=float, metavar="MM2", help="of the smallest plateau (default: 20 mm²)")
+    parser.add_argument("--plateau-area", type=finite, metavar="MM2", help="of the smallest plateau (default: 20 mm²)")
     parser.add_argument("--raw", action="store_true", help="keep mixed, grazing and isolated points")
     parser.add_argument("--crop", type=numbers(6), metavar="X,Y,Z,X,Y,Z", help="the points within this box alone (mm)")
     parser.add_argument(
         "--every", type=numbers(2, int), metavar="F,C", help="every F-th frame and every C-th column alone"
     )
-    parser.add_argument("--grid", type=float, metavar="MM", help="resample from above on a regular grid")
-    parser.add_argument("--fill", type=float, metavar="MM", help="fill holes of up to this size")
+    parser.add_argument("--grid", type=finite, metavar="MM", help="resample from above on a regular grid")
+    parser.add_argument("--fill", type=finite, metavar="MM", help="fill holes of up to this size")
     parser.add_argument(
         "--method",
         choices=("grid", "delaunay", "poisson"),
@@ -199,7 +199,7 @@ def _prepared(
         result["floor"] = {
             "sigma_mm": floor.sigma_mm,
             "tolerance_mm": floor.tolerance_mm,
-            "flatness_mm": floor.flatness_mm,
+            "flatness_mm": floor.flatness_mm if np.isfinite(floor.flatness_mm) else None,
             "normal": floor.R[:, 2].tolist(),
             "points": int((image.valid & ~kept).sum()),
         }
@@ -315,9 +315,10 @@ def describe(result: dict[str, Any]) -> str:
         lines.append(f"  removed    {words}, of {result['points_read']} points")
     if "floor" in result:
         floor = result["floor"]
+        flat = floor["flatness_mm"]
         lines.append(
             f"  floor      {floor['points']} points within {floor['tolerance_mm']:.3f} mm or loose above it; "
-            f"σ {floor['sigma_mm']:.3f} mm, flat within {floor['flatness_mm']:.3f} mm"
+            f"σ {floor['sigma_mm']:.3f} mm{'' if flat is None else f', flat within {flat:.3f} mm'}"
         )
         if floor.get("points_beside_the_scan"):
             lines.append(

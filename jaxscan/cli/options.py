@@ -1,6 +1,7 @@
 """Options that several commands have, and their values."""
 
 import argparse
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,16 +21,24 @@ def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str =
     parser.add_argument(option, choices=("mm", "cm", "m", "inch"), help=words)
 
 
-def numbers(count: int, kind: Callable[[str], Any] = float) -> Callable[[str], list[Any]]:
+def finite(text: str) -> float:
+    """A number: neither nan nor inf, which Python takes for numbers too."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
+
+
+def numbers(count: int, kind: Callable[[str], Any] = finite) -> Callable[[str], list[Any]]:
     """So many numbers with commas between them."""
 
     def read(text: str) -> list[Any]:
         try:
             values = [kind(word) for word in text.split(",")]
-        except ValueError:
+        except (ValueError, argparse.ArgumentTypeError):
             values = []
         if len(values) != count:
-            raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers with commas between them")
+            raise argparse.ArgumentTypeError(f"{text!r} is not {count} finite numbers with commas between them")
         return values
 
     return read

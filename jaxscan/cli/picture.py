@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.atomic import check_writable
-from jaxscan.detectors import DEFAULT, Choice, Detector
+from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.scan import Scan, read_scan
 from jaxscan.files.session import Session, read_session
@@ -19,7 +19,7 @@ from jaxscan.reconstruction import read_range_image
 
 
 def draw_frame(
-    path: Path, index: int, out: Path, detector: Detector = DEFAULT, choice: Choice = "strongest"
+    path: Path, index: int, out: Path, detector: Detector = DEFAULT, choice: Choice = DEFAULT_CHOICE
 ) -> dict[str, Any]:
     """Draw the stripe over frame `index` of a scan.
 
@@ -35,7 +35,7 @@ def draw_frame(
 
 
 def draw_view(
-    path: Path, index: int, out: Path, detector: Detector = DEFAULT, choice: Choice = "strongest"
+    path: Path, index: int, out: Path, detector: Detector = DEFAULT, choice: Choice = DEFAULT_CHOICE
 ) -> dict[str, Any]:
     """Draw the corners, and the stripe of each laser, over view `index` of a session.
 

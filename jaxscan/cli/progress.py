@@ -30,13 +30,13 @@ class Progress:
     def __init__(self, words: str, unit: str, bar: Any) -> None:
         self._words, self._unit, self._bar = words, unit, bar
         self._begin = time.monotonic()
-        self._sign = time.monotonic(), time.process_time()
+        self._calls, self._used = 0, time.process_time()
         self._count = 0
         self._doing = ""
 
     def __call__(self, by: int = 1) -> None:
         """So many more units are done."""
-        self._sign = time.monotonic(), time.process_time()
+        self._calls, self._used = self._calls + 1, time.process_time()
         self._count += by
         self._bar.update(by)
 
@@ -57,14 +57,16 @@ class Progress:
     def watch(self, ended: threading.Event, limit: float) -> None:
         """Keep the bar moving, or print lines, until the block has ended; end the program where it is stuck."""
         printed = time.monotonic()
+        calls, idle = self._calls, 0.0
         while not ended.wait(_PULSE_S):
             if not self._bar.disable:
                 self._bar.refresh()
             elif time.monotonic() - printed > _LINE_S:
                 printed = time.monotonic()
                 print(self.line(), file=sys.stderr, flush=True)
-            since, used = self._sign
-            if time.monotonic() - since > limit and time.process_time() - used < _IDLE * limit:
+            # Counted and not read from a clock: a process that was stopped, by Ctrl-Z for one, is not stuck.
+            calls, idle = self._calls, idle + _PULSE_S if calls == self._calls else 0.0
+            if idle > limit and time.process_time() - self._used < _IDLE * limit:
                 self._give_up(limit)
 
     def _give_up(self, limit: float) -> None:

@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
+from jaxscan.cli.detector_options import add_choice_argument, add_depths_argument, add_detector_argument, depths_of
 from jaxscan.cli.options import add_outputs_argument
-from jaxscan.detectors import DEFAULT, Choice, Detector
+from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 
 if TYPE_CHECKING:
     from jaxscan.reconstruction import Scanner, Written
@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="measure when the light passes over each point of the surface, and not where it is in each frame: right "
         "at borders of prints and of the object too; needs a scan in small, equal steps",
     )
+    add_depths_argument(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -40,13 +41,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     for path in args.output:
         check_writable(path)
-    done, scanner = reconstruct_scan(args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime)
+    done, scanner = reconstruct_scan(
+        args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime, depths_of(args)
+    )
     return {
         "kind": "points",
         "path": [str(path) for path in args.output],
         "frames": done.frames,
         "frames_without_stripe": done.empty,
         "points": done.points,
+        "left_out": scanner.left_out,
         "notes": scanner.notes,
         "warnings": [f"{args.rig}: {warning}" for warning in scanner.warnings],
     }
@@ -57,8 +61,9 @@ def reconstruct_scan(
     rig: Path,
     outputs: list[Path],
     detector: Detector = DEFAULT,
-    choice: Choice = "strongest",
+    choice: Choice = DEFAULT_CHOICE,
     spacetime: bool = False,
+    depths_mm: tuple[float, float] | None = None,
 ) -> tuple["Written", "Scanner"]:
     """Reconstruct with a progress bar, writing the points to each output; what was written, and what did it."""
     from jaxscan.cli.compiled import keep_compiled
@@ -71,7 +76,7 @@ def reconstruct_scan(
 
     calibrated, photographs = read_rig(rig), read_scan(scan)
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
-        scanner = Scanner(calibrated, detector, choice, spacetime)
+        scanner = Scanner(calibrated, detector, choice, spacetime, depths_mm)
         return write_stream(outputs, scanner.scan(photographs, advance)), scanner
 
 

@@ -1,11 +1,13 @@
 """`jaxscan simulate`: a calibration session, a scan, and what is true of both."""
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.cli.options import finite
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -43,9 +45,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="STEPS",
         help="motor steps from frame to frame of a scan, 1000 to a millimetre (default: 2000)",
     )
-    parser.add_argument("--noise", type=float, default=2.0, help="of the sensor, grey levels (default: 2)")
-    parser.add_argument("--blur", type=float, default=0.6, help="of the lens, pixels (default: 0.6)")
-    parser.add_argument("--speckle", type=float, default=0.0, help="contrast of the laser's, 0 to 1 (default: 0)")
+    parser.add_argument("--noise", type=finite, default=2.0, help="of the sensor, grey levels (default: 2)")
+    parser.add_argument("--blur", type=finite, default=0.6, help="of the lens, pixels (default: 0.6)")
+    parser.add_argument(
+        "--speckle",
+        type=finite,
+        default=0.2,
+        metavar="CONTRAST",
+        help="grain of the laser's light in the photograph's pixels, standard deviation over mean, 0 to 1; "
+        "a laser pointer has 0.1 to 0.3, a line without it 0 (default: 0.2)",
+    )
+    parser.add_argument(
+        "--speckle-length",
+        type=finite,
+        nargs=2,
+        default=(0.0, 0.0),
+        metavar=("ALONG", "ACROSS"),
+        help="size of a grain along the stripe and across it, pixels: where its correlation has fallen to 0.61; a "
+        "small aperture makes grains larger than a pixel (default: 0 0, each pixel by itself)",
+    )
+    parser.add_argument(
+        "--ambient-colour",
+        type=finite,
+        nargs=3,
+        default=(1.0, 1.0, 1.0),
+        metavar=("R", "G", "B"),
+        help="of the light that is not the laser's, 0 to 1 each; tungsten: 1 0.75 0.45 (default: 1 1 1)",
+    )
+    parser.add_argument(
+        "--highlight",
+        type=finite,
+        default=0.0,
+        metavar="LEVELS",
+        help="make the object glossy: grey levels of the lamp's reflection in it at its brightest, which lies under "
+        "the stripe on what is level; from about 250 on the spot is burnt out (default: 0, matt)",
+    )
+    parser.add_argument(
+        "--ghost",
+        type=finite,
+        default=0.0,
+        metavar="PART",
+        help="add a second image of the stripe, turned half around the middle of the photograph, as lens and filter "
+        "reflect it; its brightness in parts of the stripe's, 0 to 1 (default: 0)",
+    )
     parser.add_argument(
         "--lasers", type=int, choices=(1, 2), default=1, help="2: a second one, and a scan by each (default: 1)"
     )
@@ -53,7 +95,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--turntable", action="store_true", help="photograph the board on a turntable, and turn by that"
     )
     parser.add_argument("--stripes", action="store_true", help="photograph boards and stripes separately")
-    parser.add_argument("--jpeg", action="store_true", help="write JPEG in place of PNG")
+    parser.add_argument(
+        "--jpeg",
+        action="store_true",
+        help="write JPEG with colour at half the resolution (4:2:0), as webcams and phones do, in place of PNG",
+    )
+    parser.add_argument(
+        "--quality", type=int, metavar="Q", help="of the JPEG, 1 to 100; implies --jpeg (default: 95; many webcams: 75)"
+    )
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -63,8 +112,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"--sides {args.sides}: give 1 to {_MOST_SIDES}")
     if args.apart < 1:
         raise InputError(f"--apart {args.apart}: give 1 or more")
+    if args.quality is not None and not 1 <= args.quality <= 100:
+        raise InputError(f"--quality {args.quality}: give 1 to 100; cameras take 75 to 95")
     bodies, name = _bodies(args)
-    from jaxscan.simulation.folders import scan_name
+    from jaxscan.simulation.folders import JPEG_QUALITY, scan_name
     from jaxscan.simulation.light import Sensor
     from jaxscan.simulation.rig_2003 import STEPS_PER_TURN
 
@@ -77,10 +128,17 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         sides=args.sides,
         apart=args.apart,
         sensor=Sensor(blur_px=args.blur, noise=args.noise),
-        speckle=args.speckle,
+        light={
+            "speckle": args.speckle,
+            "speckle_length_px": tuple(args.speckle_length),
+            "ambient_colour": tuple(args.ambient_colour),
+            "highlight": args.highlight,
+            "ghost": args.ghost,
+        },
         turntable=args.turntable,
         separate_stripes=args.stripes,
-        ending=".jpg" if args.jpeg else ".png",
+        ending=".jpg" if args.jpeg or args.quality is not None else ".png",
+        quality=args.quality or JPEG_QUALITY,
     )
     return {
         "kind": "simulation",
@@ -108,15 +166,17 @@ def simulate_into(
     sides: int = 1,
     apart: int | None = None,
     sensor: "Sensor | None" = None,
-    speckle: float = 0.0,
+    light: Mapping[str, Any],
     turntable: bool = False,
     separate_stripes: bool = False,
     ending: str = ".png",
+    quality: int | None = None,
 ) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
     """Write the session, a scan of some bodies by each laser and from each side, and their truth into a folder.
 
     A scan goes over the same travel, however many motor steps its frames are apart; by default as the rig of 2003.
-    There is a progress bar. The scene is that of the first side.
+    There is a progress bar. The scene is that of the first side. `light` changes the lighting of the rig of 2003; with
+    a highlight the bodies are glossy, and the lamp stands where they mirror it.
     """
     from jaxscan.cli.compiled import keep_compiled
 
@@ -127,6 +187,9 @@ def simulate_into(
 
     rig = rig_2003.simulated_rig(seed, lasers)
     rig = rig_2003.with_turntable(rig, seed) if turntable else rig
+    if light.get("highlight"):
+        bodies = tuple(replace(body, glossy=True) for body in bodies)
+        light = {**light, "direction": rig_2003.mirrored_lamp(rig)}
     turned = [
         rig_2003.turned_on(rig, bodies, rig_2003.STEPS_PER_TURN * k / sides)
         if turntable
@@ -136,7 +199,11 @@ def simulate_into(
     scenes = [rig_2003.scan_scene(rig, each) for each in turned]
     apart = apart or rig_2003.STEPS_APART
     frames = 1 + (rig_2003.SCAN_FRAMES - 1) * rig_2003.STEPS_APART // apart
-    common: dict[str, Any] = {"sensor": sensor or rig_2003.SENSOR, "ending": ending}
+    common: dict[str, Any] = {
+        "sensor": sensor or rig_2003.SENSOR,
+        "ending": ending,
+        "quality": quality or folders.JPEG_QUALITY,
+    }
     boards = rig_2003.BOARD_VIEWS * _each_pose(lasers, separate_stripes) + turntable * rig_2003.TURNTABLE_VIEWS
     with (
         replacing_folders(out) as folder,
@@ -146,7 +213,7 @@ def simulate_into(
             folder / "session",
             seed,
             rig=rig,
-            lighting=replace(rig_2003.BOARD_LIGHTING, speckle=speckle),
+            lighting=replace(rig_2003.BOARD_LIGHTING, **light),
             separate_stripes=separate_stripes,
             advance=advance,
             **common,
@@ -164,7 +231,7 @@ def simulate_into(
                 frames=frames,
                 steps_apart=apart,
                 name=" ".join(part for part in (name, side) if part),
-                lighting=replace(rig_2003.SCAN_LIGHTING, speckle=speckle),
+                lighting=replace(rig_2003.SCAN_LIGHTING, **light),
                 advance=advance,
                 **common,
             )

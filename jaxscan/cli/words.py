@@ -134,6 +134,16 @@ def _range_image(facts: Facts) -> Iterator[Line]:
     yield from _extent(facts)
     if facts["strength"] is not None:
         yield "strength", f"{facts['strength']:.1f} grey levels in the median"
+    if facts["light"] is not None:
+        from jaxscan.images.light import Light
+
+        yield "light", Light(**facts["light"]).in_words()
+    if (limit := facts.get("speckle_limit")) is not None:
+        yield (
+            "limit of speckle",
+            f"{limit['limit_mm']:.4f} mm at a contrast of {limit['contrast']:.2f} (Dorsch, Häusler, Herrmann 1994); "
+            f"the pixel's part of σ is {limit['times']:.2g} times that",
+        )
 
 
 _WORDS: dict[str, Callable[[Facts], Iterator[Line]]] = {

@@ -203,7 +203,10 @@ def size_of(table: Table, keys: tuple[str, str], asked: tuple[int, int] | None) 
     """
     missing = [key for key in keys if key not in table]
     if missing and asked is None:
-        raise table.error(missing[0], "is missing, so the size of the photographs is not known: give the image size")
+        raise table.error(
+            missing[0],
+            "is missing, so the size of the photographs is not known: write it there, or give the image size",
+        )
     if missing:
         return asked or (0, 0)
     return check_size(table, keys[0], [table.number(key) for key in keys], asked)

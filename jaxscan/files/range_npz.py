@@ -28,6 +28,7 @@ _ALWAYS: Final = {
 _WHERE_KNOWN: Final = {
     "pixels": np.dtype(np.float32),
     "sigma_pixel": np.dtype(np.float32),
+    "light": np.dtype(np.float32),
     "per_step": np.dtype(np.float64),
 }
 _DTYPES: Final = _ALWAYS | _WHERE_KNOWN
@@ -61,6 +62,7 @@ class RangeArrays:
         pixels: where the stripe was seen, in rows (or columns) of the photograph, where the file says so.
         sigma_pixel: the pixel's part of sigma, mm, where the file has it.
         per_step: how far what stands on the stage moves for one step, object frame, mm, where the file has it.
+        light: read noise, gain, speckle contrast and saturation of each frame, where the file has them.
     """
 
     points: Float32[np.ndarray, "frames columns 3"]
@@ -71,6 +73,7 @@ class RangeArrays:
     pixels: Float32[np.ndarray, "frames columns"] | None = None
     sigma_pixel: Float32[np.ndarray, "frames columns"] | None = None
     per_step: Float64[np.ndarray, "3"] | None = None
+    light: Float32[np.ndarray, "frames 4"] | None = None
 
 
 def write_range_npz(path: str | os.PathLike[str], image: RangeArrays) -> None:
@@ -164,7 +167,7 @@ def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
 def _check(path: str | os.PathLike[str], arrays: dict[str, np.ndarray]) -> None:
     shape = arrays["valid"].shape
     expected = {"points": (*shape, 3), "strength": shape, "sigma": shape, "valid": shape, "steps": shape[:1]}
-    expected |= {"pixels": shape, "sigma_pixel": shape, "per_step": (3,)}
+    expected |= {"pixels": shape, "sigma_pixel": shape, "per_step": (3,), "light": (*shape[:1], 4)}
     for name, array in arrays.items():
         if len(shape) != 2 or array.shape != expected[name]:
             raise InputError(

@@ -209,6 +209,8 @@ def _fit(table: Table) -> dict[str, Any]:
     for key in _STRIPE_ERRORS:
         if key in fit and fit.number(key) < 0:
             raise fit.error(key, "must be a number that is not negative: calibrate again")
+    if "stripe_depths_mm" in fit and not 0 < (depths := fit.numbers("stripe_depths_mm", 2))[0] <= depths[1]:
+        raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")
     if "warnings" in fit and not all(isinstance(word, str) for word in fit.sequence("warnings", "sentences")):
         raise fit.error("warnings", "must be a list of sentences: calibrate again")
     return dict(fit.values)

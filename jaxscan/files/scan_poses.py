@@ -9,7 +9,7 @@ In a `.conf` a line `bmesh NAME tx ty tz qi qj qk qw` stands for each scan. Poin
 the bunny's scans fall onto each other. The `camera` line says from where to look, and is of no use here.
 """
 
-import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
 from jaxscan.files.table import show
-from jaxscan.files.text import parse_file
+from jaxscan.files.text import parse_file, read_json_value
 
 # How far a matrix may be from a rotation, and the length of a quaternion from 1.
 _OFF: Final = 1e-3
@@ -44,7 +44,7 @@ def read_scan_poses(path: Path, scans: Sequence[Path]) -> list[Pose]:
     if path.suffix.lower() == ".conf":
         poses = parse_file(path, "conf", lambda text: _of_conf(path, text))
     else:
-        content = parse_file(path, "JSON", json.loads)
+        content = read_json_value(path)
         if isinstance(content, list):
             if len(content) != len(scans):
                 raise InputError(
@@ -54,6 +54,12 @@ def read_scan_poses(path: Path, scans: Sequence[Path]) -> list[Pose]:
         if not isinstance(content, dict):
             raise InputError(f"{path}: holds {show(content)}, but a list of poses or an object is expected")
         poses = {name: _of_json(path, f'"{name}"', value) for name, value in content.items()}
+    twins = [name for name, count in Counter(scan.name for scan in scans).items() if count > 1]
+    if twins:
+        raise InputError(
+            f"{path}: names scans by their files, but several are called {', '.join(twins)}: give the poses as a JSON "
+            "list, in the order of the scans"
+        )
     missing = [scan.name for scan in scans if scan.name not in poses]
     if missing:
         raise InputError(
@@ -78,6 +84,8 @@ def _of_conf(path: Path, text: str) -> dict[str, Pose]:
             values = np.array([float(word) for word in words[2:]])
         except ValueError as error:
             raise InputError(f"{path}: {where}: is {line!r}, but seven numbers are expected after the name") from error
+        if not np.isfinite(values).all():
+            raise InputError(f"{path}: {where}: is {line!r}, but finite numbers are expected after the name")
         poses[words[1]] = _rotation(path, where, values[3:]).T, values[:3]
     return poses
 
@@ -93,7 +101,7 @@ def _of_json(path: Path, where: str, value: Any) -> Pose:
                 raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")
             return _rotation(path, where, np.roll(quaternion, -1)), position
         T = np.array(value, np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: {where}: is {show(value)}, but {expected}") from error
     if T.shape not in ((3, 4), (4, 4)) or not np.isfinite(T).all():
         raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")

@@ -25,14 +25,23 @@ def read_json(path: Path) -> Table:
     Raises:
         InputError: the file is missing, not text, not JSON, or not an object; the text says where.
     """
+    values = read_json_value(path)
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: holds {show(values)}, but an object in braces is expected")
+    return Table(path, "", values)
+
+
+def read_json_value(path: Path) -> Any:
+    """What a JSON file holds: an object, in which no key stands twice, a list, or whatever it is.
+
+    Raises:
+        InputError: the file is missing, not text, or not JSON; the text says where.
+    """
 
     def parse(text: str) -> Any:
         return json.loads(text, object_pairs_hook=lambda pairs: _without_twins(path, pairs))
 
-    values = parse_file(path, "JSON", parse)
-    if not isinstance(values, dict):
-        raise InputError(f"{path}: holds {show(values)}, but an object in braces is expected")
-    return Table(path, "", values)
+    return parse_file(path, "JSON", parse)
 
 
 def parse_file(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:

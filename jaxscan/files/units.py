@@ -44,7 +44,7 @@ def in_millimetres(
     if across is not None:
         warnings.warn(
             f"{name}: is {across:.3g} mm across, taken for millimetres: if its numbers are metres, say {option} m; "
-            f"if not, {option} mm",
+            f"if not, what they are: {option} mm, cm or inch",
             UnitsWarning,
             stacklevel=2,
         )

@@ -1,9 +1,11 @@
 """The nearest point of a set of triangles to each of many points.
 
 Triangles that are large beside the others, or long, are cut in two across their longest side until they are not. A tree
-of boxes parallel to the axes holds the pieces, eight boxes in a node (a bounding volume hierarchy: J. Goldsmith and J.
-Salmon, Automatic creation of object hierarchies for ray tracing, 1987; here halved at the median of the widest
-direction). Points descend, many at a time, into the boxes that are nearer than the piece with the nearest centre.
+of boxes holds the pieces, eight boxes in a node (a bounding volume hierarchy: J. Goldsmith and J. Salmon, Automatic
+creation of object hierarchies for ray tracing, 1987; here halved at the median of the widest direction). The boxes of a
+node lie along the plane through its pieces (S. Gottschalk, M. Lin, D. Manocha, OBBTree, 1996): they are as thin as the
+surface is flat there, so that a far point tells them apart. Points descend, many at a time, into the boxes that are
+nearer than the piece with the nearest centre.
 
 In the plane of a piece, x goes along its longest side from a corner of it and y to the corner (c, h) opposite, so that
 0 ≤ c ≤ length. The nearest point to one below that side is on the side; else it is the point itself, if that is inside,
@@ -18,15 +20,18 @@ from scipy.spatial import KDTree
 
 # Points begun together, and pairs of a point and a node that are looked at together.
 _POINTS_AT_ONCE, _PAIRS_AT_ONCE = 1 << 15, 1 << 16
-# Boxes in a node.
+# Boxes in a node, and how many of a level are followed down for a first guess.
 _FAN: Final = 8
+_BEAM: Final = 8
+# A point further from all centres than so many times the root of the mean area is far.
+_NEAR: Final = 8.0
 # A side longer than so many times the root of the mean area is cut, as long as there are no more pieces than so many
 # beside twice the triangles.
 _LONG: Final = 4.0
 _MOST_MORE: Final = 50_000
 
-# Of the children of each node of a level: their lowest and highest coordinates.
-_Level = tuple[Float[np.ndarray, "nodes 3 fan"], Float[np.ndarray, "nodes 3 fan"]]
+# Of each node of a level: its axes, as columns, and its children's lowest and highest coordinates along them.
+_Level = tuple[Float[np.ndarray, "nodes 3 3"], Float[np.ndarray, "nodes 3 fan"], Float[np.ndarray, "nodes 3 fan"]]
 
 
 class ClosestOnTriangles:
@@ -47,6 +52,7 @@ class ClosestOnTriangles:
         self._frames, self._owner = _frames(pieces), owner[order]
         self._leaf = np.flatnonzero(real)
         self._centres = KDTree(pieces[real].mean(axis=1))
+        self._reach = _NEAR * np.sqrt(_mean_area(pieces[real]))
 
     def __call__(
         self, points: Float[np.ndarray, "points 3"]
@@ -64,7 +70,7 @@ class ClosestOnTriangles:
     ) -> tuple[Float[np.ndarray, "points 3"], Int[np.ndarray, "points"]]:
         """The nearest point to each, and its piece."""
         every = np.arange(len(points))
-        best = self._leaf[self._centres.query(points, workers=-1)[1]]
+        best = self._first(points)
         nearest = self._on(points, best)
         square = _squares(points - nearest)
         # The last that was put there is taken first, so that what is known of the first points bounds the next.
@@ -75,8 +81,8 @@ class ClosestOnTriangles:
                 half = len(point) // 2
                 waiting += [(level, point[half:], node[half:]), (level, point[:half], node[:half])]
             elif level < len(self._levels):
-                low, high = self._levels[level]
-                p = points[point][:, :, None]
+                axes, low, high = self._levels[level]
+                p = np.einsum("ni,nij->nj", points[point], axes[node])[:, :, None]
                 gap = np.maximum(low[node] - p, p - high[node])
                 np.maximum(gap, 0.0, out=gap)
                 pair, child = np.nonzero(np.einsum("ijk,ijk->ik", gap, gap) < square[point][:, None])
@@ -93,6 +99,34 @@ class ClosestOnTriangles:
                 at = at[least < square[point[first]]]
                 best[point[at]], nearest[point[at]], square[point[at]] = node[at], on[at], away[at]
         return nearest, best
+
+    def _first(self, points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, "points"]:
+        """A piece near each point: that with the nearest centre, or for a far one that of the tree's nearest boxes.
+
+        Seen from afar all centres are about as near, and a search for the nearest looks at most of them.
+        """
+        away, index = self._centres.query(points, distance_upper_bound=self._reach, workers=-1)
+        far = np.flatnonzero(np.isinf(away))
+        first = self._leaf[np.where(np.isinf(away), 0, index)]
+        for start in range(0, len(far), _PAIRS_AT_ONCE // _BEAM):
+            some = far[start : start + _PAIRS_AT_ONCE // _BEAM]
+            first[some] = self._from_afar(points[some])
+        return first
+
+    def _from_afar(self, points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, "points"]:
+        """The nearest of the pieces that are reached through the few nearest boxes of each level."""
+        nodes, every = np.zeros((len(points), 1), int), np.arange(len(points))[:, None]
+        for axes, low, high in self._levels:
+            p = np.einsum("ni,nbij->nbj", points, axes[nodes])[..., None]
+            gap = np.maximum(low[nodes] - p, p - high[nodes])
+            np.maximum(gap, 0.0, out=gap)
+            squares = np.einsum("nbjk,nbjk->nbk", gap, gap).reshape(len(points), -1)
+            nodes = (nodes[..., None] * low.shape[2] + np.arange(low.shape[2])).reshape(len(points), -1)
+            if nodes.shape[1] > _BEAM:
+                nodes = nodes[every, np.argpartition(squares, _BEAM, axis=1)[:, :_BEAM]]
+        repeated = np.repeat(points, nodes.shape[1], axis=0)
+        away = _squares(repeated - self._on(repeated, nodes.ravel())).reshape(nodes.shape)
+        return nodes[every[:, 0], away.argmin(axis=1)]
 
     def _on(
         self, points: Float[np.ndarray, "points 3"], piece: Int[np.ndarray, "points"]
@@ -123,13 +157,17 @@ def _squares(differences: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "p
     return np.einsum("ij,ij->i", differences, differences)
 
 
+def _mean_area(corners: Float[np.ndarray, "triangles 3 3"]) -> float:
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).mean()) / 2
+
+
 def _cut(
     corners: Float[np.ndarray, "triangles 3 3"],
 ) -> tuple[Float[np.ndarray, "pieces 3 3"], Int[np.ndarray, "pieces"]]:
     """Pieces of triangles, none much larger than the others, and the triangle of each."""
     pieces, owner = corners, np.arange(len(corners))
-    a, b, c = np.moveaxis(corners, 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).mean() / 2
+    area = _mean_area(corners)
     while True:
         sides = np.linalg.norm(np.roll(pieces, -1, axis=1) - pieces, axis=-1)
         length = sides.max(axis=1)
@@ -161,17 +199,31 @@ def _in_order(centres: Float[np.ndarray, "pieces 3"]) -> Int[np.ndarray, "leaves
 
 
 def _levels(pieces: Float[np.ndarray, "leaves 3 3"], real: np.ndarray) -> list[_Level]:
-    """The boxes, from the top of the tree to its leaves; those that are not real are empty."""
-    low = np.where(real[:, None], pieces.min(axis=1), np.inf)
-    high = np.where(real[:, None], pieces.max(axis=1), -np.inf)
-    levels = []
-    while True:
-        fan = min(_FAN, len(low))
-        low, high = (np.ascontiguousarray(box.reshape(-1, fan, 3).transpose(0, 2, 1)) for box in (low, high))
-        levels.append((low, high))
-        if len(low) == 1:
-            return levels[::-1]
-        low, high = low.min(axis=2), high.max(axis=2)
+    """The nodes, from the top of the tree to its leaves; boxes without a real piece are empty."""
+    levels, nodes, fan = [], len(pieces), 1
+    while nodes > 1 or not levels:
+        fan, inside = min(_FAN, nodes), len(pieces) // nodes
+        nodes //= fan
+        corners = pieces.reshape(nodes, -1, 3)
+        axes = _axes(corners)
+        along = np.einsum("nij,njk->nki", corners, axes).reshape(nodes, 3, fan, 3 * inside)
+        empty = ~real.reshape(nodes, 1, fan, inside).any(axis=3)
+        low, high = np.where(empty, np.inf, along.min(axis=3)), np.where(empty, -np.inf, along.max(axis=3))
+        levels.append((axes, low, high))
+    return levels[::-1]
+
+
+def _axes(corners: Float[np.ndarray, "nodes corners 3"]) -> Float[np.ndarray, "nodes 3 3"]:
+    """Two directions along the plane of least squares through each node's corners, and that across it, as columns.
+
+    The first is that of the axis that is nearest to the plane: pieces were put in order along the axes.
+    """
+    off = corners - corners.mean(axis=1, keepdims=True)
+    across = np.linalg.eigh(np.einsum("nij,nik->njk", off, off))[1][:, :, 0]
+    first = np.eye(3)[np.abs(across).argmin(axis=1)]
+    first = first - (first * across).sum(axis=1, keepdims=True) * across
+    first = first / np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(across, first), across], axis=2)
 
 
 def _frames(pieces: Float[np.ndarray, "leaves 3 3"]) -> Float[np.ndarray, "leaves 12"]:

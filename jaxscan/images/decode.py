@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -23,6 +24,8 @@ from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 
 Image = UInt[np.ndarray, "rows columns *rgb"]
+# Numbers of a 16-bit photograph for one grey level, a number of an 8-bit one: 65535 / 255.
+NUMBERS_PER_LEVEL: Final = 257
 
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB`\x82"

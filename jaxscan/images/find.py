@@ -14,14 +14,14 @@ from jaxtyping import Float, UInt, UInt8
 
 from jaxscan.images.board import Board
 from jaxscan.images.circles import find_circles, radius_in_pitches, refine_circles
-from jaxscan.images.decode import Image, to_grey
+from jaxscan.images.decode import NUMBERS_PER_LEVEL, Image, to_grey
 from jaxscan.images.order import order_grid
 from jaxscan.images.refine import refine_corners
 
 Grey = UInt[np.ndarray, "rows columns"]
 Grey8 = UInt8[np.ndarray, "rows columns"]
-# u, v and, for corners, σ, for circles the area of their image.
-Points = Float[np.ndarray, "grid_rows grid_columns values"]
+# Roughly, to a pixel or two, where a board's points are, row by row.
+Points = Float[np.ndarray, "points 2"]
 
 # Longer sides, in pixels, at which the board is looked for. Few boards fill so little of a large photograph that more
 # is needed, and the search costs its area.
@@ -30,8 +30,6 @@ _SIDES = (640, 1280, 2560)
 # serves a small light board on a dark ground.
 _WHITE_PERCENTILES = (90.0, 99.5)
 _BLACK_PERCENTILE = 1
-# Numbers of 16 bits for one of 8: 65535 / 255.
-_FINE = 257
 # Local levels are compared over this part of the longer side.
 _NEIGHBOURHOOD = 1 / 12
 # Four points fix a pose; with fewer a view says nothing.
@@ -61,53 +59,65 @@ def find_board(board: Board, image: Image) -> BoardView | None:
     grey = to_grey(image)
     if min(grey.shape) < 2 * max(board.counts):
         return None
-    find = {"checkerboard": _find_checkerboard, "circles": _find_circles, "charuco": _find_charuco}[board.kind]
-    grid = find(board, image, grey)
-    if grid is None or np.isfinite(grid[..., 0]).sum() < _LEAST_SEEN:
+    found = _found(board, grey)
+    if found is None:
         return None
-    points = order_grid(board, grid.reshape(-1, grid.shape[-1]), grey)
+    columns, rows = board.counts
+    grid = found.reshape(rows, columns, 2)
     if board.kind == "circles":
-        return BoardView(points[:, :2], None, board.half_turn_ambiguous, radius_in_pitches(grid))
-    return BoardView(points[:, :2], points[:, 2], board.half_turn_ambiguous)
+        circles = refine_circles(grey, grid)
+        corners, sigma, radius = circles[..., :2], None, radius_in_pitches(circles)
+    else:
+        # Nearer than its margin, a marker brings edges of its own into a corner's window.
+        clear = (1 - board.marker_mm / board.pitch_mm) / 2 if board.kind == "charuco" else 1.0
+        corners, sigma = refine_corners(image, grid, clear)
+        sigma, radius = sigma.ravel(), None
+    corners = corners.reshape(-1, 2)
+    if np.isfinite(corners[:, 0]).sum() < _LEAST_SEEN:
+        return None
+    return BoardView(corners, sigma, board.half_turn_ambiguous, radius)
 
 
 def shows_checkerboard(counts: tuple[int, int], image: Image) -> bool:
     """Whether a checkerboard of so many inner corners is in the photograph."""
-    return _checkerboard_grid(counts, to_grey(image)) is not None
+    return _find_checkerboard(counts, to_grey(image)) is not None
 
 
-def _find_checkerboard(board: Board, image: Image, grey: Grey) -> Points | None:
-    grid = _checkerboard_grid(board.counts, grey)
-    return None if grid is None else _refined(image, grid)
+def _found(board: Board, grey: Grey) -> Points | None:
+    """The board's points in their order, before any is left out for a stripe or a highlight: the whole board tells it.
+
+    Markers number the points of a ChArUco board, of which some may be missing.
+    """
+    if board.kind == "charuco":
+        return _find_charuco(board, grey)
+    found = (_find_circles if board.kind == "circles" else _find_checkerboard)(board.counts, grey)
+    return None if found is None else order_grid(board, found, grey)
 
 
-def _checkerboard_grid(counts: tuple[int, int], grey: Grey) -> Float[np.ndarray, "grid_rows grid_columns 2"] | None:
-    """Roughly, to a pixel or two, where the corners are."""
-    columns, rows = counts
+def _find_checkerboard(counts: tuple[int, int], grey: Grey) -> Points | None:
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     for reduced, scale in _stretched(grey):
         found, corners = cv2.findChessboardCorners(reduced, counts, flags=flags)
         if found:
-            return _full_size(corners, scale).reshape(rows, columns, 2)
+            return _full_size(corners, scale)
     # The sector-based finder is slower, but bears noise, and wants even light.
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     for reduced, scale in _sizes(_even_light(grey)):
         found, corners = cv2.findChessboardCornersSB(reduced, counts, flags=flags)
         if found:
-            return _full_size(corners, scale).reshape(rows, columns, 2)
+            return _full_size(corners, scale)
     return None
 
 
-def _find_circles(board: Board, _: Image, grey: Grey) -> Points | None:
+def _find_circles(counts: tuple[int, int], grey: Grey) -> Points | None:
     for reduced, scale in _stretched(grey):
-        centres = find_circles(board.counts, reduced)
+        centres = find_circles(counts, reduced)
         if centres is not None:
-            columns, rows = board.counts
-            return refine_circles(grey, _full_size(centres, scale).reshape(rows, columns, 2))
+            return _full_size(centres, scale)
     return None
 
 
-def _find_charuco(board: Board, image: Image, grey: Grey) -> Points | None:
+def _find_charuco(board: Board, grey: Grey) -> Points | None:
     columns, rows = board.counts
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     squares = (columns + 1, rows + 1)
@@ -117,22 +127,14 @@ def _find_charuco(board: Board, image: Image, grey: Grey) -> Points | None:
         return None
     grid = np.full((rows * columns, 2), np.nan)
     grid[ids.ravel().astype(int)] = corners.reshape(-1, 2)
-    # Nearer than its margin, a marker brings edges of its own into a corner's window.
-    margin = (1 - board.marker_mm / board.pitch_mm) / 2
-    return _refined(image, grid.reshape(rows, columns, 2), clear=margin)
-
-
-def _refined(image: Image, grid: Float[np.ndarray, "grid_rows grid_columns 2"], clear: float = 1.0) -> Points:
-    """u, v and σ of each corner."""
-    corners, sigma = refine_corners(image, grid, clear)
-    return np.concatenate([corners, sigma[..., None]], axis=-1)
+    return grid
 
 
 def _stretched(grey: Grey) -> Iterator[tuple[Grey8, float]]:
     """The photograph at each size: at each white level, then as it is, for either may cut off too much."""
     for white in _WHITE_PERCENTILES:
         yield from _sizes(_stretch(grey, white))
-    yield from _sizes(grey if grey.dtype == np.uint8 else _to_8_bits(grey / np.float32(_FINE)))
+    yield from _sizes(grey if grey.dtype == np.uint8 else _to_8_bits(grey / np.float32(NUMBERS_PER_LEVEL)))
 
 
 def _stretch(grey: Grey, white: float) -> Grey8:

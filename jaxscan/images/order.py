@@ -21,7 +21,13 @@ Grid = Float[np.ndarray, "grid_rows grid_columns values"]
 
 
 def order_grid(board: Board, corners: Corners, grey: UInt[np.ndarray, "rows columns"]) -> Corners:
-    """The points of one photograph, found row by row from whichever end, in the order that the rules ask for."""
+    """The points of one photograph, found row by row from whichever end, in the order that the rules ask for.
+
+    Args:
+        board: a checkerboard or circles.
+        corners: as they were found, pixels; of circles some may be NaN.
+        grey: the photograph.
+    """
     columns, rows = board.counts
     grid = corners.reshape(rows, columns, -1)
     whole = _whole(grid)
@@ -71,12 +77,11 @@ def _turns(grid: Grid) -> list[Grid]:
 
 
 def _first_square_is_dark(grid: Grid, grey: UInt[np.ndarray, "rows columns"]) -> bool:
-    """Whether the square diagonally outside the first corner is dark.
+    """Whether the square diagonally outside the first corner is dark; of a grid without gaps.
 
     It may lie outside the photograph; but it has the colour of the square diagonally inside, and of every second one.
     """
     centres = (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, :-1] + grid[1:, 1:]) / 4
-    seen = np.isfinite(centres).all(axis=-1)
-    u, v = np.rint(centres[seen][:, :2]).astype(int).clip(0, np.array(grey.shape)[::-1] - 1).T
-    like_first = np.indices(seen.shape).sum(axis=0)[seen] % 2 == 0
+    u, v = np.rint(centres[..., :2]).astype(int).reshape(-1, 2).clip(0, np.array(grey.shape)[::-1] - 1).T
+    like_first = np.indices(centres.shape[:2]).sum(axis=0).ravel() % 2 == 0
     return bool(np.median(grey[v, u][like_first]) < np.median(grey[v, u][~like_first]))

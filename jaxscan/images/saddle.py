@@ -156,16 +156,16 @@ def fit_saddles(
     shape = np.column_stack([starts - centres, angles, np.full((len(starts), 2), np.log(_FIRST_BLUR_PX))])
     # Across an edge a part of a square is shorter than along the other one, where they do not cross at right angles.
     sine = np.abs(np.linalg.det(lattice))[:, None]
-    whole = _Patches(
-        levels=(levels - middle[:, None]) / spread[:, None],
-        inside=inside,
-        full=full,
-        to_lattice=np.linalg.inv(lattice) * sine[:, :, None],
-        reach=reach_px * sine,
-        clear=np.stack([clear, clear], axis=1),
-        bends=bends,
-        scale=reach_px.mean(axis=1),
-    )
+    whole = {
+        "levels": (levels - middle[:, None]) / spread[:, None],
+        "inside": inside,
+        "full": full,
+        "to_lattice": np.linalg.inv(lattice) * sine[:, :, None],
+        "reach": reach_px * sine,
+        "clear": np.stack([clear, clear], axis=1),
+        "bends": bends,
+        "scale": reach_px.mean(axis=1),
+    }
     # Few at a time: one size is compiled for boards of all sizes, a corner that takes many steps keeps few others, and
     # whoever else uses the processor waits no longer for a large board than for a small one.
     with (
@@ -174,7 +174,12 @@ def fit_saddles(
     ):  # A GPU's own products of matrices would round to ten bits.
         pixels = jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32)
         parts = [
-            _fit(*jax.tree.map(partial(_batch, first=first), (whole, shape)), *pixels, 2 * half + 1)
+            _fit(
+                _Patches(**{name: _batch(x, first) for name, x in whole.items()}),
+                _batch(shape, first),
+                *pixels,
+                2 * half + 1,
+            )
             for first in range(0, len(starts), _BATCH)
         ]
     (shape, light, moved), variance, residual, share, correlation, by_bends = jax.tree.map(

@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from jaxscan.detectors import DEFAULT, Choice, Detector
+from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, JaxscanError
 from jaxscan.extras import extra
 from jaxscan.files.cloud import read_ply
@@ -114,8 +114,9 @@ def run_batch(
     tasks: Sequence[Task],
     rig: Path,
     detector: Detector = DEFAULT,
-    choice: Choice = "strongest",
+    choice: Choice = DEFAULT_CHOICE,
     scheduler: str | None = None,
+    depths_mm: tuple[float, float] | None = None,
 ) -> Iterator[Outcome]:
     """Reconstruct many scans; each outcome as it is there.
 
@@ -125,6 +126,7 @@ def run_batch(
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
         scheduler: address of a Dask scheduler whose workers see the same files; None for this machine.
+        depths_mm: nearest and farthest depth at which there can be a stripe, as `Scanner` has it.
 
     Raises:
         InputError: the rig is refused, or the scheduler does not answer.
@@ -139,7 +141,7 @@ def run_batch(
         futures: dict[Future[int | str], Task] = {}
         for task in tasks:
             here = replace(task, scan=task.scan.absolute(), output=task.output.absolute())
-            future = executor.submit(reconstruct_one, here, rig.absolute(), here.made_at(), detector, choice)
+            future = executor.submit(reconstruct_one, here, rig.absolute(), here.made_at(), detector, choice, depths_mm)
             futures[future] = task
         try:
             for future in as_completed(futures):
@@ -149,7 +151,14 @@ def run_batch(
                 future.cancel()
 
 
-def reconstruct_one(task: Task, rig: Path, stood: int | None, detector: Detector, choice: Choice) -> int | str:
+def reconstruct_one(
+    task: Task,
+    rig: Path,
+    stood: int | None,
+    detector: Detector,
+    choice: Choice,
+    depths_mm: tuple[float, float] | None = None,
+) -> int | str:
     """One scan to one file, on whatever machine.
 
     Args:
@@ -159,6 +168,7 @@ def reconstruct_one(task: Task, rig: Path, stood: int | None, detector: Detector
             another time is this batch's own, of these options, and is not made a second time.
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
+        depths_mm: nearest and farthest depth at which there can be a stripe.
 
     Returns:
         How many points its file has; or, in words, why there is none.
@@ -166,7 +176,7 @@ def reconstruct_one(task: Task, rig: Path, stood: int | None, detector: Detector
     try:
         if task.made_at() != stood and task.is_done(rig):
             return _points_in(task.output)
-        scanner = _scanner(rig, rig.stat().st_mtime_ns, detector, choice)
+        scanner = _scanner(rig, rig.stat().st_mtime_ns, detector, choice, depths_mm)
         return write_stream([task.output], scanner.scan(read_scan(task.scan))).points
     except JaxscanError as error:
         return str(error)
@@ -179,9 +189,11 @@ def _points_in(path: Path) -> int:
 
 
 @lru_cache(maxsize=4)
-def _scanner(rig: Path, modified: int, detector: Detector, choice: Choice) -> Scanner:
+def _scanner(
+    rig: Path, modified: int, detector: Detector, choice: Choice, depths_mm: tuple[float, float] | None
+) -> Scanner:
     """Made ready once in each process, and again when the rig's file has changed."""
-    return Scanner(read_rig(rig), detector, choice)
+    return Scanner(read_rig(rig), detector, choice, depths_mm=depths_mm)
 
 
 def _outcome(task: Task, future: "Future[int | str]") -> Outcome:

@@ -27,6 +27,7 @@ class RangeImage:
         steps: motor step count of each frame.
         per_step: how far whatever stands on the stage moves for one step, mm, where it is known: the camera saw frame n
             from −steps[n] · per_step.
+        light: read noise, gain, speckle contrast and saturation of each frame (`images.light`), where they are known.
     """
 
     points: Float[np.ndarray, "frames columns 3"]
@@ -37,6 +38,7 @@ class RangeImage:
     valid: Bool[np.ndarray, "frames columns"]
     steps: Int[np.ndarray, "frames"]
     per_step: Float[np.ndarray, "3"] | None = None
+    light: Float[np.ndarray, "frames 4"] | None = None
 
     @classmethod
     def of(cls, arrays: RangeArrays) -> "RangeImage":
@@ -51,6 +53,7 @@ class RangeImage:
             valid=arrays.valid,
             steps=arrays.steps,
             per_step=arrays.per_step,
+            light=arrays.light,
         )
 
     @classmethod
@@ -58,9 +61,8 @@ class RangeImage:
         """The frames of several range images of one scan, one after the other."""
         if len(parts) == 1:
             return parts[0]
-        arrays = {
-            f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls) if f.name != "per_step"
-        }
+        known = [f.name for f in fields(cls) if f.name != "per_step" and getattr(parts[0], f.name) is not None]
+        arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in known}
         return cls(**arrays, per_step=parts[0].per_step)
 
     def where(self, keep: Bool[np.ndarray, "frames columns"]) -> "RangeImage":
@@ -91,6 +93,7 @@ class RangeImage:
             **{name: getattr(self, name)[place] for name in ("points", "pixels", "strength", "sigma", "sigma_pixel")},
             valid=self.valid[place],
             steps=self.steps[place[0]],
+            light=None if self.light is None else self.light[place[0]],
         )
 
     def cameras(self) -> Float[np.ndarray, "frames 3"]:
@@ -118,6 +121,7 @@ class RangeImage:
             pixels=self.pixels,
             sigma_pixel=self.sigma_pixel,
             per_step=None if self.per_step is None else np.asarray(self.per_step, np.float64),
+            light=self.light,
         )
 
 

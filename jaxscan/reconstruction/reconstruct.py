@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxscan.detectors import DEFAULT, Choice, Detector
+from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.reconstruction.range_image import RangeImage, writing_points
@@ -20,8 +20,9 @@ def reconstruct(
     scan: Scan,
     advance: Callable[[int], object] = lambda by: None,
     detector: Detector = DEFAULT,
-    choice: Choice = "strongest",
+    choice: Choice = DEFAULT_CHOICE,
     spacetime: bool = False,
+    depths_mm: tuple[float, float] | None = None,
 ) -> RangeImage:
     """Find the stripe in every frame and triangulate it.
 
@@ -32,11 +33,12 @@ def reconstruct(
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
         spacetime: measure the centre of the light's passage over each point in time: of a scan in small, equal steps.
+        depths_mm: nearest and farthest depth at which there can be a stripe, as `Scanner` has it.
 
     Raises:
         InputError: the scan does not fit the rig, a photograph cannot be read, or there is no stripe in any frame.
     """
-    return RangeImage.joined(list(Scanner(rig, detector, choice, spacetime).scan(scan, advance)))
+    return RangeImage.joined(list(Scanner(rig, detector, choice, spacetime, depths_mm).scan(scan, advance)))
 
 
 @dataclass(frozen=True)

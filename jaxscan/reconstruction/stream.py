@@ -4,12 +4,14 @@ The points of a frame are the same whatever is looked at together with it, and m
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.detectors import DEFAULT, Choice, Detector
+from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.listing import common_size
 from jaxscan.files.rig_file import RigFile
@@ -19,15 +21,29 @@ from jaxscan.images.decode import Image
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
+from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wrong_size
 from jaxscan.reconstruction.merged_steps import Batch, merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.range_image import RangeImage
+from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import spacetime_profiles
 from jaxscan.reconstruction.triangulate import Kernel, triangulate
 from jaxscan.rig import Rig
+
+# Why a line in which something is bright has no point, as programs are told.
+REASONS: Final = {
+    Verdict.OUTSIDE: "outside_of_the_depths",
+    Verdict.SPOT: "no_line",
+    Verdict.SECOND: "second_stripe",
+    Verdict.WEAK: "too_weak",
+}
+# Below this part of the points nothing is said of those that are left out.
+_WORTH_A_NOTE: Final = 0.02
+
+Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
 
 
 class Scanner:
@@ -38,25 +54,37 @@ class Scanner:
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
         spacetime: measure the centre of the light's passage over each point in time: of scans in small, equal steps.
+        depths_mm: nearest and farthest depth along the optical axis at which there can be a stripe, mm; by default that
+            of the rig's calibration, widened; (0, inf) for any. Spacetime analysis looks everywhere.
 
     Attributes:
         notes: what the photographs of the last scan have shown to be wrong in its settings.
+        left_out: how many lines of the last scan's frames have no point although something is bright in them, for each
+            reason of `REASONS`.
+
+    Raises:
+        InputError: the depths are none.
     """
 
     def __init__(
         self,
         rig: RigFile | Rig,
         detector: Detector = DEFAULT,
-        choice: Choice = "strongest",
+        choice: Choice = DEFAULT_CHOICE,
         spacetime: bool = False,
+        depths_mm: tuple[float, float] | None = None,
     ) -> None:
+        if depths_mm is not None:
+            check_depths(depths_mm)
         self._content = rig if isinstance(rig, RigFile) else RigFile(rig)
         self.warnings = self._content.warnings
         self._detector: Detector = detector
         self._choice: Choice = choice
         self._spacetime = spacetime
+        self._depths_mm = depths_of(self._content) if depths_mm is None else depths_mm
         self._ready: dict[StripeSettings, _Laser] = {}
         self.notes: list[str] = []
+        self.left_out: dict[str, int] = {}
 
     def scan(self, scan: Scan, advance: Callable[[int], object] = lambda by: None) -> Iterator[RangeImage]:
         """The range image of a scan, some frames at a time, in their order.
@@ -73,20 +101,25 @@ class Scanner:
         with said_of(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
-        self.notes = []
-        for image in self._images(laser, scan, advance):
+        self.notes, self.left_out = [], {}
+        verdicts = np.zeros(len(Verdict), int)
+        for image, counts in self._images(laser, scan, advance):
             frames += len(image.steps)
+            verdicts += counts
             seen += int(np.isfinite(image.pixels).sum())
             points += int(image.valid.sum())
             yield image
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
+        self.left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
+        notes = _left_out_notes(self.left_out, points, self._depths_mm)
         if not seen:
             raise InputError(
                 f"{scan.path}: no stripe was found in any of {frames} frames: check [laser] color "
                 f'("{scan.laser.color}") and columns ({str(scan.laser.columns).lower()}), and look at one with '
-                "jaxscan inspect SCAN --frame 0 --png"
+                "jaxscan inspect SCAN --frame 0 --png" + "".join(f"; {note}" for note in notes)
             )
+        self.notes += notes
         if not points:
             raise InputError(
                 f"{scan.path}: a stripe was found, but no ray through it meets the rig's light plane within its lens: "
@@ -113,48 +146,58 @@ class Scanner:
         """
         ready = self._laser(laser or StripeSettings())
         for some in frames_of(frames, background, self._content.rig.camera.image_size, batch):
-            yield ready.range_image(some)
+            yield ready.range_image(some)[0]
 
-    def _images(self, laser: "_Laser", scan: Scan, advance: Callable[[int], object]) -> Iterator[RangeImage]:
+    def _images(self, laser: "_Laser", scan: Scan, advance: Callable[[int], object]) -> Iterator[Counted]:
+        """Range images, and how many lines of each had which verdict."""
         photographs = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
         several = scan.exposures_s is not None and len(set(scan.steps)) < len(scan.steps)
         if not (several or self._spacetime or self._choice == "coherent"):
             looked = False
             for some in photographs:
                 with said_of(scan.path):
-                    image = laser.range_image(some)
+                    image, counts = laser.range_image(some)
                 if not looked and np.isfinite(image.pixels).any():
                     looked = True
                     self.notes += _miscoloured(scan.laser, some, image)
-                yield image
+                yield image, counts
             return
         steps = merged_steps(scan, _kept(photographs), FRAMES_AT_ONCE)
         if self._spacetime:
             passage = passage_of(self._content.rig, scan)
             for found in spacetime_profiles(*passage, scan.laser, steps, self._detector, self._choice):
-                yield laser.with_sigma(*found)
+                yield laser.with_sigma(*found), np.zeros(len(Verdict), int)
             return
         halo = HALO if self._choice == "coherent" else 0
         for some in overlapping(steps, halo, halo, FRAMES_AT_ONCE - 2 * halo):
             with said_of(scan.path):
-                image = laser.range_image(Frames(some.frames, some.backgrounds, some.steps))
-            yield image[some.inner, :]
+                image, counts = laser.range_image(Frames(some.frames, some.backgrounds, some.steps), some.inner)
+            yield image[some.inner, :], counts
 
     def _laser(self, settings: StripeSettings) -> "_Laser":
         if settings not in self._ready:
-            self._ready[settings] = _Laser(self._content, settings, self._detector, self._choice)
+            self._ready[settings] = _Laser(self._content, settings, self._detector, self._choice, self._depths_mm)
         return self._ready[settings]
 
 
 class _Laser:
     """One laser of a rig, made ready."""
 
-    def __init__(self, content: RigFile, laser: StripeSettings, detector: Detector, choice: Choice) -> None:
+    def __init__(
+        self,
+        content: RigFile,
+        laser: StripeSettings,
+        detector: Detector,
+        choice: Choice,
+        depths_mm: tuple[float, float] | None,
+    ) -> None:
         rig, name = content.rig, laser.name
         self._laser = laser
         self._detector: Detector = detector
         self._choice: Choice = choice
         self._kernel = Kernel.create(rig, name)
+        size = rig.camera.image_size
+        self._band = None if depths_mm is None else sheet_band(self._kernel, laser, size, depths_mm)
         self._map = (
             None if content.covariance is None else SigmaMap.create(rig, name, content.covariance, laser.columns)
         )
@@ -162,8 +205,8 @@ class _Laser:
         self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
         self._per_step = None if rig.stage is None else np.array([float(c) for c in rig.stage.per_step])
 
-    def range_image(self, frames: Frames) -> RangeImage:
-        """Find the stripe in some frames and triangulate it."""
+    def range_image(self, frames: Frames, inner: slice = slice(None)) -> Counted:
+        """Find the stripe in some frames and triangulate it; and the verdicts of the inner ones."""
         count, size = len(frames.steps), len(frames.images)
         stripe = detect_stripe(
             frames.images,
@@ -172,6 +215,7 @@ class _Laser:
             detector=self._detector,
             choice=self._choice,
             count=count,
+            band=self._band,
         )
         # Whatever follows keeps the buffer's size too.
         position, sigma, strength = (
@@ -180,7 +224,9 @@ class _Laser:
         )
         steps = np.pad(frames.steps, (0, size - count))
         points = _triangulated(self._kernel, position, steps.astype(np.float32), self._laser.columns)
-        return self.with_sigma(position, sigma, strength, points, steps)[:count, :]
+        counts = np.bincount(stripe.verdict[inner].ravel(), minlength=len(Verdict))
+        found = self.with_sigma(position, sigma, strength, points, steps)[:count, :]
+        return replace(found, light=stripe.light), counts
 
     def with_sigma(
         self,
@@ -209,6 +255,24 @@ def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> li
     ]
     said = miscoloured(colors, laser)
     return [] if said is None else [f"the stripe {said} in scan.toml"]
+
+
+def _left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float, float] | None) -> list[str]:
+    """What is said of lines without a point, where they are many."""
+    outside, weak = (left_out[REASONS[verdict]] for verdict in (Verdict.OUTSIDE, Verdict.WEAK))
+    notes = []
+    if depths_mm is not None and outside:
+        near, far = depths_mm
+        notes.append(
+            f"{outside} points were left out that would lie nearer than {near:.0f} or farther than {far:.0f} mm: set "
+            "the depths of the scene with --depths NEAR,FAR, or keep all of them with --depths 0,inf"
+        )
+    if weak > _WORTH_A_NOTE * points:
+        notes.append(
+            f"{weak} lines, {weak / (weak + points):.0%} of those with a stripe, show it too weak to be told from "
+            "noise: expose longer, open the lens, or take the laser nearer"
+        )
+    return notes
 
 
 def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterator[Frames]:

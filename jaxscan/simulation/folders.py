@@ -27,6 +27,7 @@ from jaxscan.files.scan import SCAN_FILE, Scan, write_scan
 from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableImages, Views, write_session
 from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings, write_image
+from jaxscan.images.jpeg import write_jpeg
 from jaxscan.rig import Rig
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.light import Lighting, Sensor
@@ -37,6 +38,7 @@ from jaxscan.simulation.scene import Scene
 
 TRUE_RIG: Final = "rig.json"
 TRUE_SESSION: Final = "session.json"
+JPEG_QUALITY: Final = 95
 
 # Second number of the seed: photographs of different kinds share no noise.
 _BOARD_NOISE, _STAGE_NOISE, _SCAN_NOISE, _STRIPE_NOISE = range(4)
@@ -98,6 +100,7 @@ def simulate_session(
     sensor: Sensor = rig_2003.SENSOR,
     separate_stripes: bool = False,
     ending: str = ".png",
+    quality: int = JPEG_QUALITY,
     advance: Advance = lambda count: None,
 ) -> SessionTruth:
     """Write a calibration session of the simulated rig of 2003: boards with the stripe, and a board on the stage.
@@ -111,10 +114,11 @@ def simulate_session(
         views: how many poses, the first of them the same whatever their number; 11 if None.
         stage_views: how many photographs of the board on the stage; 31 if None.
         steps_apart: motor steps from one of these to the next.
-        lighting: of the boards with a stripe; the stage photographs have the same without the laser.
+        lighting: of the boards with a stripe; the stage photographs have the same without the laser. Boards are matt.
         sensor: of all photographs.
         separate_stripes: photograph every pose once without the laser and once with it, into `stripes/`.
         ending: format of the photographs.
+        quality: of JPEG, whose colour has half the resolution (4:2:0).
         advance: called with 1 after every photograph.
 
     Raises:
@@ -131,7 +135,7 @@ def simulate_session(
     def shoot(name: str, scene: Scene, kind: int, i: int, **how: Any) -> Path:
         image = render(rig, scene, lighting=lighting, sensor=sensor, seed=(2003, seed, kind, i), **how)
         path = folder / f"{name}{ending}"
-        write_image(path, image)
+        _write(path, image, quality)
         advance(1)
         return path
 
@@ -179,6 +183,7 @@ def simulate_scan(
     lighting: Lighting = rig_2003.SCAN_LIGHTING,
     sensor: Sensor = rig_2003.SENSOR,
     ending: str = ".png",
+    quality: int = JPEG_QUALITY,
     advance: Advance = lambda count: None,
 ) -> ScanTruth:
     """Write a scan: `scan.toml` and `frames/`.
@@ -195,6 +200,7 @@ def simulate_scan(
         lighting: what lights the scene.
         sensor: of all frames.
         ending: format of the photographs.
+        quality: of JPEG, whose colour has half the resolution (4:2:0).
         advance: called with 1 after every photograph.
 
     Raises:
@@ -208,7 +214,7 @@ def simulate_scan(
         seeds = (2003, seed, _SCAN_NOISE, i, *([laser] if laser else []))
         image = render(rig, scene, steps=n, laser=laser, lighting=lighting, sensor=sensor, seed=seeds)
         paths.append(folder / "frames" / f"{i:03d}{ending}")
-        write_image(paths[-1], image)
+        _write(paths[-1], image, quality)
         profiles.append(true_profile(rig, scene, n, laser=laser, lighting=lighting))
         advance(1)
     settings = StripeSettings(name=rig.lasers[laser].name)
@@ -258,6 +264,14 @@ def read_scan_truth(folder: Path, which: str = "") -> ScanTruth:
         raise InputError(f"{path}: there is no such file: name the folder truth of a simulation")
     with np.load(path) as arrays:
         return ScanTruth(arrays["steps"], arrays["position"], arrays["points"], which)
+
+
+def _write(path: Path, image: np.ndarray, quality: int) -> None:
+    """Write a photograph, with this quality if it is a JPEG."""
+    if path.suffix == ".jpg":
+        write_jpeg(path, image, quality)
+    else:
+        write_image(path, image)
 
 
 def _pose_values(pose: Pose, i: Any) -> dict[str, list[float]]:

@@ -1,21 +1,24 @@
 """The compiled parts of the renderer. Scenes, poses and light are arguments: one compilation serves all photographs.
 
 A pixel is split into 3 × 3 fine cells. First one ray is cast through the middle of every cell: `depth_of`, `key_of`,
-`shade`, `paint`. `coarse` finds the cells beside an edge or near the sheet of laser light. They are cast again with 25
-rays each, 225 to a pixel: `spray`, the same kernels, `shine` for the laser, `merge`. The 25 form a lattice of rank one,
-in which all have different columns and rows, so that an edge along either axis is placed to 1/75 px rather than 1/15;
-it is shifted from cell to cell, which spreads what is left evenly. `develop` blurs, averages each pixel and adds the
-noise.
+`shade`, `glance`, `paint`. `coarse` finds the cells beside an edge or near the sheet of laser light. They are cast
+again with 25 rays each, 225 to a pixel: `spray`, the same kernels, `shine` and `illuminate` for the laser, `merge`. The
+25 form a lattice of rank one, in which all have different columns and rows, so that an edge along either axis is placed
+to 1/75 px rather than 1/15; it is shifted from cell to cell, which spreads what is left evenly. `gather` blurs and
+averages each pixel, `develop` adds the noise. The laser's light is kept apart up to there where it has speckle or a
+ghost, which it has in the pixels.
 
 Each kernel has one output, as a rule: on a CPU XLA has no fusion of several outputs, and a chain of kernels is four to
 twenty times as fast as one that computes all.
 
 The brightness of a point is
 
-    albedo · (ambient + directional · max(0, n · l) + power · colour · exp(−d² / 2 σ²) · max(0, n · s) · lit)
+    albedo · (lamp · (ambient + directional · max(0, n · l)) + power · colour · exp(−d² / 2 σ²) · max(0, n · s) · lit)
+    + lamp · highlight · exp(−(1 − n · h) / γ²)
 
-with d = (ω · X − 1) / |ω| the distance from the sheet, s the direction to the laser, and lit = 0 where a body stands
-between the two.
+with d = (ω · X − 1) / |ω| the distance from the sheet, s the direction to the laser, lit = 0 where a body stands
+between the two, l the direction to the lamp, h halfway between those to the lamp and to the camera, and γ the scatter
+of a glossy surface's slopes. The second line is of glossy bodies alone (J. F. Blinn 1977).
 """
 
 from functools import partial
@@ -27,7 +30,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.simulation.scene import Scene
-from jaxscan.simulation.vector import Rays, Vec, dot, subtract, vec
+from jaxscan.simulation.vector import Rays, Vec, dot, scale, subtract, vec
 
 # Fine cells along a pixel's side.
 FINE = 3
@@ -50,11 +53,17 @@ class Light(NamedTuple):
         ambient: grey levels.
         directional: grey levels.
         direction: unit vector towards the directional light.
+        colour: red, green, blue of both, in parts.
+        highlight: grey levels.
+        scatter: of a glossy surface's slopes, standard deviation, radians.
     """
 
     ambient: Any
     directional: Any
     direction: Any
+    colour: Any
+    highlight: Any
+    scatter: Any
 
 
 class Sheet(NamedTuple):
@@ -103,10 +112,30 @@ def shade(
 
 
 @jax.jit
-def paint(scene: Scene, level: Float[Array, "*rays"], key: Int[Array, "*rays"]) -> Float[Array, "rgb *rays"]:
+def glance(
+    scene: Scene, light: Light, x: Float[Array, "*rays"], y: Float[Array, "*rays"], depth: Any, key: Any
+) -> Float[Array, "*rays"]:
+    """Brightness of the lamp's reflection in glossy bodies (grey levels)."""
+    point, to_lamp = _point(x, y, depth, key), vec(light.direction)
+    half = subtract(to_lamp, scale(point, 1 / jnp.sqrt(dot(point, point))))
+    normal = scene.normal(point, key)
+    off = 1 - dot(normal, half) / jnp.sqrt(dot(half, half))
+    seen = scene.glossy(key) & (dot(normal, to_lamp) > 0)
+    return jnp.where(seen, light.highlight * jnp.exp(-off / light.scatter**2), 0.0)
+
+
+@jax.jit
+def paint(
+    scene: Scene,
+    light: Light,
+    level: Float[Array, "*rays"],
+    highlight: Float[Array, "*rays"] | None,
+    key: Int[Array, "*rays"],
+) -> Float[Array, "rgb *rays"]:
     """Brightness of what was met, without the laser, and the backdrop where nothing was (grey levels)."""
-    backdrop = jnp.asarray(scene.backdrop).reshape((3,) + (1,) * key.ndim)
-    return jnp.where(key[None] >= 0, level[None] * scene.albedo(key), backdrop)
+    backdrop, colour = (jnp.asarray(of).reshape((3,) + (1,) * key.ndim) for of in (scene.backdrop, light.colour))
+    reflected = level[None] * scene.albedo(key) + (0.0 if highlight is None else highlight[None])
+    return jnp.where(key[None] >= 0, colour * reflected, backdrop)
 
 
 @jax.jit
@@ -170,31 +199,27 @@ def spray(
     return linear(x), linear(y)
 
 
+@jax.jit
+def illuminate(
+    scene: Scene, sheet: Sheet, laser: Float[Array, "*rays"], key: Int[Array, "*rays"]
+) -> Float[Array, "rgb *rays"]:
+    """Brightness of what was met by the laser alone, which is given for a white body (grey levels)."""
+    return scene.albedo(key) * laser[None] * jnp.asarray(sheet.power).reshape((3,) + (1,) * key.ndim)
+
+
 @partial(jax.jit, donate_argnums=0)
 def merge(
-    fine: Float[Array, "rgb rows columns"],
-    cells: Int[Array, "cells"],
-    scene: Scene,
-    sheet: Sheet | None,
-    key: Int[Array, "cells rays"],
-    level: Float[Array, "cells rays"],
-    laser: Float[Array, "cells rays"] | None,
+    fine: Float[Array, "rgb rows columns"], cells: Int[Array, "cells"], *parts: Float[Array, "rgb cells rays"]
 ) -> Float[Array, "rgb rows columns"]:
     """Put the mean brightness of the rays of some cells in the cells' places; `fine` is used up.
 
     Args:
         fine: brightness of every cell.
         cells: their indices; those past the end of the grid are left out.
-        scene: displaced.
-        sheet: the laser that is on, if any.
-        key: of their rays.
-        level: of their rays, as `shade` has it.
-        laser: of their rays, as `shine` has it, times the speckle.
+        parts: of their rays' brightness.
     """
-    colour = paint(scene, level, key)
-    if sheet is not None and laser is not None:
-        colour = colour + scene.albedo(key) * laser[None] * jnp.asarray(sheet.power)[:, None, None]
-    return fine.reshape(3, -1).at[:, cells].set(colour.mean(-1), mode="drop").reshape(fine.shape)
+    colour = sum(part.mean(-1) for part in parts)
+    return fine.reshape(3, -1).at[:, cells].set(colour, mode="drop").reshape(fine.shape)
 
 
 def sheet_distance(sheet: Sheet, x: Any, y: Any, depth: Any) -> Any:
@@ -215,37 +240,57 @@ def _point(x: Any, y: Any, depth: Any, key: Any) -> Vec:
 
 
 @jax.jit
+def gather(
+    fine: Float[Array, "rgb rows columns"], weights: Float[Array, "taps"]
+) -> Float[Array, "pixel_rows pixel_columns rgb"]:
+    """Blur, and average over each pixel of a band of the photograph.
+
+    Args:
+        fine: brightness of the fine cells of the band, and of those of so many pixels above and below it as `margin`
+            says.
+        weights: point spread and pixel together, on the grid of the cells (`spread`).
+    """
+    across = [(0, 0), (0, 0), (FINE * margin(weights),) * 2]
+    return jnp.moveaxis(_reduce(_reduce(jnp.pad(fine, across, mode="edge"), weights, 1), weights, 2), 0, -1)
+
+
+def margin(weights: Any) -> int:
+    """How many pixels away light still reaches a pixel."""
+    return -(-(weights.shape[0] // 2 - 1) // FINE)
+
+
+@jax.jit
 def develop(
-    fine: Float[Array, "rgb rows columns"],
-    weights: Float[Array, "taps"],
+    light: Float[Array, "pixel_rows pixel_columns rgb"],
+    laser: Float[Array, "pixel_rows pixel_columns rgb"] | None,
+    grain: Float[Array, "pixel_rows pixel_columns"] | None,
     noise: Float[Array, "pixel_rows pixel_columns rgb"],
     sensor: Any,
 ) -> Any:
-    """Blur, average over each pixel, amplify, add noise, cut off and round.
+    """Give the laser its speckle and its ghost, amplify, add noise, cut off and round.
 
     Args:
-        fine: brightness of every fine cell.
-        weights: point spread and pixel together, on the grid of the cells (`spread`).
+        light: what falls on every pixel.
+        laser: what of the laser's light is to be added to it, if any.
+        grain: factors of that (`speckle`), if any.
         noise: grey levels.
-        sensor: gain, saturation and numbers for each grey level.
+        sensor: gain, saturation, numbers for each grey level, and the part of the laser's light that is in the ghost.
     """
-    gain, saturation, numbers = sensor
-    across = _reduce(_reduce(fine, weights, 1), weights, 2)
-    level = jnp.clip(jnp.moveaxis(across, 0, -1) * gain + noise, 0, saturation)
+    gain, saturation, numbers, ghost = sensor
+    if laser is not None:
+        laser = laser if grain is None else laser * grain[..., None]
+        light = light + laser + ghost * laser[::-1, ::-1]
+    level = jnp.clip(light * gain + noise, 0, saturation)
     return jnp.round(level * numbers).astype(jnp.uint16)
 
 
-def _reduce(fine: Float[Array, "..."], weights: Float[Array, "taps"], axis: int) -> Float[Array, "..."]:
-    """Weighted sums about the centre of every pixel along one axis; beyond the border the image goes on as it ends."""
-    reach = weights.shape[0] // 2
-    pixels = fine.shape[axis] // FINE
-    before = -(-(reach - 1) // FINE)
-    pad = [(0, 0)] * fine.ndim
-    pad[axis] = (FINE * before, FINE * before)
-    padded = jnp.pad(fine, pad, mode="edge")
-    shape = (*fine.shape[:axis], pixels + 2 * before, FINE, *fine.shape[axis + 1 :])
+def _reduce(padded: Float[Array, "..."], weights: Float[Array, "taps"], axis: int) -> Float[Array, "..."]:
+    """Weighted sums about the centre of every pixel along one axis, which has a margin at both ends."""
+    reach, before = weights.shape[0] // 2, margin(weights)
+    pixels = padded.shape[axis] // FINE - 2 * before
+    shape = (*padded.shape[:axis], pixels + 2 * before, FINE, *padded.shape[axis + 1 :])
     split = padded.reshape(shape)
-    total = jnp.zeros((), fine.dtype)
+    total = jnp.zeros((), padded.dtype)
     for tap in range(weights.shape[0]):
         # The centre of pixel k is cell 3 (k + before) + 1 of the padded axis.
         cell = FINE * before + 1 + tap - reach

@@ -8,6 +8,9 @@ from jaxtyping import Float
 
 from jaxscan.errors import InputError
 
+# Grains of more pixels than this are no speckle.
+_LONGEST_PX = 50.0
+
 
 @dataclass(frozen=True)
 class Lighting:
@@ -15,25 +18,35 @@ class Lighting:
 
     Attributes:
         ambient: light from everywhere, without shadows.
-        directional: light from one direction, without shadows.
-        direction: towards that light, camera frame; need not have length one.
+        directional: light from one direction, a lamp, without shadows.
+        direction: towards that lamp, camera frame; need not have length one.
+        ambient_colour: red, green and blue of both, in parts of their level; (1, 0.75, 0.45) is about tungsten.
+        highlight: brightest level of the lamp's reflection in a glossy body.
+        highlight_deg: how far a glossy surface may be turned from a mirror of the lamp, standard deviation, degrees.
         laser_power: peak of the sheet on a surface that faces the laser, before any blur.
         laser_colour: red, green and blue of the laser, in parts of its power.
         sheet_sigma_mm: standard deviation of the sheet's Gaussian thickness, mm.
         laser_source: where the sheet fans out from, camera frame, mm; None for `default_source`.
-        speckle: contrast of the laser's speckle, 0 to 1 (standard deviation over mean).
-        speckle_length_px: distance at which the covariance of the speckle has fallen by 1/√e, px.
+        speckle: contrast of the laser's light in the pixels of the photograph, 0 to 1 (standard deviation over mean).
+        speckle_length_px: along the stripe and across it: distance at which the correlation of that light has fallen to
+            1/√e, px; 0 where each pixel is by itself.
+        ghost: brightness of a second image of the laser's light, in parts of the first. Lens and filter reflect it: it
+            is turned half around the middle of the photograph.
     """
 
     ambient: float = 55.0
     directional: float = 35.0
     direction: tuple[float, float, float] = (-0.3, -0.5, -1.0)
+    ambient_colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    highlight: float = 0.0
+    highlight_deg: float = 1.5
     laser_power: float = 2000.0
     laser_colour: tuple[float, float, float] = (1.0, 0.006, 0.006)
     sheet_sigma_mm: float = 0.25
     laser_source: tuple[float, float, float] | None = None
     speckle: float = 0.0
-    speckle_length_px: float = 1.0
+    speckle_length_px: tuple[float, float] = (0.0, 0.0)
+    ghost: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what no light can be.
@@ -41,14 +54,26 @@ class Lighting:
         Raises:
             InputError: a level, contrast or thickness that cannot be.
         """
-        if min(self.ambient, self.directional, self.laser_power, *self.laser_colour) < 0:
-            raise InputError(f"{self}: light levels are not negative")
-        if self.sheet_sigma_mm <= 0:
+        for name in ("ambient", "directional", "highlight", "laser_power"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(f"{name} = {getattr(self, name)}: give a light level of 0 or more, in grey levels")
+        if not all(0 <= part < math.inf for part in self.laser_colour):
+            raise InputError(f"laser_colour = {self.laser_colour}: give three numbers of 0 or more")
+        if not all(0 <= part <= 1 for part in self.ambient_colour):
+            raise InputError(f"ambient_colour = {self.ambient_colour}: give three numbers from 0 to 1")
+        if not 0 < self.highlight_deg <= 90:
+            raise InputError(f"highlight_deg = {self.highlight_deg}: give an angle above 0 and up to 90 degrees")
+        if not 0 < self.sheet_sigma_mm < math.inf:
             raise InputError(f"sheet_sigma_mm = {self.sheet_sigma_mm}: give a positive number of millimetres")
         if not 0 <= self.speckle <= 1:
             raise InputError(f"speckle = {self.speckle}: give a contrast from 0 to 1")
-        if self.speckle_length_px <= 0:
-            raise InputError(f"speckle_length_px = {self.speckle_length_px}: give a positive number of pixels")
+        if not all(0 <= length <= _LONGEST_PX for length in self.speckle_length_px):
+            raise InputError(
+                f"speckle_length_px = {self.speckle_length_px}: give 0 to {_LONGEST_PX:g} pixels along the stripe, "
+                "and across it"
+            )
+        if not 0 <= self.ghost <= 1:
+            raise InputError(f"ghost = {self.ghost}: give a part of the stripe's brightness, 0 to 1")
 
     def source(self, omega: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Where the sheet with dual plane ω fans out from (mm, camera frame)."""

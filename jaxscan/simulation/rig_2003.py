@@ -42,6 +42,8 @@ SENSOR: Final = Sensor(blur_px=0.6, noise=2.0)
 BOARD_LIGHTING: Final = Lighting(laser_power=2500.0)
 # On objects 200 are enough, and what is burnt out is worth less.
 SCAN_LIGHTING: Final = Lighting(laser_power=1000.0)
+# Contrast of an ordinary laser's light in the pixels of a photograph.
+SPECKLE: Final = 0.2
 
 _FOCAL = (697.70833, 690.43328)
 _PRINCIPAL = (310.29604, 228.14934)
@@ -181,6 +183,17 @@ def platform(rig: Rig, depth: float = _PLATFORM_DEPTH) -> tuple[Float[np.ndarray
     x = x - (x @ y) * y
     x /= np.linalg.norm(x)
     return np.stack([x, y, np.cross(x, y)], axis=1), _sheet_point(rig, depth)
+
+
+def mirrored_lamp(rig: Rig) -> tuple[float, float, float]:
+    """Towards a lamp that the camera would see in a mirror on the platform, where the sheet meets it.
+
+    So its highlight lies under the stripe on whatever is flat and parallel to the platform.
+    """
+    R, origin = platform(rig)
+    sight = -origin / np.linalg.norm(origin)
+    x, y, z = 2 * (R[:, 2] @ sight) * R[:, 2] - sight
+    return float(x), float(y), float(z)
 
 
 def scan_scene(rig: Rig, bodies: Sequence[Body]) -> Scene:

@@ -3,6 +3,8 @@
 All coordinates are those of the camera frame; a body on the stage is described as it stands at motor step 0.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,21 +19,23 @@ _PATCHES = 1 << 24
 
 
 class Body(eqx.Module):
-    """A shape and how it reflects light: evenly into all directions (Lambert).
+    """A shape and how it reflects light: evenly into all directions (Lambert), and the lamp's like a mirror if glossy.
 
     Attributes:
         shape: what it is.
         albedo: red, green, blue, each 0 to 1.
         on_stage: whether it moves with the stage.
+        glossy: whether the lamp has a highlight in it.
     """
 
     shape: Shape
     albedo: Vector
     on_stage: bool = eqx.field(static=True, default=True)
+    glossy: bool = eqx.field(static=True, default=False)
 
     def moved(self, R: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> "Body":
         """The body after x ↦ R x + translation (mm)."""
-        return Body(self.shape.moved(R, translation), self.albedo, self.on_stage)
+        return replace(self, shape=self.shape.moved(R, translation))
 
 
 class Scene(eqx.Module):
@@ -96,6 +100,13 @@ class Scene(eqx.Module):
             own = jnp.asarray(body.albedo).reshape((3,) + (1,) * (key.ndim - 1))
             albedo = jnp.where(_of_body(key, i), body.shape.tone(key % _PATCHES) * own, albedo)
         return albedo
+
+    def glossy(self, key: Int[Array, "*any"]) -> Bool[Array, "*any"]:
+        """Whether what was met is glossy."""
+        glossy = jnp.zeros_like(key, dtype=bool)
+        for i, body in enumerate(self.bodies):
+            glossy = glossy | (body.glossy & _of_body(key, i))
+        return glossy
 
     def blocks(self, rays: Rays, margin: Float[Array, "*any"]) -> Bool[Array, "*any"]:
         """Whether any body is met between t = margin and t = 1 − margin."""

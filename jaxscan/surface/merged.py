@@ -228,9 +228,11 @@ def _gap(
 def _nets(points: _Points, size: float) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "quads 4"]]:
     """A vertex in each cube that f = 0 goes through, and a quadrilateral around each side of a cube that it crosses."""
     low = points.points.min(axis=0) - 3 * size
-    shape = np.ceil((points.points.max(axis=0) + 3 * size - low) / size).astype(np.int64) + 1
-    if shape.prod() > 1 << 62:
+    along = np.ceil((points.points.max(axis=0) + 3 * size - low) / size) + 1
+    # In floating point, where what is too large for whole numbers is large still.
+    if along.prod() > 2.0**62:
         raise InputError(f"cubes of {size:g} mm are too many: give larger ones")
+    shape = along.astype(np.int64)
     stride = np.array([shape[1] * shape[2], shape[2], 1])
     cell = np.unique(np.floor((points.points - low) / size).astype(np.int64) @ stride)
     around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3) @ stride

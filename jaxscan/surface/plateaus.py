@@ -72,10 +72,16 @@ def plateaus(image: RangeImage, floor: Floor, least_mm2: float = 20.0) -> tuple[
         least_mm2: the area of the smallest.
 
     Raises:
-        InputError: the area is not more than 0.
+        InputError: the area is not more than 0, or no point is above the floor as it was scanned.
     """
     if not least_mm2 > 0:
         raise InputError(f"plateaus of {least_mm2:g} mm²: give an area that is more than 0")
+    height = floor.height(image.points)
+    if not np.isfinite(height[image.valid]).any():
+        raise InputError(
+            "no point lies over the scan of the bare stage, so that no height is known: scan the stage where the "
+            "object stands, in the same frame"
+        )
     try:
         kept = stands_on(image, floor)
     except InputError:
@@ -84,7 +90,6 @@ def plateaus(image: RangeImage, floor: Floor, least_mm2: float = 20.0) -> tuple[
     every = max(1, -(-int(kept.sum()) // _MOST))
     thinned = np.zeros_like(kept)
     thinned[:, ::every] = True
-    height = floor.height(image.points)
     of = kept & thinned & np.isfinite(height)
     places = (image.points[of].astype(np.float64) - floor.origin) @ floor.R
     z = height[of]

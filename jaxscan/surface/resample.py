@@ -32,9 +32,13 @@ def resample(image: RangeImage, spacing_mm: float, frame: Frame) -> RangeImage:
     surface = grid_surface(image)
     local = (surface.vertices.astype(np.float64) - t) @ R
     low = np.floor(local[:, :2].min(axis=0) / spacing_mm)
-    columns, rows = (np.floor(local[:, :2].max(axis=0) / spacing_mm) - low + 1).astype(int)
-    if rows * columns > _LARGEST:
-        raise InputError(f"a grid of {spacing_mm:g} mm has {rows} x {columns} nodes here: give a wider spacing")
+    nodes_along = np.floor(local[:, :2].max(axis=0) / spacing_mm) - low + 1
+    if nodes_along.prod() > _LARGEST:
+        raise InputError(
+            f"a grid of {spacing_mm:g} mm has {nodes_along[1]:.0f} x {nodes_along[0]:.0f} nodes here: give a wider "
+            "spacing"
+        )
+    columns, rows = nodes_along.astype(int)
     nodes = local[:, :2] / spacing_mm - low
     height = np.full(rows * columns, -np.inf)
     owner = np.full(rows * columns, -1)

@@ -68,6 +68,7 @@ def compose(
             *(sections.volume(volume) for volume in volumes),
             sections.photographs(calibration, diagnostics),
             sections.residuals(calibration, diagnostics),
+            *([light] if (light := sections.light(calibration)) else []),
             *([sections.stripes(diagnostics)] if diagnostics.stripes else []),
             *([sections.stage(calibration, diagnostics)] if diagnostics.stages else []),
             *([sections.turntable(calibration, diagnostics)] if diagnostics.turntables else []),

@@ -9,6 +9,7 @@ import numpy as np
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder
 from jaxscan.calibration.on_board import stripe_points_in_space
+from jaxscan.images.light import Light
 from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.working_volume import WorkingVolume
 from jaxscan.rig.rig import parameter_names
@@ -141,6 +142,18 @@ def residuals(calibration: Calibration, diagnostics: Diagnostics) -> Section:
             ),
         ),
     )
+
+
+def light(calibration: Calibration) -> Section | None:
+    """What the photographs tell of light and sensor, laser by laser; None where no detector has looked at them."""
+    seen = [stripe for view in calibration.observations.views for stripe in view.stripes if stripe.light is not None]
+    said = []
+    for i, name in enumerate(calibration.observations.lasers):
+        of_laser = [np.asarray(stripe.light, np.float32) for stripe in seen if stripe.laser == i]
+        if (found := Light.of(of_laser)) is not None:
+            laser = f'laser "{name}"' if name else "the laser"
+            said.append(f"In photographs of {laser}, in the median: {found.in_words()}.")
+    return Section("The light", paragraphs=tuple(said)) if said else None
 
 
 def stripes(diagnostics: Diagnostics) -> Section:

@@ -90,7 +90,10 @@ def test_a_camera_that_cannot_have_taken_the_photographs(saved, tmp_path, capsys
         (lambda v: v | {"active_images": np.ones((1, 5))}, "active_images must be 0 or 1 for each of the 6 images"),
         (lambda v: v | {"active_images": np.full((1, 6), 2)}, "active_images must be 0 or 1"),
         (lambda v: v | {"n_ima": 4}, "n_ima = .*, but it must be the number of images, here 6"),
-        (lambda v: v | {"active_images": np.zeros((1, 6))}, r"holds no corners(.|\n)*image 6: it is not among"),
+        (
+            lambda v: v | {"active_images": np.zeros((1, 6))},
+            r"none of its photographs takes part: make some active(.|\n)*image 6: it is not",
+        ),
         (lambda v: {k: x * [[1], [2], [1]] if k.startswith("X_") else x for k, x in v.items()}, "no grid of squares"),
         (lambda v: {k: x[:, ::-1] if k.startswith("X_") else x for k, x in v.items()}, "no grid"),
         (lambda v: {k: x[:, :2] if k[1] == "_" else x for k, x in v.items()}, "no grid of three by three"),

@@ -12,7 +12,7 @@ from jaxscan.calibration.bundle import MAX_STEPS
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.rig.rig import parameter_names
 from tests.calibration import synthetic
-from tests.calibration.synthetic import TRUTH, Noise
+from tests.calibration.synthetic import FOCAL, TRUTH, Noise
 
 
 def errors_in_sigma(calibration):
@@ -298,3 +298,28 @@ def test_a_photograph_with_few_corners_is_named_where_too_few_are_left(session):
     few = tuple(replace(v, corners=np.where(np.arange(54)[:, None] < 4, v.corners, np.nan)) for v in session.views)
     with pytest.raises(InputError, match="left out: view-3: 4 corners, fewer than 6"):
         calibrate(replace(session, views=few))
+
+
+@pytest.mark.parametrize(
+    "seen", [range(9), range(3, 54, 9), [*range(9), 31]], ids=["row", "column", "row and one more"]
+)
+def test_corners_on_one_line_give_no_pose(session, seen):
+    """A highlight, or a stripe as wide as the squares, may leave no more; their board could be turned about them."""
+    first = session.views[0]
+    corners = np.full_like(first.corners, np.nan)
+    corners[seen] = first.corners[seen]
+    result = calibrate(replace(session, views=(replace(first, corners=corners), *session.views[1:])))
+    assert len(result.fits) == len(session.views) - 1
+    (line,) = result.left_out
+    assert line == f"view-0: its {len(seen)} corners lie on one line of the board, or all but one do"
+    for i in range(2):
+        assert abs(float(result.rig.camera.focal[i]) - FOCAL[i]) < 4 * (
+            result.covariance.sigma(f"camera.focal.{i}") or 0
+        )
+
+
+def test_a_stage_that_did_not_move_is_lost_in_the_noise(session):
+    (stage,) = session.stages
+    still = replace(stage, views=tuple(stage.views[0] for _ in stage.views))
+    with pytest.raises(ObservabilityError, match=r"the stage's travel is not determined, it is lost in the noise"):
+        calibrate(replace(session, stages=(still,)))

@@ -13,8 +13,10 @@ from jaxscan.calibration import Calibration, Observations
 from jaxscan.calibration.diagnostics.halves import halves, solve_apart
 from jaxscan.calibration.diagnostics.ladder import climb
 from jaxscan.calibration.next_pose import suggest
+from jaxscan.cli.estimate_options import Estimate
 from jaxscan.cli.main import main
 from jaxscan.errors import InputError
+from jaxscan.files.session import CameraSettings
 from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.rig import parameter_names
 from tests.calibration import synthetic
@@ -128,8 +130,16 @@ def test_terms_that_a_file_has_as_zero_stay_zero_and_can_be_freed(saved, tmp_pat
     assert main([*argv, "--free", K3]) == 0
     assert "stayed 0" not in capsys.readouterr().out
     assert float(read_rig(rig).rig.camera.radial[2]) != 0.0
+    assert main([*argv, "--free", K3, "--hold-camera"]) == 2
+    assert f"--free {K3} seeks a part of it" in capsys.readouterr().err
     assert main([*argv, "--free", "camera.radial.0"]) == 2
     assert f"has the terms {K3} as 0" in capsys.readouterr().err
+
+
+def test_what_is_freed_is_found_though_the_session_holds_it():
+    """The command line counts more than the file, as with --lens."""
+    session = CameraSettings("brown", hold=(K3, "camera.tangential.0"))
+    assert Estimate(free=(K3,)).of(session).hold == ("camera.tangential.0",)
 
 
 def test_the_toolboxs_default_on_the_command_line(saved, seen, tmp_path, capsys):

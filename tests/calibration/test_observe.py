@@ -53,9 +53,26 @@ def test_a_copy_of_a_photograph_counts_once() -> None:
 
     a, b = np.random.default_rng(0).uniform(0, 100, (2, 20, 2))
     given = [photograph(*each) for each in (("0", a), ("1", None), ("2", b), ("3", a.copy()), ("4", None))]
-    kept, repeated = _once(given)
-    assert [photograph.name for photograph in kept] == ["0", "1", "2", "4"]
+    once, repeated = _once(given)
+    assert [photograph.name for photograph in once if photograph.found is not None] == ["0", "2"]
     assert repeated == ["3: a copy of 0, which counts once"]
+
+
+def test_a_copy_on_the_stage_counts_once_and_a_view_may_be_there_too(folder: Path) -> None:
+    """A copy has another step count, at which the board did not stand."""
+    image = cv2.imread(str(folder / "board.png"), 0)
+    cv2.imwrite(str(folder / "moved.png"), np.roll(image, 3, axis=0))
+    cv2.imwrite(str(folder / "again.png"), image)
+    (folder / "session.toml").write_text(
+        "[board]\ninner_corners = [5, 4]\nsquare_mm = 10\n[views]\nboards = ['board.png']\n"
+        "[stage]\nimages = ['board.png', 'moved.png', 'again.png']\nsteps_per_image = 100\n"
+    )
+    found = observe(read_session(folder))
+    assert found.left_out == ("again.png: a copy of board.png, which counts once",)
+    (stage,) = found.stages
+    assert [view.name for view in stage.views] == ["board.png", "moved.png"]
+    assert list(stage.steps) == [0.0, 100.0]
+    assert len(found.views) == 1
 
 
 @pytest.mark.parametrize("columns", [True, False])

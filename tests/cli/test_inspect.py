@@ -1,5 +1,6 @@
 """`jaxscan inspect`, through the command line: every kind of file in words and as JSON, and its refusals."""
 
+import dataclasses
 import json
 import math
 import warnings
@@ -127,6 +128,44 @@ def test_a_range_image(tmp_path, capsys):
     assert found["points"] == 2
     assert found["sigma_mm"] is None
     assert "2, 66.7 % of frames × lines" in words(capsys, tmp_path / "cup.npz")
+
+
+def test_what_a_range_image_knows_of_its_light(tmp_path, capsys):
+    one = np.ones((2, 3), np.float32)
+    light = np.array([[2, 0.5, 0.18, 252], [np.nan] * 4], np.float32)
+    points = np.ones((2, 3, 3), np.float32)
+    write_range_npz(tmp_path / "cup.npz", RangeArrays(points, one, one, one > 0, np.arange(2), light=light))
+    assert facts(capsys, tmp_path / "cup.npz")["light"]["gain"] == 0.5
+    assert "read noise 2 grey levels, gain 0.5 grey levels for each electron, speckle contrast 0.18" in words(
+        capsys, tmp_path / "cup.npz"
+    )
+
+
+def test_how_near_a_range_image_comes_to_the_limit_of_speckle(tmp_path, rig, capsys):
+    # The point (0, 0, 300) of the sheet, seen at step 1000: f = 695 px of 5 µm, f/4, θ = 30°, contrast 0.2.
+    one = np.ones((1, 1), np.float32)
+    points = np.array([[[0, -0.6, 300.8]]], np.float32)
+    arrays = RangeArrays(
+        points,
+        one,
+        one,
+        one > 0,
+        np.array([1000]),
+        sigma_pixel=one / 10,
+        per_step=np.array([0.0, 0.0006, -0.0008]),
+        light=np.array([[2, 0, 0.2, 252]], np.float32),
+    )
+    write_range_npz(tmp_path / "cup.npz", arrays)
+    optics = ("--f-number", 4, "--wavelength-nm", 650, "--pixel-um", 5)
+    found = facts(capsys, tmp_path / "cup.npz", "--rig", rig, *optics)["speckle_limit"]
+    expected = 0.2 * 0.00065 / (2 * math.pi * (3.475 / 8 / 300) * 0.5)
+    assert found["limit_mm"] == pytest.approx(expected, rel=1e-4)
+    assert found["times"] == pytest.approx(0.1 / expected, rel=1e-4)
+    said = words(capsys, tmp_path / "cup.npz", "--rig", rig, *optics)
+    assert "0.0286 mm at a contrast of 0.20" in said
+    assert "give all four" in refusal(capsys, tmp_path / "cup.npz", "--rig", rig)
+    write_range_npz(tmp_path / "far.npz", dataclasses.replace(arrays, points=points * 1.1))
+    assert "do not lie on the light" in refusal(capsys, tmp_path / "far.npz", "--rig", rig, *optics)
 
 
 def test_an_empty_range_image(tmp_path, capsys):

@@ -49,7 +49,8 @@ def test_a_negative_value_is_a_value(parser, action, texts, monkeypatch):
         monkeypatch.setattr(needed, "required", False)
     monkeypatch.setattr(parser, "_actions", [action, *(other for other in others if other.option_strings)])
     for text in texts:
-        value = getattr(parser.parse_args([*action.option_strings[-1:], text]), action.dest)
+        texts_given = [text] * (action.nargs if isinstance(action.nargs, int) else 1)
+        value = getattr(parser.parse_args([*action.option_strings[-1:], *texts_given]), action.dest)
         assert value not in (None, action.default)
 
 
@@ -57,3 +58,28 @@ def test_the_options_that_take_numbers_are_among_them():
     assert {"jaxscan compare --region", "jaxscan mesh --crop", "jaxscan mesh --floor", "jaxscan merge --turn"} <= {
         case.id for case in CASES
     }
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e999"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "merge a.npz b.npz -o c.stl --turn",
+        "merge a.npz b.npz -o c.stl --cube",
+        "merge a.npz b.npz -o c.stl --turn 90 --fit-turntable",
+        "mesh a.npz -o c.stl --grid",
+        "mesh a.npz -o c.stl --fill",
+        "mesh a.npz --plateaus --plateau-area",
+        "simulate world --noise",
+    ],
+)
+def test_what_is_no_finite_number_is_refused_before_any_work(words, text, capsys):
+    option = words.split()[-1]
+    assert jaxscan.main([*words.split()[:-1], f"{option}={text}"]) == 2
+    assert f"argument {option}: '{text}' is no" in capsys.readouterr().err.replace("is not a", "is no")
+
+
+@pytest.mark.parametrize("words", ["mesh a.npz -o c.stl --crop=-1,-1,nan,1,1,1", "compare a.ply --region=0,0,inf,1"])
+def test_not_finite_among_others(words, capsys):
+    assert jaxscan.main(words.split()) == 2
+    assert "finite numbers with commas between them" in capsys.readouterr().err

@@ -32,7 +32,7 @@ def few_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None:
     out = tmp_path / "world"
-    result = simulate.run(parse(str(out), "--object", "box", "--jpeg", "--turntable", "--seed", "2"))
+    result = simulate.run(parse(str(out), "--object", "box", "--quality", "80", "--turntable", "--seed", "2"))
     assert result["photographs"] == 9
     session = read_session(out / "session")
     assert len(session.views.boards) == 2
@@ -70,9 +70,13 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
     "words",
     [
         ("--noise", "-1"),
-        ("--noise", "nan"),
         ("--blur", "-2"),
         ("--speckle", "2"),
+        ("--speckle-length", "-1", "0"),
+        ("--ambient-colour", "1", "2", "0"),
+        ("--highlight", "-5"),
+        ("--ghost", "1.5"),
+        ("--quality", "0"),
         ("--seed", "-1"),
         ("--mesh", "none.stl"),
         ("--sides", "0"),
@@ -80,7 +84,7 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
         ("--apart", "0"),
     ],
 )
-def test_bad_options_write_nothing(words: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_options_write_nothing(words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxscan.cli.compiled.keep_compiled", lambda: None)
     with pytest.raises(InputError):
         simulate.run(parse(str(tmp_path / "world"), *words))

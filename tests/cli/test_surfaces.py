@@ -92,6 +92,17 @@ def test_plateaus_need_no_mesh(folder, capsys):
     assert "no plateaus" in capsys.readouterr().out
 
 
+def test_a_floor_too_coarse_to_tell_its_flatness(folder, capsys):
+    """Its points are 3 mm apart: at most four in a square of 5 mm."""
+    path = folder / "coarse.npz"
+    x, y = scenes.grid(40, 40, (3.0, 3.0))
+    write_points(path, scenes.seen(np.where((np.abs(x) < 12) & (np.abs(y) < 12), 9.0, 0.0), 0.02, (3.0, 3.0)))
+    found = run(capsys, "mesh", path, "-o", folder / "coarse.stl")
+    assert found["floor"]["flatness_mm"] is None
+    assert main(["mesh", str(path), "-o", str(folder / "coarse.stl")]) == 0
+    assert "flat within" not in capsys.readouterr().out
+
+
 def test_a_scan_of_the_stage_is_a_surface(folder, capsys):
     x, _ = scenes.grid()
     block = drawn().points[..., 2] < 297
@@ -185,7 +196,7 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("mesh block.npz -o x.stl --grid 0", "a grid of 0 mm"),
         ("mesh block.npz -o x.stl --simplify 2", "--simplify 2: give 4"),
         ("mesh block.npz -o x.stl --every 0,1", "--every 0,1: give whole numbers"),
-        ("mesh block.npz -o x.stl --every 1", "is not 2 numbers"),
+        ("mesh block.npz -o x.stl --every 1", "is not 2 finite numbers"),
         ("mesh block.npz -o nowhere/x.stl", "there is no folder"),
         ("inspect one.npz --png x.png --frame 1", "--frame chooses a photograph, and a range image is drawn whole"),
         ("inspect one.npz --png x.png", "one.npz: a surface takes at least two frames"),

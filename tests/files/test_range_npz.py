@@ -25,7 +25,8 @@ def whole(frames: int = 4) -> RangeArrays:
     """With what a file may leave out."""
     rng, bare = np.random.default_rng(3), image(frames)
     pixels, sigma_pixel = rng.random((2, *bare.valid.shape), dtype=np.float32)
-    return dataclasses.replace(bare, pixels=pixels, sigma_pixel=sigma_pixel, per_step=rng.random(3))
+    light = rng.random((frames, 4), dtype=np.float32)
+    return dataclasses.replace(bare, pixels=pixels, sigma_pixel=sigma_pixel, per_step=rng.random(3), light=light)
 
 
 @pytest.mark.parametrize("frames", [0, 1, 4])

@@ -55,15 +55,27 @@ def test_conf(tmp_path):
         ([STILL, np.diag([1, 1, -1, 1]).tolist()], "json", r"pose 1: is no rotation"),
         ([STILL, {"position": [0, 0, 0], "quaternion": [2, 0, 0, 0]}], "json", r"has the length 2, but 1 is expected"),
         ([STILL, {"position": [0, 0, "x"], "quaternion": [1, 0, 0, 0]}], "json", r"pose 1: is "),
+        ([STILL, [[10**400] * 4] * 4], "json", r"pose 1: is .* but a matrix of 4 × 4"),
         ("7", "json", r"holds 7, but a list of poses"),
         ("{", "json", r"is not valid JSON"),
         ("bmesh a.ply 0 0 0 0 0 0 1\n", "conf", r"has no pose for b\.npz, but for a\.ply"),
         ("bmesh a.ply 0 0 0 0 0 1\n", "conf", r"line 1: is 'bmesh a\.ply 0 0 0 0 0 1', but bmesh NAME"),
         ("bmesh a.ply 0 0 0 0 0 0 x\n", "conf", r"line 1: .* seven numbers"),
         ("bmesh a.ply 0 0 0 0 0 0 1\nbmesh a.ply 0 0 0 0 0 0 1\n", "conf", r"line 2: a\.ply stands twice"),
+        ("bmesh a.ply nan 0 0 0 0 0 1\n", "conf", r"line 1: .* finite numbers"),
+        ('{"a.ply": 1, "a.ply": 2}', "json", r'the key "a\.ply" stands twice'),
         ("x", "txt", r"give the poses as \.json, or as \.conf"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, content, ending, problem):
     with pytest.raises(InputError, match=problem):
         read_scan_poses(written(tmp_path, content, ending), SCANS)
+
+
+def test_scans_of_one_name_are_not_given_one_pose(tmp_path):
+    scans = [Path("front/cup.npz"), Path("back/cup.npz")]
+    with pytest.raises(InputError, match=r"several are called cup\.npz: give the poses as a JSON list"):
+        read_scan_poses(written(tmp_path, {"cup.npz": STILL}), scans)
+    (first, second) = read_scan_poses(written(tmp_path, [STILL, T.tolist()]), scans)
+    np.testing.assert_allclose(first[1], 0)
+    np.testing.assert_allclose(second[1], t)

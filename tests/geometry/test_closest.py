@@ -1,7 +1,10 @@
 """Nearest points of triangles: against all triangles one by one, and how many are looked at for it."""
 
+import time
+
 import numpy as np
 import pytest
+import trimesh
 
 from jaxscan.geometry.closest import ClosestOnTriangles
 
@@ -111,6 +114,26 @@ def test_work_of_needles_is_a_small_part_of_all():
     closest = ClosestOnTriangles(corners)
     closest(RNG.normal(size=(500, 3)) * 15)
     assert closest.looked_at < 0.02 * 500 * len(corners)
+
+
+def ball(count):
+    """A round surface of 8 count² triangles and radius 1, askew."""
+    corners = np.asarray(trimesh.creation.uv_sphere(radius=1.0, count=[2 * count, 2 * count]).triangles)
+    return corners @ np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+
+
+def test_far_points_of_a_round_surface_are_told_apart():
+    """From afar all of its triangles are about as near."""
+    corners, points = ball(50), RNG.normal(size=(4000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    closest, used = ClosestOnTriangles(corners), []
+    for distance in (1.02, 10.0, 1000.0):
+        begin, looked_at = time.process_time(), closest.looked_at
+        away = np.linalg.norm(closest(distance * points)[0] - distance * points, axis=1)
+        used.append(time.process_time() - begin)
+        np.testing.assert_allclose(away[::1000], brute_force(corners, distance * points[::1000]), rtol=1e-12)
+        assert closest.looked_at - looked_at < 100 * len(points)
+    assert max(used) < 10 * max(used[0], 0.05)
 
 
 def test_no_points_have_no_nearest():

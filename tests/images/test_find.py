@@ -81,6 +81,20 @@ def test_the_same_corner_is_first_however_the_board_is_turned(turn):
     assert distances(view, H).max() < 0.2
 
 
+@pytest.mark.parametrize("turn", [0.0, 2.9])
+def test_a_stripe_over_the_only_inner_row_turns_no_board(turn):
+    """It takes a corner of every square, so that none is left to tell dark from light by."""
+    board = Board.checkerboard((4, 3), 10.0)
+    H = placed([[-10, -10], [40, -10], [40, 30], [-10, 30]], turn)
+    truth = render.project(H, board.points())
+    stripe = np.zeros(SHAPE, np.uint8)
+    cv2.line(stripe, *(np.rint(end).astype(int).tolist() for end in truth[[4, 7]]), 255, 7)
+    view = find_board(board, to_bytes(np.maximum(photograph(board, H), cv2.GaussianBlur(stripe, (0, 0), 0.8))))
+    grid = view.corners.reshape(3, 4, 2)
+    assert np.isnan(grid[1, 1:3]).all()
+    assert np.nanmax(np.linalg.norm(grid - truth.reshape(3, 4, 2), axis=-1)) < 6
+
+
 def test_an_ambiguous_board_turns_clockwise_and_is_carried_along_a_stage():
     board = Board.checkerboard((5, 5), 10.0)
     extent = [[-10, -10], [50, -10], [50, 50], [-10, 50]]

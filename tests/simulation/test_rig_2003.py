@@ -15,6 +15,7 @@ from jaxscan.simulation.rig_2003 import (
     SENSOR,
     board_poses,
     board_scene,
+    mirrored_lamp,
     platform,
     scan_scene,
     simulated_rig,
@@ -141,3 +142,10 @@ def test_thresholds_of_2003_are_reached_on_a_cup(rig: Rig) -> None:
         assert np.median(np.abs(centre - profile.position[bright])) < 0.1
     assert reached / seen >= 0.98
     assert cup_points > 200
+
+
+def test_a_lamp_that_the_platform_mirrors_where_the_sheet_meets_it() -> None:
+    rig = simulated_rig(3)
+    R, origin = platform(rig)
+    halfway = np.asarray(mirrored_lamp(rig)) - origin / np.linalg.norm(origin)
+    np.testing.assert_allclose(halfway / np.linalg.norm(halfway), R[:, 2], atol=1e-12)

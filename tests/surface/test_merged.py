@@ -30,6 +30,13 @@ def halves():
     return [ball("a", z, 1e-6, 0, -0.3), ball("b", -z, 1e-6, 1, -0.3)]
 
 
+@pytest.mark.parametrize("size", [1e-6, 1e-9])
+def test_cubes_beyond_counting_are_refused(halves, size):
+    """Of 1e-6 mm there are more than whole numbers reach."""
+    with pytest.raises(InputError, match=r"are too many.*give larger ones"):
+        merge(halves, (STILL, STILL), cube_mm=size)
+
+
 def test_a_curved_surface_is_not_flattened(halves):
     """With each point's own normal alone vertices would be off by h² / 2r = 0.008 mm."""
     found = merge(halves, (STILL, STILL))

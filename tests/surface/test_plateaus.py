@@ -1,5 +1,7 @@
 """Plateaus found without being pointed at."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import ball, grid, seen
@@ -92,6 +94,14 @@ def test_heights_are_over_a_bed_that_is_bent(plane):
     for one, height in zip(found, HEIGHTS, strict=True):
         assert abs(one.height_mm - height) < 0.01
         assert one.sigma_mm < 0.005
+
+
+def test_a_scan_beside_the_scanned_bed_has_no_heights(plane):
+    image = seen(steps(*plane), 0.01)
+    bed = seen(np.zeros_like(plane[0]), 0.01, seed=1)
+    floor = floor_from_scan(replace(bed, points=bed.points + np.float32([500, 0, 0])))
+    with pytest.raises(InputError, match="no point lies over the scan of the bare stage"):
+        plateaus(image, floor)
 
 
 def test_an_area_that_is_none(plane):

@@ -108,7 +108,7 @@ def test_a_regular_grid_of_a_tilted_plane():
     np.testing.assert_allclose(local[:, 2], 0.3 * local[:, 0] - 0.2 * (local[:, 1] - 12.0), atol=1e-3)
     assert even.valid.mean() > 0.95
     np.testing.assert_allclose(even.sigma[even.valid], 0.05, rtol=1e-5)
-    for spacing in (0.0, -1.0, 1e-6):
+    for spacing in (0.0, -1.0, 1e-6, 1e-9):
         with pytest.raises(InputError, match="a grid of"):
             resample(image, spacing, (R, np.zeros(3)))
 

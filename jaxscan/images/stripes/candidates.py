@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxscan.detectors import Choice
-from jaxscan.images.stripes.coarse import level_of, row_of, stand_out
+from jaxscan.images.stripes.coarse import SURROUNDINGS, block_size, level_of, row_of, stand_out
 from jaxscan.images.stripes.coherent import support
 
 # How many candidates of a line are kept.
@@ -46,10 +46,58 @@ def candidates(
     return jnp.take_along_axis(row, at, axis=2), strength
 
 
+def rivals(
+    peaks: Int[np.ndarray, "down lines"], taken: Int[np.ndarray, "lines"], least: float, length: int
+) -> tuple[Int[np.ndarray, "some"], Int[np.ndarray, "some"]]:
+    """The lines and rows of all candidates of one frame beside those that are taken, however faint beside these.
+
+    Args:
+        peaks: of each block, packed.
+        taken: the row that is taken in each line.
+        least: how far a candidate rises above the lowest blocks near it, on either side.
+        length: rows of the image.
+    """
+    level = level_of(peaks)
+    padded = np.pad(level, ((SURROUNDINGS, SURROUNDINGS), (0, 0)), mode="edge")
+    down = len(level)
+    before, after = (
+        np.minimum.reduce([padded[first + i : first + i + down] for i in range(SURROUNDINGS)])
+        for first in (0, SURROUNDINGS + 1)
+    )
+    rise = level - np.maximum(before, after)
+    beside = slice(SURROUNDINGS - 1, SURROUNDINGS - 1 + down), slice(SURROUNDINGS + 1, SURROUNDINGS + 1 + down)
+    stands = (rise > least) & (level >= padded[beside[0]]) & (level > padded[beside[1]])
+    block, line = np.nonzero(stands)
+    row = row_of(peaks[block, line].astype(np.int32), block, length)
+    other = np.abs(row - taken[line]) > block_size(length) / 2
+    line, row, rise = line[other], row[other], rise[block, line][other]
+    if len(line) > _MOST * len(taken):
+        tallest = np.sort(np.argpartition(rise, -_MOST * len(taken))[-_MOST * len(taken) :])
+        line, row = line[tallest], row[tallest]
+    return line, row
+
+
+def highest(
+    peaks: Int[np.ndarray, "down lines"],
+    line: Int[np.ndarray, "some"],
+    row: Int[np.ndarray, "some"],
+    reach: int,
+    length: int,
+) -> Int[np.ndarray, "some"]:
+    """The greatest response of a block no further than so many rows from some places, of the blocks thereabouts."""
+    greatest = np.zeros(len(line), peaks.dtype)
+    for by in {-reach, 0, reach}:
+        block = ((row + by) // block_size(length)).clip(0, len(peaks) - 1)
+        packed = peaks[block, line]
+        near = np.abs(row_of(packed.astype(np.int32), block, length) - row) <= reach
+        greatest = np.maximum(greatest, np.where(near, packed, 0))
+    return level_of(greatest)
+
+
 def choose(
     rows: Int[np.ndarray, "frames lines most"], strength: Float[np.ndarray, "frames lines most"], rule: Choice
 ) -> Int[np.ndarray, "frames lines"]:
-    """One candidate of each line, by a rule of `CHOICES`.
+    """One candidate of each line, by a rule of `CHOICES` that looks at candidates alone.
 
     For `coherent` the frames are consecutive ones of a scan, and a frame's choice depends on `coherent.HALO` frames
     before it and after it: give these too where the scan has them, and leave their own choices.

@@ -5,19 +5,24 @@ as short as will do, with the greatest response and where it is packed into one 
 """
 
 from functools import partial
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Int
 
 from jaxscan.images.stripes.response import Backgrounds, Images, channels, coarse_response
+
+# Integers of any shape, of JAX or of NumPy.
+Packed = TypeVar("Packed", Array, np.ndarray)
 
 # Five bits hold the place in a block.
 _BITS = 5
 # Those that divide a usual size come first; a remainder is covered by one more block that overlaps the last.
 _BLOCKS = (16, 15, 18, 12, 14, 17, 13)
 # A block stands out from those this many blocks away; nearer ones may hold the flanks of the same stripe.
-_SURROUNDINGS = 3
+SURROUNDINGS = 3
 
 
 def block_size(length: int) -> int:
@@ -61,21 +66,23 @@ def stand_out(level: Int[Array, "frames across down"], columns: bool) -> Int[Arr
     axis = 1 if columns else 2
     n = level.shape[axis]
     far = [(0, 0)] * 3
-    far[axis] = (_SURROUNDINGS, _SURROUNDINGS)
+    far[axis] = (SURROUNDINGS, SURROUNDINGS)
     padded = jnp.pad(level, far, mode="edge")
-    before, after = (jax.lax.slice_in_dim(padded, i, i + n, axis=axis) for i in (0, 2 * _SURROUNDINGS))
+    before, after = (jax.lax.slice_in_dim(padded, i, i + n, axis=axis) for i in (0, 2 * SURROUNDINGS))
     return 2 * level - jnp.maximum(before, after)
 
 
-def level_of(peaks: Int[Array, "..."]) -> Int[Array, "..."]:
+def level_of(peaks: Packed) -> Packed:
     """The response of packed peaks."""
     return peaks >> _BITS
 
 
-def row_of(peaks: Int[Array, "..."], block: Int[Array, "..."], length: int) -> Int[Array, "..."]:
+def row_of(peaks: Packed, block: Packed, length: int) -> Packed:
     """The row (or column) of packed peaks."""
-    start = jnp.minimum(block * block_size(length), length - block_size(length))
-    return start + (2**_BITS - 1) - (peaks & (2**_BITS - 1))
+    start = block * block_size(length)
+    beyond = start - (length - block_size(length))
+    # The last block overlaps the one before it.
+    return start - beyond * (beyond > 0) + (2**_BITS - 1) - (peaks & (2**_BITS - 1))
 
 
 @partial(jax.jit, static_argnames=("length", "columns"))

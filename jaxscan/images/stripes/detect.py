@@ -11,25 +11,26 @@ There is a stripe where the peak stands above its background by so many times th
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import cycle
 from math import prod
 from typing import Any, Final
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Float32, Int
+from jaxtyping import Array, Bool, Float, Float32, Int, Int8
 
-from jaxscan.detectors import DEFAULT, Choice, Detector
+from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
-from jaxscan.images.decode import to_grey
 from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
-from jaxscan.images.stripes.detectors import Measured, Model, measure
+from jaxscan.images.stripes.detectors import Model, measure
 from jaxscan.images.stripes.evidence import edges_go_on
-from jaxscan.images.stripes.likelihood import FWHM, ROUGH
-from jaxscan.images.stripes.survey import LEAST_SIGNAL, survey
+from jaxscan.images.stripes.likelihood import ROUGH
+from jaxscan.images.stripes.settle import Band, Frame, Looked, Places, settle
+from jaxscan.images.stripes.survey import LEAST_SIGNAL, light_of, survey
+from jaxscan.images.stripes.validity import Verdict
 from jaxscan.images.stripes.windows import Sensor, gather_windows
 
 # Frames that are looked at together.
@@ -47,15 +48,6 @@ _MOSTLY_BURNT = 0.3
 _GROUPS: Final = (4, 128), (20, 512)
 _GROUPS_AGAIN: Final = (4, 64), (8, 512)
 _FEW = 8
-# Points of a stripe follow one another within so many lines, off by no more than so much and a steep slope. It is so
-# much longer than it is thick, and longer than so many lines.
-_GAP, _COMPANY_PX, _STEEPEST = 4, 2.0, 4.0
-_LONGER, _SHORTEST = 1.5, 2.5
-# A lens's flare, and a JPEG's blocks of 16 pixels, echo the end of a bright stripe so faintly at the most, no further.
-_ECHO, _ECHO_PX = 1 / 8, 16
-# Where a surface ends it is half as bright as it is further in, whatever blurs it: what is dimmer is light spilt beyond
-# its end. So many lines further in are asked, and so many are left out at most.
-_SPILT, _FURTHER_IN, _MOST_SPILT = 0.5, 2, 3
 
 
 @dataclass(frozen=True)
@@ -69,6 +61,8 @@ class Stripe:
             laser's channel, or of the intensity.
         width: full width at half the height, px; NaN where it is not valid.
         valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
+        verdict: what was made of the line, a `Verdict`.
+        light: read noise, gain, speckle contrast and saturation of each frame (`images.light`); NaN without a stripe.
     """
 
     position: Float32[np.ndarray, "frames lines"]
@@ -76,6 +70,8 @@ class Stripe:
     strength: Float32[np.ndarray, "frames lines"]
     width: Float32[np.ndarray, "frames lines"]
     valid: Bool[np.ndarray, "frames lines"]
+    verdict: Int8[np.ndarray, "frames lines"]
+    light: Float32[np.ndarray, "frames 4"]
 
 
 def detect_stripe(
@@ -84,8 +80,9 @@ def detect_stripe(
     background: np.ndarray | Array | None = None,
     *,
     detector: Detector = DEFAULT,
-    choice: Choice = "strongest",
+    choice: Choice = DEFAULT_CHOICE,
     count: int | None = None,
+    band: Band | None = None,
 ) -> Stripe:
     """Find the laser stripe in one photograph or in a batch of them.
 
@@ -97,6 +94,7 @@ def detect_stripe(
         choice: which is taken where there are several in a line.
         count: how many of the images are looked at, the first ones; all by default. A buffer that keeps its size and
             is not always full compiles nothing anew.
+        band: the first and the last row (or column) of each line at which there can be a stripe; everywhere by default.
 
     Returns:
         The stripe in the first `count` images.
@@ -123,6 +121,7 @@ def detect_stripe(
                 detector,
                 choice,
                 min(count - begin, length),
+                band,
             )
         return found if first == begin else Stripe(*(getattr(found, f.name)[inner] for f in fields(Stripe)))
 
@@ -150,6 +149,7 @@ def _detect(
     detector: Detector,
     choice: Choice,
     count: int,
+    band: Band | None,
 ) -> Stripe:
     """The stripe in the first `count` of no more frames than `FRAMES_AT_ONCE`."""
     color, columns = settings.color, settings.columns
@@ -159,153 +159,92 @@ def _detect(
     # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
     images, background = jax.device_put((frames, dark))
     peaks = coarse_peaks(images, background, ambient, color, columns)
-    if choice == "strongest":
-        peak = np.asarray(choose_peaks(peaks, length, columns))[:count]
+    if choice in ("likeliest", "strongest"):
+        peak = np.array(choose_peaks(peaks, length, columns))[:count]
     else:
         rows, strength = (np.asarray(each)[:count] for each in candidates(peaks, length, columns))
         peak = choose(rows, strength, choice)
     sensor = survey(images, background, ambient, peak, color, columns, narrow, FRAMES_AT_ONCE)
+    ground = np.asarray(sensor.ground)[:count]
+    least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
 
-    def look(at: tuple[np.ndarray, ...], half: int, model: Model) -> Measured:
-        """The lines of frames `at[0]` and numbers `at[1]`, in groups of few sizes: each size compiles anew."""
+    def look(at: Places, half: int, model: Model) -> Any:
+        """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles anew."""
         found = []
-        for group, count in _groups(*at, peak[at], sizes=_GROUPS if model == "plain" else _GROUPS_AGAIN):
+        for group, count in _groups(*at, sizes=_GROUPS if model == "plain" else _GROUPS_AGAIN):
             windows = gather_windows(images, background, sensor, *group, color, columns, half)
             found.append(
                 jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measure(windows, sensor, group[0], detector, model))
             )
         return found[0] if len(found) == 1 else jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
-    def look_again(measured: Measured, which: Bool[np.ndarray, "frames lines"], half: int, model: Model) -> Measured:
-        places = np.nonzero(which)
-        if not places[0].size:
+    def look_again(measured: Any, at: Places, which: np.ndarray, half: int, model: Model) -> Any:
+        if not which.any():
             return measured
-        found = look(places, half, model)
+        found = look(tuple(index[which] for index in at), half, model)
         # Where there is no edge in the stripe, what was measured without one stands.
         taken = found.whole if model == "torn" else np.ones_like(found.whole)
-        at = tuple(index[taken] for index in places)
-        return jax.tree.map(lambda old, new: _replaced(old, at, new[taken]), measured, found)
+        places = np.flatnonzero(which)[taken]
+        return jax.tree.map(lambda old, new: _replaced(old, places, new[taken]), measured, found)
 
-    everywhere = tuple(index.ravel() for index in np.indices(peak.shape, np.int32))
-    measured = jax.tree.map(lambda x: x.reshape(peak.shape), look(everywhere, narrow, "plain"))
-    ground = np.asarray(sensor.ground)[: len(peak), None]
-    least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
-    # A window inside a burnt-out stripe sees no background, but it sees one end of it.
-    strong = measured.relief > least
-    cramped = measured.cramped & strong & (wide > narrow)
-    burnt = measured.burnt & strong & ~cramped
+    def looked_at(at: Places) -> Looked:
+        measured = look(at, narrow, "plain")
+        # A window inside a burnt-out stripe sees no background, but it sees one end of it.
+        strong = measured.relief > least[at[0]]
+        cramped = measured.cramped & strong & (wide > narrow)
+        burnt = measured.burnt & strong & ~cramped
+        if detector == "likelihood":
+            grained, rough = (strong & each for each in _speckled(sensor, at[0], measured.relief))
+            begun, even = measured, ~(grained | rough)
+            measured = look_again(measured, at, cramped & even, wide, "censored")
+            measured = look_again(measured, at, burnt & even, narrow, "censored")
+            measured = look_again(measured, at, cramped & ~even, wide, "grained and censored")
+            measured = look_again(measured, at, (rough | grained & burnt) & ~cramped, narrow, "grained and censored")
+            measured = look_again(measured, at, grained & ~(rough | burnt | cramped), narrow, "grained")
+            # Whether there is an edge is asked of the plain fit.
+            measured = replace(measured, strained=begun.strained, h3=begun.h3, h4=begun.h4)
+        else:
+            measured = look_again(measured, at, cramped, wide, "plain")
+        return Looked(measured, strong, cramped, burnt)
+
+    everywhere = tuple(index.ravel() for index in (*np.indices(peak.shape, np.int32), peak))
+    looked = jax.tree.map(lambda x: x.reshape(peak.shape), looked_at(everywhere))
+
+    def of_colour() -> np.ndarray:
+        # Without c neutral light cancels however bright it is, and a stripe that is burnt out white but for its flanks.
+        greatest = np.iinfo(np.int16 if frames.dtype == np.uint8 else np.int32).max
+        return np.asarray(coarse_peaks(images, background, np.full_like(ambient, greatest), color, columns))
+
+    frame = Frame(looked, peak, least, ground, length, looked_at, band)
+    verdict = settle(frame, peaks, columns, choice == "likeliest", None if color == "grey" else of_colour)
+    looked, peak = frame.looked, frame.peak
+    measured = looked.measured
     if detector == "likelihood":
         # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.
-        halo = burnt | (burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
-        plain = strong & ~cramped & ~halo
-        strained = edges_go_on(np.asarray(measured.h3), np.asarray(measured.h4), plain, plain & measured.strained)
-        grained, rough = (strong & each for each in _speckled(sensor, measured))
-        measured = look_again(measured, cramped & ~(grained | rough), wide, "censored")
-        measured = look_again(measured, burnt & ~(grained | rough), narrow, "censored")
-        measured = look_again(measured, cramped & (grained | rough), wide, "grained and censored")
-        measured = look_again(measured, (rough | grained & burnt) & ~cramped, narrow, "grained and censored")
-        measured = look_again(measured, grained & ~(rough | burnt | cramped), narrow, "grained")
-        measured = look_again(measured, strained, narrow, "torn")
-    else:
-        measured = look_again(measured, cramped, wide, "plain")
-    valid = measured.whole & (measured.strength > least)
-    valid = _in_a_line(measured, np.asarray(valid))
+        halo = looked.burnt | (looked.burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
+        plain = looked.strong & ~looked.cramped & ~halo
+        strained = edges_go_on(measured.h3, measured.h4, plain, plain & measured.strained)
+        flat = jax.tree.map(np.ravel, measured)
+        flat = look_again(flat, (*everywhere[:2], peak.ravel()), strained.ravel(), narrow, "torn")
+        measured = jax.tree.map(lambda x: x.reshape(peak.shape), flat)
+    valid = verdict == Verdict.STRIPE
     position, sigma, width = (
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
-    return Stripe(position, sigma, np.asarray(measured.strength), width, valid)
+    light = np.where(valid.any(axis=1, keepdims=True), light_of(sensor, color)[: len(valid)], np.float32(np.nan))
+    return Stripe(position, sigma, measured.strength, width, valid, verdict, light)
 
 
 def _speckled(
-    sensor: Sensor, measured: Measured
-) -> tuple[Bool[np.ndarray, "frames lines"], Bool[np.ndarray, "frames lines"]]:
+    sensor: Sensor, frame: Int[np.ndarray, "lines"], relief: Float[np.ndarray, "lines"]
+) -> tuple[Bool[np.ndarray, "lines"], Bool[np.ndarray, "lines"]]:
     """Which lines have speckle of several pixels, and which have so much that it makes them ragged.
 
     Either only where it counts beside the sensor's noise.
     """
-    speckle, grain, read = (
-        np.asarray(x)[: len(measured.relief), None] for x in (sensor.speckle, sensor.grain, sensor.read)
-    )
-    counts = speckle * measured.relief**2 > read**2
+    speckle, grain, read = (np.asarray(x)[frame] for x in (sensor.speckle, sensor.grain, sensor.read))
+    counts = speckle * relief**2 > read**2
     return counts & (grain > 0), counts & (speckle > ROUGH)
-
-
-def _in_a_line(measured: Measured, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
-    """Whether a point belongs to something longer than it is thick: a stripe is a line, noise and glints are not.
-
-    Points hang together that lie no further apart than a stripe as steep as any would, over a few missing lines. Along
-    the lines the σ of such a run, weighted by strength, is n / √12 of a stripe that is n lines long; of a round spot it
-    is that of its profile across.
-    """
-    place = np.flatnonzero(seen)
-    if not place.size:
-        return seen
-    line = place % seen.shape[1]
-    at, weight, width = (np.asarray(x).ravel()[place] for x in (measured.position, measured.strength, measured.width))
-    apart = np.diff(line)
-    # The next frame's lines begin anew.
-    joined = (np.diff(place) <= _GAP) & (apart > 0) & (np.abs(np.diff(at)) <= _COMPANY_PX + _STEEPEST * apart)
-    starts = np.concatenate([[0], 1 + np.flatnonzero(~joined)])
-    weight = weight.astype(np.float64)
-    total, mean, square, thick = (
-        np.add.reduceat(x, starts) for x in (weight, weight * line, weight * line**2, weight * (width / FWHM) ** 2)
-    )
-    along2 = square / total - (mean / total) ** 2
-    length = np.diff(starts, append=place.size)
-    # Any two points are in a line.
-    longer = (along2 > np.maximum(_LONGER**2 * thick / total, _SHORTEST**2 / 12)) & (length > 2)
-    ends = starts + length - 1
-    kept = (
-        np.repeat(longer, length)
-        & ~_spilt(weight, starts, ends)
-        & ~_echoes(place, seen.shape[1], at, weight, starts, ends)
-    )
-    found = np.zeros_like(seen)
-    found.flat[place] = kept
-    return found
-
-
-def _echoes(
-    place: Int[np.ndarray, "points"],
-    lines: int,
-    at: Float[np.ndarray, "points"],
-    strength: Float[np.ndarray, "points"],
-    first: Int[np.ndarray, "runs"],
-    last: Int[np.ndarray, "runs"],
-) -> Bool[np.ndarray, "points"]:
-    """Which points lie beyond the end of what is so much brighter, within a run or in a short one beside it."""
-    echo = np.zeros(len(strength), bool)
-    brightest = np.maximum.reduceat(strength, first)
-    whole = np.zeros(len(first), bool)
-    # Of a run and the one before it, either may echo the other.
-    one, other = np.s_[1:], np.s_[:-1]
-    for end, inwards in ((first, 1), (last, -1)):
-        inner = np.clip(end + inwards * np.arange(_ECHO_PX + 1)[:, None], first, last)
-        bright = strength[inner].max(axis=0)
-        faint = np.logical_and.accumulate(strength[inner] < _ECHO * bright)
-        echo[inner[faint]] = True
-        # Towards the end of this run lies a run before it, or after it.
-        mine, its = (one, other) if inwards > 0 else (other, one)
-        beside = np.abs(place[end[mine]] - place[end[its]]) <= _ECHO_PX
-        beside &= np.abs(at[end[mine]] - at[end[its]]) <= _ECHO_PX
-        beside &= place[end[mine]] // lines == place[end[its]] // lines
-        whole[its] |= beside & (brightest[its] < _ECHO * bright[mine])
-    return echo | np.repeat(whole, last - first + 1)
-
-
-def _spilt(
-    strength: Float[np.ndarray, "points"], first: Int[np.ndarray, "runs"], last: Int[np.ndarray, "runs"]
-) -> Bool[np.ndarray, "points"]:
-    """Which points at the ends of runs are beyond the surface's: dimmer than half of what is seen further in."""
-    spilt = np.zeros(len(strength), bool)
-    for end, other, inwards in ((first, last, 1), (last, first, -1)):
-        for _ in range(_MOST_SPILT):
-            inner = np.clip(end + inwards * np.arange(1, _FURTHER_IN + 1)[:, None], 0, len(strength) - 1)
-            dim = strength[end] < _SPILT * strength[inner].max(axis=0)
-            dim &= (other - end) * inwards >= _FURTHER_IN
-            spilt[end[dim]] = True
-            end = end + inwards * dim
-    return spilt
 
 
 def ambient_levels(
@@ -341,7 +280,7 @@ def _groups(
         first += count
 
 
-def _replaced(old: Array, at: tuple[np.ndarray, ...], new: np.ndarray) -> np.ndarray:
+def _replaced(old: np.ndarray, at: np.ndarray, new: np.ndarray) -> np.ndarray:
     values = np.array(old)
     values[at] = new
     return values
@@ -357,10 +296,7 @@ def _batch(images: np.ndarray | Array, settings: StripeSettings, what: str) -> n
             f"{what} has the shape {images.shape}: give (rows, columns) or (rows, columns, 3), or a batch of either"
         )
     frames = images if images.ndim - coloured == 3 else images[None]
-    if settings.color == "grey" and coloured:
-        # A grey camera's photographs may have been saved with three channels.
-        frames = np.stack([to_grey(np.asarray(frame)) for frame in frames])
-    elif not coloured and settings.color != "grey":
+    if not coloured and settings.color != "grey":
         raise InputError(f'{what} is grey, and the laser\'s colour {settings.color}: write color = "grey"')
     length = frames.shape[1 if settings.columns else 2]
     if length <= 2 * _NARROW:

@@ -238,7 +238,7 @@ def _least(
     for count, (a, b) in enumerate(every):
         left = seen - a[None] * photons - b[None] * speckles
         numbers = (0, 1, 1, 2)[count] + (grained if count > 1 else 0.0)
-        possible = (a >= 0) & (b >= 0) & jnp.isfinite(a + b)
+        possible = (a >= 0) & (b >= 0) & (b <= 1) & jnp.isfinite(a + b)
         need.append(jnp.where(possible, dot(left, left) + _PRICE * numbers, jnp.inf))
     best = jnp.argmin(jnp.stack(need).reshape(-1, need[0].shape[-1]), axis=0)[None]
     shot, speckle = (

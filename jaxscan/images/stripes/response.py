@@ -2,7 +2,7 @@
 
 The *response* to a laser of colour L with the other two channels M, N is
 
-    r = 2 L − min(m M + n N, c (m + n) / 2)            grey: r = intensity
+    r = 2 L − min(m M + n N, c (m + n) / 2)            grey: r = intensity, or luma where there are colours
 
 with weights m, n from 0 to 2, while c, the level of M + N where there is no laser, keeps the burnt-out core of a
 stripe, which is white, from cancelling. Where a photograph with the laser off is given it is subtracted first.
@@ -15,11 +15,22 @@ beside the stripe, texture and noise together, the response w · p in which the 
 
 (R. A. Fisher 1936). Under warm light it is warm texture that cancels; where there is none, m and n are near zero, for
 the other channels would bring nothing but their noise.
+
+A JPEG mostly keeps luma Y = 0.299 R + 0.587 G + 0.114 B for each pixel, and the colour's differences from
+it, chroma, for every second one (4:2:0). With S what keeping every second and interpolating does, such a photograph
+shows a channel l as Y + S(l − Y): a stripe of a pixel or two comes out wide, crooked, and never full. Laser light has
+one colour, whatever it falls on. With g its part in channel l, and q = Σ w g its luma, both in parts of that in the
+laser's own channel, the channel at full resolution is
+
+    l + (g / q − 1) (Y − S Y)
 """
 
+from functools import partial
 from typing import Final
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from jaxscan.images.stripe_settings import CHANNELS
@@ -32,6 +43,22 @@ Backgrounds = UInt[Array, "backgrounds rows columns *rgb"]
 NEUTRAL: Final = (1.0, 1.0)
 # Rounding's own variance, grey levels squared: no covariance is smaller.
 _ROUNDING = 1 / 12
+# Parts of red, green and blue in luma (ITU-R BT.601).
+_LUMA: Final = (0.299, 0.587, 0.114)
+_WITH_COLOURS: Final = 4
+# A channel that is interpolated to full resolution is full from this part of its greatest number on: what a JPEG
+# leaves of luma's detail is off by a few grey levels, and counts threefold.
+FULL_OF_LUMA: Final = 0.9
+# Chroma is at half resolution where its third differences within pairs are no more than so many times what rounding
+# makes of none, those across pairs so many times as large, told by at least so many.
+_OF_ROUNDING, _ACROSS, _TOLD_BY = 1.5, 3.0, 100
+# Of light that is whiter than this, in parts of the laser's own channel, the colour does not show.
+_MOST_WHITE: Final = 0.3
+# What red, green and blue take of chroma, Cb and Cr; and how far that is off beside a stripe, grey levels.
+_CHROMA: Final = np.array([[0.0, 1.402], [-0.344136, -0.714136], [1.772, 0.0]], np.float32)
+_CHROMA_ERROR: Final = 2.0
+# How far luma is off there, grey levels.
+_LUMA_ERROR: Final = 1.0
 
 
 def channels(
@@ -40,10 +67,13 @@ def channels(
     """L, M, N, or the intensity alone: signed, less those of the background.
 
     Args:
-        pixels: the channels in the last axis; grey has no such axis.
+        pixels: the channels in the last of four axes; a grey camera's have three.
         background: the same pixels with the laser off, or None.
         color: of the laser, or grey.
     """
+    if color == "grey" and pixels.ndim == _WITH_COLOURS:
+        lit = _luma(tuple(pixels[..., i] for i in range(3)), _LUMA)
+        return (lit if background is None else lit - _luma(tuple(background[..., i] for i in range(3)), _LUMA),)
     # 2 L − (M + N) of a difference of bytes stays within ± 1020, and packed in 32 of them still fits 16 bits.
     signed = jnp.int16 if pixels.dtype == jnp.uint8 else jnp.int32
 
@@ -54,10 +84,18 @@ def channels(
     return (level(),) if color == "grey" else tuple(level(i) for i in CHANNELS[color])
 
 
+def numbers(pixels: UInt[Array, "..."], color: str) -> UInt[Array, "..."]:
+    """What tells whether a pixel is full: the laser's channel; of a grey laser the greatest."""
+    if color != "grey":
+        return pixels[..., CHANNELS[color][0]]
+    return pixels.max(-1) if pixels.ndim == _WITH_COLOURS else pixels
+
+
 def coarse_response(levels: tuple[Int[Array, "..."], ...], ambient: Int[Array, "..."]) -> Int[Array, "..."]:
     """The response with m = n = 1, in the integers of the levels."""
     if len(levels) == 1:
-        return levels[0]
+        (level,) = levels
+        return level if jnp.issubdtype(level.dtype, jnp.integer) else jnp.rint(level).astype(jnp.int32)
     laser, *others = levels
     return 2 * laser - jnp.minimum(others[0] + others[1], ambient.astype(laser.dtype))
 
@@ -78,31 +116,156 @@ def response(
         return levels[0].astype(jnp.float32)
     laser, *others = (level.astype(jnp.float32) for level in levels)
     m, n = weights
-    return 2 * laser - jnp.minimum(m * others[0] + n * others[1], ambient.astype(jnp.float32) * (m + n) / 2)
+    cap = jnp.where(m + n > 0, ambient.astype(jnp.float32) * (m + n) / 2, jnp.inf)
+    return 2 * laser - jnp.minimum(m * others[0] + n * others[1], cap)
 
 
 def channel_weights(
     levels: tuple[Int[Array, "frames window lines"], ...],
     stripe: Float[Array, "frames window lines"],
     beside: Bool[Array, "frames window lines"],
+    half: Bool[Array, "frames"] | None,
+    color: str,
 ) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
     """The weights m and n in which the stripe stands out most from texture and noise, for each frame.
+
+    Where colours are at half resolution, what keeping them coarsely leaves counts as noise: luma is the better light
+    where there is no texture. Then m and n may be negative, down to those of luma.
 
     Args:
         levels: the three channels.
         stripe: how much each pixel is of the stripe; 0 where it is not, or where it is full.
         beside: which pixels are beside it.
+        half: whether the frame's colours are at half resolution; None where those of none are.
+        color: of the laser.
     """
     count = beside.sum(1, keepdims=True)
     off = [level - jnp.where(beside, level, 0).sum(1, keepdims=True) / jnp.maximum(count, 1) for level in levels]
     # Each line's own mean costs it a degree of freedom.
     freedom = jnp.maximum((count - 1).sum((1, 2)), 1)
     C = [[jnp.where(beside, p * q, 0.0).sum((1, 2)) / freedom for q in off] for p in off]
-    rows = [jnp.stack([value + _ROUNDING * (i == j) for j, value in enumerate(row)], -1) for i, row in enumerate(C)]
+    least = _ROUNDING * np.eye(3, dtype=np.float32)[..., None]
+    lowest: Array | float = 0.0
+    if half is not None:
+        error = np.float32(_CHROMA_ERROR) * _CHROMA[list(CHANNELS[color])]
+        least = least + jnp.where(half, (error @ error.T)[..., None], 0.0)
+        own, *rest = _luma_weights(color)
+        lowest = jnp.where(half[:, None], -2 * np.asarray(rest, np.float32) / np.float32(own), 0.0)
+    rows = [jnp.stack([value + least[i][j] for j, value in enumerate(row)], -1) for i, row in enumerate(C)]
     a = jnp.stack([(stripe * p).sum((1, 2)) for p in off], -1)
     # C⁻¹ a but for its length, which the weights do not ask: the rows of the adjugate are cross products.
     w = jnp.stack([(jnp.cross(rows[i - 2], rows[i - 1]) * a).sum(-1) for i in range(3)], -1)
     ratio = -2 * w[:, 1:] / jnp.maximum(w[:, :1], jnp.finfo(jnp.float32).tiny)
     # Where nothing stands out in the laser's own channel, neutral light cancels.
-    m, n = jnp.where(w[:, :1] > 0, jnp.clip(ratio, 0.0, 2.0), 1.0).T
+    m, n = jnp.where(w[:, :1] > 0, jnp.clip(ratio, lowest, 2.0), 1.0).T
     return m, n
+
+
+@partial(jax.jit, static_argnames="color")
+def has_half_chroma(
+    lit: UInt[Array, "frames window lines rgb"], first: Int[Array, "frames lines"], color: str
+) -> Bool[Array, "frames"]:
+    """Whether the colours of each frame are at half resolution along its windows.
+
+    Two pixels that share their chroma, and their neighbours, lie on a straight line once it has been interpolated: its
+    third difference d₊₂ − 3 d₊₁ + 3 d − d₋₁ is what rounding leaves. One between two pairs is not.
+
+    Args:
+        lit: the pixels, 8 bits.
+        first: the row (or column) of each window's first pixel.
+        color: of the laser.
+    """
+    levels = channels(lit, None, color)
+    chroma = levels[0] - _luma(levels, _luma_weights(color))
+    # A pixel out of the range of numbers was cut off when it was decoded.
+    whole = ((lit > 0) & (lit < jnp.iinfo(lit.dtype).max)).all(-1)
+    third = chroma[:, 3:] - chroma[:, :-3] - 3 * (chroma[:, 2:-1] - chroma[:, 1:-2])
+    known = whole[:, 3:] & whole[:, 2:-1] & whole[:, 1:-2] & whole[:, :-3]
+    within = (first[:, None] + jnp.arange(third.shape[1])[None, :, None]) % 2 == 1
+
+    def usual(where: Bool[Array, "frames window lines"]) -> tuple[Float[Array, "frames"], Int[Array, "frames"]]:
+        count = where.sum((1, 2))
+        return jnp.where(where, third**2, 0.0).sum((1, 2)) / jnp.maximum(count, 1), count
+
+    (inside, count), (across, others) = usual(known & within), usual(known & ~within)
+    own, *rest = _luma_weights(color)
+    rounded = float((_CHROMA[CHANNELS[color][0]] ** 2).sum()) + (1 - own) ** 2 + sum(w * w for w in rest)
+    # 20 = 1 + 9 + 9 + 1.
+    rounding = 20 * _ROUNDING * rounded
+    told = jnp.minimum(count, others) >= _TOLD_BY
+    return told & (inside < _OF_ROUNDING * rounding) & (across > _ACROSS * inside)
+
+
+def detail_of(
+    levels: tuple[Float[Array, "frames window lines"], ...], flank: int, half: Bool[Array, "frames"], color: str
+) -> tuple[tuple[Float[Array, "frames"], ...], Bool[Array, "frames"]]:
+    """How far L, M and N gain by luma's detail, g / q − 1, and in which frames; 0 in the others.
+
+    The laser's colour is told by sums over the windows, which halving and interpolating leave as they are. Where all
+    channels are full of it, it does not show, and the photograph is taken as it is.
+
+    Args:
+        levels: the three channels.
+        flank: so many pixels at either end of a window tell its background.
+        half: whether the frame's colours are at half resolution.
+        color: of the laser.
+    """
+    size = levels[0].shape[1]
+    light = [
+        level.sum(1) - size * jnp.concatenate([level[:, :flank], level[:, -flank:]], axis=1).mean(1) for level in levels
+    ]
+    lit = light[0] > 0
+    others = [
+        jnp.nanmedian(jnp.where(lit, jnp.clip(each / jnp.where(lit, light[0], 1.0), 0.0, 1.0), jnp.nan), axis=1)
+        for each in light[1:]
+    ]
+    g = [jnp.ones(len(half)), *(jnp.nan_to_num(each) for each in others)]
+    q = _luma(tuple(g), _luma_weights(color))
+    half = half & (others[0] + others[1] < 2 * _MOST_WHITE)
+    return tuple(jnp.where(half, each / q - 1, 0.0) for each in g), half
+
+
+def luma_error(
+    detail: tuple[Float[Array, "frames"], ...],
+    half: Bool[Array, "frames"],
+    weights: tuple[Float[Array, "frames"], Float[Array, "frames"]],
+) -> Float[Array, "frames"]:
+    """σ of the response by what keeping luma coarsely leaves; 0 where colours are at full resolution."""
+    laser, first, second = (1 + by for by in detail)
+    m, n = weights
+    return jnp.where(half, _LUMA_ERROR * jnp.abs(2 * laser - m * first - n * second), 0.0)
+
+
+def detailed(
+    levels: tuple[Array, ...],
+    first: Int[Array, "groups lines"],
+    detail: tuple[Float[Array, "groups 1 _"], ...],
+    color: str,
+) -> tuple[Float[Array, "groups window lines"], ...]:
+    """The channels at full resolution.
+
+    Args:
+        levels: as they were decoded.
+        first: the row (or column) of each window's first pixel.
+        detail: as `detail_of` gives it.
+        color: of the laser.
+    """
+    Y = _luma(levels, _luma_weights(color))
+    size = Y.shape[1]
+    padded = jnp.pad(Y, [(0, 0), (2, 2), (0, 0)], mode="edge")
+    before, further = padded[:, 1 : 1 + size], padded[:, :size]
+    after, beyond = padded[:, 3 : 3 + size], padded[:, 4 : 4 + size]
+    # Of a pair's two pixels the mean, and a quarter of the next pair's towards that side.
+    begins = (first[:, None] + jnp.arange(size)[None, :, None]) % 2 == 0
+    smooth = jnp.where(begins, 3 * (Y + after) + before + further, 3 * (before + Y) + after + beyond) / 8
+    return tuple(level + by * (Y - smooth) for level, by in zip(levels, detail, strict=True))
+
+
+def _luma_weights(color: str) -> tuple[float, float, float]:
+    """Of L, M and N."""
+    laser, first, second = CHANNELS[color]
+    return _LUMA[laser], _LUMA[first], _LUMA[second]
+
+
+def _luma(levels: tuple[Array, ...], weights: tuple[float, float, float]) -> Float[Array, "..."]:
+    return sum((w * level for w, level in zip(weights, levels, strict=True)), start=jnp.zeros((), jnp.float32))

@@ -10,14 +10,26 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Float32, Int
 
-from jaxscan.images.stripe_settings import CHANNELS
 from jaxscan.images.stripes.grain import Chance, chance
 from jaxscan.images.stripes.likelihood import ROUGH, Fit, fit
 from jaxscan.images.stripes.ranks import median
-from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channel_weights, channels, response
-from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows, gather_pixels, outline
+from jaxscan.images.stripes.response import (
+    FULL_OF_LUMA,
+    NEUTRAL,
+    Backgrounds,
+    Images,
+    channel_weights,
+    channels,
+    detail_of,
+    detailed,
+    has_half_chroma,
+    luma_error,
+    numbers,
+    response,
+)
+from jaxscan.images.stripes.windows import Outline, Pixels, Places, Sensor, Windows, first_pixel, gather_pixels, outline
 
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
 _LINES, _GROUPS = 96, 8
@@ -48,7 +60,6 @@ _CLEAR_WIDTH_PX = 5.0
 LEAST_SIGNAL = 4.7
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
-_WIDE_ENOUGH_PX = 0.9
 # A line that leaves so many times as much as most is no sample of the noise.
 _MOST_OF_USUAL = 8.0
 _NORMAL_MAD = 1.4826
@@ -88,12 +99,22 @@ def survey(
     at = (frame, line, peak[of][:, some], columns, half)
     lit = gather_pixels(images, *at)
     dark = None if background is None else gather_pixels(background, *at)
-    return survey_windows(lit, dark, ambient, color)
+    first = first_pixel(images, jnp.asarray(peak[of][:, some]), columns, half)
+    # Merged exposures have 16 bits, and their own rounding.
+    chroma = None if color == "grey" or lit.dtype != jnp.uint8 else has_half_chroma(lit, first, color)
+    if chroma is None or not np.asarray(chroma).any():
+        return survey_windows(lit, dark, ambient, color)
+    return survey_windows(lit, dark, ambient, color, chroma=(chroma, first))
 
 
 @partial(jax.jit, static_argnames="color")
 def survey_windows(
-    lit: Array, dark: Array | None, ambient: Int[Array, "frames"], color: str, gain: Pixels | None = None
+    lit: Array,
+    dark: Array | None,
+    ambient: Int[Array, "frames"],
+    color: str,
+    gain: Pixels | None = None,
+    chroma: tuple[Bool[Array, "frames"], Places] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor in some of its windows.
 
@@ -103,20 +124,31 @@ def survey_windows(
         ambient: c of the response.
         color: of the laser, or grey.
         gain: as that of `Windows`; the noise is that of single pixels.
+        chroma: whether each frame's colours are at half resolution, and the windows' first pixels; None where none are.
     """
     levels = channels(lit, dark, color)
-    laser = lit if color == "grey" else lit[..., CHANNELS[color][0]]
-    full = _full_number(laser)
+    laser = numbers(lit, color)
+    full, half, detail = _full_number(laser), None, None
+    if chroma is not None:
+        half, first = chroma
+        detail, half = detail_of(levels, _FLANK, half, color)
+        full = jnp.where(half, jnp.floor(FULL_OF_LUMA / FULL * full).astype(full.dtype), full)
+        of_line = tuple(by[:, None, None] for by in detail)
+        laser = detailed(channels(lit, None, color), first, of_line, color)[0]
+        levels = detailed(levels, first, of_line, color)
     burnt = laser >= full[:, None, None].astype(laser.dtype)
     one = jnp.ones(len(lit), jnp.float32)
     plain = response(levels, NEUTRAL, ambient[:, None, None])
-    weights = (one, one) if color == "grey" else _weights(levels, plain, burnt)
+    weights = (one, one) if color == "grey" else _weights(levels, plain, burnt, half, color)
     r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
     span = full.astype(jnp.float32) * (1 if color == "grey" else 2)
     rounding = _ROUNDING * (one if color == "grey" else jnp.sqrt(4 + weights[0] ** 2 + weights[1] ** 2))
     ground = _ground(plain, burnt, gain)
+    if half is not None and detail is not None:
+        rounding = jnp.hypot(rounding, luma_error(detail, half, weights))
     read = jnp.maximum(_ground(r, burnt, gain), rounding)
-    sensor = Sensor(weights, ambient, full, span, ground, read, 0 * one, 0 * one, 0 * one, 0 * one, _UNKNOWN * one)
+    zero = jnp.zeros_like(one)
+    sensor = Sensor(weights, ambient, full, span, ground, read, zero, zero, zero, zero, _UNKNOWN * one, detail)
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
     # With no idea of the noise some lines will do.
@@ -155,6 +187,24 @@ def _look(windows: Windows, around: Outline, sensor: Sensor, read: Float[Array, 
     )
 
 
+def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
+    """Read noise, gain, speckle contrast and saturation of each frame, of a pixel's laser channel.
+
+    Light that the laser adds to its own channel counts twice in the response of a colour, and so does its noise. Where
+    colours are at half resolution, they are luma's.
+    """
+    m, n = (np.asarray(w) for w in sensor.weights)
+    by_light, by_noise = (
+        (np.ones(m.shape),) * 2 if color == "grey" else (np.full(m.shape, 2.0), np.sqrt(4 + m**2 + n**2))
+    )
+    if sensor.detail is not None:
+        laser, first, second = (1 + np.asarray(by) for by in sensor.detail)
+        by_luma = 2 * laser - m * first - n * second
+        by_light, by_noise = (np.where(laser > 1, by_luma, by) for by in (by_light, by_noise))
+    read, shot, speckle, full = (np.asarray(x) for x in (sensor.read, sensor.shot, sensor.speckle, sensor.full))
+    return np.stack([read / by_noise, shot / by_light, np.sqrt(speckle), full], axis=-1).astype(np.float32)
+
+
 def greatest_numbers(bits: int) -> list[int]:
     """What the greatest number of a sensor may be whose photographs have so many bits."""
     return [2**b - 1 for b in (*(d for d in _DEPTHS if d < bits), bits)]
@@ -170,13 +220,18 @@ def _full_number(laser: Int[Array, "frames window lines"]) -> Int[Array, "frames
 
 
 def _weights(
-    levels: tuple[Array, ...], r: Float[Array, "frames window lines"], burnt: Array
+    levels: tuple[Array, ...],
+    r: Float[Array, "frames window lines"],
+    burnt: Array,
+    half: Bool[Array, "frames"] | None,
+    color: str,
 ) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
     around = outline(r)
     k = jnp.arange(r.shape[1])[None, :, None]
     beside = (k < _FLANK) | (k >= r.shape[1] - _FLANK)
     core = (k > around.start) & (k < around.end) & around.whole & ~burnt
-    return channel_weights(levels, jnp.where(core, r - around.floor, 0.0), jnp.broadcast_to(beside, r.shape))
+    stripe = jnp.where(core, r - around.floor, 0.0)
+    return channel_weights(levels, stripe, jnp.broadcast_to(beside, r.shape), half, color)
 
 
 def _ground(r: Float[Array, "frames window lines"], burnt: Array, gain: Pixels | None) -> Float[Array, "frames"]:
@@ -208,10 +263,8 @@ def _chance(
     ends of the windows are free of them, these tell the sensor's noise.
     """
     clean = shines & ~windows.full.any(1)
-    usual = median(jnp.where(shines, found.profile.ln_s[:, 0], jnp.nan))
-    # Of a narrow one what is not full is all flank.
-    rest = shines & (usual > jnp.log(_WIDE_ENOUGH_PX))[:, None]
-    fair = jnp.where((clean.sum(1) >= _LEAST_FAIR * shines.sum(1))[:, None], clean, rest)
+    enough = clean.sum(1) >= jnp.maximum(_LEAST_FAIR * shines.sum(1), 1)
+    fair = clean & enough[:, None]
     # Where an edge runs along the stripe, the profile leaves much more than chance does.
     left = (found.weight * found.residual**2).sum(1)
     fair &= left < _MOST_OF_USUAL * median(jnp.where(fair, left, jnp.nan))[:, None]

@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt16
 
-from jaxscan.images.stripe_settings import CHANNELS
-from jaxscan.images.stripes.response import NEUTRAL, Images, channels, response
+from jaxscan.images.stripes.response import NEUTRAL, Images, channels, numbers, response
 from jaxscan.images.stripes.survey import survey_windows
 from jaxscan.images.stripes.windows import Places, Sensor, Windows
 
@@ -142,11 +141,10 @@ def passage_windows(
     """
     here = sensor.of(frame)
     levels = channels(lit.levels, None if dark is None else dark.levels, color)
-    greatest = lit.greatest if color == "grey" else lit.greatest[..., CHANNELS[color][0]]
     return Windows(
         response(levels, here.weights, here.ambient),
         None if color == "grey" else response(levels, NEUTRAL, here.ambient),
-        greatest >= here.full.astype(greatest.dtype),
+        numbers(lit.greatest, color) >= here.full.astype(lit.greatest.dtype),
         first,
         lit.gain,
     )

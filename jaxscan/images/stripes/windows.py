@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from jaxscan.images.stripe_settings import CHANNELS
-from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channels, response
+from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channels, detailed, numbers, response
 
 Pixels = Float[Array, "groups window lines"]
 Lines = Float[Array, "groups 1 lines"]
@@ -76,6 +75,7 @@ class Sensor(eqx.Module):
         grain: correlation of the speckle of neighbouring pixels of a line; of pixels k apart it is grain^(k²).
         ln_s: ln of the stripe's usual standard deviation, px.
         ln_s_spread: σ of that of single lines.
+        detail: how far L, M and N gain by luma's detail; None where the colours of all frames are at full resolution.
     """
 
     weights: tuple[Float[Array, "*of"], Float[Array, "*of"]]
@@ -89,6 +89,7 @@ class Sensor(eqx.Module):
     grain: Float[Array, "*of"]
     ln_s: Float[Array, "*of"]
     ln_s_spread: Float[Array, "*of"]
+    detail: tuple[Float[Array, "*of"], ...] | None = None
 
     def of(self, frame: Places) -> "Sensor":
         """Of each line, as (groups, 1, lines)."""
@@ -171,13 +172,17 @@ def gather_windows(
     lit = gather_pixels(images, frame, line, peak, columns, half)
     dark = None if background is None else gather_pixels(background, frame, line, peak, columns, half)
     here = sensor.of(frame)
-    laser = lit if color == "grey" else lit[..., CHANNELS[color][0]]
+    laser = numbers(lit, color)
     levels = channels(lit, dark, color)
+    first = first_pixel(images, peak, columns, half)
+    if here.detail is not None:
+        laser = detailed(channels(lit, None, color), first, here.detail, color)[0]
+        levels = detailed(levels, first, here.detail, color)
     return Windows(
         response(levels, here.weights, here.ambient),
         None if color == "grey" else response(levels, NEUTRAL, here.ambient),
         laser >= here.full.astype(laser.dtype),
-        first_pixel(images, peak, columns, half),
+        first,
     )
 
 

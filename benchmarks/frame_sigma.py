@@ -1,0 +1,94 @@
+"""Predicted σ of stripe positions over their actual scatter, in each frame of the simulated scan of a cup.
+
+The scan is that of the simulated rig of 2003, with and without speckle, drawn once in 16 bits; from it come photographs
+of 8 bits in colour, of 12 bits kept in 16, of a grey camera, and colour photographs whose laser is said to be grey. A
+frame's ratio is 1 / (1.4826 median |error / σ|), over points that are no closer than some columns to an edge of depth.
+"""
+
+from dataclasses import replace
+from typing import Final, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from benchmarks.metric import Metric
+from jaxscan.geometry.robust_plane import NORMAL_MAD
+from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.simulation import rig_2003
+from jaxscan.simulation.profile import true_profile
+from jaxscan.simulation.render import render
+from jaxscan.simulation.shapes import cup
+
+Color = Literal["red", "green", "blue", "grey"]
+
+_SPECKLES: Final = (0.0, 0.2)
+_LOW, _HIGH = 0.85, 1.18
+# Points whose true row jumps by more than this within so many columns are at an edge of depth.
+_JUMP_PX, _NEAR = 1.0, 4
+_FEWEST: Final = 100
+_CAMERAS: Final[dict[str, Color]] = {"colour": "red", "twelve_bits": "red", "grey_camera": "grey", "grey_laser": "grey"}
+
+Photographs = np.ndarray
+
+
+def measure(quick: bool) -> list[Metric]:
+    """Every frame, or every sixth."""
+    metrics = []
+    for speckle in _SPECKLES:
+        photographs, truth = draw(speckle, every=6 if quick else 1)
+        for camera, color in _CAMERAS.items():
+            found = ratios(developed(photographs, camera), color, truth)
+            print(f"  {camera}, speckle {speckle:g}: " + " ".join(f"{ratio:.2f}" for ratio in found), flush=True)
+            name = f"frame_sigma.{camera}.speckle_{speckle:g}"
+            inside = np.mean((found > _LOW) & (found < _HIGH))
+            metrics += [
+                Metric(f"{name}.least", found.min(), "", "higher", _LOW, 0.1),
+                Metric(f"{name}.most", found.max(), "", "lower", _HIGH, 0.1),
+                Metric(f"{name}.frames_within", float(inside), "", "higher", 1.0, floor=0.05),
+            ]
+    return metrics
+
+
+def draw(speckle: float, every: int = 1) -> tuple[Photographs, Float[np.ndarray, "frames columns"]]:
+    """The photographs, 16 bits in colour, and the true row of the stripe in each column."""
+    rig = rig_2003.simulated_rig(0)
+    scene = rig_2003.scan_scene(rig, cup(rig_2003.OBJECT_Y))
+    lighting = replace(rig_2003.SCAN_LIGHTING, speckle=speckle)
+    sensor = replace(rig_2003.SENSOR, bits=16)
+    images, rows = [], []
+    for i in range(0, rig_2003.SCAN_FRAMES, every):
+        steps = i * rig_2003.STEPS_APART
+        images.append(render(rig, scene, steps=steps, laser=0, lighting=lighting, sensor=sensor, seed=(2003, 0, 2, i)))
+        rows.append(true_profile(rig, scene, steps, laser=0, lighting=lighting)[0])
+    return np.stack(images), np.stack(rows)
+
+
+def developed(photographs: Photographs, camera: str) -> Photographs:
+    """The photographs as a camera keeps them."""
+    if camera == "twelve_bits":
+        return photographs >> 4
+    eight = np.rint(photographs / 257).astype(np.uint8)
+    return eight[..., 0] if camera == "grey_camera" else eight
+
+
+def ratios(
+    photographs: Photographs, color: Color, truth: Float[np.ndarray, "frames columns"]
+) -> Float[np.ndarray, "frames"]:
+    """σ over the actual scatter, in each frame that has enough points."""
+    stripe = detect_stripe(photographs, StripeSettings(color))
+    known = np.asarray(stripe.valid) & ~_at_edges(truth)
+    found = []
+    for i, each in enumerate(known):
+        if each.sum() >= _FEWEST:
+            error = np.asarray(stripe.position[i], np.float64)[each] - truth[i, each]
+            found.append(1 / (NORMAL_MAD * np.median(np.abs(error / stripe.sigma[i, each]))))
+    return np.asarray(found)
+
+
+def _at_edges(truth: Float[np.ndarray, "frames columns"]) -> Bool[np.ndarray, "frames columns"]:
+    jump = ~(np.abs(np.diff(truth, axis=1)) <= _JUMP_PX)
+    jump = np.pad(jump, ((0, 0), (1, 1)), constant_values=True)
+    at = ~np.isfinite(truth)
+    for shift in range(-_NEAR, _NEAR + 1):
+        at |= np.roll(jump, shift, axis=1)[:, :-1] | np.roll(jump, shift, axis=1)[:, 1:]
+    return at

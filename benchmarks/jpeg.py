@@ -1,0 +1,148 @@
+"""Heights of steps from photographs kept as JPEG: chroma for each pixel (4:4:4) or at half resolution (4:2:0, 4:2:2).
+
+A stripe of the simulated rig of 2003 lies level on faces of known heights over a floor, so that on each its place
+among the pixels is one and the same, and an error that depends on that place does not average out. Each face is read
+as the mean of its columns less that of the floor. A figure is the root mean square of the errors of faces on all
+surfaces, in several photographs each, of the worst width of stripe.
+"""
+
+import itertools
+import tempfile
+from pathlib import Path
+from typing import Final, Literal
+
+import jax.numpy as jnp
+import numpy as np
+import simplejpeg
+from jaxtyping import Float, UInt
+from scipy.special import ndtr
+
+from benchmarks.metric import Metric
+from jaxscan.detectors import DEFAULT, Detector
+from jaxscan.images import StripeSettings, detect_stripe, read_image, write_image
+from jaxscan.images.stripe_settings import CHANNELS
+from jaxscan.precision import float64
+from jaxscan.simulation import rig_2003
+
+_ROWS, _FACES, _COLUMNS, _EDGE = 112, 8, 80, 8
+_HIGHEST_MM, _NOISE, _QUALITY = 14.0, 1.5, 90
+Color = Literal["red", "green", "blue"]
+_KINDS: Final = ("png", "444", "422", "420")
+_COLORS: Final[tuple[Color, ...]] = ("red", "green", "blue")
+_DETECTORS: Final[tuple[Detector, ...]] = ("likelihood", "gravity")
+# Of the laser in its own channel and in the other two.
+_LASER: Final = (1.0, 0.06, 0.03)
+# Ambient light and what a surface returns of the laser's: white, a dark room, coloured.
+_SURFACES: Final = {"white": ((60, 60, 60), 1.0), "dark": ((6, 6, 6), 1.0), "coloured": ((90, 50, 35), 0.6)}
+# Its peak in parts of a full pixel.
+_PEAKS: Final = {"open": 0.7, "burnt": 3.0}
+_WIDTHS: Final = {"open": (0.7, 1.0, 1.5, 2.0, 3.0), "burnt": (0.7, 1.0, 1.5, 2.0)}
+_QUICK: Final = {"open": (0.7, 1.5), "burnt": (1.0,)}
+_GOAL_MM: Final = 0.02
+
+Table = tuple[Float[np.ndarray, "heights"], Float[np.ndarray, "heights"]]
+Photograph = UInt[np.ndarray, "rows columns 3"]
+
+
+def measure(quick: bool) -> list[Metric]:
+    """All colours, widths and kinds; in the short form the red laser and fewer widths."""
+    colors, widths = (_COLORS[:1], _QUICK) if quick else (_COLORS, _WIDTHS)
+    table = _heights_and_rows()
+    print("  RMS error of a step's height, mm: " + ", ".join(f"{kind} ({', '.join(_DETECTORS)})" for kind in _KINDS))
+    worst: dict[tuple[Color, str, str, Detector], float] = {}
+    for color, (peak, bright) in itertools.product(colors, _PEAKS.items()):
+        for s in widths[peak]:
+            cells = ""
+            for kind in _KINDS:
+                found: dict[Detector, float] = {
+                    name: _rms(color, bright, s, kind, name, table, 2 if quick else 4) for name in _DETECTORS
+                }
+                cells += "  " + " ".join(f"{rms:.4f}" for rms in found.values())
+                for name, rms in found.items():
+                    worst[color, peak, kind, name] = max(worst.get((color, peak, kind, name), 0.0), rms)
+            print(f"    {color:6}{peak:6}{s:4} {cells}", flush=True)
+    return [_metric(*which, rms) for which, rms in worst.items()]
+
+
+def _metric(color: Color, peak: str, kind: str, name: Detector, rms: float) -> Metric:
+    label = f"jpeg.{color}.{peak}.{kind}.{name}"
+    if name != DEFAULT:
+        return Metric(label, rms, "mm")
+    goal = _GOAL_MM if peak == "open" and kind in ("png", "420") else None
+    return Metric(label, rms, "mm", "lower", goal, 0.1, floor=0.002)
+
+
+def _rms(
+    color: Color,
+    bright: float,
+    s: float,
+    kind: str,
+    name: Detector,
+    table: Table,
+    photographs: int,
+) -> float:
+    """Over the faces of some photographs of every surface, mm."""
+    random, errors = np.random.default_rng(0), []
+    settings = StripeSettings(color)
+    for ambient, returned in _SURFACES.values():
+        heights = np.concatenate(
+            [np.zeros((photographs, 1)), random.uniform(0, _HIGHEST_MM, (photographs, _FACES - 1))], axis=1
+        )
+        # The floor's place among the pixels differs from photograph to photograph too.
+        shift = random.uniform(-0.5, 0.5, (photographs, 1))
+        rows = np.interp(heights, *table) + shift
+        frames = [
+            _kept(draw(color, 255 * bright * returned, ambient, np.repeat(each, _COLUMNS), s, random), kind)
+            for each in rows
+        ]
+        found = np.asarray(detect_stripe(np.stack(frames), settings, detector=name).position, np.float64)
+        faces = found.reshape(photographs, _FACES, _COLUMNS)[:, :, _EDGE:-_EDGE]
+        read = np.nanmean(faces, axis=2)
+        by_row = np.argsort(table[1])
+        read = np.interp(read - shift, table[1][by_row], table[0][by_row])
+        errors.append((read - read[:, :1] - heights)[:, 1:])
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def draw(
+    color: Color,
+    peak: float,
+    ambient: tuple[float, float, float],
+    centre: Float[np.ndarray, "columns"],
+    s: float,
+    random: np.random.Generator,
+    rows: int = _ROWS,
+) -> Photograph:
+    """A stripe of σ = s px, each pixel its exact mean, with noise, before it is full."""
+    edges = (np.arange(rows + 1)[:, None] - 0.5 - centre) / s
+    light = s * np.sqrt(2 * np.pi) * np.diff(ndtr(edges), axis=0)
+    levels = np.zeros((*light.shape, 3)) + np.asarray(ambient, float)
+    for channel, part in zip(CHANNELS[color], _LASER, strict=True):
+        levels[..., channel] += peak * part * light
+    return np.rint((levels + _NOISE * random.standard_normal(levels.shape)).clip(0, 255)).astype(np.uint8)
+
+
+def _kept(photograph: Photograph, kind: str) -> Photograph:
+    """As it is read from a file of this kind."""
+    with tempfile.TemporaryDirectory() as folder:
+        if kind == "png":
+            path = Path(folder) / "frame.png"
+            write_image(path, photograph)
+        else:
+            path = Path(folder) / "frame.jpg"
+            path.write_bytes(simplejpeg.encode_jpeg(photograph, _QUALITY, "RGB", kind))
+        return read_image(path)
+
+
+def _heights_and_rows() -> Table:
+    """In which row of the middle column the sheet meets a plane so far over the platform, counted from a middle row."""
+    rig = rig_2003.simulated_rig(0)
+    R, origin = rig_2003.platform(rig)
+    omega = np.asarray([float(c) for c in rig.lasers[0].plane])
+    heights = np.linspace(-1.0, _HIGHEST_MM + 1.0, 200)
+    # On the sheet, at this height, and in the plane through the middle of the platform.
+    planes = np.stack([omega, R[:, 2], R[:, 0]])
+    points = [np.linalg.solve(planes, np.array([1.0, R[:, 2] @ origin + h, R[:, 0] @ origin])) for h in heights]
+    with float64():
+        rows = np.array([float(rig.camera.project(jnp.asarray(point))[1]) for point in points])
+    return heights, rows - rows.mean() + _ROWS / 2

@@ -1,0 +1,89 @@
+"""A stripe in weak light: lines in which it is too faint to be told from noise by itself, and goes on from the others.
+
+Of noise the greatest peak of each line lies anywhere. Where the peaks of neighbouring lines lie within a few pixels of
+one another, over more lines than chance would ever join, there is a stripe, however faint. In the lines between, in
+which noise outdid it, it is looked for again where the others say that it must be.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.images.stripes.runs import Points, linked
+from jaxscan.images.stripes.validity import GAP
+
+# Faint points follow one another closely: within so much, and no steeper.
+_COMPANY_PX, _STEEPEST = 2.0, 1.0
+# Chance joins so many lines once in a million; a stripe has more, and no fewer than these.
+_LN_CHANCE, _FEWEST = float(np.log(1e-6)), 16
+# By chance so many are joined once in a thousand: a stripe, and too weak.
+_LN_TOO_WEAK: Final = float(np.log(1e-3))
+# A run has points in this part of its lines.
+_DENSE: Final = 0.4
+# Over so many lines between two points it is looked for again, and taken within so much of the straight line.
+_BETWEEN, _NEAR_PX = 12, 3.0
+
+
+class Faint(NamedTuple):
+    """What faint points of a frame make, for each of its lines.
+
+    Attributes:
+        runs: which have a point of the stripe.
+        weak: which have something in company, and not enough of it.
+        between: which have none and lie between two that do.
+        rows: where the stripe must be there.
+    """
+
+    runs: Bool[np.ndarray, "lines"]
+    weak: Bool[np.ndarray, "lines"]
+    between: Bool[np.ndarray, "lines"]
+    rows: Float[np.ndarray, "lines"]
+
+
+def faint_runs(
+    seen: Bool[np.ndarray, "lines"],
+    at: Float[np.ndarray, "lines"],
+    strength: Float[np.ndarray, "lines"],
+    width: Float[np.ndarray, "lines"],
+    rows: int,
+) -> Faint:
+    """The runs that the points of a frame make.
+
+    Args:
+        seen: which lines have a point, however faint.
+        at: where.
+        strength: how bright.
+        width: its full width at half height, px.
+        rows: among how many a peak of noise may lie.
+    """
+    line = np.flatnonzero(seen)
+    run = linked(Points(line, at[line], strength[line], width[line]), _COMPANY_PX, _STEEPEST)
+    length = np.bincount(run)
+    first, last = np.full(len(length), len(seen)), np.zeros(len(length), int)
+    np.minimum.at(first, run, line)
+    np.maximum.at(last, run, line)
+    chance = sum(2 * (_COMPANY_PX + _STEEPEST * gap) + 1 for gap in range(1, GAP + 1)) / rows
+    ln_chance = np.log(min(chance, 0.99))
+    long = (length >= max(_FEWEST, _LN_CHANCE / ln_chance)) & (length > _DENSE * (last - first))
+    company = length > 1 + _LN_TOO_WEAK / ln_chance
+    runs, weak = np.zeros_like(seen), np.zeros_like(seen)
+    runs[line] = long[run]
+    weak[line] = (company & ~long)[run]
+    known = np.flatnonzero(runs)
+    between, rows_ = np.zeros_like(seen), np.full(len(seen), np.nan)
+    if known.size > 1:
+        apart, step = np.diff(known), np.abs(np.diff(at[known]))
+        near = (apart <= _BETWEEN) & (step <= _COMPANY_PX + _STEEPEST * apart)
+        lines = np.arange(len(seen))
+        before = np.searchsorted(known, lines, "right") - 1
+        inner = (before >= 0) & (before < len(near))
+        between[inner] = near[before[inner]]
+        between &= ~runs
+        rows_[between] = np.interp(lines[between], known, at[known])
+    return Faint(runs, weak, between, rows_)
+
+
+def near_enough(at: Float[np.ndarray, "some"], rows: Float[np.ndarray, "some"]) -> Bool[np.ndarray, "some"]:
+    """Whether what is found lies where it must."""
+    return np.abs(at - rows) <= _NEAR_PX

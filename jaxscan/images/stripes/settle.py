@@ -1,0 +1,232 @@
+"""Which of what was measured in some frames is the stripe, line by line: verdicts, and looks at other places.
+
+In most frames the block that stands out most is the stripe in every line: one run of points, and nothing strong beside
+it. Where it is not so, the other candidates of the frame are measured too, and the likeliest runs are taken; where the
+light is weak, faint points are that go on from one another.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Int8
+
+from jaxscan.images.stripes.candidates import highest, rivals
+from jaxscan.images.stripes.faint import faint_runs, near_enough
+from jaxscan.images.stripes.runs import Points, likeliest
+from jaxscan.images.stripes.validity import Verdict, in_a_line
+
+# A frame is in doubt that has so many strong lines without a point.
+_DOUBTFUL: Final = 3
+# A candidate rises by this part of what a stripe must.
+_RISES: Final = 0.7
+# Of what shines white no more than this part of the response is left, so many pixels away at most, where white
+# cancels; of most of a stripe that can be told from it more than this.
+_WHITE, _IN_COLOUR, _FLANK_PX = 0.2, 0.6, 8
+# What is found lies near what it was looked for by: within so much, and half of its own width.
+_NEAR_PX: Final = 3.0
+# In weak light a stripe's strength is less than so many times what tells it from noise by itself; faint points are
+# above so many times the noise, where most of the greatest peaks of noise are too.
+_WEAK, _FAINT = 4.0, 2.0
+
+# Frame, line and row of each place.
+Places = tuple[Int[np.ndarray, "some"], ...]
+# The first and the last row at which the stripe can be in each line.
+Band = tuple[Float[np.ndarray, "lines"], Float[np.ndarray, "lines"]]
+
+
+class Looked(NamedTuple):
+    """What was measured at some places, or in each line of each frame.
+
+    Attributes:
+        measured: by the detector: `Measured` of NumPy's arrays.
+        strong: whether something stands out, whole or not.
+        cramped: whether it was measured in a wide window.
+        burnt: whether it is burnt out.
+    """
+
+    measured: Any
+    strong: Bool[np.ndarray, "*of"]
+    cramped: Bool[np.ndarray, "*of"]
+    burnt: Bool[np.ndarray, "*of"]
+
+    def near(self, rows: Int[np.ndarray, "*of"]) -> Bool[np.ndarray, "*of"]:
+        """Whether what was found lies near what it was looked for by; a burnt-out core may be as thick as it likes."""
+        off = np.abs(self.measured.position - rows)
+        return (off <= _NEAR_PX + self.measured.width / 2) | self.burnt | self.cramped
+
+
+@dataclass
+class Frame:
+    """Some frames as they are measured.
+
+    Attributes:
+        looked: what was found in each line.
+        peak: at which row it was looked for.
+        least: how much a stripe must stand out in each frame.
+        ground: the noise of each frame.
+        length: rows of the image.
+        look: measures at other places.
+        band: where the sheet can be.
+    """
+
+    looked: Looked
+    peak: Int[np.ndarray, "frames lines"]
+    least: Float[np.ndarray, "frames"]
+    ground: Float[np.ndarray, "frames"]
+    length: int
+    look: Callable[[Places], Looked]
+    band: Band | None
+
+    def take(self, at: Places, found: Looked, which: np.ndarray) -> None:
+        """Put what was measured at some of these places into their lines."""
+        lines = at[0][which], at[1][which]
+
+        def replaced(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+            values = np.array(old)
+            values[lines] = new[which]
+            return values
+
+        self.looked, self.peak = jax.tree.map(replaced, (self.looked, self.peak), (found, at[2]))
+
+    def within(
+        self, line: Int[np.ndarray, "*some"], position: Float[np.ndarray, "*of some"]
+    ) -> Bool[np.ndarray, "*of some"]:
+        """Whether positions in some lines lie in the band."""
+        if self.band is None:
+            return np.ones(position.shape, bool)
+        low, high = self.band
+        return (position >= low[line]) & (position <= high[line])
+
+
+def settle(
+    frame: Frame, peaks: Array, columns: bool, contested: bool, of_colour: Callable[[], np.ndarray] | None
+) -> Int8[np.ndarray, "frames lines"]:
+    """The verdict of each line of some frames; what is measured elsewhere is put into `frame`.
+
+    Args:
+        frame: as they were measured.
+        peaks: of each block, packed.
+        columns: whether lines are columns.
+        contested: whether other candidates are looked at.
+        of_colour: the peaks where neutral light cancels however bright it is; None where there are no colours.
+    """
+    shape = frame.peak.shape
+    lines = np.arange(shape[1])
+    measured = frame.looked.measured
+    bright = measured.whole & (measured.strength > frame.least[:, None])
+    if contested:
+        bright &= frame.looked.near(frame.peak)
+    inside = frame.within(lines, measured.position)
+    found, runs = in_a_line(measured, bright & inside)
+    second = np.zeros(shape, bool)
+    if contested:
+        lost = frame.looked.strong & ~found
+        doubtful = np.flatnonzero((runs > 1) | (lost.sum(axis=1) >= _DOUBTFUL))
+        if doubtful.size:
+            standing = bright & inside
+            down = np.asarray(peaks)
+            coloured = None if of_colour is None else of_colour()
+            if not columns:
+                down = np.swapaxes(down, 1, 2)
+                coloured = None if coloured is None else np.swapaxes(coloured, 1, 2)
+            _contest(frame, doubtful, down, coloured, standing, second)
+            measured = frame.looked.measured
+            found, _ = in_a_line(measured, standing)
+    verdict = np.where(found, Verdict.STRIPE, Verdict.NOTHING).astype(np.int8)
+    verdict[bright & ~found] = Verdict.SPOT
+    verdict[second & ~found] = Verdict.SECOND
+    verdict[bright & ~inside & ~found] = Verdict.OUTSIDE
+    _add_faint(frame, verdict)
+    return verdict
+
+
+def _contest(
+    frame: Frame,
+    doubtful: Int[np.ndarray, "some"],
+    peaks: Int[np.ndarray, "frames down lines"],
+    of_colour: Int[np.ndarray, "frames down lines"] | None,
+    standing: Bool[np.ndarray, "frames lines"],
+    second: Bool[np.ndarray, "frames lines"],
+) -> None:
+    """Measure what else is bright in doubtful frames, and take the likeliest; `standing` and `second` are updated."""
+
+    def colour(n: int, line: Int[np.ndarray, "some"], row: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some"]:
+        """How much of the response is left where white cancels: of what shines white nothing, on its flanks neither."""
+        if of_colour is None:
+            return np.ones(len(line))
+        own = highest(peaks[n], line, row, _FLANK_PX, frame.length)
+        return highest(of_colour[n], line, row, _FLANK_PX, frame.length) / np.maximum(own, 1)
+
+    places = []
+    for n in doubtful:
+        lines = np.flatnonzero(standing[n])
+        line, row = rivals(peaks[n], frame.peak[n], _RISES * float(frame.least[n]), frame.length)
+        mains, others = colour(n, lines, frame.peak[n, lines]), colour(n, line, row)
+        # Where the stripe is burnt out white itself, colour tells nothing.
+        if lines.size and np.median(mains) > _IN_COLOUR:
+            standing[n, lines] = mains > _WHITE
+            line, row = line[others > _WHITE], row[others > _WHITE]
+        places.append(np.stack([np.full_like(line, n), line, row]))
+    at = tuple(index.astype(np.int32) for index in np.concatenate(places, axis=1))
+    if not at[0].size:
+        return
+    looked = frame.look(at)
+    found = looked.measured
+    good = found.whole & (found.strength > frame.least[at[0]]) & frame.within(at[1], found.position)
+    # A wide window may see again what stands out most in its line.
+    again = np.abs(found.position - frame.looked.measured.position[at[:2]]) <= _NEAR_PX + found.width
+    which = np.flatnonzero(good & looked.near(at[2]) & ~(again & standing[at[:2]]))
+    own, taken = frame.looked.measured, [np.empty(0, int)]
+    for n in doubtful:
+        mine = which[at[0][which] == n]
+        if not mine.size:
+            continue
+        lines = np.flatnonzero(standing[n])
+        line = np.concatenate([lines, at[1][mine]])
+        order = np.argsort(line, kind="stable")
+        values = (
+            np.concatenate([mains[n][lines], others[mine]])[order]
+            for mains, others in (
+                (own.position, found.position),
+                (own.strength, found.strength),
+                (own.width, found.width),
+            )
+        )
+        chosen, others = (x[np.argsort(order)] for x in likeliest(Points(line[order], *values)))
+        second[n, line[others]] = True
+        standing[n] = False
+        standing[n, line[chosen]] = True
+        taken.append(mine[chosen[len(lines) :]])
+    frame.take(at, looked, np.concatenate(taken))
+
+
+def _add_faint(frame: Frame, verdict: Int8[np.ndarray, "frames lines"]) -> None:
+    """In weak light, lines that are faint and in company; the verdicts are updated."""
+    measured = frame.looked.measured
+    faint = measured.whole & (measured.strength > _FAINT * frame.ground[:, None])
+    faint &= (verdict == Verdict.NOTHING) & frame.within(np.arange(verdict.shape[1]), measured.position)
+    places, rows = [np.empty((2, 0), np.int32)], [np.empty(0, np.float32)]
+    for n in np.flatnonzero(faint.sum(axis=1) >= _DOUBTFUL):
+        found = verdict[n] == Verdict.STRIPE
+        if found.any() and np.median(measured.strength[n][found]) > _WEAK * frame.least[n]:
+            continue
+        one = measured.position[n], measured.strength[n], measured.width[n]
+        runs = faint_runs(faint[n] | found, *one, frame.length)
+        verdict[n][runs.runs] = Verdict.STRIPE
+        verdict[n][runs.weak & ~found] = Verdict.WEAK
+        line = np.flatnonzero(runs.between & ~found)
+        places.append(np.stack([np.full_like(line, n), line]).astype(np.int32))
+        rows.append(runs.rows[line])
+    between, row = np.concatenate(places, axis=1), np.concatenate(rows)
+    if not row.size:
+        return
+    at = (*between, np.rint(row).astype(np.int32))
+    looked = frame.look(at)
+    again = looked.measured
+    good = again.whole & (again.strength > _FAINT * frame.ground[at[0]]) & near_enough(again.position, row)
+    good &= frame.within(at[1], again.position)
+    verdict[at[0], at[1]] = np.where(good, Verdict.STRIPE, Verdict.WEAK)
+    frame.take(at, looked, np.flatnonzero(good))

@@ -1,0 +1,39 @@
+"""What a rig's file warns of, on the page and in the state of a lab on a real server."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from markupsafe import escape
+from serving import VIEWER, serve
+
+from jaxscan import Camera, LightPlane, Rig, RigFile
+from jaxscan.precision import as_numpy
+
+WARNING = 'The light plane of laser "<b>left" does not fit the stripes that it was found from'
+SENTENCE = "The rig's file warns: "
+
+
+@pytest.mark.parametrize("warnings", [(), (WARNING,), (WARNING, "Another one")])
+def test_everybody_reads_what_is_known_against_the_rig(tmp_path: Path, warnings: tuple[str, ...]):
+    camera = Camera.create((80, 64), (100.0, 100.0), (39.5, 31.5))
+    rig = as_numpy(Rig(camera, (LightPlane.create(np.array([0.0, 0.002, 0.003]), "<b>left"),)))
+    served = serve(tmp_path / "lab", rig=RigFile(rig, None, {"warnings": list(warnings)} if warnings else {}))
+    try:
+        page = served.browser(VIEWER).get("/").raise_for_status().text
+        state = served.program(VIEWER).get("/api/state").raise_for_status().json()
+    finally:
+        served.end()
+    assert tuple(state["rig_warnings"]) == warnings
+    assert page.count(SENTENCE) == len(warnings)
+    for warning in warnings:
+        assert f"{SENTENCE}{escape(warning)}." in page
+
+
+def test_without_a_rig_there_is_none(tmp_path: Path):
+    served = serve(tmp_path / "lab")
+    try:
+        assert SENTENCE not in served.browser(VIEWER).get("/").text
+        assert served.program(VIEWER).get("/api/state").json()["rig_warnings"] == []
+    finally:
+        served.end()

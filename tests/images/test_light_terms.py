@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images.light import Light
+from jaxscan.images.stripe_settings import CHANNELS
+
+ROWS, COLUMNS = 96, 1600
+
+
+def photograph(color, read=2.0, gain=0.0, speckle=0.0, peak=180.0):
+    """A stripe of σ 2 px whose noise is known."""
+    random = np.random.default_rng(0)
+    centre = 48 + random.uniform(-0.5, 0.5, COLUMNS)
+    light = peak * np.exp(-0.5 * ((np.arange(ROWS)[:, None] - centre) / 2) ** 2)
+    if speckle:
+        light = light * random.gamma(speckle**-2, speckle**2, light.shape)
+    if gain:
+        light = gain * random.poisson(light / gain)
+    levels = np.full((ROWS, COLUMNS, 3), 40.0)
+    levels[..., CHANNELS["red" if color == "grey" else color][0]] += light
+    levels += read * random.standard_normal(levels.shape)
+    shown = np.rint(levels.clip(0, 255)).astype(np.uint8)
+    return shown[..., 0] if color == "grey" else shown
+
+
+@pytest.mark.parametrize("color", ["grey", "red"])
+def test_what_is_said_of_the_light_is_what_it_was(color):
+    light = Light.of([detect_stripe(photograph(color, gain=0.8), StripeSettings(color)).light])
+    assert light is not None
+    assert light.read_noise == pytest.approx(2.0, rel=0.1)
+    assert light.gain == pytest.approx(0.8, rel=0.3)
+    assert light.saturation == 252
+    light = Light.of([detect_stripe(photograph(color, speckle=0.2, peak=120), StripeSettings(color)).light])
+    assert light is not None
+    assert light.speckle_contrast == pytest.approx(0.2, rel=0.15)
+    assert "speckle contrast 0." in light.in_words()
+
+
+def test_a_photograph_without_a_stripe_says_nothing():
+    dark = detect_stripe(np.full((ROWS, 64), 40, np.uint8), StripeSettings("grey"))
+    assert np.isnan(dark.light).all()
+    assert Light.of([dark.light]) is None
+    assert Light.of([]) is None
+
+
+def test_in_words():
+    assert Light(2.0, 0.0, 0.0, 252.0).in_words() == (
+        "read noise 2 grey levels, shot noise too little to be seen, no speckle seen, full from 252 on"
+    )

@@ -1,0 +1,60 @@
+"""Runs of points: which hang together, and which are the stripe."""
+
+import numpy as np
+
+from jaxscan.images.stripes.runs import Points, likeliest, linked
+
+LINES = np.arange(200)
+
+
+def points(*runs):
+    """Of (lines, positions, strength, width) each, sorted by line; and which run each point is of."""
+    parts = [
+        (line, np.broadcast_to(at, line.shape), np.full(line.shape, strength), np.full(line.shape, width))
+        for line, at, strength, width in runs
+    ]
+    line, *values = (np.concatenate(each) for each in zip(*parts, strict=True))
+    of = np.repeat(np.arange(len(runs)), [len(part[0]) for part in parts])
+    order = np.argsort(line, kind="stable")
+    return Points(line[order], *(np.asarray(v, np.float64)[order] for v in values)), of[order]
+
+
+def taken(*runs):
+    """The part of each run that is taken."""
+    seen, of = points(*runs)
+    chosen, _ = likeliest(seen)
+    assert np.unique(seen.line[chosen]).size == chosen.sum()
+    return [chosen[of == i].mean() for i in range(len(runs))]
+
+
+def test_parallel_lines_stay_apart_and_gaps_are_bridged():
+    some = LINES[LINES % 7 > 2]
+    seen, of = points((some, 50 + 0.5 * some, 100, 3), (LINES, 60 + 0.5 * LINES, 100, 3))
+    run = linked(seen)
+    assert len(set(run)) == 2
+    assert all(len(set(run[of == i])) == 1 for i in (0, 1))
+
+
+def test_a_fainter_line_that_crosses_takes_nothing():
+    across = LINES[np.abs(LINES - 100) > 8]
+    seen, of = points((LINES, 100.0, 100, 3), (across, 1.0 * across, 35, 3))
+    assert len(set(linked(seen)[of == 0])) == 1
+    assert taken((LINES, 100.0, 100, 3), (across, 1.0 * across, 35, 3)) == [1.0, 0.0]
+
+
+def test_a_ghost_is_none_in_a_gap_of_its_stripe_either():
+    stripe = LINES[(LINES < 80) | (LINES > 120)]
+    assert taken((stripe, 100.0, 100, 3), (LINES, 150.0, 35, 3)) == [1.0, 0.0]
+
+
+def test_a_dark_piece_at_another_depth_is_kept():
+    assert taken((LINES[:110], 100.0, 100, 3), (LINES[100:], 150.0, 30, 3))[0] == 1.0
+    assert taken((LINES[:110], 100.0, 100, 3), (LINES[100:], 150.0, 30, 3))[1] > 0.85
+
+
+def test_what_is_burnt_out_does_not_win_by_its_brightness():
+    assert taken((LINES, 100.0, 100, 3), (LINES[60:100], 150.0, 500, 3)) == [1.0, 0.0]
+
+
+def test_what_is_thicker_than_long_is_no_line():
+    assert taken((LINES, 100.0, 100, 3), (LINES[60:80], 150.0, 100, 20)) == [1.0, 0.0]
