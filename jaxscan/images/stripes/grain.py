@@ -28,7 +28,7 @@ from jaxscan.images.stripes.windows import Lines, Pixels
 _LAGS: Final = 3
 _DISTANCES: Final = 5
 # ρ is one of so many, up to this: a grain of 2 px has 0.88.
-_MOST, _STEPS = 0.92, 47
+_MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
 # What each further number must explain at the least, in squares of standard deviations.
 _PRICE: Final = 4.0
 _TINY: Final = 1e-12
@@ -194,6 +194,9 @@ def chance(
     scatter = [*(2 * v for v in own), *[product] * len(lags)]
     weight = jnp.stack([groups * n / jnp.maximum(v, _TINY) for n, v in zip(number, scatter, strict=True)])
     found = _least(seen[:, None], weight[:, None], by_read[:, None], by_photons[:, None], by_speckle, rho, read2, known)
+    # What goes on as far as the list does is no speckle, but a profile that is not the model's.
+    sure = found.grain < _MOST_SURE
+    found = found._replace(speckle=jnp.where(sure, found.speckle, 0.0), grain=jnp.where(sure, found.grain, 0.0))
     # More than what is seen beside the stripe no sensor makes.
     return found._replace(read2=jnp.where(known | ~(found.read2 > 0), read2, jnp.minimum(found.read2, read2)))
 
