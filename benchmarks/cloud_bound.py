@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import log_ndtr, ndtr
 
+from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction.point_sigma import ray_jacobian
 from jaxscan.rig import LightPlane, Rig
@@ -119,7 +120,7 @@ def _with_sheet(rig: Rig, part: float) -> Rig:
 
 
 def _red(image: np.ndarray) -> Float[np.ndarray, "rows columns"]:
-    return image[..., 0] / 257.0
+    return image[..., 0] / NUMBERS_PER_LEVEL
 
 
 def _rms(values: Float[np.ndarray, "values"]) -> float:

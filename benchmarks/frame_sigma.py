@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from benchmarks.metric import Metric
-from jaxscan.geometry.robust_plane import NORMAL_MAD
 from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images.decode import NUMBERS_PER_LEVEL
+from jaxscan.robust import NORMAL_MAD
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.profile import true_profile
 from jaxscan.simulation.render import render
@@ -67,7 +68,7 @@ def developed(photographs: Photographs, camera: str) -> Photographs:
     """The photographs as a camera keeps them."""
     if camera == "twelve_bits":
         return photographs >> 4
-    eight = np.rint(photographs / 257).astype(np.uint8)
+    eight = np.rint(photographs / NUMBERS_PER_LEVEL).astype(np.uint8)
     return eight[..., 0] if camera == "grey_camera" else eight
 
 

@@ -46,9 +46,10 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.geometry.closest import ClosestOnTriangles
-from jaxscan.geometry.robust_plane import NORMAL_MAD, refined_plane
+from jaxscan.geometry.robust_plane import refined_plane
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import Rig, Stage
+from jaxscan.robust import NORMAL_MAD
 from jaxscan.simulation import Body, Scene, distance, rig_2003
 from jaxscan.simulation.drawn import drawn_scan
 from jaxscan.simulation.folders import simulate_scan

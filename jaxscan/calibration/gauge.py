@@ -34,6 +34,7 @@ from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Covariance, Rig
 from jaxscan.rig.covariance import turntable_leaves, with_nearest_centre
 from jaxscan.rig.rig import parameter_names
+from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ.
 _LIMIT: Final = 4.0
@@ -47,7 +48,6 @@ _FIRST_DAMPING = 1e-12
 _SETTLED = 0.01
 _SMALLEST_SIGMA = 1e-3
 _SMALLEST_TOLERANCE = 0.02
-_NORMAL_MAD = 1.4826
 # A doubted part is known to this share of itself: a laser pushed by some 3 degrees.
 _DOUBT = 0.05
 
@@ -323,7 +323,7 @@ def _robust_sigmas(
 ) -> Float[np.ndarray, "scans"]:
     """Of each scan, from the median of absolute errors, pixels."""
     medians = [float(np.median(np.abs(e[u]))) for e, u in zip(errors, used, strict=True)]
-    return np.maximum(_NORMAL_MAD * np.array(medians), _SMALLEST_SIGMA)
+    return np.maximum(NORMAL_MAD * np.array(medians), _SMALLEST_SIGMA)
 
 
 def _by_frame(

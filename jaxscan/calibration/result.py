@@ -17,12 +17,12 @@ from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.calibration.rounds import Refined
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
-from jaxscan.geometry.robust_plane import NORMAL_MAD
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Covariance, Rig, System, Turntable
 from jaxscan.rig.covariance import with_nearest_centre
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.system import warp_names
+from jaxscan.robust import NORMAL_MAD
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.residuals import Blocks, Noise, block_errors
 from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, precision
 from jaxscan.precision import as_numpy
+from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
 CORNER_LIMIT = 4.5
@@ -39,7 +40,6 @@ _PRIOR_RESIDUALS = 100.0
 _SCALES_SETTLED = 0.03
 # Which part of a corner's variance may be the same for all.
 _COMMON_PARTS = tuple(float(c) for c in np.linspace(0, 1, 21))
-_NORMAL_MAD = 1.4826
 # No photograph is exact: a σ below this (pixels) is a computer's, not a camera's.
 _SMALLEST_SIGMA = 1e-4
 
@@ -198,7 +198,7 @@ def _median_noise(groups: tuple[Blocks, ...], errors: tuple, noise: Noise) -> No
     def sigma(values: np.ndarray, otherwise: Float[Array, ""]) -> Float[Array, ""]:
         if values.size == 0:
             return otherwise
-        return jnp.asarray(max(_NORMAL_MAD * float(np.nanmedian(np.abs(values))), _SMALLEST_SIGMA), jnp.float64)
+        return jnp.asarray(max(NORMAL_MAD * float(np.nanmedian(np.abs(values))), _SMALLEST_SIGMA), jnp.float64)
 
     return Noise(sigma(corner, noise.corner), sigma(stripe, noise.stripe), jnp.zeros_like(noise.robustness))
 

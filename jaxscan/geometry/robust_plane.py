@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.robust import NORMAL_MAD
 
-NORMAL_MAD: Final = 1.4826
 _TRIALS: Final = 400
 _SAMPLE: Final = 1500
 _SEED: Final = 2003

@@ -18,6 +18,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.robust import NORMAL_MAD
+
 Grid = Float[np.ndarray, "grid_rows grid_columns 2"]
 Points = Float[np.ndarray, "points 2"]
 Scalars = Float[np.ndarray, "points"]
@@ -37,7 +39,6 @@ _POLYNOMIAL_DEGREE = 4
 # Corners further off than so many times what is usual, and than this (px), do not count.
 _LIMIT = 4.0
 _LEAST_LIMIT_PX = 0.2
-_NORMAL_MAD = 1.4826
 _ROUNDS = 8
 # The last round explains hardly more than the one before: this part of it is left.
 _SETTLED = 0.9
@@ -90,7 +91,7 @@ def map_board(grid: Grid, image_size: tuple[int, int], start: _Parameters | None
         left = pixels - half_diagonal * _lens(parameters, at)[0]
         rest = _polynomial_fit(at, left, kept)
         off = np.linalg.norm(left - _polynomial(rest, at), axis=1)
-        usual = _NORMAL_MAD * float(np.median(off[kept]))
+        usual = NORMAL_MAD * float(np.median(off[kept]))
         fit = seen & (off <= max(_LIMIT * usual, _LEAST_LIMIT_PX))
         explained = sigma <= _LEAST_SIGMA_PX or np.median(np.linalg.norm(left[fit], axis=1)) > _SETTLED * sigma
         if fit.sum() < FEWEST or (explained and (fit == kept).all()):

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt
 
 from jaxscan.errors import InputError
+from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Camera, Rig
 from jaxscan.simulation import kernels
@@ -24,8 +25,6 @@ from jaxscan.simulation.speckle import speckle
 
 # A camera's rays take 22 MB at 640 × 480.
 _CAMERAS_KEPT = 4
-# Numbers of a 16-bit photograph for one grey level: 65535 / 255.
-_FINE_NUMBERS = 257
 _RAYS_AT_ONCE = 1 << 13
 # Rows of pixels whose light is gathered at once.
 _BAND = 48
@@ -77,7 +76,7 @@ def render(
         down_columns = abs(sheet.omega[0]) > abs(sheet.omega[1])
         length = (along, across) if down_columns else (across, along)
         grain = speckle(random, (rows, columns), lighting.speckle, length)
-    numbers = 1 if sensor.bits == 8 else _FINE_NUMBERS
+    numbers = 1 if sensor.bits == 8 else NUMBERS_PER_LEVEL
     levels = tuple(np.float32(number) for number in (sensor.gain, sensor.saturation, numbers, lighting.ghost))
     image = kernels.develop(level, laser_level, grain, noise, levels)
     return np.asarray(image).astype(np.uint8 if sensor.bits == 8 else np.uint16)

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from jaxscan.geometry.robust_plane import NORMAL_MAD
 from jaxscan.reconstruction import RangeImage
+from jaxscan.robust import NORMAL_MAD
 from jaxscan.surface.clean import clean
 from jaxscan.surface.floor import Floor, find_floor
 from jaxscan.surface.links import sampling

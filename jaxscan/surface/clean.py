@@ -16,8 +16,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from jaxscan.errors import InputError
-from jaxscan.geometry.robust_plane import NORMAL_MAD
 from jaxscan.reconstruction import RangeImage
+from jaxscan.robust import NORMAL_MAD
 from jaxscan.surface.links import Links, Sampling, links, sampling
 from jaxscan.surface.normals import incidence
 

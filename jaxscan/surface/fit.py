@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
-from jaxscan.geometry.robust_plane import NORMAL_MAD
+from jaxscan.robust import NORMAL_MAD
 from jaxscan.surface.motion import Motion, moved
 from jaxscan.surface.reference import Reference
 

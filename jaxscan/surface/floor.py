@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError
-from jaxscan.geometry.robust_plane import NORMAL_MAD, dominant_plane, plane_frame, refined_plane
+from jaxscan.geometry.robust_plane import dominant_plane, plane_frame, refined_plane
 from jaxscan.reconstruction import RangeImage
+from jaxscan.robust import NORMAL_MAD
 from jaxscan.surface.clean import patches
 from jaxscan.surface.links import Links, links
 

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError
 from jaxscan.reconstruction import RangeImage
+from jaxscan.robust import NORMAL_MAD
 
 # The steepest rise of a surface over its own spacing that is not taken for a jump.
 STEEPEST: Final = np.radians(80.0)
@@ -27,7 +28,6 @@ _SIGMAS: Final = 3.0
 _CHANGE_OF_SLOPE: Final = 1 / 3
 # Frames further apart than so many times the usual are no neighbours.
 _LARGEST_GAP: Final = 2.5
-_NORMAL_MAD: Final = 1.4826
 # Frames that are linked at a time: they stay in the processor's cache.
 _FRAMES_AT_ONCE: Final = 32
 # Points that a median is taken of.
@@ -89,7 +89,7 @@ def sampling(image: RangeImage) -> Sampling:
     noise = 0.0
     if len(second) > 2:
         direction = np.linalg.svd(second, full_matrices=False)[2][0]
-        noise = float(_NORMAL_MAD * np.median(np.abs(second @ direction)) / _SECOND_DIFFERENCE)
+        noise = float(NORMAL_MAD * np.median(np.abs(second @ direction)) / _SECOND_DIFFERENCE)
     known = image.sigma_pixel[image.valid]
     if np.isfinite(known).any():
         noise = max(noise, float(np.nanmedian(known)))

@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxscan.geometry import vector_to_matrix
-from jaxscan.geometry.robust_plane import NORMAL_MAD
 from jaxscan.precision import float64
+from jaxscan.robust import NORMAL_MAD
 from jaxscan.surface.motion import Motion, after, inverse, moved
 from jaxscan.surface.side import Side
 

@@ -221,6 +221,23 @@ def test_what_a_jpeg_adds_beyond_a_stripes_end_is_no_stripe():
     assert (column < 100).mean() > 0.98
 
 
+@pytest.mark.parametrize(("quality", "rms_px"), [(None, 0.05), (80, 0.3)])
+def test_a_stripe_is_found_that_is_burnt_out_wider_than_a_narrow_window(quality, rms_px):
+    # Its core grows to 30 pixels, half of them white: a narrow window there sees noise alone, or one side.
+    centre = 240.4 - 0.05 * np.arange(640)
+    off = (np.arange(480)[:, None] - centre) / np.linspace(1.5, 7, 640)
+    light = np.linspace(150, 3000, 640) * np.exp(-0.5 * off**2)
+    noise = np.random.default_rng(0).normal(0, 2, (480, 640, 3))
+    image = np.rint(20 + light[..., None] * (1.0, 0.3, 0.25) + noise).clip(0, 255).astype(np.uint8)
+    if quality is not None:
+        image = cv2.imdecode(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1], 1)
+        image = image[..., ::-1]
+    stripe = detect_stripe(image, StripeSettings("red"))
+    error = np.asarray(stripe.position[0]) - centre
+    assert stripe.valid[0].mean() > 0.99
+    assert np.sqrt(np.nanmean(error**2)) < rms_px
+
+
 def test_a_dark_surface_beside_a_bright_one_is_seen_to_its_end():
     column = np.arange(640)
     image = red_stripe(np.where(column < 300, 200.0, np.where(column < 400, 19.0, 0.0)))

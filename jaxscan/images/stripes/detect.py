@@ -190,7 +190,7 @@ def _detect(
     def looked_at(at: Places) -> Looked:
         measured = look(at, narrow, "plain")
         # A window inside a burnt-out stripe sees no background, but it sees one end of it.
-        strong = measured.relief > least[at[0]]
+        strong = (measured.relief > least[at[0]]) | (measured.cramped & measured.burnt)
         cramped = measured.cramped & strong & (wide > narrow)
         burnt = measured.burnt & strong & ~cramped
         if detector == "likelihood":

@@ -28,6 +28,10 @@ _CLOSED: Final[dict[str, Callable[[Windows, Outline, Sensor], Estimate]]] = {
 }
 # Beyond so many pixels from the window's end an outline is free of it.
 _MARGIN = 5
+# A stripe falls on both sides to less than half.
+_ONE_SIDED = 0.5
+# Of a window that is fuller than this, the rest may be noise.
+_MOSTLY_FULL = 0.5
 
 
 class Measured(eqx.Module):
@@ -88,14 +92,19 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
     # Where a stripe is torn its centre may lie on the dark side, below half the height of what is seen.
     between = (found.centre > around.start) & (found.centre < around.end) | (model == "torn")
     whole = around.whole & found.found & between
+    relief = around.top - r.min(1, keepdims=True)
+    cramped = (around.start < _MARGIN) | (around.end >= size - _MARGIN)
+    # Inside a burnt-out stripe noise is a peak, with the window's lowest point on one side only.
+    cramped |= windows.full.any(1, keepdims=True) & (around.top - around.floor < _ONE_SIDED * relief)
+    cramped |= windows.full.mean(1, keepdims=True) > _MOSTLY_FULL
     return Measured(
         position=windows.first.astype(r.dtype) + found.centre[:, 0],
         sigma=found.sigma[:, 0],
         strength=(seen.top - seen.floor)[:, 0],
         width=found.width[:, 0],
-        relief=(around.top - r.min(1, keepdims=True))[:, 0],
+        relief=relief[:, 0],
         whole=whole[:, 0],
-        cramped=((around.start < _MARGIN) | (around.end >= size - _MARGIN))[:, 0],
+        cramped=cramped[:, 0],
         burnt=windows.full.any(1),
         strained=misfit.strained[:, 0],
         h3=misfit.h3[:, 0],

@@ -209,10 +209,12 @@ def fit(
 
     if steps is None:
         steps = _STEPS_CENSORED if censored else _STEPS
-    if not grain_steps:
-        return step(jax.lax.fori_loop(0, steps - 1, lambda _, profile: step(profile, False).profile, start), False)
-    begun = jax.lax.fori_loop(0, steps, lambda _, profile: step(profile, False).profile, start)
-    return step(jax.lax.fori_loop(0, grain_steps - 1, lambda _, profile: step(profile, True).profile, begun), True)
+    # The last step, of either kind, tells how well the profile is known.
+    plain, grained = (steps, grain_steps - 1) if grain_steps else (steps - 1, 0)
+    profile = jax.lax.fori_loop(0, plain, lambda _, profile: step(profile, False).profile, start)
+    if grained:
+        profile = jax.lax.fori_loop(0, grained, lambda _, profile: step(profile, True).profile, profile)
+    return step(profile, grain_steps > 0)
 
 
 def _independent(
@@ -298,9 +300,11 @@ def first_guess(windows: Windows, outline: Outline, sensor: Sensor, censored: bo
     A = z * jnp.sqrt(1 + 1 / s2)
     if censored:
         core2 = windows.full.sum(1, keepdims=True).astype(jnp.float32) ** 2
-        own = (outline.width**2 - core2) / _HALF_MAXIMUM
-        known = sensor.ln_s_spread < 1
-        burnt2 = jnp.where(known, jnp.exp(2 * sensor.ln_s), jnp.maximum(own, _LEAST_S**2))
+        own = jnp.maximum((outline.width**2 - core2) / _HALF_MAXIMUM, _LEAST_S**2)
+        # An end that is off by a pixel turns ln s by so much.
+        spread = outline.width / (_HALF_MAXIMUM * own)
+        share = sensor.ln_s_spread**2 / (sensor.ln_s_spread**2 + spread**2)
+        burnt2 = jnp.exp(2 * (1 - share) * sensor.ln_s) * own**share
         burnt = core2 > 0
         A = jnp.where(burnt, z * jnp.exp(jnp.minimum(core2 / (8 * burnt2), jnp.log(_MOST_OVER))), A)
         s2 = jnp.where(burnt, burnt2 + _PIXEL_VARIANCE, s2)

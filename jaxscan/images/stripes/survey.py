@@ -30,6 +30,7 @@ from jaxscan.images.stripes.response import (
     response,
 )
 from jaxscan.images.stripes.windows import Outline, Pixels, Places, Sensor, Windows, first_pixel, gather_pixels, outline
+from jaxscan.robust import NORMAL_MAD
 
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
 _LINES, _GROUPS = 96, 8
@@ -62,7 +63,6 @@ LEAST_SIGNAL = 4.7
 _LEAST_FAIR = 0.25
 # A line that leaves so many times as much as most is no sample of the noise.
 _MOST_OF_USUAL = 8.0
-_NORMAL_MAD = 1.4826
 # How far ln s of a line may be from that of the others: no less than this, and before anything is known a factor of e.
 _LEAST_SPREAD, _UNKNOWN = 0.1, 1.0
 
@@ -172,7 +172,7 @@ def _look(windows: Windows, around: Outline, sensor: Sensor, read: Float[Array, 
     known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
     ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
     usual = median(ln_s)
-    spread = jnp.maximum(_NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
+    spread = jnp.maximum(NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
     light = _chance(found, windows, around, shines, read)
@@ -256,7 +256,7 @@ def _chance(
     shines: Bool[Array, "frames lines"],
     ground: Float[Array, "frames"],
 ) -> Chance:
-    """Noise and speckle, from lines without full pixels where these are no exception.
+    """Noise and speckle, from lines without full pixels; where these are an exception, from none.
 
     Steep flanks beside a full core say more of the model than of the light. But of a burnt-out stripe the few lines
     that are not full are its ends and edges, which are no sample of the others. Where stripes are so narrow that the
@@ -270,8 +270,7 @@ def _chance(
     fair &= left < _MOST_OF_USUAL * median(jnp.where(fair, left, jnp.nan))[:, None]
     root = jnp.where(fair[:, None], jnp.sqrt(found.weight), 0.0)
     height = jnp.maximum(found.height, 0.0)
-    # A full pixel takes its part of what the fit takes, and shows nothing.
-    square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
+    square = root**2 * (1.0 if windows.gain is None else windows.gain)
     peak = around.top - around.floor
     core, tail = (jnp.where(where, 1.0, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX

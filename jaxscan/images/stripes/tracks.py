@@ -11,19 +11,18 @@ different frames are independent of one another.
 
 from functools import partial
 from math import prod
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt16
 
+from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.images.stripes.response import NEUTRAL, Images, channels, numbers, response
 from jaxscan.images.stripes.survey import survey_windows
 from jaxscan.images.stripes.windows import Places, Sensor, Windows
 
-# Numbers of 16 bits for one of 8 bits: 65535 / 255.
-_FINE: Final = 257
 _MOST = 65535
 # Pixels before and after the one that a place is in.
 _CUBIC, _LINEAR = (1, 2), (0, 1)
@@ -65,7 +64,7 @@ class Passage(NamedTuple):
 
 def number_scale(dtype: np.dtype) -> int:
     """Numbers of a passage for one of the photograph's."""
-    return _FINE if dtype == np.uint8 else 1
+    return NUMBERS_PER_LEVEL if dtype == np.uint8 else 1
 
 
 @partial(jax.jit, static_argnames="columns")
