@@ -69,7 +69,9 @@ def set_up(extra: str) -> None:
     if not (BIN / "pip").exists():
         subprocess.run([sys.executable, "-m", "venv", VENV], check=True)
     print(f"setting up {VENV} (once; a few minutes with a slow network)", file=sys.stderr)
-    install = [BIN / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    install = [BIN / "python", "-m", "pip", "install", "--disable-pip-version-check"]
+    # Whoever waits sees that it moves; a log need not.
+    install += [] if sys.stderr.isatty() else ["--quiet"]
     subprocess.run(
         [*install, "--constraint", "constraints.txt", "--editable", f".[{extra}]"], cwd=ROOT, check=True, stdout=2
     )

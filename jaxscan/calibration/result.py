@@ -24,6 +24,9 @@ from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.system import warp_names
 from jaxscan.robust import NORMAL_MAD
 
+# Stripe points so many σ off their light are another light's.
+_FAR_OFF = 6.0
+
 
 @dataclass(frozen=True)
 class PhotographFit:
@@ -134,12 +137,18 @@ class Calibration:
             fit["warnings"] = list(self.warnings)
         return RigFile(self.rig, self.covariance, fit)
 
+    def stripe_points(self, laser: int) -> Float[np.ndarray, "points 3"]:
+        """Where a laser's stripes lie on the boards, camera frame, mm; without those that are far from its light."""
+        with float64():
+            poses = as_float64(self.system.boards).as_vector()
+            X, _ = stripe_points_in_space(self.observations, as_float64(self.rig.camera), poses, laser)
+        off = np.abs(X @ np.array([float(w) for w in self.rig.lasers[laser].plane]) - 1)
+        return X[off <= _FAR_OFF * NORMAL_MAD * np.median(off)] if len(X) else X
+
     def _stripe_depths(self) -> list[float] | None:
         """The nearest and the farthest depth of a stripe on a board, along the optical axis, mm."""
-        with float64():
-            camera, poses = as_float64(self.rig.camera), as_float64(self.system.boards).as_vector()
-            seen = [stripe_points_in_space(self.observations, camera, poses, i)[0] for i in range(len(self.rig.lasers))]
-        depths = np.concatenate([X[:, 2] for X in seen]) if seen else np.empty(0)
+        seen = [self.stripe_points(i)[:, 2] for i in range(len(self.rig.lasers))]
+        depths = np.concatenate(seen) if seen else np.empty(0)
         return [round(float(depths.min()), 1), round(float(depths.max()), 1)] if depths.size else None
 
 

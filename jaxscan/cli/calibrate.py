@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_detector_argument
 from jaxscan.cli.estimate_options import AS_THE_SESSION, Estimate, add_estimate_arguments, estimate_asked
+from jaxscan.cli.options import add_optics_arguments, optics_asked
 from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from jaxscan.calibration import Calibration
     from jaxscan.files.session import CameraSettings
     from jaxscan.rig import Camera
+    from jaxscan.rig.speckle_limit import Optics
     from jaxscan.view.verdict import Verdict
 
 HELP: Final = "find camera, lens, light plane and stage from photographs of a board, all together"
@@ -62,11 +64,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="look for what a small RMS hides, and write DIR/report.html and DIR/report.json",
     )
     add_detector_argument(parser)
+    add_optics_arguments(
+        parser, "how near the stripes come to what speckle alone leaves, in the report; all three go together"
+    )
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read the session, find corners and stripes, solve, and write the rig."""
     from jaxscan.atomic import check_writable
+    from jaxscan.rig.speckle_limit import Optics
 
     if args.output.suffix.lower() != ".json":
         raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")
@@ -80,6 +86,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(
             f"--hold-camera keeps all of the camera, --free {free} seeks a part of it: leave out one of them"
         )
+    asked = optics_asked(args)
+    if asked and not args.report:
+        raise InputError("--f-number, --wavelength-nm and --pixel-um are for the report: add --report DIR")
+    optics = Optics(*asked) if asked else None
     pages = [args.report / name for name in _PAGES] if args.report else []
     if pages:
         extra("plots")
@@ -90,7 +100,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     calibration = calibrate_session(
         args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector, estimate
     )
-    judged = write_report(calibration, *pages) if pages else judge_calibration(calibration)
+    judged = write_report(calibration, pages[0], pages[1], optics) if pages else judge_calibration(calibration)
     from jaxscan.cli.facts import rig_facts
     from jaxscan.view.report import plain
 
@@ -232,14 +242,14 @@ def judge_calibration(calibration: "Calibration") -> "Verdict":
     return verdict(calibration)
 
 
-def write_report(calibration: "Calibration", html: Path, json: Path) -> "Verdict":
+def write_report(calibration: "Calibration", html: Path, json: Path, optics: "Optics | None") -> "Verdict":
     """Look at a calibration from every side, with a progress bar; the verdict of that."""
     from jaxscan.cli.progress import progress
     from jaxscan.view.calibration_report import REPORT_PARTS, calibration_report
     from jaxscan.view.report import write_report_html, write_report_json
 
     with progress("judging", REPORT_PARTS, "part") as advance:
-        report, judged = calibration_report(calibration, advance)
+        report, judged = calibration_report(calibration, advance, optics)
     write_report_html(html, report)
     write_report_json(json, report)
     return judged

@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.files.units import in_millimetres
     from jaxscan.surface.compare import region
 
+    _only_files_without_units(args.cloud, args.units, "--units")
     points = in_millimetres(str(args.cloud), read_points(args.cloud), args.units)
     result: dict[str, Any] = {"kind": "comparison", "path": str(args.cloud)}
     if args.reference is not None:
@@ -133,8 +134,14 @@ def read_points(path: Path) -> "np.ndarray":
     return np.asarray(read_mesh(path).vertices)
 
 
+def _only_files_without_units(path: Path, units: str | None, option: str) -> None:
+    if units is not None and path.suffix.lower() == ".npz":
+        raise InputError(f"{option} {units}: {path} is a range image, and these are in millimetres: leave it out")
+
+
 def read_reference(path: Path, units: str | None = None) -> "Reference":
     """A mesh where the file holds one, else a cloud; in millimetres, as `in_millimetres`."""
+    _only_files_without_units(path, units, "--reference-units")
     import numpy as np
 
     from jaxscan.files.units import in_millimetres
@@ -144,7 +151,7 @@ def read_reference(path: Path, units: str | None = None) -> "Reference":
         return in_millimetres(str(path), points, units, "--reference-units")
 
     if path.suffix.lower() == ".npz":
-        return CloudReference(in_mm(read_points(path)))
+        return CloudReference(read_points(path))
     if path.suffix.lower() == ".ply":
         from jaxscan.files.cloud import cloud_of
         from jaxscan.files.mesh import has_faces, mesh_of

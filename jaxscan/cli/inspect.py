@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from jaxscan.cli.camera_options import add_camera_arguments
 from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
+from jaxscan.cli.options import add_optics_arguments, optics_asked
 from jaxscan.cli.words import in_words
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
@@ -38,13 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_detector_argument(parser)
     add_choice_argument(parser)
     add_camera_arguments(parser)
-    optics = parser.add_argument_group(
-        "the limit of speckle", "how near a range image comes to what speckle alone leaves; all four go together"
+    optics = add_optics_arguments(
+        parser, "how near a range image comes to what speckle alone leaves; all four go together"
     )
     optics.add_argument("--rig", type=Path, metavar="RIG", help="the rig that it was reconstructed with (.json)")
-    optics.add_argument("--f-number", type=float, metavar="N", help="of the camera's lens")
-    optics.add_argument("--wavelength-nm", type=float, metavar="NM", help="of the laser")
-    optics.add_argument("--pixel-um", type=float, metavar="UM", help="pitch of the sensor's pixels")
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -70,15 +68,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "mesh": facts.mesh_facts,
         "range image": facts.range_facts,
     }
-    optics = [args.rig, args.f_number, args.wavelength_nm, args.pixel_um]
-    if any(value is not None for value in optics) and (kind != "range image" or None in optics):
+    optics = optics_asked(args)
+    if (optics is None) != (args.rig is None) or (optics is not None and kind != "range image"):
         raise InputError(
             f"{path}: --rig, --f-number, --wavelength-nm and --pixel-um go together, and with a range image (.npz): "
             "give all four, or none"
         )
     result = facts.camera_facts(path, args.name, args.image_size) if kind == "camera" else read[kind](path)
-    if args.rig is not None:
-        result["speckle_limit"] = facts.speckle_limit_facts(path, *optics)
+    if optics is not None:
+        result["speckle_limit"] = facts.speckle_limit_facts(path, args.rig, *optics)
     if args.png is not None:
         from jaxscan.cli import picture
         from jaxscan.cli.compiled import keep_compiled

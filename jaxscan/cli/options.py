@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from jaxscan.errors import InputError
+
 
 def add_outputs_argument(parser: argparse.ArgumentParser, metavar: str, what: str, required: bool = True) -> None:
     """Declare `-o`, which may be given more than once: the file's ending says what is written."""
@@ -19,6 +21,29 @@ def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str =
     """Declare in which unit of length what is read is given."""
     words = f"unit of length of {what} (default: mm; what is less than 2 mm across is pointed out)"
     parser.add_argument(option, choices=("mm", "cm", "m", "inch"), help=words)
+
+
+def add_optics_arguments(parser: argparse.ArgumentParser, what: str) -> Any:
+    """Declare lens, laser and pixel, for the limit of speckle; the group of them."""
+    group = parser.add_argument_group("the limit of speckle", what)
+    group.add_argument("--f-number", type=float, metavar="N", help="of the camera's lens")
+    group.add_argument("--wavelength-nm", type=float, metavar="NM", help="of the laser")
+    group.add_argument("--pixel-um", type=float, metavar="UM", help="pitch of the sensor's pixels")
+    return group
+
+
+def optics_asked(args: argparse.Namespace) -> "list[float] | None":
+    """F-number, wavelength and pixel pitch, or None.
+
+    Raises:
+        InputError: some of them are given and others are not.
+    """
+    asked = [args.f_number, args.wavelength_nm, args.pixel_um]
+    if None not in asked:
+        return asked
+    if asked.count(None) < len(asked):
+        raise InputError("--f-number, --wavelength-nm and --pixel-um go together: give all three, or none")
+    return None
 
 
 def finite(text: str) -> float:

@@ -14,8 +14,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.calibration import Calibration
-from jaxscan.calibration.on_board import stripe_points_in_space
-from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.point_sigma import jacobian_along, sigma_of
 from jaxscan.rig import Camera, Covariance, Rig
 from jaxscan.rig.projection import project_points, within_fold
@@ -69,9 +67,7 @@ def working_volumes(calibration: Calibration) -> tuple[WorkingVolume, ...]:
     steps = max((float(np.abs(stage.steps).max()) for stage in observations.stages), default=0.0)
     volumes = []
     for i, laser in enumerate(rig.lasers):
-        with float64():
-            poses = as_float64(calibration.system.boards).as_vector()
-            points, _ = stripe_points_in_space(observations, as_float64(rig.camera), poses, i)
+        points = calibration.stripe_points(i)
         if not len(points):
             continue
         columns = next(s.columns for view in observations.views for s in view.stripes if s.laser == i)

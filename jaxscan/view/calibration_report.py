@@ -11,6 +11,7 @@ from jaxscan.calibration.diagnostics import PARTS, Diagnostics, diagnose
 from jaxscan.reconstruction.next_photographs import NextPhotographs, next_photographs
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volumes
 from jaxscan.rig import Covariance
+from jaxscan.rig.speckle_limit import Optics
 from jaxscan.view import calibration_sections as sections
 from jaxscan.view.advice import advise
 from jaxscan.view.report import Box, Report, Section
@@ -21,20 +22,23 @@ REPORT_PARTS = PARTS + 3
 
 
 def calibration_report(
-    calibration: Calibration, advance: Callable[[int], object] = lambda by: None
+    calibration: Calibration,
+    advance: Callable[[int], object] = lambda by: None,
+    optics: Optics | None = None,
 ) -> tuple[Report, Verdict]:
     """All that is known of how far a calibration can be trusted, and the verdict that it begins with.
 
     Args:
         calibration: what `calibrate` returned.
         advance: called with 1 after each of `REPORT_PARTS` parts of the work.
+        optics: lens, laser and pixel, where the limit of speckle is wanted.
     """
     diagnostics = diagnose(calibration, advance)
     volumes = working_volumes(calibration)
     advance(1)
     planned = next_photographs(calibration, volumes)
     advance(1)
-    composed = compose(calibration, diagnostics, volumes, planned)
+    composed = compose(calibration, diagnostics, volumes, planned, optics)
     advance(1)
     return composed
 
@@ -44,6 +48,7 @@ def compose(
     diagnostics: Diagnostics,
     volumes: tuple[WorkingVolume, ...],
     planned: NextPhotographs,
+    optics: Optics | None = None,
 ) -> tuple[Report, Verdict]:
     """Words, tables and figures from the numbers, and the verdict."""
     advice = advise(planned, volumes, calibration.observations)
@@ -68,7 +73,7 @@ def compose(
             *(sections.volume(volume) for volume in volumes),
             sections.photographs(calibration, diagnostics),
             sections.residuals(calibration, diagnostics),
-            *([light] if (light := sections.light(calibration)) else []),
+            *([light] if (light := sections.light(calibration, volumes, optics)) else []),
             *([sections.stripes(diagnostics)] if diagnostics.stripes else []),
             *([sections.stage(calibration, diagnostics)] if diagnostics.stages else []),
             *([sections.turntable(calibration, diagnostics)] if diagnostics.turntables else []),

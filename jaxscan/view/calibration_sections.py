@@ -11,8 +11,9 @@ from jaxscan.calibration.diagnostics import Diagnostics, Ladder
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.images.light import Light
 from jaxscan.precision import as_float64, float64
-from jaxscan.reconstruction.working_volume import WorkingVolume
+from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays
 from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.speckle_limit import Optics, speckle_limit
 from jaxscan.rig.turn_facts import rig_turn_facts
 from jaxscan.view import calibration_plots as plots
 from jaxscan.view.report import Section, Table, draw
@@ -144,8 +145,9 @@ def residuals(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     )
 
 
-def light(calibration: Calibration) -> Section | None:
+def light(calibration: Calibration, volumes: tuple[WorkingVolume, ...], optics: Optics | None) -> Section | None:
     """What the photographs tell of light and sensor, laser by laser; None where no detector has looked at them."""
+    by_laser = {volume.laser: volume for volume in volumes}
     seen = [stripe for view in calibration.observations.views for stripe in view.stripes if stripe.light is not None]
     said = []
     for i, name in enumerate(calibration.observations.lasers):
@@ -153,7 +155,23 @@ def light(calibration: Calibration) -> Section | None:
         if (found := Light.of(of_laser)) is not None:
             laser = f'laser "{name}"' if name else "the laser"
             said.append(f"In photographs of {laser}, in the median: {found.in_words()}.")
+            if optics is not None and name in by_laser:
+                said.append(_limit(calibration, by_laser[name], optics, found.speckle_contrast or 1.0))
     return Section("The light", paragraphs=tuple(said)) if said else None
+
+
+def _limit(calibration: Calibration, volume: WorkingVolume, optics: Optics, contrast: float) -> str:
+    """How near the pixels come to what speckle alone leaves, in words."""
+    rays = volume_rays(calibration.rig, volume)
+    omega = np.array([float(x) for x in calibration.rig.laser(volume.laser).plane])
+    points = rays / (rays @ omega)[:, None]
+    limit = float(np.median(speckle_limit(calibration.rig, points, optics, contrast)))
+    pixel = float(np.nanmedian(volume.pixel_mm))
+    return (
+        f"At a contrast of {contrast:.2f} speckle alone leaves {limit:.4f} mm along the ray in the median of the "
+        f"working volume (Dorsch, Häusler, Herrmann 1994); the pixel's part of σ is {pixel:.4f} mm, "
+        f"{pixel / limit:.2g} times that."
+    )
 
 
 def stripes(diagnostics: Diagnostics) -> Section:

@@ -102,8 +102,11 @@ def _precision(calibration: Calibration, volumes: tuple[WorkingVolume, ...], fac
         )
         return f"{text}, by the two halves rather {_mm(factor * worst.median_mm)}." if factor > 1.5 else f"{text}."
     focal = float(calibration.rig.camera.focal[0])
-    sigma = calibration.covariance.sigma("camera.focal.0") or 0.0
-    text = f"The focal length is {focal:.1f} ± {sigma:.2g} px, corners fit to {calibration.corner_rms_px:.3f} px RMS"
+    sigma = calibration.covariance.sigma("camera.focal.0")
+    fit = f"corners fit to {calibration.corner_rms_px:.3f} px RMS"
+    if not sigma:
+        return f"The focal length is held at {focal:.1f} px, {fit}."
+    text = f"The focal length is {focal:.1f} ± {sigma:.2g} px, {fit}"
     return f"{text}; by the two halves rather ± {factor * sigma:.2g} px." if factor > 1.5 else f"{text}."
 
 

@@ -131,6 +131,14 @@ def test_small_numbers_are_pointed_out(clouds, capsys, monkeypatch):
     assert compared["figures"]["largest_mm"] < 1e-3
 
 
+def test_a_range_image_has_its_own_unit(folder, capsys):
+    words = ["compare", str(folder / "0.npz"), str(folder / "1.npz")]
+    for option in ("--units", "--reference-units"):
+        assert main([*words, option, "m"]) == 2
+        assert f"{option} m: " in (said := capsys.readouterr().err)
+        assert "in millimetres: leave it out" in said
+
+
 @pytest.mark.filterwarnings("always::jaxscan.surface.register.NotSettledWarning")
 def test_rounds_that_run_out_are_said(folder, capsys, monkeypatch):
     assert register.__kwdefaults__ is not None

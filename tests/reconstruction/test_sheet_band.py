@@ -72,3 +72,17 @@ def test_what_is_left_out_is_counted_and_told(tmp_path):
     assert 0 < some < everywhere
     assert 0.8 * (everywhere - some) <= left <= 1.1 * (everywhere - some)
     assert any(str(left) in note and "--depths" in note for note in scanner.notes)
+
+
+def test_a_stripe_too_weak_to_be_told_from_noise_is_told(tmp_path):
+    random = np.random.default_rng(0)
+    paths = tuple(tmp_path / f"{i}.png" for i in range(4))
+    for i, path in enumerate(paths):
+        faint = 20 + PART * (wavy_stripe(i) - 20) + random.normal(0, 6, (ROWS, COLUMNS))
+        write_image(path, np.rint(faint).clip(0, 255).astype(np.uint8))
+    scanner = Scanner(small_rig())
+    scan = Scan(tmp_path / "scan.toml", GREY, paths, steps=(0, 1000, 2000, 3000))
+    points = sum(int(image.valid.sum()) for image in scanner.scan(scan))
+    weak = scanner.left_out["too_weak"]
+    assert weak > points
+    assert any(f"{weak} lines" in note and "expose longer" in note for note in scanner.notes)

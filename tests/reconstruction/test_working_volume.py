@@ -1,10 +1,12 @@
 """σ over the working volume: that of `point_sigma` at the same place, and conditional covariances against NumPy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from jaxscan.reconstruction.point_sigma import point_sigma
-from jaxscan.reconstruction.working_volume import given, working_volume
+from jaxscan.reconstruction.working_volume import given, working_volume, working_volumes
 from jaxscan.rig import Camera, Covariance, LightPlane, Rig
 from jaxscan.rig.rig import parameter_names
 
@@ -65,3 +67,19 @@ def test_given_is_the_conditional_covariance():
     # The inverse of the information's block.
     np.testing.assert_allclose(found[2:, 2:], np.linalg.inv(np.linalg.inv(S)[2:, 2:]), rtol=1e-9)
     assert (found[:2] == 0).all()
+
+
+def test_another_light_beside_a_stripe_does_not_widen_it(calibration):
+    view = next(v for v in calibration.observations.views if v.stripes)
+    i = calibration.observations.views.index(view)
+    stripe = view.stripes[0]
+    pixels = stripe.pixels.copy()
+    pixels[::20] += [0.0, -60.0] if stripe.columns else [-60.0, 0.0]
+    stripes = (replace(stripe, pixels=pixels), *view.stripes[1:])
+    views = [*calibration.observations.views]
+    views[i] = replace(view, stripes=stripes)
+    disturbed = replace(calibration, observations=replace(calibration.observations, views=tuple(views)))
+    (before,), (after,) = working_volumes(calibration), working_volumes(disturbed)
+    np.testing.assert_allclose(after.depths_mm[[0, -1]], before.depths_mm[[0, -1]], rtol=0.005)
+    depths = [calibration.rig_file().fit["stripe_depths_mm"] for calibration in (calibration, disturbed)]
+    np.testing.assert_allclose(*depths, rtol=0.005)

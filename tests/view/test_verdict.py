@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Calibration, Observations, calibrate
+from jaxscan.rig import Rig
+from jaxscan.rig.rig import parameter_names
 from jaxscan.view.report import Report
 from jaxscan.view.verdict import verdict
 from tests.calibration import synthetic
@@ -103,6 +105,13 @@ def test_a_rig_without_a_laser_has_a_verdict_too(draw):
     assert found.level == "good"
     assert "The focal length is" in found.statement
     assert "Corners" in found.limits
+
+
+def test_a_held_camera_is_said_to_be_held(draw):
+    session = replace(draw(2, laser=False), stages=())
+    camera = calibrate(session).rig.camera
+    held = calibrate(session, start=camera, hold=parameter_names(Rig(camera)))
+    assert "is held at" in verdict(held).statement
 
 
 def test_the_report_begins_with_the_same_judgement(calibration: Calibration, report: Report):

@@ -6,6 +6,7 @@ depend on what else is in the batch.
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +30,17 @@ from jaxscan.images.stripes.response import (
     numbers,
     response,
 )
-from jaxscan.images.stripes.windows import Outline, Pixels, Places, Sensor, Windows, first_pixel, gather_pixels, outline
+from jaxscan.images.stripes.windows import (
+    Lines,
+    Outline,
+    Pixels,
+    Places,
+    Sensor,
+    Windows,
+    first_pixel,
+    gather_pixels,
+    outline,
+)
 from jaxscan.robust import NORMAL_MAD
 
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
@@ -59,12 +70,15 @@ _CLEAR_WIDTH_PX = 5.0
 # A stripe stands above its background by more than so many times the noise: smoothed as it is, the greatest of a
 # thousand rows of noise stands out by two or three σ.
 LEAST_SIGNAL = 4.7
+# Of a burnt-out stripe it is read where its lines have no more than this share of what they leave in common.
+_MOST_COMMON = 0.12
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
 # A line that leaves so many times as much as most is no sample of the noise.
 _MOST_OF_USUAL = 8.0
 # How far ln s of a line may be from that of the others: no less than this, and before anything is known a factor of e.
 _LEAST_SPREAD, _UNKNOWN = 0.1, 1.0
+_TINY = 1e-12
 
 
 def survey(
@@ -153,21 +167,31 @@ def survey_windows(
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
     # With no idea of the noise some lines will do.
     some, about = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
-    sensor = _look(some, about, sensor, read)
+    first = _look(some, about, _Seen(sensor, jnp.ones(len(lit), bool)), read)
 
-    def again(looked: Array, sensor: Sensor) -> Sensor:
-        seen, more = _look(windows, around, sensor, read), (looked == 0) | (sensor.speckle > ROUGH)
-        return jax.tree.map(partial(jnp.where, more), seen, sensor)
+    def again(looked: Array, seen: _Seen) -> _Seen:
+        more = (looked == 0) | (seen.sensor.speckle > ROUGH)
+        return jax.tree.map(partial(jnp.where, more), _look(windows, around, seen, read), seen)
 
     # The last looks are for those that speckle has made ragged; where there are none they are not taken.
-    def unfinished(state: tuple[Array, Sensor]) -> Array:
-        return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].speckle > ROUGH).any())
+    def unfinished(state: tuple[Array, _Seen]) -> Array:
+        return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].sensor.speckle > ROUGH).any())
 
-    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), (jnp.asarray(0), sensor))[1]
+    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), (jnp.asarray(0), first))[
+        1
+    ].sensor
 
 
-def _look(windows: Windows, around: Outline, sensor: Sensor, read: Float[Array, "frames"]) -> Sensor:
+class _Seen(NamedTuple):
+    """What is known after a look, and in which frames the stripes have left nothing in common so far."""
+
+    sensor: Sensor
+    apart: Bool[Array, "frames"]
+
+
+def _look(windows: Windows, around: Outline, seen: _Seen, read: Float[Array, "frames"]) -> _Seen:
     """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
+    sensor = seen.sensor
     found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
     known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
     ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
@@ -175,8 +199,8 @@ def _look(windows: Windows, around: Outline, sensor: Sensor, read: Float[Array, 
     spread = jnp.maximum(NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
-    light = _chance(found, windows, around, shines, read)
-    return replace(
+    light, apart = _chance(found, windows, around, shines, read, seen.apart)
+    sensor = replace(
         sensor,
         read=jnp.sqrt(light.read2),
         shot=light.shot,
@@ -185,6 +209,7 @@ def _look(windows: Windows, around: Outline, sensor: Sensor, read: Float[Array, 
         ln_s=jnp.where(known.any(1), usual, 0.0),
         ln_s_spread=jnp.where(known.any(1), spread, _UNKNOWN),
     )
+    return _Seen(sensor, apart)
 
 
 def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
@@ -255,29 +280,41 @@ def _chance(
     around: Outline,
     shines: Bool[Array, "frames lines"],
     ground: Float[Array, "frames"],
-) -> Chance:
-    """Noise and speckle, from lines without full pixels; where these are an exception, from none.
+    apart: Bool[Array, "frames"],
+) -> tuple[Chance, Bool[Array, "frames"]]:
+    """Noise and speckle, and in which frames the stripes leave nothing in common.
 
-    Steep flanks beside a full core say more of the model than of the light. But of a burnt-out stripe the few lines
-    that are not full are its ends and edges, which are no sample of the others. Where stripes are so narrow that the
-    ends of the windows are free of them, these tell the sensor's noise.
+    Lines without full pixels tell them, where these are no exception: of a burnt-out stripe they are its ends and
+    edges, which are no sample of the others. Steep flanks beside a full core tell the speckle too, if they are those
+    of the model: what lines leave in common, be it a lens's halo or what a camera sharpens, is not of chance, and what
+    it leaves beside that would be taken for speckle. Where stripes are so narrow that the ends of the windows are free
+    of them, these tell the sensor's noise.
     """
     clean = shines & ~windows.full.any(1)
     enough = clean.sum(1) >= jnp.maximum(_LEAST_FAIR * shines.sum(1), 1)
-    fair = clean & enough[:, None]
+    fair = jnp.where(enough[:, None], clean, shines)
     # Where an edge runs along the stripe, the profile leaves much more than chance does.
     left = (found.weight * found.residual**2).sum(1)
-    fair &= left < _MOST_OF_USUAL * median(jnp.where(fair, left, jnp.nan))[:, None]
+    usual = median(jnp.where(fair, left, jnp.nan))[:, None]
+    fair &= left < _MOST_OF_USUAL * usual
     root = jnp.where(fair[:, None], jnp.sqrt(found.weight), 0.0)
-    height = jnp.maximum(found.height, 0.0)
-    square = root**2 * (1.0 if windows.gain is None else windows.gain)
     peak = around.top - around.floor
+    standard = root * found.residual
+    even = (1 / jnp.sqrt(jnp.maximum(left, usual)))[:, None]
+    share = _share_in_common(even * standard, even * root * peak, found.profile.centre)
+    apart &= share < _MOST_COMMON
+    burnt = ~enough[:, None, None]
+    root = jnp.where(burnt & ~apart[:, None, None], 0.0, root)
+    height = jnp.maximum(found.height, 0.0)
+    # A full pixel takes its part of what the fit takes, and shows nothing.
+    square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
     core, tail = (jnp.where(where, 1.0, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
-    return chance(
-        standard=root * found.residual,
+    light = chance(
+        standard=jnp.where(square > 0, standard, 0.0),
         unit=square,
-        photons=square * height,
+        # Flanks alone do not tell photons from speckle.
+        photons=jnp.where(burnt, 0.0, square * height),
         light=jnp.sqrt(square) * height,
         regions=(tail, 1 - core - tail, core),
         taken=[root * y for y in _taken(found)],
@@ -285,6 +322,27 @@ def _chance(
         known=clear,
         groups=_GROUPS,
     )
+    # A profile that is not the model's is off over several pixels, as grains are.
+    return light._replace(grain=jnp.where(apart, light.grain, 0.0)), apart
+
+
+def _share_in_common(standard: Pixels, peak: Pixels, centre: Lines) -> Float[Array, "frames"]:
+    """Which share of the squares of residuals a frame's lines have in common.
+
+    Speckle differs from line to line. What is the same in all, pixel by pixel from the centre on, is a profile that is
+    not the model's.
+
+    Args:
+        standard: residuals over their σ; 0 of lines that are not read.
+        peak: the height of each line's stripe over the same σ.
+        centre: of each line's stripe.
+    """
+    size = standard.shape[1]
+    at = jnp.arange(size)[None, :, None] + jnp.rint(centre).astype(jnp.int32) - size // 2
+    inside = (at >= 0) & (at < size)
+    z, p = (jnp.where(inside, jnp.take_along_axis(x, jnp.clip(at, 0, size - 1), axis=1), 0.0) for x in (standard, peak))
+    common = (p * z).sum(2) ** 2 / jnp.maximum((p * p).sum(2), _TINY)
+    return common.sum(1) / jnp.maximum((z * z).sum((1, 2)), _TINY)
 
 
 def _taken(found: Fit) -> list[Pixels]:
