@@ -36,7 +36,9 @@ from jaxscan.images.stripes.windows import Sensor, gather_windows
 # Frames that are looked at together.
 FRAMES_AT_ONCE: Final = 16
 # Half windows, px: the wide one holds stripes up to some 60 px wide.
-_NARROW, _WIDE = 12, 40
+_SHORT, _NARROW, _WIDE = 8, 12, 40
+# Stripes of a standard deviation up to 1.7 px are within short windows, with some background.
+_SLIM_LN_PX = float(np.log(1.7))
 _LEAST_STRENGTH = 10.0
 # Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from about so many pixels.
 _AMBIENT_QUANTILE = 0.97
@@ -154,7 +156,7 @@ def _detect(
     """The stripe in the first `count` of no more frames than `FRAMES_AT_ONCE`."""
     color, columns = settings.color, settings.columns
     length = frames.shape[1 if columns else 2]
-    narrow, wide = (min(half, (length - 1) // 2) for half in (_NARROW, _WIDE))
+    short, narrow, wide = (min(half, (length - 1) // 2) for half in (_SHORT, _NARROW, _WIDE))
     ambient = ambient_levels(frames, dark, color)
     # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
     images, background = jax.device_put((frames, dark))
@@ -167,6 +169,7 @@ def _detect(
     sensor = survey(images, background, ambient, peak, color, columns, narrow, FRAMES_AT_ONCE)
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
+    slim_frames = np.asarray(sensor.ln_s)[:count] < (_SLIM_LN_PX if detector == "likelihood" else -np.inf)
 
     def look(at: Places, half: int, model: Model) -> Any:
         """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles anew."""
@@ -187,8 +190,21 @@ def _detect(
         places = np.flatnonzero(which)[taken]
         return jax.tree.map(lambda old, new: _replaced(old, places, new[taken]), measured, found)
 
+    def first_look(at: Places) -> tuple[Any, np.ndarray]:
+        """In short windows where the frame's stripe is slim, else in narrow ones; and where that is."""
+        slim = slim_frames[at[0]]
+        if slim.all() or not slim.any():
+            return look(at, short if slim.all() else narrow, "plain"), slim
+        each = [
+            look(tuple(index[which] for index in at), half, "plain") for which, half in ((slim, short), (~slim, narrow))
+        ]
+        order = np.argsort(np.concatenate([np.flatnonzero(slim), np.flatnonzero(~slim)]))
+        return jax.tree.map(lambda *parts: np.concatenate(parts)[order], *each), slim
+
     def looked_at(at: Places) -> Looked:
-        measured = look(at, narrow, "plain")
+        measured, slim = first_look(at)
+        doubtful = slim & measured.cramped & (measured.relief > least[at[0]])
+        measured = look_again(measured, at, doubtful, narrow, "plain")
         # A window inside a burnt-out stripe sees no background, but it sees one end of it.
         strong = (measured.relief > least[at[0]]) | (measured.cramped & measured.burnt)
         cramped = measured.cramped & strong & (wide > narrow)

@@ -31,6 +31,8 @@ _DISTANCES: Final = 5
 _MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
 # What each further number must explain at the least, in squares of standard deviations.
 _PRICE: Final = 4.0
+# Every so many lines tell what the others are expected to leave, too.
+_EXPECTED: Final = 2
 _TINY: Final = 1e-12
 
 Frames = Float[Array, "frames"]
@@ -141,21 +143,38 @@ def chance(
         known: which do.
         groups: into how many groups of lines a frame is divided: of their sums the median is taken.
     """
-    count = len(taken)
     lags = range(1, _LAGS)
 
-    def sums(pairs: Sequence[tuple[Pixels, Pixels]]) -> list[PerLine]:
+    def numbers(regions: Sequence[Pixels], unit: Pixels, taken: Sequence[Pixels]) -> list[Frames]:
+        """How many independent pixels each sum has."""
+        rest = jnp.where(unit > 0, 1.0 - sum(y * y for y in taken), 0.0)
+        free = [(at * rest).sum((1, 2)) for at in regions]
+        return [jnp.maximum(n, 1.0) / groups for n in (*free, *[sum(free)] * len(lags))]
+
+    def usual(each: list[PerLine], number: list[Frames]) -> Float[Array, "sums frames"]:
+        grouped = jnp.stack(each)
+        use = grouped.shape[-1] // groups * groups
+        grouped = grouped[..., :use].reshape(*grouped.shape[:-1], groups, -1).sum(-1)
+        return median(grouped / jnp.stack(number)[:, :, None])
+
+    def sums(regions: Sequence[Pixels], pairs: Sequence[tuple[Pixels, Pixels]]) -> list[PerLine]:
         """Of products of pixels: in each region, and of those so far apart, everywhere."""
         own = _total([a * b for a, b in pairs])
         apart = [_total([a[:, lag:] * b[:, :-lag] + a[:, :-lag] * b[:, lag:] for a, b in pairs]) / 2 for lag in lags]
         return [*((at * own).sum(1) for at in regions), *(x.sum(1) for x in apart)]
 
-    again = {(i, k): sums([(taken[i], taken[k])]) for i in range(count) for k in range(i + 1)}
+    number = numbers(regions, unit, taken)
+    seen = usual(sums(regions, [(standard, standard)]), number)
+    # What is expected differs less from line to line than what is seen: some of them tell it.
+    regions, taken = ([x[..., ::_EXPECTED] for x in each] for each in (regions, taken))
+    unit, photons, light = (x[..., ::_EXPECTED] for x in (unit, photons, light))
+    expected, count = numbers(regions, unit, taken), len(taken)
+    again = {(i, k): sums(regions, [(taken[i], taken[k])]) for i in range(count) for k in range(i + 1)}
 
     def left(direct: Sequence[PerLine | float], through: Callable[[Pixels], Pixels]) -> list[PerLine]:
         """What is left of a covariance's sums, from its own sums and what it makes of Y."""
         made = [through(y) for y in taken]
-        lost = sums(list(zip(taken, made, strict=True)))
+        lost = sums(regions, list(zip(taken, made, strict=True)))
         shared = {(i, k): (1 if i == k else 2) * (taken[i] * made[k]).sum(1) for i, k in again}
         return [
             one - 2 * two + sum((shared[pair] * again[pair][n] for pair in again), start=jnp.zeros(()))
@@ -169,22 +188,10 @@ def chance(
         direct = [(light[:, apart:] * light[:, :-apart]).sum(1) if lag == apart else 0.0 for lag in lags]
         return left([*[0.0] * len(regions), *direct], lambda y: light * _both_ways(light * y, apart))
 
-    def usual(each: PerLine, number: Frames) -> Frames:
-        use = each.shape[1] // groups * groups
-        grouped = each[:, :use].reshape(each.shape[0], groups, -1).sum(2)
-        return median(grouped / number[:, None])
-
-    # How many independent pixels each sum has.
-    rest = jnp.where(unit > 0, 1.0 - sum(y * y for y in taken), 0.0)
-    free = [(at * rest).sum((1, 2)) for at in regions]
-    number = [jnp.maximum(n, 1.0) / groups for n in (*free, *[sum(free)] * len(lags))]
-
-    def stacked(parts: list[PerLine]) -> Float[Array, "sums frames"]:
-        return jnp.stack([usual(part, n) for part, n in zip(parts, number, strict=True)])
-
-    seen = stacked(sums([(standard, standard)]))
-    by_read, by_photons = stacked(independent(unit)), stacked(independent(photons))
-    by_distance = [stacked(part) for part in (independent(light**2), *(alike(j) for j in range(1, _DISTANCES)))]
+    by_read, by_photons, *by_distance = (
+        usual(part, expected)
+        for part in (*map(independent, (unit, photons, light**2)), *map(alike, range(1, _DISTANCES)))
+    )
     rho = jnp.linspace(0.0, _MOST, _STEPS)
     powers = rho[None] ** (jnp.arange(_DISTANCES)[:, None] ** 2)
     by_speckle = jnp.einsum("jg,jsf->sgf", powers, jnp.stack(by_distance))

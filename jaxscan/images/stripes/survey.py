@@ -167,7 +167,7 @@ def survey_windows(
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
     # With no idea of the noise some lines will do.
     some, about = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
-    first = _look(some, about, _Seen(sensor, jnp.ones(len(lit), bool)), read)
+    first = _look(some, about, _Seen(sensor, jnp.ones(len(lit), bool)), read, roughly=True)
 
     def again(looked: Array, seen: _Seen) -> _Seen:
         more = (looked == 0) | (seen.sensor.speckle > ROUGH)
@@ -177,9 +177,8 @@ def survey_windows(
     def unfinished(state: tuple[Array, _Seen]) -> Array:
         return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].sensor.speckle > ROUGH).any())
 
-    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), (jnp.asarray(0), first))[
-        1
-    ].sensor
+    start = jnp.asarray(0), first
+    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1].sensor
 
 
 class _Seen(NamedTuple):
@@ -189,7 +188,7 @@ class _Seen(NamedTuple):
     apart: Bool[Array, "frames"]
 
 
-def _look(windows: Windows, around: Outline, seen: _Seen, read: Float[Array, "frames"]) -> _Seen:
+def _look(windows: Windows, around: Outline, seen: _Seen, read: Float[Array, "frames"], roughly: bool = False) -> _Seen:
     """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
     sensor = seen.sensor
     found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
@@ -199,7 +198,7 @@ def _look(windows: Windows, around: Outline, seen: _Seen, read: Float[Array, "fr
     spread = jnp.maximum(NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
-    light, apart = _chance(found, windows, around, shines, read, seen.apart)
+    light, apart = _chance(found, windows, around, shines, read, seen.apart, roughly)
     sensor = replace(
         sensor,
         read=jnp.sqrt(light.read2),
@@ -281,6 +280,7 @@ def _chance(
     shines: Bool[Array, "frames lines"],
     ground: Float[Array, "frames"],
     apart: Bool[Array, "frames"],
+    roughly: bool,
 ) -> tuple[Chance, Bool[Array, "frames"]]:
     """Noise and speckle, and in which frames the stripes leave nothing in common.
 
@@ -309,21 +309,36 @@ def _chance(
     # A full pixel takes its part of what the fit takes, and shows nothing.
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
     core, tail = (jnp.where(where, 1.0, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
+    taken = [root * y for y in _taken(found)]
+    light = jnp.sqrt(square) * height
+    if roughly:
+        # Of a projection's trace: what a fit takes of independent pixels, all together.
+        rest = square - square * sum(y * y for y in taken)
+        speckle = _quotient(standard**2 - rest * ground[:, None, None] ** 2, rest * height**2)
+        zero = jnp.zeros_like(ground)
+        return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero), apart
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     light = chance(
-        standard=jnp.where(square > 0, standard, 0.0),
+        standard=standard,
         unit=square,
         # Flanks alone do not tell photons from speckle.
         photons=jnp.where(burnt, 0.0, square * height),
-        light=jnp.sqrt(square) * height,
+        light=light,
         regions=(tail, 1 - core - tail, core),
-        taken=[root * y for y in _taken(found)],
+        taken=taken,
         read2=ground**2,
         known=clear,
         groups=_GROUPS,
     )
     # A profile that is not the model's is off over several pixels, as grains are.
     return light._replace(grain=jnp.where(apart, light.grain, 0.0)), apart
+
+
+def _quotient(over: Pixels, under: Pixels) -> Float[Array, "frames"]:
+    """Of sums over each frame's lines; a few of these may be far off."""
+    some = over.shape[-1] // _GROUPS * _GROUPS
+    over, under = (x[..., :some].sum(1).reshape(len(x), _GROUPS, -1).sum(-1) for x in (over, under))
+    return jnp.nan_to_num(median(jnp.where(under > 0, over / under, jnp.nan)))
 
 
 def _share_in_common(standard: Pixels, peak: Pixels, centre: Lines) -> Float[Array, "frames"]:
