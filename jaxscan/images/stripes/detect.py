@@ -39,6 +39,8 @@ FRAMES_AT_ONCE: Final = 16
 _SHORT, _NARROW, _WIDE = 8, 12, 40
 # Stripes of a standard deviation up to 1.7 px are within short windows, with some background.
 _SLIM_LN_PX = float(np.log(1.7))
+# What stands out by less than so many times what is asked is looked at in more of its surroundings.
+_FAINT = 2.0
 _LEAST_STRENGTH = 10.0
 # Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from about so many pixels.
 _AMBIENT_QUANTILE = 0.97
@@ -203,8 +205,9 @@ def _detect(
 
     def looked_at(at: Places) -> Looked:
         measured, slim = first_look(at)
-        doubtful = slim & measured.cramped & (measured.relief > least[at[0]])
-        measured = look_again(measured, at, doubtful, narrow, "plain")
+        # In noise a longer window has a lower lowest point, by which what is faint stands out.
+        doubtful = measured.cramped & (measured.relief > least[at[0]]) | (measured.strength < _FAINT * least[at[0]])
+        measured = look_again(measured, at, slim & doubtful, narrow, "plain")
         # A window inside a burnt-out stripe sees no background, but it sees one end of it.
         strong = (measured.relief > least[at[0]]) | (measured.cramped & measured.burnt)
         cramped = measured.cramped & strong & (wide > narrow)

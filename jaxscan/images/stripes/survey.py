@@ -289,6 +289,15 @@ def _chance(
     of the model: what lines leave in common, be it a lens's halo or what a camera sharpens, is not of chance, and what
     it leaves beside that would be taken for speckle. Where stripes are so narrow that the ends of the windows are free
     of them, these tell the sensor's noise.
+
+    Args:
+        found: fits of the frames' stripes.
+        windows: what was fitted.
+        around: its outline.
+        shines: which lines have a stripe.
+        ground: σ at the ends of the windows.
+        apart: in which frames the stripes have left nothing in common so far.
+        roughly: whether speckle of single pixels will do, as weights of a next fit.
     """
     clean = shines & ~windows.full.any(1)
     enough = clean.sum(1) >= jnp.maximum(_LEAST_FAIR * shines.sum(1), 1)
@@ -304,7 +313,7 @@ def _chance(
     share = _share_in_common(even * standard, even * root * peak, found.profile.centre)
     apart &= share < _MOST_COMMON
     burnt = ~enough[:, None, None]
-    root = jnp.where(burnt & ~apart[:, None, None], 0.0, root)
+    root, standard = (jnp.where(burnt & ~apart[:, None, None], 0.0, x) for x in (root, standard))
     height = jnp.maximum(found.height, 0.0)
     # A full pixel takes its part of what the fit takes, and shows nothing.
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
