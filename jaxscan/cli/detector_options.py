@@ -2,7 +2,7 @@
 
 import argparse
 
-from jaxscan.cli.options import numbers
+from jaxscan.cli.options import not_nan, numbers
 from jaxscan.detectors import CHOICES, DEFAULT, DEFAULT_CHOICE, DETECTORS
 
 
@@ -33,7 +33,7 @@ def add_depths_argument(parser: argparse.ArgumentParser) -> None:
     """Declare `--depths`."""
     parser.add_argument(
         "--depths",
-        type=numbers(2),
+        type=numbers(2, not_nan, "numbers"),
         metavar="NEAR,FAR",
         help="how near and how far along the optical axis there can be a stripe, mm; what is bright elsewhere is none "
         "(default: from 1 / 1.5 of the nearest to 1.5 times the farthest stripe of the calibration; 0,inf: anywhere)",

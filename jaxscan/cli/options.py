@@ -26,9 +26,9 @@ def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str =
 def add_optics_arguments(parser: argparse.ArgumentParser, what: str) -> Any:
     """Declare lens, laser and pixel, for the limit of speckle; the group of them."""
     group = parser.add_argument_group("the limit of speckle", what)
-    group.add_argument("--f-number", type=float, metavar="N", help="of the camera's lens")
-    group.add_argument("--wavelength-nm", type=float, metavar="NM", help="of the laser")
-    group.add_argument("--pixel-um", type=float, metavar="UM", help="pitch of the sensor's pixels")
+    group.add_argument("--f-number", type=positive, metavar="N", help="of the camera's lens")
+    group.add_argument("--wavelength-nm", type=positive, metavar="NM", help="of the laser")
+    group.add_argument("--pixel-um", type=positive, metavar="UM", help="pitch of the sensor's pixels")
     return group
 
 
@@ -48,14 +48,35 @@ def optics_asked(args: argparse.Namespace) -> "list[float] | None":
 
 def finite(text: str) -> float:
     """A number: neither nan nor inf, which Python takes for numbers too."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
     return value
 
 
-def numbers(count: int, kind: Callable[[str], Any] = finite) -> Callable[[str], list[Any]]:
-    """So many numbers with commas between them."""
+def positive(text: str) -> float:
+    """A finite number that is more than 0."""
+    value = finite(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not more than 0")
+    return value
+
+
+def not_nan(text: str) -> float:
+    """A number that may be infinite."""
+    value = float(text)
+    if math.isnan(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+    return value
+
+
+def numbers(
+    count: int, kind: Callable[[str], Any] = finite, what: str = "finite numbers"
+) -> Callable[[str], list[Any]]:
+    """So many numbers with commas between them; `what` they are, in words."""
 
     def read(text: str) -> list[Any]:
         try:
@@ -63,7 +84,7 @@ def numbers(count: int, kind: Callable[[str], Any] = finite) -> Callable[[str], 
         except (ValueError, argparse.ArgumentTypeError):
             values = []
         if len(values) != count:
-            raise argparse.ArgumentTypeError(f"{text!r} is not {count} finite numbers with commas between them")
+            raise argparse.ArgumentTypeError(f"{text!r} is not {count} {what} with commas between them")
         return values
 
     return read

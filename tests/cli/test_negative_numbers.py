@@ -6,6 +6,8 @@ import pytest
 
 from hardware.cli import main as scanner
 from jaxscan.cli import main as jaxscan
+from jaxscan.cli.detector_options import depths_of
+from jaxscan.reconstruction.sheet_band import check_depths
 
 PROGRAMS = (jaxscan.Program("jaxscan", "", jaxscan.COMMANDS), jaxscan.Program("scanner", "", scanner.COMMANDS))
 TEXTS = ("-1", "-.5", "-1e-3", *(",".join(["-2"] * count) for count in range(2, 8)), "-1,2,3:-4,5,6:7,8,9", "-1:2")
@@ -83,3 +85,24 @@ def test_what_is_no_finite_number_is_refused_before_any_work(words, text, capsys
 def test_not_finite_among_others(words, capsys):
     assert jaxscan.main(words.split()) == 2
     assert "finite numbers with commas between them" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["reconstruct scan --rig rig.json -o a.ply", "batch scans --rig rig.json -o out"])
+def test_depths_without_an_end(command):
+    """`0,inf` is what the help and the refusal of other depths advise."""
+    args = jaxscan.parser_of(PROGRAMS[0]).parse_args([*command.split(), "--depths", "0,inf"])
+    check_depths(depths_of(args) or (0.0, 0.0))
+
+
+@pytest.mark.parametrize("text", ["nan,200", "200", "near,far"])
+def test_depths_that_are_none(text, capsys):
+    assert jaxscan.main(f"reconstruct scan --rig rig.json -o a.ply --depths {text}".split()) == 2
+    assert f"argument --depths: '{text}' is not 2 numbers with commas" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "0", "-8", "f/8", "0,8"])
+@pytest.mark.parametrize("command", ["calibrate session --report report", "inspect cup.npz --rig rig.json"])
+def test_optics_that_no_lens_has(command, text, capsys):
+    optics = f"--f-number={text} --wavelength-nm 650 --pixel-um 3.45"
+    assert jaxscan.main([*command.split(), *optics.split()]) == 2
+    assert f"argument --f-number: '{text}' is not " in capsys.readouterr().err
