@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_detector_argument
 from jaxscan.cli.estimate_options import AS_THE_SESSION, Estimate, add_estimate_arguments, estimate_asked
-from jaxscan.cli.options import add_optics_arguments, optics_asked
+from jaxscan.cli.options import add_optics_arguments, check_outputs, optics_asked
 from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
@@ -71,12 +71,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read the session, find corners and stripes, solve, and write the rig."""
-    from jaxscan.atomic import check_writable
     from jaxscan.rig.speckle_limit import Optics
 
     if args.output.suffix.lower() != ".json":
         raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")
-    check_writable(args.output)
+    check_outputs([args.output])
     if args.camera is None and (args.hold_camera or args.camera_name or args.free):
         raise InputError(
             "--hold-camera, --camera-name and --free speak of the camera of a file: name it with --camera FILE"
@@ -94,8 +93,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if pages:
         extra("plots")
         _make_folder(args.report)
-        for page in pages:
-            check_writable(page)
+        check_outputs([args.output, *pages])
     estimate = estimate_asked(args)
     calibration = calibrate_session(
         args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector, estimate

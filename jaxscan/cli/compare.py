@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_units_argument, numbers
+from jaxscan.cli.options import add_units_argument, check_outputs, numbers
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -52,17 +52,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError("give a REFERENCE to compare the cloud with, or a --region to measure")
     if args.reference is None and (args.fit or args.output or args.png):
         raise InputError("--fit, --output and --png are about a REFERENCE: name one")
+    if args.reference is None and args.reference_units:
+        raise InputError(f"--reference-units {args.reference_units} is about a REFERENCE: name one, or leave it out")
     if not args.within > 0:
         raise InputError(f"--within {args.within:g}: give a distance that is more than 0")
     if args.output and args.output.suffix.lower() != ".ply":
         raise InputError(f"{args.output}: write .ply")
     if args.png:
         extra("plots")
-    from jaxscan.atomic import check_writable
-
-    for path in (args.output, args.png):
-        if path:
-            check_writable(path)
+    read = [path for path in (args.cloud, args.reference) if path]
+    check_outputs([args.output] if args.output else [], args.png, read)
     from jaxscan.errors import said_of
     from jaxscan.files.units import in_millimetres
     from jaxscan.surface.compare import region

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_outputs_argument, add_units_argument, finite
+from jaxscan.cli.options import add_outputs_argument, add_units_argument, check_outputs, finite
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -79,10 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read, register, merge and write."""
     _check(args)
-    from jaxscan.atomic import check_writable
-
-    for path in [*args.output, *(path for path in (args.png, args.write_rig) if path)]:
-        check_writable(path)
+    check_outputs([*args.output, *([args.write_rig] if args.write_rig else [])], args.png, args.scans)
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()

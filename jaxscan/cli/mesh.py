@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_outputs_argument, add_units_argument, finite, numbers
+from jaxscan.cli.options import add_outputs_argument, add_units_argument, check_outputs, finite, numbers
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -65,10 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read, clean, take the floor away, join and write."""
     _check(args)
-    from jaxscan.atomic import check_writable
-
-    for path in [*args.output, *([args.png] if args.png else [])]:
-        check_writable(path)
+    check_outputs(args.output, args.png, [args.points])
     from jaxscan.errors import said_of
 
     result: dict[str, Any] = {"kind": "mesh", "path": [str(path) for path in args.output]}

@@ -2,7 +2,8 @@
 
 import argparse
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,32 @@ def add_outputs_argument(parser: argparse.ArgumentParser, metavar: str, what: st
     parser.add_argument(
         "-o", "--output", type=Path, required=required, default=[], action="append", metavar=metavar, help=words
     )
+
+
+def check_outputs(outputs: Iterable[Path], picture: Path | None = None, inputs: Iterable[Path] = ()) -> None:
+    """Refuse places where what is asked for could not be written or would replace what is needed, before any work.
+
+    Args:
+        outputs: the files to write, but the picture.
+        picture: the picture to draw, of matplotlib, where one is asked for.
+        inputs: what is read, and stays.
+
+    Raises:
+        InputError: a place cannot be written to, is that of an input or of another output, or the picture is no PNG.
+    """
+    from jaxscan.atomic import check_writable
+
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise InputError(f"--png {picture}: the picture is a PNG: end its name with .png")
+    read, written = {os.path.realpath(path) for path in inputs}, set()
+    for path in [*outputs, *([] if picture is None else [picture])]:
+        check_writable(path)
+        place = os.path.realpath(path)
+        if place in read:
+            raise InputError(f"{path}: is read, and writing to it would replace it: name another file to write")
+        if place in written:
+            raise InputError(f"{path}: two things are to be written there: name a file for each")
+        written.add(place)
 
 
 def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str = "--units") -> None:

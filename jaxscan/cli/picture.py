@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.atomic import check_writable
+from jaxscan.cli.options import check_outputs
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.scan import Scan, read_scan
 from jaxscan.files.session import Session, read_session
 from jaxscan.images import StripeSettings, detect_stripe, find_board, read_image, read_video, write_image
-from jaxscan.images.decode import Image
+from jaxscan.images.decode import Image, check_image_ending
 from jaxscan.images.overlay import draw_board, draw_stripe
 from jaxscan.reconstruction import read_range_image
 
@@ -69,7 +70,7 @@ def draw_range_image(path: Path, out: Path) -> dict[str, Any]:
     from jaxscan.surface.clean import clean
     from jaxscan.view.surface_plots import draw_range
 
-    check_writable(out)
+    check_outputs([], out, [path])
     image = read_range_image(path)
     with said_of(path):
         cleaned = clean(image)
@@ -115,6 +116,7 @@ def _found(position: Float[np.ndarray, "lines"], laser: StripeSettings) -> dict[
 def _spare(out: Path, photographs: Sequence[Path]) -> None:
     """Refuse to draw over the place of a photograph, and whatever else could not be written, before any work."""
     check_writable(out)
+    check_image_ending(out)
     if out.exists() and any(out.samefile(photograph) for photograph in photographs):
         raise InputError(f"{out}: is a photograph of this session or scan: name another file for the picture")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_choice_argument, add_depths_argument, add_detector_argument, depths_of
-from jaxscan.cli.options import add_outputs_argument
+from jaxscan.cli.options import add_outputs_argument, check_outputs
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 
 if TYPE_CHECKING:
@@ -37,10 +37,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     for path in args.output:
         check_ending(path)
-    from jaxscan.atomic import check_writable
-
-    for path in args.output:
-        check_writable(path)
+    check_outputs(args.output)
     done, scanner = reconstruct_scan(
         args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime, depths_of(args)
     )

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
+from jaxscan.cli.options import check_outputs
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -26,10 +27,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
     if not 0 < args.port < 65536:
         raise InputError(f"--port {args.port}: give a number from 1 to 65535")
     extra("plots" if args.png else "viewer")
-    from jaxscan.atomic import check_writable
-
-    if args.png:
-        check_writable(args.png)
+    check_outputs([], args.png, [args.file])
     from jaxscan.errors import said_of
     from jaxscan.view.exhibit import exhibit
 

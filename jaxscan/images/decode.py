@@ -180,12 +180,23 @@ def to_grey(image: Image) -> UInt[np.ndarray, "rows columns"]:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
+def check_image_ending(path: str | os.PathLike[str]) -> None:
+    """Refuse a name whose ending is no image format's, before the work that leads to the picture.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not cv2.haveImageWriter(os.fspath(path)):
+        raise InputError(f'{path}: "{Path(path).suffix}" is no ending of an image: write .png or .jpg')
+
+
 def write_image(path: str | os.PathLike[str], image: Image) -> None:
     """Write a grey or RGB image in the format that the name's ending asks for; whole or not at all.
 
     Raises:
         InputError: the ending is no image format's, the format cannot hold the image, or the place cannot be written.
     """
+    check_image_ending(path)
     stored = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     ending = Path(path).suffix
     if image.dtype == np.uint16 and ending.lower() not in (".png", ".tif", ".tiff"):

@@ -260,6 +260,7 @@ def test_frames_that_are_not_there(scan, tmp_path, capsys):
 
 def test_no_photograph_is_drawn_over(scan, capsys):
     before = (scan / "f0.png").read_bytes()
+    assert '"" is no ending of an image: write .png' in refusal(capsys, scan, "--png", scan / "picture")
     assert "is a photograph of this session or scan" in refusal(capsys, scan, "--png", scan / "f0.png")
     assert (scan / "f0.png").read_bytes() == before
 

@@ -206,11 +206,23 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("mesh nan.ply -o x.stl", "error: nan.ply: 1 of 1711 points have a coordinate"),
         ("compare block.ply far.stl", "block.ply against far.stl: cloud and reference lie apart"),
         ("compare block.ply block.npz --within -1", "--within -1"),
+        ("inspect block.npz --png block.npz", "--png block.npz: the picture is a PNG: end its name with .png"),
+        ("mesh block.npz -o x.stl --png x", "--png x: the picture is a PNG"),
+        ("mesh block.ply -o block.ply", "block.ply: is read, and writing to it would replace it"),
+        ("mesh block.npz -o x.stl -o ./x.stl", "x.stl: two things are to be written there"),
+        ("merge block.npz block.ply -o block.ply", "block.ply: is read, and writing to it would replace it"),
+        ("view block.ply --png block.ply", "--png block.ply: the picture is a PNG"),
+        ("compare block.ply block.npz -o block.ply", "block.ply: is read, and writing to it would replace it"),
+        ("compare block.ply block.npz --png x.svg", "--png x.svg: the picture is a PNG"),
+        ("compare block.ply --region=0,0,0,1 --reference-units m", "--reference-units m is about a REFERENCE"),
+        ("reconstruct scan --rig rig.json -o x.ply -o x.ply", "x.ply: two things are to be written there"),
+        ("calibrate session -o report.json --report .", "report.json: two things are to be written there"),
         ("compare block.ply --region=0,0,0,1", "block.ply: 0 points lie within 1 mm"),
     ],
 )
 def test_bad_input(folder, capsys, monkeypatch, words, problem):
     monkeypatch.chdir(folder)
+    before = {path.name: path.read_bytes() for path in folder.glob("block.*")}
     if "far.stl" in words:
         trimesh.creation.box((3, 3, 3)).export("far.stl")
     if "nan.ply" in words:
@@ -221,6 +233,7 @@ def test_bad_input(folder, capsys, monkeypatch, words, problem):
         capsys.readouterr()
     assert main(words.split()) == 2
     assert problem in capsys.readouterr().err
+    assert before == {path.name: path.read_bytes() for path in folder.glob("block.*")}
     assert not Path("x.stl").exists() or "x.stl" not in words or Path("x.stl").stat().st_size > 0
 
 
