@@ -36,7 +36,7 @@ from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.system import warp_names
 
 _FEWEST_CORNERS = 6
-_FEWEST_VIEWS = 3
+FEWEST_VIEWS = 3
 _FEWEST_STRIPES = 2
 _FEWEST_STRIPE_POINTS = 10
 # Of a sequence, at different step counts: a third place on the turntable tells whether two were a turn at all.
@@ -209,9 +209,9 @@ def _with_enough_corners(observations: Observations) -> Observations:
 def _check_enough(observations: Observations) -> None:
     """Refuse observations that are too few, and say what is missing."""
     views = observations.views
-    if len(views) < _FEWEST_VIEWS:
+    if len(views) < FEWEST_VIEWS:
         raise InputError(
-            f"{len(views)} usable views of the board; at least {_FEWEST_VIEWS} are needed: photograph the board in "
+            f"{len(views)} usable views of the board; at least {FEWEST_VIEWS} are needed: photograph the board in "
             f"more poses, all of it in view and tilted in different directions"
         )
     for i, name in enumerate(observations.lasers):

@@ -1,6 +1,7 @@
 """`jaxscan calibrate`: photographs of a board in, a rig with its covariance out."""
 
 import argparse
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,8 @@ from jaxscan.extras import extra
 
 if TYPE_CHECKING:
     from jaxscan.calibration import Calibration
-    from jaxscan.files.session import CameraSettings
+    from jaxscan.files.camera_file import CameraFile
+    from jaxscan.files.session import CameraSettings, Session
     from jaxscan.rig import Camera
     from jaxscan.rig.speckle_limit import Optics
     from jaxscan.view.verdict import Verdict
@@ -96,7 +98,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         check_outputs([args.output, *pages])
     estimate = estimate_asked(args)
     calibration = calibrate_session(
-        args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector, estimate
+        args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector, estimate, bool(asked)
     )
     judged = write_report(calibration, pages[0], pages[1], optics) if pages else judge_calibration(calibration)
     from jaxscan.cli.facts import rig_facts
@@ -122,11 +124,12 @@ def calibrate_session(
     hold: bool = False,
     detector: Detector = DEFAULT,
     estimate: Estimate = AS_THE_SESSION,
+    needs_laser: bool = False,
 ) -> "Calibration":
     """Calibrate as `solve_sessions`, and write the rig to `output`."""
     from jaxscan.files.rig_file import write_rig
 
-    calibration = solve_sessions(paths, camera, name, hold, detector, estimate)
+    calibration = solve_sessions(paths, camera, name, hold, detector, estimate, needs_laser)
     write_rig(output, calibration.rig_file())
     return calibration
 
@@ -138,6 +141,7 @@ def solve_sessions(
     hold: bool = False,
     detector: Detector = DEFAULT,
     estimate: Estimate = AS_THE_SESSION,
+    needs_laser: bool = False,
 ) -> "Calibration":
     """Calibrate with progress bars.
 
@@ -148,6 +152,7 @@ def solve_sessions(
         hold: whether that camera is kept as it is.
         detector: how the stripe's centre is measured.
         estimate: lens, held parameters and weights, as far as they are not the sessions'.
+        needs_laser: whether the limit of speckle is asked for, which only a laser's stripe tells.
     """
     from jaxscan.cli.compiled import keep_compiled
 
@@ -177,8 +182,14 @@ def solve_sessions(
         unseen(content) if isinstance(content, Session) else observations_from(content, path)
         for content, path in zip(contents, paths, strict=True)
     ]
-    # Here for its errors, so that they come before the long work.
-    join(_names(paths), each)
+    # These for their errors, so that they come before the long work.
+    joined = join(_names(paths), each)
+    _check_photographs(paths, contents, len(joined.views))
+    if needs_laser and not joined.lasers:
+        raise InputError(
+            f"{paths[0]}: has no [laser], and --f-number, --wavelength-nm and --pixel-um are for the stripe of one: "
+            "add [laser] to session.toml, or leave out these options"
+        )
     start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
     asked, lens = settings[0], start.lens if start else settings[0].lens
     held_parameters(asked.hold, lens, asked.principal_point, has_start=start is not None)
@@ -206,6 +217,37 @@ def solve_sessions(
             plain=estimate.plain,
         )
     return calibration
+
+
+def _check_photographs(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], read: int) -> None:
+    """Refuse sessions that share a photograph, and too few poses.
+
+    Args:
+        paths: of the sessions.
+        contents: what was read there.
+        read: how many poses the files of corners hold.
+
+    Raises:
+        InputError: a photograph stands in two sessions, or the board was held in too few poses.
+    """
+    from jaxscan.calibration.calibrate import FEWEST_VIEWS
+    from jaxscan.files.session import Session
+
+    first: dict[str, int] = {}
+    for i, (path, content) in enumerate(zip(paths, contents, strict=True)):
+        for photograph in content.photographs() if isinstance(content, Session) else [path]:
+            if (other := first.setdefault(os.path.realpath(photograph), i)) != i:
+                raise InputError(
+                    f"{path}: {photograph} belongs to {paths[other]} too, and would count twice: give each session "
+                    "once, and name each photograph in one of them"
+                )
+    poses = read + sum(len(content.views.boards) for content in contents if isinstance(content, Session))
+    if poses < FEWEST_VIEWS:
+        raise InputError(
+            f"{', '.join(map(str, paths))}: the board is shown in {poses} {'pose' if poses == 1 else 'poses'}; at "
+            f"least {FEWEST_VIEWS} are needed, 10 to 15 are good: photograph it in more, tilted in different "
+            "directions, and name them in [views] boards"
+        )
 
 
 def _in_words(settings: "CameraSettings") -> str:

@@ -17,13 +17,15 @@ def toml_in(path: Path, name: str) -> Path:
     """The TOML file of a session or scan, given its folder or the file itself.
 
     Raises:
-        InputError: neither is there.
+        InputError: it is not there, or the folder has none.
     """
     if path.is_dir():
         if not (path / name).is_file():
             refuse_hidden_ending(path, name)
             raise InputError(f"{path}: has no {name}: write one there, or name another folder")
         return path / name
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file or folder: check the path")
     return path
 
 

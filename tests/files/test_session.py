@@ -337,3 +337,29 @@ def test_sessions_of_one_rig_hold_the_same(folder):
     other.write_text(f'{BOARD}{VIEWS}[camera]\nhold = ["camera.radial.0"]', encoding="utf-8")
     with pytest.raises(InputError, match=r"other.toml: its lens radial1, .*, camera.radial.0 held; those of"):
         solve_sessions([folder / "session.toml", other])
+
+
+def test_sessions_share_no_photograph(folder):
+    """It would count twice, and σ would be too small."""
+    session(folder, BOARD, VIEWS)
+    with pytest.raises(InputError, match=r"boards/v\d+.png belongs to .* too, and would count twice: give"):
+        solve_sessions([folder, folder / "session.toml"])
+
+
+def test_too_few_poses_are_refused_before_they_are_looked_at(folder, capsys):
+    session(folder, BOARD, '[views]\nboards = ["boards/v1.png"]\n')
+    with pytest.raises(InputError, match=r"the board is shown in 1 pose; at least 3 are needed") as refused:
+        solve_sessions([folder])
+    assert str(refused.value).startswith(str(folder))
+    assert "finding boards" not in capsys.readouterr().err
+
+
+def test_the_limit_of_speckle_needs_a_laser(folder):
+    session(folder, BOARD, VIEWS)
+    with pytest.raises(InputError, match=r"has no \[laser\], and --f-number, --wavelength-nm and --pixel-um are for"):
+        solve_sessions([folder], needs_laser=True)
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(InputError, match=r"gone: there is no such file or folder"):
+        read_session(tmp_path / "gone")
