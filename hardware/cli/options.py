@@ -51,9 +51,9 @@ def check_travel(settings: "ScannerSettings", steps: Sequence[int]) -> None:
 @contextmanager
 def scanner(args: argparse.Namespace) -> "Iterator[Devices]":
     """The scanner, open for the length of the block."""
-    from hardware.devices import open_scanner, read_scanner
+    from hardware.devices import open_scanner
 
-    devices = open_scanner(read_scanner(args.scanner), args.seed, args.homed)
+    devices = open_scanner(_described(args), args.seed, args.homed)
     try:
         yield devices
     finally:
@@ -64,10 +64,10 @@ def scanner(args: argparse.Namespace) -> "Iterator[Devices]":
 @contextmanager
 def stage_alone(args: argparse.Namespace) -> "Iterator[Stage]":
     """The stage without camera and laser; halted when the block ends in an error."""
-    from hardware.devices import open_stage, read_scanner
+    from hardware.devices import open_stage
     from hardware.safety import safely
 
-    stage = open_stage(read_scanner(args.scanner), args.homed)
+    stage = open_stage(_described(args), args.homed)
     try:
         with safely(stage, None):
             yield stage
@@ -78,6 +78,16 @@ def stage_alone(args: argparse.Namespace) -> "Iterator[Stage]":
 def say(words: str) -> None:
     """One line to standard error, at once."""
     print(words, file=sys.stderr, flush=True)
+
+
+def _described(args: argparse.Namespace) -> "ScannerSettings":
+    """The scanner's description. Where there is none that is said: simulated photographs look like real ones."""
+    from hardware.devices import SCANNER_FILE, read_scanner
+
+    settings = read_scanner(args.scanner)
+    if settings.path is None:
+        say(f"there is no {SCANNER_FILE} in this folder: the scanner is simulated")
+    return settings
 
 
 def _seed(text: str) -> int:

@@ -48,6 +48,16 @@ def scanner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def test_a_simulated_scanner_is_said_to_be_one(scanner: Path, capsys: pytest.CaptureFixture[str]):
+    """A command in the wrong folder would else take photographs of nothing without a word."""
+    assert main(["move", "1000"]) == 0
+    assert "simulated" not in capsys.readouterr().err
+    (scanner / "scanner.toml").unlink()
+    for words in (["move", "1000"], ["shoot", "one.png"]):
+        assert main(words) == 0
+        assert "there is no scanner.toml in this folder: the scanner is simulated" in capsys.readouterr().err
+
+
 def test_home_move_shoot_scan(scanner: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["home"]) == 0
     assert "stands at step 0" in capsys.readouterr().out
