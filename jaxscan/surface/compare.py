@@ -85,7 +85,10 @@ def compare(
     if motion is not None:
         points = moved(points, motion)
     elif not _overlap(reference, points):
-        raise InputError("cloud and reference lie apart: if they are not in one frame, have the cloud fitted first")
+        raise InputError(
+            "cloud and reference lie apart: see that both have one unit of length (--units, --reference-units); if "
+            "they are not in one frame, have the cloud fitted first (--fit)"
+        )
     distance = signed_distance(reference, points)
     distance[np.abs(distance) > within_mm] = np.nan
     if not np.isfinite(distance).any():

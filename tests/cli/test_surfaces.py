@@ -204,7 +204,7 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("compare block.ply gone.stl", "gone.stl: there is no such file"),
         ("compare block.ply nan.ply", "nan.ply: 1 of 1711 points have a coordinate that is not a finite number"),
         ("mesh nan.ply -o x.stl", "error: nan.ply: 1 of 1711 points have a coordinate"),
-        ("compare block.ply far.stl", "block.ply against far.stl: cloud and reference lie apart"),
+        ("compare block.ply far.stl", "block.ply against far.stl: cloud and reference lie apart: see that both"),
         ("compare block.ply block.npz --within -1", "--within -1"),
         ("inspect block.npz --png block.npz", "--png block.npz: the picture is a PNG: end its name with .png"),
         ("mesh block.npz -o x.stl --png x", "--png x: the picture is a PNG"),
