@@ -104,7 +104,10 @@ def region(cloud: Float[np.ndarray, "points 3"], pick: Sequence[float], radius_m
     """
     near = cloud[np.linalg.norm(cloud - np.asarray(pick), axis=1) <= radius_mm].astype(np.float64)
     if len(near) < 10:
-        raise InputError(f"{len(near)} points lie within {radius_mm:g} mm of {list(pick)}: ten or more are needed")
+        raise InputError(
+            f"{len(near)} points lie within {radius_mm:g} mm of {list(pick)}: ten or more are needed, so give a larger "
+            "radius, or another point (`jaxscan inspect` says how far the cloud reaches)"
+        )
     centre = near.mean(axis=0)
     normal = np.linalg.svd(near - centre, full_matrices=False)[2][2]
     normal *= -1 if normal @ centre > 0 else 1

@@ -217,7 +217,7 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("compare block.ply --region=0,0,0,1 --reference-units m", "--reference-units m is about a REFERENCE"),
         ("reconstruct scan --rig rig.json -o x.ply -o x.ply", "x.ply: two things are to be written there"),
         ("calibrate session -o report.json --report .", "report.json: two things are to be written there"),
-        ("compare block.ply --region=0,0,0,1", "block.ply: 0 points lie within 1 mm"),
+        ("compare block.ply --region=0,0,0,1", "0.0]: ten or more are needed, so give a larger radius"),
     ],
 )
 def test_bad_input(folder, capsys, monkeypatch, words, problem):
