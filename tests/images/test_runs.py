@@ -10,7 +10,7 @@ LINES = np.arange(200)
 def points(*runs):
     """Of (lines, positions, strength, width) each, sorted by line; and which run each point is of."""
     parts = [
-        (line, np.broadcast_to(at, line.shape), np.full(line.shape, strength), np.full(line.shape, width))
+        (line, np.broadcast_to(at, line.shape), np.broadcast_to(strength, line.shape), np.full(line.shape, width))
         for line, at, strength, width in runs
     ]
     line, *values = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -54,6 +54,15 @@ def test_a_dark_piece_at_another_depth_is_kept():
 
 def test_what_is_burnt_out_does_not_win_by_its_brightness():
     assert taken((LINES, 100.0, 100, 3), (LINES[60:100], 150.0, 500, 3)) == [1.0, 0.0]
+
+
+def test_the_faded_end_of_a_long_run_gives_way_to_a_brighter_short_one():
+    shares = LINES[60:89]
+    short, long = np.where(shares < 76, 65, 40), np.where(LINES[60:] < 76, 25, 100)
+    seen, of = points((shares, 100.0, short, 3), (LINES[60:], 150.0, long, 3))
+    chosen, _ = likeliest(seen)
+    assert chosen[(of == 0) & (seen.line < 76)].all()
+    assert chosen[(of == 1) & (seen.line >= 76)].all()
 
 
 def test_what_is_thicker_than_long_is_no_line():

@@ -8,6 +8,7 @@ of neighbouring lines that are each other's nearest, about as bright and about a
   strength at most, for what is burnt out may be as bright as it likes; a run that is wider or narrower than the frame's
   usual stripe, or shorter than the other, loses by that.
 - Of a stripe and its copy, moved or upside down, the brighter over the whole frame is taken everywhere.
+- Where a surface turns away from the sheet or is half hidden a run fades: its end counts by itself.
 - Runs that go on from one another straight are one course. What is beaten in more than half of its course's lines, and
   fainter there, is a ghost or a mirror image, and is none where it is alone either.
 """
@@ -27,6 +28,8 @@ _BY_LENGTH, _BY_WIDTH = 0.2, 1.0
 _FAINT, _BESIDE = 0.75, 0.5
 # Copies lie at the same distance within so much, over this part of the lines that have points.
 _SAME_PX, _COPIED = 3.0, 0.2
+# An end fades that is fainter than this part of its run, over no fewer lines.
+_FADED, _FEWEST_FADED = 0.5, 4
 # A course goes on across so many lines from the last so many points of a run, bending by so much for each line.
 _ACROSS, _STRAIGHT, _BENDS = 48, 24, 0.1
 
@@ -82,8 +85,23 @@ def likeliest(points: Points) -> tuple[Bool[np.ndarray, "points"], Bool[np.ndarr
     is_line = long[run]
     chosen = np.zeros(len(run), bool)
     if is_line.any():
-        chosen[is_line] = _winners(points.of(is_line), np.unique(run[is_line], return_inverse=True)[1])
+        lines = points.of(is_line)
+        chosen[is_line] = _winners(
+            lines, _with_faded_ends_apart(lines, np.unique(run[is_line], return_inverse=True)[1])
+        )
     return chosen, is_line & ~chosen
+
+
+def _with_faded_ends_apart(points: Points, run: Int[np.ndarray, "points"]) -> Int[np.ndarray, "points"]:
+    """The same runs, and ends that have faded as runs of their own."""
+    run, added = run.copy(), int(run.max()) + 1
+    for mine in np.split(np.argsort(run, kind="stable"), np.cumsum(np.bincount(run))[:-1]):
+        bright = np.flatnonzero(points.strength[mine] >= _FADED * np.median(points.strength[mine]))
+        for end in (mine[: bright[0]], mine[bright[-1] + 1 :]):
+            if len(end) >= _FEWEST_FADED:
+                run[end] = added
+                added += 1
+    return run
 
 
 def _winners(points: Points, run: Int[np.ndarray, "points"]) -> Bool[np.ndarray, "points"]:
