@@ -78,12 +78,12 @@ def test_a_stripe_too_weak_to_be_told_from_noise_is_told(tmp_path):
     random = np.random.default_rng(0)
     paths = tuple(tmp_path / f"{i}.png" for i in range(4))
     for i, path in enumerate(paths):
-        # Its peak stands twice the noise high.
-        faint = 20 + 0.07 * (wavy_stripe(i) - 20) + random.normal(0, 6, (ROWS, COLUMNS))
+        # Its peak stands 1.8 times the noise high.
+        faint = 20 + 0.06 * (wavy_stripe(i) - 20) + random.normal(0, 6, (ROWS, COLUMNS))
         write_image(path, np.rint(faint).clip(0, 255).astype(np.uint8))
     scanner = Scanner(small_rig())
     scan = Scan(tmp_path / "scan.toml", GREY, paths, steps=(0, 1000, 2000, 3000))
     points = sum(int(image.valid.sum()) for image in scanner.scan(scan))
     weak = scanner.left_out["too_weak"]
-    assert weak > points
+    assert weak > points > 0
     assert any(f"{weak} lines" in note and "expose longer" in note for note in scanner.notes)
