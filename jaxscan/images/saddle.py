@@ -167,11 +167,9 @@ def fit_saddles(
         "scale": reach_px.mean(axis=1),
     }
     # Few at a time: one size is compiled for boards of all sizes, a corner that takes many steps keeps few others, and
-    # whoever else uses the processor waits no longer for a large board than for a small one.
-    with (
-        float32(),
-        jax.default_matmul_precision("highest"),
-    ):  # A GPU's own products of matrices would round to ten bits.
+    # whoever else uses the processor waits no longer for a large board than for a small one. A GPU's own products of
+    # matrices would round to ten bits.
+    with float32(), jax.default_matmul_precision("highest"):
         pixels = jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32)
         parts = [
             _fit(

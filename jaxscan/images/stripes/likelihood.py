@@ -292,7 +292,7 @@ def first_guess(windows: Windows, outline: Outline, sensor: Sensor, censored: bo
     """θ₀ from the outline: a Gaussian's width at two heights tells s and A.
 
     Of a full stripe these are the width d₁ of its full core, at the height z, and d₂ at z / 2: d₂² − d₁² = 8 ln 2 s²,
-    which is taken only where the other lines do not tell s, and A = z e^(d₁² / 8 s²).
+    which is weighed against what the other lines tell of s, and A = z e^(d₁² / 8 s²).
     """
     z = outline.top - outline.floor
     s2 = outline.width**2 / _HALF_MAXIMUM

@@ -317,22 +317,21 @@ def _chance(
     height = jnp.maximum(found.height, 0.0)
     # A full pixel takes its part of what the fit takes, and shows nothing.
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
-    core, tail = (jnp.where(where, 1.0, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     taken = [root * y for y in _taken(found)]
-    light = jnp.sqrt(square) * height
     if roughly:
         # Of a projection's trace: what a fit takes of independent pixels, all together.
         rest = square - square * sum(y * y for y in taken)
         speckle = _quotient(standard**2 - rest * ground[:, None, None] ** 2, rest * height**2)
         zero = jnp.zeros_like(ground)
         return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero), apart
+    core, tail = (jnp.where(where, 1.0, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     light = chance(
         standard=standard,
         unit=square,
         # Flanks alone do not tell photons from speckle.
         photons=jnp.where(burnt, 0.0, square * height),
-        light=light,
+        light=jnp.sqrt(square) * height,
         regions=(tail, 1 - core - tail, core),
         taken=taken,
         read2=ground**2,
