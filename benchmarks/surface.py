@@ -49,11 +49,11 @@ from jaxscan.geometry.closest import ClosestOnTriangles
 from jaxscan.geometry.robust_plane import refined_plane
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import Rig, Stage
+from jaxscan.rig.projection import pixel_rays
 from jaxscan.robust import NORMAL_MAD
 from jaxscan.simulation import Body, Scene, distance, rig_2003
 from jaxscan.simulation.drawn import drawn_scan
 from jaxscan.simulation.folders import simulate_scan
-from jaxscan.simulation.render import rays_of
 from jaxscan.simulation.shapes import box, cup, sphere
 from jaxscan.simulation.vector import Rays, Vec
 from jaxscan.surface.clean import clean
@@ -182,7 +182,7 @@ def across(
     seen = np.stack([column, row, image.steps[frame]], axis=1).astype(np.float64)
     t = np.linspace(0, 1, _RAYS_ON_A_SIDE)[None, :, None]
     between = (1 - t) * seen[sides[:, 0], None] + t * seen[sides[:, 1], None]
-    rays = rays_of(rig.camera, between[..., :2].reshape(-1, 2)).reshape(*between.shape)
+    rays = pixel_rays(rig.camera, between[..., :2])
     travel = np.array([float(c) for c in _stage(rig).per_step])
     origin = -between[..., 2:] * travel
     depth = _trace(scene.cast(np.float32), *(jnp.asarray(x, jnp.float32) for x in (origin, rays)))

@@ -9,7 +9,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscan.calibration.block_arrow import Arrow
+from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.calibration.implicit import BlockArrowSolver
 from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt
 from jaxscan.calibration.residuals import Noise
@@ -54,12 +54,16 @@ class Outcome(eqx.Module):
         cost: ½‖r‖² there, dimensionless.
         steps: number of evaluations.
         result: why it stopped.
+        value: the residual where it was last evaluated: at the estimate, but for a step of 1e-6 σ.
+        jacobian: the Jacobian there.
     """
 
     estimate: Estimate
     cost: Float[Array, ""]
     steps: Int[Array, ""]
     result: optx.RESULTS
+    value: Arrow
+    jacobian: Jacobian
 
 
 class Prior(eqx.Module):
@@ -116,7 +120,7 @@ def solve(
 ) -> Outcome:
     """Refine the free parameters and all poses by Levenberg-Marquardt.
 
-    The estimate can be differentiated with respect to everything else that is given; cost, steps and result cannot.
+    The estimate can be differentiated with respect to everything else that is given; what else comes back cannot.
 
     Args:
         estimate: where to start.
@@ -137,4 +141,5 @@ def solve(
         throw=False,
     )
     cost = 0.5 * solution.state.normal.total
-    return Outcome(back(solution.value), cost, solution.stats["num_steps"], solution.result)
+    value, jacobian = solution.state.last
+    return Outcome(back(solution.value), cost, solution.stats["num_steps"], solution.result, value, jacobian)

@@ -1,6 +1,5 @@
 """Poses of boards for a camera as it is known: in closed form, block by block."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,11 +9,12 @@ from jaxscan.calibration import initial
 from jaxscan.calibration.residuals import Blocks
 from jaxscan.geometry import matrix_to_vector
 from jaxscan.rig import Camera
+from jaxscan.rig.projection import pixel_rays
 
 
 def first_poses(camera: Camera, blocks: Blocks) -> Float[Array, "blocks 6"]:
     """Poses of boards from their corners; those of padding are far away."""
-    rays = np.asarray(_rays(camera, blocks.corners))[..., :2]
+    rays = pixel_rays(camera, np.asarray(blocks.corners))[..., :2]
     used = np.asarray(blocks.corner_used) & np.all(np.isfinite(rays), axis=-1)
     real = np.any(used, axis=1)
     R = np.broadcast_to(np.eye(3), (len(used), 3, 3)).copy()
@@ -27,11 +27,6 @@ def first_poses(camera: Camera, blocks: Blocks) -> Float[Array, "blocks 6"]:
 def far_away(blocks: int) -> Float[Array, "blocks 6"]:
     """Poses for boards that nothing is known of yet: in front of the camera, one metre away."""
     return jnp.tile(jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0]), (blocks, 1))
-
-
-@eqx.filter_jit
-def _rays(camera: Camera, pixels: Float[Array, "blocks points 2"]) -> Float[Array, "blocks points 3"]:
-    return jax.vmap(jax.vmap(camera.ray))(pixels)
 
 
 @jax.jit

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree, Scalar
 
-from jaxscan.calibration.block_arrow import Arrow, NormalEquations, linearise
+from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, linearise
 
 # λ to begin with, where nothing is known of how near the start is.
 FIRST_DAMPING = 1e-4
@@ -44,6 +44,9 @@ class LevenbergMarquardtState(eqx.Module):
         predicted: by how much the linear model lets ‖r‖² fall along that.
         damping: λ.
         growth: what λ is multiplied by if that step is rejected.
+        last: residual and Jacobian where they were last evaluated. The solver only writes them; at the end they are
+            those of the minimum, but for a step that is negligible, and whoever wants a covariance need not evaluate
+            (and compile) them again.
     """
 
     normal: NormalEquations
@@ -54,6 +57,7 @@ class LevenbergMarquardtState(eqx.Module):
     predicted: Float[Array, ""]
     damping: Float[Array, ""]
     growth: Float[Array, ""]
+    last: tuple[Arrow, Jacobian]
 
 
 class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow, Any, LevenbergMarquardtState]):
@@ -77,6 +81,7 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
     ) -> LevenbergMarquardtState:
         """A state whose first proposal is to stay, where anything is better than what is known."""
         nothing, infinite = jax.tree.map(jnp.zeros_like, y), jnp.array(jnp.inf, y.shared.dtype)
+        shapes = jax.eval_shape(lambda y: linearise(lambda y: fn(y, args)[0], y), y)
         return LevenbergMarquardtState(
             normal=NormalEquations.unknown(y),
             largest=nothing,
@@ -86,6 +91,7 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
             predicted=infinite,
             damping=jnp.array(self.first_damping, y.shared.dtype),
             growth=jnp.array(2.0, y.shared.dtype),
+            last=jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), shapes),
         )
 
     def step(
@@ -93,7 +99,8 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
     ) -> tuple[Arrow, LevenbergMarquardtState, None]:
         """Try the proposed step, take it if ‖r‖² falls, and propose the next."""
         tried = eqx.apply_updates(y, state.proposed)
-        normal = NormalEquations.create(*linearise(lambda y: fn(y, args)[0], tried))
+        last = linearise(lambda y: fn(y, args)[0], tried)
+        normal = NormalEquations.create(*last)
         first, fell = jnp.isinf(state.normal.total), normal.total < state.normal.total
         ratio = (state.normal.total - normal.total) / state.predicted
         # Nielsen's cubic, with its floor lowered from 1/3 to 1/10: near the minimum λ should vanish quickly.
@@ -112,7 +119,8 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
         y, normal, largest, left, fall = jax.lax.cond(fell, taken, rejected)
         proposed = normal.damped(damping, largest).step()
         predicted = normal.fall(proposed, damping, largest)
-        return y, LevenbergMarquardtState(normal, largest, left, fall, proposed, predicted, damping, growth), None
+        state = LevenbergMarquardtState(normal, largest, left, fall, proposed, predicted, damping, growth, last)
+        return y, state, None
 
     def terminate(
         self, fn: Any, y: Arrow, args: Any, options: Any, state: LevenbergMarquardtState, tags: frozenset[object]

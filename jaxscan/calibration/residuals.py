@@ -144,7 +144,7 @@ def stripe_error(
 ) -> Float[Array, ""]:
     """Predicted minus seen position of the stripe along the axis in which it was found, pixels."""
     axis = jnp.where(columns, jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
-    x, dx = jax.jvp(rig.camera.ray, (pixel,), (axis,))
+    x, dx = rig.camera.ray_and_change(pixel, axis)
     a, b, c = omega - beta
     return -(a * x[0] + b * x[1] + c * x[2]) / (a * dx[0] + b * dx[1])
 

@@ -10,7 +10,7 @@ correlation of errors along the stripe.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -19,10 +19,11 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.calibration.bundle import Estimate, Outcome, solve
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.residuals import Blocks, Noise, block_errors
-from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, precision
+from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, arrow_precision
 from jaxscan.precision import as_numpy
 from jaxscan.robust import NORMAL_MAD
 
@@ -120,7 +121,7 @@ def refine(
         outcome = solve(estimate, free, groups, noise)
         estimate = outcome.estimate
         errors = as_numpy(group_errors(estimate, candidates))
-        known = as_numpy(precision(estimate, free, groups, noise))
+        known = as_numpy(arrow_precision(outcome.value, outcome.jacobian))
         believed = _believed(candidates, groups, errors) if weigh else candidates
         single, photographs = _variance_components(believed, groups, errors, known.leverage, noise, board_points)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
@@ -135,11 +136,24 @@ def refine(
         futile = futile + 1 if open_ended else 0
         if calm or futile >= _MAX_FUTILE or solves >= _MAX_SOLVES:
             groups = jax.tree.map(jnp.asarray, groups)
-            spread = precision(estimate, free, groups, settled)
+            spread = arrow_precision(*_restated(outcome, groups, noise, settled))
             return Refined(
                 estimate, settled, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves, calm
             )
         noise, groups = settled, kept
+
+
+def _restated(outcome: Outcome, groups: tuple[Blocks, ...], old: Noise, new: Noise) -> tuple[Arrow, Jacobian]:
+    """Residuals and Jacobian of a solve with other σ than it was solved with."""
+    corner, stripe = float(old.corner / new.corner), float(old.stripe / new.stripe)
+    scales = [
+        np.repeat([corner, stripe], [2 * group.weights.shape[1], group.stripe_weights.shape[1]]) for group in groups
+    ]
+    value, blocks = (
+        tuple(jnp.asarray(s[:, *axes] * np.asarray(rows)) for s, rows in zip(scales, parts.blocks, strict=True))
+        for parts, axes in ((outcome.value, ()), (outcome.jacobian, (None,)))
+    )
+    return replace(outcome.value, blocks=value), replace(outcome.jacobian, blocks=blocks)
 
 
 def _same(old: tuple[Blocks, ...], new: tuple[Blocks, ...]) -> bool:

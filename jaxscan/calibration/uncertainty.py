@@ -51,6 +51,7 @@ def precision(
     return arrow_precision(*linearise(residual, y))
 
 
+@eqx.filter_jit
 def arrow_precision(value: Arrow, jacobian: Jacobian) -> Precision:
     """The covariance of any arrow-shaped problem whose residuals are in units of their σ."""
     normal = NormalEquations.create(value, jacobian)

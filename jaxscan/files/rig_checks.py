@@ -3,14 +3,12 @@
 import math
 from typing import Any, Final
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Float64
+from jaxtyping import Float64
 
 from jaxscan.files.table import Table, show
-from jaxscan.precision import as_float64
 from jaxscan.rig import Camera
+from jaxscan.rig.projection import pixel_rays
 
 # A sheet nearer to the centre of projection than this (mm) is seen edge on: its depth is lost in rounding.
 _NEAREST_SHEET: Final = 1e-3
@@ -64,13 +62,7 @@ def image_rays(camera: Camera) -> Float64[np.ndarray, "rays 3"]:
     u = np.linspace(-0.5, columns - 0.5, _GRID)
     v = np.linspace(-0.5, rows - 0.5, _GRID)
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    with jax.enable_x64(True):
-        return np.asarray(_rays(as_float64(camera), jnp.asarray(pixels)))
-
-
-@jax.jit
-def _rays(camera: Camera, pixels: Float[Array, "pixels 2"]) -> Float[Array, "pixels 3"]:
-    return jax.vmap(camera.ray)(pixels)
+    return pixel_rays(camera, pixels)
 
 
 def check_covariance(table: Table, names: list[Any], parameters: list[str]) -> Float64[np.ndarray, "n n"]:

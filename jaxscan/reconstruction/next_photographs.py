@@ -7,18 +7,16 @@ of the pixels at which points before the camera are seen.
 from dataclasses import dataclass
 from typing import Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.next_pose import NextPose, suggest
-from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.point_sigma import jacobian_along
 from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays, working_volumes
-from jaxscan.rig import Camera, Covariance
+from jaxscan.rig import Covariance
 from jaxscan.rig.covariance import projection_jacobian
+from jaxscan.rig.projection import pixel_rays
 
 # The image is looked at in so many columns and rows of pixels.
 _PIXELS = (16, 12)
@@ -102,15 +100,8 @@ def _pixels(calibration: Calibration) -> Wanted:
     rig, boards = calibration.rig, calibration.system.boards
     depth = float(np.median(np.asarray(boards.translation)[:, 2]))
     each = [np.linspace(-0.5, n - 0.5, count) for n, count in zip(rig.camera.image_size, _PIXELS, strict=True)]
-    with float64():
-        pixels = jnp.asarray(np.stack(np.meshgrid(*each), axis=-1).reshape(-1, 2))
-        rays = np.asarray(_rays(as_float64(rig.camera), pixels))
+    rays = pixel_rays(rig.camera, np.stack(np.meshgrid(*each), axis=-1).reshape(-1, 2))
     rays = rays[np.isfinite(rays).all(axis=1)]
     of_camera = projection_jacobian(rig, depth * rays)
     jacobian = of_camera.reshape(-1, of_camera.shape[-1])
     return Wanted("px", jacobian, np.zeros(len(jacobian)))
-
-
-@jax.jit
-def _rays(camera: Camera, pixels: Float[Array, "pixels 2"]) -> Float[Array, "pixels 3"]:
-    return jax.vmap(camera.ray)(pixels)

@@ -15,8 +15,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Camera, Covariance, Rig
-from jaxscan.rig.projection import project_points
+from jaxscan.rig import Covariance, Rig
+from jaxscan.rig.projection import pixel_rays, project_points
 from jaxscan.rig.rig import parameter_names
 
 
@@ -108,9 +108,7 @@ def ray_jacobian(
 
     The arguments are those of `point_covariance`; mm for each unit of the parameters, mm for each pixel.
     """
-    with float64():
-        rays = np.asarray(_rays(as_float64(rig.camera), jnp.asarray(pixels, jnp.float64)))
-    return jacobian_along(rig, laser, rays, steps, columns)
+    return jacobian_along(rig, laser, pixel_rays(rig.camera, pixels), steps, columns)
 
 
 def jacobian_along(
@@ -147,11 +145,6 @@ def jacobian_along(
         J[:, [names.index(f"stage.per_step.{i}") for i in range(3)]] = -(steps / length)[:, None] * rays
     J[~whole] = np.nan
     return J, moved[:, -1]
-
-
-@jax.jit
-def _rays(camera: Camera, pixels: Float[Array, "points 2"]) -> Float[Array, "points 3"]:
-    return jax.vmap(camera.ray)(pixels)
 
 
 def _as_arrays(

@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
 
-from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.point_sigma import ray_jacobian
 from jaxscan.rig import Covariance, Rig
+from jaxscan.rig.projection import pixel_rays
 
 _DEGREE: Final = 10
 # Pixels to each side of the image at which the maps are fitted.
@@ -53,10 +53,7 @@ class SigmaMap(eqx.Module):
         u, v = (x.ravel() for x in np.meshgrid(nodes, nodes, indexing="ij"))
         width, height = rig.camera.image_size
         pixels = np.stack([(u + 1) / 2 * (width - 1), (v + 1) / 2 * (height - 1)], axis=-1)
-        with float64():
-            exact = as_float64(rig)
-            rays = np.asarray(jax.vmap(exact.camera.ray)(jnp.asarray(pixels)))
-        w = rays @ np.stack([float(c) for c in rig.laser(laser).plane])
+        w = pixel_rays(rig.camera, pixels) @ np.stack([float(c) for c in rig.laser(laser).plane])
         still, of_pixel = ray_jacobian(rig, laser, pixels, np.zeros(len(pixels)), columns)
         moved, _ = ray_jacobian(rig, laser, pixels, np.ones(len(pixels)), columns)
         J0, J1, S = still * w[:, None] ** 2, moved - still, covariance.of_leaves(rig)

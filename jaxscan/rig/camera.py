@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxscan.errors import InputError
 from jaxscan.precision import Leaf
-from jaxscan.rig.lens import Coefficients, distort, undistort
+from jaxscan.rig.lens import Coefficients, distort, undistort, undistorted_change
 
 # The lens ladder: how many radial and tangential coefficients each rung has.
 LENSES: Final = {
@@ -98,6 +98,14 @@ class Camera(eqx.Module):
         xd = (pixel - jnp.stack(self.principal)) / jnp.stack(self.focal)
         x = undistort(self.radial, self.tangential, xd)
         return jnp.concatenate([x, jnp.ones_like(x[:1])])
+
+    def ray_and_change(
+        self, pixel: Float[Array, "2"], along: Float[Array, "2"]
+    ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+        """The ray of a pixel, and how it changes for each pixel in the direction `along`."""
+        x = self.ray(pixel)
+        dx = undistorted_change(self.radial, self.tangential, x[:2], along / jnp.stack(self.focal))
+        return x, jnp.concatenate([dx, jnp.zeros_like(dx[:1])])
 
 
 def camera_parameters(lens: str) -> tuple[str, ...]:

@@ -80,6 +80,13 @@ def _undistort_jvp(primals: Any, tangents: Any) -> Any:
     return x, _solve2(J, xd_dot - moved)
 
 
+def undistorted_change(
+    radial: Coefficients, tangential: Coefficients, x: Float[Array, "2"], xd_dot: Float[Array, "2"]
+) -> Float[Array, "2"]:
+    """How undistorted coordinates x move when the distorted ones move by xd_dot: f_x⁻¹ xd_dot."""
+    return _solve2(jax.jacfwd(lambda x: distort(radial, tangential, x))(x), xd_dot)
+
+
 def _solve2(J: Float[Array, "2 2"], b: Float[Array, "2"]) -> Float[Array, "2"]:
     det = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
     return jnp.stack([J[1, 1] * b[0] - J[0, 1] * b[1], J[0, 0] * b[1] - J[1, 0] * b[0]]) / det

@@ -20,6 +20,8 @@ from jaxscan.rig.camera import LENSES, Camera, camera_parameters
 # The lens that every other one is a part of.
 RICHEST: Final = "rational"
 _AT_ONCE: Final = 1024
+# A whole image's rays come in larger ones.
+_MANY: Final = 8192
 # A ray is followed outwards from the axis in so many steps: where the lens folds on its way no pixel is its own.
 _ON_THE_WAY: Final = 4
 
@@ -71,6 +73,16 @@ def project_points(camera: Camera, points: Float[np.ndarray, "points 3"], *, ric
     return Projection(pixels, by_point, by_ray, by_camera if richest else by_camera[..., lens_leaves(camera.lens)])
 
 
+def pixel_rays(camera: Camera, pixels: Float[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 3"]:
+    """The rays (x, y, 1) of pixels; NaN outside the lens's invertible range, and for a pixel that is NaN."""
+    flat = pixels.reshape(-1, 2)
+    size = _AT_ONCE if len(flat) < _MANY else _MANY
+    with float64():
+        exact = as_float64(camera)
+        batches = [np.asarray(_rays(exact, jnp.asarray(batch))) for batch in _batches(flat, size)]
+    return np.concatenate(batches)[: len(flat)].reshape(*pixels.shape[:-1], 3)
+
+
 def within_fold(camera: Camera, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
     """Whether the lens is one to one all the way from its axis to a point's ray: beyond, its pixel is another's."""
     along = np.linspace(0, 1, _ON_THE_WAY + 1)[1:]
@@ -85,16 +97,23 @@ def within_fold(camera: Camera, points: Float[np.ndarray, "points 3"]) -> Bool[n
 def _by_ray(
     camera: Camera, x: Float[np.ndarray, "points 2"]
 ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 2"], Float[np.ndarray, "points 2 leaves"]]:
-    padded = np.zeros((max(-(-len(x) // _AT_ONCE), 1) * _AT_ONCE, 2))
-    padded[: len(x)] = x
     with float64():
         richest = as_float64(with_richest_lens(camera))
-        parts = [
-            [np.asarray(part) for part in _pixels(richest, jnp.asarray(batch))]
-            for batch in padded.reshape(-1, _AT_ONCE, 2)
-        ]
+        parts = [[np.asarray(part) for part in _pixels(richest, jnp.asarray(batch))] for batch in _batches(x, _AT_ONCE)]
     pixels, by_ray, by_camera = (np.concatenate(part)[: len(x)] for part in zip(*parts, strict=True))
     return pixels, by_ray, by_camera
+
+
+def _batches(x: Float[np.ndarray, "points 2"], size: int) -> Float64[np.ndarray, "batches size 2"]:
+    """Padded with zeros to batches of one size, at least one."""
+    padded = np.zeros((max(-(-len(x) // size), 1) * size, 2))
+    padded[: len(x)] = x
+    return padded.reshape(-1, size, 2)
+
+
+@eqx.filter_jit
+def _rays(camera: Camera, pixels: Float[Array, "batch 2"]) -> Float[Array, "batch 3"]:
+    return jax.vmap(camera.ray)(pixels)
 
 
 @eqx.filter_jit

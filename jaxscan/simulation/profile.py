@@ -16,10 +16,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, Rig
+from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import FINE, Sheet
 from jaxscan.simulation.light import Lighting
-from jaxscan.simulation.render import at_steps, rays_of, sheet_of, trace
+from jaxscan.simulation.render import at_steps, sheet_of, trace
 from jaxscan.simulation.scene import Scene
 
 # Candidates are refined in multiples of this many, so that frames share a compilation.
@@ -83,7 +84,7 @@ def true_profile(
     position = (along + 0.5) / FINE - 0.5
     lines = np.broadcast_to(line, position.shape)
     pixels = np.stack([lines, position] if columns else [position, lines], axis=-1)
-    rays = rays_of(rig.camera, pixels.reshape(-1, 2)).reshape(3, len(line), 3)
+    rays = pixel_rays(rig.camera, pixels)
     size = -(-len(line) // _BUCKET) * _BUCKET
     rays = np.pad(rays, ((0, 0), (0, size - len(line)), (0, 0)), mode="edge")
     before = np.pad(g[fine_row, line] < 0, (0, size - len(line)))
@@ -151,5 +152,5 @@ def _kept_line_rays(leaves: tuple[float, ...], structure: Any, columns: bool) ->
     pixels = np.stack(np.meshgrid(u, fine_v) if columns else np.meshgrid(fine_u, v), axis=-1)
     if not columns:
         pixels = np.swapaxes(pixels, 0, 1)
-    rays = rays_of(camera, pixels.reshape(-1, 2)).reshape(*pixels.shape[:2], 3).astype(np.float32)
+    rays = pixel_rays(camera, pixels).astype(np.float32)
     return jnp.asarray(rays[..., 0]), jnp.asarray(rays[..., 1])

@@ -15,8 +15,8 @@ from jaxtyping import Array, Float, UInt
 
 from jaxscan.errors import InputError
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
-from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Camera, Rig
+from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import CHUNK, FINE, Light, Sheet
 from jaxscan.simulation.light import Lighting, Sensor
@@ -25,7 +25,6 @@ from jaxscan.simulation.speckle import speckle
 
 # A camera's rays take 22 MB at 640 × 480.
 _CAMERAS_KEPT = 4
-_RAYS_AT_ONCE = 1 << 13
 # Rows of pixels whose light is gathered at once.
 _BAND = 48
 
@@ -121,22 +120,8 @@ def _fine_rays(leaves: tuple[float, ...], structure: Any) -> Any:
     columns, rows = jax.tree.unflatten(structure, leaves).image_size
     u, v = ((np.arange(FINE * n) + 0.5) / FINE - 0.5 for n in (columns, rows))
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    rays = rays_of(jax.tree.unflatten(structure, leaves), pixels).astype(np.float32)
+    rays = pixel_rays(jax.tree.unflatten(structure, leaves), pixels).astype(np.float32)
     return tuple(jnp.asarray(rays[:, i].reshape(len(v), len(u))) for i in (0, 1))
-
-
-def rays_of(camera: Camera, pixels: Float[np.ndarray, "pixels 2"]) -> Float[np.ndarray, "pixels 3"]:
-    """The camera's rays of many pixels, in float64."""
-    with float64():
-        camera = as_float64(as_numpy(camera))
-        filled = np.pad(pixels, ((0, -len(pixels) % _RAYS_AT_ONCE), (0, 0)), mode="edge")
-        parts = [_rays(camera, jnp.asarray(part)) for part in filled.reshape(-1, _RAYS_AT_ONCE, 2)]
-        return np.concatenate(parts)[: len(pixels)]
-
-
-@jax.jit
-def _rays(camera: Camera, pixels: Float[Array, "pixels 2"]) -> Float[Array, "pixels 3"]:
-    return jax.vmap(camera.ray)(pixels)
 
 
 def _light(lighting: Lighting) -> Light:
