@@ -16,9 +16,8 @@ from scipy.special import log_ndtr, ndtr
 
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.precision import as_numpy, float64
-from jaxscan.reconstruction.point_sigma import ray_jacobian
 from jaxscan.rig import LightPlane, Rig
-from jaxscan.simulation import rig_2003
+from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation.distance import distance
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.profile import Profile, true_profile
@@ -32,6 +31,7 @@ _ASIDE: Final = 1e-4
 _HALF_PX: Final = 8
 # A dimmer stripe is none, grey levels; a point that moves by more than this between the two sheets is at an edge, px.
 _LEAST_LEVEL, _FARTHEST_PX = 30.0, 0.5
+_SMALL_PX: Final = 0.01
 
 
 def cloud_bound(
@@ -39,14 +39,14 @@ def cloud_bound(
 ) -> Mapping[str, float]:
     """RMS over the points of these frames, mm: `absolute`, from the surface, and `to_true_point`."""
     frames = [_frame(rig, scene, n, lighting, sensor) for n in steps]
-    along, off = (np.concatenate(parts) for parts in zip(*frames, strict=True))
-    return {"absolute": _rms(off), "to_true_point": _rms(along)}
+    place, off = (np.concatenate(parts) for parts in zip(*frames, strict=True))
+    return {"absolute": _rms(off), "to_true_point": _rms(place)}
 
 
 def _frame(
     rig: Rig, scene: Scene, steps: int, lighting: Lighting, sensor: Sensor
 ) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
-    """Bounds of each point of a frame: along its ray, and across the surface, mm."""
+    """Bounds of each point of a frame: from its true place, and from the surface, mm."""
     exact = replace(sensor, noise=0.0, bits=16)
     dark = replace(lighting, speckle=0.0, ghost=0.0, ambient=0.0, directional=0.0, highlight=0.0)
     dimmed = replace(dark, laser_power=lighting.laser_power / _DIMMED)
@@ -60,7 +60,7 @@ def _frame(
     seen = true_profile(rig, scene, steps, lighting=lighting)
     sigma = _sigma_px(ground, stripes[0], stripes[1], rows[0], rows[1], lighting.speckle, sensor)
     good = np.flatnonzero(np.isfinite(sigma) & np.isfinite(seen.position))
-    return _in_mm(rig, scene, steps, seen, good, sigma[good])
+    return _in_mm(rig, scene, seen, good, sigma[good])
 
 
 def _sigma_px(
@@ -100,17 +100,21 @@ def _told(t: Float[np.ndarray, "pixels"]) -> Float[np.ndarray, "pixels"]:
 
 
 def _in_mm(
-    rig: Rig, scene: Scene, steps: int, seen: Profile, columns: np.ndarray, sigma: Float[np.ndarray, "points"]
+    rig: Rig, scene: Scene, seen: Profile, columns: np.ndarray, sigma: Float[np.ndarray, "points"]
 ) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
-    pixels = np.stack([columns, seen.position[columns]], axis=-1)
-    counts = np.full(len(columns), float(steps))
-    along = sigma * np.abs(ray_jacobian(rig, rig.lasers[0].name, pixels, counts, True)[1])
-    points = seen.points[columns]
-    there = points + rig_2003.stage_travel(rig, counts)
-    rays = there / np.linalg.norm(there, axis=1, keepdims=True)
-    small = 0.01
-    slant = np.minimum(distance(scene, points - small * rays) / small, 1.0)
-    return along, along * slant
+    """How far each point is from its true place, and from the surface."""
+    position, points = seen.position[columns], seen.points[columns]
+    # A point moves within the sheet: along its ray, and aside with its pixel.
+    sheet = np.asarray(rig.lasers[0].omega, float)
+    before, after = (
+        rays / (rays @ sheet)[:, None]
+        for rays in (
+            pixel_rays(rig.camera, np.stack([columns, position + aside], axis=-1)) for aside in (-_SMALL_PX, _SMALL_PX)
+        )
+    )
+    moved = (after - before) / (2 * _SMALL_PX)
+    off = distance(scene, points + _SMALL_PX * moved) / _SMALL_PX
+    return sigma * np.linalg.norm(moved, axis=1), sigma * off
 
 
 def _with_sheet(rig: Rig, part: float) -> Rig:

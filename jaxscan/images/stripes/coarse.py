@@ -86,8 +86,10 @@ def row_of(peaks: Packed, block: Packed, length: int) -> Packed:
 
 
 @partial(jax.jit, static_argnames=("length", "columns"))
-def choose_peaks(peaks: Int[Array, "frames across down"], length: int, columns: bool) -> Int[Array, "frames lines"]:
-    """The row (or column) of the peak, for each column (or row): in the block that stands out most.
+def choose_peaks(
+    peaks: Int[Array, "frames across down"], length: int, columns: bool
+) -> tuple[Int[Array, "frames lines"], Int[Array, "frames lines"]]:
+    """The row (or column) of the peak, for each column (or row): in the block that stands out most; and how much.
 
     Of equals the first is taken.
     """
@@ -101,7 +103,7 @@ def choose_peaks(peaks: Int[Array, "frames across down"], length: int, columns: 
     best = (score * 2**bits + (n - 1 - place)).max(axis, keepdims=True)
     block = n - 1 - (best & (2**bits - 1))
     peak = jnp.take_along_axis(peaks, block, axis, mode="promise_in_bounds")
-    return row_of(peak.astype(jnp.int32), block, length).squeeze(axis)
+    return row_of(peak.astype(jnp.int32), block, length).squeeze(axis), (best >> bits).squeeze(axis)
 
 
 def _along(axis: int, rank: int) -> list[int]:

@@ -163,12 +163,11 @@ def _detect(
     # Without a copy where the array is aligned to 64 bytes; nothing of it is kept.
     images, background = jax.device_put((frames, dark))
     peaks = coarse_peaks(images, background, ambient, color, columns)
-    if choice in ("likeliest", "strongest"):
-        peak = np.array(choose_peaks(peaks, length, columns))[:count]
-    else:
+    peak, stands = (np.array(each)[:count] for each in choose_peaks(peaks, length, columns))
+    if choice not in ("likeliest", "strongest"):
         rows, strength = (np.asarray(each)[:count] for each in candidates(peaks, length, columns))
         peak = choose(rows, strength, choice)
-    sensor = survey(images, background, ambient, peak, color, columns, narrow, FRAMES_AT_ONCE)
+    sensor = survey(images, background, ambient, peak, stands, color, columns, narrow, FRAMES_AT_ONCE)
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
     slim_frames = np.asarray(sensor.ln_s)[:count] < (_SLIM_LN_PX if detector == "likelihood" else -np.inf)

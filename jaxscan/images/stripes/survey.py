@@ -45,6 +45,8 @@ from jaxscan.robust import NORMAL_MAD
 
 # Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
 _LINES, _GROUPS = 96, 8
+# A line seems to have a stripe that stands out by this part of what is usual of the strongest.
+_STANDS = 0.25
 # Newton's steps: as far as the noise need be known.
 _STEPS = 4
 # Where speckle is strong, what a fit leaves tells the noise only once the fit has weighted its pixels by it.
@@ -86,6 +88,7 @@ def survey(
     background: Backgrounds | None,
     ambient: Int[np.ndarray, "frames"],
     peak: Int[np.ndarray, "frames lines"],
+    stands: Int[np.ndarray, "frames lines"],
     color: str,
     columns: bool,
     half: int,
@@ -98,27 +101,40 @@ def survey(
         background: the same with the laser off, one for all or one for each, or None.
         ambient: c of the response.
         peak: the coarse peak of every line.
+        stands: how much it stands out.
         color: of the laser, or grey.
         columns: whether lines are columns.
         half: half the window's length.
         most: how many frames there may be: so many entries has each number of the answer, the last one repeated, so
             that no number of frames compiles anew.
     """
-    frames, lines = peak.shape
-    # As many of a narrow image, some of them twice: one size is compiled.
-    some = np.linspace(0, lines - 1, _LINES).astype(np.int32)
-    of = np.minimum(np.arange(most, dtype=np.int32), frames - 1)
-    frame, line = (np.ascontiguousarray(x) for x in np.broadcast_arrays(of[:, None], some))
-    ambient = ambient[of]
-    at = (frame, line, peak[of][:, some], columns, half)
+    of = np.minimum(np.arange(most, dtype=np.int32), len(peak) - 1)
+    line = _lines_with_a_stripe(stands)[of]
+    frame = np.ascontiguousarray(np.broadcast_to(of[:, None], line.shape))
+    ambient, row = ambient[of], peak[frame, line]
+    at = (frame, line, row, columns, half)
     lit = gather_pixels(images, *at)
     dark = None if background is None else gather_pixels(background, *at)
-    first = first_pixel(images, jnp.asarray(peak[of][:, some]), columns, half)
+    first = first_pixel(images, jnp.asarray(row), columns, half)
     # Merged exposures have 16 bits, and their own rounding.
     chroma = None if color == "grey" or lit.dtype != jnp.uint8 else has_half_chroma(lit, first, color)
     if chroma is None or not np.asarray(chroma).any():
         return survey_windows(lit, dark, ambient, color)
     return survey_windows(lit, dark, ambient, color, chroma=(chroma, first))
+
+
+def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames some"]:
+    """Lines of each frame that seem to have one, evenly spread; of all lines where none stand out.
+
+    As many of a narrow image or a short stripe, some of them twice: one size is compiled.
+    """
+    strongest = min(_LINES, stands.shape[1])
+    usual = np.median(np.partition(stands, -strongest, axis=1)[:, -strongest:], axis=1)
+    chosen = []
+    for each, least in zip(stands, _STANDS * usual, strict=True):
+        bright = np.flatnonzero(each >= least)
+        chosen.append(bright[np.linspace(0, len(bright) - 1, _LINES).astype(np.int32)])
+    return np.stack(chosen).astype(np.int32)
 
 
 @partial(jax.jit, static_argnames="color")
@@ -305,15 +321,16 @@ def _chance(
     # Where an edge runs along the stripe, the profile leaves much more than chance does.
     left = (found.weight * found.residual**2).sum(1)
     usual = median(jnp.where(fair, left, jnp.nan))[:, None]
-    fair &= left < _MOST_OF_USUAL * usual
-    root = jnp.where(fair[:, None], jnp.sqrt(found.weight), 0.0)
+    usable = left < _MOST_OF_USUAL * usual
     peak = around.top - around.floor
-    standard = root * found.residual
-    even = (1 / jnp.sqrt(jnp.maximum(left, usual)))[:, None]
-    share = _share_in_common(even * standard, even * root * peak, found.profile.centre)
+    every = jnp.where((shines & usable)[:, None], jnp.sqrt(found.weight), 0.0)
+    every = every / jnp.sqrt(jnp.maximum(left, usual))[:, None]
+    share = _share_in_common(every * found.residual, every * peak, found.profile.centre)
     apart &= share < _MOST_COMMON
     burnt = ~enough[:, None, None]
-    root, standard = (jnp.where(burnt & ~apart[:, None, None], 0.0, x) for x in (root, standard))
+    read = (fair & usable & (enough | apart)[:, None])[:, None]
+    root = jnp.where(read, jnp.sqrt(found.weight), 0.0)
+    standard = root * found.residual
     height = jnp.maximum(found.height, 0.0)
     # A full pixel takes its part of what the fit takes, and shows nothing.
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
@@ -365,7 +382,10 @@ def _share_in_common(standard: Pixels, peak: Pixels, centre: Lines) -> Float[Arr
     inside = (at >= 0) & (at < size)
     z, p = (jnp.where(inside, jnp.take_along_axis(x, jnp.clip(at, 0, size - 1), axis=1), 0.0) for x in (standard, peak))
     common = (p * z).sum(2) ** 2 / jnp.maximum((p * p).sum(2), _TINY)
-    return common.sum(1) / jnp.maximum((z * z).sum((1, 2)), _TINY)
+    share = common.sum(1) / jnp.maximum((z * z).sum((1, 2)), _TINY)
+    # Of n lines that have nothing in common, a share of 1 / n.
+    by_chance = 1 / jnp.maximum((p.max(1) > 0).sum(1), 2)
+    return (share - by_chance) / (1 - by_chance)
 
 
 def _taken(found: Fit) -> list[Pixels]:
