@@ -26,7 +26,7 @@ def bare_stripe(frames: UInt[np.ndarray, "frames rows columns 3"]) -> Float[np.n
     images = jax.device_put(frames)
     length, columns = frames.shape[1:3]
     peaks = coarse_peaks(images, None, ambient_levels(frames, None, "red"), "red", columns=True)
-    peak = choose_peaks(peaks, length, columns=True)
+    peak, _ = choose_peaks(peaks, length, columns=True)
     of, line = (np.ascontiguousarray(x, np.int32) for x in np.indices((len(frames), columns)))
     pixels = gather_pixels(images, of, line, peak, columns=True, half=_HALF)
     return np.asarray(_zero(pixels, first_pixel(images, peak, columns=True, half=_HALF)))

@@ -34,5 +34,7 @@ def test_the_row_that_stands_out_most(dtype, rows, columns):
     assert level.min() < 0
     given = images if columns else images.transpose(0, 2, 1, 3)
     peaks = coarse_peaks(given, None, ambient, "red", columns)
-    found = np.asarray(choose_peaks(peaks, rows, columns))
+    found, stands = (np.asarray(each) for each in choose_peaks(peaks, rows, columns))
     np.testing.assert_array_equal(found, [by_loops(frame) for frame in level])
+    assert stands.shape == found.shape
+    assert (stands >= 0).all()

@@ -37,6 +37,24 @@ def test_what_is_said_of_the_light_is_what_it_was(color):
     assert "speckle contrast 0." in light.in_words()
 
 
+def test_speckle_of_a_short_stripe_that_is_burnt_out_here_and_there():
+    """Too few lines were looked at, and in some frames no speckle was seen: errors half as large again."""
+    random, frames = np.random.default_rng(1), 16
+    centre = 48 + 3 * np.sin(np.arange(640) / 40) + random.uniform(-0.5, 0.5, 640)
+    away = np.arange(ROWS)[:, None] - centre
+    light = np.where(np.abs(np.arange(640) - 320) < 130, 260 * np.exp(-0.5 * (away / 0.85) ** 2), 0.0)
+    light = light * random.gamma(25.0, 0.04, (frames, *light.shape))
+    levels = np.full((frames, ROWS, 640, 3), 60.0)
+    levels[..., 0] += light
+    levels += 2 * random.standard_normal(levels.shape)
+    found = detect_stripe(np.rint(levels.clip(0, 255)).astype(np.uint8), StripeSettings("red"))
+    assert found.valid[:, 200:440].mean() > 0.99
+    np.testing.assert_allclose(found.light[:, 2], 0.2, atol=0.06)
+    off = np.where(found.valid, found.position - centre, np.nan)
+    errors = np.sqrt(np.nanmean(off**2, axis=1))
+    np.testing.assert_allclose(errors, np.median(errors), rtol=0.2)
+
+
 def test_a_photograph_without_a_stripe_says_nothing():
     dark = detect_stripe(np.full((ROWS, 64), 40, np.uint8), StripeSettings("grey"))
     assert np.isnan(dark.light).all()
