@@ -29,7 +29,7 @@ def exact_session(seed: int, lasers: int = 1) -> tuple[Rig, Observations]:
     poses, stage = rig_2003.board_poses(rig, seed), rig_2003.stage_pose(rig, seed)
     points = rig_2003.BOARD.points()
     steps = rig_2003.STEPS_APART * np.arange(rig_2003.STAGE_VIEWS, dtype=float)
-    first = points @ rig_2003.matrix_of(np.asarray(stage.rotation)).T + stage.translation
+    first = stage.apply(points)
     along = tuple(
         View(f"stage-{i}", _project(rig.camera, first + moved))
         for i, moved in enumerate(rig_2003.stage_travel(rig, steps))
@@ -51,7 +51,7 @@ def exact_turn(rig: Rig, seed: int) -> StageSequence:
     views = tuple(
         View(
             f"turntable-{i}",
-            _project(rig.camera, points @ rig_2003.matrix_of(np.asarray(board.rotation)).T + board.translation + moved),
+            _project(rig.camera, board.apply(points) + moved),
         )
         for i, (board, moved) in enumerate(zip(boards, rig_2003.stage_travel(rig, steps), strict=True))
     )
@@ -65,7 +65,7 @@ def exact_views(rig: Rig, poses: Pose) -> tuple[View, ...]:
         zip(np.asarray(poses.rotation), np.asarray(poses.translation), strict=True)
     ):
         scene = rig_2003.board_scene(rotation, translation)
-        X = points @ rig_2003.matrix_of(rotation).T + translation
+        X = Pose(rotation, translation).apply(points)
         stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n) for n in range(len(rig.lasers)))
         views.append(View(f"view-{i}", _project(rig.camera, X), stripes=stripes))
     return tuple(views)

@@ -37,6 +37,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.metric import Metric
 from jaxscan.errors import InputError
 from jaxscan.files.scan import read_scan
+from jaxscan.geometry import Pose
 from jaxscan.geometry.closest import ClosestOnTriangles
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import Rig
@@ -44,9 +45,8 @@ from jaxscan.simulation import Scene, distance, rig_2003
 from jaxscan.simulation.drawn import drawn_scan, noisy_scan
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.shapes import figure
-from jaxscan.surface.coarse import STILL, arrange
+from jaxscan.surface.coarse import arrange
 from jaxscan.surface.merged import Merged, merge, merge_closed
-from jaxscan.surface.motion import Motion, after, inverse, moved
 from jaxscan.surface.register import Registration, moved_apart, register
 from jaxscan.surface.side import Side, side_of_image
 
@@ -89,7 +89,7 @@ def measure(quick: bool) -> list[Metric]:
     return metrics
 
 
-def turned(rig: Rig) -> tuple[list[Scene], list[Motion]]:
+def turned(rig: Rig) -> tuple[list[Scene], list[Pose]]:
     """What each view saw, and T_first_side of each."""
     R, origin = rig_2003.platform(rig)
     random = np.random.default_rng(5)
@@ -103,7 +103,7 @@ def turned(rig: Rig) -> tuple[list[Scene], list[Motion]]:
         bodies = rig_2003.turned(figure(rig_2003.OBJECT_Y), degrees)
         scenes.append(rig_2003.scan_scene(rig, [body.moved(np.eye(3), shift) for body in bodies]))
         T = R @ turn.T @ R.T
-        truth.append((T, origin - T @ origin - R @ turn.T @ t))
+        truth.append(Pose.from_matrix(T, origin - T @ origin - R @ turn.T @ t))
     return scenes, truth
 
 
@@ -113,23 +113,23 @@ def sides_of(images: Iterable[RangeImage]) -> list[Side]:
 
 
 # Two sides and a start, to T_first_second.
-Pair = Callable[[Side, Side, Motion], Motion]
+Pair = Callable[[Side, Side, Pose], Pose]
 
 
-def own_pair(a: Side, b: Side, start: Motion) -> Motion:
+def own_pair(a: Side, b: Side, start: Pose) -> Pose:
     """By our own residual and weights."""
-    return register((a, b), (STILL, start)).poses[1]
+    return register((a, b), (Pose.identity(), start)).poses[1]
 
 
 def peers_pair(kind: str, reach_mm: float) -> Pair:
     """By small_gicp."""
 
-    def pair(a: Side, b: Side, start: Motion) -> Motion:
+    def pair(a: Side, b: Side, start: Pose) -> Pose:
         clouds = [small_gicp.PointCloud(side.points) for side in (a, b)]
         for cloud in clouds:
             small_gicp.estimate_normals_covariances(cloud)
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = start
+        T[:3, :3], T[:3, 3] = start.matrix(), start.translation
         found = small_gicp.align(
             *clouds,
             init_T_target_source=T,
@@ -139,7 +139,7 @@ def peers_pair(kind: str, reach_mm: float) -> Pair:
             rotation_epsilon=1e-6,
             translation_epsilon=1e-6,
         ).T_target_source
-        return found[:3, :3], found[:3, 3]
+        return Pose.from_matrix(found[:3, :3], found[:3, 3])
 
     return pair
 
@@ -150,11 +150,11 @@ CHAINS: Final[dict[str, Pair]] = {OWN: own_pair} | {
 }
 
 
-def chain(sides: list[Side], truth: list[Motion], pair: Pair = own_pair) -> list[Motion]:
+def chain(sides: list[Side], truth: list[Pose], pair: Pair = own_pair) -> list[Pose]:
     """Poses from pairs alone, one after the other from the true starts."""
-    poses = [STILL]
+    poses = [Pose.identity()]
     for a, b in pairwise(range(VIEWS)):
-        poses.append(after(poses[-1], pair(sides[a], sides[b], after(inverse(truth[a]), truth[b]))))
+        poses.append(poses[-1] @ pair(sides[a], sides[b], truth[a].inverse() @ truth[b]))
     return poses
 
 
@@ -166,13 +166,13 @@ def photographed(rig: Rig, scene: Scene, seed: int) -> RangeImage:
         return reconstruct(rig, read_scan(Path(folder)))
 
 
-def joined(stem: str, sides: list[Side], truth: list[Motion], scene: Scene) -> list[Metric]:
+def joined(stem: str, sides: list[Side], truth: list[Pose], scene: Scene) -> list[Metric]:
     """Registered from wrong angles and from none, chained, merged."""
     told = [45.0 * k + wrong for k, wrong in enumerate(np.random.default_rng(0).uniform(-10, 10, VIEWS))]
     begin = time.perf_counter()
     found = register(sides, arrange(sides, told))
     seconds = time.perf_counter() - begin
-    chained, last = chain(sides, truth), own_pair(sides[-1], sides[0], inverse(truth[-1]))
+    chained, last = chain(sides, truth), own_pair(sides[-1], sides[0], truth[-1].inverse())
     off, off_chained = errors(found.poses, truth, found.centre), errors(chained, truth, found.centre)
     shift, beside = common_shift(off, truth)
     metrics = [
@@ -180,8 +180,8 @@ def joined(stem: str, sides: list[Side], truth: list[Motion], scene: Scene) -> l
         Metric(f"{stem}.turn_off", float(np.degrees(_largest(off[:, :3]))), "°", "lower", 0.05, floor=0.005),
         Metric(f"{stem}.common_shift", float(np.linalg.norm(shift)), "mm"),
         Metric(f"{stem}.pose_off_beside_it", _largest(beside), "mm"),
-        Metric(f"{stem}.closure", moved_apart(sides[0], after(found.poses[-1], last), STILL), "mm", "lower", 0.05),
-        Metric(f"{stem}.chained.closure", moved_apart(sides[0], after(chained[-1], last), STILL), "mm"),
+        Metric(f"{stem}.closure", moved_apart(sides[0], found.poses[-1] @ last, Pose.identity()), "mm", "lower", 0.05),
+        Metric(f"{stem}.chained.closure", moved_apart(sides[0], chained[-1] @ last, Pose.identity()), "mm"),
         Metric(f"{stem}.chained.pose_off", _largest(off_chained[:, 3:]), "mm"),
         Metric(f"{stem}.chained.turn_off", float(np.degrees(_largest(off_chained[:, :3]))), "°"),
         Metric(f"{stem}.residual_in_sigma", float(np.sqrt(found.variance))),
@@ -202,14 +202,14 @@ def by_features(stem: str, sides: list[Side], found: Registration) -> list[Metri
     return [Metric(f"{stem}.features_apart_from_angles", apart, "mm", "lower", 0.01)]
 
 
-def surface(stem: str, sides: list[Side], found: Registration, truth: list[Motion], scene: Scene) -> list[Metric]:
+def surface(stem: str, sides: list[Side], found: Registration, truth: list[Pose], scene: Scene) -> list[Metric]:
     """The merged surface against the truth, and against single scans in their true poses."""
     begin = time.perf_counter()
     merged = merge(sides, found.poses)
     seconds = time.perf_counter() - begin
     closed = merge_closed(sides, found.poses)
-    single = [np.abs(distance(scene, moved(s.points, T))) for s, T in zip(sides, truth, strict=True)]
-    points = np.concatenate([moved(s.points, T)[~s.rim] for s, T in zip(sides, found.poses, strict=True)])
+    single = [np.abs(distance(scene, T.apply(s.points))) for s, T in zip(sides, truth, strict=True)]
+    points = np.concatenate([T.apply(s.points)[~s.rim] for s, T in zip(sides, found.poses, strict=True)])
     near, _ = ClosestOnTriangles(np.asarray(merged.mesh.triangles))(points)
     covered = np.linalg.norm(near - points, axis=1) < _COVERED_MM
     alone = single_noise(merged, sides, truth, single)
@@ -228,32 +228,32 @@ def surface(stem: str, sides: list[Side], found: Registration, truth: list[Motio
 
 
 def single_noise(
-    merged: Merged, sides: list[Side], truth: list[Motion], single: list[Float[np.ndarray, "points"]]
+    merged: Merged, sides: list[Side], truth: list[Pose], single: list[Float[np.ndarray, "points"]]
 ) -> Float[np.ndarray, "errors"]:
     """The errors of the single scans' points that are nearest to each vertex."""
     errors = []
     for side, T, error in zip(sides, truth, single, strict=True):
-        away, index = KDTree(moved(side.points, T)).query(merged.mesh.vertices)
+        away, index = KDTree(T.apply(side.points)).query(merged.mesh.vertices)
         errors.append(error[np.asarray(index)[away < side.spacing_mm]])
     return np.concatenate(errors)
 
 
 def errors(
-    poses: tuple[Motion, ...] | list[Motion], truth: list[Motion], centre: Float[np.ndarray, "3"]
+    poses: tuple[Pose, ...] | list[Pose], truth: list[Pose], centre: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "sides 6"]:
     """The small motion from each true pose to the one found: rotation (radians) about the centre, translation (mm)."""
     found = []
     for T, true in zip(poses, truth, strict=True):
-        R, t = after(T, inverse(true))
-        found.append(np.concatenate([Rotation.from_matrix(R).as_rotvec(), R @ centre + t - centre]))
+        apart = T @ true.inverse()
+        found.append(np.concatenate([apart.rotation, apart.apply(centre) - centre]))
     return np.stack(found)
 
 
 def common_shift(
-    off: Float[np.ndarray, "sides 6"], truth: list[Motion]
+    off: Float[np.ndarray, "sides 6"], truth: list[Pose]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "sides 3"]]:
     """The shift of every scan in its own frame that explains most of the poses' errors, and what it leaves."""
-    A = np.concatenate([np.eye(3) - R for R, _ in truth])
+    A = np.concatenate([np.eye(3) - T.matrix() for T in truth])
     shift = np.linalg.lstsq(A, off[:, 3:].ravel(), rcond=1e-6)[0]
     return shift, off[:, 3:] - (A @ shift).reshape(-1, 3)
 

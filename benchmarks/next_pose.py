@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from benchmarks.drawn import Noise, exact_session, exact_views, redrawn
@@ -123,13 +122,11 @@ def _with(exact: Observations, views: tuple[View, ...]) -> Observations:
 def _beside(rig: Rig, pose: Pose, random: np.random.Generator) -> Pose:
     """The board in about that pose, and wholly in the image."""
     middle = rig_2003.BOARD.points().mean(axis=0)
-    R = rig_2003.matrix_of(np.asarray(pose.rotation))
     while True:
         aside = random.normal(scale=np.radians(_BESIDE_DEG), size=3)
-        turned = rig_2003.matrix_of(aside) @ R
-        translation = pose.translation + (R - turned) @ middle + random.normal(scale=_BESIDE_MM, size=3)
-        if rig_2003.in_view(rig.camera, turned, translation[None]):
-            return rig_2003.pose_of(Rotation.from_matrix(turned).as_rotvec(), translation)
+        beside = Pose.about(aside, pose.apply(middle), random.normal(scale=_BESIDE_MM, size=3)) @ pose
+        if rig_2003.in_view(rig.camera, beside.matrix(), beside.translation[None]):
+            return beside
 
 
 def _stack(poses: list[Pose]) -> Pose:

@@ -329,8 +329,8 @@ def pyramid_of(seen: RangeImage) -> list[Metric]:
 
 def faces(image: RangeImage, floor: Floor) -> list[Metric]:
     """Planes through the points of the pyramid by the way that they face."""
-    turned = normals(image, links(image)) @ floor.R
-    points = (image.points.astype(np.float64) - floor.origin) @ floor.R
+    turned = normals(image, links(image)) @ floor.frame.matrix()
+    points = floor.frame.inverse().apply(image.points.astype(np.float64))
     tilt = np.degrees(np.arccos(np.clip(turned[..., 2], -1, 1)))
     quarter = np.round(np.degrees(np.arctan2(turned[..., 1], turned[..., 0])) / 90.0) % 4
     height = points[..., 2]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.on_board import stripe_points_in_space
+from jaxscan.geometry import Pose
 from jaxscan.rig import Rig
 
 # The image is looked at in so many columns and rows of cells.
@@ -78,10 +78,9 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "
         poses: of the views' boards, in the order of the views; there may be more.
     """
     # NumPy's: many small arrays, for each of which JAX would compile anew.
-    boards = np.array(poses)[: len(observations.views)]
-    R = Rotation.from_rotvec(boards[:, :3]).as_matrix()
-    normals = R[:, :, 2]
-    middle = observations.board.points().mean(axis=0)
+    boards = Pose.from_vector(np.asarray(poses)[: len(observations.views)])
+    normals = boards.matrix()[..., 2]
+    middles = boards.apply(observations.board.points().mean(axis=0))
     corners = np.concatenate([view.corners[view.used()] for view in observations.views])
     size = np.asarray(observations.image_size)
     cell = np.floor((corners + 0.5) / size * CELLS).astype(int).clip(0, np.array(CELLS) - 1)
@@ -100,7 +99,7 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "
         tilts_deg=np.degrees(np.arccos(np.abs(normals[:, 2]).clip(0, 1))),
         normals=normals,
         tilt_spread_deg=float(np.degrees(np.arccos((normals @ normals.T).clip(-1, 1))).max()),
-        distances_mm=np.linalg.norm(R @ middle + boards[:, 3:], axis=1),
+        distances_mm=np.linalg.norm(middles, axis=1),
         corners_in_cells=counts,
         image_share=float((counts > 0).mean()),
         reach=float(np.linalg.norm(corners - (size - 1) / 2, axis=1).max() / np.linalg.norm(size / 2)),

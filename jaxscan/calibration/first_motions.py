@@ -5,13 +5,13 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration import initial
 from jaxscan.calibration.blocks import reference_turn, view_blocks
 from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.observations import Observations, StageSequence
 from jaxscan.errors import InputError
+from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.geometry.turn import axis_point, rate_of_turn
 from jaxscan.rig import Camera, Stage, Turntable
 
@@ -60,15 +60,16 @@ def _turned(
         middle: of the board, mm.
     """
     steps = np.asarray(sequence.turns, float) - reference_turn(sequence)
-    R = Rotation.from_rotvec(vectors[:, :3])
-    w = rate_of_turn(R.as_matrix(), steps)
+    poses = Pose.from_vector(vectors)
+    w = rate_of_turn(poses.matrix(), steps)
     if (turn := float(np.linalg.norm(w) * np.ptp(steps))) < _LEAST_TURN:
         raise InputError(
             f"{sequence.views[0].name} … {sequence.views[-1].name}: the board on the turntable turned by "
             f"{np.degrees(turn):.1f}° in {np.ptp(steps):g} steps: turn it by 30° or more in all, and check the step "
             "counts under [turntable] and that the board turns with the table"
         )
-    centre, arm = axis_point(R.apply(middle) + vectors[:, 3:], steps, w)
-    rotation = initial.usual_rotation((Rotation.from_rotvec(-steps[:, None] * w) * R).as_rotvec())
-    start = centre + arm - Rotation.from_rotvec(rotation).apply(middle)
+    centre, arm = axis_point(poses.apply(middle), steps, w)
+    back = vector_to_matrix(-steps[:, None] * w)
+    rotation = initial.usual_rotation(matrix_to_vector(back @ poses.matrix()))
+    start = centre + arm - vector_to_matrix(rotation) @ middle
     return Turntable.create(w, centre), np.concatenate([rotation, start])

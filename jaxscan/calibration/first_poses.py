@@ -1,13 +1,12 @@
 """Poses of boards for a camera as it is known: in closed form, block by block."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.calibration import initial
 from jaxscan.calibration.residuals import Blocks
-from jaxscan.geometry import matrix_to_vector
+from jaxscan.geometry import Pose
 from jaxscan.rig import Camera
 from jaxscan.rig.projection import pixel_rays
 
@@ -21,14 +20,9 @@ def first_poses(camera: Camera, blocks: Blocks) -> Float[Array, "blocks 6"]:
     t = np.zeros((len(used), 3))
     points = np.asarray(blocks.points)[0, :, :2]
     R[real], t[real] = initial.board_poses(points, rays[real], used[real])
-    return jnp.where(real[:, None], _pose_vectors(jnp.asarray(R), jnp.asarray(t)), far_away(len(used)))
+    return jnp.where(real[:, None], jnp.asarray(Pose.from_matrix(R, t).as_vector()), far_away(len(used)))
 
 
 def far_away(blocks: int) -> Float[Array, "blocks 6"]:
     """Poses for boards that nothing is known of yet: in front of the camera, one metre away."""
     return jnp.tile(jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0]), (blocks, 1))
-
-
-@jax.jit
-def _pose_vectors(R: Float[Array, "blocks 3 3"], t: Float[Array, "blocks 3"]) -> Float[Array, "blocks 6"]:
-    return jnp.concatenate([jax.vmap(matrix_to_vector)(R), t], axis=-1)

@@ -29,7 +29,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.uncertainty import precision
 from jaxscan.errors import InputError, SolveError
 from jaxscan.files.rig_file import RigFile
-from jaxscan.geometry import Pose, matrix_to_vector
+from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Covariance, Rig
 from jaxscan.rig.covariance import turntable_leaves, with_nearest_centre
@@ -240,11 +240,10 @@ def _laid_in(gauges: Sequence[Gauge], rig: Rig, seen: GaugePoints) -> GaugePoint
             raise InputError(
                 f"{len(cloud)} stripe points in the scan of the gauge: at least {_FEWEST_POINTS} are needed"
             )
-        R, t = gauge.shape.stand(cloud)
-        poses.append(jnp.concatenate([matrix_to_vector(jnp.asarray(R)), jnp.asarray(t)]))
+        poses.append(gauge.shape.stand(cloud).as_vector())
     # Next to nothing beside what a scan tells, but a ball has no turn that it could tell.
     known_to = [[_TURN_TO if gauge.shape.turns else _NO_TURN] * 3 + [_SHIFT_TO] * 3 for gauge in gauges]
-    return eqx.tree_at(lambda s: (s.laid, s.laid_to), seen, (jnp.stack(poses), jnp.array(known_to)))
+    return eqx.tree_at(lambda s: (s.laid, s.laid_to), seen, (jnp.asarray(np.stack(poses)), jnp.array(known_to)))
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ def facing(gauges: Sequence[Gauge], estimate: Estimate, seen: GaugePoints) -> Ga
         on, m = gauge.shape.nearest(local)
         away = local - on
         aside = np.linalg.norm(away - (away * m).sum(axis=1, keepdims=True) * m, axis=1)
-        outwards = m @ np.asarray(Pose.from_vector(estimate.poses[-1][i]).matrix()).T
+        outwards = m @ _pose(estimate, i).matrix().T
         slope = np.abs((outwards * along[i, at]).sum(axis=1)) / np.linalg.norm(along[i, at], axis=1)
         towards = (outwards * rays[i, at]).sum(axis=1) < 0
         surface[i, at], normals[i, at] = on, m
@@ -127,9 +127,13 @@ def _in_gauge(
     estimate: Estimate, points: Float[np.ndarray, "scans points 3"], seen: GaugePoints, i: int
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
     """The points of a scan where a stripe is, in the gauge's frame (mm), and which they are."""
-    T = Pose.from_vector(estimate.poses[-1][i])
     at = np.flatnonzero(np.asarray(seen.used[i]) & np.isfinite(points[i]).all(axis=1))
-    return (points[i, at] - np.asarray(T.translation)) @ np.asarray(T.matrix()), at
+    return _pose(estimate, i).inverse().apply(points[i, at]), at
+
+
+def _pose(estimate: Estimate, i: int) -> Pose[np.ndarray]:
+    """T_object_gauge of a scan."""
+    return Pose.from_vector(np.asarray(estimate.poses[-1][i]))
 
 
 @eqx.filter_jit

@@ -16,8 +16,9 @@ from jaxtyping import Float
 from jaxscan.errors import InputError
 from jaxscan.files.mesh import read_mesh
 from jaxscan.files.units import in_millimetres
+from jaxscan.geometry import Pose
 from jaxscan.geometry.closest import ClosestOnTriangles
-from jaxscan.geometry.robust_plane import Frame, dominant_plane
+from jaxscan.geometry.robust_plane import dominant_plane
 
 _TRIALS: Final = 400
 _SAMPLE: Final = 1500
@@ -48,8 +49,8 @@ class Shape(Protocol):
         """For points of the shape's frame (mm): the nearest points of its surface, and the unit normals there."""
         ...
 
-    def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Frame:
-        """Roughly where the shape stands in a cloud seen from the origin: R, t of the frame, x ↦ R x + t (mm).
+    def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Pose:
+        """Roughly where the shape stands in a cloud seen from the origin: T_object_shape.
 
         Raises:
             InputError: it is not found there.
@@ -86,17 +87,17 @@ class Steps:
         on[:, 2] = levels[np.abs(points[:, 2:] - levels).argmin(axis=1)]
         return on, np.broadcast_to([0.0, 0.0, 1.0], points.shape)
 
-    def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Frame:
+    def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Pose:
         """The plane with the most points is one of the levels: the one that explains the others best."""
-        R, t = dominant_plane(cloud)
-        height = (cloud - t) @ R[:, 2]
+        plane = dominant_plane(cloud)
+        height = plane.inverse().apply(cloud)[:, 2]
         levels = np.asarray(self.heights)
 
         def misfit(level: float) -> float:
             away = np.abs((height + level)[:, None] - levels).min(axis=1)
             return float(np.minimum(away, _ROUGHLY_MM + _ROUGHLY_SHARE * self.size).sum())
 
-        return R, t - min(levels, key=misfit) * R[:, 2]
+        return plane @ Pose(np.zeros(3), np.array([0.0, 0.0, -min(levels, key=misfit)]))
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ class Ball:
         normal = points / np.maximum(np.linalg.norm(points, axis=1), 1e-12)[:, None]
         return self.radius * normal, normal
 
-    def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Frame:
+    def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Pose:
         """The middle from which most points are a radius away, of balls through random triples."""
         rng = np.random.default_rng(_SEED)
         # Points of one ball are near to each other: two of a triple are drawn from around the first.
@@ -141,7 +142,7 @@ class Ball:
         inliers = np.where(np.isfinite(middles).all(axis=1), (away < tolerance).sum(axis=1), 0)
         if inliers.max() < 30:
             raise InputError(f"no ball of radius {self.radius:g} mm is seen in the scan: check the radius (mm)")
-        return np.eye(3), middles[int(inliers.argmax())]
+        return Pose(np.zeros(3), middles[int(inliers.argmax())])
 
     def _middles(
         self, a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"], c: Float[np.ndarray, "n 3"]
@@ -190,10 +191,10 @@ class Solid:
         on, triangle = self._closest(points)  # pyright: ignore[reportAttributeAccessIssue]
         return on, np.asarray(self.mesh.face_normals)[triangle]
 
-    def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Frame:
+    def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Pose:
         """On the dominant plane, turned about its normal so that the points above it fit best."""
-        R, t = dominant_plane(cloud)
-        local = (cloud - t) @ R
+        plane = dominant_plane(cloud)
+        local = plane.inverse().apply(cloud)
         tall = float(self.mesh.bounds[1, 2])
         above = local[(local[:, 2] > _ROUGHLY_MM + _ROUGHLY_SHARE * tall) & (local[:, 2] < 1.2 * tall)]
         if len(above) < 30:
@@ -201,14 +202,11 @@ class Solid:
         rng = np.random.default_rng(_SEED)
         above = above[rng.permutation(len(above))[:_SAMPLE]]
         trials = [self._turned(above, 2 * np.pi * i / _TURNS) for i in range(_TURNS)]
-        _, turn, move = min(trials, key=lambda trial: trial[0])
-        # local = turn x + move, and the cloud = R local + t.
-        return R @ turn, R @ move + t
+        _, T_plane_shape = min(trials, key=lambda trial: trial[0])
+        return plane @ T_plane_shape
 
-    def _turned(
-        self, points: Float[np.ndarray, "points 3"], angle: float
-    ) -> tuple[float, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-        """Rounds of nearest points from one turn about z: the misfit, and the frame in that of the plane."""
+    def _turned(self, points: Float[np.ndarray, "points 3"], angle: float) -> tuple[float, Pose]:
+        """Rounds of nearest points from one turn about z: the misfit, and T_plane_shape."""
         c, s = np.cos(angle), np.sin(angle)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         move = np.append(points[:, :2].mean(axis=0) - turn[:2, :2] @ self.mesh.bounds[:, :2].mean(axis=0), 0.0)
@@ -223,7 +221,7 @@ class Solid:
             U, _, Vt = np.linalg.svd((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
             turn[:2, :2] = U @ np.diag([1.0, np.linalg.det(U @ Vt)]) @ Vt
             move[:2] = b.mean(axis=0) - turn[:2, :2] @ a.mean(axis=0)
-        return float(np.minimum(away, np.quantile(away, 0.9)).mean()), turn, move
+        return float(np.minimum(away, np.quantile(away, 0.9)).mean()), Pose.from_matrix(turn, move)
 
 
 def parse_shape(text: str, units: str | None = None) -> Shape:

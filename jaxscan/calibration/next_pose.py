@@ -23,7 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import differential_evolution
-from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration.block_arrow import NormalEquations, linearise
 from jaxscan.calibration.bundle import Estimate, as_arrow
@@ -208,8 +207,7 @@ def reachable(calibration: Calibration) -> Reach:
     """
     observations, boards = calibration.observations, calibration.system.boards
     outline = outline_of(observations.board)
-    turned = Rotation.from_rotvec(np.array(boards.rotation)).apply(outline.mean(axis=0))
-    depths = (turned + np.asarray(boards.translation))[:, 2]
+    depths = boards.apply(outline.mean(axis=0))[:, 2]
     return Reach(
         camera=as_float64(calibration.rig.camera),
         outline=jnp.asarray(outline),

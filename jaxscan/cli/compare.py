@@ -103,7 +103,7 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
         draw_comparison(args.png, found, f"{args.cloud.name} against {args.reference.name}: {words}")
     motion = None
     if found.motion is not None:
-        motion = {"rotation": found.motion[0].tolist(), "translation_mm": found.motion[1].tolist()}
+        motion = {"rotation": found.motion.matrix().tolist(), "translation_mm": found.motion.translation.tolist()}
     return {
         "reference": str(args.reference),
         "reference_inside_out": bool(getattr(reference, "inside_out", False)),

@@ -11,8 +11,8 @@ from jaxscan.extras import extra
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from jaxscan.geometry import Pose
     from jaxscan.surface.merged import Merged
-    from jaxscan.surface.motion import Motion
     from jaxscan.surface.register import Registration
     from jaxscan.surface.side import Side
 
@@ -161,16 +161,16 @@ def _for_each(option: str, values: list[float], count: int) -> list[float]:
     return values
 
 
-def _start(args: argparse.Namespace) -> "tuple[Sequence[Motion] | None, Sequence[float] | None]":
+def _start(args: argparse.Namespace) -> "tuple[Sequence[Pose] | None, Sequence[float] | None]":
     """Poses as they are given or by the rig's turntable, or angles."""
     if args.poses:
         from jaxscan.files.scan_poses import read_scan_poses
         from jaxscan.files.units import UNITS
-        from jaxscan.surface.motion import after, inverse
+        from jaxscan.geometry import Pose
 
         scale = UNITS[args.units or "mm"]
-        poses = [(R, scale * t) for R, t in read_scan_poses(args.poses, args.scans)]
-        return [after(inverse(poses[0]), T) for T in poses], None
+        poses = [Pose(T.rotation, scale * T.translation) for T in read_scan_poses(args.poses, args.scans)]
+        return [poses[0].inverse() @ T for T in poses], None
     if not args.steps:
         return None, args.turn
     from jaxscan.files.rig_file import read_rig
@@ -213,9 +213,8 @@ def _image(path: Path, args: argparse.Namespace) -> Any:
     return reconstruct(read_rig(args.rig), read_scan(path))
 
 
-def _registered(sides: "list[Side]", starts: "list[Motion]", found: "Registration") -> dict[str, Any]:
+def _registered(sides: "list[Side]", starts: "list[Pose]", found: "Registration") -> dict[str, Any]:
     import numpy as np
-    from scipy.spatial.transform import Rotation
 
     from jaxscan.surface.register import moved_apart
 
@@ -224,13 +223,13 @@ def _registered(sides: "list[Side]", starts: "list[Motion]", found: "Registratio
             {
                 "path": side.name,
                 "points": len(side.points),
-                "rotation": Rotation.from_matrix(R).as_rotvec().tolist(),
-                "translation_mm": t.tolist(),
+                "rotation": T.rotation.tolist(),
+                "translation_mm": T.translation.tolist(),
                 "sigma_deg": float(np.degrees(found.sigma(k)[0])),
                 "sigma_mm": found.sigma(k)[1],
-                "from_chain_mm": moved_apart(side, starts[k], (R, t)),
+                "from_chain_mm": moved_apart(side, starts[k], T),
             }
-            for k, (side, (R, t)) in enumerate(zip(sides, found.poses, strict=True))
+            for k, (side, T) in enumerate(zip(sides, found.poses, strict=True))
         ],
         "centre_mm": found.centre.tolist(),
         "residual_in_sigma": float(np.sqrt(found.variance)),
@@ -294,7 +293,7 @@ def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") ->
 
         vertices = np.asarray(mesh.vertices)
         floor = sides[0].floor
-        up = floor.R[:, 2] if floor else dominant_plane(vertices)[0][:, 2]
+        up = floor.up if floor else dominant_plane(vertices).matrix()[:, 2]
         draw_mesh(args.png, vertices, np.asarray(mesh.faces), up, f"{len(mesh.faces)} triangles of {len(sides)} scans")
     return {
         "vertices": len(mesh.vertices),

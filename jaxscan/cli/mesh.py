@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         from jaxscan.view.surface_plots import draw_mesh
 
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-        up = floor.R[:, 2] if floor else dominant_plane(vertices)[0][:, 2]
+        up = floor.up if floor else dominant_plane(vertices).matrix()[:, 2]
         height = floor.height(vertices) if floor and "scan" in result["floor"] else None
         draw_mesh(args.png, vertices, faces, up, f"{len(faces)} triangles", height)
         result["picture"] = str(args.png)
@@ -197,7 +197,7 @@ def _prepared(
             "sigma_mm": floor.sigma_mm,
             "tolerance_mm": floor.tolerance_mm,
             "flatness_mm": floor.flatness_mm if np.isfinite(floor.flatness_mm) else None,
-            "normal": floor.R[:, 2].tolist(),
+            "normal": floor.up.tolist(),
             "points": int((image.valid & ~kept).sum()),
         }
         if isinstance(floor, ScannedFloor):
@@ -209,7 +209,7 @@ def _prepared(
     if args.grid is not None:
         from jaxscan.geometry.robust_plane import dominant_plane
 
-        frame = (floor.R, floor.origin) if floor else dominant_plane(image.points[image.valid])
+        frame = floor.frame if floor else dominant_plane(image.points[image.valid])
         image = resample(image, args.grid, frame)
     return image, floor
 

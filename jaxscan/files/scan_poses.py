@@ -21,16 +21,15 @@ from scipy.spatial.transform import Rotation
 from jaxscan.errors import InputError
 from jaxscan.files.table import show
 from jaxscan.files.text import parse_file, read_json_value
+from jaxscan.geometry import Pose
 
 # How far a matrix may be from a rotation, and the length of a quaternion from 1.
 _OFF: Final = 1e-3
 _CONF_WORDS: Final = 9
 
-Pose = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
-
 
 def read_scan_poses(path: Path, scans: Sequence[Path]) -> list[Pose]:
-    """T_common_scan of each scan, as R, t, in the scans' own unit of length.
+    """T_common_scan of each scan, in the scans' own unit of length.
 
     Args:
         path: `.json` or `.conf`.
@@ -86,7 +85,7 @@ def _of_conf(path: Path, text: str) -> dict[str, Pose]:
             raise InputError(f"{path}: {where}: is {line!r}, but seven numbers are expected after the name") from error
         if not np.isfinite(values).all():
             raise InputError(f"{path}: {where}: is {line!r}, but finite numbers are expected after the name")
-        poses[words[1]] = _rotation(path, where, values[3:]).T, values[:3]
+        poses[words[1]] = Pose(-_rotation(path, where, values[3:]), values[:3])
     return poses
 
 
@@ -99,7 +98,7 @@ def _of_json(path: Path, where: str, value: Any) -> Pose:
             position, quaternion = (np.array(value[key], np.float64) for key in ("position", "quaternion"))
             if position.shape != (3,) or quaternion.shape != (4,) or not np.isfinite(position).all():
                 raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")
-            return _rotation(path, where, np.roll(quaternion, -1)), position
+            return Pose(_rotation(path, where, np.roll(quaternion, -1)), position)
         T = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: {where}: is {show(value)}, but {expected}") from error
@@ -110,12 +109,12 @@ def _of_json(path: Path, where: str, value: Any) -> Pose:
     if not rigid or (len(T) == 4 and np.abs(T[3] - [0, 0, 0, 1]).max() > _OFF):
         raise InputError(f"{path}: {where}: is no rotation with a translation: leave scale and mirroring out")
     u, _, vt = np.linalg.svd(R)
-    return u @ vt, T[:3, 3]
+    return Pose.from_matrix(u @ vt, T[:3, 3])
 
 
-def _rotation(path: Path, where: str, quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
-    """Of x, y, z, w."""
+def _rotation(path: Path, where: str, quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3"]:
+    """The rotation vector of x, y, z, w."""
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1) < _OFF:
         raise InputError(f"{path}: {where}: the quaternion has the length {length:.4g}, but 1 is expected")
-    return Rotation.from_quat(quaternion).as_matrix()
+    return Rotation.from_quat(quaternion).as_rotvec()

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.geometry.pose import Pose
 from jaxscan.robust import NORMAL_MAD
 
 _TRIALS: Final = 400
@@ -14,8 +15,6 @@ _SEED: Final = 2003
 # A plane's points are first looked for within this distance, and its scatter judged by those within the other, mm.
 _ROUGHLY_MM: Final = 0.3
 _WITHIN_MM: Final = 1.0
-
-Frame = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 
 
 def planes_through(
@@ -45,8 +44,8 @@ def refined_plane(
     return centre, normal
 
 
-def dominant_plane(cloud: Float[np.ndarray, "points 3"], across: Float[np.ndarray, "3"] | None = None) -> Frame:
-    """The plane that the most points lie on, z of its frame toward the origin: R, t.
+def dominant_plane(cloud: Float[np.ndarray, "points 3"], across: Float[np.ndarray, "3"] | None = None) -> Pose:
+    """The frame of the plane that the most points lie on, its z toward the origin.
 
     Args:
         cloud: mm.
@@ -68,13 +67,13 @@ def dominant_plane(cloud: Float[np.ndarray, "points 3"], across: Float[np.ndarra
     if not near[best]:
         raise InputError("no plane through the scan's points holds the direction in which the stage moves")
     centre, normal = refined_plane(cloud, centres[best], normals[best], within=_WITHIN_MM, rounds=5)
-    return plane_frame(centre, normal), centre
+    return plane_frame(centre, normal)
 
 
 def plane_frame(
     centre: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"], along: Float[np.ndarray, "3"] | None = None
-) -> Float[np.ndarray, "3 3"]:
-    """Axes of a plane as the columns of a rotation: z its normal on the origin's side, y as near as can be to `along`.
+) -> Pose:
+    """The frame of a plane at a point of it: z its normal on the origin's side, y as near as can be to `along`.
 
     By default `along` is the camera's y axis, or its x axis where that is nearly the normal.
     """
@@ -83,4 +82,4 @@ def plane_frame(
         along = np.array([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0])
     x = np.cross(along, z)
     x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+    return Pose.from_matrix(np.stack([x, np.cross(z, x), z], axis=1), centre)

@@ -1,59 +1,79 @@
-"""Rotation vectors and matrices, with derivatives that hold at angle 0 and at angle π.
+"""Rotation vectors and matrices, with derivatives that hold at angle 0 and at angle π; NumPy's arrays or JAX's.
 
 A rotation vector is axis times angle (radians): R = I + a [w]× + b [w]×², a = sin θ / θ, b = (1 − cos θ) / θ²
 (O. Rodrigues, 1840). Both factors are analytic in θ² and are evaluated as such near zero.
 """
 
+from types import ModuleType
+from typing import TypeVar
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+# What goes in as NumPy's comes out as NumPy's.
+A = TypeVar("A", Array, np.ndarray)
 
 # Below these (θ², |v|²) the series, cut after their last term, err by less than float64 can show.
 _SERIES_ANGLE = 1e-3
 _SERIES_QUATERNION = 1e-4
 
 
-def skew(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
+def namespace(*arrays: Array | np.ndarray | float) -> ModuleType:
+    """`jax.numpy` where one of the arrays is JAX's, else `numpy`."""
+    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
+
+
+def skew(w: Float[A, "*stack 3"]) -> Float[A, "*stack 3 3"]:
     """The matrix [w]× with [w]× x = w × x."""
-    zero = jnp.zeros_like(w[0])
-    return jnp.array([[zero, -w[2], w[1]], [w[2], zero, -w[0]], [-w[1], w[0], zero]])
+    x, y, z = w[..., 0], w[..., 1], w[..., 2]
+    xp, zero = namespace(w), 0 * x
+    return xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*w.shape, 3)
 
 
-def vector_to_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
+def vector_to_matrix(w: Float[A, "*stack 3"]) -> Float[A, "*stack 3 3"]:
     """Rotation vector (radians) to matrix; smooth everywhere, exact derivative at w = 0."""
-    t = w @ w
+    xp = namespace(w)
+    t = xp.vecdot(w, w)
     near = t < _SERIES_ANGLE
-    safe = jnp.where(near, 1.0, t)
-    angle = jnp.sqrt(safe)
-    a = jnp.where(near, 1 - t / 6 * (1 - t / 20 * (1 - t / 42)), jnp.sin(angle) / angle)
+    safe = xp.where(near, 1.0, t)
+    angle = xp.sqrt(safe)
+    a = xp.where(near, 1 - t / 6 * (1 - t / 20 * (1 - t / 42)), xp.sin(angle) / angle)
     # 2 sin²(θ/2) = 1 − cos θ, without its cancellation.
-    b = jnp.where(near, 0.5 - t / 24 * (1 - t / 30 * (1 - t / 56)), 2 * jnp.sin(angle / 2) ** 2 / safe)
-    K = skew(w)
-    return jnp.eye(3, dtype=w.dtype) + a * K + b * (K @ K)
+    b = xp.where(near, 0.5 - t / 24 * (1 - t / 30 * (1 - t / 56)), 2 * xp.sin(angle / 2) ** 2 / safe)
+    x, y, z = w[..., 0], w[..., 1], w[..., 2]
+    ax, ay, az = a * x, a * y, a * z
+    bx, by, bz = b * x, b * y, b * z
+    xy, yz, zx = bx * y, by * z, bz * x
+    # Written out, with [w]×² = w wᵀ − θ² I: XLA fuses sums with what surrounds them, but not small matrix products.
+    c = 1 - b * t
+    R = [c + bx * x, xy - az, zx + ay, xy + az, c + by * y, yz - ax, zx - ay, yz + ax, c + bz * z]
+    return xp.stack(R, axis=-1).reshape(*w.shape, 3)
 
 
-def matrix_to_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
+def matrix_to_vector(R: Float[A, "*stack 3 3"]) -> Float[A, "*stack 3"]:
     """Matrix to rotation vector (radians), of length at most π.
 
     Through the quaternion whose largest component is found first (S. W. Shepperd, J. Guidance and Control 1978),
     so that neither θ = 0 nor θ = π divides by a small number.
     """
-    xx, yy, zz = R[0, 0], R[1, 1], R[2, 2]
+    xp = namespace(R)
+    xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    x, y, z = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
+    xy, zx, yz = R[..., 1, 0] + R[..., 0, 1], R[..., 0, 2] + R[..., 2, 0], R[..., 2, 1] + R[..., 1, 2]
     # Each row is 4 q_i q for one component i; the row of the largest |q_i| is the accurate one.
-    rows = jnp.array(
-        [
-            [1 + xx + yy + zz, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [R[2, 1] - R[1, 2], 1 + xx - yy - zz, R[1, 0] + R[0, 1], R[0, 2] + R[2, 0]],
-            [R[0, 2] - R[2, 0], R[1, 0] + R[0, 1], 1 - xx + yy - zz, R[2, 1] + R[1, 2]],
-            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[2, 1] + R[1, 2], 1 - xx - yy + zz],
-        ]
-    )
-    row = rows[jnp.argmax(jnp.diagonal(rows))]
-    q = row / jnp.sqrt(row @ row)
-    q = jnp.where(q[0] < 0, -q, q)
-    w, v = q[0], q[1:]
-    s = v @ v
+    diagonal = xp.stack([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz], axis=-1)
+    w, u, v, t = (diagonal[..., i] for i in range(4))
+    rows = xp.stack([w, x, y, z, x, u, xy, zx, y, xy, v, yz, z, zx, yz, t], axis=-1).reshape(*diagonal.shape, 4)
+    largest = xp.argmax(diagonal, axis=-1)[..., None, None]
+    row = xp.take_along_axis(rows, largest, axis=-2)[..., 0, :]
+    q = row / xp.sqrt(xp.vecdot(row, row))[..., None]
+    q = xp.where(q[..., :1] < 0, -q, q)
+    w, v = q[..., :1], q[..., 1:]
+    s = xp.vecdot(v, v)[..., None]
     near = s < _SERIES_QUATERNION
-    length = jnp.sqrt(jnp.where(near, 1.0, s))
+    length = xp.sqrt(xp.where(near, 1.0, s))
     # 2 asin(|v|) / |v| as a series: with |q| = 1, half the angle is asin |v| when w ≥ 0.
     series = 2 * (1 + s / 6 * (1 + s * 9 / 20 * (1 + s * 25 / 42)))
-    return v * jnp.where(near, series, 2 * jnp.arctan2(length, w) / length)
+    return v * xp.where(near, series, 2 * xp.arctan2(length, w) / length)

@@ -5,7 +5,8 @@ At step n the body's points stand at exp(n w) (x − c) + c, w the rotation vect
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
+
+from jaxscan.geometry.rotation import matrix_to_vector, vector_to_matrix
 
 _ROUNDS = 20
 
@@ -20,9 +21,9 @@ def rate_of_turn(
         steps: step count of each; two at least differ.
     """
     order = np.argsort(steps, kind="stable")
-    R, apart = Rotation.from_matrix(rotations[order]), np.diff(steps[order])
+    R, apart = rotations[order], np.diff(steps[order])
     turned = apart > 0
-    rates = (R[1:] * R[:-1].inv()).as_rotvec()[turned] / apart[turned, None]
+    rates = matrix_to_vector(R[1:] @ R[:-1].swapaxes(-1, -2))[turned] / apart[turned, None]
     return np.quantile(rates, 0.5, axis=0, weights=apart[turned], method="inverted_cdf")
 
 
@@ -33,7 +34,7 @@ def axis_point(
 
     points = exp(n w) a + c is linear in a and in c at right angles to w. Least absolute distances, by weights.
     """
-    E = Rotation.from_rotvec(steps[:, None] * w).as_matrix()
+    E = vector_to_matrix(steps[:, None] * w)
     across = np.linalg.svd(w[None])[2][1:]
     A = np.concatenate([E, np.broadcast_to(across.T, (len(E), 3, 2))], axis=2)
     weights, found = np.ones(len(E)), np.zeros(5)

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.geometry import Pose
 from jaxscan.simulation.distance import distance
 from jaxscan.simulation.scene import Scene
 
@@ -57,8 +58,7 @@ def cloud_errors(
     near = near_its_true_point(points, true_points)
     seen = np.all(np.isfinite(true_points), axis=-1)
     pairs = int((valid & seen).sum())
-    R, t = rigid_fit(points[near], true_points[near])
-    moved = points @ R.T + t
+    moved = rigid_fit(points[near], true_points[near]).apply(points)
     return CloudErrors(
         absolute=_rms(distance(scene, points[valid])),
         absolute_after_fit=_rms(distance(scene, moved[valid])),
@@ -85,14 +85,12 @@ def near_its_true_point(
         return gap < limit
 
 
-def rigid_fit(
-    points: Float[np.ndarray, "points 3"], to: Float[np.ndarray, "points 3"]
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Rotation and translation that carry points to others with the least sum of squares (Kabsch 1976)."""
+def rigid_fit(points: Float[np.ndarray, "points 3"], to: Float[np.ndarray, "points 3"]) -> Pose:
+    """The rigid motion that carries points to others with the least sum of squares (Kabsch 1976)."""
     a, b = points.mean(axis=0), to.mean(axis=0)
     U, _, Vt = np.linalg.svd((to - b).T @ (points - a))
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return R, b - R @ a
+    return Pose.from_matrix(R, b - R @ a)
 
 
 def _rms(values: Float[np.ndarray, "values"]) -> float:

@@ -105,7 +105,7 @@ def board_poses(rig: Rig, seed: int, views: int = BOARD_VIEWS) -> Pose:
         if in_view(rig.camera, R, translation[None]):
             rotations.append(rotation)
             translations.append(translation)
-    return pose_of(np.stack(rotations), np.stack(translations))
+    return Pose(np.stack(rotations), np.stack(translations))
 
 
 def stage_pose(rig: Rig, seed: int) -> Pose:
@@ -117,7 +117,7 @@ def stage_pose(rig: Rig, seed: int) -> Pose:
         middle = np.array([random.uniform(-5, 5), random.uniform(-3, 3), _STAGE_DISTANCE]) - travel[-1] / 2
         R, translation = _about_middle(rotation, middle)
         if in_view(rig.camera, R, translation + travel[[0, -1]]):
-            return pose_of(rotation, translation)
+            return Pose(rotation, translation)
 
 
 def with_turntable(rig: Rig, seed: int) -> Rig:
@@ -140,13 +140,13 @@ def turntable_pose(rig: Rig, seed: int) -> Pose:
     lying = R @ np.diag([1.0, -1.0, -1.0])
     moved = stage_travel(rig, np.array([TURNTABLE_STAGE_STEP]))
     while True:
-        askew = matrix_of(random.uniform(-_STAGE_TILT, _STAGE_TILT, 3) * [0.2, 0.2, 1])
+        askew = vector_to_matrix(random.uniform(-_STAGE_TILT, _STAGE_TILT, 3) * [0.2, 0.2, 1])
         aside = np.array([*random.uniform(-_OFF_AXIS, _OFF_AXIS, 2), 0.0])
-        rotation = vector_of(lying @ askew)
+        rotation = matrix_to_vector(lying @ askew)
         _, translation = _about_middle(rotation, origin + R @ (np.array([0.0, OBJECT_Y, 0.0]) + aside))
-        pose = pose_of(rotation, translation)
+        pose = Pose(rotation, translation)
         if all(
-            in_view(rig.camera, matrix_of(np.asarray(at.rotation)), np.asarray(at.translation) + moved)
+            in_view(rig.camera, at.matrix(), at.translation + moved)
             for at in turned_boards(rig, pose, TURNS_APART * np.arange(TURNTABLE_VIEWS))
         ):
             return pose
@@ -212,16 +212,14 @@ def turned(bodies: Sequence[Body], degrees: float) -> tuple[Body, ...]:
 def turned_on(rig: Rig, bodies: Sequence[Body], steps: float) -> tuple[Body, ...]:
     """What stands on the turntable, after so many of its motor steps, in the platform's frame."""
     R, origin = platform(rig)
-    T = turned_boards(rig, pose_of(np.zeros(3), np.zeros(3)), np.array([steps]))[0]
-    turn = matrix_of(np.asarray(T.rotation))
-    return tuple(
-        body.moved(R.T @ turn @ R, R.T @ (turn @ origin + np.asarray(T.translation) - origin)) for body in bodies
-    )
+    T = turned_boards(rig, Pose.identity(), np.array([steps]))[0]
+    turn = T.matrix()
+    return tuple(body.moved(R.T @ turn @ R, R.T @ (turn @ origin + T.translation - origin)) for body in bodies)
 
 
 def board_scene(rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"]) -> Scene:
     """The board alone, in the pose T_cam_board, fixed on the stage where there is one."""
-    return Scene((board_plate(BOARD).moved(matrix_of(rotation), translation),))
+    return Scene((board_plate(BOARD).moved(vector_to_matrix(rotation), translation),))
 
 
 def _sheet_point(rig: Rig, depth: float) -> Float[np.ndarray, "3"]:
@@ -238,29 +236,11 @@ def _turned(vector: Float[np.ndarray, "3"], random: np.random.Generator) -> Floa
     return np.cos(_TURN) * vector + np.sin(_TURN) * aside
 
 
-def pose_of(rotation: Float[np.ndarray, "*stack 3"], translation: Float[np.ndarray, "*stack 3"]) -> Pose:
-    """A pose, or a stack of them, with NumPy float64 leaves."""
-    with float64():
-        return as_numpy(Pose(jnp.asarray(rotation), jnp.asarray(translation)))
-
-
-def matrix_of(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation matrix of a rotation vector, in float64."""
-    with float64():
-        return np.asarray(vector_to_matrix(jnp.asarray(rotation)))
-
-
-def vector_of(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """The rotation vector of a rotation matrix, in float64."""
-    with float64():
-        return np.asarray(matrix_to_vector(jnp.asarray(R)))
-
-
 def _about_middle(
     rotation: Float[np.ndarray, "3"], middle: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
     """Rotation matrix and translation of T_cam_board with the middle of the board at a place."""
-    R = matrix_of(rotation)
+    R = vector_to_matrix(rotation)
     return R, middle - R @ BOARD.points().mean(axis=0)
 
 

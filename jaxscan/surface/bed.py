@@ -41,12 +41,12 @@ class ScannedFloor(Floor):
 
     @cached_property
     def _surface(self) -> tuple[KDTree, Float[np.ndarray, "points"]]:
-        local = (self.bed - self.origin) @ self.R
+        local = self.frame.inverse().apply(self.bed)
         return KDTree(local[:, :2]), local[:, 2]
 
     def height(self, points: Float[np.ndarray, "*grid 3"]) -> Float[np.ndarray, "*grid"]:
         """How far points are above the bed, mm; NaN where the bed was not scanned."""
-        local = (np.asarray(points, np.float64) - self.origin) @ self.R
+        local = self.frame.inverse().apply(np.asarray(points, np.float64))
         known = np.isfinite(local).all(axis=-1)
         height = np.full(known.shape, np.nan)
         height[known] = local[known][:, 2] - self._level(local[known][:, :2])
@@ -75,12 +75,12 @@ def floor_from_scan(image: RangeImage) -> ScannedFloor:
     how = sampling(image)
     bed = image.points[image.valid].astype(np.float64)
     reach = _REACH * max(how.across_mm, how.along_mm)
-    floor = ScannedFloor(plane.R, plane.origin, plane.sigma_mm, plane.flatness_mm, plane.share, bed, reach)
-    tried = (bed[:: max(1, len(bed) // _TRIED)] - plane.origin) @ plane.R
+    floor = ScannedFloor(plane.frame, plane.sigma_mm, plane.flatness_mm, plane.share, bed, reach)
+    tried = plane.frame.inverse().apply(bed[:: max(1, len(bed) // _TRIED)])
     off = np.abs(tried[:, 2] - floor._level(tried[:, :2], skip=1))
     sigma = NORMAL_MAD * float(np.nanmedian(off))
     sigma = max(sigma, float(np.sqrt(np.mean(np.square(off[off <= 3 * sigma])))))
-    return ScannedFloor(plane.R, plane.origin, sigma, plane.flatness_mm, plane.share, bed, reach)
+    return ScannedFloor(plane.frame, sigma, plane.flatness_mm, plane.share, bed, reach)
 
 
 def _at_origin(

@@ -18,11 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError, ObservabilityError
 from jaxscan.extras import extra
-from jaxscan.surface.motion import Motion, after, inverse
+from jaxscan.geometry import Pose, vector_to_matrix
 from jaxscan.surface.register import NotSettledWarning, Pair, Registration, register
 from jaxscan.surface.side import Side
 
-STILL: Final[Motion] = (np.eye(3), np.zeros(3))
 # By how much an angle that the user gave may be wrong is tried in steps of this, degrees.
 _OFFSETS_DEG: Final = (0.0, -8.0, 8.0)
 _TRY_POINTS, _TRY_ROUNDS = 400, 12
@@ -34,15 +33,9 @@ LARGEST_SCALE: Final = 5.0
 _CUBES, _SMALLEST_CUBE = (1.0, 1.5), 0.015
 
 
-def turns_about(axis: Float[np.ndarray, "3"], centre: Float[np.ndarray, "3"], degrees: float) -> Motion:
-    """A turn about an axis through a place (mm)."""
-    R = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis)).as_matrix()
-    return R, centre - R @ centre
-
-
 def arrange(
-    sides: Sequence[Side], degrees: Sequence[float] | None = None, known: Sequence[Motion] | None = None
-) -> list[Motion]:
+    sides: Sequence[Side], degrees: Sequence[float] | None = None, known: Sequence[Pose] | None = None
+) -> list[Pose]:
     """T_first_side of each side, from pairs.
 
     Args:
@@ -54,7 +47,7 @@ def arrange(
     Raises:
         InputError: sides do not overlap, named; or there are no angles and the extra is not installed.
     """
-    groups: list[dict[int, Motion]] = [{k: STILL} for k in range(len(sides))]
+    groups: list[dict[int, Pose]] = [{k: Pose.identity()} for k in range(len(sides))]
     sliding: list[ObservabilityError] = []
     for i, j in _in_order(len(sides), degrees):
         own = next(group for group in groups if i in group)
@@ -67,8 +60,8 @@ def arrange(
             sliding.append(error)
             continue
         if found is not None:
-            T_own_other = after(after(own[i], found), inverse(other[j]))
-            own |= {k: after(T_own_other, T) for k, T in other.items()}
+            T_own_other = own[i] @ found @ other[j].inverse()
+            own |= {k: T_own_other @ T for k, T in other.items()}
             groups = [group for group in groups if group is not other]
     if len(groups) > 1:
         if sliding:
@@ -79,7 +72,8 @@ def arrange(
             f"{', '.join(apart)}: does not overlap with {', '.join(sides[k].name for k in sorted(first))}: scan the "
             "sides in between, or say how far the object was turned"
         )
-    return [after(inverse(groups[0][0]), groups[0][k]) for k in range(len(sides))]
+    T_side_first = groups[0][0].inverse()
+    return [T_side_first @ groups[0][k] for k in range(len(sides))]
 
 
 def fits(pair: Pair) -> bool:
@@ -111,12 +105,12 @@ def _in_order(count: int, degrees: Sequence[float] | None) -> list[tuple[int, in
 
 
 def _starts(
-    sides: Sequence[Side], i: int, j: int, degrees: Sequence[float] | None, known: Sequence[Motion] | None
-) -> Iterator[Motion]:
+    sides: Sequence[Side], i: int, j: int, degrees: Sequence[float] | None, known: Sequence[Pose] | None
+) -> Iterator[Pose]:
     """Guesses of T_i_j."""
     a, b = sides[i], sides[j]
     if known is not None:
-        yield after(inverse(known[i]), known[j])
+        yield known[i].inverse() @ known[j]
     elif degrees is not None:
         for up_a, up_b in _ups(a, b):
             for offset in _OFFSETS_DEG:
@@ -130,20 +124,20 @@ def _ups(a: Side, b: Side) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarra
 
     One scanner has scanned both from where it stands, so what is up in the one is in the other.
     """
-    known = [side.floor.R[:, 2] for side in (a, b) if side.floor is not None]
+    known = [side.floor.up for side in (a, b) if side.floor is not None]
     if known:
         return [(known[0], known[-1])]
     return [(up, up) for up in (*-np.eye(3), *np.eye(3))]
 
 
-def _turned(a: Side, b: Side, up_a: Float[np.ndarray, "3"], up_b: Float[np.ndarray, "3"], degrees: float) -> Motion:
+def _turned(a: Side, b: Side, up_a: Float[np.ndarray, "3"], up_b: Float[np.ndarray, "3"], degrees: float) -> Pose:
     """T_a_b where the object was turned about what is up between a and b, and stayed where it was."""
-    turn = turns_about(up_a, np.zeros(3), -degrees)[0]
-    R = turn @ Rotation.align_vectors(up_a[None], up_b[None])[0].as_matrix()
-    return R, a.points.mean(axis=0) - R @ b.points.mean(axis=0)
+    upright = Rotation.align_vectors(up_a[None], up_b[None])[0].as_matrix()
+    R = vector_to_matrix(-np.radians(degrees) * up_a) @ upright
+    return Pose.from_matrix(R, a.points.mean(axis=0) - R @ b.points.mean(axis=0))
 
 
-def _by_features(a: Side, b: Side) -> Iterator[Motion]:
+def _by_features(a: Side, b: Side) -> Iterator[Pose]:
     matcher = extra("features")
     size = float(np.linalg.norm(np.ptp(np.concatenate([a.points - a.points.mean(0), b.points - b.points.mean(0)]), 0)))
     for cubes in _CUBES:
@@ -151,10 +145,11 @@ def _by_features(a: Side, b: Side) -> Iterator[Motion]:
         how = matcher.KISSMatcherConfig(voxel_size=cube, enable_noise_bound_clamping=False)
         found = matcher.KISSMatcher(how).estimate(list(b.points.astype(np.float32)), list(a.points.astype(np.float32)))
         if found.valid:
-            yield np.asarray(found.rotation, np.float64), np.asarray(found.translation, np.float64).ravel()
+            R, t = (np.asarray(x, np.float64) for x in (found.rotation, found.translation))
+            yield Pose.from_matrix(R, t.ravel())
 
 
-def _together(a: Side, b: Side, starts: list[Motion]) -> Motion | None:
+def _together(a: Side, b: Side, starts: list[Pose]) -> Pose | None:
     """T_a_b from the best of its starts; None where none fits."""
     size = float(np.sqrt(((a.points - a.points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     # Where a trial has not come to rest the next step goes on from there.
@@ -163,12 +158,12 @@ def _together(a: Side, b: Side, starts: list[Motion]) -> Motion | None:
         return _best_of(a, b, starts, 2 * _REACH * size)
 
 
-def _best_of(a: Side, b: Side, starts: list[Motion], reach_mm: float) -> Motion | None:
+def _best_of(a: Side, b: Side, starts: list[Pose], reach_mm: float) -> Pose | None:
     best, score = None, 0.0
     sliding: ObservabilityError | None = None
     for start in starts:
         try:
-            tried = register((a, b), (STILL, start), most=_TRY_POINTS, reach_mm=reach_mm, rounds=_TRY_ROUNDS)
+            tried = register((a, b), (Pose.identity(), start), most=_TRY_POINTS, reach_mm=reach_mm, rounds=_TRY_ROUNDS)
         except ObservabilityError as error:
             sliding = error
             continue
@@ -182,7 +177,7 @@ def _best_of(a: Side, b: Side, starts: list[Motion], reach_mm: float) -> Motion 
     if best is None:
         return None
     try:
-        found = register((a, b), (STILL, best))
+        found = register((a, b), (Pose.identity(), best))
     except ObservabilityError:
         raise
     except InputError:

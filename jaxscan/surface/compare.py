@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.geometry import Pose
 from jaxscan.surface.fit import rigid_fit_to
-from jaxscan.surface.motion import Motion, moved
 from jaxscan.surface.reference import Reference, signed_distance
 
 
@@ -19,12 +19,12 @@ class Comparison:
     Attributes:
         points: the cloud, where it was compared.
         distance: of each of them, positive in front of the surface; NaN where it was further than was asked for.
-        motion: R, t that carried the cloud there; None where it stayed where it was.
+        motion: that carried the cloud there; None where it stayed where it was.
     """
 
     points: Float[np.ndarray, "points 3"]
     distance: Float[np.ndarray, "points"]
-    motion: Motion | None = None
+    motion: Pose | None = None
 
     def figures(self) -> dict[str, float | int]:
         """The mean with its sign; root mean square, median, 95 % and largest of the distances without."""
@@ -83,7 +83,7 @@ def compare(
         rigid_fit_to(reference, points[_near(reference, points, within_mm)] if not fit else points) if fit else None
     )
     if motion is not None:
-        points = moved(points, motion)
+        points = motion.apply(points)
     elif not _overlap(reference, points):
         raise InputError(
             "cloud and reference lie apart: see that both have one unit of length (--units, --reference-units); if "

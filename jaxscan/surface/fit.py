@@ -10,11 +10,10 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
+from jaxscan.geometry import Pose
 from jaxscan.robust import NORMAL_MAD
-from jaxscan.surface.motion import Motion, moved
 from jaxscan.surface.reference import Reference
 
 _STILL_MM: Final = 1e-4
@@ -30,8 +29,8 @@ _SUSPICIOUS, _MIRRORED = 0.001, 0.4
 _FAR: Final = 0.05
 
 
-def rigid_fit_to(reference: Reference, cloud: Float[np.ndarray, "points 3"]) -> Motion:
-    """Rotation and translation that carry a cloud onto a surface: R, t with p ↦ R p + t.
+def rigid_fit_to(reference: Reference, cloud: Float[np.ndarray, "points 3"]) -> Pose:
+    """The rigid motion that carries a cloud onto a surface.
 
     It starts from the cloud where it is, and from the 24 ways in which its principal axes can lie along those of the
     surface's box; the best three of them are followed.
@@ -55,33 +54,31 @@ def rigid_fit_to(reference: Reference, cloud: Float[np.ndarray, "points 3"]) -> 
     return _rounds(reference, cloud, best, _ROUNDS)[1]
 
 
-def _best(reference: Reference, few: Float[np.ndarray, "points 3"]) -> tuple[float, Motion]:
+def _best(reference: Reference, few: Float[np.ndarray, "points 3"]) -> tuple[float, Pose]:
     """The misfit and the motion of the best start, followed further than the others."""
     trials = [_rounds(reference, few, start, _TRY_ROUNDS) for start in _starts(reference, few)]
     trials = sorted(trials, key=lambda trial: trial[0])[:_FOLLOWED]
     return min((_rounds(reference, few, motion, _ROUNDS) for _, motion in trials), key=lambda trial: trial[0])
 
 
-def _starts(reference: Reference, cloud: Float[np.ndarray, "points 3"]) -> list[Motion]:
+def _starts(reference: Reference, cloud: Float[np.ndarray, "points 3"]) -> list[Pose]:
     centre, middle = cloud.mean(axis=0), reference.bounds.mean(axis=0)
     axes = np.linalg.svd(cloud - centre, full_matrices=False)[2]
-    starts = [(np.eye(3), np.zeros(3))]
+    starts = [Pose.identity()]
     for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)):
         for signs in product((1.0, -1.0), repeat=3):
             R = np.diag(signs) @ axes[list(order)]
             if np.linalg.det(R) > 0:
-                starts.append((R, middle - R @ centre))
+                starts.append(Pose.from_matrix(R, middle - R @ centre))
     return starts
 
 
-def _rounds(
-    reference: Reference, cloud: Float[np.ndarray, "points 3"], start: Motion, rounds: int
-) -> tuple[float, Motion]:
+def _rounds(reference: Reference, cloud: Float[np.ndarray, "points 3"], start: Pose, rounds: int) -> tuple[float, Pose]:
     """The misfit after some rounds from one start, and the motion."""
-    R, t = start
+    T = start
     away = np.full(len(cloud), np.inf)
     for _ in range(rounds):
-        p = moved(cloud, (R, t))
+        p = T.apply(cloud)
         q, n = reference.nearest(p)
         away = np.linalg.norm(p - q, axis=1)
         near = away <= max(3 * NORMAL_MAD * float(np.median(away)), 1e-9)
@@ -91,12 +88,11 @@ def _rounds(
         A = np.column_stack([arm / size, n[near]])
         # What the surface leaves open, turns of a ball for one, is left as it is.
         step = np.linalg.lstsq(A, ((q - p)[near] * n[near]).sum(axis=1), rcond=1e-4)[0]
-        turn = Rotation.from_rotvec(step[:3] / size).as_matrix()
-        R, t = turn @ R, turn @ (t - centre) + centre + step[3:]
+        T = Pose.about(step[:3] / size, centre, step[3:]) @ T
         if np.linalg.norm(step) < _STILL_MM:
             break
     # Outliers are as far away from every start, and count no more than this.
-    return float(np.minimum(away, _FAR * _size(reference)).mean()), (R, t)
+    return float(np.minimum(away, _FAR * _size(reference)).mean()), T
 
 
 def _size(reference: Reference) -> float:

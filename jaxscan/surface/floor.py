@@ -11,12 +11,14 @@ points that scatter beyond 3 σ go with the rest.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError
+from jaxscan.geometry import Pose
 from jaxscan.geometry.robust_plane import dominant_plane, plane_frame, refined_plane
 from jaxscan.reconstruction import RangeImage
 from jaxscan.robust import NORMAL_MAD
@@ -32,6 +34,8 @@ _LOWER_SHARE: Final = 0.25
 _AROUND_MM, _WITHIN_MM = 2.0, 1.0
 # Points spread evenly over the distance in which a floor's scatter is judged have a σ of 0.74 mm: they are no floor.
 _LARGEST_SIGMA_MM: Final = 0.5
+# A σ that is less than this, mm, is rounding: of points that were computed, and lie on one plane exactly.
+_ROUNDING_MM: Final = 1e-9
 # Size of the squares whose mean heights tell the flatness, mm, and how many points each has.
 _SQUARE_MM, _FEWEST_IN_SQUARE = 5.0, 8
 # What stands on the floor has at least this many points.
@@ -43,18 +47,21 @@ class Floor:
     """A plane with what stands on it above.
 
     Attributes:
-        R: its axes in the object frame, as columns: x, y (the stage's travel, where it is known), z up.
-        origin: a point of it, object frame, mm.
+        frame: T_object_floor: at a point of it, y as near as can be to the stage's travel where that is known, z up.
         sigma_mm: the scatter of its points about it.
         flatness_mm: from the lowest to the highest mean of its points in squares of 5 mm; NaN where it was not seen.
         share: its part of all points.
     """
 
-    R: Float[np.ndarray, "3 3"]
-    origin: Float[np.ndarray, "3"]
+    frame: Pose
     sigma_mm: float
     flatness_mm: float
     share: float
+
+    @cached_property
+    def up(self) -> Float[np.ndarray, "3"]:
+        """Its normal, object frame."""
+        return self.frame.matrix()[:, 2]
 
     @property
     def tolerance_mm(self) -> float:
@@ -63,7 +70,7 @@ class Floor:
 
     def height(self, points: Float[np.ndarray, "*grid 3"]) -> Float[np.ndarray, "*grid"]:
         """How far points are above the floor, mm."""
-        return (points - self.origin) @ self.R[:, 2]
+        return (points - self.frame.translation) @ self.up
 
 
 def find_floor(image: RangeImage) -> Floor:
@@ -73,19 +80,22 @@ def find_floor(image: RangeImage) -> Floor:
         InputError: there is none.
     """
     cloud = image.points[image.valid].astype(np.float64)
-    R, origin = _dominant(cloud, image)
-    height = (cloud - origin) @ R[:, 2]
-    floor = _measured(cloud, origin, R[:, 2], image)
+    if len(cloud) < 3:
+        raise InputError(f"{len(cloud)} points have no floor: scan more")
+    frame = dominant_plane(cloud, image.per_step)
+    origin, up = frame.translation, frame.matrix()[:, 2]
+    height = (cloud - origin) @ up
+    floor = _measured(cloud, origin, up, image)
     below = cloud[height < -2 * _HIGH * floor.sigma_mm]
     if len(below) >= _LOWER_SHARE * floor.share * len(cloud):
         # The level below at which most points lie, if it has enough.
-        depth = (below - origin) @ R[:, 2]
+        depth = (below - origin) @ up
         width = _HIGH * floor.sigma_mm
         levels, count = np.unique(np.round(depth / width), return_counts=True)
-        at = origin + levels[count.argmax()] * width * R[:, 2]
-        near = below[np.abs((below - at) @ R[:, 2]) < _WITHIN_MM]
-        lower = _measured(cloud, *refined_plane(near, at, R[:, 2], within=_WITHIN_MM), image)
-        parallel = abs(lower.R[:, 2] @ R[:, 2]) > np.cos(np.radians(5.0))
+        at = origin + levels[count.argmax()] * width * up
+        near = below[np.abs((below - at) @ up) < _WITHIN_MM]
+        lower = _measured(cloud, *refined_plane(near, at, up, within=_WITHIN_MM), image)
+        parallel = abs(lower.up @ up) > np.cos(np.radians(5.0))
         floor = lower if parallel and lower.share >= _LOWER_SHARE * floor.share else floor
     under = float((floor.height(cloud) < -_HIGH * floor.sigma_mm).mean())
     if floor.share < _LEAST_SHARE or under > _MOST_BELOW or floor.sigma_mm > _LARGEST_SIGMA_MM:
@@ -134,7 +144,7 @@ def stands_on(image: RangeImage, floor: Floor, linked: Links | None = None) -> B
     with np.errstate(invalid="ignore"):
         height = floor.height(image.points)
         # Beside a bed that was scanned its plane goes on.
-        height = np.where(np.isnan(height), (image.points - floor.origin) @ floor.R[:, 2], height)
+        height = np.where(np.isnan(height), (image.points - floor.frame.translation) @ floor.up, height)
         above = image.valid & (height > _LOW * floor.sigma_mm)
         core = above & (height > _HIGH * floor.sigma_mm)
     linked = linked or links(image)
@@ -152,14 +162,6 @@ def stands_on(image: RangeImage, floor: Floor, linked: Links | None = None) -> B
     return kept
 
 
-def _dominant(
-    cloud: Float[np.ndarray, "points 3"], image: RangeImage
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    if len(cloud) < 3:
-        raise InputError(f"{len(cloud)} points have no floor: scan more")
-    return dominant_plane(cloud, image.per_step)
-
-
 def _measured(
     cloud: Float[np.ndarray, "points 3"],
     origin: Float[np.ndarray, "3"],
@@ -167,14 +169,15 @@ def _measured(
     image: RangeImage,
 ) -> Floor:
     """The plane with its scatter and flatness."""
-    R = plane_frame(origin, normal, image.per_step)
-    height = (cloud - origin) @ R[:, 2]
+    frame = plane_frame(origin, normal, image.per_step)
+    local = frame.inverse().apply(cloud)
+    height = local[:, 2]
     near = np.abs(height) < _WITHIN_MM
     sigma = NORMAL_MAD * float(np.median(np.abs(height[near]))) if near.any() else np.nan
     on = np.abs(height) <= _LOW * sigma
-    sigma = max(sigma, float(height[on].std())) if on.any() else sigma
-    squares = np.floor((cloud[on] - origin) @ R[:, :2] / _SQUARE_MM)
+    sigma = max(sigma, float(height[on].std()), _ROUNDING_MM) if on.any() else sigma
+    squares = np.floor(local[on, :2] / _SQUARE_MM)
     _, square, count = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
     means = np.bincount(square.ravel(), height[on]) / count
     means = means[count >= _FEWEST_IN_SQUARE]
-    return Floor(R, origin, sigma, float(np.ptp(means)) if len(means) else np.nan, float(on.mean()))
+    return Floor(frame, sigma, float(np.ptp(means)) if len(means) else np.nan, float(on.mean()))

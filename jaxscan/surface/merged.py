@@ -24,7 +24,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from jaxscan.errors import InputError
-from jaxscan.surface.motion import Motion, moved
+from jaxscan.geometry import Pose
 from jaxscan.surface.scattered import poisson_surface
 from jaxscan.surface.side import Side
 
@@ -84,9 +84,9 @@ class _At:
 class _Points:
     """The points of all sides in the common frame."""
 
-    def __init__(self, sides: Sequence[Side], poses: Sequence[Motion]):
-        self.points = np.concatenate([moved(side.points, T) for side, T in zip(sides, poses, strict=True)])
-        self.normals = np.concatenate([side.normals @ T[0].T for side, T in zip(sides, poses, strict=True)])
+    def __init__(self, sides: Sequence[Side], poses: Sequence[Pose]):
+        self.points = np.concatenate([T.apply(side.points) for side, T in zip(sides, poses, strict=True)])
+        self.normals = np.concatenate([side.normals @ T.matrix().T for side, T in zip(sides, poses, strict=True)])
         self.sigma = np.concatenate([side.sigma for side in sides])
         self.side = np.repeat(np.arange(len(sides)), [len(side.points) for side in sides])
         self.spacing = float(np.median([side.spacing_mm for side in sides]))
@@ -138,7 +138,7 @@ class _Points:
         return places, found
 
 
-def merge(sides: Sequence[Side], poses: Sequence[Motion], *, cube_mm: float | None = None) -> Merged:
+def merge(sides: Sequence[Side], poses: Sequence[Pose], *, cube_mm: float | None = None) -> Merged:
     """The open surface of all sides: where it was seen, and no more.
 
     Args:
@@ -164,7 +164,7 @@ def merge(sides: Sequence[Side], poses: Sequence[Motion], *, cube_mm: float | No
     return Merged(mesh, found.sigma[used], found.sides[used])
 
 
-def merge_closed(sides: Sequence[Side], poses: Sequence[Motion]) -> Merged:
+def merge_closed(sides: Sequence[Side], poses: Sequence[Pose]) -> Merged:
     """A closed surface of all sides: screened Poisson, and where it was seen moved to where f is zero.
 
     Where all sides stood on one face of the object, that face is the floor's plane under it, for it was never seen.
@@ -187,7 +187,7 @@ def merge_closed(sides: Sequence[Side], poses: Sequence[Motion]) -> Merged:
 
 
 def _underside(
-    sides: Sequence[Side], poses: Sequence[Motion], places: Float[np.ndarray, "points 3"], spacing: float
+    sides: Sequence[Side], poses: Sequence[Pose], places: Float[np.ndarray, "points 3"], spacing: float
 ) -> tuple[Float[np.ndarray, "cap 3"], Float[np.ndarray, "cap 3"]]:
     """Points of the floor under the object, and their normals, downwards; none where the floor was not the same."""
     none = np.zeros((0, 3)), np.zeros((0, 3))
@@ -195,19 +195,19 @@ def _underside(
     if first is None:
         return none
     for side, T in zip(sides, poses, strict=True):
-        if side.floor is None or (T[0] @ side.floor.R[:, 2]) @ first.R[:, 2] < _SAME_FLOOR:
+        if side.floor is None or (T.matrix() @ side.floor.up) @ first.up < _SAME_FLOOR:
             return none
-        if abs(first.height(moved(side.floor.origin[None], T))[0]) > spacing + first.tolerance_mm:
+        if abs(first.height(T.apply(side.floor.frame.translation))) > spacing + first.tolerance_mm:
             return none
-    flat = (places - first.origin) @ first.R[:, :2]
+    flat = first.frame.inverse().apply(places)[:, :2]
     low = flat.min(axis=0)
     at = np.round((flat - low) / spacing).astype(int) + 2
     covered = np.zeros(at.max(axis=0) + 3, bool)
     covered[tuple(at.T)] = True
     covered = np.asarray(ndimage.binary_fill_holes(ndimage.binary_closing(covered, iterations=2)))
     x, y = (low + spacing * (np.argwhere(covered) - 2)).T
-    cap = first.origin + np.stack([x, y], axis=1) @ first.R[:, :2].T
-    return cap, np.broadcast_to(-first.R[:, 2], cap.shape)
+    cap = first.frame.apply(np.stack([x, y, np.zeros_like(x)], axis=1))
+    return cap, np.broadcast_to(-first.up, cap.shape)
 
 
 def _gap(

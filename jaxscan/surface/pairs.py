@@ -20,10 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxscan.geometry import vector_to_matrix
+from jaxscan.geometry import Pose, vector_to_matrix
 from jaxscan.precision import float64
 from jaxscan.robust import NORMAL_MAD
-from jaxscan.surface.motion import Motion, after, inverse, moved
 from jaxscan.surface.side import Side
 
 _SAME_WAY: Final = np.cos(np.radians(45.0))
@@ -77,7 +76,7 @@ def sample(side: Side, most: int) -> Int[np.ndarray, "points"]:
     return np.sort(np.random.default_rng(_SEED).permutation(inner)[:most])
 
 
-def match(a: Side, b: Side, T_a: Motion, T_b: Motion, reach: float, most: int) -> Matches:
+def match(a: Side, b: Side, T_a: Pose, T_b: Pose, reach: float, most: int) -> Matches:
     """The points of two sides that belong together.
 
     Args:
@@ -88,28 +87,35 @@ def match(a: Side, b: Side, T_a: Motion, T_b: Motion, reach: float, most: int) -
         reach: how far apart two points may be, mm.
         most: points of each side that are looked up.
     """
-    T_b_a = after(inverse(T_b), T_a)
+    T_b_a = T_b.inverse() @ T_a
     p, q = _one_way(a, b, T_b_a, reach, most)
-    q2, p2 = _one_way(b, a, inverse(T_b_a), reach, most)
+    q2, p2 = _one_way(b, a, T_b_a.inverse(), reach, most)
     looked_up = [max(1, min(most, int((~side.rim).sum()))) for side in (a, b)]
     overlap = max(len(p) / looked_up[0], len(q2) / looked_up[1])
     return Matches(np.concatenate([p, p2]), np.concatenate([q, q2]), overlap)
 
 
 def _one_way(
-    a: Side, b: Side, T_b_a: Motion, reach: float, most: int
+    a: Side, b: Side, T_b_a: Pose, reach: float, most: int
 ) -> tuple[Int[np.ndarray, "matches"], Int[np.ndarray, "matches"]]:
     p = sample(a, most)
-    away, q = b.tree.query(moved(a.points[p], T_b_a), distance_upper_bound=reach)
+    points, normals = _moved(a, p, T_b_a)
+    away, q = b.tree.query(points, distance_upper_bound=reach)
     q = np.where(np.isfinite(away), q, 0)
-    alike = (a.normals[p] @ T_b_a[0].T * b.normals[q]).sum(axis=1) > _SAME_WAY
+    alike = (normals * b.normals[q]).sum(axis=1) > _SAME_WAY
     good = np.isfinite(away) & alike & ~b.rim[q]
     return p[good], q[good]
 
 
-def equations(
-    a: Side, b: Side, T_a: Motion, T_b: Motion, matches: Matches, centre: Float[np.ndarray, "3"]
-) -> Equations:
+def _moved(
+    side: Side, index: Int[np.ndarray, "points"], T: Pose
+) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
+    """Some points of a side and their normals, carried along."""
+    R = T.matrix()
+    return side.points[index] @ R.T + T.translation, side.normals[index] @ R.T
+
+
+def equations(a: Side, b: Side, T_a: Pose, T_b: Pose, matches: Matches, centre: Float[np.ndarray, "3"]) -> Equations:
     """The residuals of matches, their derivatives and weights.
 
     Args:
@@ -121,12 +127,8 @@ def equations(
         centre: what small rotations turn about, common frame, mm.
     """
     i, j = matches.first, matches.second
-    vectors = [
-        moved(a.points[i], T_a) - centre,
-        a.normals[i] @ T_a[0].T,
-        moved(b.points[j], T_b) - centre,
-        b.normals[j] @ T_b[0].T,
-    ]
+    (p, n), (q, m) = _moved(a, i, T_a), _moved(b, j, T_b)
+    vectors = [p - centre, n, q - centre, m]
     short = -len(i) % _BUCKET
     with float64():
         padded = [jnp.asarray(np.pad(v, ((0, short), (0, 0)), constant_values=1.0)) for v in vectors]

@@ -91,7 +91,7 @@ def plateaus(image: RangeImage, floor: Floor, least_mm2: float = 20.0) -> tuple[
     thinned = np.zeros_like(kept)
     thinned[:, ::every] = True
     of = kept & thinned & np.isfinite(height)
-    places = (image.points[of].astype(np.float64) - floor.origin) @ floor.R
+    places = floor.frame.inverse().apply(image.points[of].astype(np.float64))
     z = height[of]
     across, along = _spacing(image, floor)
     spacing = max(across * every, along)
@@ -111,7 +111,7 @@ def plateaus(image: RangeImage, floor: Floor, least_mm2: float = 20.0) -> tuple[
 
 def _spacing(image: RangeImage, floor: Floor) -> tuple[float, float]:
     """From one column, and one frame, to the next, as seen from above the floor, in the median, mm."""
-    flat = (image.points - floor.origin) @ floor.R[:, :2]
+    flat = floor.frame.inverse().apply(image.points)[..., :2]
     across, along = (float(np.nanmedian(np.linalg.norm(np.diff(flat, axis=axis), axis=-1))) for axis in (1, 0))
     return across, along
 
@@ -200,7 +200,7 @@ def _floor_means(
     """What is seen of the floor: means of squares of it, and their scatter about a plane."""
     with np.errstate(invalid="ignore"):
         on = image.valid & ~kept & (np.abs(height) <= floor.tolerance_mm)
-    places = (image.points[on].astype(np.float64) - floor.origin) @ floor.R
+    places = floor.frame.inverse().apply(image.points[on].astype(np.float64))
     squares = _means(places[:, :2], height[on], _LARGEST_MM, 0.25)
     if len(squares) < _FEWEST_SQUARES + 3:
         return squares, np.nan

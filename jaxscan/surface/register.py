@@ -18,10 +18,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array
-from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError, ObservabilityError
-from jaxscan.surface.motion import Motion, moved
+from jaxscan.geometry import Pose
 from jaxscan.surface.pairs import Equations, Matches, equations, match
 from jaxscan.surface.side import Side
 
@@ -70,7 +69,7 @@ class Registration:
     """Where the sides stand.
 
     Attributes:
-        poses: T_first_side of each, as R, t; the first one's is the identity.
+        poses: T_first_side of each; the first one's is the identity.
         centre: the middle of all points, in the first one's frame, mm: what rotations of the covariance are about.
         covariance: of the small motions (rotation vector in radians, translation of the centre in mm) of all sides but
             the first.
@@ -83,7 +82,7 @@ class Registration:
             covariance says too little.
     """
 
-    poses: tuple[Motion, ...]
+    poses: tuple[Pose, ...]
     centre: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "parameters parameters"]
     pairs: tuple[Pair, ...]
@@ -107,7 +106,7 @@ class Registration:
 
 def register(
     sides: Sequence[Side],
-    starts: Sequence[Motion],
+    starts: Sequence[Pose],
     *,
     most: int = 4000,
     reach_mm: float | None = None,
@@ -128,7 +127,7 @@ def register(
         ObservabilityError: sides slide on each other, named.
     """
     poses = list(starts)
-    centre = np.mean([moved(side.points, T).mean(axis=0) for side, T in zip(sides, poses, strict=True)], axis=0)
+    centre = np.mean([T.apply(side.points).mean(axis=0) for side, T in zip(sides, poses, strict=True)], axis=0)
     size = _size(sides, poses, centre)
     reach = {(a, b): reach_mm or 0.0 for a, b in combinations(range(len(sides)), 2)}
     linked: dict[tuple[int, int], tuple[Matches, Equations]] = {}
@@ -149,8 +148,7 @@ def register(
         step = _step(sides, H, g, size)
         for k in range(1, len(sides)):
             turn, shift = step[6 * k - 6 : 6 * k - 3], step[6 * k - 3 : 6 * k]
-            R = Rotation.from_rotvec(turn).as_matrix()
-            poses[k] = R @ poses[k][0], R @ (poses[k][1] - centre) + centre + shift
+            poses[k] = Pose.about(turn, centre, shift) @ poses[k]
         steps.append(step)
         left = _in_sigma(step, H)
         converged = left < _NEGLIGIBLE and not shrinking
@@ -168,9 +166,9 @@ def register(
     return found
 
 
-def moved_apart(side: Side, T: Motion, other: Motion) -> float:
+def moved_apart(side: Side, T: Pose, other: Pose) -> float:
     """How far the points of a side are apart in two of its poses, RMS, mm."""
-    return float(np.sqrt(((moved(side.points, T) - moved(side.points, other)) ** 2).sum(axis=1).mean()))
+    return float(np.sqrt(((T.apply(side.points) - other.apply(side.points)) ** 2).sum(axis=1).mean()))
 
 
 def _in_sigma(step: np.ndarray, H: np.ndarray) -> float:
@@ -178,9 +176,9 @@ def _in_sigma(step: np.ndarray, H: np.ndarray) -> float:
     return float(np.sqrt(step @ H @ step / len(step)))
 
 
-def _size(sides: Sequence[Side], poses: Sequence[Motion], centre: np.ndarray) -> float:
+def _size(sides: Sequence[Side], poses: Sequence[Pose], centre: np.ndarray) -> float:
     """RMS distance of the points from their middle, mm."""
-    squares = [((moved(side.points, T) - centre) ** 2).sum(axis=1) for side, T in zip(sides, poses, strict=True)]
+    squares = [((T.apply(side.points) - centre) ** 2).sum(axis=1) for side, T in zip(sides, poses, strict=True)]
     return float(np.sqrt(np.concatenate(squares).mean()))
 
 
@@ -232,7 +230,7 @@ def _connected(sides: Sequence[Side], pairs: list[tuple[int, int]]) -> None:
 
 def _registration(
     sides: Sequence[Side],
-    poses: list[Motion],
+    poses: list[Pose],
     centre: np.ndarray,
     size: float,
     linked: dict[tuple[int, int], tuple[Matches, Equations]],
@@ -264,7 +262,7 @@ def _registration(
             overlap=found.overlap,
             scale=own.scale,
             rms_mm=float(np.sqrt((own.weight * own.residual**2).sum() / own.weight.sum())),
-            apart_mm=_apart(own, moved(sides[a].points[found.first], poses[a]) - centre, size),
+            apart_mm=_apart(own, poses[a].apply(sides[a].points[found.first]) - centre, size),
         )
         for (a, b), (found, own) in linked.items()
     )

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.errors import InputError
-from jaxscan.geometry.robust_plane import Frame
+from jaxscan.geometry import Pose
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface.triangles import grid_surface
 
@@ -12,7 +12,7 @@ _LARGEST = 1 << 26
 _TRIANGLES_AT_ONCE = 1 << 18
 
 
-def resample(image: RangeImage, spacing_mm: float, frame: Frame) -> RangeImage:
+def resample(image: RangeImage, spacing_mm: float, frame: Pose) -> RangeImage:
     """The surface of a range image at the nodes of a grid, by linear interpolation within its triangles.
 
     The result is a range image too: its frames are the rows of the grid, its steps count them, its columns run along x.
@@ -21,16 +21,15 @@ def resample(image: RangeImage, spacing_mm: float, frame: Frame) -> RangeImage:
     Args:
         image: the range image.
         spacing_mm: from node to node.
-        frame: R, t of the grid's axes in the object frame, as of a floor: z, up, is the direction it is seen from.
+        frame: T_object_grid, as of a floor: z, up, is the direction it is seen from.
 
     Raises:
         InputError: the spacing is not positive, or makes more nodes than there is memory for.
     """
     if not spacing_mm > 0:
         raise InputError(f"a grid of {spacing_mm:g} mm: give a spacing that is more than 0")
-    R, t = frame
     surface = grid_surface(image)
-    local = (surface.vertices.astype(np.float64) - t) @ R
+    local = frame.inverse().apply(surface.vertices.astype(np.float64))
     low = np.floor(local[:, :2].min(axis=0) / spacing_mm)
     nodes_along = np.floor(local[:, :2].max(axis=0) / spacing_mm) - low + 1
     if nodes_along.prod() > _LARGEST:
@@ -60,7 +59,7 @@ def resample(image: RangeImage, spacing_mm: float, frame: Frame) -> RangeImage:
         mean = (values.ravel()[corners] * weights).sum(axis=1)
         return np.where(there, mean, np.nan).astype(np.float32).reshape(rows, columns)
 
-    points = np.where(there[:, None], at @ R.T + t, np.nan)
+    points = np.where(there[:, None], frame.apply(at), np.nan)
     return RangeImage(
         points=points.astype(np.float32).reshape(rows, columns, 3),
         pixels=np.full((rows, columns), np.nan, np.float32),

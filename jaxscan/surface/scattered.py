@@ -53,7 +53,7 @@ def delaunay_surface(
     points = np.asarray(points, np.float64)
     if len(points) < 4:
         raise InputError(f"{len(points)} points make no surface: four or more do")
-    z = -dominant_plane(points)[0][:, 2] if direction is None else np.asarray(direction, np.float64)
+    z = -dominant_plane(points).matrix()[:, 2] if direction is None else np.asarray(direction, np.float64)
     z = -z / np.linalg.norm(z)
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
     x /= np.linalg.norm(x)

@@ -17,11 +17,10 @@ from scipy.linalg import block_diag
 
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
-from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
+from jaxscan.geometry import Pose
 from jaxscan.geometry.turn import axis_point, rate_of_turn
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Covariance, Rig, Turntable
-from jaxscan.surface.motion import Motion, after, inverse
 from jaxscan.surface.register import Registration
 
 _NAMES: Final = tuple(f"turntable.{part}.{i}" for part in ("per_step", "centre") for i in range(3))
@@ -71,9 +70,8 @@ def fit_turntable(registration: Registration, steps: Sequence[float]) -> Turntab
     theta, around = _first(registration, n)
     with float64():
         weight = np.linalg.cholesky(np.linalg.inv(registration.covariance)).T
-        R = jnp.asarray(np.stack([T[0] for T in registration.poses[1:]]))
-        t = jnp.asarray(np.stack([T[1] for T in registration.poses[1:]]))
-        given = (R, t, jnp.asarray(registration.centre), jnp.asarray(n[1:] - n[0]), jnp.asarray(around))
+        poses = Pose.from_vector(jnp.asarray(np.stack([T.as_vector() for T in registration.poses[1:]])))
+        given = (poses, jnp.asarray(registration.centre), jnp.asarray(n[1:] - n[0]), jnp.asarray(around))
         for _ in range(_ROUNDS):
             r, J = (np.asarray(x) for x in _misfit(jnp.asarray(theta), *given))
             step = np.linalg.lstsq(weight @ J, -weight @ r, rcond=None)[0]
@@ -93,25 +91,24 @@ def fit_turntable(registration: Registration, steps: Sequence[float]) -> Turntab
     return TurntableFit(turntable, Covariance(_NAMES, (covariance + covariance.T) / 2), misfit)
 
 
-def turntable_poses(turntable: Turntable, steps: Sequence[float]) -> list[Motion]:
+def turntable_poses(turntable: Turntable, steps: Sequence[float]) -> list[Pose]:
     """T_first_side of sides scanned at these step counts."""
     with float64():
-        turned = [turntable.turned(jnp.asarray(float(n))) for n in steps]
-        motions = [(np.asarray(pose.matrix()), np.asarray(pose.translation)) for pose in turned]
-    return [after(motions[0], inverse(motion)) for motion in motions]
+        turned = [as_numpy(turntable.turned(jnp.asarray(float(n)))) for n in steps]
+    return [turned[0] @ T.inverse() for T in turned]
 
 
 def _first(
     registration: Registration, steps: Float[np.ndarray, "sides"]
 ) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "2 3"]]:
     """A start: w, and c in the plane at right angles to it; the two axes of that plane."""
-    stood = [inverse(T) for T in registration.poses]
+    stood = Pose.from_vector(np.stack([T.as_vector() for T in registration.poses])).inverse()
     apart = steps - steps[0]
     again = (np.diff(steps) == 0).any()
-    w = np.zeros(3) if again else rate_of_turn(np.stack([R for R, _ in stood]), apart)
+    w = np.zeros(3) if again else rate_of_turn(stood.matrix(), apart)
     if np.linalg.norm(w) * np.abs(np.diff(steps)).max() < _LEAST_TURN:
         raise InputError("the scans are not turned against each other: a turntable takes scans at different steps")
-    c, _ = axis_point(np.stack([R @ registration.centre + t for R, t in stood]), apart, w)
+    c, _ = axis_point(stood.apply(registration.centre), apart, w)
     around = np.linalg.svd(w[None])[2][1:]
     return np.concatenate([w, around @ c]), around
 
@@ -119,8 +116,7 @@ def _first(
 @jax.jit
 def _misfit(
     theta: Float[Array, "5"],
-    R: Float[Array, "sides 3 3"],
-    t: Float[Array, "sides 3"],
+    poses: Pose[Array],
     middle: Float[Array, "3"],
     steps: Float[Array, "sides"],
     around: Float[Array, "2 3"],
@@ -129,13 +125,7 @@ def _misfit(
 
     def motions(theta: Float[Array, "5"]) -> Float[Array, "residuals"]:
         w, c = theta[:3], around.T @ theta[3:]
-
-        def one(R: Array, t: Array, n: Array) -> Array:
-            back = vector_to_matrix(-n * w)
-            turned = Pose.from_matrix(back, c - back @ c)
-            at = R.T @ (middle - t)
-            return jnp.concatenate([matrix_to_vector(back @ R.T), turned.apply(at) - middle])
-
-        return jax.vmap(one)(R, t, steps).ravel()
+        off = Pose.about(-jnp.outer(steps, w), c) @ poses.inverse()
+        return jnp.concatenate([off.rotation, off.apply(middle) - middle[None]], axis=1).ravel()
 
     return motions(theta), jax.jacfwd(motions)(theta)

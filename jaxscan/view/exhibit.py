@@ -96,7 +96,7 @@ def _of_image(image: RangeImage, rig: Rig | None) -> Exhibit:
     points = image.points[image.valid]
     try:
         floor = find_floor(image)
-        up, height = floor.R[:, 2], floor.height(points)
+        up, height = floor.up, floor.height(points)
     except InputError:
         up, height = _upright(points)
     values = {"height": height}
@@ -118,7 +118,7 @@ def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, r
 
 def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "points"]]:
     """The normal of the plane that most points lie on, toward the camera, and the height over the lowest point."""
-    up = dominant_plane(points.astype(np.float64))[0][:, 2]
+    up = dominant_plane(points.astype(np.float64)).matrix()[:, 2]
     height = points @ up
     return up, height - height.min()
 

@@ -12,11 +12,10 @@ from jaxscan.cli.main import main
 from jaxscan.files.cloud import Cloud, write_ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
+from jaxscan.geometry import Pose
 from jaxscan.reconstruction import write_points
 from jaxscan.simulation.rig_2003 import simulated_rig
-from jaxscan.surface.coarse import turns_about
 from jaxscan.surface.floor import find_floor, stands_on
-from jaxscan.surface.motion import after, inverse
 from jaxscan.surface.register import register
 from tests.surface import scenes
 from tests.surface.hills import NOISE, height, pose, scanned
@@ -81,8 +80,10 @@ def clouds(folder) -> Path:
         cloud = image.where(stands_on(image, find_floor(image))).cloud()
         write_ply(folder / f"{k}.ply", cloud)
         write_ply(folder / f"metres-{k}.ply", Cloud(cloud.points / 1000))
-        R, t = after(turns_about(np.array([0.1, 0.2, 1.0]), np.array([0.0, -12.0, 300.0]), 6.0), pose(90.0 * k))
-        quaternion = Rotation.from_matrix(R).as_quat()
+        axis = np.array([0.1, 0.2, 1.0]) / np.sqrt(1.05)
+        T = Pose.about(np.radians(6.0) * axis, np.array([0.0, -12.0, 300.0])) @ pose(90.0 * k)
+        R, t = T.matrix(), T.translation
+        quaternion = Rotation.from_rotvec(T.rotation).as_quat()
         poses[f"{k}.ply"] = {"position": t.tolist(), "quaternion": np.roll(quaternion, 1).tolist()}
         poses[f"metres-{k}.ply"] = np.vstack([np.column_stack([R, t / 1000]), [0, 0, 0, 1]]).tolist()
     (folder / "poses.json").write_text(json.dumps(poses))
@@ -109,9 +110,9 @@ def test_clouds_without_features(clouds, capsys, monkeypatch, scans, how):
     found = run(capsys, "merge", *scans.split(), *how.split(), "-o", "clouds.stl")
     assert found["converged"]
     for k, scan in enumerate(found["scans"]):
-        R, t = after(inverse(pose(0.0)), pose(90.0 * k))
-        np.testing.assert_allclose(Rotation.from_rotvec(scan["rotation"]).as_matrix(), R, atol=0.004)
-        np.testing.assert_allclose(scan["translation_mm"], t, atol=1.0)
+        T = pose(0.0).inverse() @ pose(90.0 * k)
+        np.testing.assert_allclose(Rotation.from_rotvec(scan["rotation"]).as_matrix(), T.matrix(), atol=0.004)
+        np.testing.assert_allclose(scan["translation_mm"], T.translation, atol=1.0)
     assert found["closure_mm"] < 0.02
 
 

@@ -30,9 +30,9 @@ def written(folder: Path, content: object, ending: str = "json") -> Path:
 def test_json(tmp_path, pose):
     for content in ([pose, STILL], {"b.npz": STILL, "a.ply": pose, "other.ply": STILL}):
         (first, second) = read_scan_poses(written(tmp_path, content), SCANS)
-        np.testing.assert_allclose(first[0], R.as_matrix(), atol=1e-12)
-        np.testing.assert_allclose(first[1], t, atol=1e-12)
-        np.testing.assert_allclose(second[0], np.eye(3))
+        np.testing.assert_allclose(first.rotation, R.as_rotvec(), atol=1e-12)
+        np.testing.assert_allclose(first.translation, t, atol=1e-12)
+        np.testing.assert_allclose(second.rotation, 0)
 
 
 def test_conf(tmp_path):
@@ -40,8 +40,8 @@ def test_conf(tmp_path):
     half = np.sqrt(0.5)
     text = f"camera 1 2 3 0 0 0 1\nmesh whole.ply\nbmesh a.ply 1 2 3 0 {half} 0 {half}\n\nbmesh b.npz 0 0 0 0 0 0 1\n"
     (first, second) = read_scan_poses(written(tmp_path, text, "conf"), SCANS)
-    np.testing.assert_allclose(first[0] @ [1, 0, 0] + first[1], [1, 2, 4], atol=1e-12)
-    np.testing.assert_allclose(second[0], np.eye(3))
+    np.testing.assert_allclose(first.apply(np.array([1.0, 0.0, 0.0])), [1, 2, 4], atol=1e-12)
+    np.testing.assert_allclose(second.rotation, 0)
 
 
 @pytest.mark.parametrize(
@@ -77,5 +77,5 @@ def test_scans_of_one_name_are_not_given_one_pose(tmp_path):
     with pytest.raises(InputError, match=r"several are called cup\.npz: give the poses as a JSON list"):
         read_scan_poses(written(tmp_path, {"cup.npz": STILL}), scans)
     (first, second) = read_scan_poses(written(tmp_path, [STILL, T.tolist()]), scans)
-    np.testing.assert_allclose(first[1], 0)
-    np.testing.assert_allclose(second[1], t)
+    np.testing.assert_allclose(first.translation, 0)
+    np.testing.assert_allclose(second.translation, t)

@@ -74,7 +74,7 @@ def test_a_board_on_the_turntable(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for path, board in zip(session.turntable.images, boards, strict=True):
         found = find_board(rig_2003.BOARD, read_image(path))
         assert found is not None
-        X = rig_2003.BOARD.points() @ rig_2003.matrix_of(np.asarray(board.rotation)).T + board.translation + moved
+        X = board.apply(rig_2003.BOARD.points()) + moved
         with float64():
             seen = jax.vmap(as_float64(rig.camera).project)(jnp.asarray(X))
         assert np.abs(np.asarray(seen) - found.corners).max() < 0.1

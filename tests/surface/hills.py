@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxscan.geometry import Pose
 from jaxscan.reconstruction import RangeImage
-from jaxscan.surface.motion import Motion
 from jaxscan.surface.side import Side, side_of_image
 from tests.surface.scenes import grid, seen
 
@@ -29,10 +29,10 @@ def scanned(degrees: float, seed: int = 0, shift: tuple[float, float] = (0.0, 0.
     return seen(height(np.cos(a) * x + np.sin(a) * y, np.cos(a) * y - np.sin(a) * x), NOISE, seed=seed)
 
 
-def pose(degrees: float, shift: tuple[float, float] = (0.0, 0.0)) -> Motion:
+def pose(degrees: float, shift: tuple[float, float] = (0.0, 0.0)) -> Pose:
     """T_first_side of a scan, where the first one is neither turned nor shifted."""
     R = _A @ Rotation.from_euler("z", -degrees, degrees=True).as_matrix() @ _A
-    return R, _C - R @ (_C + _A @ [*shift, 0.0])
+    return Pose.from_matrix(R, _C - R @ (_C + _A @ [*shift, 0.0]))
 
 
 def side(name: str, image: RangeImage) -> Side:

@@ -6,6 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
+from jaxscan.geometry import Pose
 from jaxscan.surface.colours import diverging
 from jaxscan.surface.compare import compare, region
 from jaxscan.surface.fit import rigid_fit_to
@@ -76,24 +77,21 @@ def test_figures_and_what_is_beyond():
 
 def test_the_rigid_fit_finds_its_way_from_anywhere(thing):
     points = scanned(thing)
-    R = Rotation.from_rotvec([0.9, -1.7, 0.6]).as_matrix()
-    t = np.array([80.0, -40.0, 120.0])
-    moved = points @ R.T + t
-    found = compare(moved, MeshReference(thing), fit=True)
+    T = Pose(np.array([0.9, -1.7, 0.6]), np.array([80.0, -40.0, 120.0]))
+    found = compare(T.apply(points), MeshReference(thing), fit=True)
     assert found.motion is not None
-    back, shift = found.motion
-    angle = np.degrees(Rotation.from_matrix(back @ R).magnitude())
-    assert angle < 0.02
-    assert np.linalg.norm(back @ (R @ [0, 0, 300] + t) + shift - [0, 0, 300]) < 0.01
+    there_and_back = found.motion @ T
+    assert np.degrees(np.linalg.norm(there_and_back.rotation)) < 0.02
+    assert np.linalg.norm(there_and_back.apply(np.array([0.0, 0.0, 300.0])) - [0, 0, 300]) < 0.01
     assert found.figures()["rms_mm"] == pytest.approx(0.02, rel=0.1)
 
 
 def test_outliers_do_not_pull(thing):
     points = scanned(thing)
     stray = points[:400] + np.random.default_rng(1).uniform(-30, 30, (400, 3))
-    R, t = rigid_fit_to(MeshReference(thing), np.concatenate([points, stray]))
-    assert np.degrees(Rotation.from_matrix(R).magnitude()) < 0.05
-    assert np.linalg.norm(R @ [0, 0, 300] + t - [0, 0, 300]) < 0.02
+    T = rigid_fit_to(MeshReference(thing), np.concatenate([points, stray]))
+    assert np.degrees(np.linalg.norm(T.rotation)) < 0.05
+    assert np.linalg.norm(T.apply(np.array([0.0, 0.0, 300.0])) - [0, 0, 300]) < 0.02
 
 
 def test_a_mirrored_reference_is_not_fitted(thing):

@@ -13,13 +13,13 @@ from jaxscan.surface.floor import find_floor, floor_from_picks, stands_on
 def test_the_floor_under_a_block():
     image = block(noise=0.02)
     floor = find_floor(image)
-    np.testing.assert_allclose(floor.R[:, 2], [0, 0, -1], atol=1e-3)
+    np.testing.assert_allclose(floor.up, [0, 0, -1], atol=1e-3)
     assert floor.sigma_mm == pytest.approx(0.02, rel=0.1)
     assert floor.tolerance_mm == pytest.approx(3 * floor.sigma_mm)
     assert floor.flatness_mm < 0.02
     assert abs(floor.height(np.array([0.0, 0.0, 300.0]))) < 0.005
-    np.testing.assert_allclose(floor.R[:, 1], [0, 1, 0], atol=1e-3)
-    assert np.linalg.det(floor.R) == pytest.approx(1)
+    np.testing.assert_allclose(floor.frame.matrix()[:, 1], [0, 1, 0], atol=1e-3)
+    assert np.linalg.det(floor.frame.matrix()) == pytest.approx(1)
     x, y = grid()
     top = (np.abs(x) < 6) & (np.abs(y) < 6)
     np.testing.assert_array_equal(stands_on(image, floor), top)
@@ -54,7 +54,7 @@ def test_a_bent_floor_says_so():
 def test_picked_points():
     image = block(noise=0.02)
     picks = [[-10.0, -2.0, 300.0], [10.0, -2.0, 300.0], [0.0, -22.0, 300.0]]
-    np.testing.assert_allclose(floor_from_picks(image, picks).R[:, 2], [0, 0, -1], atol=3e-3)
+    np.testing.assert_allclose(floor_from_picks(image, picks).up, [0, 0, -1], atol=3e-3)
     # The top of the block as the floor, if that is what was picked.
     top = floor_from_picks(image, [[-4.0, -9.0, 295.0], [4.0, -9.0, 295.0], [0.0, -15.0, 295.0]])
     assert abs(top.height(np.array([0.0, 0.0, 295.0]))) < 0.02

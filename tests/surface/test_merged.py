@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import InputError
-from jaxscan.surface.coarse import STILL
+from jaxscan.geometry import Pose
 from jaxscan.surface.merged import merge, merge_closed
-from jaxscan.surface.motion import inverse
 from jaxscan.surface.side import Side
 from tests.surface.hills import RADIUS, height, pose, scanned, side
 
 R = 10.0
+STILL = Pose.identity()
 
 
 def ball(name: str, pole: np.ndarray, sigma: float, seed: int, part: float = -1.0) -> Side:
@@ -94,4 +94,4 @@ def test_closed_with_the_floor_under_it(hills):
 
 def test_cubes_of_no_size(halves):
     with pytest.raises(InputError, match="more than 0"):
-        merge(halves, (STILL, inverse(STILL)), cube_mm=0.0)
+        merge(halves, (STILL, STILL), cube_mm=0.0)

@@ -7,6 +7,7 @@ import pytest
 from scenes import ball, block, grid, seen
 
 from jaxscan.errors import InputError
+from jaxscan.geometry import Pose
 from jaxscan.reconstruction import RangeImage, read_range_image, write_points
 from jaxscan.surface import views
 from jaxscan.surface.floor import find_floor
@@ -101,22 +102,22 @@ def test_views():
 def test_a_regular_grid_of_a_tilted_plane():
     x, y = grid()
     image = seen(0.3 * x - 0.2 * y)
-    R = np.diag([1.0, -1.0, -1.0])
-    even = resample(image, 0.25, (R, np.array([0.0, 0.0, 300.0])))
-    local = (even.points[even.valid] - [0, 0, 300]) @ R
+    frame = Pose(np.array([np.pi, 0.0, 0.0]), np.array([0.0, 0.0, 300.0]))
+    even = resample(image, 0.25, frame)
+    local = frame.inverse().apply(even.points[even.valid])
     np.testing.assert_allclose(local[:, :2] / 0.25, np.round(local[:, :2] / 0.25), atol=1e-3)
     np.testing.assert_allclose(local[:, 2], 0.3 * local[:, 0] - 0.2 * (local[:, 1] - 12.0), atol=1e-3)
     assert even.valid.mean() > 0.95
     np.testing.assert_allclose(even.sigma[even.valid], 0.05, rtol=1e-5)
     for spacing in (0.0, -1.0, 1e-6, 1e-9):
         with pytest.raises(InputError, match="a grid of"):
-            resample(image, spacing, (R, np.zeros(3)))
+            resample(image, spacing, frame)
 
 
 def test_a_regular_grid_has_no_points_over_a_depth_edge():
     image = block(noise=0.0)
     floor = find_floor(image)
-    even = resample(image, 0.1, (floor.R, floor.origin))
+    even = resample(image, 0.1, floor.frame)
     height = floor.height(even.points[even.valid].astype(np.float64))
     assert np.minimum(np.abs(height), np.abs(height - 5)).max() < 1e-2
 

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError, ObservabilityError
-from jaxscan.surface.coarse import STILL, arrange, check_fits
+from jaxscan.geometry import Pose
+from jaxscan.surface.coarse import arrange, check_fits
 from jaxscan.surface.floor import find_floor, stands_on
-from jaxscan.surface.motion import after, inverse, moved
 from jaxscan.surface.pairs import equations, match
 from jaxscan.surface.register import NotSettledWarning, register
 from jaxscan.surface.side import side_of_cloud
@@ -33,8 +32,8 @@ def truth():
 
 def off(found, true, centre):
     """The small motion (radians about the centre, mm) from the true pose to the found one."""
-    R, t = after(found, inverse(true))
-    return np.concatenate([Rotation.from_matrix(R).as_rotvec(), R @ centre + t - centre])
+    apart = found @ true.inverse()
+    return np.concatenate([apart.rotation, apart.apply(centre) - centre])
 
 
 def test_sigma_is_the_scatter_about_the_surface(sides):
@@ -56,9 +55,8 @@ def test_derivatives_against_finite_differences(sides, truth):
             motion = np.zeros(12)
             motion[k] = step
             poses = []
-            for (R, t), part in zip(truth[:2], (motion[:6], motion[6:]), strict=True):
-                turn = Rotation.from_rotvec(part[:3]).as_matrix()
-                poses.append((turn @ R, turn @ (t - centre) + centre + part[3:]))
+            for T, part in zip(truth[:2], (motion[:6], motion[6:]), strict=True):
+                poses.append(Pose.about(part[:3], centre, part[3:]) @ T)
             ends.append(equations(sides[0], sides[1], poses[0], poses[1], found, centre).residual)
         np.testing.assert_allclose((ends[0] - ends[1]) / 2e-5, J[:, k], rtol=1e-4, atol=1e-6)
 
@@ -80,7 +78,7 @@ def test_all_sides_together_within_the_predicted_covariance(sides, truth):
 
 
 def test_rounds_that_run_out_are_said(sides, truth):
-    starts = [STILL, after((np.eye(3), np.array([0.3, 0.2, 0.2])), truth[1])]
+    starts = [Pose.identity(), Pose(np.zeros(3), np.array([0.3, 0.2, 0.2])) @ truth[1]]
     with pytest.warns(NotSettledWarning, match=r"after 2 rounds the poses still moved, in the end by"):
         found = register(sides[:2], starts, rounds=2)
     assert not found.converged
@@ -114,7 +112,7 @@ def test_views_that_do_not_overlap_are_named(sides):
     with pytest.raises(InputError, match=r"other\.npz: does not overlap with 0\.npz, 85\.npz"):
         arrange([*sides[:2], other], [0.0, 85.0, 170.0])
     with pytest.raises(InputError, match=r"85\.npz: does not overlap with 0\.npz"):
-        register(sides[:2], (STILL, (np.eye(3), np.array([0.0, 50.0, 0.0]))))
+        register(sides[:2], (Pose.identity(), Pose(np.zeros(3), np.array([0.0, 50.0, 0.0]))))
 
 
 def test_what_slides_is_not_guessed():
@@ -124,8 +122,3 @@ def test_what_slides_is_not_guessed():
     balls = [side(f"{k}.npz", scenes.seen(dome, NOISE, seed=k)) for k in range(2)]
     with pytest.raises(ObservabilityError, match=r"1\.npz: slides"):
         arrange(balls, [0.0, 45.0])
-
-
-def test_moved_and_inverse_agree(truth):
-    points = np.random.default_rng(0).normal(size=(5, 3))
-    np.testing.assert_allclose(moved(moved(points, truth[1]), inverse(truth[1])), points, atol=1e-9)

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
+from jaxscan.geometry import Pose
 from jaxscan.rig import Covariance, Turntable
 from jaxscan.simulation.rig_2003 import simulated_rig
-from jaxscan.surface.coarse import turns_about
-from jaxscan.surface.motion import inverse
 from jaxscan.surface.register import Registration
 from jaxscan.surface.turntable import fit_turntable, turntable_poses
 
@@ -22,11 +20,10 @@ def registered(sigma_rad: float, sigma_mm: float, seed: int = 0) -> Registration
     rng = np.random.default_rng(seed)
     poses = []
     for k in range(8):
-        R, t = inverse(turns_about(AXIS, CENTRE, 45.0 * k))
+        T = Pose.about(np.radians(45.0 * k) * AXIS / np.linalg.norm(AXIS), CENTRE).inverse()
         if k:
-            turn = Rotation.from_rotvec(sigma_rad * rng.normal(size=3)).as_matrix()
-            R, t = turn @ R, turn @ (t - CENTRE) + CENTRE + sigma_mm * rng.normal(size=3)
-        poses.append((R, t))
+            T = Pose.about(sigma_rad * rng.normal(size=3), CENTRE, sigma_mm * rng.normal(size=3)) @ T
+        poses.append(T)
     covariance = np.diag(np.tile([sigma_rad**2] * 3 + [sigma_mm**2] * 3, 7))
     return Registration(tuple(poses), CENTRE, covariance, (), 1.0, 5, 0.01, True)
 
@@ -47,8 +44,8 @@ def test_its_poses_are_those_it_came_from():
     registration = registered(1e-9, 1e-9)
     found = fit_turntable(registration, STEPS)
     for T, true in zip(turntable_poses(found.turntable, STEPS), registration.poses, strict=True):
-        np.testing.assert_allclose(T[0], true[0], atol=1e-7)
-        np.testing.assert_allclose(T[1], true[1], atol=1e-5)
+        np.testing.assert_allclose(T.matrix(), true.matrix(), atol=1e-7)
+        np.testing.assert_allclose(T.translation, true.translation, atol=1e-5)
 
 
 def test_turned_by_hand_is_told():

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration.diagnostics.ladder import f_test
 from jaxscan.calibration.result import Calibration
@@ -95,9 +94,8 @@ def _normal_equations(
 ) -> tuple[Float[np.ndarray, "leaves leaves"], Float[np.ndarray, "leaves"], float, int]:
     """N and g of the richest lens, poses projected out; χ², and how many coordinates are more than the poses take."""
     points, boards = calibration.observations.board.points(), calibration.system.boards
-    R = Rotation.from_rotvec(np.array(boards.rotation)).as_matrix()
-    arms = np.einsum("vij,nj->vni", R, points)
-    X = arms + np.asarray(boards.translation)[:, None]
+    X = boards.apply(points)
+    arms = X - boards.translation[:, None]
     seen = project_points(calibration.rig.camera, X.reshape(-1, 3), richest=True)
     leaves = seen.by_camera.shape[2]
     N, g, chi2, count = np.zeros((leaves, leaves)), np.zeros(leaves), 0.0, 0

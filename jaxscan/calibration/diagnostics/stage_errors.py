@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration.observations import StageSequence
 from jaxscan.calibration.result import Calibration, PhotographFit
+from jaxscan.geometry import Pose
 from jaxscan.rig.projection import project_points
 
 
@@ -167,11 +167,11 @@ def _corners_in_space(
 ) -> Float[np.ndarray, "images corners 3"]:
     """Where the corners stand in the camera frame by the rig, photograph by photograph of a sequence (mm)."""
     rig, stages = calibration.rig, calibration.system.stages
-    at_0 = Rotation.from_rotvec(np.array(stages.rotation[index])).apply(points) + stages.translation[index]
+    at_0 = Pose(stages.rotation[index], stages.translation[index]).apply(points)
     X = np.repeat(at_0[None], len(sequence.views), axis=0)
     if sequence.turns is not None and rig.turntable is not None:
         per_step, centre = np.stack(rig.turntable.per_step), np.stack(rig.turntable.centre)
-        X = np.stack([Rotation.from_rotvec(n * per_step).apply(at_0 - centre) + centre for n in sequence.turns])
+        X = Pose.about(np.outer(sequence.turns, per_step), centre).apply(at_0)
     per_step = np.zeros(3) if rig.stage is None else np.stack(rig.stage.per_step)
     return X + sequence.steps[:, None, None] * per_step
 

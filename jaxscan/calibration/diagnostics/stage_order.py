@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.result import Calibration
+from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
 
 _FEWEST = 3
@@ -47,7 +47,7 @@ def stage_orders(calibration: Calibration) -> tuple[StageOrder, ...]:
         with float64():
             blocks = view_blocks(replace(calibration.observations, views=sequence.views))
             poses = np.array(first_poses(as_float64(calibration.rig.camera), blocks))[: len(sequence.views)]
-        places = Rotation.from_rotvec(poses[:, :3]).apply(middle) + poses[:, 3:]
+        places = Pose.from_vector(poses).apply(middle)
         order = out_of_order(sequence.steps, places)
         if order is not None:
             by_step = np.argsort(sequence.steps, kind="stable")
