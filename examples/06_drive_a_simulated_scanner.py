@@ -1,9 +1,9 @@
 """A scan, from the motor's first step to the points: on a scanner that is all software.
 
-Camera, stage and laser are three small protocols (`hardware.Camera`, `.Stage`, `.Laser`), and whatever speaks them can
-be scanned with. Here they are simulated: the real driver of a BiStep2A04 talks to an emulated controller over an
-emulated serial line, and a rendered world is photographed. With a `scanner.toml` that describes yours,
-`open_scanner(read_scanner(Path("scanner.toml")))` of `hardware.devices` gives the devices in their place.
+Camera, stage and laser are three small protocols (`hardware.CameraDriver`, `.StageDriver`, `.LaserDriver`), and
+whatever speaks them can be scanned with. Here they are simulated: the real driver of a BiStep2A04 talks to an emulated
+controller over an emulated serial line, and a rendered world is photographed. With a `scanner.toml` that describes
+yours, `open_scanner(read_scanner(Path("scanner.toml")))` of `hardware.devices` gives the devices in their place.
 
 Every frame is on the disk, whole, before the stage moves on: a scan that ends early is gone on with later. This one is
 ended after two frames, on purpose.

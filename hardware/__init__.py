@@ -5,18 +5,18 @@ Drivers of real devices import neither jax nor jaxscan.
 
 from typing import TYPE_CHECKING, Any
 
-from hardware.protocols import Camera, Laser, Stage
+from hardware.protocols import CameraDriver, LaserDriver, StageDriver, renamed
 
 if TYPE_CHECKING:
     from hardware.frame import Frame
 
-__all__ = ["Camera", "Frame", "Laser", "Stage"]
+__all__ = ["CameraDriver", "Frame", "LaserDriver", "StageDriver"]
 
 
 def __getattr__(name: str) -> Any:
     # A frame holds an array, and `scanner --help` does not wait for NumPy.
     if name != "Frame":
-        raise AttributeError(f"module 'hardware' has no attribute '{name}'")
+        return renamed(name, __name__)
     from hardware.frame import Frame
 
     return Frame

@@ -19,8 +19,8 @@ _COVERED_COLOUR, _GRID_COLOUR = (40, 200, 90), (200, 200, 200)
 _TINT: Final = 0.25
 
 
-class Coverage:
-    """The views so far."""
+class ViewsSoFar:
+    """What the views so far have shown."""
 
     def __init__(self, board: Board):
         self._board = board

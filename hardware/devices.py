@@ -26,7 +26,7 @@ from hardware.cameras.folder import FolderCamera
 from hardware.cameras.opencv import OpenCvCamera
 from hardware.errors import SettingsError
 from hardware.lasers import ControllerLaser, FixedLaser, RtsLaser
-from hardware.protocols import Camera, Laser
+from hardware.protocols import CameraDriver, LaserDriver
 from hardware.scan import Devices
 from hardware.simulated.laser import SimulatedLaser
 from hardware.simulated.stage import SimulatedStage
@@ -159,7 +159,7 @@ def open_stage(settings: ScannerSettings, homed: bool = False) -> SerialStage:
     return make(port, travel, steps_per_mm=table.number("steps_per_mm"), reverse=reverse, **how)
 
 
-def _laser(settings: ScannerSettings, stage: SerialStage) -> Laser:
+def _laser(settings: ScannerSettings, stage: SerialStage) -> LaserDriver:
     table = settings.laser
     kind = table.string("kind", choices=_LASERS)
     if kind == "simulated":
@@ -174,7 +174,7 @@ def _laser(settings: ScannerSettings, stage: SerialStage) -> Laser:
     return RtsLaser(stage.line)
 
 
-def _camera(settings: ScannerSettings, stage: SerialStage, laser: Laser, seed: int) -> Camera:
+def _camera(settings: ScannerSettings, stage: SerialStage, laser: LaserDriver, seed: int) -> CameraDriver:
     table = settings.camera
     kind = table.string("kind", choices=_CAMERAS)
     if kind == "simulated":

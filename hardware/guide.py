@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from hardware.coverage import ON_STAGE, Coverage, draw_coverage
+from hardware.coverage import ON_STAGE, ViewsSoFar, draw_coverage
 from hardware.frame import Frame
 from hardware.safety import safely
 from hardware.scan import Devices, ensure_homed
@@ -134,7 +134,7 @@ class _Guide:
         self._folder, self._board, self._operator, self._stripe = folder, board, operator, stripe
         self._camera, self._stage, self._laser = devices
         self._separate = self._laser.switchable
-        self._coverage = Coverage(board)
+        self._views = ViewsSoFar(board)
         stripes = {stripe.name: ()} if self._separate else None
         self.session = Session(folder / SESSION_FILE, board, Views((), stripes), lasers=(stripe,))
 
@@ -150,7 +150,7 @@ class _Guide:
     def hold_board(self, views: int) -> None:
         """Photograph so many poses, or as many as the operator likes."""
         while len(self.session.views.boards) < views:
-            if not self.ask(self._coverage.wish()):
+            if not self.ask(self._views.wish()):
                 if (taken := len(self.session.views.boards)) < _LEAST_VIEWS:
                     raise InputError(f"{self._folder}: ended after {taken} poses, and {_LEAST_VIEWS} are the least")
                 return
@@ -171,9 +171,9 @@ class _Guide:
             size = (frame.image.shape[1], frame.image.shape[0])
             self.session = replace(self.session, views=Views((*before.boards, path), stripes), image_size=size)
             write_session(self.session)
-            self._coverage.add(corners, size)
+            self._views.add(corners, size)
             self._show(frame, corners)
-            number, share = len(self.session.views.boards), self._coverage.share
+            number, share = len(self.session.views.boards), self._views.share
             self._operator.say(f"view {number}: {100 * share:.0f} % of the image has had a corner")
 
     def along_stage(self, steps: Sequence[int], settle_s: float) -> None:
@@ -217,5 +217,5 @@ class _Guide:
         return None if found is None else found.corners
 
     def _show(self, frame: Frame, corners: Float[np.ndarray, "points 2"] | None) -> None:
-        coverage = self._coverage
-        self._operator.show(Sight(frame, corners, self.session, coverage.covered, coverage.tilted))
+        views = self._views
+        self._operator.show(Sight(frame, corners, self.session, views.covered, views.tilted))

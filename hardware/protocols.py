@@ -1,17 +1,21 @@
 """What a scan asks of a camera, a stage and a laser. Anything with these methods will do; nothing has to inherit.
 
 Every call returns within a time that follows from what was asked, or raises a `hardware.errors.HardwareError`; one that
-ran out of time is a `TimeoutError` too. `Stage.stop` may be called from another thread, at any time.
+ran out of time is a `TimeoutError` too. `StageDriver.stop` may be called from another thread, at any time.
 """
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+import warnings
+from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     from hardware.frame import Frame
 
+# Names until 0.1, which are those of other things in jaxscan.
+_RENAMED: Final = {"Camera": "CameraDriver", "Stage": "StageDriver", "Laser": "LaserDriver"}
+
 
 @runtime_checkable
-class Camera(Protocol):
+class CameraDriver(Protocol):
     """Takes photographs."""
 
     def open(self) -> None:
@@ -32,7 +36,7 @@ class Camera(Protocol):
 
 
 @runtime_checkable
-class Stage(Protocol):
+class StageDriver(Protocol):
     """Moves along a line, in motor steps."""
 
     def home(self) -> None:
@@ -61,7 +65,7 @@ class Stage(Protocol):
 
 
 @runtime_checkable
-class Laser(Protocol):
+class LaserDriver(Protocol):
     """A sheet of light that may be switched."""
 
     @property
@@ -76,3 +80,24 @@ class Laser(Protocol):
     def off(self) -> None:
         """Switch it off."""
         ...
+
+
+def renamed(name: str, module: str) -> Any:
+    """What had that name in a module, with a warning.
+
+    Raises:
+        AttributeError: nothing had.
+    """
+    if name not in _RENAMED:
+        raise AttributeError(f"module '{module}' has no attribute '{name}'")
+    new = _RENAMED[name]
+    warnings.warn(
+        f"{module}.{name} is now {module}.{new}; the old name goes with the next version",
+        DeprecationWarning,
+        stacklevel=3,
+    )
+    return globals()[new]
+
+
+def __getattr__(name: str) -> Any:
+    return renamed(name, __name__)

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from hardware.errors import HardwareError, LeftOnError
-from hardware.protocols import Laser, Stage
+from hardware.protocols import LaserDriver, StageDriver
 
 _TRIES = 3
 
 
 @contextmanager
-def safely(stage: Stage | None, laser: Laser | None) -> Iterator[None]:
+def safely(stage: StageDriver | None, laser: LaserDriver | None) -> Iterator[None]:
     """Switch the laser off at the end of the block, and stop the stage when that ended in an error or a signal.
 
     A signal has to be an exception by then (`KeyboardInterrupt` is; `scanner` makes one of SIGTERM and SIGHUP). Where
@@ -36,7 +36,7 @@ def safely(stage: Stage | None, laser: Laser | None) -> Iterator[None]:
             atexit.unregister(laser.off)
 
 
-def left_on(stage: Stage | None, laser: Laser | None) -> str:
+def left_on(stage: StageDriver | None, laser: LaserDriver | None) -> str:
     """Switch the laser off and stop the stage, each as often as it takes; what could not be, in words."""
     words, orders = [], []
     if laser is not None:

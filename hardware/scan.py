@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from hardware.errors import HardwareError, PositionUncertainError, StoppedError
 from hardware.frame import Frame
-from hardware.protocols import Camera, Laser, Stage
+from hardware.protocols import CameraDriver, LaserDriver, StageDriver
 from hardware.safety import safely
 from hardware.scan_plan import ScanFolder
 from jaxscan.errors import InputError
@@ -20,9 +20,9 @@ from jaxscan.errors import InputError
 class Devices(NamedTuple):
     """What a scanner consists of."""
 
-    camera: Camera
-    stage: Stage
-    laser: Laser
+    camera: CameraDriver
+    stage: StageDriver
+    laser: LaserDriver
 
 
 class Control:
@@ -107,7 +107,7 @@ def take(
             taken(folder.add(frame, dark), frame)
 
 
-def ensure_homed(stage: Stage) -> None:
+def ensure_homed(stage: StageDriver) -> None:
     """Home a stage that has no reference, or a doubtful one."""
     try:
         stage.position()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hardware.devices import ScannerSettings
-    from hardware.protocols import Stage
+    from hardware.protocols import StageDriver
     from hardware.scan import Devices
 
 
@@ -62,7 +62,7 @@ def scanner(args: argparse.Namespace) -> "Iterator[Devices]":
 
 
 @contextmanager
-def stage_alone(args: argparse.Namespace) -> "Iterator[Stage]":
+def stage_alone(args: argparse.Namespace) -> "Iterator[StageDriver]":
     """The stage without camera and laser; halted when the block ends in an error."""
     from hardware.devices import open_stage
     from hardware.safety import safely

@@ -13,7 +13,7 @@ from hardware.errors import (
     PositionUncertainError,
 )
 from hardware.frame import Frame
-from hardware.protocols import Stage
+from hardware.protocols import StageDriver
 from hardware.safety import left_on, safely
 from hardware.scan import Devices
 
@@ -100,7 +100,7 @@ class PermittedStage:
         arrived: called with the place at which it stands.
     """
 
-    def __init__(self, stage: Stage, permit: Callable[[], object], arrived: Callable[[int], object]):
+    def __init__(self, stage: StageDriver, permit: Callable[[], object], arrived: Callable[[int], object]):
         self._stage, self._permit, self._arrived = stage, permit, arrived
 
     def home(self) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from hardware.coverage import ON_STAGE
 from hardware.guide import Sight
-from hardware.protocols import Camera
+from hardware.protocols import CameraDriver
 from hardware.simulated.camera import SimulatedCamera, SimulatedWorld
 
 
@@ -38,7 +38,7 @@ class SimulatedOperator:
 
 
 def simulated_operator(
-    camera: Camera, views: int, say: Callable[[str], object] = lambda words: None
+    camera: CameraDriver, views: int, say: Callable[[str], object] = lambda words: None
 ) -> SimulatedOperator | None:
     """Who holds the board before the simulated camera; nobody before a real one."""
     return SimulatedOperator(camera.world, views, say) if isinstance(camera, SimulatedCamera) else None

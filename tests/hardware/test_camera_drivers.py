@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hardware import Camera
+from hardware import CameraDriver
 from hardware.cameras.deadline import let_go, within
 from hardware.cameras.folder import FolderCamera
 from hardware.cameras.genicam import GenICamCamera
@@ -72,7 +72,7 @@ def test_photographs_in_their_order_and_by_their_steps(tmp_path: Path):
     for path in paths:
         cv2.imwrite(str(path), cv2.cvtColor(RED // int(path.stem), cv2.COLOR_RGB2BGR))
     camera = FolderCamera(paths)
-    assert isinstance(camera, Camera)
+    assert isinstance(camera, CameraDriver)
     camera.open()
     assert [int(camera.expose(i).image[0, 0, 0]) for i in range(2)] == [100, 20]
     with pytest.raises(CameraError, match="2 in all"):
@@ -129,7 +129,7 @@ def test_gphoto2(monkeypatch: pytest.MonkeyPatch):
     gp: Any = stand_in(Camera=lambda: device, GPhoto2Error=OSError, GP_CAPTURE_IMAGE=0, GP_FILE_TYPE_NORMAL=1)
     monkeypatch.setitem(sys.modules, "gphoto2", gp)
     camera = GPhotoCamera()
-    assert isinstance(camera, Camera)
+    assert isinstance(camera, CameraDriver)
     with pytest.raises(CameraError, match="open it first"):
         camera.expose(0)
     camera.open()
@@ -180,7 +180,7 @@ def test_genicam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
         GenICamCamera(tmp_path / "none.cti").open()
     (tmp_path / "maker.cti").touch()
     camera = GenICamCamera(tmp_path / "maker.cti")
-    assert isinstance(camera, Camera)
+    assert isinstance(camera, CameraDriver)
     camera.open()
     camera.configure(0.005, gain=10.0)
     assert (nodes.ExposureTime.value, nodes.Gain.value, nodes.TriggerMode.value) == (5000, 20, "On")

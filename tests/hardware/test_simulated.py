@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hardware import Camera, Laser, Stage
+from hardware import CameraDriver, LaserDriver, StageDriver
 from hardware.simulated.camera import SimulatedCamera, SimulatedWorld
 from hardware.simulated.laser import SimulatedLaser
 from hardware.simulated.stage import SimulatedStage
@@ -27,9 +27,9 @@ def scanner(world: SimulatedWorld) -> tuple[SimulatedCamera, SimulatedStage, Sim
 def test_the_camera_sees_where_the_stage_truly_is(world: SimulatedWorld) -> None:
     """With 900 steps of play, at a place that was come to from above."""
     camera, stage, laser = scanner(world)
-    assert isinstance(camera, Camera)
-    assert isinstance(stage, Stage)
-    assert isinstance(laser, Laser)
+    assert isinstance(camera, CameraDriver)
+    assert isinstance(stage, StageDriver)
+    assert isinstance(laser, LaserDriver)
     stage.home()
     stage.move_to(30000)
     assert stage.true_position() == 30000

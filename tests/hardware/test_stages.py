@@ -6,7 +6,7 @@ import time
 import pytest
 
 from benchmarks.serial_sessions import TRAVEL, struck
-from hardware import Stage
+from hardware import StageDriver
 from hardware.emulator.port import EmulatedTerminal
 from hardware.errors import (
     HardwareError,
@@ -41,7 +41,7 @@ def true_steps(stage, kind: str) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_load_is_where_the_position_says_from_either_side(kind):
     stage = make(kind)
-    assert isinstance(stage, Stage)
+    assert isinstance(stage, StageDriver)
     with pytest.raises(NotHomedError, match="home"):
         stage.move_to(100)
     stage.home()

@@ -28,7 +28,7 @@ from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
 from jaxscan.images.stripes.evidence import edges_go_on
 from jaxscan.images.stripes.likelihood import ROUGH
-from jaxscan.images.stripes.settle import Band, Frame, Looked, Places, settle
+from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
 from jaxscan.images.stripes.survey import LEAST_SIGNAL, light_of, survey
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.images.stripes.windows import Sensor, gather_windows
@@ -233,9 +233,9 @@ def _detect(
         greatest = np.iinfo(np.int16 if frames.dtype == np.uint8 else np.int32).max
         return np.asarray(coarse_peaks(images, background, np.full_like(ambient, greatest), color, columns))
 
-    frame = Frame(looked, peak, least, ground, length, looked_at, band)
-    verdict = settle(frame, peaks, columns, choice == "likeliest", None if color == "grey" else of_colour)
-    looked, peak = frame.looked, frame.peak
+    batch = MeasuredFrames(looked, peak, least, ground, length, looked_at, band)
+    verdict = settle(batch, peaks, columns, choice == "likeliest", None if color == "grey" else of_colour)
+    looked, peak = batch.looked, batch.peak
     measured = looked.measured
     if detector == "likelihood":
         # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.

@@ -59,7 +59,7 @@ class Looked(NamedTuple):
 
 
 @dataclass
-class Frame:
+class MeasuredFrames:
     """Some frames as they are measured.
 
     Attributes:
@@ -102,28 +102,28 @@ class Frame:
 
 
 def settle(
-    frame: Frame, peaks: Array, columns: bool, contested: bool, of_colour: Callable[[], np.ndarray] | None
+    frames: MeasuredFrames, peaks: Array, columns: bool, contested: bool, of_colour: Callable[[], np.ndarray] | None
 ) -> Int8[np.ndarray, "frames lines"]:
-    """The verdict of each line of some frames; what is measured elsewhere is put into `frame`.
+    """The verdict of each line of some frames; what is measured elsewhere is put into `frames`.
 
     Args:
-        frame: as they were measured.
+        frames: as they were measured.
         peaks: of each block, packed.
         columns: whether lines are columns.
         contested: whether other candidates are looked at.
         of_colour: the peaks where neutral light cancels however bright it is; None where there are no colours.
     """
-    shape = frame.peak.shape
+    shape = frames.peak.shape
     lines = np.arange(shape[1])
-    measured = frame.looked.measured
-    bright = measured.whole & (measured.strength > frame.least[:, None])
+    measured = frames.looked.measured
+    bright = measured.whole & (measured.strength > frames.least[:, None])
     if contested:
-        bright &= frame.looked.near(frame.peak)
-    inside = frame.within(lines, measured.position)
+        bright &= frames.looked.near(frames.peak)
+    inside = frames.within(lines, measured.position)
     found, runs = in_a_line(measured, bright & inside)
     second = np.zeros(shape, bool)
     if contested:
-        lost = frame.looked.strong & ~found
+        lost = frames.looked.strong & ~found
         doubtful = np.flatnonzero((runs > 1) | (lost.sum(axis=1) >= _DOUBTFUL))
         if doubtful.size:
             standing = bright & inside
@@ -132,19 +132,19 @@ def settle(
             if not columns:
                 down = np.swapaxes(down, 1, 2)
                 coloured = None if coloured is None else np.swapaxes(coloured, 1, 2)
-            _contest(frame, doubtful, down, coloured, standing, second)
-            measured = frame.looked.measured
+            _contest(frames, doubtful, down, coloured, standing, second)
+            measured = frames.looked.measured
             found, _ = in_a_line(measured, standing)
     verdict = np.where(found, Verdict.STRIPE, Verdict.NOTHING).astype(np.int8)
     verdict[bright & ~found] = Verdict.SPOT
     verdict[second & ~found] = Verdict.SECOND
     verdict[bright & ~inside & ~found] = Verdict.OUTSIDE
-    _add_faint(frame, verdict)
+    _add_faint(frames, verdict)
     return verdict
 
 
 def _contest(
-    frame: Frame,
+    frames: MeasuredFrames,
     doubtful: Int[np.ndarray, "some"],
     peaks: Int[np.ndarray, "frames down lines"],
     of_colour: Int[np.ndarray, "frames down lines"] | None,
@@ -157,14 +157,14 @@ def _contest(
         """How much of the response is left where white cancels: of what shines white nothing, on its flanks neither."""
         if of_colour is None:
             return np.ones(len(line))
-        own = highest(peaks[n], line, row, _FLANK_PX, frame.length)
-        return highest(of_colour[n], line, row, _FLANK_PX, frame.length) / np.maximum(own, 1)
+        own = highest(peaks[n], line, row, _FLANK_PX, frames.length)
+        return highest(of_colour[n], line, row, _FLANK_PX, frames.length) / np.maximum(own, 1)
 
     places = []
     for n in doubtful:
         lines = np.flatnonzero(standing[n])
-        line, row = rivals(peaks[n], frame.peak[n], _RISES * float(frame.least[n]), frame.length)
-        mains, others = colour(n, lines, frame.peak[n, lines]), colour(n, line, row)
+        line, row = rivals(peaks[n], frames.peak[n], _RISES * float(frames.least[n]), frames.length)
+        mains, others = colour(n, lines, frames.peak[n, lines]), colour(n, line, row)
         # Where the stripe is burnt out white itself, colour tells nothing.
         if lines.size and np.median(mains) > _IN_COLOUR:
             standing[n, lines] = mains > _WHITE
@@ -173,13 +173,13 @@ def _contest(
     at = tuple(index.astype(np.int32) for index in np.concatenate(places, axis=1))
     if not at[0].size:
         return
-    looked = frame.look(at)
+    looked = frames.look(at)
     found = looked.measured
-    good = found.whole & (found.strength > frame.least[at[0]]) & frame.within(at[1], found.position)
+    good = found.whole & (found.strength > frames.least[at[0]]) & frames.within(at[1], found.position)
     # A wide window may see again what stands out most in its line.
-    again = np.abs(found.position - frame.looked.measured.position[at[:2]]) <= _NEAR_PX + found.width
+    again = np.abs(found.position - frames.looked.measured.position[at[:2]]) <= _NEAR_PX + found.width
     which = np.flatnonzero(good & looked.near(at[2]) & ~(again & standing[at[:2]]))
-    own, taken = frame.looked.measured, [np.empty(0, int)]
+    own, taken = frames.looked.measured, [np.empty(0, int)]
     for n in doubtful:
         mine = which[at[0][which] == n]
         if not mine.size:
@@ -200,21 +200,21 @@ def _contest(
         standing[n] = False
         standing[n, line[chosen]] = True
         taken.append(mine[chosen[len(lines) :]])
-    frame.take(at, looked, np.concatenate(taken))
+    frames.take(at, looked, np.concatenate(taken))
 
 
-def _add_faint(frame: Frame, verdict: Int8[np.ndarray, "frames lines"]) -> None:
+def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]) -> None:
     """In weak light, lines that are faint and in company; the verdicts are updated."""
-    measured = frame.looked.measured
-    faint = measured.whole & (measured.strength > _FAINT * frame.ground[:, None])
-    faint &= (verdict == Verdict.NOTHING) & frame.within(np.arange(verdict.shape[1]), measured.position)
+    measured = frames.looked.measured
+    faint = measured.whole & (measured.strength > _FAINT * frames.ground[:, None])
+    faint &= (verdict == Verdict.NOTHING) & frames.within(np.arange(verdict.shape[1]), measured.position)
     places, rows = [np.empty((2, 0), np.int32)], [np.empty(0, np.float32)]
     for n in np.flatnonzero(faint.sum(axis=1) >= _DOUBTFUL):
         found = verdict[n] == Verdict.STRIPE
-        if found.any() and np.median(measured.strength[n][found]) > _WEAK * frame.least[n]:
+        if found.any() and np.median(measured.strength[n][found]) > _WEAK * frames.least[n]:
             continue
         one = measured.position[n], measured.strength[n], measured.width[n]
-        runs = faint_runs(faint[n] | found, *one, frame.length)
+        runs = faint_runs(faint[n] | found, *one, frames.length)
         verdict[n][runs.runs] = Verdict.STRIPE
         verdict[n][runs.weak & ~found] = Verdict.WEAK
         line = np.flatnonzero(runs.between & ~found)
@@ -224,9 +224,9 @@ def _add_faint(frame: Frame, verdict: Int8[np.ndarray, "frames lines"]) -> None:
     if not row.size:
         return
     at = (*between, np.rint(row).astype(np.int32))
-    looked = frame.look(at)
+    looked = frames.look(at)
     again = looked.measured
-    good = again.whole & (again.strength > _FAINT * frame.ground[at[0]]) & near_enough(again.position, row)
-    good &= frame.within(at[1], again.position)
+    good = again.whole & (again.strength > _FAINT * frames.ground[at[0]]) & near_enough(again.position, row)
+    good &= frames.within(at[1], again.position)
     verdict[at[0], at[1]] = np.where(good, Verdict.STRIPE, Verdict.WEAK)
-    frame.take(at, looked, np.flatnonzero(good))
+    frames.take(at, looked, np.flatnonzero(good))
