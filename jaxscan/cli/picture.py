@@ -13,10 +13,11 @@ from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.scan import Scan, read_scan
 from jaxscan.files.session import Session, read_session
-from jaxscan.images import StripeSettings, detect_stripe, find_board, read_image, read_video, write_image
+from jaxscan.images import Stripe, StripeSettings, detect_stripe, find_board, read_image, read_video, write_image
 from jaxscan.images.decode import Image, check_image_ending
 from jaxscan.images.overlay import draw_board, draw_stripe
 from jaxscan.reconstruction import read_range_image
+from jaxscan.reconstruction.light_watch import LightWatch
 
 
 def draw_frame(
@@ -30,9 +31,12 @@ def draw_frame(
     scan = read_scan(path)
     _spare(out, [*scan.frames, *scan.backgrounds])
     image, background = _frame(scan, index)
-    position = _stripe(scan.path, image, scan.laser, background, detector, choice)
+    stripe = _stripe(scan.path, image, scan.laser, background, detector, choice)
+    position, watch = stripe.position.ravel(), LightWatch()
+    watch.see(stripe)
     write_image(out, draw_stripe(image, position, scan.laser.columns))
-    return {"path": str(out), **_found(position, scan.laser)}
+    notes = watch.notes(scan.exposures_s is not None, background is not None)
+    return {"path": str(out), **_found(position, scan.laser), "notes": notes}
 
 
 def draw_view(
@@ -54,7 +58,7 @@ def draw_view(
     for laser in session.lasers:
         lit = _lit(session, laser, index, photograph)
         if lit is not None:
-            position = _stripe(session.path, lit, laser, None, detector, choice)
+            position = _stripe(session.path, lit, laser, None, detector, choice).position.ravel()
             picture = draw_stripe(picture, position, laser.columns)
             lasers.append({"name": laser.name, **_found(position, laser)})
     write_image(out, picture)
@@ -102,10 +106,9 @@ def _lit(session: Session, laser: StripeSettings, index: int, photograph: Image)
 
 def _stripe(
     path: Path, image: Image, laser: StripeSettings, background: Image | None, detector: Detector, choice: Choice
-) -> Float[np.ndarray, "lines"]:
+) -> Stripe:
     with said_of(path):
-        stripe = detect_stripe(image, laser, background, detector=detector, choice=choice)
-    return stripe.position.ravel()
+        return detect_stripe(image, laser, background, detector=detector, choice=choice)
 
 
 def _found(position: Float[np.ndarray, "lines"], laser: StripeSettings) -> dict[str, Any]:

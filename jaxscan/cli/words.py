@@ -173,6 +173,8 @@ def _picture(facts: Facts) -> Iterator[Line]:
         lines = "columns" if "of_columns" in stripe else "rows"
         found.append(f"a stripe in {stripe['stripe_points']} of {stripe[f'of_{lines}']} {lines}")
     yield "picture", f"{picture['path']}: {', '.join(found)}"
+    for note in picture.get("notes", ()):
+        yield "note", f"{note}."
 
 
 def _extent(facts: Facts) -> Iterator[Line]:

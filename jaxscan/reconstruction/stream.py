@@ -16,13 +16,14 @@ from jaxscan.errors import InputError, said_of
 from jaxscan.files.listing import common_size
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
-from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images import Stripe, StripeSettings, detect_stripe
 from jaxscan.images.decode import Image
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wrong_size
+from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import Batch, merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
@@ -44,6 +45,7 @@ REASONS: Final = {
 _WORTH_A_NOTE: Final = 0.02
 
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
+Looked = tuple[RangeImage, Stripe]
 
 
 class Scanner:
@@ -102,8 +104,8 @@ class Scanner:
             laser = self._laser(scan.laser)
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
-        verdicts = np.zeros(len(Verdict), int)
-        for image, counts in self._images(laser, scan, advance):
+        verdicts, watch = np.zeros(len(Verdict), int), LightWatch()
+        for image, counts in self._images(laser, scan, advance, watch):
             frames += len(image.steps)
             verdicts += counts
             seen += int(np.isfinite(image.pixels).sum())
@@ -113,13 +115,14 @@ class Scanner:
             raise InputError(f"{scan.path}: the scan has no frames")
         self.left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
         notes = _left_out_notes(self.left_out, points, self._depths_mm)
+        light = watch.notes(scan.exposures_s is not None, bool(scan.backgrounds))
         if not seen:
             raise InputError(
                 f"{scan.path}: no stripe was found in any of {frames} frames: check [laser] color "
                 f'("{scan.laser.color}") and columns ({str(scan.laser.columns).lower()}), and look at one with '
-                "jaxscan inspect SCAN --frame 0 --png" + "".join(f"; {note}" for note in notes)
+                "jaxscan inspect SCAN --frame 0 --png" + "".join(f"; {note}" for note in notes + light)
             )
-        self.notes += notes
+        self.notes += notes + light
         if not points:
             raise InputError(
                 f"{scan.path}: a stripe was found, but no ray through it meets the rig's light plane within its lens: "
@@ -148,7 +151,9 @@ class Scanner:
         for some in frames_of(frames, background, self._content.rig.camera.image_size, batch):
             yield ready.range_image(some)[0]
 
-    def _images(self, laser: "_Laser", scan: Scan, advance: Callable[[int], object]) -> Iterator[Counted]:
+    def _images(
+        self, laser: "_Laser", scan: Scan, advance: Callable[[int], object], watch: LightWatch
+    ) -> Iterator[Counted]:
         """Range images, and how many lines of each had which verdict."""
         photographs = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
         several = scan.exposures_s is not None and len(set(scan.steps)) < len(scan.steps)
@@ -156,11 +161,12 @@ class Scanner:
             looked = False
             for some in photographs:
                 with said_of(scan.path):
-                    image, counts = laser.range_image(some)
+                    image, stripe = laser.range_image(some)
+                watch.see(stripe)
                 if not looked and np.isfinite(image.pixels).any():
                     looked = True
                     self.notes += _miscoloured(scan.laser, some, image)
-                yield image, counts
+                yield image, _counts(stripe)
             return
         steps = merged_steps(scan, _kept(photographs), FRAMES_AT_ONCE)
         if self._spacetime:
@@ -171,8 +177,10 @@ class Scanner:
         halo = HALO if self._choice == "coherent" else 0
         for some in overlapping(steps, halo, halo, FRAMES_AT_ONCE - 2 * halo):
             with said_of(scan.path):
-                image, counts = laser.range_image(Frames(some.frames, some.backgrounds, some.steps), some.inner)
-            yield image[some.inner, :], counts
+                image, stripe = laser.range_image(Frames(some.frames, some.backgrounds, some.steps))
+            stripe = stripe[some.inner]
+            watch.see(stripe)
+            yield image[some.inner, :], _counts(stripe)
 
     def _laser(self, settings: StripeSettings) -> "_Laser":
         if settings not in self._ready:
@@ -205,8 +213,8 @@ class _Laser:
         self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
         self._per_step = None if rig.stage is None else np.array([float(c) for c in rig.stage.per_step])
 
-    def range_image(self, frames: Frames, inner: slice = slice(None)) -> Counted:
-        """Find the stripe in some frames and triangulate it; and the verdicts of the inner ones."""
+    def range_image(self, frames: Frames) -> Looked:
+        """Find the stripe in some frames and triangulate it."""
         count, size = len(frames.steps), len(frames.images)
         stripe = detect_stripe(
             frames.images,
@@ -224,9 +232,8 @@ class _Laser:
         )
         steps = np.pad(frames.steps, (0, size - count))
         points = _triangulated(self._kernel, position, steps.astype(np.float32), self._laser.columns)
-        counts = np.bincount(stripe.verdict[inner].ravel(), minlength=len(Verdict))
         found = self.with_sigma(position, sigma, strength, points, steps)[:count, :]
-        return replace(found, light=stripe.light), counts
+        return replace(found, light=stripe.light), stripe
 
     def with_sigma(
         self,
@@ -244,6 +251,10 @@ class _Laser:
             sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, position, points, count, own))
         points = np.where(valid[..., None], points, np.float32(np.nan))
         return RangeImage(points, position, strength, sigma, sigma_pixel, valid, steps, self._per_step)
+
+
+def _counts(stripe: Stripe) -> Int[np.ndarray, "verdicts"]:
+    return np.bincount(stripe.verdict.ravel(), minlength=len(Verdict))
 
 
 def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> list[str]:

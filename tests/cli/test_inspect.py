@@ -215,7 +215,7 @@ def green(path: Path) -> np.ndarray:
 
 def test_the_stripe_is_drawn_where_it_is(scan, tmp_path, capsys):
     found = facts(capsys, scan, "--frame", 2, "--png", tmp_path / "f2.png")
-    assert found["picture"] == {"path": str(tmp_path / "f2.png"), "stripe_points": 64, "of_columns": 64}
+    assert found["picture"] == {"path": str(tmp_path / "f2.png"), "stripe_points": 64, "of_columns": 64, "notes": []}
     rows = green(tmp_path / "f2.png")[:, 0]
     assert abs(rows.mean() - 22) < 0.2
     assert "a stripe in 64 of 64 columns" in words(capsys, scan, "--png", tmp_path / "f0.png")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from jaxscan.images.stripes.evidence import edges_go_on
+from jaxscan.images.stripes.evidence import edges_and_profiles, edges_go_on
 
 FRAMES, LINES = 40, 800
 SEEN = np.ones((FRAMES, LINES), bool)
@@ -45,3 +45,24 @@ def test_lines_without_a_stripe_are_not_read():
     assert not found[:, ::2].any()
     assert found.mean() < 0.01
     assert not edges_go_on(*h, np.zeros_like(seen), seen).any()
+
+
+def test_what_is_the_same_all_along_the_stripe_is_its_profile():
+    random = np.random.default_rng(2)
+    noise = 0.02 * random.standard_normal((2, *SEEN.shape))
+    # A flat-topped laser: the same h₄ in all lines; in a few of them there is an edge as well.
+    flat = noise + np.array([0.0, -0.3])[:, None, None]
+    edges, odd = edges_and_profiles(*flat, SEEN, SEEN)
+    assert odd.all()
+    assert edges.mean() < 0.01
+    flat[0, :, 100:140] += 0.2
+    edges, odd = edges_and_profiles(*flat, SEEN, SEEN)
+    assert odd.all()
+    assert edges[:, 104:136].all()
+    assert edges[:, 160:].mean() < 0.02
+    # An edge that goes from one side of the stripe to the other is no profile.
+    crossing = noise + 0.3 * np.sin(np.linspace(0, 2 * np.pi, SEEN.shape[1])) * np.array([1.0, 0.5])[:, None, None]
+    edges, odd = edges_and_profiles(*crossing, SEEN, SEEN)
+    assert not odd.any()
+    assert edges.mean() > 0.8
+    np.testing.assert_array_equal(edges, edges_go_on(*crossing, SEEN, SEEN))

@@ -291,3 +291,17 @@ def test_several_devices_share_a_batch(tmp_path):
     subprocess.run([sys.executable, "-c", code, tmp_path / "frames.npy", out], env=two, check=True)
     one = detect_stripe(frames, GREY, detector="gravity")
     np.testing.assert_allclose(np.load(out), [one.position, one.sigma, one.strength], rtol=1e-6)
+
+
+@pytest.mark.parametrize("parts", [np.linspace(-2, 2, 9), np.array([-1.5, 1.5])], ids=["flat-topped", "two lobes"])
+def test_a_laser_that_is_no_bell_is_not_taken_for_edges(parts):
+    middle = 100 + 5 * np.sin(np.arange(640) / 40)
+    v = np.arange(200)[:, None]
+    light = sum(np.exp(-0.5 * ((v - middle - at) / 0.9) ** 2) for at in parts)
+    levels = 40 + 150 * light / light.max() + 2 * np.random.default_rng(0).standard_normal(light.shape)
+    stripe = detect_stripe(bytes_of(levels), GREY)
+    assert stripe.odd.all()
+    error = stripe.position[0] - middle
+    # Before, 0.3 and 0.8 px.
+    assert np.sqrt(np.nanmean(error**2)) < 0.1
+    assert np.nanmean(np.abs(error) < 2 * stripe.sigma[0]) > 0.9

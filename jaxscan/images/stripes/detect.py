@@ -14,11 +14,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from itertools import cycle
 from math import prod
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Float32, Int, Int8
+from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
@@ -26,9 +26,11 @@ from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
-from jaxscan.images.stripes.evidence import edges_go_on
+from jaxscan.images.stripes.evidence import edges_and_profiles
 from jaxscan.images.stripes.likelihood import ROUGH
+from jaxscan.images.stripes.response import numbers
 from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
+from jaxscan.images.stripes.smoothed import DISTANCES, noise_correlation, widening
 from jaxscan.images.stripes.survey import LEAST_SIGNAL, light_of, survey
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.images.stripes.windows import Sensor, gather_windows
@@ -42,6 +44,8 @@ _SLIM_LN_PX = float(np.log(1.7))
 # What stands out by less than so many times what is asked is looked at in more of its surroundings.
 _FAINT = 2.0
 _LEAST_STRENGTH = 10.0
+# Neighbouring pixels beside the stripe are alike from this on, −0.2 being white: it is looked into.
+_BESIDE = -0.12
 # Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from about so many pixels.
 _AMBIENT_QUANTILE = 0.97
 _SOME_PIXELS = 1200
@@ -66,7 +70,13 @@ class Stripe:
         width: full width at half the height, px; NaN where it is not valid.
         valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
         verdict: what was made of the line, a `Verdict`.
+        burnt: whether some pixel near the line's stripe is full.
         light: read noise, gain, speckle contrast and saturation of each frame (`images.light`); NaN without a stripe.
+        odd: in which frames the stripe's cross section is no bell, and that all along it.
+        correlation: of the noise of neighbouring pixels of each frame's lines; 0 where it is white, or not seen.
+        full: share of each frame's pixels whose laser channel is full.
+        surroundings: level of some pixels of each frame, of the channels that are not the laser's: grey levels of an
+            8-bit photograph.
     """
 
     position: Float32[np.ndarray, "frames lines"]
@@ -75,7 +85,16 @@ class Stripe:
     width: Float32[np.ndarray, "frames lines"]
     valid: Bool[np.ndarray, "frames lines"]
     verdict: Int8[np.ndarray, "frames lines"]
+    burnt: Bool[np.ndarray, "frames lines"]
     light: Float32[np.ndarray, "frames 4"]
+    odd: Bool[np.ndarray, "frames"]
+    correlation: Float32[np.ndarray, "frames"]
+    full: Float32[np.ndarray, "frames"]
+    surroundings: Float32[np.ndarray, "frames some_rows some_columns"]
+
+    def __getitem__(self, some: slice) -> "Stripe":
+        """Some of the frames."""
+        return Stripe(*(getattr(self, f.name)[some] for f in fields(self)))
 
 
 def detect_stripe(
@@ -127,7 +146,7 @@ def detect_stripe(
                 min(count - begin, length),
                 band,
             )
-        return found if first == begin else Stripe(*(getattr(found, f.name)[inner] for f in fields(Stripe)))
+        return found if first == begin else found[inner]
 
     # Frames are looked at each by itself, so several devices share them without a word to one another; a choice that
     # depends on the frames beside it keeps them together.
@@ -167,7 +186,12 @@ def _detect(
     if choice not in ("likeliest", "strongest"):
         rows, strength = (np.asarray(each)[:count] for each in candidates(peaks, length, columns))
         peak = choose(rows, strength, choice)
-    sensor = survey(images, background, ambient, peak, stands, color, columns, narrow, FRAMES_AT_ONCE)
+    looking = (images, background, ambient, peak, stands, color, columns, narrow, FRAMES_AT_ONCE)
+    sensor = survey(*looking)
+    correlation = _correlations(frames, dark, settings, sensor, peak)
+    smoothed = np.flatnonzero(correlation[: len(peak), 0])
+    if len(smoothed):
+        sensor = survey(*looking, correlation)
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
     slim_frames = np.asarray(sensor.ln_s)[:count] < (_SLIM_LN_PX if detector == "likelihood" else -np.inf)
@@ -236,12 +260,12 @@ def _detect(
     batch = MeasuredFrames(looked, peak, least, ground, length, looked_at, band)
     verdict = settle(batch, peaks, columns, choice == "likeliest", None if color == "grey" else of_colour)
     looked, peak = batch.looked, batch.peak
-    measured = looked.measured
+    measured, odd = looked.measured, np.zeros(len(peak), bool)
     if detector == "likelihood":
         # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.
         halo = looked.burnt | (looked.burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
         plain = looked.strong & ~looked.cramped & ~halo
-        strained = edges_go_on(measured.h3, measured.h4, plain, plain & measured.strained)
+        strained, odd = edges_and_profiles(measured.h3, measured.h4, plain, plain & measured.strained)
         flat = jax.tree.map(np.ravel, measured)
         flat = look_again(flat, (*everywhere[:2], peak.ravel()), strained.ravel(), narrow, "torn")
         measured = jax.tree.map(lambda x: x.reshape(peak.shape), flat)
@@ -249,8 +273,41 @@ def _detect(
     position, sigma, width = (
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
+    for i in smoothed:
+        sigma[i] *= widening(correlation[i], sensor, int(i), width[i], measured.relief[i])
+    around = _surroundings(_sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
     light = np.where(valid.any(axis=1, keepdims=True), light_of(sensor, color)[: len(valid)], np.float32(np.nan))
-    return Stripe(position, sigma, measured.strength, width, valid, verdict, light)
+    return Stripe(
+        position,
+        sigma,
+        measured.strength,
+        width,
+        valid,
+        verdict,
+        measured.burnt,
+        light,
+        odd,
+        correlation[: len(valid), 0],
+        *around,
+    )
+
+
+def _correlations(
+    frames: np.ndarray | Array,
+    dark: np.ndarray | Array | None,
+    settings: StripeSettings,
+    sensor: Sensor,
+    peak: Int[np.ndarray, "frames lines"],
+) -> Float32[np.ndarray, "most distances"]:
+    """Correlation of the noise 1, 2, … pixels apart in each frame, 0 where it is white; as long as `sensor`."""
+    beside, m, n = (np.asarray(x) for x in (sensor.beside, *sensor.weights))
+    found = np.zeros((len(beside), DISTANCES), np.float32)
+    for i in np.flatnonzero(beside[: len(peak)] > _BESIDE):
+        ground = None if dark is None else np.asarray(dark[i if len(dark) > 1 else 0])
+        told = noise_correlation(np.asarray(frames[i]), ground, settings, (m[i], n[i]), peak[i])
+        if told is not None:
+            found[i] = told
+    return found
 
 
 def _speckled(
@@ -271,18 +328,35 @@ def ambient_levels(
     """The level of the other two channels without laser, in each frame."""
     if color == "grey":
         return np.zeros(len(frames), np.int32)
-    every = max(1, int((frames.shape[1] * frames.shape[2] / _SOME_PIXELS) ** 0.5))
     _, first, second = CHANNELS[color]
 
     def others_of(images: np.ndarray | Array) -> Int[np.ndarray, "frames rows columns"]:
-        # Of frames on a device no more is fetched than that.
-        some = np.asarray(images[:, ::every, ::every], np.int32)
+        some = _sample(images).astype(np.int32)
         return some[..., first] + some[..., second]
 
     others = others_of(frames) if dark is None else others_of(frames) - others_of(dark)
     flat = np.reshape(others, (len(frames), -1))
     rank = int(_AMBIENT_QUANTILE * (flat.shape[1] - 1))
     return np.partition(flat, rank, axis=1)[:, rank].astype(np.int32)
+
+
+def _sample(images: np.ndarray | Array) -> UInt[np.ndarray, "frames rows columns *rgb"]:
+    """Some pixels of each image; of images on a device no more is fetched than that."""
+    every = max(1, int((images.shape[1] * images.shape[2] / _SOME_PIXELS) ** 0.5))
+    return np.asarray(images[:, ::every, ::every])
+
+
+def _surroundings(
+    some: UInt[np.ndarray, "frames rows columns *rgb"], full: Int[np.ndarray, "frames"], color: str
+) -> tuple[Float32[np.ndarray, "frames"], Float32[np.ndarray, "frames rows columns"]]:
+    """The share of full pixels, and the level without the laser."""
+    laser = np.asarray(numbers(cast(Any, some), color))
+    share = (laser >= full[:, None, None]).mean(axis=(1, 2), dtype=np.float32)
+    grey = np.float32(np.iinfo(some.dtype).max / 255)
+    if color == "grey":
+        return share, laser / grey
+    _, first, second = CHANNELS[color]
+    return share, (some[..., first].astype(np.float32) + some[..., second]) / (2 * grey)
 
 
 def _groups(

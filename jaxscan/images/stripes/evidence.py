@@ -23,6 +23,9 @@ _LEAST_T2 = 20.0
 _FEWEST = 5
 # In a few lines v may come out small by chance: it is no less than this part of what most lines of the frame have.
 _LEAST_OF_USUAL = 0.5
+# Where at least this part of the lines has evidence for an edge, and less than that part of these once what all lines
+# have in common is taken out, it is the laser's profile.
+_MANY, _REST = 0.1, 0.3
 
 Lines = Float[np.ndarray, "frames lines"]
 
@@ -43,6 +46,31 @@ def edges_go_on(
     if some.any():
         found[some] = _go_on(h3[some], h4[some], seen[some])
     return found & asked
+
+
+def edges_and_profiles(
+    h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"], asked: Bool[np.ndarray, "frames lines"]
+) -> tuple[Bool[np.ndarray, "frames lines"], Bool[np.ndarray, "frames"]]:
+    """Which lines have evidence for an edge, and which frames a stripe that is no bell.
+
+    An edge runs along a stripe now on one side of its middle, now on the other. What is the same all along the stripe
+    is the profile of the laser: it is taken out.
+
+    Args:
+        h3: as `edges_go_on` has them, all four.
+        h4: likewise.
+        seen: likewise.
+        asked: likewise.
+    """
+    edges = edges_go_on(h3, h4, seen, asked)
+    many = np.flatnonzero(edges.sum(1) > _MANY * seen.sum(1))
+    odd = np.zeros(len(edges), bool)
+    if len(many):
+        own = [h[many] - np.nanmedian(np.where(seen[many], h[many], np.nan), axis=1, keepdims=True) for h in (h3, h4)]
+        rest = edges_go_on(own[0], own[1], seen[many], asked[many])
+        odd[many] = rest.sum(1) < _REST * edges[many].sum(1)
+        edges[many] = np.where(odd[many, None], rest, edges[many])
+    return edges, odd
 
 
 def _go_on(h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:

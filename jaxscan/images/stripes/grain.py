@@ -103,12 +103,16 @@ def innovations(
 
 
 class Chance(NamedTuple):
-    """How a frame's pixels scatter: variance of the sensor's noise, shot noise, C² of the speckle, ρ."""
+    """How a frame's pixels scatter: variance of the sensor's noise, shot noise, C² of the speckle, ρ.
+
+    Where a camera has smoothed its noise, `even` is 1 if it did so on the stripe too, 0 if not there.
+    """
 
     read2: Frames
     shot: Frames
     speckle: Frames
     grain: Frames
+    even: Frames
 
 
 def chance(
@@ -121,6 +125,7 @@ def chance(
     read2: Frames,
     known: Bool[Array, "frames"],
     groups: int,
+    correlation: Float[Array, "frames distances"] | None = None,
 ) -> Chance:
     """Noise and speckle of each frame, from what fits of its stripes leave.
 
@@ -142,6 +147,7 @@ def chance(
         read2: the variance of the sensor's noise; of frames that do not tell it, the most that it can be.
         known: which do.
         groups: into how many groups of lines a frame is divided: of their sums the median is taken.
+        correlation: of all noise of pixels 1, 2, … apart, where a camera has smoothed it; then no grain is looked for.
     """
     lags = range(1, _LAGS)
 
@@ -184,23 +190,39 @@ def chance(
     def independent(v: Pixels) -> list[PerLine]:
         return left([*((at * v).sum(1) for at in regions), *[0.0] * len(lags)], lambda y: v * y)
 
-    def alike(apart: int) -> list[PerLine]:
-        direct = [(light[:, apart:] * light[:, :-apart]).sum(1) if lag == apart else 0.0 for lag in lags]
-        return left([*[0.0] * len(regions), *direct], lambda y: light * _both_ways(light * y, apart))
+    def alike(root: Pixels, apart: int) -> list[PerLine]:
+        direct = [(root[:, apart:] * root[:, :-apart]).sum(1) if lag == apart else 0.0 for lag in lags]
+        return left([*[0.0] * len(regions), *direct], lambda y: root * _both_ways(root * y, apart))
 
-    by_read, by_photons, *by_distance = (
-        usual(part, expected)
-        for part in (*map(independent, (unit, photons, light**2)), *map(alike, range(1, _DISTANCES)))
-    )
-    rho = jnp.linspace(0.0, _MOST, _STEPS)
-    powers = rho[None] ** (jnp.arange(_DISTANCES)[:, None] ** 2)
-    by_speckle = jnp.einsum("jg,jsf->sgf", powers, jnp.stack(by_distance))
+    def smoothed(root: Pixels, by: Float[Array, "frames distances"]) -> list[PerLine]:
+        near = [(1 + j, by[:, j, None, None]) for j in range(by.shape[1])]
+        direct = [(by[:, lag - 1, None, None] * root[:, lag:] * root[:, :-lag]).sum(1) for lag in lags]
+        return left(
+            [*((at * root**2).sum(1) for at in regions), *direct],
+            lambda y: root * (root * y + sum(rho * _both_ways(root * y, apart) for apart, rho in near)),
+        )
+
+    by_read, by_photons, *by_distance = (usual(independent(v), expected) for v in (unit, photons, light**2))
+    if correlation is None:
+        rho = jnp.linspace(0.0, _MOST, _STEPS)
+        priced = jnp.where(rho > 0, 1.0, 0.0)
+        by_distance += [usual(alike(light, apart), expected) for apart in range(1, _DISTANCES)]
+        powers = rho[None] ** (jnp.arange(_DISTANCES)[:, None] ** 2)
+        by_speckle, by_photons = jnp.einsum("jg,jsf->sgf", powers, jnp.stack(by_distance)), by_photons[:, None]
+    else:
+        # The stripe's own noise is smoothed like that beside it, or, by a filter that keeps edges, it is not.
+        rho, priced = jnp.zeros(2), jnp.arange(2.0)
+        by_read, *even = (usual(smoothed(v, correlation), expected) for v in (jnp.sqrt(unit), jnp.sqrt(photons), light))
+        by_photons, by_speckle = (
+            jnp.stack(each, axis=1) for each in zip(even, (by_photons, *by_distance), strict=True)
+        )
     # How well each is known: z² of variance v scatters by 2 v², the product of two such numbers by v².
     own = [v**2 for v in seen[: len(regions)]]
     product = jnp.stack([n * v for n, v in zip(number, own, strict=False)]).sum(0) / number[-1]
     scatter = [*(2 * v for v in own), *[product] * len(lags)]
     weight = jnp.stack([groups * n / jnp.maximum(v, _TINY) for n, v in zip(number, scatter, strict=True)])
-    found = _least(seen[:, None], weight[:, None], by_read[:, None], by_photons[:, None], by_speckle, rho, read2, known)
+    equations = seen[:, None], weight[:, None], by_read[:, None], by_photons, by_speckle
+    found = _least(*equations, rho, priced, read2, known)
     # What goes on as far as the list does is no speckle, but a profile that is not the model's.
     sure = found.grain < _MOST_SURE
     found = found._replace(speckle=jnp.where(sure, found.speckle, 0.0), grain=jnp.where(sure, found.grain, 0.0))
@@ -215,10 +237,14 @@ def _least(
     by_photons: Array,
     by_speckle: Array,
     rho: Float[Array, "grains"],
+    priced: Float[Array, "grains"],
     read2: Frames,
     known: Array,
 ) -> Chance:
-    """The numbers that explain what is seen with the least need; all as (sums, grains, frames)."""
+    """The numbers that explain what is seen with the least need; all as (sums, grains, frames).
+
+    Of the smoothed noise of a camera there are two cases in place of the grains.
+    """
 
     def dot(a: Array, b: Array) -> Array:
         return (weight * a * b).sum(0)
@@ -243,11 +269,10 @@ def _least(
         (zero, s / ss),
         ((p * ss - s * ps) / determinant, (s * pp - p * ps) / determinant),
     ]
-    grained = jnp.where(rho > 0, 1.0, 0.0)[:, None]
     need = []
     for count, (a, b) in enumerate(every):
         left = seen - a[None] * photons - b[None] * speckles
-        numbers = (0, 1, 1, 2)[count] + (grained if count > 1 else 0.0)
+        numbers = (0, 1, 1, 2)[count] + (priced[:, None] if count > 1 or by_photons.shape[1] > 1 else 0.0)
         possible = (a >= 0) & (b >= 0) & (b <= 1) & jnp.isfinite(a + b)
         need.append(jnp.where(possible, dot(left, left) + _PRICE * numbers, jnp.inf))
     best = jnp.argmin(jnp.stack(need).reshape(-1, need[0].shape[-1]), axis=0)[None]
@@ -256,12 +281,12 @@ def _least(
     )
     at = best % len(rho)
     grain = jnp.where(best[0] >= 2 * len(rho), rho[at[0]], 0.0)
-    left = whole - shot[None, None] * by_photons
-    left -= speckle[None, None] * jnp.take_along_axis(
-        by_speckle, jnp.broadcast_to(at[None], (len(whole), *at.shape)), axis=1
-    )
+    left = whole
+    for number, by in ((shot, by_photons), (speckle, by_speckle)):
+        chosen = jnp.broadcast_to(jnp.minimum(at, by.shape[1] - 1)[None], (len(whole), *at.shape))
+        left -= number[None, None] * jnp.take_along_axis(by, chosen, axis=1)
     own = (dot(by_read, left) / dot(by_read, by_read))[0]
-    return Chance(own, shot, speckle, grain)
+    return Chance(own, shot, speckle, grain, jnp.where(at[0] == 0, 1.0, 0.0))
 
 
 def _total(parts: list[Pixels]) -> Pixels:

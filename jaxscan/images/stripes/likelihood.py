@@ -37,7 +37,7 @@ _STEPS, _STEPS_CENSORED = 2, 8
 _STEPS_GRAINED, _STEPS_GRAINED_CENSORED = 1, 3
 # The model holds about the stripe, not for what else is in the window: so many standard deviations, and pixels, beyond
 # where it falls to half its seen height. What lies further out holds 1 % of what is known of the centre.
-_REACH, _REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
+REACH, REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
 LN_HEIGHT_SPREAD = 2.0
 # Squared contrast of speckle that makes a stripe ragged.
 ROUGH = 0.3**2
@@ -48,7 +48,7 @@ _HALF_MAXIMUM = 5.545177  # 8 ln 2
 _PIXEL_VARIANCE = 1 / 12
 _LEAST_S, _MOST_OVER = 0.35, 100.0
 # The fit's own scatter tells as much of its σ as so many degrees of freedom of the sensor's noise.
-_FREEDOM_OF_NOISE = 10.0
+FREEDOM_OF_NOISE = 10.0
 # Pixels are strained that are off by this part of the peak, and by so many standard deviations.
 _USUAL_MISFIT, _STRAIN = 0.03, 1.5
 _ROOT_HALF, _ROOT_HALF_PI, _ROOT_2_OVER_PI = 0.70710678, 1.2533141, 0.79788456
@@ -127,7 +127,7 @@ def likelihood(
     found = fit(windows, outline, sensor, censored, grain_steps=more if grained else 0)
     squares = (found.standard**2).sum(1, keepdims=True)
     freedom = jnp.maximum(found.free.sum(1, keepdims=True) - len(Profile._fields), 0)
-    scatter = (_FREEDOM_OF_NOISE + squares) / (_FREEDOM_OF_NOISE + freedom)
+    scatter = (FREEDOM_OF_NOISE + squares) / (FREEDOM_OF_NOISE + freedom)
     sigma = jnp.sqrt(scatter) / found.inverse_sigma
     profile = found.profile
     s = jnp.exp(profile.ln_s)
@@ -171,12 +171,12 @@ def fit(
         grain_steps: how many steps follow with pixels whose speckle is correlated.
     """
     start = first_guess(windows, outline, sensor, censored)
-    reach = outline.width / 2 + _REACH * jnp.exp(start.ln_s) + _REACH_PX + further_px
+    reach = outline.width / 2 + REACH * jnp.exp(start.ln_s) + REACH_PX + further_px
     # A dark grain splits a stripe, so that its outline tells little. And the light's tails tell the centre as well as
     # its flanks do, down to the sensor's noise.
     rough = (sensor.speckle > ROUGH) & (sensor.ln_s_spread < 1)
     start = start._replace(ln_s=jnp.where(rough, sensor.ln_s, start.ln_s))
-    reach = jnp.where(rough, jnp.maximum(reach, _REACH_ROUGH * jnp.exp(sensor.ln_s) + _REACH_PX), reach)
+    reach = jnp.where(rough, jnp.maximum(reach, _REACH_ROUGH * jnp.exp(sensor.ln_s) + REACH_PX), reach)
     mean = start._replace(ln_s=sensor.ln_s)
     precision = Profile(*(jnp.zeros(()), jnp.asarray(LN_HEIGHT_SPREAD**-2), sensor.ln_s_spread**-2, jnp.zeros(())))
     used = jnp.abs(places(windows.response.shape[1]) - start.centre) <= reach

@@ -44,7 +44,7 @@ NEUTRAL: Final = (1.0, 1.0)
 # Rounding's own variance, grey levels squared: no covariance is smaller.
 _ROUNDING = 1 / 12
 # Parts of red, green and blue in luma (ITU-R BT.601).
-_LUMA: Final = (0.299, 0.587, 0.114)
+LUMA: Final = (0.299, 0.587, 0.114)
 _WITH_COLOURS: Final = 4
 # A channel that is interpolated to full resolution is full from this part of its greatest number on: what a JPEG
 # leaves of luma's detail is off by a few grey levels, and counts threefold.
@@ -72,8 +72,8 @@ def channels(
         color: of the laser, or grey.
     """
     if color == "grey" and pixels.ndim == _WITH_COLOURS:
-        lit = _luma(tuple(pixels[..., i] for i in range(3)), _LUMA)
-        return (lit if background is None else lit - _luma(tuple(background[..., i] for i in range(3)), _LUMA),)
+        lit = _luma(tuple(pixels[..., i] for i in range(3)), LUMA)
+        return (lit if background is None else lit - _luma(tuple(background[..., i] for i in range(3)), LUMA),)
     # 2 L − (M + N) of a difference of bytes stays within ± 1020, and packed in 32 of them still fits 16 bits.
     signed = jnp.int16 if pixels.dtype == jnp.uint8 else jnp.int32
 
@@ -264,7 +264,7 @@ def detailed(
 def _luma_weights(color: str) -> tuple[float, float, float]:
     """Of L, M and N."""
     laser, first, second = CHANNELS[color]
-    return _LUMA[laser], _LUMA[first], _LUMA[second]
+    return LUMA[laser], LUMA[first], LUMA[second]
 
 
 def _luma(levels: tuple[Array, ...], weights: tuple[float, float, float]) -> Float[Array, "..."]:

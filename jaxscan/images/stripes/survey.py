@@ -93,6 +93,7 @@ def survey(
     columns: bool,
     half: int,
     most: int,
+    correlation: Float[np.ndarray, "most distances"] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor.
 
@@ -107,6 +108,8 @@ def survey(
         half: half the window's length.
         most: how many frames there may be: so many entries has each number of the answer, the last one repeated, so
             that no number of frames compiles anew.
+        correlation: of each frame's noise, as `noise_correlation` tells it; 0 of frames whose noise is white, None
+            where all are such.
     """
     of = np.minimum(np.arange(most, dtype=np.int32), len(peak) - 1)
     line = _lines_with_a_stripe(stands)[of]
@@ -119,8 +122,8 @@ def survey(
     # Merged exposures have 16 bits, and their own rounding.
     chroma = None if color == "grey" or lit.dtype != jnp.uint8 else has_half_chroma(lit, first, color)
     if chroma is None or not np.asarray(chroma).any():
-        return survey_windows(lit, dark, ambient, color)
-    return survey_windows(lit, dark, ambient, color, chroma=(chroma, first))
+        return survey_windows(lit, dark, ambient, color, correlation=correlation)
+    return survey_windows(lit, dark, ambient, color, chroma=(chroma, first), correlation=correlation)
 
 
 def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames some"]:
@@ -145,6 +148,7 @@ def survey_windows(
     color: str,
     gain: Pixels | None = None,
     chroma: tuple[Bool[Array, "frames"], Places] | None = None,
+    correlation: Float[Array, "frames distances"] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor in some of its windows.
 
@@ -155,6 +159,7 @@ def survey_windows(
         color: of the laser, or grey.
         gain: as that of `Windows`; the noise is that of single pixels.
         chroma: whether each frame's colours are at half resolution, and the windows' first pixels; None where none are.
+        correlation: as that of `survey`.
     """
     levels = channels(lit, dark, color)
     laser = numbers(lit, color)
@@ -176,18 +181,23 @@ def survey_windows(
     ground = _ground(plain, burnt, gain)
     if half is not None and detail is not None:
         rounding = jnp.hypot(rounding, luma_error(detail, half, weights))
-    read = jnp.maximum(_ground(r, burnt, gain), rounding)
+    noise = _ground(r, burnt, gain)
+    if correlation is not None:
+        noise /= _shown(correlation)
+    read = jnp.maximum(noise, rounding)
     zero = jnp.zeros_like(one)
-    sensor = Sensor(weights, ambient, full, span, ground, read, zero, zero, zero, zero, _UNKNOWN * one, detail)
+    sensor = Sensor(
+        weights, ambient, full, span, ground, read, zero, zero, zero, zero, _UNKNOWN * one, _beside(r), zero, detail
+    )
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
     # With no idea of the noise some lines will do.
     some, about = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
-    first = _look(some, about, _Seen(sensor, jnp.ones(len(lit), bool)), read, roughly=True)
+    first = _look(some, about, _Seen(sensor, jnp.ones(len(lit), bool)), read, correlation, roughly=True)
 
     def again(looked: Array, seen: _Seen) -> _Seen:
         more = (looked == 0) | (seen.sensor.speckle > ROUGH)
-        return jax.tree.map(partial(jnp.where, more), _look(windows, around, seen, read), seen)
+        return jax.tree.map(partial(jnp.where, more), _look(windows, around, seen, read, correlation), seen)
 
     # The last looks are for those that speckle has made ragged; where there are none they are not taken.
     def unfinished(state: tuple[Array, _Seen]) -> Array:
@@ -204,7 +214,14 @@ class _Seen(NamedTuple):
     apart: Bool[Array, "frames"]
 
 
-def _look(windows: Windows, around: Outline, seen: _Seen, read: Float[Array, "frames"], roughly: bool = False) -> _Seen:
+def _look(
+    windows: Windows,
+    around: Outline,
+    seen: _Seen,
+    read: Float[Array, "frames"],
+    correlation: Float[Array, "frames distances"] | None,
+    roughly: bool = False,
+) -> _Seen:
     """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
     sensor = seen.sensor
     found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
@@ -214,13 +231,14 @@ def _look(windows: Windows, around: Outline, seen: _Seen, read: Float[Array, "fr
     spread = jnp.maximum(NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
-    light, apart = _chance(found, windows, around, shines, read, seen.apart, roughly)
+    light, apart = _chance(found, windows, around, shines, read, seen.apart, correlation, roughly)
     sensor = replace(
         sensor,
         read=jnp.sqrt(light.read2),
         shot=light.shot,
         speckle=light.speckle,
         grain=light.grain,
+        even=light.even,
         ln_s=jnp.where(known.any(1), usual, 0.0),
         ln_s_spread=jnp.where(known.any(1), spread, _UNKNOWN),
     )
@@ -274,6 +292,21 @@ def _weights(
     return channel_weights(levels, stripe, jnp.broadcast_to(beside, r.shape), half, color)
 
 
+def _shown(correlation: Float[Array, "frames distances"]) -> Float[Array, "frames"]:
+    """Which part of σ stands out from the mean of five pixels, in parts of that of white noise."""
+    apart = jnp.arange(1, 1 + correlation.shape[1])
+    lost = 2 / _FLANK**2 * ((_FLANK - apart)[None] * correlation).sum(1)
+    return jnp.sqrt(jnp.maximum(1 - lost / (1 - 1 / _FLANK), _TINY))
+
+
+def _beside(r: Float[Array, "frames window lines"]) -> Float[Array, "frames"]:
+    """Of neighbouring pixels at the ends of the windows, the mean product over the mean square."""
+    ends = jnp.stack([r[:, :_FLANK], r[:, -_FLANK:]])
+    off = ends - ends.mean(-2, keepdims=True)
+    squares, products = (off * off).sum(-2), (off[..., 1:, :] * off[..., :-1, :]).sum(-2)
+    return (products / jnp.maximum(squares, _TINY)).mean((0, 2))
+
+
 def _ground(r: Float[Array, "frames window lines"], burnt: Array, gain: Pixels | None) -> Float[Array, "frames"]:
     """What stands out without a laser: noise and texture (σ), from the ends of each frame's windows.
 
@@ -296,6 +329,7 @@ def _chance(
     shines: Bool[Array, "frames lines"],
     ground: Float[Array, "frames"],
     apart: Bool[Array, "frames"],
+    correlation: Float[Array, "frames distances"] | None,
     roughly: bool,
 ) -> tuple[Chance, Bool[Array, "frames"]]:
     """Noise and speckle, and in which frames the stripes leave nothing in common.
@@ -313,6 +347,7 @@ def _chance(
         shines: which lines have a stripe.
         ground: σ at the ends of the windows.
         apart: in which frames the stripes have left nothing in common so far.
+        correlation: as that of `survey`.
         roughly: whether speckle of single pixels will do, as weights of a next fit.
     """
     clean = shines & ~windows.full.any(1)
@@ -340,7 +375,7 @@ def _chance(
         rest = square - square * sum(y * y for y in taken)
         speckle = _quotient(standard**2 - rest * ground[:, None, None] ** 2, rest * height**2)
         zero = jnp.zeros_like(ground)
-        return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero), apart
+        return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero, zero), apart
     core, tail = (jnp.where(where, 1.0, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     light = chance(
@@ -354,6 +389,7 @@ def _chance(
         read2=ground**2,
         known=clear,
         groups=_GROUPS,
+        correlation=correlation,
     )
     # A profile that is not the model's is off over several pixels, as grains are.
     return light._replace(grain=jnp.where(apart, light.grain, 0.0)), apart

@@ -75,6 +75,9 @@ class Sensor(eqx.Module):
         grain: correlation of the speckle of neighbouring pixels of a line; of pixels k apart it is grain^(k²).
         ln_s: ln of the stripe's usual standard deviation, px.
         ln_s_spread: σ of that of single lines.
+        beside: of neighbouring pixels at the ends of the windows, the mean product over the mean square, their means
+            taken out: −0.2 where noise is white.
+        even: of noise that is alike in neighbouring pixels beside the stripe, 1 if it is so on the stripe, 0 if not.
         detail: how far L, M and N gain by luma's detail; None where the colours of all frames are at full resolution.
     """
 
@@ -89,6 +92,8 @@ class Sensor(eqx.Module):
     grain: Float[Array, "*of"]
     ln_s: Float[Array, "*of"]
     ln_s_spread: Float[Array, "*of"]
+    beside: Float[Array, "*of"]
+    even: Float[Array, "*of"]
     detail: tuple[Float[Array, "*of"], ...] | None = None
 
     def of(self, frame: Places) -> "Sensor":

@@ -1,0 +1,184 @@
+"""What is wrong with the light of a scan, from frame to frame: said in plain words, with what to do.
+
+Each frame's surroundings are compared with those of the frame before. What is still, or of one reflectance, shows in
+both the same; so the median change of a row's pixels is that of the light, and it is told apart from what moves by
+being the same in the left and the right half of the photograph. An exposure that changes takes the stripe along, a lamp
+that is switched does not, and a lamp that flickers leaves bands of rows, for most cameras read row by row.
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.images import Stripe
+
+# A note is worth it from these shares of the frames, and of a frame's pixels that are full.
+_MANY_FRAMES, _MANY_FULL = 0.5, 0.2
+# Levels jump from frame to frame by at least this factor; they are told where surroundings have so many grey levels.
+_JUMP, _LEAST_LEVEL = 1.3, 4.0
+# With an exposure the stripe changes by at least this part of what its surroundings do, in logarithms.
+_WITH_IT = 0.5
+# Without surroundings to tell, so many of the steps from frame to frame change the stripe's brightness by the factor.
+_MANY_JUMPS = 0.25
+# Bands are worth a note from this part of the level and so many grey levels on.
+_BANDS, _LEAST_BANDS = 0.02, 1.5
+_LEAST_LINES, _LEAST_PAIRS, _LEAST_PIXELS, _LEAST_QUARTERS = 20, 3, 10, 3
+
+
+class LightWatch:
+    """Looks on while frames are measured, and keeps a few numbers of each."""
+
+    def __init__(self) -> None:
+        self._correlation: list[float] = []
+        self._odd: list[bool] = []
+        self._full: list[float] = []
+        # By how much levels and stripe rise from the frame before, in logarithms; NaN where it cannot be told.
+        self._level_rise: list[float] = []
+        self._strength_rise: list[float] = []
+        # Of the changes of rows, the mean product of the two halves of the photograph; and the mean level.
+        self._bands: list[float] = []
+        self._level: list[float] = []
+        self._before: tuple[np.ndarray, np.ndarray] | None = None
+
+    def see(self, stripe: Stripe) -> None:
+        """Take account of the next frames, in their order."""
+        for i in range(len(stripe.full)):
+            self._full.append(float(stripe.full[i]))
+            # How bright a full stripe is, is not seen.
+            told = stripe.valid[i] & ~stripe.burnt[i]
+            level, strength = stripe.surroundings[i], np.where(told, stripe.strength[i], np.nan)
+            self._level.append(float(level.mean()))
+            if stripe.valid[i].any():
+                self._correlation.append(float(stripe.correlation[i]))
+                self._odd.append(bool(stripe.odd[i]))
+            if self._before is not None:
+                self._compare(*self._before, level, strength)
+            self._before = level, strength
+
+    def _compare(
+        self,
+        level_before: Float[np.ndarray, "rows columns"],
+        strength_before: Float[np.ndarray, "lines"],
+        level: Float[np.ndarray, "rows columns"],
+        strength: Float[np.ndarray, "lines"],
+    ) -> None:
+        both = np.isfinite(strength_before) & np.isfinite(strength)
+        told = both.sum() >= _LEAST_LINES
+        self._strength_rise.append(
+            float(np.median(np.log(strength[both] / strength_before[both]))) if told else math.nan
+        )
+        self._level_rise.append(_rise(level_before, level))
+        if abs(np.nan_to_num(self._level_rise[-1])) > math.log(_JUMP):
+            return
+        # What rises everywhere alike is another exposure, or another lamp.
+        change, half = level - level_before * np.exp(np.nan_to_num(self._level_rise[-1])), level.shape[1] // 2
+        left, right = (np.median(part, axis=1) for part in (change[:, :half], change[:, half:]))
+        self._bands.append(float((left * right).mean()))
+
+    def notes(self, exposures_known: bool, background: bool) -> list[str]:
+        """What is wrong, and what to do.
+
+        Args:
+            exposures_known: whether the scan says how long each frame was exposed.
+            background: whether a photograph with the laser off is subtracted.
+        """
+        return [
+            *self._smoothed(),
+            *self._profile(),
+            *self._overexposed(),
+            *([] if exposures_known else self._jumps(background)),
+            *self._flicker(background),
+        ]
+
+    def _smoothed(self) -> list[str]:
+        alike = [by for by in self._correlation if by]
+        if not alike or len(alike) < _MANY_FRAMES * len(self._correlation):
+            return []
+        return [
+            f"the noise of neighbouring pixels is alike (correlation {np.median(alike):.2f} in {len(alike)} of "
+            f"{len(self._correlation)} frames), as in photographs that were denoised or enlarged: σ was widened for "
+            "it, and is not to be trusted to better than a factor of two where a filter keeps edges: switch noise "
+            "reduction off, and save photographs as the sensor sees them"
+        ]
+
+    def _profile(self) -> list[str]:
+        odd = sum(self._odd)
+        if not odd or odd < _MANY_FRAMES * len(self._odd):
+            return []
+        return [
+            f"the stripe's cross section is not bell-shaped, all along it, in {odd} of {len(self._odd)} frames: its "
+            "place may be off, by the same amount everywhere, which a calibration with this laser takes up, and σ is "
+            "too large: focus the laser, or use one of a single mode"
+        ]
+
+    def _overexposed(self) -> list[str]:
+        full = np.array(self._full)
+        many = np.flatnonzero(full > _MANY_FULL)
+        if not len(many):
+            return []
+        worst = int(np.argmax(full))
+        return [
+            f"{len(many)} of {len(full)} frames are overexposed: more than {_MANY_FULL:.0%} of their pixels are full "
+            f"(frame {worst}: {full[worst]:.0%}), and there the laser does not show: expose shorter, close the lens, "
+            "or shade other light"
+        ]
+
+    def _jumps(self, background: bool) -> list[str]:
+        level, strength = np.array(self._level_rise), np.array(self._strength_rise)
+        least = math.log(_JUMP)
+        jumps = np.abs(np.nan_to_num(level)) > least
+        exposed = jumps & (np.sign(level) * strength > _WITH_IT * np.abs(level))
+        # In the dark the stripe alone tells: the object changes it too, but not in frame after frame.
+        dark = np.isnan(level) & (np.abs(np.nan_to_num(strength)) > least)
+        if dark.sum() > max(_MANY_JUMPS * len(level), _LEAST_PAIRS):
+            jumps, exposed, level = jumps | dark, exposed | dark, np.where(np.isnan(level), strength, level)
+        if not jumps.any():
+            return []
+        sizes = np.where(jumps, np.abs(level), 0.0)
+        first = int(np.argmax(sizes))
+        times, most = int(jumps.sum()), math.exp(sizes[first])
+        said = (
+            f"between neighbouring frames {times} time{'s' if times > 1 else ''}, by up to a factor of {most:.1f} "
+            f"(frames {first} and {first + 1})"
+        )
+        if exposed.any():
+            return [
+                f"the exposure changes {said}: fix it; of steps that are photographed with several exposures list "
+                "exposures_s in scan.toml, and the same step for each of them"
+            ]
+        return [
+            f"the light beside the stripe changes {said}: a lamp was switched, or the exposure is not fixed: leave "
+            "lamps as they are, fix the exposure, or list exposures_s in scan.toml"
+            + (", and take a background for each frame" if background else "")
+        ]
+
+    def _flicker(self, background: bool) -> list[str]:
+        if len(self._bands) < _LEAST_PAIRS:
+            return []
+        # The difference of two frames has the variance of both.
+        amplitude = math.sqrt(max(float(np.median(self._bands)), 0.0))
+        level = float(np.median(self._level))
+        if amplitude < max(_BANDS * level, _LEAST_BANDS):
+            return []
+        return [
+            f"bands of light move over the photographs, {amplitude:.1f} grey levels (RMS) from one frame to the next: "
+            "a lamp flickers"
+            + (", and subtracting the background does not take it away" if background else "")
+            + ": expose for a multiple of half the mains' period (1/100 or 1/120 s), or switch the lamp off"
+        ]
+
+
+def _rise(before: Float[np.ndarray, "rows columns"], level: Float[np.ndarray, "rows columns"]) -> float:
+    """By how much levels rise everywhere, in logarithms: that of the quarter of the photograph that changes least.
+
+    0 where quarters disagree, for then something moves; NaN where fewer than three are lit.
+    """
+    lit = (before > _LEAST_LEVEL) | (level > _LEAST_LEVEL)
+    rise = np.log((level + 1) / (before + 1))
+    halves = [np.array_split(part, 2, axis=1) for each in (rise, lit) for part in np.array_split(each, 2)]
+    quarters = zip([*halves[0], *halves[1]], [*halves[2], *halves[3]], strict=True)
+    told = [float(np.median(rises[on])) for rises, on in quarters if on.sum() >= _LEAST_PIXELS]
+    if len(told) < _LEAST_QUARTERS:
+        return math.nan
+    return min(told, key=abs) if len(set(np.sign(told))) == 1 else 0.0
