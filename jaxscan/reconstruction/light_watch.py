@@ -97,9 +97,9 @@ class LightWatch:
             return []
         return [
             f"the noise of neighbouring pixels is alike (correlation {np.median(alike):.2f} in {len(alike)} of "
-            f"{len(self._correlation)} frames), as in photographs that were denoised or enlarged: σ was widened for "
-            "it, and is not to be trusted to better than a factor of two where a filter keeps edges: switch noise "
-            "reduction off, and save photographs as the sensor sees them"
+            f"{len(self._correlation)} frames), as in photographs that were denoised or enlarged, or of a surface with "
+            "a fine texture: σ was widened for it, and is not to be trusted to better than a factor of three where a "
+            "filter keeps edges: switch noise reduction off, and save photographs as the sensor sees them"
         ]
 
     def _profile(self) -> list[str]:
