@@ -214,3 +214,15 @@ def test_a_scan_of_another_length_compiles_nothing(rig, photographs, tmp_path, m
 def compiled_sizes() -> list[int]:
     """For how many shapes each function that sees whole frames has been compiled."""
     return [each._cache_size() for each in (coarse_peaks, choose_peaks, candidates, gather_pixels, gather_windows)]
+
+
+def test_exposures_that_are_not_listed_are_pointed_out(rig, photographs, tmp_path):
+    times = np.where(np.arange(COUNT) % 2, 0.5, 1.0)
+    exposed = np.rint(photographs * times[:, None, None]).astype(np.uint8)
+    scan = scan_of(tmp_path, exposed, ".png")
+    scanner = Scanner(rig, "gravity")
+    assert sum(image.valid.sum() for image in scanner.scan(scan))
+    (note,) = scanner.notes
+    assert note.startswith("the exposure changes between neighbouring frames 6 times")
+    assert sum(image.valid.sum() for image in scanner.scan(replace(scan, exposures_s=tuple(times))))
+    assert scanner.notes == []
