@@ -293,8 +293,11 @@ _CHECK = (
 
 
 def _mistaken(session: Session) -> str | None:
-    """Which usual mistake has been made where a checkerboard is found nowhere, by the photographs of the first pose."""
-    if session.board.kind != "checkerboard":
+    """Which usual mistake has been made where a checkerboard is found nowhere, by the photographs of the first pose.
+
+    Of a session that shares its poses with another, and lists only the stage's photographs besides, nothing is told.
+    """
+    if session.board.kind != "checkerboard" or not session.views.boards:
         return None
     columns, rows = session.board.counts
     first = session.views.boards[0]

@@ -184,7 +184,9 @@ def solve_sessions(
     ]
     # These for their errors, so that they come before the long work.
     joined = join(_names(paths), each)
-    _check_photographs(paths, contents, len(joined.views))
+    left, notes = _once(paths, contents)
+    paths, contents, each = [paths[i] for i in left], list(left.values()), [each[i] for i in left]
+    _check_poses(paths, contents, sum(len(given.views) for given in each))
     if needs_laser and not joined.lasers:
         raise InputError(
             f"{paths[0]}: has no [laser], and --f-number, --wavelength-nm and --pixel-um are for the stripe of one: "
@@ -200,6 +202,7 @@ def solve_sessions(
             for content, given in zip(contents, each, strict=True)
         ]
     observations = join(_names(paths), each) if len(each) > 1 else each[0]
+    observations = replace(observations, notes=(*notes, *observations.notes))
     held = settings[0].hold
     if start is not None and camera is not None:
         zeros = estimate.zeros(camera, start)
@@ -219,28 +222,43 @@ def solve_sessions(
     return calibration
 
 
-def _check_photographs(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], read: int) -> None:
-    """Refuse sessions that share a photograph, and too few poses.
+def _once(
+    paths: Sequence[Path], contents: Sequence["Session | CameraFile"]
+) -> tuple[dict[int, "Session | CameraFile"], list[str]]:
+    """The sessions and files of corners without what stands in one before, by their places, and notes on what did.
+
+    Raises:
+        InputError: a photograph has one role in one session and another in another.
+    """
+    from jaxscan.files.session import Session
+    from jaxscan.files.shared import listed_once
+
+    sessions, notes = listed_once([content for content in contents if isinstance(content, Session)])
+    rest, corners = iter(sessions), set()
+    left: dict[int, Session | CameraFile] = {}
+    for i, (path, content) in enumerate(zip(paths, contents, strict=True)):
+        if isinstance(content, Session):
+            if (own := next(rest)).photographs():
+                left[i] = own
+        elif (file := os.path.realpath(path)) in corners:
+            notes.append(f"{path} is given twice, and counts once")
+        else:
+            corners.add(file)
+            left[i] = content
+    return left, notes
+
+
+def _check_poses(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], read: int) -> None:
+    """Refuse too few poses.
 
     Args:
         paths: of the sessions.
         contents: what was read there.
         read: how many poses the files of corners hold.
-
-    Raises:
-        InputError: a photograph stands in two sessions, or the board was held in too few poses.
     """
     from jaxscan.calibration.calibrate import FEWEST_VIEWS
     from jaxscan.files.session import Session
 
-    first: dict[str, int] = {}
-    for i, (path, content) in enumerate(zip(paths, contents, strict=True)):
-        for photograph in content.photographs() if isinstance(content, Session) else [path]:
-            if (other := first.setdefault(os.path.realpath(photograph), i)) != i:
-                raise InputError(
-                    f"{path}: {photograph} belongs to {paths[other]} too, and would count twice: give each session "
-                    "once, and name each photograph in one of them"
-                )
     poses = read + sum(len(content.views.boards) for content in contents if isinstance(content, Session))
     if poses < FEWEST_VIEWS:
         raise InputError(

@@ -339,13 +339,6 @@ def test_sessions_of_one_rig_hold_the_same(folder):
         solve_sessions([folder / "session.toml", other])
 
 
-def test_sessions_share_no_photograph(folder):
-    """It would count twice, and σ would be too small."""
-    session(folder, BOARD, VIEWS)
-    with pytest.raises(InputError, match=r"boards/v\d+.png belongs to .* too, and would count twice: give"):
-        solve_sessions([folder, folder / "session.toml"])
-
-
 def test_too_few_poses_are_refused_before_they_are_looked_at(folder, capsys):
     session(folder, BOARD, '[views]\nboards = ["boards/v1.png"]\n')
     with pytest.raises(InputError, match=r"the board is shown in 1 pose; at least 3 are needed") as refused:
