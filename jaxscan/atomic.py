@@ -25,13 +25,8 @@ def replacing(path: str | os.PathLike[str], mode: Literal["w", "wb"] = "wb") -> 
     Raises:
         InputError: as `check_writable`, or the disk is full.
     """
-    check_writable(path)
-    target = Path(os.path.realpath(path))
-    beside = _beside(target)
-    try:
-        file = beside.open("xb") if mode == "wb" else beside.open("x", encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise _refusal(path, error) from error
+    target, file = _opened_beside(path, mode)
+    beside = Path(file.name)
     try:
         with file:
             yield file
@@ -82,30 +77,34 @@ def replacing_folders(folder: Path) -> Iterator[Path]:
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Refuse a place that `replacing` could not write to, before the work that leads to it.
 
+    It is tried, with an empty file beside the place: what the system says of permissions does not hold for root, nor
+    for a disk that is mounted read-only or full. What stands at `path` is not touched.
+
     Raises:
         InputError: the folder is missing or closed to writing, the name is too long, or `path` is a folder, a device or
             anything else that is no plain file.
     """
+    _, file = _opened_beside(path, "wb")
+    file.close()
+    os.unlink(file.name)
+
+
+def _opened_beside(path: str | os.PathLike[str], mode: Literal["w", "wb"]) -> tuple[Path, IO[Any]]:
+    """Where `path` leads, and an empty file in the same folder, under a hidden name of its own."""
     target = Path(os.path.realpath(path))
+    beside = target.parent / f".{target.name}.{secrets.token_hex(4)}.part"
     try:
-        os.lstat(_beside(target))
-    except (FileNotFoundError, NotADirectoryError):
-        pass
+        if target.is_dir():
+            raise InputError(f"{path}: cannot be written, it is a folder: name a file in it")
+        if os.path.lexists(target) and not target.is_file():
+            raise InputError(f"{path}: cannot be written, it is a device, a pipe or a broken link: name a plain file")
+        if not target.parent.exists():
+            raise InputError(f"{path}: cannot be written, there is no folder {Path(path).parent}: create it first")
+        if not target.parent.is_dir():
+            raise InputError(f"{path}: cannot be written, {Path(path).parent} is no folder: name a file in a folder")
+        return target, beside.open("xb") if mode == "wb" else beside.open("x", encoding="utf-8", newline="\n")
     except OSError as error:
         raise _refusal(path, error) from error
-    if target.is_dir():
-        raise InputError(f"{path}: cannot be written, it is a folder: name a file in it")
-    if os.path.lexists(target) and not target.is_file():
-        raise InputError(f"{path}: cannot be written, it is a device, a pipe or a broken link: name a plain file")
-    if not target.parent.is_dir():
-        raise InputError(f"{path}: cannot be written, there is no folder {Path(path).parent}: create it first")
-    if not os.access(target.parent, os.W_OK):
-        raise InputError(f"{path}: cannot be written: choose a folder that you may write to")
-
-
-def _beside(target: Path) -> Path:
-    """A hidden name of its own, in the same folder."""
-    return target.parent / f".{target.name}.{secrets.token_hex(4)}.part"
 
 
 def _sync(folder: Path) -> None:
@@ -119,10 +118,12 @@ def _sync(folder: Path) -> None:
 
 
 def _refusal(path: str | os.PathLike[str], error: OSError) -> InputError:
+    full = "make room, or choose another disk"
     mend = {
-        errno.EACCES: "choose a folder that you may write to",
-        errno.EPERM: "choose a folder that you may write to",
-        errno.EROFS: "choose a folder that you may write to",
+        errno.ENOSPC: full,
+        errno.EDQUOT: full,
+        errno.EFBIG: full,
+        errno.EIO: "choose another disk",
         errno.ENAMETOOLONG: "choose a shorter name",
-    }.get(error.errno or 0, "make room, or choose another disk")
+    }.get(error.errno or 0, "choose a folder that you may write to")
     return InputError(f"{path}: cannot be written ({error.strerror or error}): {mend}")

@@ -42,9 +42,49 @@ def test_permissions_are_those_of_a_plain_open(tmp_path):
 
 
 def test_a_missing_folder_and_a_folder_in_the_way_are_named(tmp_path):
-    for path, says in ((tmp_path / "no" / "rig.json", "create it first"), (tmp_path, "is a folder")):
+    (tmp_path / "plain").write_bytes(b"")
+    for path, says in (
+        (tmp_path / "no" / "rig.json", "create it first"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "plain" / "rig.json", "plain is no folder: name a file in a folder"),
+    ):
+        with pytest.raises(InputError, match=says):
+            check_writable(path)
         with pytest.raises(InputError, match=says), replacing(path):
             pass
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="no /proc here")
+def test_a_place_that_takes_no_file_is_refused_before_any_work_even_for_root():
+    """Permissions there say yes to root."""
+    for path in ("/proc/rig.json", "/proc/self/rig.json"):
+        with pytest.raises(InputError, match=rf"{path}: cannot be written \(.*may write"):
+            check_writable(path)
+
+
+def test_a_full_disk_is_met_before_any_work(tmp_path, monkeypatch):
+    """The first file on it that finds no room, and so for a disk that is mounted read-only."""
+    for number, says in ((errno.ENOSPC, "make room"), (errno.EROFS, "may write")):
+
+        def refuse(*_, number=number, **__):
+            raise OSError(number, os.strerror(number))
+
+        with monkeypatch.context() as patch:
+            patch.setattr("pathlib.Path.open", refuse)
+            with pytest.raises(InputError, match=says):
+                check_writable(tmp_path / "rig.json")
+
+
+def test_trying_leaves_no_trace_and_touches_nothing(tmp_path):
+    path = tmp_path / "rig.json"
+    check_writable(path)
+    assert os.listdir(tmp_path) == []
+    path.write_text("old")
+    before = path.stat()
+    check_writable(path)
+    after = path.stat()
+    assert (after.st_mtime_ns, after.st_ino, path.read_text()) == (before.st_mtime_ns, before.st_ino, "old")
+    assert os.listdir(tmp_path) == ["rig.json"]
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
