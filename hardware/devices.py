@@ -84,7 +84,9 @@ def read_scanner(path: Path | None) -> ScannerSettings:
     """
     if path is None and not Path(SCANNER_FILE).is_file():
         return ScannerSettings()
-    table = read_toml(path or Path(SCANNER_FILE)).only("camera", "stage", "laser")
+    table = read_toml(path or Path(SCANNER_FILE), "the scanner.toml that describes the scanner").only(
+        "camera", "stage", "laser"
+    )
     camera = table.table("camera", "[camera] ").only("kind", "source", "size", "exposure_s", "gain", "serial_number")
     stage = table.table("stage", "[stage] ").only(
         "kind", "port", "baud", "steps_per_mm", "reverse", "speed", "play", *_TRAVEL

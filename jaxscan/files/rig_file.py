@@ -61,7 +61,7 @@ def read_rig(path: str | os.PathLike[str]) -> RigFile:
     Raises:
         InputError: whatever is wrong with the file: what it is, the key, and the mend.
     """
-    return _decode(read_json(Path(path)))
+    return _decode(read_json(Path(path), "the rig.json that `jaxscan calibrate` wrote"))
 
 
 def write_rig(path: str | os.PathLike[str], content: RigFile) -> None:

@@ -9,16 +9,15 @@ from typing import Any, Final
 
 from jaxscan.files.listing import files_of, name_some, natural_key, repeated_files_of
 from jaxscan.files.settings import (
+    read_listing,
     read_step_rule,
     read_steps,
     read_stripe_settings,
     relative_name,
     stripe_values,
-    toml_in,
     write_toml,
 )
 from jaxscan.files.table import PassedOverWarning, Table
-from jaxscan.files.text import read_toml
 from jaxscan.images import StripeSettings
 
 SCAN_FILE: Final = "scan.toml"
@@ -80,7 +79,7 @@ def read_listed(path: str | os.PathLike[str]) -> Scan:
 
 def _read(path: Path) -> tuple[Scan, bool]:
     """The scan, and whether its frames are listed by name."""
-    table = read_toml(toml_in(path, SCAN_FILE)).only("scan", "laser")
+    table = read_listing(path, SCAN_FILE, ("scan", "laser"))
     inner = table.table("scan", "[scan] ").only(
         "frames", "steps", "steps_per_frame", "background", "exposures_s", "name"
     )

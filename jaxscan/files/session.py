@@ -9,9 +9,15 @@ from typing import Any, Final, Literal, cast
 
 from jaxscan.errors import InputError
 from jaxscan.files.listing import common_size, files_of, files_or_gaps
-from jaxscan.files.settings import read_steps, read_stripe_settings, relative_name, stripe_values, toml_in, write_toml
+from jaxscan.files.settings import (
+    read_listing,
+    read_steps,
+    read_stripe_settings,
+    relative_name,
+    stripe_values,
+    write_toml,
+)
 from jaxscan.files.table import Table, show
-from jaxscan.files.text import read_toml
 from jaxscan.images import Board, StripeSettings
 from jaxscan.rig import LENSES
 from jaxscan.rig.camera import camera_parameters
@@ -122,7 +128,7 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     Raises:
         InputError: whatever is wrong: file, key, value and the mend.
     """
-    table = read_toml(toml_in(Path(path), SESSION_FILE)).only("board", "camera", "views", "stage", "turntable", "laser")
+    table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", "stage", "turntable", "laser"))
     board, camera = _board(table), _camera(table)
     views = table.table("views", "[views] ").only("boards", "stripes")
     boards = files_of(views, "boards")

@@ -2,15 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Final, Literal, cast
 
 import tomli_w
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.table import Table
+from jaxscan.files.text import read_toml
 from jaxscan.images import StripeSettings
 from jaxscan.images.stripe_settings import COLORS
+
+# By which table each is known from the other.
+_TELLING: Final = {"session.toml": "views", "scan.toml": "scan"}
 
 
 def toml_in(path: Path, name: str) -> Path:
@@ -27,6 +31,25 @@ def toml_in(path: Path, name: str) -> Path:
     if not path.exists():
         raise InputError(f"{path}: there is no such file or folder: check the path")
     return path
+
+
+def read_listing(path: Path, name: str, keys: Sequence[str]) -> Table:
+    """The outermost table of a session's or a scan's TOML file.
+
+    Args:
+        path: of the folder, or of its TOML file.
+        name: that file's, "session.toml" or "scan.toml".
+        keys: what it may hold.
+
+    Raises:
+        InputError: the file is not there, is another kind of file, or holds another key.
+    """
+    wanted = f"the {name} that lists the photographs"
+    table = read_toml(toml_in(path, name), wanted)
+    (other,) = (kind for kind in _TELLING if kind != name)
+    if _TELLING[other] in table and _TELLING[name] not in table:
+        raise InputError(f"{table.path}: is a {other}, but a {name} is expected: name {wanted}")
+    return table.only(*keys)
 
 
 def refuse_hidden_ending(folder: Path, name: str) -> None:
