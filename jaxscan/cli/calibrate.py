@@ -73,8 +73,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read the session, find corners and stripes, solve, and write the rig."""
-    from jaxscan.rig.speckle_limit import Optics
-
     if args.output.suffix.lower() != ".json":
         raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")
     check_outputs([args.output])
@@ -87,10 +85,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(
             f"--hold-camera keeps all of the camera, --free {free} seeks a part of it: leave out one of them"
         )
-    asked = optics_asked(args)
-    if asked and not args.report:
+    optics = optics_asked(args)
+    if optics and not args.report:
         raise InputError("--f-number, --wavelength-nm and --pixel-um are for the report: add --report DIR")
-    optics = Optics(*asked) if asked else None
     pages = [args.report / name for name in _PAGES] if args.report else []
     if pages:
         extra("plots")
@@ -98,7 +95,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         check_outputs([args.output, *pages])
     estimate = estimate_asked(args)
     calibration = calibrate_session(
-        args.session, args.output, args.camera, args.camera_name, args.hold_camera, args.detector, estimate, bool(asked)
+        args.session,
+        args.output,
+        args.camera,
+        args.camera_name,
+        args.hold_camera,
+        args.detector,
+        estimate,
+        bool(optics),
     )
     judged = write_report(calibration, pages[0], pages[1], optics) if pages else judge_calibration(calibration)
     from jaxscan.cli.facts import rig_facts

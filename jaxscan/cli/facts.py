@@ -185,13 +185,13 @@ def range_facts(path: Path) -> Facts:
     }
 
 
-def speckle_limit_facts(path: Path, rig_path: Path, f_number: float, wavelength_nm: float, pixel_um: float) -> Facts:
+def speckle_limit_facts(path: Path, rig_path: Path, optics: Optics) -> Facts:
     """What speckle alone leaves of a range image's points, along their rays, and how near they come to it.
 
     Raises:
-        InputError: the points do not lie on the rig's light, have no σ, or a number is not positive.
+        InputError: the points do not lie on the rig's light or have no σ.
     """
-    image, rig, optics = read_range_npz(path), read_rig(rig_path).rig, Optics(f_number, wavelength_nm, pixel_um)
+    image, rig = read_range_npz(path), read_rig(rig_path).rig
     per_step = np.zeros(3) if image.per_step is None else image.per_step
     points = (image.points + (image.steps[:, None] * per_step)[:, None])[image.valid].astype(np.float64)
     light = None if image.light is None else Light.of([image.light])

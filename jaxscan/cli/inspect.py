@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         )
     result = facts.camera_facts(path, args.name, args.image_size) if kind == "camera" else read[kind](path)
     if optics is not None:
-        result["speckle_limit"] = facts.speckle_limit_facts(path, args.rig, *optics)
+        result["speckle_limit"] = facts.speckle_limit_facts(path, args.rig, optics)
     if args.png is not None:
         from jaxscan.cli import picture
         from jaxscan.cli.compiled import keep_compiled

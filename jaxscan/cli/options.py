@@ -5,9 +5,12 @@ import math
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxscan.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxscan.rig.speckle_limit import Optics
 
 
 def add_outputs_argument(parser: argparse.ArgumentParser, metavar: str, what: str, required: bool = True) -> None:
@@ -53,24 +56,32 @@ def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str =
 def add_optics_arguments(parser: argparse.ArgumentParser, what: str) -> Any:
     """Declare lens, laser and pixel, for the limit of speckle; the group of them."""
     group = parser.add_argument_group("the limit of speckle", what)
-    group.add_argument("--f-number", type=positive, metavar="N", help="of the camera's lens")
-    group.add_argument("--wavelength-nm", type=positive, metavar="NM", help="of the laser")
-    group.add_argument("--pixel-um", type=positive, metavar="UM", help="pitch of the sensor's pixels")
+    group.add_argument("--f-number", type=positive, metavar="N", help="of the camera's lens: 0.5 to 64")
+    group.add_argument("--wavelength-nm", type=positive, metavar="NM", help="of the laser, in nanometres: 200 to 2000")
+    group.add_argument(
+        "--pixel-um", type=positive, metavar="UM", help="pitch of the sensor's pixels, in micrometres: 0.5 to 50"
+    )
     return group
 
 
-def optics_asked(args: argparse.Namespace) -> "list[float] | None":
-    """F-number, wavelength and pixel pitch, or None.
+def optics_asked(args: argparse.Namespace) -> "Optics | None":
+    """Lens, laser and pixel, or None.
 
     Raises:
-        InputError: some of them are given and others are not.
+        InputError: some of them are given and others are not, or a number is none that a lens, laser or sensor has.
     """
-    asked = [args.f_number, args.wavelength_nm, args.pixel_um]
-    if None not in asked:
-        return asked
-    if asked.count(None) < len(asked):
+    asked = {name: getattr(args, name) for name in ("f_number", "wavelength_nm", "pixel_um")}
+    missing = list(asked.values()).count(None)
+    if missing == len(asked):
+        return None
+    if missing:
         raise InputError("--f-number, --wavelength-nm and --pixel-um go together: give all three, or none")
-    return None
+    from jaxscan.rig.speckle_limit import PLAUSIBLE, Optics
+
+    for name, value in asked.items():
+        if refusal := PLAUSIBLE[name].refusal(value):
+            raise InputError(f"--{name.replace('_', '-')} {value:g}: {refusal}")
+    return Optics(**asked)
 
 
 def finite(text: str) -> float:

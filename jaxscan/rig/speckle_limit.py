@@ -10,13 +10,52 @@ fundamental uncertainty in distance measurement*, Applied Optics 33, 1994, 1306-
 """
 
 from dataclasses import dataclass
-from math import isfinite
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
 from jaxscan.rig.rig import Rig
+
+
+@dataclass(frozen=True)
+class Plausible:
+    """The numbers that a quantity of lens, laser and sensor has.
+
+    Attributes:
+        least: the least of them.
+        most: the most.
+        words: which these are, and in which unit.
+        slips: by which factors a number is off that was given in another unit.
+    """
+
+    least: float
+    most: float
+    words: str
+    slips: tuple[float, ...] = ()
+
+    def refusal(self, value: float) -> str | None:
+        """Why a value is none of them, and which was likely meant; None for one that is."""
+        if self._takes(value):
+            return None
+        # An f-number is given as 1:8 too; of the others a slip of the unit is likelier.
+        others = [value * slip for slip in self.slips] if self.slips else [1 / value] if 0 < value < 1 else []
+        meant = next((f"; did you mean {other:.4g}?" for other in others if self._takes(other)), "")
+        return self.words + meant
+
+    def _takes(self, value: float) -> bool:
+        return self.least <= value <= self.most
+
+
+# Lasers from the ultraviolet to the infrared; the slips are of metres, millimetres, micrometres and ångströms.
+PLAUSIBLE: Final = {
+    "f_number": Plausible(0.5, 64.0, "focal length over the aperture's diameter is 0.5 to 64"),
+    "wavelength_nm": Plausible(
+        200.0, 2000.0, "in nanometres a laser has 200 to 2000, a visible one 380 to 780", (1e9, 1e6, 1e3, 0.1)
+    ),
+    "pixel_um": Plausible(0.5, 50.0, "in micrometres a pixel is 0.5 to 50 wide", (1e6, 1e3, 1e-3)),
+}
 
 
 @dataclass(frozen=True)
@@ -34,15 +73,14 @@ class Optics:
     pixel_um: float
 
     def __post_init__(self) -> None:
-        """Refuse what no lens or laser has.
+        """Refuse what no lens, laser or sensor has.
 
         Raises:
-            InputError: a number that is not positive.
+            InputError: a number that is not plausible, of a wrong unit for one.
         """
-        for name in ("f_number", "wavelength_nm", "pixel_um"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError(f"{name} = {value}: give a positive number")
+        for name, plausible in PLAUSIBLE.items():
+            if refusal := plausible.refusal(value := getattr(self, name)):
+                raise InputError(f"{name} = {value:g}: {refusal}")
 
 
 def uncertainty(contrast: float, wavelength_mm: float, sin_u: np.ndarray, sin_theta: np.ndarray) -> np.ndarray:

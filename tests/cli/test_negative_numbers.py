@@ -106,3 +106,20 @@ def test_optics_that_no_lens_has(command, text, capsys):
     optics = f"--f-number={text} --wavelength-nm 650 --pixel-um 3.45"
     assert jaxscan.main([*command.split(), *optics.split()]) == 2
     assert f"argument --f-number: '{text}' is not " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["calibrate session --report report", "inspect cup.npz --rig rig.json"])
+@pytest.mark.parametrize(
+    ("optics", "said"),
+    [
+        ("--f-number 8 --wavelength-nm 0.65 --pixel-um 4.8", "--wavelength-nm 0.65: in nanometres "),
+        ("--f-number 8 --wavelength-nm 650e-9 --pixel-um 4.8", "--wavelength-nm 6.5e-07: in nanometres "),
+        ("--f-number 8 --wavelength-nm 650 --pixel-um 4800", "--pixel-um 4800: in micrometres "),
+        ("--f-number 80 --wavelength-nm 650 --pixel-um 4.8", "--f-number 80: focal length over "),
+    ],
+)
+def test_optics_in_another_unit(command, optics, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cup.npz").touch()
+    assert jaxscan.main([*command.split(), *optics.split()]) == 2
+    assert f"error: {said}" in capsys.readouterr().err

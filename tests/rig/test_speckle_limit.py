@@ -25,6 +25,27 @@ def test_a_point_on_the_axis_by_hand():
         speckle_limit(Rig(camera, ()), point, Optics(4.0, 650.0, 5.0))
 
 
-def test_a_lens_has_positive_numbers():
-    with pytest.raises(InputError, match="f_number = 0"):
-        Optics(0.0, 650.0, 5.0)
+@pytest.mark.parametrize(
+    ("optics", "said"),
+    [
+        ((0.0, 650.0, 5.0), r"f_number = 0: focal length over the aperture's diameter is 0\.5 to 64$"),
+        ((0.125, 650.0, 5.0), r"f_number = 0\.125: .*; did you mean 8\?"),
+        ((4.0, 650e-9, 5.0), r"wavelength_nm = 6\.5e-07: in nanometres .* 380 to 780; did you mean 650\?"),
+        ((4.0, 0.00065, 5.0), r"did you mean 650\?"),
+        ((4.0, 0.65, 5.0), r"did you mean 650\?"),
+        ((4.0, 6328.0, 5.0), r"did you mean 632\.8\?"),
+        ((4.0, 65.0, 5.0), r"380 to 780$"),
+        ((4.0, np.nan, 5.0), r"380 to 780$"),
+        ((4.0, 650.0, 4.8e-6), r"pixel_um = 4\.8e-06: in micrometres .*; did you mean 4\.8\?"),
+        ((4.0, 650.0, 0.0048), r"did you mean 4\.8\?"),
+        ((4.0, 650.0, 4800.0), r"did you mean 4\.8\?"),
+    ],
+)
+def test_what_no_lens_laser_or_sensor_has_is_refused(optics, said):
+    with pytest.raises(InputError, match=said):
+        Optics(*optics)
+
+
+@pytest.mark.parametrize("optics", [(0.5, 200.0, 0.5), (64.0, 2000.0, 50.0), (0.95, 405.0, 0.56), (22.0, 1550.0, 24.0)])
+def test_real_ones_are_taken(optics):
+    assert Optics(*optics).f_number == optics[0]
