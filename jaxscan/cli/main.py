@@ -19,10 +19,12 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from difflib import get_close_matches
+from itertools import takewhile
+from typing import Any, Final, NoReturn, Protocol
 
 from jaxscan.errors import InputError, JaxscanError
 
@@ -174,11 +176,51 @@ def parser_of(program: Program) -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Takes what starts with a minus and a digit for a value, as Python does from 3.14 on; -1,2,3 and -1e-3 too."""
+    """Takes what starts with a minus and a digit for a value, as Python does from 3.14 on; -1,2,3 and -1e-3 too.
+
+    An option that is none is refused by the command that it was given to, before what is missing (which may be that
+    option, misspelt) and with the nearest there is.
+    """
 
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def parse_known_args(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, args: Iterable[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """As argparse has it, but nothing is left over."""
+        given = sys.argv[1:] if args is None else list(args)
+        for text in takewhile(self._is_own, given):
+            option = text.partition("=")[0]
+            # argparse takes the beginning of an option for the whole, and what has a space in it for a value.
+            known = any(own.startswith(option) for own in self._option_string_actions)
+            if option.startswith("--") and not known and " " not in text:
+                self._refuse([option])
+        namespace, extras = super().parse_known_args(given, namespace)
+        if extras:
+            self._refuse(extras)
+        return namespace, extras
+
+    def _is_own(self, text: str) -> bool:
+        """Whether options are to come still: none after --, and after a command its own."""
+        return text != "--" and (self._subparsers is None or text.startswith("-"))
+
+    def _refuse(self, extras: Sequence[str]) -> NoReturn:
+        self.error(f"unrecognized arguments: {' '.join(extras)}{_meant(extras[0], self._option_string_actions)}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += _meant(str(value), map(str, action.choices or ()))
+            raise
+
+
+def _meant(typed: str, known: Iterable[str]) -> str:
+    """A question after what is like it, where something is."""
+    nearest = get_close_matches(typed, known, n=1)
+    return f"; did you mean {nearest[0]}?" if nearest else ""
 
 
 class _Version(argparse.Action):

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from hardware.cli import main as scanner
 from jaxscan.cli import main as cli
 from jaxscan.errors import InputError, SolveError
 
@@ -106,6 +107,32 @@ def test_bad_usage_is_status_2(command, capsys, argv):
     command(lambda args: None)
     assert cli.main(argv) == 2
     assert "usage: jaxscan" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("main", "argv", "usage", "said"),
+    [
+        (
+            cli.main,
+            "calibrate --repot x",
+            "jaxscan calibrate",
+            "unrecognized arguments: --repot; did you mean --report?",
+        ),
+        (cli.main, "reconstruct a --rgi r.json", "jaxscan reconstruct", "--rgi; did you mean --rig?"),
+        (cli.main, "mesh a.npz --fil=x", "jaxscan mesh", "argument --fill: 'x' is not a finite number"),
+        (cli.main, "calibrate s --qqq", "jaxscan calibrate", "unrecognized arguments: --qqq\n"),
+        (cli.main, "calibrat s", "jaxscan", "); did you mean calibrate?"),
+        (cli.main, "calibrate s --detector gravty", "jaxscan calibrate", "); did you mean gravity?"),
+        (cli.main, "--vesion calibrate s", "jaxscan", "unrecognized arguments: --vesion; did you mean --version?"),
+        (scanner.main, "scan cup --frmes 3", "scanner scan", "--frmes; did you mean --frames?"),
+        (scanner.main, "scna cup", "scanner", "); did you mean scan?"),
+    ],
+)
+def test_what_is_misspelt_is_told_by_its_command(main, argv, usage, said, capsys):
+    assert main(argv.split()) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"usage: {usage} [-h]")
+    assert said in err
 
 
 def test_help_has_an_example(command, capsys):
