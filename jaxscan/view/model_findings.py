@@ -6,6 +6,7 @@ from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics
 from jaxscan.calibration.diagnostics.missing_terms import MissingTerms
 from jaxscan.rig import LENSES
+from jaxscan.rig.camera import camera_parameters
 from jaxscan.view.report import Box
 
 # A richer lens is worth a word when held-out corners are nearer by this share.
@@ -32,7 +33,7 @@ _NAMED = 5
 
 def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     """All of them, none for a model that follows what was seen."""
-    lens = _lens(diagnostics)
+    lens = _lens(calibration, diagnostics)
     return [
         *lens,
         *_camera_model(calibration, diagnostics),
@@ -65,10 +66,12 @@ def listed(words: list[str]) -> str:
     return ", ".join(words[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _lens(diagnostics: Diagnostics) -> list[Box]:
-    tried, names = diagnostics.ladder, list(LENSES)
-    if tried is None:
-        return _missing_terms(diagnostics.missing_terms)
+def _lens(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
+    tried, names, missing = diagnostics.ladder, list(LENSES), diagnostics.missing_terms
+    lacking = _missing_terms(missing)
+    # On the ladder's rungs stays held what was held.
+    if tried is None or (lacking and missing is not None and missing.freed):
+        return lacking
     by_name = {rung.lens: rung for rung in tried.rungs}
     chosen, supported = by_name[tried.chosen], by_name[tried.supported]
     richer = names.index(tried.supported) > names.index(tried.chosen)
@@ -85,6 +88,8 @@ def _lens(diagnostics: Diagnostics) -> list[Box]:
         ]
     if names.index(tried.supported) < names.index(tried.chosen):
         terms = chosen.terms - supported.terms
+        gone = [name for name in _held_terms(calibration) if name not in camera_parameters(tried.supported)]
+        unheld = f" and take {', '.join(gone)} out of hold" if gone else ""
         return [
             Box(
                 "care",
@@ -92,30 +97,49 @@ def _lens(diagnostics: Diagnostics) -> list[Box]:
                 f"{terms} further term{'s' if terms > 1 else ''} only fit{'s' if terms == 1 else ''} noise. Views "
                 f"that it has not seen it foretells to {chosen.held_out_px:.3f} px, the simpler one to "
                 f"{supported.held_out_px:.3f} px, which is no clear difference.",
-                f'Set lens = "{tried.supported}" under [camera] in session.toml, or hold the board into the corners of '
-                "the image, where the terms differ.",
+                f'Set lens = "{tried.supported}" under [camera] in session.toml{unheld}, or hold the board '
+                "into the corners of the image, where the terms differ.",
             )
         ]
     return []
 
 
 def _missing_terms(missing: MissingTerms | None) -> list[Box]:
-    """What the residuals alone say of the lens, where no other one was solved."""
+    """What the residuals alone say of the lens and of its held terms."""
     if missing is None or missing.p > _BY_CHANCE or (missing.shift_in_sigma < _MOVES and missing.gain < _EXPLAINS):
         return []
     moves = f", and move {missing.parameter} by {missing.shift_in_sigma:.1f} of its σ" if missing.parameter else ""
+    alike = "A bent board looks alike: --report tells, by views that a lens has not seen."
+    if missing.freed:
+        what, it = ", ".join(missing.freed), "it" if len(missing.freed) == 1 else "them"
+        they = "it" if it == "it" else "they"
+        return [
+            Box(
+                "care",
+                f"The lens is not followed with {what} held: free, {they} would explain {100 * missing.gain:.0f} % "
+                f"of the corners' squared errors{moves}.",
+                f"Free {what}: take {it} out of --hold and of hold under [camera] in session.toml, and name {it} with "
+                f"--free where the file of --camera has 0. {alike}",
+            )
+        ]
     return [
         Box(
             "care",
             f'The lens is not followed: one of the kind "{missing.lens}" would explain {100 * missing.gain:.0f} % of '
             f"the corners' squared errors{moves}.",
-            f'Set lens = "{missing.lens}" under [camera] in session.toml. A bent board looks alike: --report tells, by '
-            "views that a lens has not seen.",
+            f'Set lens = "{missing.lens}" under [camera] in session.toml. {alike}',
         )
     ]
 
 
+def _held_terms(calibration: Calibration) -> list[str]:
+    """The terms of the lens that were not sought."""
+    return [n for n in camera_parameters(calibration.rig.camera.lens)[4:] if n not in calibration.covariance.names]
+
+
 def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
+    held = _held_terms(calibration)
+    richer = f"free {', '.join(held)}, held here, or try a richer lens" if held else "try a richer lens"
     by = diagnostics.by_radius
     out = np.abs(by.radial_px) / by.radial_error_px
     worst = int(np.argmax(np.where(np.abs(by.radial_px) > _SHARE * calibration.corner_sigma_px, out, 0.0)))
@@ -126,7 +150,7 @@ def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Bo
                 "care",
                 f"Corners {by.radius_px[worst]:.0f} px from the principal point are off by {by.radial_px[worst]:+.3f} "
                 f"px outwards in the mean ({out[worst]:.0f} standard errors): the lens is not followed there.",
-                "Try the next richer lens; if that does not help, see whether the boards are flat.",
+                f"{richer[0].upper()}{richer[1:]}; if that does not help, see whether the boards are flat.",
             )
         )
     cells = diagnostics.over_image
@@ -141,7 +165,7 @@ def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Bo
             Box(
                 "care",
                 f"In {100 * share:.0f} % of the image the corners are off in the same direction in every photograph.",
-                "The model of the camera misses something: try a richer lens, and see whether the boards are flat.",
+                f"The model of the camera misses something: {richer}, and see whether the boards are flat.",
             )
         )
     return boxes

@@ -3,15 +3,18 @@
 import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+from jaxscan.calibration import calibrate
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder, diagnose
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.stripe_shapes import shape
 from jaxscan.calibration.diagnostics.suspects import Suspect
 from jaxscan.view.calibration_report import compose
 from jaxscan.view.findings import findings
+from tests.calibration import synthetic
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +116,35 @@ def test_what_was_seen_amiss_is_said(calibration, diagnostics):
     noted = replace(calibration, notes=notes)
     assert "care: A second board is in view in 02.png" in words(noted, diagnostics)
     assert "care: The stripe runs up and down" in words(noted, diagnostics)
+
+
+def held(monkeypatch, k2: float):
+    """Drawn with k1 and this k2, solved with the lens radial2 whose k2 is held at 0."""
+    K, k, zero = np.array([[700.0, 0, 319.5], [0, 700.0, 239.5], [0, 0, 1]]), np.array([-0.25, k2, 0, 0]), np.zeros(3)
+    monkeypatch.setattr(
+        synthetic, "project", lambda X: cv2.projectPoints(X.reshape(-1, 1, 3), zero, zero, K, k)[0].reshape(-1, 2)
+    )
+    seen = synthetic.observations(seed=3, n_stage=0, laser=False)
+    result = calibrate(seen, lens="radial2", hold=["camera.radial.1"])
+    return result, diagnose(result, thorough=False)
+
+
+def test_a_held_term_that_is_missing_is_to_be_freed(monkeypatch, diagnostics):
+    """A richer lens would explain nearly as much, by another term."""
+    result, found = held(monkeypatch, 0.9)
+    # The ladder, on whose rungs it stays held, does not say otherwise.
+    for each in (found, replace(found, ladder=better(replace(diagnostics.ladder, chosen="radial2"), "radial3"))):
+        said = words(result, each)
+        assert re.search(
+            r"care: The lens is not followed with camera.radial.1 held: free, it would explain 1\d %", said
+        )
+        assert "Free camera.radial.1: take it out of --hold and of hold under [camera]" in said
+        assert "Free camera.radial.1, held here, or try a richer lens" in said
+        assert "radial3" not in said
+
+
+def test_a_held_term_that_explains_nothing_is_left_alone(monkeypatch, diagnostics):
+    result, found = held(monkeypatch, 0.0)
+    assert "The lens" not in words(result, found)
+    simpler = words(result, replace(found, ladder=replace(diagnostics.ladder, chosen="radial2")))
+    assert 'Set lens = "radial1" under [camera] in session.toml and take camera.radial.1 out of hold' in simpler

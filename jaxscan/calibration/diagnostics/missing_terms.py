@@ -1,4 +1,4 @@
-"""What a richer lens would change, to first order: told from the residuals, without another solve.
+"""What a richer lens, or held terms set free, would change, to first order: told from the residuals, without a solve.
 
 At the solution each view's corner errors e, in σ, have the derivatives A by its board's pose and B by the camera's
 numbers, terms of the richer lens at zero among them. With the poses projected out, B' = (1 − A A⁺) B and e' likewise,
@@ -26,10 +26,11 @@ _TRIED = tuple(lens for lens in LENSES if lens != RICHEST)
 
 @dataclass(frozen=True)
 class MissingTerms:
-    """The richer lens that is likeliest to be the right one.
+    """The richer lens that is likeliest to be the right one, or the same with its held terms free.
 
     Attributes:
         lens: its name.
+        freed: the terms of the calibration's own lens that were held and are free in it; none in a richer one.
         p: of the F-test: how often noise alone would lower χ² as much.
         gain: the share of χ² of the views' corners that it explains.
         parameter: the focal length or principal point that it moves most, in σ; "" where these are held.
@@ -37,6 +38,7 @@ class MissingTerms:
     """
 
     lens: str
+    freed: tuple[str, ...]
     p: float
     gain: float
     parameter: str
@@ -44,32 +46,34 @@ class MissingTerms:
 
 
 def missing_terms(calibration: Calibration) -> MissingTerms | None:
-    """What the residuals say of richer lenses; None where the lens is the richest or the camera was held."""
+    """What the residuals say of richer lenses and of held terms; None where there are none or the camera was held."""
     camera = calibration.rig.camera
     richer = [lens for lens in _TRIED if (lens_leaves(lens) & ~lens_leaves(camera.lens)).any()]
     richer = [lens for lens in richer if lens_leaves(lens)[lens_leaves(camera.lens)].all()]
     names = [name for name in parameter_names(calibration.rig) if name.startswith("camera.")]
     held = np.array([name not in calibration.covariance.names for name in names])
-    if not richer or held.all():
+    freed = tuple(name for name, is_held in zip(names, held, strict=True) if is_held and not name.startswith(_PINHOLE))
+    if not (richer or freed) or held.all():
         return None
     N, g, chi2, count = _normal_equations(calibration)
-    own = lens_leaves(camera.lens)
-    own[np.flatnonzero(own)[held]] = False
-    at = np.flatnonzero(own)
+    of_lens = np.flatnonzero(lens_leaves(camera.lens))
+    at = of_lens[~held]
     fall, moved = _freed(N, g, at)
     sigma = np.sqrt(np.diagonal(_inverse(N, at)))
     # They are the first of the camera's numbers; what a coefficient of the lens is depends on the others.
     free = [name for name, is_held in zip(names, held, strict=True) if not is_held and name.startswith(_PINHOLE)]
+    # The held ones first: of two that noise does equally never it is the lens that was asked for.
+    tried = [(camera.lens, freed, of_lens[[name in freed for name in names]])] if freed else []
+    tried += [(lens, (), np.flatnonzero(lens_leaves(lens) & ~lens_leaves(camera.lens))) for lens in richer]
     found = []
-    for lens in richer:
-        more = np.concatenate([at, np.flatnonzero(lens_leaves(lens) & ~lens_leaves(camera.lens))])
+    for lens, own, further in tried:
+        more = np.concatenate([at, further])
         more_fall, more_moved = _freed(N, g, more)
         shift = np.abs((more_moved[: len(at)] - moved) / sigma)[: len(free)]
-        terms = len(more) - len(at)
-        p = f_test(chi2 - fall, chi2 - more_fall, terms, float(count - len(more)))
+        p = f_test(chi2 - fall, chi2 - more_fall, len(further), float(count - len(more)))
         worst = int(np.argmax(shift)) if free else 0
         name, by = (free[worst], float(shift[worst])) if free else ("", 0.0)
-        found.append(MissingTerms(lens, p, (more_fall - fall) / (chi2 - fall), name, by))
+        found.append(MissingTerms(lens, own, p, (more_fall - fall) / (chi2 - fall), name, by))
     return min(found, key=lambda each: each.p)
 
 
