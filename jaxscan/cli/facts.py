@@ -27,7 +27,7 @@ from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
 from jaxscan.images.light import Light
 from jaxscan.rig import Camera, Rig
-from jaxscan.rig.speckle_limit import Optics, speckle_limit
+from jaxscan.rig.speckle_limit import Optics, limit_of
 from jaxscan.rig.turn_facts import rig_turn_facts
 
 Facts = dict[str, Any]
@@ -195,15 +195,14 @@ def speckle_limit_facts(path: Path, rig_path: Path, optics: Optics) -> Facts:
     per_step = np.zeros(3) if image.per_step is None else image.per_step
     points = (image.points + (image.steps[:, None] * per_step)[:, None])[image.valid].astype(np.float64)
     light = None if image.light is None else Light.of([image.light])
-    contrast = light.speckle_contrast if light is not None and light.speckle_contrast else 1.0
     sigma = None if image.sigma_pixel is None else _median(image.sigma_pixel[image.valid])
     if not len(points) or sigma is None:
         raise InputError(f"{path}: has no points with a σ: reconstruct them with a rig that has its covariance")
     planes = [np.asarray([float(c) for c in laser.plane]) for laser in rig.lasers]
     if not any(np.median(np.abs(points @ plane - 1)) < _OFF_SHEET for plane in planes):
         raise InputError(f"{path}: its points do not lie on the light of {rig_path}: give the rig of this scan")
-    limit = float(np.median(speckle_limit(rig, points, optics, contrast)))
-    return {"contrast": contrast, "limit_mm": limit, "sigma_pixel_mm": sigma, "times": sigma / limit}
+    limit = limit_of(rig, points, optics, light.speckle_contrast if light is not None else None, sigma)
+    return asdict(limit) | {"times": limit.times}
 
 
 def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Facts:

@@ -112,8 +112,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"--sides {args.sides}: give 1 to {_MOST_SIDES}")
     if args.apart < 1:
         raise InputError(f"--apart {args.apart}: give 1 or more")
-    if args.quality is not None and not 1 <= args.quality <= 100:
-        raise InputError(f"--quality {args.quality}: give 1 to 100; cameras take 75 to 95")
+    if args.quality is not None:
+        from jaxscan.images.jpeg import check_quality
+
+        check_quality(args.quality, "--quality")
     bodies, name = _bodies(args)
     from jaxscan.simulation.folders import JPEG_QUALITY, scan_name
     from jaxscan.simulation.light import Sensor

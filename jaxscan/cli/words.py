@@ -139,11 +139,10 @@ def _range_image(facts: Facts) -> Iterator[Line]:
 
         yield "light", Light(**facts["light"]).in_words()
     if (limit := facts.get("speckle_limit")) is not None:
-        yield (
-            "limit of speckle",
-            f"{limit['limit_mm']:.4f} mm at a contrast of {limit['contrast']:.2f} (Dorsch, Häusler, Herrmann 1994); "
-            f"the pixel's part of σ is {limit['times']:.2g} times that",
-        )
+        from jaxscan.rig.speckle_limit import SpeckleLimit
+
+        known = SpeckleLimit(limit["contrast"], limit["limit_mm"], limit["sigma_pixel_mm"])
+        yield "limit of speckle", known.in_words()
 
 
 _WORDS: dict[str, Callable[[Facts], Iterator[Line]]] = {

@@ -21,8 +21,21 @@ def write_jpeg(path: Path, image: UInt8[np.ndarray, "rows columns 3"], quality: 
     Raises:
         InputError: the quality is out of its range, or the place cannot be written.
     """
-    if not 1 <= quality <= 100:
-        raise InputError(f"quality = {quality}: a JPEG has a quality of 1 to 100; cameras take 75 to 95")
+    check_quality(quality)
     data = simplejpeg.encode_jpeg(np.ascontiguousarray(image), quality, "RGB", "420")
     with replacing(path) as file:
         file.write(data)
+
+
+def check_quality(quality: int, called: str = "quality") -> None:
+    """Refuse what is no quality of a JPEG.
+
+    Args:
+        quality: 1 to 100.
+        called: how the error names it.
+
+    Raises:
+        InputError: it is out of its range.
+    """
+    if not 1 <= quality <= 100:
+        raise InputError(f"{called} {quality}: a JPEG has a quality of 1 to 100; cameras take 75 to 95")

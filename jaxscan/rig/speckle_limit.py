@@ -83,6 +83,33 @@ class Optics:
                 raise InputError(f"{name} = {value:g}: {refusal}")
 
 
+@dataclass(frozen=True)
+class SpeckleLimit:
+    """What speckle alone leaves of some points, and how near they come to it.
+
+    Attributes:
+        contrast: of the speckle as the pixels see it.
+        limit_mm: δz in their median.
+        sigma_pixel_mm: σ along their rays from the pixel alone, in their median.
+    """
+
+    contrast: float
+    limit_mm: float
+    sigma_pixel_mm: float
+
+    @property
+    def times(self) -> float:
+        """How many times the limit the pixel's part of σ is."""
+        return self.sigma_pixel_mm / self.limit_mm
+
+    def in_words(self) -> str:
+        """The limit, and how near the points come to it."""
+        return (
+            f"{self.limit_mm:.4f} mm at a contrast of {self.contrast:.2f} (Dorsch, Häusler, Herrmann 1994); "
+            f"the pixel's part of σ is {self.sigma_pixel_mm:.4f} mm, {self.times:.2g} times that"
+        )
+
+
 def uncertainty(contrast: float, wavelength_mm: float, sin_u: np.ndarray, sin_theta: np.ndarray) -> np.ndarray:
     """δz in mm, by the formula of Dorsch, Häusler and Herrmann."""
     return contrast * wavelength_mm / (2 * np.pi * sin_u * sin_theta)
@@ -111,3 +138,19 @@ def speckle_limit(
     radius = focal_mm / optics.f_number / 2
     sin_theta = np.abs(points @ omega) / (distance * np.linalg.norm(omega))
     return uncertainty(contrast, optics.wavelength_nm * 1e-6, radius / np.hypot(radius, distance), sin_theta)
+
+
+def limit_of(
+    rig: Rig,
+    points: Float[np.ndarray, "points 3"],
+    optics: Optics,
+    contrast: float | None,
+    sigma_pixel_mm: float,
+) -> SpeckleLimit:
+    """How near points come to what speckle alone leaves of them, as `speckle_limit`; a contrast not known counts as 1.
+
+    Raises:
+        InputError: the rig has no laser.
+    """
+    contrast = contrast or 1.0
+    return SpeckleLimit(contrast, float(np.median(speckle_limit(rig, points, optics, contrast))), sigma_pixel_mm)

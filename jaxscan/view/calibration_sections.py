@@ -13,7 +13,7 @@ from jaxscan.images.light import Light
 from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays
 from jaxscan.rig.rig import parameter_names
-from jaxscan.rig.speckle_limit import Optics, speckle_limit
+from jaxscan.rig.speckle_limit import Optics, limit_of
 from jaxscan.rig.turn_facts import rig_turn_facts
 from jaxscan.view import calibration_plots as plots
 from jaxscan.view.report import Section, Table, draw
@@ -156,22 +156,17 @@ def light(calibration: Calibration, volumes: tuple[WorkingVolume, ...], optics: 
             laser = f'laser "{name}"' if name else "the laser"
             said.append(f"In photographs of {laser}, in the median: {found.in_words()}.")
             if optics is not None and name in by_laser:
-                said.append(_limit(calibration, by_laser[name], optics, found.speckle_contrast or 1.0))
+                said.append(_limit(calibration, by_laser[name], optics, found.speckle_contrast))
     return Section("The light", paragraphs=tuple(said)) if said else None
 
 
-def _limit(calibration: Calibration, volume: WorkingVolume, optics: Optics, contrast: float) -> str:
+def _limit(calibration: Calibration, volume: WorkingVolume, optics: Optics, contrast: float | None) -> str:
     """How near the pixels come to what speckle alone leaves, in words."""
     rays = volume_rays(calibration.rig, volume)
     omega = np.array([float(x) for x in calibration.rig.laser(volume.laser).plane])
     points = rays / (rays @ omega)[:, None]
-    limit = float(np.median(speckle_limit(calibration.rig, points, optics, contrast)))
-    pixel = float(np.nanmedian(volume.pixel_mm))
-    return (
-        f"At a contrast of {contrast:.2f} speckle alone leaves {limit:.4f} mm along the ray in the median of the "
-        f"working volume (Dorsch, Häusler, Herrmann 1994); the pixel's part of σ is {pixel:.4f} mm, "
-        f"{pixel / limit:.2g} times that."
-    )
+    limit = limit_of(calibration.rig, points, optics, contrast, float(np.nanmedian(volume.pixel_mm)))
+    return f"Speckle alone leaves {limit.in_words()}, along the ray in the median of the working volume."
 
 
 def stripes(diagnostics: Diagnostics) -> Section:

@@ -34,7 +34,7 @@ def test_the_report_says_how_near_the_limit_of_speckle_is(calibration):
     volumes = working_volumes(calibration)
     section = sections.light(seen, volumes, Optics(8.0, 650.0, 5.0))
     assert section is not None
-    limits = [re.search(r"contrast of 0\.20 .* leaves (\S+) mm .* (\S+) times that", p) for p in section.paragraphs]
+    limits = [re.search(r"leaves (\S+) mm at a contrast of 0\.20 .* (\S+) times that", p) for p in section.paragraphs]
     (found,) = [limit for limit in limits if limit]
     limit = float(found[1])
     # By hand in the middle of the volume: 650 nm, f/8, the focal length in pixels of 5 µm.
