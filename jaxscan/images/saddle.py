@@ -85,6 +85,9 @@ class Saddles(NamedTuple):
         contrast: of light and dark, grey levels, positive where the square between the two directions is light.
         blur: standard deviation of the two edges' blur, px.
         share: part of the window's weight that is on the photograph and was kept.
+        told: part of what the window on the photograph tells of the corner that was kept, in the direction in which
+            that is least.
+        hidden: part of the window on the photograph that is burnt out where the model is darker by half the contrast.
         unrest: how far the last step still went, px.
         correlation: τ, how much more the residuals weigh because they hang together.
         by_bends: ∂(u, v) / ∂κ of the two edges, px².
@@ -96,6 +99,8 @@ class Saddles(NamedTuple):
     contrast: Scalars
     blur: Vectors
     share: Scalars
+    told: Scalars
+    hidden: Scalars
     unrest: Scalars
     correlation: Scalars
     by_bends: Float[np.ndarray, "corners 2 2"]
@@ -180,11 +185,11 @@ def fit_saddles(
             )
             for first in range(0, len(starts), _BATCH)
         ]
-    (shape, light, moved), variance, residual, share, correlation, by_bends = jax.tree.map(
+    (shape, light, moved), variance, residual, share, told, hidden, correlation, by_bends = jax.tree.map(
         lambda *x: np.concatenate(x, dtype=np.float64)[: len(starts)], *parts
     )
-    told = np.column_stack([shape, light, variance, residual, correlation])
-    settled = np.isfinite(told).all(axis=1) & (moved < _SETTLED_PX)
+    found = np.column_stack([shape, light, variance, residual, correlation])
+    settled = np.isfinite(found).all(axis=1) & (moved < _SETTLED_PX)
     return Saddles(
         pixels=np.where(settled[:, None], centres + shape[:, :2], np.nan),
         variance=variance / spread[:, None] ** 2,
@@ -192,6 +197,8 @@ def fit_saddles(
         contrast=2 * light[:, 3] * spread,
         blur=np.exp(shape[:, 4:]),
         share=share,
+        told=told,
+        hidden=hidden,
         unrest=moved,
         correlation=correlation,
         by_bends=by_bends,
@@ -270,7 +277,23 @@ def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tupl
     sums = _over_neighbours(jnp.add, square, 2)
     correlation = (sums**2).sum((1, 2, 3)) / (25 * (square**2).sum((1, 2, 3)))
     known = jnp.where(variance > 0, variance, jnp.nan)
-    return state, known, residual, total / window.sum(1), correlation, moved_by_bends
+    seen = window * patches.inside
+    told = _least_part(jacobian[:, :2], weights, seen)
+    # By more than half the contrast: light paper that is burnt out itself may be so right up to its edges.
+    burnt = patches.full & (residuals > jnp.abs(state.light[:, 3:4]))
+    hidden = (seen * burnt).sum(1) / seen.sum(1)
+    return state, known, residual, total / window.sum(1), told, hidden, correlation, moved_by_bends
+
+
+def _least_part(slopes: Array, kept: Array, whole: Array) -> Array:
+    """The least part, over all directions, of the information on the corner that some weights keep of others.
+
+    That is the lesser root λ of det(K − λ W) = 0, with K and W the sums of the squares of the model's slopes.
+    """
+    K, W = ((slopes * weights[:, None]) @ slopes.mT for weights in (kept, whole))
+    det_K, det_W = (A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] ** 2 for A in (K, W))
+    both = K[:, 0, 0] * W[:, 1, 1] + K[:, 1, 1] * W[:, 0, 0] - 2 * K[:, 0, 1] * W[:, 0, 1]
+    return 2 * det_K / (both + jnp.sqrt(jnp.maximum(both**2 - 4 * det_K * det_W, 0.0)))
 
 
 def _over_neighbours(combine: Callable[[Array, Array], Array], x: Array, reach: int) -> Array:

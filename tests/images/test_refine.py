@@ -1,3 +1,4 @@
+import cv2
 import jax
 import numpy as np
 import pytest
@@ -119,6 +120,60 @@ def board_image():
     H = render.homography(extent, [[42, 35], [325, 50], [310, 252], [28, 230]])
     image = render.photograph(render.checkerboard((7, 6), 10.0), H, (280, 350), blur=0.8, noise=1)
     return np.rint(image).clip(0, 255).astype(np.uint8), render.project(H, board.points()).reshape(6, 7, 2)
+
+
+@pytest.fixture(scope="module")
+def paper():
+    """A board of 9 x 6 corners, 24 px apart: its reflectance, its rows as they cross each pixel, and the corners."""
+    board, shape = Board.checkerboard((9, 6), 10.0), (230, 320)
+    extent = [[-10, -10], [90, -10], [90, 60], [-10, 60]]
+    H = render.homography(extent, [[42, 25], [282, 52], [270, 215], [30, 193]])
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    inverse = np.linalg.inv(H)
+    rows = (inverse[1, 0] * u + inverse[1, 1] * v + inverse[1, 2]) / (
+        inverse[2, 0] * u + inverse[2, 1] * v + inverse[2, 2]
+    )
+    reflectance = render.photograph(render.checkerboard((9, 6), 10.0), H, shape, dark=0.12, light=0.85)
+    return reflectance, rows / 10, render.project(H, board.points()).reshape(6, 9, 2)
+
+
+def burnt(paper, row, beside_px, core_px, power):
+    """Its photograph with a stripe that is burnt out so wide on the light squares, beside a row of corners."""
+    reflectance, rows, _ = paper
+    sigma = core_px / 2 / np.sqrt(2 * np.log(power / (255 / 0.85 - 150)))
+    light = 150 + power * np.exp(-0.5 * ((24 * (rows - row) - beside_px) / sigma) ** 2)
+    image = cv2.GaussianBlur(reflectance * light, (0, 0), 0.7)
+    image += 2 * np.random.default_rng(row + core_px).standard_normal(image.shape)
+    return np.rint(image).clip(0, 255).astype(np.uint8)
+
+
+def test_a_burnt_out_stripe_along_a_row_of_corners_moves_none_beyond_its_sigma(paper):
+    """At the board's end a whole row was up to 5 px off, with a σ of 0.05 px: no neighbour told."""
+    truth, errors = paper[2], []
+    for row in (2, 5):
+        for core_px, power in ((5, 1500), (9, 6000), (13, 400)):
+            for beside_px in (-9, 1, 4, 8):
+                corners, sigma = refine_corners(burnt(paper, row, beside_px, core_px, power), truth)
+                errors.append(np.linalg.norm(corners - truth, axis=-1)[row] / sigma[row])
+                far = np.abs(np.arange(6) - row) > 1
+                assert np.isfinite(sigma[far]).all()
+    kept = np.concatenate(errors)[np.isfinite(np.concatenate(errors))]
+    assert kept.max(initial=0) < 6
+    assert np.sqrt(np.mean(kept**2)) < 2
+
+
+def test_burnt_out_paper_and_a_stripe_that_leaves_both_edges_cost_few_corners(paper):
+    reflectance, _, truth = paper
+    random = np.random.default_rng(0)
+    blurred = cv2.GaussianBlur(reflectance, (0, 0), 0.7)
+    v, u = np.mgrid[: blurred.shape[0], : blurred.shape[1]]
+    across = 400 * np.exp(-0.5 * ((u - v - 40) / 1.5) ** 2)
+    for light, least in ((150, 1.0), (330, 1.0), (150 + across, 0.85)):
+        image = blurred * light + 2 * random.standard_normal(blurred.shape)
+        corners, sigma = refine_corners(np.rint(image).clip(0, 255).astype(np.uint8), truth)
+        kept = np.isfinite(sigma)
+        assert kept.mean() >= least
+        assert np.nanmax(np.linalg.norm(corners - truth, axis=-1) / sigma) < 5
 
 
 def test_a_wide_angle_lens_moves_no_corner():
