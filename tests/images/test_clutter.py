@@ -1,10 +1,12 @@
 """Photographs with more in them than a stripe, and stripes in weak light: what is taken, what is left, and why."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from jaxscan.images import StripeSettings, detect_stripe
-from jaxscan.images.stripes.validity import Verdict
+from jaxscan.images.stripes.validity import Verdict, in_a_line
 
 ROWS, COLUMNS = 480, 640
 RED, GREY = StripeSettings("red"), StripeSettings("grey")
@@ -117,3 +119,14 @@ def test_noise_alone_is_no_faint_stripe():
     image = np.stack([photograph(np.zeros((ROWS, COLUMNS)), seed=i, noise=12.0) for i in range(4)])
     assert detect_stripe(image, RED).valid.sum() == 0
     assert detect_stripe(image[:, :80, :, 0], GREY).valid.sum() == 0
+
+
+@pytest.mark.parametrize(("count", "strength", "kept"), [(3, 21.0, False), (3, 40.0, True), (8, 21.0, True)])
+def test_a_few_points_hardly_brighter_than_noise_are_no_stripe(count, strength, kept):
+    """In a shadow three of them were points, five millimetres off: noise on a pattern that was seen in colour."""
+    lines = 380 + 2 * np.arange(count)
+    seen = np.zeros((1, COLUMNS), bool)
+    seen[0, lines] = True
+    at, bright, wide = (np.full((1, COLUMNS), x, np.float32) for x in (212.0, strength, 1.9))
+    found, _ = in_a_line(SimpleNamespace(position=at, strength=bright, width=wide), seen, np.array([20.3]))
+    assert (found == (seen & kept)).all()

@@ -120,7 +120,7 @@ def settle(
     if contested:
         bright &= frames.looked.near(frames.peak)
     inside = frames.within(lines, measured.position)
-    found, runs = in_a_line(measured, bright & inside)
+    found, runs = in_a_line(measured, bright & inside, frames.least)
     second = np.zeros(shape, bool)
     if contested:
         lost = frames.looked.strong & ~found
@@ -134,7 +134,7 @@ def settle(
                 coloured = None if coloured is None else np.swapaxes(coloured, 1, 2)
             _contest(frames, doubtful, down, coloured, standing, second)
             measured = frames.looked.measured
-            found, _ = in_a_line(measured, standing)
+            found, _ = in_a_line(measured, standing, frames.least)
     verdict = np.where(found, Verdict.STRIPE, Verdict.NOTHING).astype(np.int8)
     verdict[bright & ~found] = Verdict.SPOT
     verdict[second & ~found] = Verdict.SECOND

@@ -14,6 +14,9 @@ GAP, COMPANY_PX, STEEPEST = 4, 2.0, 4.0
 LN_WIDTHS: Final = float(np.log(2.5))
 # It is so much longer than it is thick, and longer than so many lines.
 _LONGER, _SHORTEST = 1.5, 2.5
+# Fewer points make a line only where they stand out by so much more than noise does: where a texture leaks into the
+# colour of the laser, noise has company.
+_FEW, _CLEAR = 6, 1.5
 # A lens's flare, and a JPEG's blocks of 16 pixels, echo the end of a bright stripe so faintly at the most, no further.
 _ECHO, _ECHO_PX = 1 / 8, 16
 # Where a surface ends it is half as bright as it is further in, whatever blurs it: what is dimmer is light spilt beyond
@@ -37,7 +40,7 @@ class Verdict(IntEnum):
 
 
 def in_a_line(
-    measured: Any, seen: Bool[np.ndarray, "frames lines"]
+    measured: Any, seen: Bool[np.ndarray, "frames lines"], least: Float[np.ndarray, "frames"]
 ) -> tuple[Bool[np.ndarray, "frames lines"], Int[np.ndarray, "frames"]]:
     """Whether a point belongs to something longer than it is thick: a stripe is a line, noise and glints are not.
 
@@ -47,6 +50,7 @@ def in_a_line(
     Args:
         measured: `Measured` of NumPy's arrays.
         seen: which lines have a point.
+        least: by how much more than noise a point stands out at the least.
 
     Returns:
         Which points do, and how many such runs of points each frame has.
@@ -63,8 +67,9 @@ def in_a_line(
     joined &= np.abs(np.diff(np.log(width))) <= LN_WIDTHS
     starts = np.concatenate([[0], 1 + np.flatnonzero(~joined)])
     weight = weight.astype(np.float64)
-    longer = longer_than_thick(line, weight, width, starts)
     length = np.diff(starts, append=place.size)
+    clear = np.add.reduceat(weight, starts) > _CLEAR * length * least[place[starts] // lines]
+    longer = longer_than_thick(line, weight, width, starts) & (clear | (length >= _FEW))
     ends = starts + length - 1
     kept = np.repeat(longer, length) & ~_spilt(weight, starts, ends) & ~_echoes(place, lines, at, weight, starts, ends)
     found = np.zeros_like(seen)
