@@ -72,8 +72,11 @@ _CLEAR_WIDTH_PX = 5.0
 # A stripe stands above its background by more than so many times the noise: smoothed as it is, the greatest of a
 # thousand rows of noise stands out by two or three σ.
 LEAST_SIGNAL = 4.7
-# Of a burnt-out stripe it is read where its lines have no more than this share of what they leave in common.
+# Of a burnt-out stripe it is read where its lines have no more than this share of what they leave in common: drawn ones
+# have 0.01 to 0.06, real halos 0.1 to 0.4.
 _MOST_COMMON = 0.12
+# Of a burnt-out stripe, pixels higher than this part of a full one may be filled by speckle.
+_MAY_FILL = 0.55
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
 # A line that leaves so many times as much as most is no sample of the noise.
@@ -231,7 +234,7 @@ def _look(
     spread = jnp.maximum(NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
-    light, apart = _chance(found, windows, around, shines, read, seen.apart, correlation, roughly)
+    light, apart = _chance(found, windows, around, shines, read, sensor.span, seen.apart, correlation, roughly)
     sensor = replace(
         sensor,
         read=jnp.sqrt(light.read2),
@@ -328,6 +331,7 @@ def _chance(
     around: Outline,
     shines: Bool[Array, "frames lines"],
     ground: Float[Array, "frames"],
+    span: Float[Array, "frames"],
     apart: Bool[Array, "frames"],
     correlation: Float[Array, "frames distances"] | None,
     roughly: bool,
@@ -346,6 +350,7 @@ def _chance(
         around: its outline.
         shines: which lines have a stripe.
         ground: σ at the ends of the windows.
+        span: the response of a full pixel, without light in the other channels.
         apart: in which frames the stripes have left nothing in common so far.
         correlation: as that of `survey`.
         roughly: whether speckle of single pixels will do, as weights of a next fit.
@@ -370,13 +375,16 @@ def _chance(
     # A full pixel takes its part of what the fit takes, and shows nothing.
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
     taken = [root * y for y in _taken(found)]
+    # Where speckle may fill a pixel, only its lesser values are left to be seen.
+    shown = jnp.where(burnt & (height > _MAY_FILL * span[:, None, None]), 0.0, 1.0)
     if roughly:
         # Of a projection's trace: what a fit takes of independent pixels, all together.
         rest = square - square * sum(y * y for y in taken)
-        speckle = _quotient(standard**2 - rest * ground[:, None, None] ** 2, rest * height**2)
+        rest *= shown
+        speckle = _quotient(shown * standard**2 - rest * ground[:, None, None] ** 2, rest * height**2)
         zero = jnp.zeros_like(ground)
         return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero, zero), apart
-    core, tail = (jnp.where(where, 1.0, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
+    core, tail = (jnp.where(where, shown, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     light = chance(
         standard=standard,
@@ -384,7 +392,7 @@ def _chance(
         # Flanks alone do not tell photons from speckle.
         photons=jnp.where(burnt, 0.0, square * height),
         light=jnp.sqrt(square) * height,
-        regions=(tail, 1 - core - tail, core),
+        regions=(tail, shown - core - tail, core),
         taken=taken,
         read2=ground**2,
         known=clear,
