@@ -12,6 +12,7 @@ border of two blocks tell whether there is more to it.
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -27,7 +28,7 @@ DISTANCES: Final = 4
 # Noise is white below this correlation of neighbours.
 LEAST: Final = 0.15
 # About so many stretches of a photograph are looked at.
-_MOST_LOOKED_AT = 4096
+_MOST_LOOKED_AT = 1024
 # Two blocks of a JPEG make a stretch.
 _BLOCK: Final = 8
 # A stretch is this far away from the stripe, px; its trend is a parabola.
@@ -60,6 +61,7 @@ def _pairs(apart: int, first: int = 0, last: int = 2 * _BLOCK) -> tuple[np.ndarr
 _SUMS: Final = (*(_pairs(k) for k in range(DISTANCES + 1)), _pairs(1, _BLOCK - 1, _BLOCK))
 
 
+@cache
 def _equations() -> Float[np.ndarray, "sums distances"]:
     """What a covariance of 1 at each distance adds to each sum of products of a stretch."""
     size = 2 * _BLOCK
