@@ -62,6 +62,15 @@ def test_a_photograph_without_a_stripe_says_nothing():
     assert Light.of([]) is None
 
 
+@pytest.mark.parametrize("color", ["red", "green"])
+def test_a_photograph_in_light_of_another_colour_says_nothing(color):
+    """There the response is below zero, and no line seemed to have a stripe: an IndexError."""
+    shown = np.random.default_rng(0).integers(0, 4, (ROWS, 200, 3), np.uint8) + np.array([5, 5, 110], np.uint8)
+    found = detect_stripe(shown, StripeSettings(color))
+    assert not found.valid.any()
+    assert np.isnan(found.light).all()
+
+
 def test_in_words():
     assert Light(2.0, 0.0, 0.0, 252.0).in_words() == (
         "read noise 2 grey levels, shot noise too little to be seen, no speckle seen, full from 252 on"

@@ -137,7 +137,8 @@ def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndar
     strongest = min(_LINES, stands.shape[1])
     usual = np.median(np.partition(stands, -strongest, axis=1)[:, -strongest:], axis=1)
     chosen = []
-    for each, least in zip(stands, _STANDS * usual, strict=True):
+    # In light of another colour nothing stands out: less than nothing does.
+    for each, least in zip(stands, np.minimum(_STANDS * usual, usual), strict=True):
         bright = np.flatnonzero(each >= least)
         chosen.append(bright[np.linspace(0, len(bright) - 1, _LINES).astype(np.int32)])
     return np.stack(chosen).astype(np.int32)
