@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
 
-from jaxscan.reconstruction.point_sigma import ray_jacobian
+from jaxscan.reconstruction.point_sigma import jacobian_along
 from jaxscan.rig import Covariance, Rig
 from jaxscan.rig.projection import pixel_rays
 
@@ -53,9 +53,10 @@ class SigmaMap(eqx.Module):
         u, v = (x.ravel() for x in np.meshgrid(nodes, nodes, indexing="ij"))
         width, height = rig.camera.image_size
         pixels = np.stack([(u + 1) / 2 * (width - 1), (v + 1) / 2 * (height - 1)], axis=-1)
-        w = pixel_rays(rig.camera, pixels) @ np.stack([float(c) for c in rig.laser(laser).plane])
-        still, of_pixel = ray_jacobian(rig, laser, pixels, np.zeros(len(pixels)), columns)
-        moved, _ = ray_jacobian(rig, laser, pixels, np.ones(len(pixels)), columns)
+        rays = pixel_rays(rig.camera, pixels)
+        w = rays @ np.stack([float(c) for c in rig.laser(laser).plane])
+        still, of_pixel = jacobian_along(rig, laser, rays, np.zeros(len(pixels)), columns)
+        moved, _ = jacobian_along(rig, laser, rays, np.ones(len(pixels)), columns)
         J0, J1, S = still * w[:, None] ** 2, moved - still, covariance.of_leaves(rig)
         products = [np.einsum("pi,ij,pj->p", a, S, b) for a, b in ((J0, J0), (J0, J1), (J1, J1))]
         values = np.stack([products[0], 2 * products[1], products[2], np.abs(of_pixel) * w**2], axis=-1)
