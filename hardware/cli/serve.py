@@ -1,6 +1,8 @@
 """`scanner serve`: the lab server."""
 
 import argparse
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -40,6 +42,7 @@ def run(args: argparse.Namespace) -> None:
     """Serve until interrupted."""
     from hardware.devices import open_scanner, read_scanner
     from jaxscan.cli.compiled import keep_compiled
+    from jaxscan.cli.main import INTERRUPTED
     from jaxscan.errors import InputError
     from jaxscan.extras import extra
 
@@ -76,6 +79,13 @@ def run(args: argparse.Namespace) -> None:
         say(f"scanner: {settings.path or 'simulated, there is no scanner.toml'}; data: {args.data}")
         server = Server(lab, listening, args.cert, args.key, lambda url: say(f"serving at {url}"))
         server.serve_here()
+    except KeyboardInterrupt:
+        lab.close()
+        if lab.gallery.alive:
+            # A profile that nobody sees any more; an interpreter that ends under JAX's compiler would be aborted.
+            print("scanner: interrupted", file=sys.stderr, flush=True)
+            os._exit(INTERRUPTED)
+        raise
     finally:
         lab.close()
         listening.close()

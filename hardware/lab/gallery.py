@@ -35,6 +35,8 @@ _IN_MEMORY: Final = 4
 _PROFILE_POINTS, _CLOUD_POINTS = 400, 400_000
 # Live it counts that a profile is there at once: the quickest detector.
 _DETECTOR: Final = "derivative"
+# How long the end waits for what is being done: a first profile compiles, for minutes on a busy machine.
+_ENDED_S: Final = 5.0
 
 
 class _Thread:
@@ -44,7 +46,7 @@ class _Thread:
         self._waiting: deque[Callable[[], object]] = deque(maxlen=room)
         self._come = threading.Condition()
         self._closed = False
-        self._thread = threading.Thread(target=self._work, name=name)
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 
     def __len__(self) -> int:
@@ -55,12 +57,17 @@ class _Thread:
             self._waiting.append(work)
             self._come.notify()
 
+    @property
+    def alive(self) -> bool:
+        """Whether it has not ended."""
+        return self._thread.is_alive()
+
     def close(self) -> None:
-        """End, after what is being done: an interpreter that ends under JAX's compiler is aborted."""
+        """End, after what is being done if that ends soon."""
         with self._come:
             self._closed = True
             self._come.notify()
-        self._thread.join()
+        self._thread.join(_ENDED_S)
 
     def _work(self) -> None:
         while True:
@@ -118,8 +125,13 @@ class Gallery:
             parts = list(self._cloud)
         return b"".join(np.ascontiguousarray(part, "<f4").tobytes() for part in parts)
 
+    @property
+    def alive(self) -> bool:
+        """Whether it has not ended: once it is closed, that it is still at something that takes long."""
+        return self._pictures.alive or self._profiles.alive
+
     def close(self) -> None:
-        """End."""
+        """End, and wait a few seconds for what is being done."""
         self._pictures.close()
         self._profiles.close()
 

@@ -72,6 +72,38 @@ def test_a_password_cannot_be_asked_for_without_a_terminal(tmp_path: Path, monke
     assert "--password-stdin" in capsys.readouterr().err
 
 
+STUCK = """
+import sys, time
+from hardware.cli.main import main
+from hardware.lab.gallery import Gallery
+
+begin = Gallery.__init__
+
+def busy(self, *args):
+    begin(self, *args)
+    self._profiles.do(lambda: time.sleep(600))
+
+Gallery.__init__ = busy
+sys.exit(main(["serve", "--port", "0"]))
+"""
+
+
+def test_a_server_ends_while_a_profile_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The first one compiles, for minutes on a busy machine: a server that was told to end waited for it."""
+    monkeypatch.chdir(tmp_path)
+    assert user(monkeypatch, "add", "maria", "--password-stdin") == 0
+    root = str(Path(__file__).parents[3])
+    child = subprocess.Popen([sys.executable, "-c", STUCK], stderr=subprocess.PIPE, text=True, env={"PYTHONPATH": root})
+    assert child.stderr is not None
+    assert any("serving at" in line for line in child.stderr)
+    child.terminate()
+    try:
+        _, err = child.communicate(timeout=120)
+    finally:
+        child.kill()
+    assert (child.returncode, err) == (130, "scanner: interrupted\n")
+
+
 def test_a_server_that_is_killed_in_mid_scan_and_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """`scanner serve` as a process of its own: kill -9, start, what it says of the scan, and on."""
     import cv2
