@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_units_argument, check_outputs, numbers
+from jaxscan.cli.options import add_units_argument, check_outputs, check_units, numbers
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -54,6 +54,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError("--fit, --output and --png are about a REFERENCE: name one")
     if args.reference is None and args.reference_units:
         raise InputError(f"--reference-units {args.reference_units} is about a REFERENCE: name one, or leave it out")
+    for *_, radius in args.region or []:
+        if not radius > 0:
+            raise InputError(f"--region: its radius is {radius:g} mm: give X,Y,Z,R with R more than 0")
     if not args.within > 0:
         raise InputError(f"--within {args.within:g}: give a distance that is more than 0")
     if args.output and args.output.suffix.lower() != ".ply":
@@ -66,7 +69,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.files.units import in_millimetres
     from jaxscan.surface.compare import region
 
-    _only_files_without_units(args.cloud, args.units, "--units")
+    check_units(args.cloud, args.units)
     points = in_millimetres(str(args.cloud), read_points(args.cloud), args.units)
     result: dict[str, Any] = {"kind": "comparison", "path": str(args.cloud)}
     if args.reference is not None:
@@ -133,14 +136,9 @@ def read_points(path: Path) -> "np.ndarray":
     return np.asarray(read_mesh(path).vertices)
 
 
-def _only_files_without_units(path: Path, units: str | None, option: str) -> None:
-    if units is not None and path.suffix.lower() == ".npz":
-        raise InputError(f"{option} {units}: {path} is a range image, and these are in millimetres: leave it out")
-
-
 def read_reference(path: Path, units: str | None = None) -> "Reference":
     """A mesh where the file holds one, else a cloud; in millimetres, as `in_millimetres`."""
-    _only_files_without_units(path, units, "--reference-units")
+    check_units(path, units, "--reference-units")
     import numpy as np
 
     from jaxscan.files.units import in_millimetres

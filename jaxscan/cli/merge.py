@@ -122,6 +122,11 @@ def _check(args: argparse.Namespace) -> None:
             raise InputError(
                 f"{path}: give a range image (.npz), a cloud (.ply), or a folder of photographs with --rig"
             )
+    if args.units and not args.poses and not any(path.suffix.lower() == ".ply" for path in args.scans):
+        raise InputError(
+            f"--units {args.units}: no scan is a cloud (.ply), and range images and photographs are in millimetres: "
+            "leave it out"
+        )
     if args.steps and not args.rig:
         raise InputError("--steps: are those of a rig's turntable: give --rig too, or --turn")
     if args.write_rig and not (args.rig and args.fit_turntable):

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_outputs_argument, add_units_argument, check_outputs, finite, numbers
+from jaxscan.cli.options import add_outputs_argument, add_units_argument, check_outputs, check_units, finite, numbers
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -131,6 +131,7 @@ def _check(args: argparse.Namespace) -> None:
     ending = args.points.suffix.lower()
     if ending not in (".npz", ".ply"):
         raise InputError(f"{args.points}: give a range image (.npz) or a cloud (.ply)")
+    check_units(args.points, args.units)
     for path in args.output:
         if path.suffix.lower() not in _ENDINGS:
             raise InputError(f"{path}: the ending is not known: write {', '.join(_ENDINGS)}")

@@ -53,6 +53,12 @@ def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str =
     parser.add_argument(option, choices=("mm", "cm", "m", "inch"), help=words)
 
 
+def check_units(path: Path, units: str | None, option: str = "--units") -> None:
+    """Refuse a unit of length for a range image, which has its own."""
+    if units is not None and path.suffix.lower() == ".npz":
+        raise InputError(f"{option} {units}: {path} is a range image, and these are in millimetres: leave it out")
+
+
 def add_optics_arguments(parser: argparse.ArgumentParser, what: str) -> Any:
     """Declare lens, laser and pixel, for the limit of speckle; the group of them."""
     group = parser.add_argument_group("the limit of speckle", what)

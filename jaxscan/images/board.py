@@ -17,8 +17,8 @@ from jaxscan.errors import InputError
 
 # OpenCV's finders need a grid of three by three.
 LEAST_POINTS = 3
-# From a micrometre to a hundred metres: what lies outside was written in other units.
-_LENGTHS_MM = (1e-3, 1e5)
+# From what a line of light is thick to a hundred metres: what lies outside was written in other units.
+_LENGTHS_MM = (0.1, 1e5)
 
 
 @dataclass(frozen=True)
@@ -120,5 +120,7 @@ def _counts(key: str, value: Sequence[int], least: int) -> tuple[int, int]:
 def _length(key: str, value: float) -> float:
     least, most = _LENGTHS_MM
     if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
-        raise InputError(f"{key} = {value}: give a positive number of millimetres, from {least:g} to {most:g}")
+        metres = isinstance(value, float) and least <= 1000 * value <= most
+        meant = f"; {value:g} m are {1000 * value:g}" if metres else ""
+        raise InputError(f"{key} = {value}: give a number of millimetres, from {least:g} to {most:g}{meant}")
     return float(value)

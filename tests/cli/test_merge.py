@@ -170,6 +170,7 @@ def test_rounds_that_run_out_are_said(folder, capsys, monkeypatch):
         ("0.npz 1.npz --poses gone.json -o x.stl", "gone.json: there is no such file"),
         ("0.npz 1.npz --rig rig.json --steps 500 -o x.stl", "rig.json: has no turntable"),
         ("0.npz 1.npz --write-rig r.json -o x.stl", "--write-rig: writes --rig with the turntable"),
+        ("0.npz 1.npz --units m -o x.stl", "--units m: no scan is a cloud (.ply), and range images"),
         ("0.npz 1.npz --cube 0 -o x.stl", "--cube 0: give a size"),
         ("0.npz 1.npz --simplify 2 -o x.stl", "--simplify 2: give 4"),
     ],

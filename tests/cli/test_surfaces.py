@@ -195,6 +195,7 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("mesh block.npz -o x.stl --fill -1", "holes of up to -1 mm"),
         ("mesh block.npz -o x.stl --grid 0", "a grid of 0 mm"),
         ("mesh block.npz -o x.stl --simplify 2", "--simplify 2: give 4"),
+        ("mesh block.npz -o x.stl --units m", "--units m: block.npz is a range image, and these are in millimetres"),
         ("mesh block.npz -o x.stl --every 0,1", "--every 0,1: give whole numbers"),
         ("mesh block.npz -o x.stl --every 1", "is not 2 finite numbers"),
         ("mesh block.npz -o nowhere/x.stl", "there is no folder"),
@@ -217,6 +218,7 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("compare block.ply --region=0,0,0,1 --reference-units m", "--reference-units m is about a REFERENCE"),
         ("reconstruct scan --rig rig.json -o x.ply -o x.ply", "x.ply: two things are to be written there"),
         ("calibrate session -o report.json --report .", "report.json: two things are to be written there"),
+        ("compare block.ply --region -1,0,0,-1", "--region: its radius is -1 mm: give X,Y,Z,R with R more than 0"),
         ("compare block.ply --region=0,0,0,1", "0.0]: ten or more are needed, so give a larger radius"),
     ],
 )

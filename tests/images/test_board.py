@@ -43,6 +43,7 @@ def test_a_charuco_board_is_never_ambiguous():
         (lambda: Board.checkerboard((9,), 10.0), r"inner_corners = \[9\]"),
         (lambda: Board.checkerboard((9, 6.5), 10.0), "6.5"),
         (lambda: Board.checkerboard((9, 6), -1.0), "square_mm = -1.0"),
+        (lambda: Board.checkerboard((9, 6), 0.016), r"square_mm = 0.016: give .* millimetres.*; 0.016 m are 16$"),
         (lambda: Board.checkerboard((9, 6), float("nan")), "square_mm = nan"),
         (lambda: Board.circles((7, 7), 0), "pitch_mm = 0"),
         (lambda: Board.circles((True, 7), 5.0), "circles"),
