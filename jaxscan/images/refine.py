@@ -38,10 +38,12 @@ _LEAST_CONTRAST = 0.3
 _LEAST_SHARE = 0.35
 _MOST_RESIDUAL = 0.12
 _MOST_SIGMA_PX = 0.3
-# Left out too: where more than this part of the window is burnt out and its squares are not, as under a stripe, a
-# corner of which less than this part of what its window tells was kept. What hides one of its two edges leaves the
-# glow beside it, which looks like that edge, and hides it of a whole row alike, so that no neighbour tells.
+# Left out too: where more than this part of the window is burnt out and its squares are not, as under a stripe, or more
+# than this part is burnt out on one side of the corner alone, a corner of which less than this part of what its window
+# tells was kept. What hides one of its two edges leaves the glow beside it, which looks like that edge, and hides it of
+# a whole row alike, so that no neighbour tells.
 _HIDDEN = 0.05
+_LOPSIDED = 0.1
 _LEAST_TOLD = 0.7
 # What no patch knows of its own errors: aliasing, a point spread that is not symmetric (px).
 _SYSTEMATIC_PX = 0.002
@@ -139,7 +141,8 @@ def _sigma(saddles: Saddles) -> Float[np.ndarray, "corners"]:
     sigma = np.sqrt(saddles.variance.mean(axis=1) * residual**2 * tau + saddles.unrest**2 + _SYSTEMATIC_PX**2)
     trusted = settled & (contrast > _LEAST_CONTRAST * np.median(contrast[settled]))
     trusted &= (saddles.share > _LEAST_SHARE) & (saddles.residual < np.maximum(_MOST_RESIDUAL * contrast, 2 * noise))
-    trusted &= (saddles.hidden < _HIDDEN) | (saddles.told > _LEAST_TOLD)
+    clear = (saddles.hidden < _HIDDEN) & (saddles.lopsided < _LOPSIDED)
+    trusted &= clear | (saddles.told > _LEAST_TOLD)
     return np.where(trusted & (sigma < _MOST_SIGMA_PX), sigma, np.nan)
 
 

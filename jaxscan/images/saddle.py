@@ -88,6 +88,7 @@ class Saddles(NamedTuple):
         told: part of what the window on the photograph tells of the corner that was kept, in the direction in which
             that is least.
         hidden: part of the window on the photograph that is burnt out where the model is darker by half the contrast.
+        lopsided: part of the window on the photograph that is burnt out and whose mirror image about the corner is not.
         unrest: how far the last step still went, px.
         correlation: τ, how much more the residuals weigh because they hang together.
         by_bends: ∂(u, v) / ∂κ of the two edges, px².
@@ -101,6 +102,7 @@ class Saddles(NamedTuple):
     share: Scalars
     told: Scalars
     hidden: Scalars
+    lopsided: Scalars
     unrest: Scalars
     correlation: Scalars
     by_bends: Float[np.ndarray, "corners 2 2"]
@@ -185,7 +187,7 @@ def fit_saddles(
             )
             for first in range(0, len(starts), _BATCH)
         ]
-    (shape, light, moved), variance, residual, share, told, hidden, correlation, by_bends = jax.tree.map(
+    (shape, light, moved), variance, residual, share, told, hidden, lopsided, correlation, by_bends = jax.tree.map(
         lambda *x: np.concatenate(x, dtype=np.float64)[: len(starts)], *parts
     )
     found = np.column_stack([shape, light, variance, residual, correlation])
@@ -199,6 +201,7 @@ def fit_saddles(
         share=share,
         told=told,
         hidden=hidden,
+        lopsided=lopsided,
         unrest=moved,
         correlation=correlation,
         by_bends=by_bends,
@@ -238,7 +241,7 @@ def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tupl
 
     def again(carried: tuple[Array, Array, _State, Array]) -> tuple[Array, Array, _State, Array]:
         phase, k, state, trusted = carried
-        residuals, jacobian, window = evaluate(patches, state.shape, state.light)
+        residuals, jacobian, window, _ = evaluate(patches, state.shape, state.light)
         limit = _limit(residuals, window * trusted, state.light)
         trusted = jax.lax.cond(
             (phase == 2) & (k == 0), lambda: trusted & ~beside((jnp.abs(residuals) > limit) & trusted), lambda: trusted
@@ -257,7 +260,7 @@ def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tupl
     _, _, state, trusted = jax.lax.while_loop(
         lambda carried: carried[0] < 3, again, (jnp.asarray(0), jnp.asarray(0), start, trusted)
     )
-    residuals, jacobian, window = evaluate(patches, state.shape, state.light)
+    residuals, jacobian, window, whole = evaluate(patches, state.shape, state.light)
     weights = window * trusted
     total = weights.sum(1)
     normal = (jacobian * weights[:, None]) @ jacobian.mT
@@ -282,7 +285,12 @@ def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tupl
     # By more than half the contrast: light paper that is burnt out itself may be so right up to its edges.
     burnt = patches.full & (residuals > jnp.abs(state.light[:, 3:4]))
     hidden = (seen * burnt).sum(1) / seen.sum(1)
-    return state, known, residual, total / window.sum(1), told, hidden, correlation, moved_by_bends
+    # What the model's light, which rises towards the stripe, takes for itself as bright enough is among these.
+    full = patches.full & patches.inside
+    mirrored = full.reshape(n, side, side)[:, ::-1, ::-1].reshape(n, -1)
+    on_photograph = whole * patches.inside
+    lopsided = (on_photograph * (full & ~mirrored)).sum(1) / on_photograph.sum(1)
+    return state, known, residual, total / window.sum(1), told, hidden, lopsided, correlation, moved_by_bends
 
 
 def _least_part(slopes: Array, kept: Array, whole: Array) -> Array:
@@ -321,8 +329,11 @@ def _limit(residuals: Array, weights: Array, light: Array) -> Array:
     return limit
 
 
-def _evaluate(patch: _Patches, shape: Array, light: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
-    """Residuals, derivatives of the model by shape and light, and the window's weights, for each pixel."""
+def _evaluate(patch: _Patches, shape: Array, light: Array, u: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+    """Residuals, derivatives of the model by shape and light, and the window, for each pixel.
+
+    The window comes twice: without the pixels at the detector's limit that the model has brighter, and whole.
+    """
     x, y = u - shape[0], v - shape[1]
     saddle, slopes = _saddle(x, y, shape[2:], patch.bends)
     # Written out, here and below: XLA makes one pass of it, but not of small matrix products.
@@ -338,7 +349,7 @@ def _evaluate(patch: _Patches, shape: Array, light: Array, u: Array, v: Array) -
     window = window * jnp.maximum(jnp.clip(clear[0] - i + 0.5, 0, 1), jnp.clip(clear[1] - j + 0.5, 0, 1))
     # At the detector's limit a model that is brighter is right.
     satisfied = patch.full & (model > patch.levels)
-    return patch.levels - model, jacobian, window * ~satisfied
+    return patch.levels - model, jacobian, window * ~satisfied, window
 
 
 def _saddle(x: Array, y: Array, shape: Array, bends: Array) -> tuple[Array, list[Array]]:
