@@ -8,8 +8,9 @@ import pytest
 from jaxscan.errors import InputError
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, read_image, write_image
+from jaxscan.images.stripes.tracks import gather_passage, passage_windows
 from jaxscan.precision import as_numpy, float64
-from jaxscan.reconstruction import reconstruct
+from jaxscan.reconstruction import reconstruct, spacetime
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.spacetime import Geometry, carried, spacetime_profiles
@@ -113,6 +114,17 @@ def points_of(rig, settings, frames, steps, sigma, dark=None):
 def test_points_do_not_depend_on_the_batches(rig, scan, frames, images):
     _, sigma = passage_of(rig, scan)
     np.testing.assert_array_equal(points_of(rig, GREY, frames, scan.steps, sigma), images[1].points)
+
+
+def test_a_scan_of_another_length_compiles_nothing(rig, scan, frames, images):
+    """Neither the last batch of a scan nor a shorter scan has shapes of its own."""
+    _, sigma = passage_of(rig, scan)
+    whole = (carried, spacetime._track, spacetime._points, gather_passage, passage_windows)
+    before = [each._cache_size() for each in whole]
+    count = FRAMES - 3
+    points = points_of(rig, GREY, frames[:count], scan.steps[:count], sigma)
+    assert [each._cache_size() for each in whole] == before
+    np.testing.assert_array_equal(points[HALF : count - HALF], images[1].points[HALF : count - HALF])
 
 
 def test_lines_that_are_rows(rig, scan, frames, images):
