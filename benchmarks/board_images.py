@@ -6,11 +6,12 @@ cells or more is exact, then each pixel is the mean of its 8 × 8 cells. The len
 x_u = x_d (1 + a r_d²): that direction is closed, and the few corners go the other way by Newton's method.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 CELLS = 8
 _SAMPLES = 4
@@ -18,6 +19,25 @@ IMAGE_SIZE = (640, 480)
 COUNTS = (9, 6)
 _PRINCIPAL = np.array([315.3, 236.8])
 _DARK, _LIGHT = 0.15, 0.85
+
+
+@dataclass(frozen=True)
+class Line:
+    """A laser's line along a row of corners: a Gaussian, straight on the board.
+
+    Attributes:
+        row: the row of corners that it runs along.
+        beside_px: how far beside the row, in pixels of a board that faces the camera.
+        core_px: how wide it is burnt out on the light squares, in the same pixels.
+        power: its light in its middle, grey levels on a white surface.
+        slant: its angle with the row, about the row's middle, radians.
+    """
+
+    row: int
+    beside_px: float
+    core_px: float
+    power: float
+    slant: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -32,6 +52,7 @@ class Shot:
         noise: standard deviation of the noise, grey levels.
         exposure: grey level of a white surface.
         trouble: what else stands in the picture: "", "stripe", "highlight", "border" or "occluder".
+        line: a laser's line along a row.
         gamma: levels are 255 (light / 255) ** gamma.
         jpeg: quality of JPEG compression, 0 for none.
         bayer: whether each pixel has one colour, the others interpolated.
@@ -47,6 +68,7 @@ class Shot:
     noise: float = 2.0
     exposure: float = 150.0
     trouble: str = ""
+    line: Line | None = None
     gamma: float = 1.0
     jpeg: int = 0
     bayer: bool = False
@@ -136,20 +158,14 @@ def _light(H: np.ndarray, corners: np.ndarray, shot: Shot, random: np.random.Gen
         (np.arange(CELLS * (b - a + 2 * margin)) + 0.5) / CELLS - 0.5 + a - margin
         for a, b in zip(low, high, strict=True)
     )
-    cells = _albedo(*_board_points(H, shot, u[None, :], v[:, None]))
-    edge = np.zeros(cells.shape, np.uint8)
-    edge[:, 1:] |= cells[:, 1:] != cells[:, :-1]
-    edge[1:] |= cells[1:] != cells[:-1]
-    at_v, at_u = np.nonzero(cv2.dilate(edge, np.ones((3, 3), np.uint8)))
-    offsets = ((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5) / CELLS
-    fine = np.zeros(len(at_u), np.float32)
-    for du in offsets:
-        for dv in offsets:
-            fine += _albedo(*_board_points(H, shot, u[at_u] + du, v[at_v] + dv))
-    cells[at_v, at_u] = fine / _SAMPLES**2
     slope, curve = random.uniform(-0.4, 0.4, 2), random.uniform(-0.3, 0)
     far_u, far_v = (u[None, :] / size[0] - 0.5).astype(np.float32), (v[:, None] / size[1] - 0.5).astype(np.float32)
-    cells *= shot.exposure * (1 + slope[0] * far_u + slope[1] * far_v + curve * (far_u**2 + far_v**2))
+    light = shot.exposure * (1 + slope[0] * far_u + slope[1] * far_v + curve * (far_u**2 + far_v**2))
+    if shot.line:
+        light += _on_the_line(shot.line, H, shot, u[None, :], v[:, None])
+    # A line changes nothing of the paper: photographs that differ by it alone share the work.
+    paper = _paper(tuple(H.flat), replace(shot, line=None), (u[0], len(u)), (v[0], len(v)))
+    cells = (paper * light).astype(np.float32)
     if shot.disc_px:
         n = int(np.ceil(shot.disc_px * CELLS))
         y, x = np.mgrid[-n : n + 1, -n : n + 1]
@@ -162,6 +178,36 @@ def _light(H: np.ndarray, corners: np.ndarray, shot: Shot, random: np.random.Gen
     image = np.full(size[::-1], _LIGHT * shot.exposure)
     image[low[1] : high[1], low[0] : high[0]] = part[margin:-margin, margin:-margin]
     return image
+
+
+@lru_cache(maxsize=2)
+def _paper(
+    H: tuple[float, ...], shot: Shot, across: tuple[float, int], down: tuple[float, int]
+) -> Float32[np.ndarray, "_ _"]:
+    """The reflectance of cells: of a board at H, from the first cell (px) on, so many of them."""
+    pose = np.array(H).reshape(3, 3)
+    u, v = (first + np.arange(count) / CELLS for first, count in (across, down))
+    cells = _albedo(*_board_points(pose, shot, u[None, :], v[:, None]))
+    edge = np.zeros(cells.shape, np.uint8)
+    edge[:, 1:] |= cells[:, 1:] != cells[:, :-1]
+    edge[1:] |= cells[1:] != cells[:-1]
+    at_v, at_u = np.nonzero(cv2.dilate(edge, np.ones((3, 3), np.uint8)))
+    offsets = ((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5) / CELLS
+    fine = np.zeros(len(at_u), np.float32)
+    for du in offsets:
+        for dv in offsets:
+            fine += _albedo(*_board_points(pose, shot, u[at_u] + du, v[at_v] + dv))
+    cells[at_v, at_u] = fine / _SAMPLES**2
+    return cells
+
+
+def _on_the_line(line: Line, H: np.ndarray, shot: Shot, u: np.ndarray, v: np.ndarray) -> Float32[np.ndarray, "_ _"]:
+    """A laser's light on the board, grey levels on a white surface."""
+    i, j = (x.astype(np.float32) for x in _board_points(H, shot, u, v))
+    across = np.cos(line.slant) * (j - line.row) - np.sin(line.slant) * (i - (COUNTS[0] - 1) / 2)
+    limit = (255 / _LIGHT - shot.exposure) / line.power
+    width = line.core_px / 2 / np.sqrt(-2 * np.log(limit))
+    return line.power * np.exp(-0.5 * ((across * shot.square_px - line.beside_px) / width) ** 2)
 
 
 def _troubled(

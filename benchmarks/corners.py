@@ -10,7 +10,6 @@ import statistics
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -19,7 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from benchmarks.board_images import COUNTS, Photograph, Shot, photograph
+from benchmarks.board_images import COUNTS, Photograph, Shot
+from benchmarks.burnt_rows import burnt_rows
+from benchmarks.corner_errors import Errors, of_ours, photographs, refined, rms
 from benchmarks.metric import Metric
 from benchmarks.simulated import rig_errors
 from benchmarks.sub_pix import USUAL, corner_sub_pix, with_sub_pix
@@ -29,7 +30,6 @@ from jaxscan.calibration.residuals import stripe_error
 from jaxscan.files.session import read_session
 from jaxscan.geometry import dual_plane
 from jaxscan.images import to_grey
-from jaxscan.images.refine import refine_corners
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Rig
 from jaxscan.simulation.folders import SessionTruth, simulate_session
@@ -37,7 +37,6 @@ from jaxscan.simulation.folders import SessionTruth, simulate_session
 _SESSIONS = 20
 # Half of a wide window for `cornerSubPix`.
 _WIDE = 11
-_FAR_PX = 0.3
 _PLAIN = [Shot(square_px=float(s)) for s in (20, 24, 28, 32, 35)]
 _VARIED = {
     "small": [Shot(square_px=8.0), Shot(square_px=12.0)],
@@ -65,45 +64,21 @@ _TROUBLES = {
 }
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Of the corners of some photographs.
-
-    Attributes:
-        pixels: found minus true, px; NaN for a corner that was left out.
-        sigma: predicted, px.
-    """
-
-    pixels: Float[np.ndarray, "corners 2"]
-    sigma: Float[np.ndarray, "corners"]
-
-    def rms(self) -> Float[np.ndarray, "2"]:
-        """Along each axis, px."""
-        return np.sqrt(np.nanmean(self.pixels**2, axis=0))
-
-    def in_sigma(self) -> float:
-        """RMS of the errors in units of their predicted σ."""
-        return float(np.sqrt(np.nanmean((self.pixels / self.sigma[:, None]) ** 2)))
-
-    def far(self) -> int:
-        """How many are wrong by more than 0.3 px and not left out."""
-        return int((np.linalg.norm(self.pixels, axis=1) > _FAR_PX).sum())
-
-
 def measure(quick: bool) -> list[Metric]:
     """Boards, then, in the long form, sessions."""
     seeds = 1 if quick else 6
     begin = time.monotonic()
-    plain = _photographs(_PLAIN[::4] if quick else _PLAIN, seeds)
-    _ours(plain[:1])
+    plain = photographs(_PLAIN[::4] if quick else _PLAIN, range(seeds))
+    of_ours(plain[:1])
     first = time.monotonic() - begin
-    metrics = [*accuracy(plain, first), *variations(seeds, quick), *speed(plain)]
+    rows = burnt_rows(max(seeds // 2, 1), quick)
+    metrics = [*accuracy(plain, first), *variations(seeds, quick), *rows, *speed(plain)]
     return metrics if quick else [*metrics, *sessions(_SESSIONS)]
 
 
 def accuracy(plain: list[Photograph], first_s: float) -> list[Metric]:
     """Squares of 20 to 35 px, blur 0.6 px, noise 2 levels, tilt to 35°: ours, OpenCV's, and the bound."""
-    ours = _ours(plain)
+    ours = of_ours(plain)
     usual, wide = (np.concatenate([_sub_pix(p, half) for p in plain]) for half in (USUAL, _WIDE))
     sectors = np.concatenate([_sectors(p) for p in plain])
     bound = np.concatenate([cramer_rao(p) for p in plain])
@@ -111,16 +86,16 @@ def accuracy(plain: list[Photograph], first_s: float) -> list[Metric]:
     return [
         Metric("corners.rms_u", u, "px", "lower", 0.012, slack=0.1),
         Metric("corners.rms_v", v, "px", "lower", 0.012, slack=0.1),
-        Metric("corners.rms_over_cramer_rao", float(np.hypot(u, v) / _rms(bound) / 2**0.5), "", "lower", 2.0),
+        Metric("corners.rms_over_cramer_rao", float(np.hypot(u, v) / rms(bound) / 2**0.5), "", "lower", 2.0),
         *(
             []
             if len(plain) < 2 * len(_PLAIN)
             else [Metric("corners.together", _together(ours, len(plain)), "", "lower", 1.15)]
         ),
         Metric("corners.left_out", float(np.isnan(ours.sigma).mean()), "", "lower", 0.0, floor=0.01),
-        Metric("corners.corner_sub_pix_rms", _rms(usual), "px"),
-        Metric("corners.corner_sub_pix_wide_window_rms", _rms(wide), "px"),
-        Metric("corners.sector_based_rms", _rms(sectors), "px"),
+        Metric("corners.corner_sub_pix_rms", rms(usual), "px"),
+        Metric("corners.corner_sub_pix_wide_window_rms", rms(wide), "px"),
+        Metric("corners.sector_based_rms", rms(sectors), "px"),
         Metric("corners.first_photographs", first_s, "s"),
         *_sure("corners", ours),
     ]
@@ -139,10 +114,10 @@ def variations(seeds: int, quick: bool) -> list[Metric]:
     varied = {name: _VARIED[name] for name in ("small", "blur_1.5")} if quick else _VARIED
     troubles = {name: shots[2:3] for name, shots in _TROUBLES.items()} if quick else _TROUBLES
     for name, shots in {**varied, **troubles}.items():
-        errors = _ours(_photographs(shots, seeds if quick or name in varied else 2 * seeds))
+        errors = of_ours(photographs(shots, range(seeds if quick or name in varied else 2 * seeds)))
         far += errors.far()
         metrics += [
-            Metric(f"corners.{name}.rms", _rms(errors.pixels), "px"),
+            Metric(f"corners.{name}.rms", rms(errors.pixels), "px"),
             Metric(f"corners.{name}.rms_in_sigma", errors.in_sigma()),
             Metric(f"corners.{name}.largest", float(np.nanmax(np.linalg.norm(errors.pixels, axis=1))), "px"),
             Metric(f"corners.{name}.left_out", float(np.isnan(errors.sigma).mean())),
@@ -157,7 +132,7 @@ def speed(plain: list[Photograph]) -> list[Metric]:
     def once() -> float:
         begin = time.monotonic()
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(_refined, many))
+            list(pool.map(refined, many))
         return sum(len(p.corners) for p in many) / (time.monotonic() - begin)
 
     return [
@@ -211,7 +186,7 @@ def _session_errors(observations: Observations, truth: SessionTruth) -> tuple[fl
             np.asarray(_apart(found, true, jax.tree.map(lambda x, i=i: x[i], boards), jnp.asarray(pixels)))
             for i, pixels in ((int(Path(view.name).stem), view.stripes[0].pixels) for view in observations.views)
         ]
-    return _rms(f_and_c[0] - f_and_c[1]), rig_errors(rig, truth.rig).points, 3**0.5 * _rms(np.concatenate(apart))
+    return rms(f_and_c[0] - f_and_c[1]), rig_errors(rig, truth.rig).points, 3**0.5 * rms(np.concatenate(apart))
 
 
 @jax.jit
@@ -226,28 +201,6 @@ def _apart(rig: Rig, truth: Rig, T_cam_board: object, pixels: Float[Array, "pixe
         return rig.triangulate(pixel, jnp.zeros(())) - truth.triangulate(exact, jnp.zeros(()))
 
     return jax.vmap(each)(pixels)
-
-
-def _photographs(shots: list[Shot], seeds: int) -> list[Photograph]:
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(lambda each: photograph(*each), [(shot, s) for shot in shots for s in range(seeds)]))
-
-
-def _refined(p: Photograph) -> tuple[np.ndarray, np.ndarray]:
-    """Corners and σ, from the truth moved by as much as a finder errs."""
-    columns, rows = COUNTS
-    spacing = np.linalg.norm(np.diff(p.corners.reshape(rows, columns, 2), axis=1), axis=-1).min()
-    moved = p.corners + np.random.default_rng(1).uniform(-1, 1, p.corners.shape) * min(1.0, 0.06 * spacing)
-    corners, sigma = refine_corners(p.image, moved.reshape(rows, columns, 2))
-    return corners.reshape(-1, 2), sigma.ravel()
-
-
-def _ours(photographs: list[Photograph]) -> Errors:
-    found = [_refined(p) for p in photographs]
-    return Errors(
-        np.concatenate([corners - p.corners for (corners, _), p in zip(found, photographs, strict=True)]),
-        np.concatenate([sigma for _, sigma in found]),
-    )
 
 
 def _sub_pix(p: Photograph, half: int) -> Float[np.ndarray, "corners 2"]:
@@ -318,7 +271,3 @@ def _sure(name: str, errors: Errors) -> list[Metric]:
         Metric(f"{name}.rms_in_sigma", errors.in_sigma(), "", "lower", 1.2, slack=0.1),
         Metric(f"{name}.rms_in_sigma_not_too_small", errors.in_sigma(), "", "higher", 0.8, slack=0.1),
     ]
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(np.asarray(values) ** 2)))
