@@ -43,7 +43,7 @@ _MOST_SIGMA_PX = 0.3
 # tells was kept. What hides one of its two edges leaves the glow beside it, which looks like that edge, and hides it of
 # a whole row alike, so that no neighbour tells.
 _HIDDEN = 0.05
-_LOPSIDED = 0.1
+_LOPSIDED = 0.13
 _LEAST_TOLD = 0.7
 # What no patch knows of its own errors: aliasing, a point spread that is not symmetric (px).
 _SYSTEMATIC_PX = 0.002
