@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.metric import Metric
 from benchmarks.throughput import rig
+from jaxscan.files.axes import STAGE
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.files.scan import Scan, write_scan
 from jaxscan.images import StripeSettings, write_image
@@ -104,7 +105,7 @@ def _scans(folder: Path, count: int) -> list[str]:
                 20 + 180 * np.exp(-0.5 * ((row - centre) / 1.5) ** 2) + 2 * random.standard_normal((_ROWS, _COLUMNS))
             )
             write_image(path, np.rint(image).clip(0, 255).astype(np.uint8))
-        write_scan(Scan(own / "scan.toml", StripeSettings("grey"), paths, steps=(0, 500, 1000)))
+        write_scan(Scan(own / "scan.toml", StripeSettings("grey"), paths, axes={STAGE: (0, 500, 1000)}))
     broken = [f"{i:04d}" for i in random.choice(count, 3, replace=False)]
     for name in broken:
         path = folder / name / "1.png"

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from benchmarks.cluttered import COLUMNS, KINDS, ROWS, Drawn, course, photograph, reflectances
 from benchmarks.metric import Metric
+from jaxscan.files.axes import STAGE
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, detect_stripe, write_image
@@ -144,7 +145,7 @@ def _scanned(rig: Rig, folder: Path, seed: int, frames: int) -> Counts:
         paths.append(folder / f"{i:03d}.png")
         write_image(paths[-1], one.image)
         steps.append(apart * i)
-    photographs = Scan(folder / "scan.toml", StripeSettings("red"), tuple(paths), steps=tuple(steps))
+    photographs = Scan(folder / "scan.toml", StripeSettings("red"), tuple(paths), axes={STAGE: tuple(steps)})
     # As its boards were held.
     image = reconstruct(RigFile(rig, None, {"stripe_depths_mm": [310.0, 380.0]}), photographs)
     centre, asked = np.stack([one.centre for one in drawn]), ~np.stack([one.hidden for one in drawn])

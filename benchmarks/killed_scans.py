@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from hardware.cli.main import main
+from jaxscan.files.axes import STAGE
 from jaxscan.files.scan import Scan, read_scan, write_scan
 from jaxscan.images import StripeSettings, read_image, write_image
 
@@ -48,7 +49,7 @@ def prepare(folder: Path) -> Path:
         noise = np.random.default_rng(i).integers(0, 255, (*_SIZE, 3), np.uint8)
         write_image(path, cv2.GaussianBlur(noise, (5, 5), 0))
     steps = tuple(APART * i for i in range(FRAMES))
-    write_scan(Scan(recorded / "scan.toml", StripeSettings(), frames=paths, steps=steps))
+    write_scan(Scan(recorded / "scan.toml", StripeSettings(), frames=paths, axes={STAGE: steps}))
     scanner = folder / "scanner.toml"
     scanner.write_text(
         '[camera]\nkind = "folder"\nsource = "recorded"\n[stage]\nkind = "simulated"\n[laser]\nkind = "simulated"\n'

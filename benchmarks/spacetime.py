@@ -30,6 +30,7 @@ from scipy.special import erf
 from benchmarks.metric import Metric
 from jaxscan.detectors import DEFAULT, DETECTORS, Detector
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, write_image
 from jaxscan.precision import as_numpy, float64
@@ -181,7 +182,7 @@ def steps(world: _World, scan: Scan, far: Bool[np.ndarray, "frames"]) -> list[Me
     for every in (1, 2, 4, 6, 8):
         some = range(0, len(scan.frames), every)
         coarser = Scan(
-            scan.path, scan.laser, tuple(scan.frames[i] for i in some), steps=tuple(scan.steps[i] for i in some)
+            scan.path, scan.laser, tuple(scan.frames[i] for i in some), axes={STAGE: tuple(scan.steps[i] for i in some)}
         )
         try:
             image = reconstruct(world.rig, coarser, spacetime=True)
@@ -233,7 +234,7 @@ def _shoot(folder: Path, world: _World, scene: Scene, frames: int, blur: float, 
     for i, n in enumerate(counts):
         paths.append(folder / f"{i:03d}.png")
         write_image(paths[-1], render(world.rig, scene, steps=n, laser=0, lighting=lighting, sensor=sensor, seed=i))
-    return Scan(folder / "scan.toml", StripeSettings("red"), tuple(paths), steps=counts)
+    return Scan(folder / "scan.toml", StripeSettings("red"), tuple(paths), axes={STAGE: counts})
 
 
 def _rms(world: _World, image: RangeImage, frames: Bool[np.ndarray, "frames"]) -> float:

@@ -29,6 +29,7 @@ from benchmarks.real import corners_only
 from benchmarks.throughput import CLOSED, OF_A_SCAN
 from benchmarks.timing import timed
 from jaxscan.calibration import calibrate
+from jaxscan.files.axes import STAGE
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, detect_stripe, read_image
@@ -64,7 +65,7 @@ def reconstruction(size: tuple[int, int], frames: int) -> list[Metric]:
             Path(name) / "scan.toml",
             StripeSettings("red"),
             frames=job.scan_photos,
-            steps=tuple(STEPS_APART * i for i in range(frames)),
+            axes={STAGE: tuple(STEPS_APART * i for i in range(frames))},
         )
         rig = RigFile(drawing.rig())
         ours = {name: timed(lambda name=name: reconstruct(rig, scan, detector=name)) for name in OF_A_SCAN}

@@ -13,6 +13,7 @@ from typing import Any, Final
 from hardware.frame import Frame
 from jaxscan.atomic import check_writable, replacing
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import common_size
 from jaxscan.files.scan import SCAN_FILE, Scan, read_listed, write_scan
 from jaxscan.files.text import read_json
@@ -151,7 +152,7 @@ class ScanFolder:
         done = replace(
             self.done,
             frames=(*self.done.frames, path),
-            steps=(*self.done.steps, frame.step_count),
+            axes={STAGE: (*self.done.steps, frame.step_count)},
             backgrounds=backgrounds,
             exposures_s=None if exposures is None else (*exposures, frame.exposure_s),
         )

@@ -12,6 +12,7 @@ import trimesh
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.files.axes import StepRule
 from jaxscan.files.cameras import format_of, read_camera_file
 from jaxscan.files.cloud import cloud_of
 from jaxscan.files.formats import FORMATS
@@ -69,8 +70,11 @@ def scan_facts(path: Path) -> Facts:
         "path": str(scan.path),
         "name": scan.name,
         "video": scan.video and str(scan.video),
-        "frames": _steps(scan.steps),
-        "steps_per_frame": scan.steps_per_frame,
+        "frames": None if scan.rules else len(scan.steps),
+        "axes": {
+            **{name: _steps(positions) for name, positions in scan.axes.items()},
+            **{name: _rule(rule) for name, rule in scan.rules.items()},
+        },
         "image_size": list(common_size(photographs)) if photographs else None,
         "backgrounds": len(scan.backgrounds),
         "exposures_s": exposures and [min(exposures), max(exposures)],
@@ -231,6 +235,11 @@ def _steps(steps: Sequence[int]) -> Facts:
         "last_step": steps[-1] if steps else None,
         "spacing": spacings.pop() if len(spacings) == 1 else None,
     }
+
+
+def _rule(rule: StepRule) -> Facts:
+    """As `_steps`, of frames that are not counted."""
+    return {"count": None, "first_step": rule.start, "last_step": None, "spacing": rule.per_frame}
 
 
 def _sheets(rig: Rig) -> list[Facts]:

@@ -41,13 +41,13 @@ def _scan(facts: Facts) -> Iterator[Line]:
         yield "name", facts["name"]
     if facts["video"]:
         yield "video", facts["video"]
-    frames = facts["frames"]
-    if facts["steps_per_frame"] is not None:
-        yield "frames", f"{facts['steps_per_frame']} motor steps from one to the next"
-    elif frames["count"]:
-        yield "frames", f"{frames['count']}, {_travel(frames)}"
-    else:
+    if facts["frames"]:
+        yield "frames", str(facts["frames"])
+    elif facts["frames"] == 0:
         yield "frames", "none: the scan was cut off before its first"
+    for name, steps in facts["axes"].items():
+        if steps["count"] != 0:
+            yield name, _positions(steps)
     if facts["image_size"]:
         yield "photographs", _size(facts["image_size"])
     yield _called("laser", facts["laser"]), _stripe(facts["laser"])
@@ -208,6 +208,15 @@ def _travel(steps: Facts) -> str:
         return "no steps"
     spacing = f", {steps['spacing']} apart" if steps["spacing"] is not None else ""
     return f"steps {steps['first_step']} to {steps['last_step']}{spacing}"
+
+
+def _positions(steps: Facts) -> str:
+    """Where an axis stood for the frames of a scan; how many these are need not be known."""
+    if steps["count"] is None and steps["spacing"]:
+        return f"from step {steps['first_step']}, {steps['spacing']} motor steps from one frame to the next"
+    if steps["spacing"] == 0 or steps["count"] == 1:
+        return f"step {steps['first_step']}"
+    return _travel(steps)
 
 
 def turn_in_words(facts: Facts) -> tuple[str, str]:

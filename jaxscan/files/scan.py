@@ -1,17 +1,16 @@
-"""`scan.toml`: the photographs of an object on its way through the light, and where the stage stood for each."""
+"""`scan.toml`: the photographs of an object on its way through the light, and where each axis stood for each."""
 
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from jaxscan.files.axes import STAGE, Positions, Rules, axes_values, read_axes
 from jaxscan.files.listing import files_of, name_some, natural_key, repeated_files_of
 from jaxscan.files.settings import (
     read_listing,
-    read_step_rule,
-    read_steps,
     read_stripe_settings,
     relative_name,
     stripe_values,
@@ -33,9 +32,9 @@ class Scan:
         laser: how to look for the stripe.
         frames: the photographs in their order; a scan cut off before its first has none. Empty for a video.
         video: the video file whose frames take the place of `frames`.
-        steps: the motor step count of each frame; empty for a video with `steps_per_frame`.
-        steps_per_frame: of a video whose number of frames is not known before it is decoded: the steps from one frame
-            to the next, counted from 0. None where `steps` says it.
+        axes: for each axis its position at each frame, motor steps; empty for a video with `rules`.
+        rules: of a video whose number of frames is not known before it is decoded: for each axis where it starts and
+            how far it goes from one frame to the next. Empty where `axes` says it.
         backgrounds: the scene with the laser off: none, one for all frames, or one for each.
         exposures_s: exposure time of each frame, where it matters.
         name: what was scanned, or "".
@@ -45,11 +44,22 @@ class Scan:
     laser: StripeSettings
     frames: tuple[Path, ...] = ()
     video: Path | None = None
-    steps: tuple[int, ...] = ()
-    steps_per_frame: int | None = None
+    axes: Positions = field(default_factory=dict)
+    rules: Rules = field(default_factory=dict)
     backgrounds: tuple[Path, ...] = ()
     exposures_s: tuple[float, ...] | None = None
     name: str = ""
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """The motor step count of the stage at each frame, 0 where it has no position; empty for a video with rules."""
+        count = max((len(positions) for positions in self.axes.values()), default=len(self.frames))
+        return self.axes.get(STAGE, (0,) * count)
+
+    @property
+    def steps_per_frame(self) -> int | None:
+        """Of a video with rules, how far the stage goes from one frame to the next; None for other scans."""
+        return (self.rules[STAGE].per_frame if STAGE in self.rules else 0) if self.rules else None
 
 
 def read_scan(path: str | os.PathLike[str]) -> Scan:
@@ -81,28 +91,26 @@ def _read(path: Path) -> tuple[Scan, bool]:
     """The scan, and whether its frames are listed by name."""
     table = read_listing(path, SCAN_FILE, ("scan", "laser"))
     inner = table.table("scan", "[scan] ").only(
-        "frames", "steps", "steps_per_frame", "background", "exposures_s", "name"
+        "frames", "steps", "steps_per_frame", "axes", "poses", "background", "exposures_s", "name"
     )
+    if "poses" in inner:
+        raise inner.error(
+            "poses", "a pose for each frame cannot be read yet: give motor steps, in steps or [scan.axes]"
+        )
     laser = StripeSettings()
     if "laser" in table:
         laser = read_stripe_settings(table.table("laser", "[laser] ").only("name", "color", "columns"))
     video = _video(inner)
-    rule = read_step_rule(inner, "steps_per_frame") if video else None
-    frames: tuple[Path, ...] = ()
-    steps: tuple[int, ...] = ()
-    if not video:
-        frames = files_of(inner, "frames")
-        steps = read_steps(inner, "steps_per_frame", frames, "frames")
-    elif rule is None:
-        steps = inner.wholes("steps")
-    n_frames = None if rule is not None else len(steps)
+    frames = () if video else files_of(inner, "frames")
+    axes, rules = read_axes(inner, None if video else len(frames))
+    n_frames = None if rules else len(next(iter(axes.values())))
     scan = Scan(
         path=table.path,
         laser=laser,
         frames=frames,
         video=video,
-        steps=steps,
-        steps_per_frame=rule,
+        axes=axes,
+        rules=rules,
         backgrounds=_backgrounds(inner, n_frames),
         exposures_s=_exposures(inner, n_frames),
         name=inner.string("name") if "name" in inner else "",
@@ -123,10 +131,7 @@ def write_scan(scan: Scan) -> None:
 
     values: dict[str, Any] = {"name": scan.name} if scan.name else {}
     values["frames"] = relative_name(scan.video, folder) if scan.video else names(scan.frames)
-    if scan.steps_per_frame is None:
-        values["steps"] = list(scan.steps)
-    else:
-        values["steps_per_frame"] = scan.steps_per_frame
+    values |= axes_values(scan.axes, scan.rules)
     if scan.backgrounds:
         values["background"] = names(scan.backgrounds)
     if scan.exposures_s is not None:
@@ -165,7 +170,7 @@ def _exposures(table: Table, n_frames: int | None) -> tuple[float, ...] | None:
 
 
 def _frames(count: int | None) -> str:
-    return "a video of unknown length (list its steps)" if count is None else f"{count} frames"
+    return "a video of unknown length (list its positions)" if count is None else f"{count} frames"
 
 
 def _say_unlisted(scan: Scan) -> None:

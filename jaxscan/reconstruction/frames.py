@@ -18,6 +18,7 @@ from jaxtyping import Int, Shaped, UInt
 
 from jaxscan.deadline import Workers, result_of
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE, StepRule
 from jaxscan.files.scan import Scan
 from jaxscan.images import read_image, read_video
 from jaxscan.images.decode import Image
@@ -238,8 +239,8 @@ def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
 
 
 def _steps(scan: Scan, first: int, count: int) -> Int[np.ndarray, "frames"]:
-    if scan.steps_per_frame is not None:
-        return scan.steps_per_frame * np.arange(first, first + count)
+    if scan.rules:
+        return np.asarray(scan.rules.get(STAGE, StepRule(0, 0)).positions(first, count), np.int64)
     if first + count > len(scan.steps):
         raise InputError(
             f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, the video goes on to frame {first + count}: "

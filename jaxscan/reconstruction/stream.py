@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, said_of
+from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import common_size
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
@@ -321,6 +322,13 @@ def _check(rig: Rig, scan: Scan) -> None:
         size = common_size(photographs)
         if size != rig.camera.image_size:
             raise InputError(wrong_size(photographs[0], size, rig.camera.image_size))
+    others = {name for name, rule in scan.rules.items() if rule.per_frame}
+    others |= {name for name, positions in scan.axes.items() if len(set(positions)) > 1}
+    if others := sorted(others - {STAGE}):
+        raise InputError(
+            f"{scan.path}: [scan.axes] {others[0]} moves between frames, but points are carried back along the "
+            f"{STAGE} alone: scan one side at a time, with the other axes at rest"
+        )
     if rig.stage is None and (scan.steps_per_frame or len(set(scan.steps)) > 1):
         raise InputError(
             f"{scan.path}: the stage moves between frames, but the rig has no stage: calibrate with a [stage] sequence"

@@ -22,6 +22,7 @@ from jaxtyping import Float, Int
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.files.scan import SCAN_FILE, Scan, write_scan
 from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableImages, Views, write_session
@@ -218,7 +219,7 @@ def simulate_scan(
         profiles.append(true_profile(rig, scene, n, laser=laser, lighting=lighting))
         advance(1)
     settings = StripeSettings(name=rig.lasers[laser].name)
-    write_scan(Scan(folder / SCAN_FILE, settings, frames=tuple(paths), steps=steps, name=name))
+    write_scan(Scan(folder / SCAN_FILE, settings, frames=tuple(paths), axes={STAGE: steps}, name=name))
     positions, points = (np.stack([profile[k] for profile in profiles]) for k in (0, 1))
     return ScanTruth(np.asarray(steps), positions, points, settings.name)
 

@@ -26,7 +26,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Taken, Scan]:
     job = drawing.job(8, 5, 3)
     observations = drawing.observations(job, stripes=False)
     steps = tuple(STEPS_APART * i for i in range(3))
-    scan = Scan(folder / "scan.toml", StripeSettings("red"), frames=job.scan_photos, steps=steps)
+    scan = Scan(folder / "scan.toml", StripeSettings("red"), frames=job.scan_photos, axes={"stage": steps})
     return Taken(folder, observations, observations, observations), scan
 
 

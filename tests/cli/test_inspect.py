@@ -189,9 +189,33 @@ def scan(tmp_path: Path) -> Path:
 
 def test_a_scan(scan, capsys):
     found = facts(capsys, scan)
-    assert found["frames"] == {"count": 3, "first_step": 0, "last_step": -1000, "spacing": -500}
+    assert found["frames"] == 3
+    assert found["axes"] == {"stage": {"count": 3, "first_step": 0, "last_step": -1000, "spacing": -500}}
     assert found["image_size"] == [64, 48]
-    assert "3, steps 0 to -1000, -500 apart" in words(capsys, scan / "scan.toml")
+    assert "stage        steps 0 to -1000, -500 apart" in words(capsys, scan / "scan.toml")
+
+
+def test_a_scan_on_several_axes(scan, capsys):
+    def write(of: str, *axes: str) -> None:
+        (scan / "scan.toml").write_text("\n".join([f'[scan]\nframes = "{of}"\n[scan.axes]', *axes]))
+
+    write("f*.png", "turntable = { start = 4, per_frame = 8 }", "stage = 20000", "lift = [0, 5, 0]")
+    assert facts(capsys, scan)["axes"] == {
+        "turntable": {"count": 3, "first_step": 4, "last_step": 20, "spacing": 8},
+        "stage": {"count": 3, "first_step": 20000, "last_step": 20000, "spacing": 0},
+        "lift": {"count": 3, "first_step": 0, "last_step": 0, "spacing": None},
+    }
+    said = words(capsys, scan)
+    for line in ("turntable    steps 4 to 20, 8 apart\n", "stage        step 20000\n", "lift         steps 0 to 0\n"):
+        assert line in said
+    (scan / "v.mp4").write_bytes(b"any")
+    write("v.mp4", "turntable = { start = 4, per_frame = 8 }", "stage = 20000")
+    found = facts(capsys, scan)
+    assert found["frames"] is None
+    assert found["axes"]["turntable"] == {"count": None, "first_step": 4, "last_step": None, "spacing": 8}
+    said = words(capsys, scan)
+    for line in ("turntable   from step 4, 8 motor steps from one frame to the next\n", "stage       step 20000\n"):
+        assert line in said
 
 
 def test_frames_of_different_size_are_refused(scan, capsys):

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from jaxscan.errors import InputError
+from jaxscan.files.axes import StepRule
 from jaxscan.files.scan import Scan, read_scan, write_scan
 from jaxscan.files.table import PassedOverWarning
 from jaxscan.images import StripeSettings
@@ -31,7 +32,7 @@ def frames(folder: Path) -> tuple[Path, ...]:
 
 
 def test_the_least_scan(folder):
-    expected = Scan(folder / "scan.toml", StripeSettings(), frames(folder), steps=(0, 2000, 4000))
+    expected = Scan(folder / "scan.toml", StripeSettings(), frames(folder), axes={"stage": (0, 2000, 4000)})
     assert scan(folder, FRAMES, "steps_per_frame = 2000") == expected
     assert read_scan(str(folder / "scan.toml")) == expected
 
@@ -47,7 +48,7 @@ def test_everything_that_the_format_has(folder):
         path=folder / "scan.toml",
         laser=StripeSettings(color="green", columns=False, name="left"),
         frames=frames(folder),
-        steps=(-100_000, 0, 7),
+        axes={"stage": (-100_000, 0, 7)},
         backgrounds=(folder / "dark.png",),
         exposures_s=(0.01, 0.04, 1.0),
         name="cup",
@@ -72,6 +73,47 @@ def test_videos(folder):
         assert read_scan(folder) == read
 
 
+AXES = FRAMES + "[scan.axes]\n"
+
+
+@pytest.mark.parametrize(
+    ("written", "read"),
+    [
+        ("turntable = [0, 8, -3]", {"turntable": (0, 8, -3)}),
+        ("turntable = { start = 16, per_frame = -8 }\nstage = 20000", {"turntable": (16, 8, 0), "stage": (20000,) * 3}),
+        ("stage = { per_frame = 2000 }", {"stage": (0, 2000, 4000)}),
+        ('"2" = 5\nz_lift-1 = [1, 2, 3]', {"2": (5, 5, 5), "z_lift-1": (1, 2, 3)}),
+    ],
+)
+def test_axes_by_their_names(folder, written, read):
+    got = scan(folder, AXES, written)
+    assert (dict(got.axes), list(got.axes), got.rules) == (read, list(read), {})
+    assert got.steps == read.get("stage", (0, 0, 0))
+    write_scan(got)
+    text = (folder / "scan.toml").read_text()
+    # The stage alone has its short form.
+    assert ("steps = " in text, "[scan.axes]" in text) == ((True, False) if list(read) == ["stage"] else (False, True))
+    assert read_scan(folder) == got
+    assert list(read_scan(folder).axes) == list(read)
+
+
+def test_axes_of_videos(folder):
+    (folder / "v.mp4").write_bytes(b"any")
+    video = '[scan]\nframes = "v.mp4"\n[scan.axes]\n'
+    uncounted = scan(folder, video, "turntable = { start = 3, per_frame = 8 }\nstage = 20000")
+    assert uncounted.rules == {"turntable": StepRule(3, 8), "stage": StepRule(20000, 0)}
+    assert (uncounted.axes, uncounted.steps, uncounted.steps_per_frame) == ({}, (), 0)
+    # One list says how many frames there are.
+    counted = scan(folder, video, "turntable = { per_frame = 8 }\nstage = [0, 0, 5, 5]")
+    assert (counted.axes, counted.rules) == ({"turntable": (0, 8, 16, 24), "stage": (0, 0, 5, 5)}, {})
+    from_three = scan(folder, video, "stage = { start = 3, per_frame = 8 }")
+    for read in (uncounted, counted, from_three):
+        write_scan(read)
+        assert read_scan(folder) == read
+    with pytest.raises(InputError, match=r"\[scan.axes\] b = \[1\]: 1 positions for 2 frames"):
+        scan(folder, video, "a = [1, 2]\nb = [1]")
+
+
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_what_is_written_reads_the_same_however_early_it_was_cut_off(folder, count):
     for path in frames(folder)[count:]:
@@ -80,7 +122,7 @@ def test_what_is_written_reads_the_same_however_early_it_was_cut_off(folder, cou
         path=folder / "scan.toml",
         laser=StripeSettings(color="blue", columns=False, name="left"),
         frames=frames(folder)[:count],
-        steps=(-100_000, 0, 2000)[:count],
+        axes={"stage": (-100_000, 0, 2000)[:count]},
         backgrounds=(folder / "dark.png",),
         exposures_s=(1 / 3, 0.04, 1.0)[:count],
         name='a "quoted" cup\n',
@@ -136,10 +178,31 @@ BAD = {
     "no exposure": (LISTED + "exposures_s = [0.1, 0]", ["[scan] exposures_s", "longer than 0"]),
     "exposure as text": (LISTED + 'exposures_s = [0.1, "1/4"]', ["entry 1", "finite number"]),
     "nameless": (LISTED + 'name = ""', ["[scan] name", "not empty"]),
+    "steps and axes": (
+        FRAMES + "steps = [0, 1, 2]\n[scan.axes]\nturntable = 1",
+        ["[scan] steps", "[scan.axes] is given"],
+    ),
+    "no axis": (AXES, ["[scan] axes = {}", "names no axis"]),
+    "positions of another number": (
+        AXES + "turntable = [0, 8]",
+        ["[scan.axes] turntable = [0, 8]", "2 positions for 3 frames"],
+    ),
+    "an axis of spaces": (AXES + '"my table" = 1', ["[scan.axes] my table = 1", "letters, digits, _ and -"]),
+    "an axis of no name": (AXES + '"" = 1', ["letters, digits, _ and -"]),
+    "an axis in Greek": (AXES + '"θ" = 1', ["letters, digits, _ and -"]),
+    "degrees": (AXES + "turntable = 1.5", ["[scan.axes] turntable = 1.5", "whole number"]),
+    "a position as text": (AXES + 'turntable = "8"', ['[scan.axes] turntable = "8"', "per_frame = 8"]),
+    "a start alone": (AXES + "turntable = { start = 8 }", ["[scan.axes] turntable", "no per_frame", "turntable = 8"]),
+    "an axis at rest": (AXES + "turntable = { per_frame = 0 }", ["turntable.per_frame = 0", "does not move"]),
+    "a mistyped rule": (
+        AXES + "turntable = { begin = 8, per_frame = 1 }",
+        ["[scan.axes] turntable.begin", "start, per_frame"],
+    ),
+    "poses": (FRAMES + 'poses = "poses.csv"', ['[scan] poses = "poses.csv"', "cannot be read yet", "[scan.axes]"]),
     "no video": ('[scan]\nframes = "a.mp4"\nsteps_per_frame = 1', ["[scan] frames", "matches no file"]),
     "exposures of a video": (
         '[scan]\nframes = "v.avi"\nsteps_per_frame = 1\nexposures_s = [1]',
-        ["[scan] exposures_s", "list its steps"],
+        ["[scan] exposures_s", "list its positions"],
     ),
     "two videos": ('[scan]\nframes = "*.avi"\nsteps_per_frame = 1', ["[scan] frames", "matches 2 videos"]),
 }

@@ -30,7 +30,7 @@ def tree(tmp_path: Path) -> Path:
         for k in range(2):
             paths.append(folder / f"{k}.png")
             write_image(paths[-1], np.rint(wavy_stripe(i + k)).astype(np.uint8))
-        write_scan(Scan(folder / "scan.toml", StripeSettings("grey"), tuple(paths), steps=(0, 1000)))
+        write_scan(Scan(folder / "scan.toml", StripeSettings("grey"), tuple(paths), axes={"stage": (0, 1000)}))
     broken = tmp_path / "scans" / NAMES[1] / "1.png"
     broken.write_bytes(broken.read_bytes()[:300])
     write_rig(tmp_path / "rig.json", RigFile(small_rig()))

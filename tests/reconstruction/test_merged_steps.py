@@ -18,7 +18,7 @@ SHAPE = (96, 64)
 
 
 def scan(**other):
-    return Scan(Path("scan.toml"), StripeSettings("grey"), steps=STEPS, exposures_s=EXPOSURES, **other)
+    return Scan(Path("scan.toml"), StripeSettings("grey"), axes={"stage": STEPS}, exposures_s=EXPOSURES, **other)
 
 
 def frames():
@@ -39,18 +39,18 @@ def batches(images, darks, size):
 def test_steps_are_grouped_where_they_stand_together():
     assert step_groups(scan()) == [range(2), range(2, 5), range(5, 6)]
     assert [len(group) for group in step_groups(replace(scan(), exposures_s=None))] == [1] * 6
-    assert step_groups(replace(scan(), steps=(), exposures_s=())) == []
+    assert step_groups(replace(scan(), axes={}, exposures_s=())) == []
 
 
 def test_a_step_that_comes_again_is_refused():
     with pytest.raises(InputError, match=r"step 0 of frame 0 comes again at frame 2"):
-        step_groups(replace(scan(), steps=(0, 10, 0, 10, 20, 20)))
+        step_groups(replace(scan(), axes={"stage": (0, 10, 0, 10, 20, 20)}))
 
 
 def test_one_background_for_several_exposures_is_refused():
     with pytest.raises(InputError, match=r"background.*one for each frame"):
         step_groups(scan(backgrounds=(Path("dark.png"),)))
-    each = replace(scan(backgrounds=(Path("dark.png"),)), steps=tuple(range(6)))
+    each = replace(scan(backgrounds=(Path("dark.png"),)), axes={"stage": tuple(range(6))})
     assert len(step_groups(each)) == 6
 
 

@@ -58,7 +58,7 @@ def test_what_is_left_out_is_counted_and_told(tmp_path):
     paths = tuple(tmp_path / f"{i}.png" for i in range(3))
     for i, path in enumerate(paths):
         write_image(path, np.rint(wavy_stripe(i)).clip(0, 255).astype(np.uint8))
-    scan = Scan(tmp_path / "scan.toml", GREY, paths, steps=(0, 1000, 2000))
+    scan = Scan(tmp_path / "scan.toml", GREY, paths, axes={"stage": (0, 1000, 2000)})
 
     def points(**how):
         scanner = Scanner(small_rig(), "gravity", **how)
@@ -82,7 +82,7 @@ def test_a_stripe_too_weak_to_be_told_from_noise_is_told(tmp_path):
         faint = 20 + 0.06 * (wavy_stripe(i) - 20) + random.normal(0, 6, (ROWS, COLUMNS))
         write_image(path, np.rint(faint).clip(0, 255).astype(np.uint8))
     scanner = Scanner(small_rig())
-    scan = Scan(tmp_path / "scan.toml", GREY, paths, steps=(0, 1000, 2000, 3000))
+    scan = Scan(tmp_path / "scan.toml", GREY, paths, axes={"stage": (0, 1000, 2000, 3000)})
     points = sum(int(image.valid.sum()) for image in scanner.scan(scan))
     weak = scanner.left_out["too_weak"]
     assert weak > points > 0

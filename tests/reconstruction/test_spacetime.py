@@ -51,7 +51,7 @@ def scan(tmp_path_factory):
         paths.append(folder / f"{i}.png")
         image = photograph(step, dark_beyond=-PER_STEP[1] * STEP * FRAMES / 2)
         write_image(paths[-1], np.rint(image).astype(np.uint16))
-    return Scan(folder / "scan.toml", GREY, tuple(paths), steps=steps)
+    return Scan(folder / "scan.toml", GREY, tuple(paths), axes={"stage": steps})
 
 
 def test_a_track_is_where_the_camera_sees_what_the_stage_carries(rig):
@@ -180,12 +180,12 @@ def test_overlapping_batches_have_every_frame_once_and_its_neighbours(size):
 )
 def test_steps_that_are_unfit_are_refused_in_words(rig, scan, steps, says):
     with pytest.raises(InputError, match=says):
-        passage_of(rig, replace(scan, steps=steps))
+        passage_of(rig, replace(scan, axes={"stage": steps}))
 
 
 def test_too_few_frames_and_a_rig_without_a_stage_are_refused(rig, scan):
     with pytest.raises(InputError, match="12 frames: spacetime analysis looks at"):
-        passage_of(rig, replace(scan, frames=scan.frames[14:26], steps=scan.steps[14:26]))
+        passage_of(rig, replace(scan, frames=scan.frames[14:26], axes={"stage": scan.steps[14:26]}))
     with pytest.raises(InputError, match="no stage"):
         passage_of(Rig(rig.camera, rig.lasers), scan)
 

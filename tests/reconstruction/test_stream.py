@@ -48,7 +48,7 @@ def scan_of(folder: Path, images: np.ndarray, ending: str, **more) -> Scan:
             np.save(path, image)
         else:
             write_image(path, image)
-    return Scan(folder / "scan.toml", GREY, paths, steps=tuple(range(0, 1000 * len(images), 1000)), **more)
+    return Scan(folder / "scan.toml", GREY, paths, axes={"stage": tuple(range(0, 1000 * len(images), 1000))}, **more)
 
 
 def assert_same(a: RangeImage, b: RangeImage) -> None:
@@ -154,6 +154,14 @@ def test_a_frame_that_is_missing_is_named(rig, photographs, tmp_path):
         reconstruct(rig, scan, detector="gravity")
 
 
+def test_axes_along_which_points_cannot_be_carried_back_are_refused(rig, photographs, tmp_path):
+    scan = scan_of(tmp_path, photographs, ".png")
+    still = replace(scan, axes={**scan.axes, "turntable": (3,) * COUNT})
+    assert_same(reconstruct(rig, scan, detector="gravity"), reconstruct(rig, still, detector="gravity"))
+    with pytest.raises(InputError, match=r"\[scan.axes\] turntable moves between frames"):
+        reconstruct(rig, replace(scan, axes={**scan.axes, "turntable": tuple(range(COUNT))}))
+
+
 def test_the_sigma_of_a_pixel_is_the_detectors_scaled_by_what_boards_have_shown(rig, photographs):
     calibrated, plain = (
         next(Scanner(r, "gravity").frames([(photographs[0], 0)], GREY))
@@ -199,7 +207,9 @@ def test_a_scan_of_another_length_compiles_nothing(rig, photographs, tmp_path, m
         scan = scan_of(tmp_path / name, images, ".npy")
         if "exposures" in mode:
             steps = tuple(1000 * (i // 2) for i in range(len(images)))
-            scan = replace(scan, steps=steps, exposures_s=tuple((0.01, 0.02)[i % 2] for i in range(len(images))))
+            scan = replace(
+                scan, axes={"stage": steps}, exposures_s=tuple((0.01, 0.02)[i % 2] for i in range(len(images)))
+            )
         return reconstruct(rig, scan, detector="gravity", choice=choice)
 
     many = np.concatenate([photographs] * 6)[: 2 * FRAMES_AT_ONCE + 4]
