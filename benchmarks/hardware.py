@@ -74,12 +74,13 @@ def _points() -> list[Metric]:
     from hardware.simulated.stage import SimulatedStage
     from hardware.stages import Travel
     from jaxscan import calibrate, observe, read_scan, read_session, reconstruct
+    from jaxscan.files.axes import STAGE
     from jaxscan.simulation import distance, rig_2003
     from jaxscan.simulation.shapes import cup
 
     world = SimulatedWorld(0, cup(rig_2003.OBJECT_Y))
     stage, laser = SimulatedStage(Travel(last=80000, backlash=900), play=900), SimulatedLaser()
-    devices = Devices(SimulatedCamera(world, stage, laser), stage, laser)
+    devices = Devices(SimulatedCamera(world, {STAGE: stage}, laser), {STAGE: stage}, laser)
     steps = tuple(rig_2003.STEPS_APART * i for i in range(rig_2003.SCAN_FRAMES))
     with tempfile.TemporaryDirectory() as name:
         session, scan = Path(name) / "session", Path(name) / "scan"
@@ -87,7 +88,7 @@ def _points() -> list[Metric]:
         on_stage = steps[: rig_2003.STAGE_VIEWS]
         guided_session(session, devices, rig_2003.BOARD, operator, stage_steps=on_stage)
         world.put_object()
-        take(ScanFolder.create(scan, Plan(steps)), devices)
+        take(ScanFolder.create(scan, Plan({STAGE: steps})), devices)
         camera = read_session(session).camera
         observations = observe(read_session(session))
         calibration = calibrate(observations, lens=camera.lens, principal_point=camera.principal_point)

@@ -8,7 +8,7 @@ import secrets
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -50,10 +50,10 @@ class _Camera:
     def configure(self, exposure_s: float, gain: float = 1.0) -> None:
         """Nothing to set."""
 
-    def expose(self, step_count: int) -> Frame:
+    def expose(self, positions: Mapping[str, int]) -> Frame:
         """The next one."""
         self._next = (self._next + 1) % _PHOTOGRAPHS
-        return Frame(self._images[self._next], step_count, time.time(), 0.01)
+        return Frame(self._images[self._next], positions, time.time(), 0.01)
 
     def close(self) -> None:
         """Nothing to do."""
@@ -64,8 +64,8 @@ def _serve(folder: Path, watchers: int) -> None:
     travel = Travel()
     stage = SimulatedStage(travel)
     stage.line.clock = stage.line.port.clock = PacedClock(_FASTER)
-    devices = Devices(_Camera(), stage, SimulatedLaser())
-    lab = Lab(folder, lambda: devices, Habits(travel))
+    devices = Devices(_Camera(), {"stage": stage}, SimulatedLaser())
+    lab = Lab(folder, lambda: devices, Habits({"stage": travel}))
     for name in (OPERATOR, WATCHER):
         lab.accounts.add(name, secrets.token_hex())
     tokens = [lab.accounts.make_token_for(name) for name in (OPERATOR, *[WATCHER] * watchers)]

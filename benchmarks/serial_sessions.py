@@ -116,7 +116,7 @@ def run(kind: str, url: str, places: list[int], seed: int = 0) -> Outcome:
             wrong.append((count, true))
 
     try:
-        with safely(stage, laser):
+        with safely({"stage": stage}, laser):
             stage.home()
             check(0)
             laser.on()

@@ -1,22 +1,30 @@
-"""`scanner.toml`: which camera, stage and laser there are; without one, all of it is simulated.
+"""`scanner.toml`: which camera, axes and laser there are; without one, all of it is simulated.
 
 [camera]
 kind = "opencv"                # opencv | folder | gphoto2 | genicam | simulated
 source = 0                     # opencv: a number, a device, a URL or a video; folder: a folder; genicam: a .cti
 exposure_s = 0.01              # optional, with gain
 
-[stage]
+[stage]                        # the axis "stage"
 kind = "bistep"                # bistep | grbl | marlin | simulated
 port = "/dev/ttyUSB0"          # or any URL of pyserial
-rate_steps_s = 800             # and ramp_steps_s2, first, last, switch, backlash; baud
-steps_per_mm = 250             # grbl and marlin; and reverse
+rate_steps_s = 800             # and ramp_steps_s2, first, last, switch, backlash, reference; baud
+steps_per_mm = 250             # grbl and marlin; and reverse, axis
+
+[axes.turntable]               # another axis, by its name; with the port of the stage, an axis of its controller
+kind = "grbl"
+port = "/dev/ttyUSB0"
+axis = "Y"
+steps_per_mm = 8.888889        # the controller's own number: here steps a degree
+steps_per_turn = 3200          # of an axis that turns
+reference = "here"             # it has no switch
 
 [laser]
 kind = "rts"                   # fixed | rts | controller | simulated
 color = "red"                  # and columns, as in scan.toml
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -25,15 +33,17 @@ from typing import Any, Final
 from hardware.cameras.folder import FolderCamera
 from hardware.cameras.opencv import OpenCvCamera
 from hardware.errors import SettingsError
-from hardware.lasers import ControllerLaser, FixedLaser, RtsLaser
-from hardware.protocols import CameraDriver, LaserDriver
+from hardware.lasers import ControllerLaser, FixedLaser, LaserSwitch, RtsLaser
+from hardware.places import places_of
+from hardware.protocols import CameraDriver, LaserDriver, StageDriver
 from hardware.scan import Devices
 from hardware.simulated.laser import SimulatedLaser
 from hardware.simulated.stage import SimulatedStage
-from hardware.stages import BiStep2A04, Grbl, Line, Marlin, Travel
-from hardware.stages.gcode import GcodeStage
-from hardware.stages.serial_stage import SerialStage
+from hardware.stages import STAGE_KINDS, Line, Travel
+from hardware.stages.kinds import StageKind
+from hardware.stages.travel_settings import HERE, SWITCH
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE, is_axis_name
 from jaxscan.files.listing import natural_key
 from jaxscan.files.settings import read_stripe_settings
 from jaxscan.files.table import Table
@@ -42,12 +52,20 @@ from jaxscan.images import StripeSettings
 
 SCANNER_FILE: Final = "scanner.toml"
 _CAMERAS: Final = ("opencv", "folder", "gphoto2", "genicam", "simulated")
-_STAGES: Final = ("bistep", "grbl", "marlin", "simulated")
 _LASERS: Final = ("fixed", "rts", "controller", "simulated")
 _TRAVEL: Final = tuple(item.name for item in fields(Travel))
 _IMAGES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-# The simulated rig of 2003 moves a board over 60 000 steps and an object over 72 000.
-_SIMULATED_LAST: Final = 80_000
+_TURNTABLE: Final = "turntable"
+# The simulated rig of 2003 moves a board over 60 000 steps and an object over 72 000; its turntable has 3200 a turn.
+_SIMULATED: Final = {STAGE: Travel(last=80_000), _TURNTABLE: Travel(last=3200, steps_per_turn=3200)}
+
+
+@dataclass(frozen=True)
+class AxisSettings:
+    """What `scanner.toml` says of one axis: its table, and its way and pace."""
+
+    table: Table
+    travel: Travel
 
 
 @dataclass(frozen=True)
@@ -56,8 +74,8 @@ class ScannerSettings:
 
     Attributes:
         path: the file, None where there is none.
-        camera, stage, laser: their tables.
-        travel: of the stage.
+        camera, laser: their tables.
+        axes: by their names; those that share a port are axes of one controller.
         stripe: how the laser's stripe is looked for.
         exposure_s: of all photographs, None to leave the camera as it is.
         gain: with it.
@@ -65,12 +83,18 @@ class ScannerSettings:
 
     path: Path | None = None
     camera: Table = field(default_factory=lambda: _simulated("camera"))
-    stage: Table = field(default_factory=lambda: _simulated("stage"))
+    axes: Mapping[str, AxisSettings] = field(
+        default_factory=lambda: {name: AxisSettings(_simulated(name), travel) for name, travel in _SIMULATED.items()}
+    )
     laser: Table = field(default_factory=lambda: _simulated("laser"))
-    travel: Travel = field(default_factory=lambda: Travel(last=_SIMULATED_LAST))
     stripe: StripeSettings = field(default_factory=StripeSettings)
     exposure_s: float | None = None
     gain: float = 1.0
+
+    @property
+    def travels(self) -> dict[str, Travel]:
+        """Way and pace of each axis."""
+        return {name: axis.travel for name, axis in self.axes.items()}
 
 
 def read_scanner(path: Path | None) -> ScannerSettings:
@@ -85,35 +109,65 @@ def read_scanner(path: Path | None) -> ScannerSettings:
     if path is None and not Path(SCANNER_FILE).is_file():
         return ScannerSettings()
     table = read_toml(path or Path(SCANNER_FILE), "the scanner.toml that describes the scanner").only(
-        "camera", "stage", "laser"
+        "camera", STAGE, "axes", "laser"
     )
     camera = table.table("camera", "[camera] ").only("kind", "source", "size", "exposure_s", "gain", "serial_number")
-    stage = table.table("stage", "[stage] ").only(
-        "kind", "port", "baud", "steps_per_mm", "reverse", "speed", "play", *_TRAVEL
-    )
     laser = table.table("laser", "[laser] ").only("kind", "port", "color", "columns", "name")
     camera.string("kind", choices=_CAMERAS)
+    axes = _read_axes(table)
     kind = laser.string("kind", choices=_LASERS)
-    numbers = {key: stage.number(key) for key in _TRAVEL if key in stage}
-    whole = {key: value if key.endswith(("_s", "_s2")) else stage.whole(key) for key, value in numbers.items()}
-    if stage.string("kind", choices=_STAGES) == "simulated":
-        whole.setdefault("last", _SIMULATED_LAST)
-    try:
-        travel = Travel(**whole)  # pyright: ignore[reportArgumentType]
-    except SettingsError as error:
-        raise InputError(f"{table.path}: [stage] {error}") from error
-    if kind == "controller" and stage.values["kind"] not in ("grbl", "marlin"):
-        raise laser.error("kind", "a BiStep2A04 switches no laser: use rts, or fixed")
+    if kind == "controller" and not any(map(_switches_laser, axes.values())):
+        raise laser.error(
+            "kind", "no controller of an axis here switches a laser, GRBL and Marlin do: use rts, or fixed"
+        )
     return ScannerSettings(
         path=table.path,
         camera=camera,
-        stage=stage,
+        axes=axes,
         laser=laser,
-        travel=travel,
         stripe=read_stripe_settings(laser),
         exposure_s=_positive(camera, "exposure_s") if "exposure_s" in camera else None,
         gain=_positive(camera, "gain") if "gain" in camera else 1.0,
     )
+
+
+def _read_axes(table: Table) -> dict[str, AxisSettings]:
+    """`[stage]`, and the tables in `[axes]` in their order."""
+    axes = {}
+    if STAGE in table or "axes" not in table:
+        axes[STAGE] = _read_axis(STAGE, table.table(STAGE, "[stage] "))
+    if "axes" in table:
+        others = table.table("axes", "[axes] ")
+        for name in others.values:
+            if not is_axis_name(name):
+                raise others.error(name, "is no name of an axis: write letters, digits, _ and - alone")
+            if name in axes:
+                raise others.error(name, f"[{STAGE}] is given too: keep one of them")
+            axes[name] = _read_axis(name, others.table(name, f"[axes.{name}] "))
+        if not axes:
+            raise table.error("axes", f"has no axis: add [axes.{_TURNTABLE}], or [{STAGE}]")
+    return axes
+
+
+def _read_axis(name: str, table: Table) -> AxisSettings:
+    kind = STAGE_KINDS[table.string("kind", choices=tuple(STAGE_KINDS))]
+    table = table.only("kind", *kind.settings, *_TRAVEL)
+    numbers: dict[str, Any] = {}
+    for key in _TRAVEL:
+        if key in table and key != "reference":
+            value = table.number(key)
+            numbers[key] = value if key.endswith(("_s", "_s2")) else table.whole(key)
+    if "reference" in table:
+        numbers["reference"] = table.string("reference", choices=(SWITCH, HERE))
+    if kind is STAGE_KINDS["simulated"] and name in _SIMULATED:
+        known = _SIMULATED[name]
+        numbers = {"last": known.last, "steps_per_turn": known.steps_per_turn} | numbers
+    if numbers.get("steps_per_turn") is not None:
+        numbers.setdefault("last", numbers.get("first", 0) + numbers["steps_per_turn"])
+    try:
+        return AxisSettings(table, Travel(**numbers))
+    except SettingsError as error:
+        raise InputError(f"{table.path}: {table.prefix}{error}") from error
 
 
 def open_scanner(settings: ScannerSettings, seed: int = 0, homed: bool = False) -> Devices:
@@ -129,39 +183,72 @@ def open_scanner(settings: ScannerSettings, seed: int = 0, homed: bool = False) 
         InputError: a value is wrong.
     """
     with ExitStack() as undo:
-        stage = open_stage(settings, homed)
-        undo.callback(stage.close)
-        laser = _laser(settings, stage)
-        camera = _camera(settings, stage, laser, seed)
+        axes: dict[str, StageDriver] = {}
+        for name in settings.axes:
+            axes[name] = open_stage(settings, name, homed, axes)
+            undo.callback(axes[name].close)
+        laser = _laser(settings, axes)
+        camera = _camera(settings, axes, laser, seed)
         undo.callback(camera.close)
         camera.open()
         if settings.exposure_s is not None:
             camera.configure(settings.exposure_s, settings.gain)
         undo.pop_all()
-        return Devices(camera, stage, laser)
+        return Devices(camera, axes, laser)
 
 
-def open_stage(settings: ScannerSettings, homed: bool = False) -> SerialStage:
-    """Connect to the stage alone.
+def open_stage(
+    settings: ScannerSettings, name: str = STAGE, homed: bool = False, opened: Mapping[str, StageDriver] | None = None
+) -> StageDriver:
+    """Connect to one axis.
+
+    Args:
+        settings: of the scanner.
+        name: of the axis.
+        homed: take it that a BiStep2A04 has kept its count since it was last homed.
+        opened: other axes that are open already; one with the same port is one of the same controller.
 
     Raises:
         HardwareError: it is not there.
+        InputError: the scanner has no such axis, or a value is wrong.
     """
-    table, travel = settings.stage, settings.travel
-    kind = table.string("kind", choices=_STAGES)
-    if kind == "simulated":
-        speed = table.number("speed") if "speed" in table else 0.0
-        return SimulatedStage(travel, play=table.whole("play") if "play" in table else 0, speed=speed)
-    how: dict[str, Any] = {"baud": _positive(table, "baud", table.whole)} if "baud" in table else {}
-    port = table.string("port")
-    if kind == "bistep":
-        return BiStep2A04(port, travel, homed=homed, **how)
-    make = Grbl if kind == "grbl" else Marlin
-    reverse = table.boolean("reverse", False)
-    return make(port, travel, steps_per_mm=table.number("steps_per_mm"), reverse=reverse, **how)
+    if name not in settings.axes:
+        raise InputError(
+            f"{settings.path or SCANNER_FILE}: has no axis {name}, but {', '.join(settings.axes)}: name one, or "
+            f"describe it as [axes.{name}]"
+        )
+    table, travel = settings.axes[name].table, settings.axes[name].travel
+    kind = STAGE_KINDS[table.string("kind", choices=tuple(STAGE_KINDS))]
+    how = {key: _setting(kind, table, key) for key in kind.settings if key in table or kind.needs(key)}
+    if homed and kind.takes("homed"):
+        how["homed"] = True
+    if "port" in how:
+        for other, driver in (opened or {}).items():
+            if settings.axes[other].table.values.get("port") == how["port"]:
+                if not kind.takes("beside"):
+                    raise table.error("port", f"is that of the {other} too: a {table.values['kind']} has one axis")
+                how["beside"] = driver
+                break
+    return kind.make(travel=travel, **how)
 
 
-def _laser(settings: ScannerSettings, stage: SerialStage) -> LaserDriver:
+def _setting(kind: StageKind, table: Table, key: str) -> Any:
+    of = kind.settings[key]
+    if of is str:
+        return table.string(key)
+    if of is bool:
+        return table.boolean(key, False)
+    value = table.whole(key) if of is int else table.number(key)
+    if key == "baud" and value <= 0:
+        raise table.error(key, "must be positive")
+    return value
+
+
+def _switches_laser(axis: AxisSettings) -> bool:
+    return hasattr(STAGE_KINDS[axis.table.values["kind"]].make, "set_laser")
+
+
+def _laser(settings: ScannerSettings, axes: Mapping[str, StageDriver]) -> LaserDriver:
     table = settings.laser
     kind = table.string("kind", choices=_LASERS)
     if kind == "simulated":
@@ -169,24 +256,29 @@ def _laser(settings: ScannerSettings, stage: SerialStage) -> LaserDriver:
     if kind == "fixed":
         return FixedLaser()
     if kind == "controller":
-        assert isinstance(stage, GcodeStage)  # read_scanner saw to it
-        return ControllerLaser(stage)
+        return ControllerLaser(next(axis for axis in axes.values() if isinstance(axis, LaserSwitch)))
     if "port" in table:
         return RtsLaser(Line(table.string("port"), 9600))
-    return RtsLaser(stage.line)
+    for axis in axes.values():
+        if isinstance(line := getattr(axis, "line", None), Line):
+            return RtsLaser(line)
+    raise table.error("kind", "no axis has a serial line for it: give the laser's own port")
 
 
-def _camera(settings: ScannerSettings, stage: SerialStage, laser: LaserDriver, seed: int) -> CameraDriver:
+def _camera(settings: ScannerSettings, axes: Mapping[str, StageDriver], laser: LaserDriver, seed: int) -> CameraDriver:
     table = settings.camera
     kind = table.string("kind", choices=_CAMERAS)
     if kind == "simulated":
-        if not isinstance(stage, SimulatedStage) or not isinstance(laser, SimulatedLaser):
-            raise table.error("kind", "a simulated camera needs a simulated stage and a simulated laser")
+        simulated = {name: axis for name, axis in axes.items() if isinstance(axis, SimulatedStage)}
+        if len(simulated) < len(axes) or not isinstance(laser, SimulatedLaser) or not set(axes) <= set(_SIMULATED):
+            raise table.error(
+                "kind", f"a simulated camera needs a simulated laser, and simulated axes: {' and '.join(_SIMULATED)}"
+            )
         from hardware.simulated.camera import SimulatedCamera, SimulatedWorld
         from jaxscan.simulation.rig_2003 import OBJECT_Y
         from jaxscan.simulation.shapes import cup
 
-        return SimulatedCamera(SimulatedWorld(seed, cup(OBJECT_Y)), stage, laser)
+        return SimulatedCamera(SimulatedWorld(seed, cup(OBJECT_Y)), simulated, laser)
     if kind == "opencv":
         source = table.values.get("source", 0)
         size = table.size("size") if "size" in table else None
@@ -204,7 +296,7 @@ def _camera(settings: ScannerSettings, stage: SerialStage, laser: LaserDriver, s
 
 
 def folder_camera(folder: Path) -> FolderCamera:
-    """The photographs of a folder; of a scan those of its steps.
+    """The photographs of a folder; of a scan those of its places.
 
     Raises:
         InputError: the folder is not there, or its scan cannot be read.
@@ -213,7 +305,7 @@ def folder_camera(folder: Path) -> FolderCamera:
 
     if (folder / SCAN_FILE).is_file():
         scan = read_scan(folder)
-        return FolderCamera(scan.frames, scan.steps)
+        return FolderCamera(scan.frames, places_of(scan.axes))
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder: check [camera] source")
     paths = [path for path in folder.iterdir() if path.suffix.lower() in _IMAGES]

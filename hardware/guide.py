@@ -14,6 +14,7 @@ from hardware.frame import Frame
 from hardware.safety import safely
 from hardware.scan import Devices, ensure_homed
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.session import SESSION_FILE, Session, StageImages, Views, write_session
 from jaxscan.images import Board, StripeSettings, draw_board, find_board, write_image
 
@@ -114,9 +115,11 @@ def guided_session(
     check_session(views, stage_steps)
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder}: is not empty: name a folder that is new or empty")
+    if stage_steps and STAGE not in devices.axes:
+        raise InputError(f"{len(stage_steps)} stage photographs: this scanner has no {STAGE}: leave them out (0)")
     stripe = stripe or StripeSettings()
     guide = _Guide(folder, devices, board, operator, stripe)
-    with safely(devices.stage, devices.laser):
+    with safely(devices.axes, devices.laser):
         guide.hold_board(views)
         if not stage_steps or not guide.ask(ON_STAGE):
             return guide.session
@@ -132,7 +135,7 @@ class _Guide:
 
     def __init__(self, folder: Path, devices: Devices, board: Board, operator: Operator, stripe: StripeSettings):
         self._folder, self._board, self._operator, self._stripe = folder, board, operator, stripe
-        self._camera, self._stage, self._laser = devices
+        self._camera, self._axes, self._laser = devices
         self._separate = self._laser.switchable
         self._views = ViewsSoFar(board)
         stripes = {stripe.name: ()} if self._separate else None
@@ -154,7 +157,7 @@ class _Guide:
                 if (taken := len(self.session.views.boards)) < _LEAST_VIEWS:
                     raise InputError(f"{self._folder}: ended after {taken} poses, and {_LEAST_VIEWS} are the least")
                 return
-            frame = self._camera.expose(0)
+            frame = self._camera.expose({})
             corners = self._corners(frame)
             if corners is None:
                 self._show(frame, None)
@@ -165,7 +168,7 @@ class _Guide:
             stripes = before.stripes
             if stripes is not None:
                 self._laser.on()
-                beside = self._write("stripes", name, self._camera.expose(0))
+                beside = self._write("stripes", name, self._camera.expose({}))
                 self._laser.off()
                 stripes = {self._stripe.name: (*stripes[self._stripe.name], beside)}
             size = (frame.image.shape[1], frame.image.shape[0])
@@ -178,12 +181,13 @@ class _Guide:
 
     def along_stage(self, steps: Sequence[int], settle_s: float) -> None:
         """Photograph the board along the stage; places where it is not found are left out."""
-        ensure_homed(self._stage)
+        stage = self._axes[STAGE]
+        ensure_homed({STAGE: stage})
         for number, step in enumerate(steps):
-            self._stage.move_to(step)
-            self._stage.settle(settle_s)
-            place = self._stage.position()
-            frame = self._camera.expose(place)
+            stage.move_to(step)
+            stage.settle(settle_s)
+            place = stage.position()
+            frame = self._camera.expose({STAGE: place})
             corners = self._corners(frame)
             if corners is None:
                 self._show(frame, None)
@@ -204,7 +208,7 @@ class _Guide:
         return path
 
     def _look(self) -> None:
-        frame = self._camera.expose(0)
+        frame = self._camera.expose({})
         longer = max(frame.image.shape)
         scale = min(_LIVE_SIDE / longer, 1.0)
         small = cv2.resize(frame.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

@@ -1,6 +1,6 @@
 """Lasers: one that is always on, one on a modem line of a serial port, one on the stage's controller."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from hardware.errors import LineLostError
 from hardware.stages.line import Line
@@ -48,7 +48,8 @@ class RtsLaser:
             raise LineLostError(f"{self._line.name}: the LASER MAY STILL BE ON, switch it off at its supply") from error
 
 
-class _LaserSwitch(Protocol):
+@runtime_checkable
+class LaserSwitch(Protocol):
     """A controller that switches a laser."""
 
     def set_laser(self, on: bool) -> None:
@@ -59,7 +60,7 @@ class _LaserSwitch(Protocol):
 class ControllerLaser:
     """A laser on the output of a GRBL or Marlin controller."""
 
-    def __init__(self, controller: _LaserSwitch):
+    def __init__(self, controller: LaserSwitch):
         self._controller = controller
 
     @property

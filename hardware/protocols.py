@@ -5,6 +5,7 @@ ran out of time is a `TimeoutError` too. `StageDriver.stop` may be called from a
 """
 
 import warnings
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
@@ -26,8 +27,8 @@ class CameraDriver(Protocol):
         """Set exposure time and gain for the photographs to come."""
         ...
 
-    def expose(self, step_count: int) -> "Frame":
-        """Take one photograph, at the step count at which the stage stands."""
+    def expose(self, positions: Mapping[str, int]) -> "Frame":
+        """Take one photograph, with the axes at these positions: motor steps by the axis's name, as far as known."""
         ...
 
     def close(self) -> None:
@@ -37,7 +38,7 @@ class CameraDriver(Protocol):
 
 @runtime_checkable
 class StageDriver(Protocol):
-    """Moves along a line, in motor steps."""
+    """One axis: moves something along a line, or turns it, in motor steps."""
 
     def home(self) -> None:
         """Drive to the reference switch and call that place 0."""
@@ -49,6 +50,10 @@ class StageDriver(Protocol):
 
     def position(self) -> int:
         """The step count that the controller reports, read anew each time."""
+        ...
+
+    def check(self) -> None:
+        """See that the controller answers; nothing moves, and no count is lost."""
         ...
 
     def settle(self, seconds: float) -> None:

@@ -5,12 +5,12 @@ A scan may be paused, aborted, killed or unplugged at any moment: what it has re
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from hardware.errors import HardwareError, PositionUncertainError, StoppedError
-from hardware.frame import Frame
+from hardware.frame import Frame, in_words
 from hardware.protocols import CameraDriver, LaserDriver, StageDriver
 from hardware.safety import safely
 from hardware.scan_plan import ScanFolder
@@ -18,11 +18,17 @@ from jaxscan.errors import InputError
 
 
 class Devices(NamedTuple):
-    """What a scanner consists of."""
+    """What a scanner consists of; its axes by their names, as {"stage": …, "turntable": …}."""
 
     camera: CameraDriver
-    stage: StageDriver
+    axes: Mapping[str, StageDriver]
     laser: LaserDriver
+
+    def close(self) -> None:
+        """Disconnect the camera and all axes."""
+        self.camera.close()
+        for axis in self.axes.values():
+            axis.close()
 
 
 class Control:
@@ -42,7 +48,7 @@ class Control:
         self._going.set()
 
     def abort(self) -> None:
-        """End after the frame that is being taken; to end a move under way, stop the stage as well."""
+        """End after the frame that is being taken; to end a move under way, stop the axes as well."""
         self._aborted.set()
         self._going.set()
 
@@ -72,44 +78,55 @@ def take(
 
     Args:
         folder: of a new scan, or of one to go on with.
-        devices: open; the stage is homed first where it has no reference.
+        devices: open; an axis of the scan that has no reference is homed first.
         control: for another thread to pause or end it.
         taken: called with each frame's file once it is durable.
 
     Raises:
-        HardwareError: a device failed; the laser is off and the stage stands, or the text says that they may not.
-        InputError: the disk, or a laser that cannot be switched though frames with it off were asked for.
+        HardwareError: a device failed; the laser is off and all axes stand, or the text says that they may not.
+        InputError: the disk, an axis that the scanner does not have, or a laser that cannot be switched though frames
+            with it off were asked for.
     """
     plan, control = folder.plan, control or Control()
-    camera, stage, laser = devices
+    camera, axes, laser = devices
+    if lacking := [name for name in plan.axes if name not in axes]:
+        raise InputError(
+            f"{folder.done.path.parent}: the scan moves the axis {lacking[0]}, and this scanner has "
+            f"{', '.join(axes) or 'none'}: use the scanner that has it"
+        )
     if plan.dark and not laser.switchable:
         raise InputError("frames with the laser off were asked for, but this laser is always on: leave out --dark")
     if not folder.left:
         return
-    with safely(stage, laser):
+    with safely(axes, laser):
         if plan.exposure_s is not None:
             camera.configure(plan.exposure_s, plan.gain)
-        ensure_homed(stage)
-        for step in folder.left:
+        ensure_homed({name: axes[name] for name in plan.axes})
+        for place in folder.left:
             if control.paused:
                 laser.off()
             control.wait()
-            stage.move_to(step)
-            stage.settle(plan.settle_s)
+            for name, step in place.items():
+                axes[name].move_to(step)
+            # The time in which it comes to rest is the same for all; the last was the last to move.
+            axes[list(place)[-1]].settle(plan.settle_s)
             dark = None
             if plan.dark:
                 laser.off()
-                dark = camera.expose(step)
+                dark = camera.expose(place)
             laser.on()
-            frame = camera.expose(step)
-            if (place := stage.position()) != step:
-                raise PositionUncertainError(f"the stage was sent to {step} steps and stands at {place}: home it")
+            frame = camera.expose(place)
+            if (found := {name: axes[name].position() for name in place}) != place:
+                raise PositionUncertainError(
+                    f"sent to {in_words(place)}, the scanner stands at {in_words(found)}: home it"
+                )
             taken(folder.add(frame, dark), frame)
 
 
-def ensure_homed(stage: StageDriver) -> None:
-    """Home a stage that has no reference, or a doubtful one."""
-    try:
-        stage.position()
-    except HardwareError:
-        stage.home()
+def ensure_homed(axes: Mapping[str, StageDriver]) -> None:
+    """Home each axis that has no reference, or a doubtful one."""
+    for axis in axes.values():
+        try:
+            axis.position()
+        except HardwareError:
+            axis.home()

@@ -6,14 +6,16 @@ be taken. Both are written beside and renamed.
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 from hardware.frame import Frame
+from hardware.places import Axes, Place, axes_of, places_of
 from jaxscan.atomic import check_writable, replacing
 from jaxscan.errors import InputError
-from jaxscan.files.axes import STAGE
+from jaxscan.files.axes import STAGE, is_axis_name
 from jaxscan.files.listing import common_size
 from jaxscan.files.scan import SCAN_FILE, Scan, read_listed, write_scan
 from jaxscan.files.text import read_json
@@ -21,7 +23,9 @@ from jaxscan.images import StripeSettings, read_image, write_image
 
 PLAN_FILE: Final = "plan.json"
 _FRAMES: Final = "frames"
-_FORMAT: Final = "jaxscan-plan/1"
+_FORMAT: Final = "jaxscan-plan/2"
+# Had `steps`, those of the stage, in the place of `axes`.
+_STAGE_ALONE: Final = "jaxscan-plan/1"
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Plan:
     """A scan to take.
 
     Attributes:
-        steps: where the stage is to stand, in motor steps, one frame each.
+        axes: for each axis where it is to stand, in motor steps, one position for each frame.
         settle_s: how long to wait at each place before the photograph.
         dark: whether every frame comes with one with the laser off.
         exposure_s: of every photograph; None leaves the camera as it is.
@@ -38,7 +42,7 @@ class Plan:
         laser: how its stripe is looked for afterwards.
     """
 
-    steps: tuple[int, ...]
+    axes: Axes
     settle_s: float = 0.2
     dark: bool = False
     exposure_s: float | None = None
@@ -50,14 +54,27 @@ class Plan:
         """Refuse what is no scan.
 
         Raises:
-            InputError: no step, one twice, or a time that is none.
+            InputError: no axis, no frame, a place twice, or a time that is none.
         """
-        if not self.steps or len(set(self.steps)) < len(self.steps):
-            raise InputError(f"steps = {self.steps}: a scan has one frame or more, each at a place of its own")
+        if not all(is_axis_name(name) for name in self.axes):
+            raise InputError(f"axes = {list(self.axes)}: the name of an axis has letters, digits, _ and - alone")
+        if len({len(steps) for steps in self.axes.values()}) != 1:
+            counts = {name: len(steps) for name, steps in self.axes.items()}
+            raise InputError(
+                f"axes have {counts} positions: a scan has an axis or more, with a position for each frame"
+            )
+        places = [tuple(place.values()) for place in self.places]
+        if not places or len(set(places)) < len(places):
+            raise InputError(f"axes = {dict(self.axes)}: a scan has one frame or more, each at a place of its own")
         if not 0 <= self.settle_s < math.inf:
             raise InputError(f"settle_s = {self.settle_s}: give 0 seconds or more")
         if self.exposure_s is not None and not 0 < self.exposure_s < math.inf:
             raise InputError(f"exposure_s = {self.exposure_s}: give a positive number of seconds")
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """The same, frame by frame."""
+        return places_of(self.axes)
 
 
 class ScanFolder:
@@ -89,7 +106,9 @@ class ScanFolder:
             raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
         check_writable(folder / SCAN_FILE)
         # The scan first: a folder with a plan has one that reads.
-        done = Scan(folder / SCAN_FILE, plan.laser, exposures_s=None if plan.exposure_s is None else (), name=plan.name)
+        exposures_s = None if plan.exposure_s is None else ()
+        axes = dict.fromkeys(plan.axes, ())
+        done = Scan(folder / SCAN_FILE, plan.laser, axes=axes, exposures_s=exposures_s, name=plan.name)
         write_scan(done)
         _write_plan(folder / PLAN_FILE, plan)
         return ScanFolder(plan, done)
@@ -108,10 +127,10 @@ class ScanFolder:
             path.unlink()
         # A frame that was cut off before it was listed is taken again, under the same name.
         done = read_listed(folder)
-        if done.steps != plan.steps[: len(done.steps)]:
+        if done.axes != {name: steps[: len(done.frames)] for name, steps in plan.axes.items()}:
             raise InputError(
-                f"{folder / SCAN_FILE}: its steps are not the first of those in {PLAN_FILE}: it was changed by hand; "
-                "keep it as it is, and begin another"
+                f"{folder / SCAN_FILE}: its positions are not the first of those in {PLAN_FILE}: it was changed by "
+                "hand; keep it as it is, and begin another"
             )
         for path in (*done.frames, *done.backgrounds):
             read_image(path)
@@ -120,17 +139,22 @@ class ScanFolder:
         return ScanFolder(plan, done)
 
     @property
-    def left(self) -> tuple[int, ...]:
-        """The steps whose frames are still to be taken."""
-        return self.plan.steps[len(self.done.steps) :]
+    def left(self) -> tuple[Place, ...]:
+        """The places whose frames are still to be taken."""
+        return self.plan.places[len(self.done.frames) :]
 
-    def go_on_at(self, steps: tuple[int, ...], settle_s: float) -> None:
-        """Take these steps after those that are done, in place of those that are left.
+    @property
+    def taken(self) -> tuple[Place, ...]:
+        """The places of those that are done."""
+        return self.plan.places[: len(self.done.frames)]
+
+    def go_on_at(self, places: Sequence[Place], settle_s: float) -> None:
+        """Take these after those that are done, in place of those that are left.
 
         Raises:
-            InputError: a step twice, or the disk.
+            InputError: a place twice, one of other axes, or the disk.
         """
-        plan = replace(self.plan, steps=(*self.done.steps, *steps), settle_s=settle_s)
+        plan = replace(self.plan, axes=axes_of([*self.taken, *places]), settle_s=settle_s)
         _write_plan(self.done.path.parent / PLAN_FILE, plan)
         self.plan = plan
 
@@ -152,7 +176,7 @@ class ScanFolder:
         done = replace(
             self.done,
             frames=(*self.done.frames, path),
-            axes={STAGE: (*self.done.steps, frame.step_count)},
+            axes={name: (*steps, frame.positions[name]) for name, steps in self.done.axes.items()},
             backgrounds=backgrounds,
             exposures_s=None if exposures is None else (*exposures, frame.exposure_s),
         )
@@ -173,12 +197,17 @@ def _read_plan(path: Path) -> Plan:
         InputError: it was changed.
     """
     keys = tuple(Plan.__dataclass_fields__)
-    table = read_json(path).only("format", *keys)
-    if table.string("format") != _FORMAT:
-        raise table.error("format", f"only {_FORMAT} is read here")
+    table = read_json(path).only("format", "steps", *keys)
+    if (form := table.string("format")) not in (_FORMAT, _STAGE_ALONE):
+        raise table.error("format", f"only {_FORMAT} and {_STAGE_ALONE} are read here")
+    if form == _STAGE_ALONE:
+        axes = {STAGE: table.wholes("steps")}
+    else:
+        listed = table.table("axes", "axes.")
+        axes = {name: listed.wholes(name) for name in listed.values}
     laser = table.table("laser", "laser.").only("color", "columns", "name").values
     values: dict[str, Any] = {key: table.values[key] for key in keys if key in table}
-    values.update(steps=table.wholes("steps"), laser=StripeSettings(**laser))
+    values.update(axes=axes, laser=StripeSettings(**laser))
     try:
         return Plan(**values)
     except TypeError as error:

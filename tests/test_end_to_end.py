@@ -39,7 +39,7 @@ def test_hardware_to_file_to_points(world: Path, scene: Scene, tmp_path: Path) -
     stage, laser = SimulatedStage(Travel(last=80000, backlash=900), play=900), SimulatedLaser()
     simulated = SimulatedWorld(1, cup(rig_2003.OBJECT_Y))
     laser.on()
-    devices = Devices(SimulatedCamera(simulated, stage, laser), stage, FixedLaser())
+    devices = Devices(SimulatedCamera(simulated, {"stage": stage}, laser), {"stage": stage}, FixedLaser())
     said: list[str] = []
     operator = SimulatedOperator(simulated, 6, said.append)
     how = {"views": 6, "stage_steps": range(0, 60001, 15000)}
@@ -47,7 +47,7 @@ def test_hardware_to_file_to_points(world: Path, scene: Scene, tmp_path: Path) -
     assert read_session(tmp_path / "session") == session
     assert any("now tilt the board" in words for words in said)
     simulated.put_object()
-    plan = Plan(tuple(range(0, 48001, 12000)), name="cup")
+    plan = Plan({"stage": tuple(range(0, 48001, 12000))}, name="cup")
     take(ScanFolder.create(tmp_path / "scan", plan), devices)
     assert main(["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "rig.json")]) == 0
     out = tmp_path / "cup.ply"

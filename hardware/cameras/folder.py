@@ -1,14 +1,14 @@
 """Photographs that were taken before, in the place of a camera."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from hardware.errors import CameraError
-from hardware.frame import Frame
+from hardware.frame import Frame, in_words
 
 
 class FolderCamera:
@@ -16,12 +16,13 @@ class FolderCamera:
 
     Args:
         paths: in their order.
-        steps: the step count of each, by which it is chosen; without them each is the next.
+        positions: of each, by which it is chosen; without them, or asked for none, each is the next.
     """
 
-    def __init__(self, paths: Sequence[Path], steps: Sequence[int] | None = None):
+    def __init__(self, paths: Sequence[Path], positions: Sequence[Mapping[str, int]] | None = None):
         self._paths = tuple(paths)
-        self._by_step = None if steps is None else dict(zip(steps, paths, strict=True))
+        places = None if positions is None else [frozenset(place.items()) for place in positions]
+        self._by_place = None if places is None else dict(zip(places, paths, strict=True))
         self._next = 0
         self._exposure_s = 1 / 30
 
@@ -38,20 +39,20 @@ class FolderCamera:
         """They were exposed long ago."""
         self._exposure_s = exposure_s
 
-    def expose(self, step_count: int) -> Frame:
-        """The next photograph, or that of this step count.
+    def expose(self, positions: Mapping[str, int]) -> Frame:
+        """The next photograph, or that of these positions.
 
         Raises:
             CameraError: there is none, or it cannot be read.
         """
-        if self._by_step is None:
+        if self._by_place is None or not positions:
             path = self._paths[self._next] if self._next < len(self._paths) else None
             self._next += 1
         else:
-            path = self._by_step.get(step_count)
+            path = self._by_place.get(frozenset(positions.items()))
         if path is None:
             raise CameraError(
-                f"the folder camera has no photograph for step {step_count}, and {len(self._paths)} in all"
+                f"the folder camera has no photograph for {in_words(positions)}, and {len(self._paths)} in all"
             )
         try:
             data = np.fromfile(path, np.uint8)
@@ -62,7 +63,7 @@ class FolderCamera:
             raise CameraError(f"{path}: is not an image that can be decoded")
         if image.ndim == 3:
             image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB)
-        return Frame(image, step_count, time.time(), self._exposure_s)
+        return Frame(image, positions, time.time(), self._exposure_s)
 
     def close(self) -> None:
         """Nothing to do."""

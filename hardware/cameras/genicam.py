@@ -1,7 +1,7 @@
 """Industrial cameras (GigE Vision, USB3 Vision) by their maker's GenTL producer and harvesters: the extra `genicam`."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,7 @@ class GenICamCamera:
         self._try(_SLACK_S, set_both, f"it does not take {exposure_s} s, gain {gain}: choose others")
         self._exposure_s = exposure_s
 
-    def expose(self, step_count: int) -> Frame:
+    def expose(self, positions: Mapping[str, int]) -> Frame:
         """Trigger one photograph.
 
         Raises:
@@ -101,7 +101,7 @@ class GenICamCamera:
                 )
             shape = (part.height, part.width, 3) if part.data_format == "RGB8" else (part.height, part.width)
             image = np.array(part.data, depth).reshape(shape)
-        return Frame(image, step_count, time_s, self._exposure_s)
+        return Frame(image, positions, time_s, self._exposure_s)
 
     def close(self) -> None:
         """Disconnect; safe to call twice."""

@@ -1,6 +1,7 @@
 """Tethered still cameras (Canon, Nikon and others) by libgphoto2: the extra `gphoto2`."""
 
 import time
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
@@ -54,7 +55,7 @@ class GPhotoCamera:
         self._try(_OPEN_S, lambda: self._opened().set_config(config), "put its mode dial on M")
         self._exposure_s = exposure_s
 
-    def expose(self, step_count: int) -> Frame:
+    def expose(self, positions: Mapping[str, int]) -> Frame:
         """Take one photograph and fetch it.
 
         Raises:
@@ -73,7 +74,7 @@ class GPhotoCamera:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
         if image is None:
             raise CameraError("the camera's file is no JPEG: set its quality to JPEG, without raw")
-        return Frame(image, step_count, time_s, self._exposure_s)
+        return Frame(image, positions, time_s, self._exposure_s)
 
     def close(self) -> None:
         """Disconnect; safe to call twice."""

@@ -3,6 +3,7 @@
 import math
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ class OpenCvCamera:
         if gain != 1.0 and not capture.set(cv2.CAP_PROP_GAIN, gain):
             raise CameraError(f"camera {self.source}: does not let its gain be set: leave gain out of [camera]")
 
-    def expose(self, step_count: int) -> Frame:
+    def expose(self, positions: Mapping[str, int]) -> Frame:
         """Take one photograph that was begun after this call.
 
         Raises:
@@ -102,7 +103,7 @@ class OpenCvCamera:
         if not there:
             what = "check its cable and power" if self._live else "the video has ended"
             raise CameraError(f"camera {self.source}: gave no photograph: {what}")
-        return Frame(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), step_count, time_s, self._exposure_s)
+        return Frame(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), positions, time_s, self._exposure_s)
 
     def close(self) -> None:
         """Disconnect; safe to call twice."""

@@ -40,6 +40,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Take it."""
     from hardware.devices import read_scanner
     from hardware.guide import check_session, guided_session
+    from hardware.places import along
     from hardware.simulated.operator import simulated_operator
     from jaxscan.atomic import check_writable
     from jaxscan.errors import InputError
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     steps = [args.stage_apart * i for i in range(args.stage_frames)]
     check_session(args.views, steps)
     if steps:
-        check_travel(settings, steps)
+        check_travel(settings, along("stage", steps))
     if args.show is not None:
         check_writable(args.show)
     with scanner(args) as devices:

@@ -4,9 +4,9 @@ import argparse
 import sys
 from typing import Any, Final
 
-from hardware.cli.options import add_scanner_arguments
+from hardware.cli.options import add_axis_argument, add_scanner_arguments
 
-HELP: Final = "send lines to the stage's controller as they are typed, and show its answers; nothing is checked"
+HELP: Final = "send lines to an axis's controller as they are typed, and show its answers; nothing is checked"
 EXAMPLE: Final = "scanner console --port /dev/ttyUSB0 --baud 9600"
 
 # How long answers are waited for after each line.
@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--end", choices=("none", "cr", "lf", "crlf"), help="after each line (default: as the controller)"
     )
+    add_axis_argument(parser, "stage", "whose controller (default: stage)")
     add_scanner_arguments(parser)
 
 
@@ -27,13 +28,17 @@ def run(args: argparse.Namespace) -> None:
     """Talk until the input ends."""
     from hardware.devices import open_stage, read_scanner
     from hardware.stages import Line
+    from jaxscan.errors import InputError
 
     if args.port:
         line, end = Line(args.port, args.baud or 9600), args.end or "none"
     else:
         settings = read_scanner(args.scanner)
-        line = open_stage(settings).line
-        end = args.end or ("crlf" if settings.stage.values["kind"] in ("grbl", "marlin") else "none")
+        axis = open_stage(settings, args.axis)
+        line = getattr(axis, "line", None)
+        if not isinstance(line, Line):
+            raise InputError(f"the {args.axis} has no serial line to talk on: choose another --axis")
+        end = args.end or ("crlf" if settings.axes[args.axis].table.values["kind"] in ("grbl", "marlin") else "none")
     ending = {"none": b"", "cr": b"\r", "lf": b"\n", "crlf": b"\r\n"}[end]
     try:
         for typed in sys.stdin:

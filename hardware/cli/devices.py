@@ -24,18 +24,18 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from hardware.errors import HardwareError
 
     settings = read_scanner(args.scanner)
-    answers = {"stage": "answers", "camera": "not tried: the stage does not answer"}
-    try:
-        with closing(open_stage(settings)) as stage:
-            stage.check()
-    except HardwareError as error:
-        answers["stage"] = str(error)
-    else:
+    answers: dict[str, Any] = {"axes": {}, "camera": "not tried: not every axis answers"}
+    for name in settings.axes:
         try:
-            devices = open_scanner(settings, args.seed)
-            answers["camera"] = "opens"
-            devices.camera.close()
-            devices.stage.close()
+            with closing(open_stage(settings, name)) as axis:
+                axis.check()
+                answers["axes"][name] = "answers"
+        except HardwareError as error:
+            answers["axes"][name] = str(error)
+    if set(answers["axes"].values()) == {"answers"}:
+        try:
+            with closing(open_scanner(settings, args.seed)):
+                answers["camera"] = "opens"
         except HardwareError as error:
             answers["camera"] = str(error)
     return {
@@ -57,7 +57,7 @@ def describe(result: dict[str, Any]) -> str:
             "cameras:",
             *cameras,
             f"scanner: {result['described']}",
-            f"  stage: {result['stage']}",
+            *(f"  {name}: {words}" for name, words in result["axes"].items()),
             f"  camera: {result['camera']}",
         ]
     )

@@ -3,12 +3,13 @@
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hardware.devices import ScannerSettings
+    from hardware.places import Place
     from hardware.protocols import StageDriver
     from hardware.scan import Devices
 
@@ -33,17 +34,35 @@ def add_data_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_travel(settings: "ScannerSettings", steps: Sequence[int]) -> None:
-    """See that the stage may be sent to all of these, before any work.
+def add_axis_argument(parser: argparse.ArgumentParser, default: str | None, help_: str) -> None:
+    """Which axis of the scanner."""
+    parser.add_argument("--axis", default=default, metavar="NAME", help=help_)
+
+
+def check_travel(settings: "ScannerSettings", places: "Sequence[Place]") -> None:
+    """See that the axes may be sent to all of these, before any work.
 
     Raises:
-        InputError: it may not.
+        InputError: they may not.
+    """
+    from hardware.places import check_places
+
+    with as_input():
+        check_places(settings.travels, places)
+
+
+@contextmanager
+def as_input() -> Iterator[None]:
+    """A `SettingsError` in the block becomes an error of what was given.
+
+    Raises:
+        InputError: in its place.
     """
     from hardware.errors import SettingsError
     from jaxscan.errors import InputError
 
     try:
-        settings.travel.check(steps)
+        yield
     except SettingsError as error:
         raise InputError(str(error)) from error
 
@@ -57,22 +76,23 @@ def scanner(args: argparse.Namespace) -> "Iterator[Devices]":
     try:
         yield devices
     finally:
-        devices.camera.close()
-        devices.stage.close()
+        devices.close()
 
 
 @contextmanager
-def stage_alone(args: argparse.Namespace) -> "Iterator[StageDriver]":
-    """The stage without camera and laser; halted when the block ends in an error."""
+def axes_alone(args: argparse.Namespace) -> "Iterator[dict[str, StageDriver]]":
+    """The axis of `--axis`, or all of them, without camera and laser; halted when the block ends in an error."""
     from hardware.devices import open_stage
     from hardware.safety import safely
 
-    stage = open_stage(_described(args), args.homed)
-    try:
-        with safely(stage, None):
-            yield stage
-    finally:
-        stage.close()
+    settings = _described(args)
+    axes: dict[str, StageDriver] = {}
+    with ExitStack() as undo:
+        for name in (args.axis,) if args.axis is not None else settings.axes:
+            axes[name] = open_stage(settings, name, args.homed, axes)
+            undo.callback(axes[name].close)
+        with safely(axes, None):
+            yield axes
 
 
 def say(words: str) -> None:

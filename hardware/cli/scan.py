@@ -3,18 +3,25 @@
 import argparse
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from hardware.cli.options import add_scanner_arguments, check_travel, say, scanner
+from hardware.cli.options import add_axis_argument, add_scanner_arguments, as_input, say, scanner
 
 if TYPE_CHECKING:
     from hardware.frame import Frame
+    from hardware.places import Place
+    from hardware.stages import Travel
 
 HELP: Final = "take a scan into a folder; Ctrl-Z pauses it, Ctrl-C ends it, --resume goes on with one that ended early"
-EXAMPLE: Final = "scanner scan cup --frames 37 --apart 2000\n  scanner scan cup --resume"
+EXAMPLE: Final = (
+    "scanner scan cup --frames 37 --apart 2000\n"
+    "  scanner scan cup --resume\n"
+    "  scanner scan owl --axis turntable --full-turn --frames 400 --at stage=18000\n"
+    "  scanner scan owl --positions owl.csv   # any mixture: a line `stage,turntable`, then one for each frame"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,8 +29,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="SCAN", help="the folder to make")
     parser.add_argument("--resume", action="store_true", help="go on with the scan in this folder, as it was begun")
     parser.add_argument("--frames", type=int, help="how many")
-    parser.add_argument("--apart", type=int, help="motor steps from one to the next")
-    parser.add_argument("--first", type=int, default=0, help="step count of the first (default: 0)")
+    apart = parser.add_mutually_exclusive_group()
+    apart.add_argument("--apart", "--per-frame", type=int, metavar="STEPS", help="motor steps from one to the next")
+    apart.add_argument("--full-turn", action="store_true", help="once around, in --frames equal parts")
+    apart.add_argument(
+        "--positions", type=Path, metavar="CSV", help="the axes' names in a line, then one for each frame"
+    )
+    parser.add_argument("--first", type=int, metavar="STEP", help="step count of the first (default: 0)")
+    add_axis_argument(parser, "stage", "which moves from frame to frame (default: stage)")
+    parser.add_argument(
+        "--at", action="append", default=[], metavar="AXIS=STEP", help="where another axis stands; may be given again"
+    )
     parser.add_argument("--settle", type=float, default=0.2, metavar="S", help="wait before each (default: 0.2 s)")
     parser.add_argument("--dark", action="store_true", help="with each frame one with the laser off")
     parser.add_argument("--name", default="", help="what is scanned")
@@ -37,12 +53,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     if args.resume:
         folder = ScanFolder.resume(args.folder)
-        say(f"{len(folder.done.frames)} of {len(folder.plan.steps)} frames are there")
+        say(f"{len(folder.done.frames)} of {len(folder.plan.places)} frames are there")
     else:
         folder = ScanFolder.create(args.folder, _plan(args))
 
     def taken(path: Path, frame: "Frame") -> None:
-        say(f"taken {path.name} at step {frame.step_count}: {len(folder.done.frames)} of {len(folder.plan.steps)}")
+        say(f"taken {path.name} at {frame.place}: {len(folder.done.frames)} of {len(folder.plan.places)}")
 
     class Suspended(Control):
         """Pauses by suspending the program, once the laser is off and the frame is written."""
@@ -57,7 +73,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     control = Suspended()
     with scanner(args) as devices, _on_suspension(control.pause):
         take(folder, devices, control, taken)
-    return {"path": str(args.folder), "frames": len(folder.done.frames), "steps": list(folder.done.steps)}
+    axes = {name: list(steps) for name, steps in folder.done.axes.items()}
+    return {"path": str(args.folder), "frames": len(folder.done.frames), "axes": axes}
 
 
 @contextmanager
@@ -74,26 +91,76 @@ def _on_suspension(pause: Callable[[], None]) -> Iterator[None]:
 
 
 def _plan(args: argparse.Namespace) -> Any:
-    """The scan that the arguments ask for, within the stage's travel."""
+    """The scan that the arguments ask for, within the travel of the axes."""
     from hardware.devices import read_scanner
+    from hardware.places import axes_of, check_scan
     from hardware.scan_plan import Plan
+
+    settings = read_scanner(args.scanner)
+    with as_input():
+        places = _places(args, settings.travels)
+        check_scan(settings.travels, places)
+    return Plan(
+        axes_of(places),
+        args.settle,
+        args.dark,
+        settings.exposure_s,
+        settings.gain,
+        name=args.name,
+        laser=settings.stripe,
+    )
+
+
+def _places(args: argparse.Namespace, travels: "Mapping[str, Travel]") -> "tuple[Place, ...]":
+    """Where the frames are to be taken."""
+    from hardware.places import along, full_turn, read_places
     from jaxscan.errors import InputError
 
-    if args.frames is None or args.apart is None:
-        raise InputError("--frames and --apart: say how many frames, and how many motor steps apart (or --resume)")
-    if args.frames < 1 or (args.apart == 0 and args.frames > 1):
+    if args.positions is not None:
+        if args.frames is not None or args.first is not None or args.at:
+            raise InputError("--positions says where each frame is taken: leave out --frames, --first and --at")
+        return read_places(args.positions)
+    if args.frames is None or (args.apart is None and not args.full_turn):
+        raise InputError(
+            "--frames and --apart: say how many frames, and how many motor steps apart (or --full-turn, --positions, "
+            "--resume)"
+        )
+    first = args.first or 0
+    if args.full_turn:
+        steps = full_turn(travels, args.axis, args.frames, first)
+    elif args.frames < 1 or (not args.apart and args.frames > 1):
         raise InputError(f"--frames {args.frames} --apart {args.apart}: give one frame or more, at places of their own")
-    settings = read_scanner(args.scanner)
-    steps = tuple(args.first + args.apart * i for i in range(args.frames))
-    check_travel(settings, steps)
-    return Plan(
-        steps, args.settle, args.dark, settings.exposure_s, settings.gain, name=args.name, laser=settings.stripe
-    )
+    else:
+        steps = tuple(range(first, first + args.apart * args.frames, args.apart)) if args.apart else (first,)
+    return along(args.axis, steps, _at(args))
+
+
+def _at(args: argparse.Namespace) -> dict[str, int]:
+    """Where the other axes stand."""
+    from jaxscan.errors import InputError
+
+    at: dict[str, int] = {}
+    for text in args.at:
+        name, _, step = text.partition("=")
+        try:
+            at[name] = int(step)
+        except ValueError as error:
+            raise InputError(f"--at {text}: give an axis and its motor step, as stage=18000") from error
+        if name == args.axis:
+            raise InputError(f"--at {text}: the {name} is what moves (--axis): give its first step by --first")
+    return at
 
 
 def describe(result: dict[str, Any]) -> str:
     """What there is, and what to do with it."""
+    axes = ", ".join(_from_to(*axis) for axis in result["axes"].items())
     return (
-        f"{result['path']}: {result['frames']} frames, steps {result['steps'][0]} to {result['steps'][-1]}\n"
+        f"{result['path']}: {result['frames']} frames, {axes}\n"
         f"next: jaxscan reconstruct {result['path']} --rig rig.json -o points.ply"
     )
+
+
+def _from_to(axis: str, steps: Sequence[int]) -> str:
+    """From where to where an axis went."""
+    where = f"steps {steps[0]} to {steps[-1]}" if len(set(steps)) > 1 else f"step {steps[0]}"
+    return where if axis == "stage" else f"{axis} {where}"

@@ -1,4 +1,9 @@
-"""GRBL 1.1, as much of it as moves one axis: `$H`, `$J=`, `$X`, `$G`, M3, M5; `?`, `!`, jog cancel, reset at once."""
+"""GRBL 1.1, as much of it as moves an axis: `$H`, `$HY`, `$J=`, `$X`, `$G`, M3, M5.
+
+`?`, `!`, jog cancel and reset are obeyed at once.
+"""
+
+from collections.abc import Mapping
 
 from hardware.emulator.axis import Axis
 from hardware.emulator.lines import LineController, words
@@ -8,45 +13,46 @@ _STATUS, _HOLD, _RESET, _JOG_CANCEL = ord("?"), ord("!"), 0x18, 0x85
 
 
 class Grbl(LineController):
-    """The controller; X counts from the switch, and its switch is below."""
+    """The controller; axes count from their switches, which are below. `$H` homes X, and `$HY` Y, as in FluidNC."""
 
-    def __init__(self, axis: Axis, steps_per_mm: float = 250.0):
-        super().__init__(axis, steps_per_mm, b"\r\n", _PULL_OFF_MM)
+    def __init__(self, axes: Mapping[str, Axis], steps_per_mm: float = 250.0):
+        super().__init__(axes, steps_per_mm, b"\r\n", _PULL_OFF_MM)
         self._alarm = True
         self._power = 0.0
 
     def _at_once(self, byte: int, now_s: float) -> bytes | None:
-        moving = self.axis.moving(now_s)
+        moving = any(axis.moving(now_s) for axis in self.axes.values())
         if byte == _STATUS:
-            return b"" if self._homing else self._status(now_s)
+            return b"" if self._homing is not None else self._status(now_s)
         if byte in (_HOLD, _JOG_CANCEL):
-            if not self._homing:
-                self.axis.halt(now_s)
+            if self._homing is None:
+                self._halt(now_s)
             return b""
         if byte == _RESET:
             self._alarm |= moving
-            self.axis.halt(now_s)
-            self._homing, self.laser = False, False
+            self._halt(now_s)
+            self._homing, self.laser = None, False
             self._line.clear()
             self._held.clear()
             return self._say("") + self._say("Grbl 1.1h ['$' for help]")
         return None if byte < 128 else b""
 
     def _status(self, now_s: float) -> bytes:
-        moving = self.axis.moving(now_s)
-        at_switch = self.axis.at_switch(now_s)
+        moving = any(axis.moving(now_s) for axis in self.axes.values())
+        at_switch = "".join(letter for letter, axis in self.axes.items() if axis.at_switch(now_s))
         if at_switch and not self._alarm:
             self._alarm = True
         state = "Alarm" if self._alarm else ("Jog" if moving else "Idle")
-        pins = "|Pn:X" if at_switch else ""
-        return self._say(f"<{state}|MPos:{self._x_mm(now_s):.3f},0.000,0.000|FS:0,0{pins}>")
+        pins = f"|Pn:{at_switch}" if at_switch else ""
+        places = ",".join(f"{self._mm(letter, now_s):.3f}" for letter in "XYZ")
+        return self._say(f"<{state}|MPos:{places}|FS:0,0{pins}>")
 
     def _obey(self, line: str, now_s: float) -> bytes:
         plain = line.split(";")[0].strip()
         if not plain or plain.startswith("("):
             return self._say("ok")
-        if plain == "$H":
-            self._home(now_s)
+        if plain == "$H" or (plain[:2] == "$H" and plain[2:] in self.axes):
+            self._home(plain[2:] or "X", now_s)
             return b""
         if plain == "$X":
             self._alarm = False
@@ -62,14 +68,15 @@ class Grbl(LineController):
 
     def _jog(self, text: str, now_s: float) -> str:
         found = words(text)
-        if found is None or not set(found) <= {"G", "X", "F"} or not set(found.get("G", [])) <= {90, 91, 21}:
+        if found is None or not set(found) <= {"G", "F", *self.axes} or not set(found.get("G", [])) <= {90, 91, 21}:
             return "error:20"
         if self._alarm:
             return "error:9"
-        if "X" not in found or "F" not in found:
+        letters = [letter for letter in self.axes if letter in found]
+        if len(letters) != 1 or "F" not in found:
             return "error:22"
-        start = self._x_mm(now_s) if 91 in found["G"] else 0.0
-        self._go(start + found["X"][0], found["F"][0], now_s)
+        start = self._mm(letters[0], now_s) if 91 in found["G"] else 0.0
+        self._go(letters[0], start + found[letters[0]][0], found["F"][0], now_s)
         return "ok"
 
     def _code(self, text: str) -> str:
@@ -85,5 +92,5 @@ class Grbl(LineController):
             self.laser = code == 3 and self._power > 0
         return "ok"
 
-    def _homed(self) -> None:
+    def _homed(self, letter: str) -> None:
         self._alarm = False

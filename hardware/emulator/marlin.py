@@ -1,9 +1,11 @@
-"""Marlin 2, as much of it as moves one axis: numbered lines with checksums, G1, G28, M106, M107, M110, M114.
+"""Marlin 2, as much of it as moves an axis: numbered lines with checksums, G1, G28, M106, M107, M110, M114.
 
 M410 stops it at once, whatever it does: its EMERGENCY_PARSER is on.
 """
 
+import math
 import re
+from collections.abc import Mapping
 
 from hardware.emulator.axis import Axis
 from hardware.emulator.lines import LineController, words
@@ -14,20 +16,21 @@ _STOP = b"M410\n"
 
 
 class Marlin(LineController):
-    """The controller; X counts from the switch, which is below."""
+    """The controller; axes count from their switches, which are below."""
 
-    def __init__(self, axis: Axis, steps_per_mm: float = 80.0):
-        super().__init__(axis, steps_per_mm, b"\n")
+    def __init__(self, axes: Mapping[str, Axis], steps_per_mm: float = 80.0):
+        super().__init__(axes, steps_per_mm, b"\n")
         self._last, self._lately = 0, b""
         self._feed = 1500.0
-        self._sent_mm = 0.0
+        self._sent_mm = dict.fromkeys(axes, 0.0)
+        self._trusted: set[str] = set()
 
     def _at_once(self, byte: int, now_s: float) -> bytes | None:
         self._lately = (self._lately + bytes([byte]))[-len(_STOP) :]
         if self._lately == _STOP:
-            self.axis.halt(now_s)
-            self._homing = False
-            self._sent_mm = self._x_mm(now_s)
+            self._halt(now_s)
+            self._homing = None
+            self._sent_mm = {letter: self._mm(letter, now_s) for letter in self.axes}
         return None
 
     def _obey(self, line: str, now_s: float) -> bytes:
@@ -55,26 +58,30 @@ class Marlin(LineController):
         found = words(text, bare=True) or {}
         code = next((letter + f"{found[letter][0]:g}" for letter in "GM" if letter in found), "")
         if code == "G28":
-            self._home(now_s)
+            self._home(next((letter for letter in self.axes if letter in found), "X"), now_s)
             return b""
         if code in ("G0", "G1"):
             self._feed = found.get("F", [self._feed])[0]
-            if "X" in found:
-                top = self.axis.length / self.steps_per_mm
-                self._sent_mm = min(max(found["X"][0], 0.0), top)
-                self._go(self._sent_mm, self._feed, now_s)
+            for letter in set(self.axes) & set(found):
+                # Its limits hold for an axis that has been homed.
+                top = self.axes[letter].length / self.steps_per_mm if letter in self._trusted else math.inf
+                bottom = 0.0 if letter in self._trusted else -math.inf
+                self._sent_mm[letter] = min(max(found[letter][0], bottom), top)
+                self._go(letter, self._sent_mm[letter], self._feed, now_s)
         elif code == "M114":
-            count = self.axis.counter(now_s)
-            place = f"X:{self._sent_mm:.2f} Y:0.00 Z:0.00 E:0.00 Count X:{count} Y:0 Z:0"
-            return self._say(place) + self._say("ok")
+            sent = " ".join(f"{letter}:{self._sent_mm.get(letter, 0.0):.2f}" for letter in "XYZE")
+            counts = {letter: axis.counter(now_s) for letter, axis in self.axes.items()}
+            place = " ".join(f"{letter}:{counts.get(letter, 0)}" for letter in "XYZ")
+            return self._say(f"{sent} Count {place}") + self._say("ok")
         elif code in ("M106", "M107"):
             self.laser = code == "M106"
         elif code not in ("M110", "M410", "G90", "G21"):
             return self._say(f'echo:Unknown command: "{text}"') + self._say("ok")
         return self._say("ok")
 
-    def _homed(self) -> None:
-        self._sent_mm = 0.0
+    def _homed(self, letter: str) -> None:
+        self._sent_mm[letter] = 0.0
+        self._trusted.add(letter)
 
 
 def checksum(text: str) -> int:

@@ -3,12 +3,14 @@
     emulator://bistep?speed=20&echo=1&drop=0.001&garble=0.001&pull_s=3&seed=7
 
 `speed` is how many times faster than real time runs, 0 (the default) for as fast as it can; `echo` is the BiStep2A04's;
-`length`, `start`, `play` and `stall_rate` are those of `Axis`; everything else is in `Faults`.
+`length`, `start`, `play` and `stall_rate` are those of `Axis`, `y_length` and so on those of a second axis, Y, of GRBL
+and Marlin; everything else is in `Faults`.
 """
 
 import math
 import os
 import threading
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -41,12 +43,18 @@ def emulated(url: str) -> tuple[Any, Faults, Clock]:
             raise ValueError(f'"{url}": {key} = {value:g}: give 0 or more')
     speed = values.pop("speed", 0.0)
     axis = Axis(**{key: values.pop(key) for key in _AXIS if key in values})
+    second = Axis(**{key: values.pop(f"y_{key}") for key in _AXIS if f"y_{key}" in values and parts.netloc != "bistep"})
     special = {"echo": bool(values.pop("echo"))} if "echo" in values and parts.netloc == "bistep" else {}
     known = [field.name for field in fields(Faults)]
     if unknown := set(values) - set(known):
         raise ValueError(f'"{url}": unknown: {", ".join(sorted(unknown))}; there are {", ".join((*_AXIS, *known))}')
     faults: Any = {key: type(getattr(Faults, key))(value) for key, value in values.items()}
-    return _CONTROLLERS[parts.netloc](axis, **special), Faults(**faults), WallClock(speed) if speed else VirtualClock()
+    motors = axis if parts.netloc == "bistep" else {"X": axis, "Y": second}
+    return (
+        _CONTROLLERS[parts.netloc](motors, **special),
+        Faults(**faults),
+        WallClock(speed) if speed else VirtualClock(),
+    )
 
 
 class EmulatedPort(serial.SerialBase):
@@ -111,10 +119,17 @@ class EmulatedPort(serial.SerialBase):
 
     @property
     def axis(self) -> Axis:
-        """The motor, with all that has happened to it until now."""
+        """The motor, or of several X, with all that has happened to it until now."""
         with self._changed:
             self._came += self._wire.pump(self.clock.now_s())
             return self.controller.axis
+
+    @property
+    def axes(self) -> Mapping[str, Axis]:
+        """All motors of GRBL and Marlin by their letters, likewise."""
+        with self._changed:
+            self._came += self._wire.pump(self.clock.now_s())
+            return self.controller.axes
 
     @property
     def laser(self) -> bool:

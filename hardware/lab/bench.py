@@ -13,6 +13,7 @@ from hardware.errors import (
     PositionUncertainError,
 )
 from hardware.frame import Frame
+from hardware.places import Place
 from hardware.protocols import StageDriver
 from hardware.safety import left_on, safely
 from hardware.scan import Devices
@@ -22,17 +23,20 @@ _LOST = (CameraError, LeftOnError, LineLostError)
 
 
 class Bench:
-    """Camera, stage and laser.
+    """Camera, axes and laser.
 
     Args:
         connect: opens them.
+
+    Attributes:
+        places: where each axis stands, motor steps, of those of which it is known.
     """
 
     def __init__(self, connect: Callable[[], Devices]):
         self._connect = connect
         self._using = threading.Lock()
         self._devices: Devices | None = None
-        self.place: int | None = None
+        self.places: Place = {}
 
     @contextmanager
     def devices(self) -> Iterator[Devices]:
@@ -47,17 +51,17 @@ class Bench:
                     self._devices = self._connect()
                 yield self._devices
             except HardwareError as error:
-                self.place = None
+                self.places = {}
                 if isinstance(error, _LOST):
                     self._disconnect()
                 raise
 
     def stop(self) -> str:
-        """Switch the laser off and halt the stage, whoever uses them; what could not be, in words."""
+        """Switch the laser off and halt all axes, whoever uses them; what could not be, in words."""
         if (devices := self._devices) is None:
             return ""
-        self.place = None
-        return left_on(devices.stage, devices.laser)
+        self.places = {}
+        return left_on(devices.axes, devices.laser)
 
     def close(self) -> None:
         """Stop, and disconnect."""
@@ -66,33 +70,32 @@ class Bench:
             self._disconnect()
 
     def _disconnect(self) -> None:
-        devices, self._devices, self.place = self._devices, None, None
+        devices, self._devices, self.places = self._devices, None, {}
         if devices is not None:
-            for device in (devices.camera, devices.stage):
+            for device in (devices.camera, *devices.axes.values()):
                 # What is lost already need not be told.
                 with suppress(HardwareError, OSError):
                     device.close()
 
 
 def check(devices: Devices) -> Frame:
-    """See that stage and camera answer; nothing moves.
-
-    A stage without a reference has none to lose: the order to stop is a question that it has to answer.
+    """See that all axes and the camera answer; nothing moves.
 
     Raises:
-        HardwareError: one of the two does not.
+        HardwareError: one of them does not.
     """
-    with safely(devices.stage, devices.laser):
-        place = 0
-        try:
-            place = devices.stage.position()
-        except (NotHomedError, PositionUncertainError):
-            devices.stage.stop()
-        return devices.camera.expose(place)
+    with safely(devices.axes, devices.laser):
+        places: Place = {}
+        for name, axis in devices.axes.items():
+            try:
+                places[name] = axis.position()
+            except (NotHomedError, PositionUncertainError):
+                axis.check()
+        return devices.camera.expose(places)
 
 
 class PermittedStage:
-    """A stage that asks for leave before every move.
+    """An axis that asks for leave before every move.
 
     Args:
         stage: the real one.
@@ -118,6 +121,10 @@ class PermittedStage:
     def position(self) -> int:
         """Where it stands."""
         return self._stage.position()
+
+    def check(self) -> None:
+        """See that it answers."""
+        self._stage.check()
 
     def settle(self, seconds: float) -> None:
         """Wait."""

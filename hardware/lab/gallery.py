@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt
 
-from hardware.frame import Frame
+from hardware.frame import Frame, in_words
 from hardware.lab.hub import Hub
+from hardware.places import Place
 from hardware.scan_plan import ScanFolder
 from jaxscan.errors import JaxscanError
 from jaxscan.images import StripeSettings, read_image
@@ -104,16 +105,18 @@ class Gallery:
     def begin(self, project: str, scan: ScanFolder) -> None:
         """A job adds photographs to a project: its cloud begins with those that it has."""
         self._profiles.do(lambda: self._clear(project))
-        for number, (path, step) in enumerate(zip(scan.done.frames, scan.done.steps, strict=True)):
+        for number, (path, place) in enumerate(zip(scan.done.frames, scan.taken, strict=True)):
             if self._rig is not None:
-                self._profiles.do(lambda path=path, step=step, number=number: self._measure(None, path, step, number))
+                self._profiles.do(
+                    lambda path=path, place=place, number=number: self._measure(None, path, place, number)
+                )
 
     def show(self, frame: Frame, path: Path | None = None) -> None:
         """Show a photograph, and once it is part of a project its profile."""
         self._pictures.do(lambda: self._hub.publish("picture", jpeg(frame.image)))
         if path is not None:
             image = frame.image if len(self._profiles) < _IN_MEMORY else None
-            self._profiles.do(lambda: self._measure(image, path, frame.step_count, int(path.stem)))
+            self._profiles.do(lambda: self._measure(image, path, dict(frame.positions), int(path.stem)))
 
     def see(self, sight: "Sight") -> None:
         """Show a photograph of the board, with what was found in it."""
@@ -139,7 +142,9 @@ class Gallery:
         with self._mutex:
             self._project, self._cloud = project, []
 
-    def _measure(self, image: UInt[np.ndarray, "rows columns *rgb"] | None, path: Path, step: int, number: int) -> None:
+    def _measure(
+        self, image: UInt[np.ndarray, "rows columns *rgb"] | None, path: Path, place: Place, number: int
+    ) -> None:
         from jaxscan.cli.compiled import keep_compiled
         from jaxscan.images import detect_stripe
 
@@ -150,13 +155,14 @@ class Gallery:
         found = {
             "project": self._project,
             "number": number,
-            "step": step,
+            "positions": place,
+            "place": in_words(place),
             "columns": self._stripe.columns,
             "line": lines.tolist(),
             "position": np.round(position[lines].astype(float), 2).tolist(),
         }
         if self._rig is not None:
-            points = self._points(lines, position[lines], step)
+            points = self._points(lines, position[lines], place)
             with self._mutex:
                 if sum(map(len, self._cloud)) < _CLOUD_POINTS:
                     self._cloud.append(points)
@@ -172,17 +178,31 @@ class Gallery:
         return Kernel.create(self._rig.rig, self._stripe.name)
 
     def _points(
-        self, lines: np.ndarray, position: Float[np.ndarray, "points"], step: int
+        self, lines: np.ndarray, position: Float[np.ndarray, "points"], place: Place
     ) -> Float[np.ndarray, "points 3"]:
-        """Stripe pixels to points of the object frame, mm."""
+        """Stripe pixels to points of the object frame, mm; none where an axis has moved that the rig does not have."""
         from jaxscan.reconstruction import triangulate
+
+        assert self._rig is not None
+        rig = self._rig.rig
+        turn = place.get("turntable", 0)
+        known = {"stage": rig.stage is not None, "turntable": rig.turntable is not None}
+        if any(step and not known.get(name, False) for name, step in place.items()):
+            return np.zeros((0, 3), np.float32)
 
         # Always as many, so that nothing is compiled twice.
         along, across = (np.full(_PROFILE_POINTS, np.nan, np.float32) for _ in range(2))
         along[: len(lines)], across[: len(lines)] = lines, position
         u, v = (along, across) if self._stripe.columns else (across, along)
-        points = np.asarray(triangulate(self._kernel, u, v, np.full(_PROFILE_POINTS, step, np.float32)))[: len(lines)]
-        return points[np.isfinite(points).all(axis=1)]
+        points = np.asarray(
+            triangulate(self._kernel, u, v, np.full(_PROFILE_POINTS, place.get("stage", 0), np.float32))
+        )[: len(lines)]
+        points = points[np.isfinite(points).all(axis=1)]
+        if turn and rig.turntable is not None:
+            # Back from where the table had turned it.
+            pose = rig.turntable.turned(np.asarray(float(turn)))
+            points = (points - np.asarray(pose.translation, np.float32)) @ np.asarray(pose.matrix(), np.float32)
+        return points
 
 
 def jpeg(image: UInt[np.ndarray, "rows columns *rgb"]) -> bytes:

@@ -36,6 +36,21 @@ _PINGS, _LOOKS = 4, 20
 _STATE_S: Final = 0.2
 
 
+class Axis(BaseModel):
+    """One axis of the scanner.
+
+    Attributes:
+        place: where it stands, motor steps; None where it has to be homed first.
+        first, last: the step counts between which it may be sent.
+        steps_per_turn: of an axis that turns.
+    """
+
+    place: int | None
+    first: int
+    last: int
+    steps_per_turn: int | None
+
+
 class State(BaseModel):
     """What everybody sees of the scanner.
 
@@ -43,9 +58,8 @@ class State(BaseModel):
         operator: who operates; None while nobody does.
         job: the one under way, or the last.
         guide: what a calibration session under way asks for.
-        place: where the stage stands, motor steps; None where it has to be homed first.
+        axes: by their names.
         live: whether the camera's live picture is on, and with the laser.
-        first, last: the step counts between which the stage may be sent.
         rig: whether one is loaded: profiles then come with points.
         rig_warnings: what is known against it, in words.
         lease_s: how long the operator may be silent.
@@ -54,11 +68,9 @@ class State(BaseModel):
     operator: Holder | None
     job: Job | None
     guide: Guide | None
-    place: int | None
+    axes: dict[str, Axis]
     live: bool
     live_laser: bool
-    first: int
-    last: int
     rig: bool
     rig_warnings: tuple[str, ...]
     lease_s: float
@@ -120,15 +132,17 @@ class Lab:
 
     def state(self) -> State:
         """As it is now."""
+        places = self.bench.places
         return State(
             operator=self.lock.holder,
             job=self.worker.latest,
             guide=self.worker.guide,
-            place=self.bench.place,
+            axes={
+                name: Axis(place=places.get(name), first=at.first, last=at.last, steps_per_turn=at.steps_per_turn)
+                for name, at in self.habits.travels.items()
+            },
             live=self.preview.on,
             live_laser=self.preview.laser,
-            first=self.habits.travel.first,
-            last=self.habits.travel.last,
             rig=self._rig is not None,
             rig_warnings=() if self._rig is None else self._rig.warnings,
             lease_s=self.lease_s,

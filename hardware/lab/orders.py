@@ -1,8 +1,12 @@
 """What an operator may order: the work of a job, as a request brings it and as the logbook keeps it."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from hardware.places import Place, along, full_turn
+from hardware.stages import Travel
 
 # A name is a folder too: nothing in it leads anywhere else.
 PROJECT = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
@@ -10,8 +14,16 @@ _FARTHEST = 10**9
 _MOST_FRAMES = 10_000
 _MOST_CORNERS = 100
 
+_MOST_AXES = 16
+
 ProjectName = Annotated[str, Field(pattern=PROJECT, description="letters, digits, _ and -", examples=["cup"])]
 Step = Annotated[int, Field(ge=-_FARTHEST, le=_FARTHEST, description="motor steps", examples=[2000])]
+AxisName = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="one of `axes` of the state", examples=["stage"])
+]
+At = Annotated[
+    dict[AxisName, Step], Field(max_length=_MOST_AXES, description="where other axes stand, motor steps by their names")
+]
 
 
 class _Work(BaseModel):
@@ -19,21 +31,23 @@ class _Work(BaseModel):
 
 
 class Check(_Work):
-    """See whether stage and camera answer: one photograph, no move."""
+    """See whether axes and camera answer: one photograph, no move."""
 
     kind: Literal["check"] = "check"
 
 
 class Home(_Work):
-    """Reset the motor: connect again if need be, drive to the reference switch, and from there to step 0."""
+    """Reset the motors: connect again if need be, drive to the reference switch, and from there to step 0."""
 
     kind: Literal["home"] = "home"
+    axis: AxisName | None = Field(None, description="this one alone; without it all of them, one after the other")
 
 
 class Move(_Work):
     """Go to a place."""
 
     kind: Literal["move"] = "move"
+    axis: AxisName = "stage"
     step: Step
 
 
@@ -42,25 +56,26 @@ class Shoot(_Work):
 
     kind: Literal["shoot"] = "shoot"
     project: ProjectName
+    axis: AxisName = "stage"
     step: Step
+    at: At = {}
     settle_s: float = Field(0.2, ge=0, le=60, description="wait before the photograph, s")
 
 
 class Scan(_Work):
-    """Batch mode: so many photographs, so many steps apart, added to a project."""
+    """Batch mode: so many photographs along an axis, or around it, added to a project."""
 
     kind: Literal["scan"] = "scan"
     project: ProjectName
+    axis: AxisName = "stage"
+    at: At = {}
     first: Step = 0
-    apart: Step
+    apart: Step | None = Field(
+        None, description="motor steps from one to the next; without it a full turn of the axis, in equal parts"
+    )
     frames: int = Field(ge=1, le=_MOST_FRAMES)
     settle_s: float = Field(0.2, ge=0, le=60, description="wait before each photograph, s")
     dark: bool = Field(False, description="with each photograph one with the laser off")
-
-    @property
-    def steps(self) -> tuple[int, ...]:
-        """Where each is taken."""
-        return tuple(self.first + self.apart * i for i in range(self.frames))
 
 
 class Calibrate(_Work):
@@ -79,6 +94,25 @@ class Calibrate(_Work):
     def steps(self) -> tuple[int, ...]:
         """Where the board is photographed on the stage."""
         return tuple(self.stage_apart * i for i in range(self.stage_frames))
+
+
+def places_of_work(work: "Work", travels: Mapping[str, Travel]) -> tuple[Place, ...]:
+    """Where a job sends the axes, photograph by photograph.
+
+    Raises:
+        SettingsError: a full turn was asked for, of an axis of which it is not known how many steps that is.
+    """
+    if isinstance(work, Calibrate):
+        return along("stage", work.steps)
+    if isinstance(work, Move):
+        return along(work.axis, (work.step,))
+    if isinstance(work, Shoot):
+        return along(work.axis, (work.step,), work.at)
+    if isinstance(work, Scan):
+        if work.apart is None:
+            return along(work.axis, full_turn(travels, work.axis, work.frames, work.first), work.at)
+        return along(work.axis, [work.first + work.apart * i for i in range(work.frames)], work.at)
+    return ()
 
 
 Work = Annotated[Check | Home | Move | Shoot | Scan | Calibrate, Field(discriminator="kind")]

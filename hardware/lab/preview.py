@@ -58,10 +58,10 @@ class Preview:
             if not self.on or self._busy() or self._lock.holder is None:
                 continue
             try:
-                with self._bench.devices() as devices, safely(None, devices.laser):
+                with self._bench.devices() as devices, safely({}, devices.laser):
                     if self.laser:
                         devices.laser.on()
-                    self._gallery.show(devices.camera.expose(self._bench.place or 0))
+                    self._gallery.show(devices.camera.expose(dict(self._bench.places)))
             except (HardwareError, JaxscanError) as error:
                 _LOG.warning("the live picture ends: %s", error)
                 self.switch(False, False)

@@ -8,23 +8,25 @@ or paused; when another person takes the scanner over it is paused.
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
 from hardware.errors import HardwareError, SettingsError, StoppedError
-from hardware.frame import Frame
+from hardware.frame import Frame, in_words
 from hardware.lab.accounts import Visitor
 from hardware.lab.bench import Bench, PermittedStage, check
 from hardware.lab.calibrations import Calibrations
 from hardware.lab.guidance import Guide, PageOperator
 from hardware.lab.lock import OperatorLock
 from hardware.lab.logbook import Job, Logbook, State
-from hardware.lab.orders import Calibrate, Check, Home, Move, Scan, Shoot, Work
+from hardware.lab.orders import Calibrate, Check, Home, Move, Scan, Shoot, Work, places_of_work
 from hardware.lab.projects import Projects
 from hardware.lab.refusal import CONFLICT, WRONG_VALUE, Refusal
 from hardware.lab.run import Run
+from hardware.places import axes_of, check_places, check_scan, travel_of
 from hardware.scan import Devices, ensure_homed, take
 from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder
 from hardware.stages import Travel
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     from hardware.guide import Sight
 
 _LOG: Final = logging.getLogger(__name__)
-# A stage that is to stand is told so again until its job has ended.
+# An axis that is to stand is told so again until its job has ended.
 _AGAIN_S: Final = 0.2
 _ENDED_S: Final = 15.0
 
@@ -60,7 +62,7 @@ class Audience(Protocol):
 class Habits:
     """How photographs are taken, as the scanner's description says."""
 
-    travel: Travel = field(default_factory=Travel)
+    travels: Mapping[str, Travel] = field(default_factory=lambda: {"stage": Travel()})
     stripe: StripeSettings = field(default_factory=StripeSettings)
     exposure_s: float | None = None
     gain: float = 1.0
@@ -246,8 +248,12 @@ class Worker:
 
                 check_session(work.views, work.steps)
                 self._calibrations.new(work.session)
-            if steps := _steps(work):
-                self._habits.travel.check(steps)
+            travels = self._habits.travels
+            places = places_of_work(work, travels)
+            if isinstance(work, Home) and work.axis is not None:
+                travel_of(travels, work.axis)
+            check = check_scan if isinstance(work, Shoot | Scan) else check_places
+            check(travels, places)
         except (SettingsError, JaxscanError) as error:
             raise Refusal(WRONG_VALUE, str(error)) from error
 
@@ -259,13 +265,19 @@ class Worker:
         """
         if not isinstance(work, Shoot | Scan):
             return None
-        steps = _steps(work)
         path = self._projects.path(work.project)
         habits, dark = self._habits, isinstance(work, Scan) and work.dark
         try:
+            places = places_of_work(work, habits.travels)
             if not (path / PLAN_FILE).exists():
                 plan = Plan(
-                    steps, work.settle_s, dark, habits.exposure_s, habits.gain, name=work.project, laser=habits.stripe
+                    axes_of(places),
+                    work.settle_s,
+                    dark,
+                    habits.exposure_s,
+                    habits.gain,
+                    name=work.project,
+                    laser=habits.stripe,
                 )
                 return ScanFolder.create(path, plan)
             folder = ScanFolder.resume(path)
@@ -275,13 +287,13 @@ class Worker:
                     f"project {work.project} was begun {'with' if folder.plan.dark else 'without'} dark photographs: "
                     "go on so, or begin another project",
                 )
-            if there := sorted(set(steps) & set(folder.done.steps)):
+            if there := [place for place in places if place in folder.taken]:
                 raise Refusal(
                     CONFLICT,
-                    f"project {work.project} has a photograph of step {there[0]} already: choose other places, or "
+                    f"project {work.project} has a photograph of {in_words(there[0])} already: choose other places, or "
                     "another project",
                 )
-            folder.go_on_at(steps, work.settle_s)
+            folder.go_on_at(places, work.settle_s)
             return folder
         except JaxscanError as error:
             raise Refusal(CONFLICT, str(error).replace(str(path), work.project)) from error
@@ -291,7 +303,8 @@ class Worker:
         path = self._projects.path(work.project)
         try:
             folder = ScanFolder.resume(path)
-            folder.go_on_at(tuple(step for step in work.steps if step not in folder.done.steps), work.settle_s)
+            places = places_of_work(work, self._habits.travels)
+            folder.go_on_at([place for place in places if place not in folder.taken], work.settle_s)
         except JaxscanError as error:
             raise Refusal(CONFLICT, str(error).replace(str(path), work.project)) from error
         return folder
@@ -343,27 +356,28 @@ class Worker:
             if self._lock.holder is None:
                 raise StoppedError("stopped: nobody operates")
 
-        def arrived(place: int) -> None:
-            self._bench.place = place
+        def arrived(name: str, place: int) -> None:
+            self._bench.places = {**self._bench.places, name: place}
 
         def taken(path: Path, frame: Frame) -> None:
             run.update(taken=run.job.taken + 1)
             self._audience.show(frame, path)
 
-        stage = PermittedStage(devices.stage, permit, arrived)
+        axes = {name: PermittedStage(axis, permit, partial(arrived, name)) for name, axis in devices.axes.items()}
         if isinstance(work, Home):
-            stage.home()
+            for name in axes if work.axis is None else (work.axis,):
+                axes[name].home()
             return
         if isinstance(work, Move):
-            ensure_homed(stage)
-            stage.move_to(work.step)
+            ensure_homed({work.axis: axes[work.axis]})
+            axes[work.axis].move_to(work.step)
         if isinstance(work, Check | Scan):
             self._audience.show(check(devices))
         if folder is not None and isinstance(work, Shoot | Scan):
             self._audience.begin(work.project, folder)
-            take(folder, Devices(camera, stage, laser), run.control, taken)
+            take(folder, Devices(camera, axes, laser), run.control, taken)
         if isinstance(work, Calibrate):
-            self._calibrate(run, work, Devices(camera, stage, laser), permit)
+            self._calibrate(run, work, Devices(camera, axes, laser), permit)
 
     def _calibrate(self, run: Run, work: Calibrate, devices: Devices, permit: Callable[[], object]) -> None:
         from hardware.guide import guided_session
@@ -383,7 +397,7 @@ class Worker:
                 hand.leave()
 
     def _revoke(self, run: Run, words: str, ends_as: State = "aborted") -> None:
-        """End a job at once: the stage is told to stand until the job has ended."""
+        """End a job at once: all axes are told to stand until the job has ended."""
         run.ended_by, run.ends_as = words, ends_as
         run.control.abort()
 
@@ -396,10 +410,3 @@ class Worker:
         if run.stopper is None:
             run.stopper = threading.Thread(target=stop, name=f"stop job {run.job.id}", daemon=True)
             run.stopper.start()
-
-
-def _steps(work: Work) -> tuple[int, ...]:
-    """Where a job sends the stage."""
-    if isinstance(work, Scan | Calibrate):
-        return work.steps
-    return (work.step,) if isinstance(work, Shoot | Move) else ()

@@ -1,7 +1,7 @@
 """The simulated camera, and the world that it photographs."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,32 +12,43 @@ from jaxscan.simulation import Body, Scene, Sensor, render, rig_2003
 
 # The exposure at which a photograph of the simulated rig is neither dark nor burnt out.
 _EXPOSURE_S = 0.01
+# The view of the object.
+_OBJECT = (0, 0)
+_AXES = ("stage", "turntable")
 # Makes step counts positive.
 _FAR = 1 << 31
 
 
 class SimulatedWorld:
-    """What stands before the scanner: an object on the stage, the board in somebody's hand, or the board on the stage.
+    """What stands before the scanner: an object, the board in somebody's hand, or the board on the stage.
+
+    The object stands on the turntable, and that on the stage.
 
     Attributes:
         rig: the true one.
         seed: of the rig, the poses and the noise.
-        scene: what is seen, as it stands at step 0.
+        scene: what is seen, as it stands at step 0 of every axis.
         lighting: what lights it.
         view: numbers that tell this view from the others, for the seed of the noise.
     """
 
     def __init__(self, seed: int = 0, bodies: Sequence[Body] = ()):
         self.seed = seed
-        self.rig = rig_2003.simulated_rig(seed)
+        self.rig = rig_2003.with_turntable(rig_2003.simulated_rig(seed), seed)
         self._bodies = tuple(bodies)
         self._stage_pose = rig_2003.stage_pose(self.rig, seed)
         self.put_object()
 
     def put_object(self) -> None:
-        """Put the object on the stage."""
+        """Put the object on the turntable."""
         self.scene, self.lighting = rig_2003.scan_scene(self.rig, self._bodies), rig_2003.SCAN_LIGHTING
-        self.view = (0, 0)
+        self.view = _OBJECT
+
+    def turned(self, steps: float) -> Scene:
+        """What is seen once the turntable has gone so many steps: an object turns with it, and no board does."""
+        if steps == 0 or self.view != _OBJECT:
+            return self.scene
+        return rig_2003.scan_scene(self.rig, rig_2003.turned_on(self.rig, self._bodies, steps))
 
     def hold_board(self, pose: int, of: int = rig_2003.BOARD_VIEWS) -> None:
         """Hold the board in one of so many poses."""
@@ -56,14 +67,14 @@ class SimulatedWorld:
 
 
 class SimulatedCamera:
-    """Photographs the world as the stage *truly* stands.
+    """Photographs the world as stage and turntable *truly* stand.
 
     One and the same view is one and the same photograph, noise and all, whenever it is taken. `world` may be changed
-    between photographs.
+    between photographs. An axis that there is none of stands at step 0.
     """
 
-    def __init__(self, world: SimulatedWorld, stage: SimulatedStage, laser: SimulatedLaser):
-        self.world, self._stage, self._laser = world, stage, laser
+    def __init__(self, world: SimulatedWorld, axes: Mapping[str, SimulatedStage], laser: SimulatedLaser):
+        self.world, self._axes, self._laser = world, axes, laser
         self._exposure_s, self._gain = _EXPOSURE_S, 1.0
 
     def open(self) -> None:
@@ -73,21 +84,30 @@ class SimulatedCamera:
         """Set exposure and gain; light counts in proportion to both."""
         self._exposure_s, self._gain = exposure_s, gain
 
-    def expose(self, step_count: int) -> Frame:
+    def expose(self, positions: Mapping[str, int]) -> Frame:
         """Render one photograph."""
-        world, place = self.world, self._stage.true_position()
+        world = self.world
+        place, turn = (self._axes[name].true_position() if name in self._axes else 0.0 for name in _AXES)
         sensor = rig_2003.SENSOR
         brightness = self._gain * self._exposure_s / _EXPOSURE_S
         image = render(
             world.rig,
-            world.scene,
+            world.turned(turn),
             steps=place,
             laser=0 if self._laser.lit else None,
             lighting=world.lighting,
             sensor=Sensor(blur_px=sensor.blur_px, noise=sensor.noise, gain=brightness),
-            seed=(2003, world.seed, *world.view, round(place) + _FAR, int(self._laser.lit)),
+            # A table that stands at 0 leaves the noise as it is on a scanner without one.
+            seed=(
+                2003,
+                world.seed,
+                *world.view,
+                round(place) + _FAR,
+                int(self._laser.lit),
+                *([round(turn) + _FAR] if turn else []),
+            ),
         )
-        return Frame(image, step_count, time.time(), self._exposure_s)
+        return Frame(image, positions, time.time(), self._exposure_s)
 
     def close(self) -> None:
         """Nothing to do."""

@@ -2,7 +2,7 @@
 
 from urllib.parse import urlencode
 
-from hardware.stages import BiStep2A04, Travel
+from hardware.stages import BiStep2A04, Travel, register_stage
 
 # Further than the travel says, on the side away from the switch.
 _SPARE = 1000
@@ -28,3 +28,6 @@ class SimulatedStage(BiStep2A04):
         """Where the load is, in steps from where it was when it stood at step 0 and had come from below."""
         port = self.line.port
         return port.axis.load(port.clock.now_s()) + self.travel.switch
+
+
+register_stage("simulated", SimulatedStage, play=int, speed=float)

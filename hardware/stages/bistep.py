@@ -19,6 +19,7 @@ import re
 from typing import NoReturn
 
 from hardware.errors import NoAnswerError, PositionUncertainError
+from hardware.stages.kinds import register_stage
 from hardware.stages.serial_stage import SerialStage
 from hardware.stages.travel_settings import Travel
 
@@ -39,6 +40,11 @@ class BiStep2A04(SerialStage):
     def __init__(self, port: str, travel: Travel | None = None, *, baud: int = 9600, homed: bool = False):
         super().__init__(port, travel, baud=baud, homed=homed)
 
+    def _call_zero(self) -> None:
+        self._set_pace()
+        for count in (-_FAR, 0):
+            self._define(count)
+
     def _leg(self, start: int, end: int) -> None:
         for _ in range(_LEGS):
             stands_at, honest = self._watched(start, end)
@@ -48,12 +54,12 @@ class BiStep2A04(SerialStage):
             # not get through.
             if not honest or stands_at != start or start in _parts(end):
                 raise PositionUncertainError(
-                    f"{self.line.name}: on the way to {end} the controller came to say {stands_at}, and an order or a "
+                    f"{self.name}: on the way to {end} the controller came to say {stands_at}, and an order or a "
                     "count was garbled: home it, and look after the cable"
                 )
             self._set_pace(expected=start)
         raise NoAnswerError(
-            f"{self.line.name}: the motor was sent to {end} steps {_LEGS} times and stays at {start}: check motor "
+            f"{self.name}: the motor was sent to {end} steps {_LEGS} times and stays at {start}: check motor "
             "supply and cable"
         )
 
@@ -76,7 +82,7 @@ class BiStep2A04(SerialStage):
             last = count
             if clock.now_s() > until_s:
                 raise NoAnswerError(
-                    f"{self.line.name}: {abs(end - start)} steps at {self.travel.rate_steps_s:g} steps/s take "
+                    f"{self.name}: {abs(end - start)} steps at {self.travel.rate_steps_s:g} steps/s take "
                     f"{move.duration_s:.1f} s, and after {clock.now_s() - sent_s:.1f} s it has not arrived at {end} "
                     f"(last said: {last}): home it, and check cable, rate and motor supply"
                 )
@@ -96,7 +102,7 @@ class BiStep2A04(SerialStage):
 
     def _doubt(self, watch: "_Watch") -> NoReturn:
         raise PositionUncertainError(
-            f"{self.line.name}: the controller's count is not to be believed, {watch.doubt}: home it, and look after "
+            f"{self.name}: the controller's count is not to be believed, {watch.doubt}: home it, and look after "
             "the cable if it happens again"
         )
 
@@ -108,7 +114,7 @@ class BiStep2A04(SerialStage):
                 return count
             last = count
         raise NoAnswerError(
-            f"{self.line.name}: asked {_ASKED_TWICE} times, the controller never gave the same position twice: check "
+            f"{self.name}: asked {_ASKED_TWICE} times, the controller never gave the same position twice: check "
             "that it is on, cable and baud rate; `scanner console` shows what it says"
         )
 
@@ -140,7 +146,7 @@ class BiStep2A04(SerialStage):
         self.line.send(b"x%dr%dp" % (round(travel.rate_steps_s), round(travel.ramp_steps_s2)))
         self._pause(_BETWEEN_S)
         if expected is not None and self._settled() != expected:
-            raise PositionUncertainError(f"{self.line.name}: setting the rate changed the position: home it")
+            raise PositionUncertainError(f"{self.name}: setting the rate changed the position: home it")
 
     def _find_switch(self) -> None:
         travel = self.travel
@@ -153,7 +159,7 @@ class BiStep2A04(SerialStage):
         self._pause(travel.allowed_s(travel.approach))
         if self._settled() != travel.switch:
             raise PositionUncertainError(
-                f"{self.line.name}: the stage was not on its switch when its count was set: check switch and cable"
+                f"{self.name}: the stage was not on its switch when its count was set: check switch and cable"
             )
 
     def _define(self, count: int) -> None:
@@ -163,7 +169,7 @@ class BiStep2A04(SerialStage):
             self._pause(_BETWEEN_S)
             if self._settled() == count:
                 return
-        raise PositionUncertainError(f"{self.line.name}: the reference could not be set: check the cable")
+        raise PositionUncertainError(f"{self.name}: the reference could not be set: check the cable")
 
     def _against_switch(self) -> None:
         """Drive down until the switch stops it."""
@@ -181,13 +187,13 @@ class BiStep2A04(SerialStage):
                 last = count
             if clock.now_s() > until_s or last > first:
                 raise NoAnswerError(
-                    f"{self.line.name}: driving down for {distance} steps at {travel.rate_steps_s:g} steps/s the "
+                    f"{self.name}: driving down for {distance} steps at {travel.rate_steps_s:g} steps/s the "
                     f"switch was not reached (last said: {last}): check the switch on X−, and the direction of the "
                     "motor"
                 )
         if not self._latches() & _AT_LOWER_SWITCH:
             raise NoAnswerError(
-                f"{self.line.name}: the motor stopped at {last}, but not at the switch on X−: check the switch, and "
+                f"{self.name}: the motor stopped at {last}, but not at the switch on X−: check the switch, and "
                 "that nothing is in the way"
             )
 
@@ -208,6 +214,9 @@ class BiStep2A04(SerialStage):
             last = count
             clock.sleep(_BETWEEN_S)
         return False
+
+
+register_stage("bistep", BiStep2A04, port=str, baud=int)
 
 
 def _parts(count: int) -> set[int]:

@@ -20,6 +20,8 @@ _HOMED_TWICE = 4
 _MOST_STEPS_PER_MM = 500.0
 
 STILL, MOVING, LOST = "still", "moving", "lost"
+# In the order in which GRBL reports them.
+LETTERS = ("X", "Y", "Z", "A", "B", "C")
 
 
 @dataclass(frozen=True)
@@ -36,10 +38,16 @@ class Report:
 
 
 class GcodeStage(SerialStage):
-    """A stage on axis X of a controller that takes G-code.
+    """An axis of a controller that takes G-code.
 
-    A step is 1/`steps_per_mm` of the controller's millimetre; with `reverse` the steps count against its X.
-    `travel.switch` is the count where its homing ends.
+    A step is 1/`steps_per_mm` of the controller's millimetre, or of its degree; with `reverse` the steps count against
+    the controller's way. `travel.switch` is the count where its homing ends.
+
+    Args:
+        port, travel, baud, beside: as in `SerialStage`.
+        steps_per_mm: the controller's own number for this axis.
+        reverse: whether steps count against the controller's way.
+        axis: its letter, in capitals; None for X on a controller whose homing is that of X alone.
     """
 
     def __init__(
@@ -49,20 +57,38 @@ class GcodeStage(SerialStage):
         *,
         steps_per_mm: float,
         reverse: bool = False,
+        axis: str | None = None,
         baud: int = 115200,
-        homed: bool = False,
+        beside: "SerialStage | None" = None,
     ):
+        if axis not in (None, *LETTERS):
+            raise SettingsError(
+                f'axis = "{axis}": give the letter by which the controller knows it: {", ".join(LETTERS)}'
+            )
         if not 0 < steps_per_mm <= _MOST_STEPS_PER_MM:
             raise SettingsError(
                 f"steps_per_mm = {steps_per_mm}: give the controller's own number (GRBL $100, Marlin M92), at most "
                 f"{_MOST_STEPS_PER_MM:g}"
             )
-        if homed:
-            raise SettingsError("homed: the zero of this controller's steps is only known once it was homed from here")
-        super().__init__(port, travel, baud=baud)
+        if beside is not None and (type(beside) is not type(self) or axis in (None, beside.letter)):
+            raise SettingsError(
+                f'{port}: is the port of another axis: give each its letter (axis = "Y"), and the same kind'
+            )
+        super().__init__(port, travel, baud=baud, beside=beside)
+        self._axis = axis
         self._per_mm = -steps_per_mm if reverse else steps_per_mm
         # The controller's count, in its own steps, at `travel.switch`.
         self._own_at_switch = 0
+
+    @property
+    def letter(self) -> str:
+        """By which the controller knows the axis."""
+        return self._axis or "X"
+
+    @property
+    def name(self) -> str:
+        """The port, and the axis where there are several."""
+        return self.line.name if self._axis is None else f"{self.line.name} axis {self._axis}"
 
     def set_laser(self, on: bool) -> None:
         """Switch the laser that hangs on the controller, and see that it was understood.
@@ -74,9 +100,11 @@ class GcodeStage(SerialStage):
             for _ in range(_ASKED):
                 if self._switched(on):
                     return
-        raise NoAnswerError(
-            f"{self.line.name}: the controller did not confirm that the laser is {'on' if on else 'off'}"
-        )
+        raise NoAnswerError(f"{self.name}: the controller did not confirm that the laser is {'on' if on else 'off'}")
+
+    def _call_zero(self) -> None:
+        self._wake()
+        self._own_at_switch = self._own_settled() + self._way * self.travel.switch
 
     def _find_switch(self) -> None:
         found = None
@@ -89,7 +117,7 @@ class GcodeStage(SerialStage):
             away = own + self._way * self.travel.approach
             found = own if self._sent(own, away) == away else None
         raise NoAnswerError(
-            f"{self.line.name}: homing ended at a different place each time: check the switch, and that homing is on "
+            f"{self.name}: homing ended at a different place each time: check the switch, and that homing is on "
             "(GRBL $22=1)"
         )
 
@@ -100,11 +128,11 @@ class GcodeStage(SerialStage):
                 return
             if stands_at != self._own(start):
                 raise PositionUncertainError(
-                    f"{self.line.name}: sent to {end} steps it stands {stands_at - self._own(end):+d} beside: an "
+                    f"{self.name}: sent to {end} steps it stands {stands_at - self._own(end):+d} beside: an "
                     "order was garbled, or a switch was met: home it"
                 )
         raise NoAnswerError(
-            f"{self.line.name}: the motor was sent to {end} steps {_LEGS} times and stays at {start}: check motor "
+            f"{self.name}: the motor was sent to {end} steps {_LEGS} times and stays at {start}: check motor "
             "supply, the controller's own limits and alarms (`scanner console`)"
         )
 
@@ -122,7 +150,7 @@ class GcodeStage(SerialStage):
             if report is not None:
                 if abs(report.count - before) > self.travel.reach(clock.now_s() - before_s):
                     raise PositionUncertainError(
-                        f"{self.line.name}: the motor runs faster than {self.travel.rate_steps_s:g} steps/s and may "
+                        f"{self.name}: the motor runs faster than {self.travel.rate_steps_s:g} steps/s and may "
                         "have lost steps: home it, and look after the cable"
                     )
                 # An answer that took its time may be of any moment of it.
@@ -130,14 +158,14 @@ class GcodeStage(SerialStage):
                 seen_between += prompt and min(start, end) < report.count < max(start, end)
                 if report.state == STILL and report.count == still_at:
                     if still_at != start and seen_between < 2:
-                        raise PositionUncertainError(f"{self.line.name}: it was not seen on its way: home it")
+                        raise PositionUncertainError(f"{self.name}: it was not seen on its way: home it")
                     return report.count
                 before_s, before = asked_s, report.count
             still_at = report.count if report is not None and report.state == STILL else None
             left_s = sent_s + move.duration_s - clock.now_s()
             self._pause(left_s if seen_between >= 2 and left_s > 0 else _BETWEEN_S)
         raise NoAnswerError(
-            f"{self.line.name}: {abs(end - start)} steps at {self.travel.rate_steps_s:g} steps/s take "
+            f"{self.name}: {abs(end - start)} steps at {self.travel.rate_steps_s:g} steps/s take "
             f"{move.duration_s:.1f} s, and after {clock.now_s() - sent_s:.1f} s it does not stand still: check "
             "cable, rate and acceleration (GRBL $120, Marlin M201), and that no alarm is left"
         )
@@ -155,7 +183,7 @@ class GcodeStage(SerialStage):
             last = count
             self._pause(_BETWEEN_S)
         raise NoAnswerError(
-            f"{self.line.name}: asked {_ASKED} times, the controller never gave the same position twice: check that "
+            f"{self.name}: asked {_ASKED} times, the controller never gave the same position twice: check that "
             "it is on, cable and baud rate, and that no alarm is left; `scanner console` shows what it says"
         )
 
@@ -179,12 +207,16 @@ class GcodeStage(SerialStage):
     def _way(self) -> int:
         return 1 if self._per_mm > 0 else -1
 
-    def _x_mm(self, own: int) -> float:
+    def _mm(self, own: int) -> float:
         return own / abs(self._per_mm)
 
     @property
     def _feed_mm_min(self) -> float:
         return 60 * self.travel.rate_steps_s / abs(self._per_mm)
+
+    @abstractmethod
+    def _wake(self) -> None:
+        """Make the controller ready for orders without a homing."""
 
     @abstractmethod
     def _home_once(self) -> None:

@@ -6,10 +6,11 @@ is a soft reset: a single byte that ends a homing too, and switches the laser of
 
 import re
 
-from hardware.errors import NoAnswerError
-from hardware.stages.gcode import LOST, MOVING, STILL, GcodeStage, Report
+from hardware.errors import NoAnswerError, SettingsError
+from hardware.stages.gcode import LETTERS, LOST, MOVING, STILL, GcodeStage, Report
+from hardware.stages.kinds import register_stage
 
-_STATUS = re.compile(rb"<(\w+)(?::\d)?\|MPos:(-?\d+\.\d+),[^<>]*>")
+_STATUS = re.compile(rb"<(\w+)(?::\d)?\|MPos:(-?\d+\.\d+(?:,-?\d+\.\d+)*)[^<>]*>")
 _OK = re.compile(rb"(ok|error:\d+|ALARM:\d+)\r?\n")
 # Nothing but the answer itself: `$X` instead of `$H` would say more.
 _BARE_OK = re.compile(rb"^\s*ok\r?\n")
@@ -18,26 +19,42 @@ _RESET = b"\x18"
 
 
 class Grbl(GcodeStage):
-    """Axis X of a controller with GRBL; homing ($22) has to be on."""
+    """An axis of a controller with GRBL; homing ($22) has to be on where there is a switch.
+
+    Where its letter is given the axis is homed by itself (`$HX`), as FluidNC and grblHAL can, and GRBL that was built
+    with HOMING_SINGLE_AXIS_COMMANDS; otherwise by `$H`.
+    """
+
+    def _wake(self) -> None:
+        # After a reset in mid-move it refuses all orders.
+        self.line.send(b"\r\n")
+        self._pause(0.1)
+        self.line.forget()
+        self.line.send(b"$X\r\n")
+        if self.line.expect(_OK, 4, given_up=self._stopping.is_set) is None:
+            self._check_stop()
+            raise NoAnswerError(f"{self.name}: $X was not answered: check that it is on, cable and baud rate")
 
     def _home_once(self) -> None:
         # What a garbled byte left in the controller's line ends here.
         self.line.send(b"\r\n")
         self._pause(0.1)
         self.line.forget()
-        self.line.send(b"$H\r\n")
+        order = b"$H" + (self._axis or "").encode()
+        self.line.send(order + b"\r\n")
         answer = self.line.expect(_OK, 4, 2 * self.travel.allowed_s(self.travel.span), self._stopping.is_set)
         self._check_stop()
         if answer is None or answer[1] != b"ok" or not _BARE_OK.match(answer.string[: answer.end()]):
             said = b"nothing" if answer is None else answer.string[: answer.end()].strip()
             raise NoAnswerError(
-                f"{self.line.name}: $H was answered by {said.decode('latin-1')!r}: check the switch, that homing is on "
-                "($22=1), and that no alarm is left"
+                f"{self.name}: {order.decode()} was answered by {said.decode('latin-1')!r}: check the switch, that "
+                "homing is on ($22=1), that the firmware homes single axes where a letter is given, and "
+                "that no alarm is left"
             )
 
     def _send_to(self, own: int) -> None:
         self.line.forget()
-        order = b"$J=G90G21X%.3fF%.1f\r\n" % (self._x_mm(own), self._feed_mm_min)
+        order = b"$J=G90G21%s%.3fF%.1f\r\n" % (self.letter.encode(), self._mm(own), self._feed_mm_min)
         self.line.send(order)
         self.line.expect(_OK, len(order), given_up=self._stopping.is_set)
         self._check_stop()
@@ -51,7 +68,12 @@ class Grbl(GcodeStage):
             return None
         # In an alarm the motor stands, but may have lost steps.
         state = {b"Idle": STILL, b"Alarm": LOST}.get(status[1], MOVING)
-        return Report(state, round(float(status[2]) * abs(self._per_mm)))
+        places, index = status[2].split(b","), LETTERS.index(self.letter)
+        if index >= len(places):
+            raise SettingsError(
+                f"{self.name}: the controller reports {len(places)} axes and no {self.letter}: check axis"
+            )
+        return Report(state, round(float(places[index]) * abs(self._per_mm)))
 
     def _switched(self, on: bool) -> bool:
         self.line.forget()
@@ -67,3 +89,6 @@ class Grbl(GcodeStage):
 
     def _halt(self) -> None:
         self.line.send(3 * _RESET)
+
+
+register_stage("grbl", Grbl, port=str, baud=int, steps_per_mm=float, reverse=bool, axis=str)

@@ -1,48 +1,64 @@
 """Stages driven by Marlin 2. Every line is numbered and carries a checksum; what was garbled is asked for again."""
 
 import re
+from functools import cached_property
+from typing import cast
 
 from hardware.errors import NoAnswerError
 from hardware.stages.gcode import MOVING, STILL, GcodeStage, Report
+from hardware.stages.kinds import register_stage
 
 _ANSWER = re.compile(rb"(?:^|\n)ok\b[^\n]*\n")
-_PLACE = re.compile(rb"X:(-?\d+\.\d+) Y:[^\n]* Count X: ?(-?\d+) Y:[^\n]*\n(?:[^\n]*\n)*?ok\b[^\n]*\n")
+# The first number is where an axis was sent, the second where it is, in steps.
+_PLACE = rb"(?:^|\s)%b:(-?\d+\.\d+) [^\n]*\bCount [^\n]*?\b%b: ?(-?\d+)(?: [^\n]*)?\r?\n(?:[^\n]*\n)*?ok\b[^\n]*\n"
 _SENT_AGAIN = 5
 
 
 class Marlin(GcodeStage):
-    """Axis X of a controller with Marlin.
+    """An axis of a controller with Marlin.
 
     `laser_on` and `laser_off` are the orders that switch a laser on it, by default those of the first fan's output.
     """
 
     laser_on, laser_off = b"M106 S255", b"M107"
+
     _number, _regular = 0, False
+
+    @property
+    def _lines(self) -> "Marlin":
+        """Who counts the controller's lines: the axis that was opened first, for all."""
+        return cast("Marlin", self._axes[0])
+
+    @cached_property
+    def _place(self) -> "re.Pattern[bytes]":
+        return re.compile(_PLACE % (2 * (self.letter.encode(),)))
+
+    def _wake(self) -> None:
+        self._restart()
 
     def _home_once(self) -> None:
         self._restart()
-        if not self._obeyed(b"G28 X", 2 * self.travel.allowed_s(self.travel.span)):
-            raise NoAnswerError(f"{self.line.name}: G28 X was not answered: check switch, cable and baud rate")
+        if not self._obeyed(b"G28 %b" % self.letter.encode(), 2 * self.travel.allowed_s(self.travel.span)):
+            raise NoAnswerError(f"{self.name}: G28 {self.letter} was not answered: check switch, cable and baud rate")
 
     def _send_to(self, own: int) -> None:
-        self._obeyed(b"G1 X%.4f F%.1f" % (self._x_mm(own), self._feed_mm_min))
+        self._obeyed(b"G1 %b%.4f F%.1f" % (self.letter.encode(), self._mm(own), self._feed_mm_min))
 
     def _report(self) -> Report | None:
-        place = self._ask(b"M114", _PLACE)
+        place = self._ask(b"M114", self._place)
         if place is None:
             return None
-        # The first number is where it was sent, the second where it is, in steps.
         count = int(place[2])
-        return Report(STILL if abs(self._x_mm(count) - float(place[1])) < 0.01 else MOVING, count)
+        return Report(STILL if abs(self._mm(count) - float(place[1])) < 0.01 else MOVING, count)
 
     def _switched(self, on: bool) -> bool:
-        if not self._regular:
+        if not self._lines._regular:
             self.line.drain()
-        self._regular = True
+        self._lines._regular = True
         if not self._obeyed(self.laser_on if on else self.laser_off):
             return False
         # An `ok` may be a late one. The next line is refused unless this one, with its number, had come.
-        return self._ask(b"M114", _PLACE) is not None and self._regular
+        return self._ask(b"M114", self._place) is not None and self._lines._regular
 
     def _halt(self) -> None:
         # Without a number, and several times: any thread may send it, and the counting of lines is the other one's.
@@ -56,30 +72,33 @@ class Marlin(GcodeStage):
         either = re.compile(pattern.pattern + rb"|Resend: ?(?P<again>\d+)\s")
         for _ in range(_SENT_AGAIN):
             self.line.forget()
-            line = b"N%d %s" % (self._number + 1, order)
+            line = b"N%d %s" % (self._lines._number + 1, order)
             line += b"*%d\n" % _checksum(line)
             self.line.send(line)
             answer = self.line.expect(either, len(line), within_s, self._stopping.is_set)
             self._check_stop()
             if answer is None:
                 # It may have been obeyed and the answer lost: then its number is refused, and a new one taken.
-                self._regular = False
+                self._lines._regular = False
                 self.line.send(b"\n")
                 continue
             if answer["again"] is None:
-                self._number += 1
+                self._lines._number += 1
                 return answer
-            self._regular = False
-            self._number = int(answer["again"]) - 1
+            self._lines._regular = False
+            self._lines._number = int(answer["again"]) - 1
         return None
 
     def _restart(self) -> None:
         """Count lines from 0 again."""
         self.line.send(b"\n")
-        self._number = -1
+        self._lines._number = -1
         if not self._obeyed(b"M110"):
-            raise NoAnswerError(f"{self.line.name}: no answer: check that the controller is on, cable and baud rate")
-        self._number = 0
+            raise NoAnswerError(f"{self.name}: no answer: check that the controller is on, cable and baud rate")
+        self._lines._number = 0
+
+
+register_stage("marlin", Marlin, port=str, baud=int, steps_per_mm=float, reverse=bool, axis=str)
 
 
 def _checksum(line: bytes) -> int:

@@ -19,7 +19,7 @@ from hardware.errors import (
     StoppedError,
 )
 from hardware.stages.line import Line
-from hardware.stages.travel_settings import Travel
+from hardware.stages.travel_settings import HERE, Travel
 
 _HOMINGS = 3
 # How long `stop` waits for the thread that moves to notice.
@@ -28,34 +28,61 @@ _SLICE_S = 0.1
 
 
 class SerialStage(ABC):
-    """A stage driven over a serial line.
+    """An axis driven over a serial line.
 
     Args:
         port: a port, or any URL that pyserial opens.
-        travel: the stage's way and pace.
+        travel: the axis's way and pace.
         baud: of the line.
         homed: take it that the controller has kept its count since it was last homed.
+        beside: another axis of the same controller, whose line it shares: they take their orders one at a time, and
+            whatever stops one stops both.
 
     Raises:
         SettingsError: the port cannot be opened.
     """
 
-    def __init__(self, port: str, travel: Travel | None = None, *, baud: int, homed: bool = False):
+    def __init__(
+        self,
+        port: str,
+        travel: Travel | None = None,
+        *,
+        baud: int,
+        homed: bool = False,
+        beside: "SerialStage | None" = None,
+    ):
         self.travel = travel or Travel()
-        self.line = Line(port, baud)
         self._take_over = homed
         self._believed: int | None = None
-        self._busy = threading.RLock()
-        self._stopping = threading.Event()
+        if beside is None:
+            self.line = Line(port, baud)
+            self._busy, self._stops = threading.RLock(), threading.Lock()
+            self._stopping = threading.Event()
+            self._axes: list[SerialStage] = []
+        else:
+            self.line, self._axes = beside.line, beside._axes
+            self._busy, self._stops, self._stopping = beside._busy, beside._stops, beside._stopping
+        self._axes.append(self)
+
+    @property
+    def name(self) -> str:
+        """Which it is, in errors: the port."""
+        return self.line.name
 
     def home(self) -> None:
         """Find the reference switch, count from it, and go to step 0 (or `travel.first`).
+
+        An axis without a switch (`travel.reference` is "here") does not move: where it stands is step 0.
 
         Raises:
             HardwareError: the switch was not found, or the line is too bad; the text says whether the stage stands.
         """
         with self._order():
             self._believed = None
+            if self.travel.reference == HERE:
+                self._call_zero()
+                self._believed = 0
+                return
             for attempt in range(_HOMINGS):
                 try:
                     self._find_switch()
@@ -77,7 +104,7 @@ class SerialStage(ABC):
         Raises:
             HardwareError: it did not arrive, or may not be where it says; the text says whether it stands.
         """
-        self.travel.check([step_count])
+        self.travel.check([step_count], "axis" if len(self._axes) > 1 else "stage")
         with self._order():
             self._check_place()
             self._go(step_count)
@@ -100,7 +127,7 @@ class SerialStage(ABC):
         with self._order(halting=False):
             if not self._standing():
                 raise NoAnswerError(
-                    f"{self.line.name}: nothing that says that the motor stands: check that it is on, cable and baud "
+                    f"{self.name}: nothing that says that the motor stands: check that it is on, cable and baud "
                     "rate; `scanner console` shows what it says"
                 )
 
@@ -114,24 +141,27 @@ class SerialStage(ABC):
             self._pause(seconds)
 
     def stop(self) -> None:
-        """Stand still, and be homed before the next move; from any thread.
+        """Stand still, and be homed before the next move, with all axes of the controller; from any thread.
 
         Raises:
             LineLostError: the line does not carry the order, or the controller does not say that it stands.
         """
-        self._stopping.set()
-        with suppress(LineLostError):
-            self._halt()
-        # Whoever moves sees the flag within a slice of time and lets go.
-        if not self._busy.acquire(timeout=_NOTICE_S):
-            raise LineLostError(f"{self.line.name}: {_MAY_MOVE}")
-        try:
-            self._believed, self._take_over = None, False
-            self._stopping.clear()
-            if (words := self._make_stand()) == _MAY_MOVE:
-                raise LineLostError(f"{self.line.name}: the order to stop was given, but {words}")
-        finally:
-            self._busy.release()
+        # One at a time: whoever looks whether it stands must not take another's order to stop for its own.
+        with self._stops:
+            self._stopping.set()
+            with suppress(LineLostError):
+                self._halt()
+            # Whoever moves sees the flag within a slice of time and lets go.
+            if not self._busy.acquire(timeout=_NOTICE_S):
+                raise LineLostError(f"{self.name}: {_MAY_MOVE}")
+            try:
+                for axis in self._axes:
+                    axis._believed, axis._take_over = None, False
+                self._stopping.clear()
+                if any(axis._make_stand() == _MAY_MOVE for axis in self._axes):
+                    raise LineLostError(f"{self.name}: the order to stop was given, but {_MAY_MOVE}")
+            finally:
+                self._busy.release()
 
     def close(self) -> None:
         """Disconnect; safe to call twice."""
@@ -142,11 +172,11 @@ class SerialStage(ABC):
         if self._believed is None and self._take_over:
             self._believed = self._settled()
         if self._believed is None:
-            raise NotHomedError(f"{self.line.name}: the stage has no reference yet: home it (`scanner home`)")
+            raise NotHomedError(f"{self.name}: the stage has no reference yet: home it (`scanner home`)")
         count = self._settled()
         if count != self._believed:
             raise PositionUncertainError(
-                f"{self.line.name}: the controller says {count} steps, but it was left at {self._believed}: it was "
+                f"{self.name}: the controller says {count} steps, but it was left at {self._believed}: it was "
                 "reset, moved by hand or another program, or a byte of the line was garbled: home it"
             )
         return count
@@ -155,7 +185,7 @@ class SerialStage(ABC):
         """The legs to a place; `_believed` is there or None at any time."""
         start = self._believed
         if start is None:
-            raise NotHomedError(f"{self.line.name}: home it")
+            raise NotHomedError(f"{self.name}: home it")
         for end in self.travel.legs(start, target):
             self._believed = None
             self._leg(start, end)
@@ -176,7 +206,7 @@ class SerialStage(ABC):
 
     def _check_stop(self) -> None:
         if self._stopping.is_set():
-            raise StoppedError(f"{self.line.name}: stopped; home the stage before it moves again")
+            raise StoppedError(f"{self.name}: stopped; home the stage before it moves again")
 
     @contextmanager
     def _order(self, halting: bool = True) -> Iterator[None]:
@@ -204,6 +234,10 @@ class SerialStage(ABC):
         except HardwareError:
             standing = False
         return "the stage stands still" if standing else _MAY_MOVE
+
+    @abstractmethod
+    def _call_zero(self) -> None:
+        """Count from where it stands: that is step 0."""
 
     @abstractmethod
     def _find_switch(self) -> None:

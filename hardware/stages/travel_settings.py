@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from hardware.errors import SettingsError
 from hardware.travel import Trapezoid
 
+# Where the count of an axis may come from.
+SWITCH, HERE = "switch", "here"
 # The last leg of a move takes at least this long, so that it can be watched.
 _LEAST_LEG_S = 1.0
 # A move may take so many times as long as its distance and rate say, and this much more.
@@ -25,6 +27,9 @@ class Travel:
         first, last: the step counts between which it may be sent.
         switch: the step count of the reference switch, below `first` by more than an approach.
         backlash: play of the screw; a move ends with at least this much from below.
+        steps_per_turn: of an axis that turns; None for one that does not.
+        reference: where the count comes from: "switch", or "here" for an axis without one, which is at step 0 where it
+            stands when it is homed.
     """
 
     rate_steps_s: float = 800.0
@@ -33,6 +38,8 @@ class Travel:
     last: int = 250_000
     switch: int = -1000
     backlash: int = 200
+    steps_per_turn: int | None = None
+    reference: str = SWITCH
 
     def __post_init__(self) -> None:
         """Refuse what no stage can be.
@@ -49,7 +56,16 @@ class Travel:
                 f"first = {self.first}, last = {self.last}, backlash = {self.backlash}: a stage has some way to go, "
                 "and no negative play"
             )
-        if self.switch > self.first - self.approach:
+        if self.steps_per_turn is not None and self.steps_per_turn < 1:
+            raise SettingsError(f"steps_per_turn = {self.steps_per_turn}: give the motor steps of a full turn")
+        if self.reference not in (SWITCH, HERE):
+            raise SettingsError(f'reference = "{self.reference}": must be one of {SWITCH}, {HERE}')
+        if self.reference == HERE and not self.first <= 0 <= self.last:
+            raise SettingsError(
+                f'first = {self.first}, last = {self.last}: with reference = "{HERE}" it is homed at 0, which has to '
+                "lie between them"
+            )
+        if self.reference == SWITCH and self.switch > self.first - self.approach:
             raise SettingsError(
                 f"switch = {self.switch}: moves end from below, so the switch has to be at least {self.approach} steps "
                 f"below the first place, {self.first}: give {self.first - self.approach} or less"
@@ -66,8 +82,8 @@ class Travel:
         """Steps from the switch to the last place."""
         return self.last - self.switch
 
-    def check(self, steps: Sequence[int]) -> None:
-        """See that the stage may be sent to all of these.
+    def check(self, steps: Sequence[int], name: str = "stage") -> None:
+        """See that the axis of that name may be sent to all of these.
 
         Raises:
             SettingsError: it may not.
@@ -75,7 +91,7 @@ class Travel:
         low, high = min(steps), max(steps)
         if low < self.first or high > self.last:
             asked = f"step {low}" if low == high else f"steps {low} to {high}"
-            raise SettingsError(f"{asked}: the stage goes from {self.first} to {self.last}: stay between them")
+            raise SettingsError(f"{asked}: the {name} goes from {self.first} to {self.last}: stay between them")
 
     def legs(self, start: int, target: int) -> list[int]:
         """Where to go one after the other: the last leg comes from below, and none is too short to be watched."""

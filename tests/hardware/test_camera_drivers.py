@@ -47,16 +47,16 @@ def test_a_video_by_opencv(tmp_path: Path):
     writer.release()
     camera = OpenCvCamera(str(tmp_path / "v.avi"))
     with pytest.raises(CameraError, match="open it first"):
-        camera.expose(0)
+        camera.expose({"stage": 0})
     camera.open()
     camera.configure(0.02)
-    first, second = camera.expose(0), camera.expose(2000)
+    first, second = camera.expose({"stage": 0}), camera.expose({"stage": 2000})
     assert first.image[..., 0].mean() == pytest.approx(200, abs=5)
     assert first.image[..., 2].mean() < 10
     assert second.image[..., 0].mean() == pytest.approx(100, abs=5)
-    assert second.step_count == 2000
+    assert second.positions == {"stage": 2000}
     with pytest.raises(CameraError, match="the video has ended"):
-        camera.expose(4000)
+        camera.expose({"stage": 4000})
     camera.close()
     camera.close()
 
@@ -74,16 +74,16 @@ def test_photographs_in_their_order_and_by_their_steps(tmp_path: Path):
     camera = FolderCamera(paths)
     assert isinstance(camera, CameraDriver)
     camera.open()
-    assert [int(camera.expose(i).image[0, 0, 0]) for i in range(2)] == [100, 20]
+    assert [int(camera.expose({"stage": i}).image[0, 0, 0]) for i in range(2)] == [100, 20]
     with pytest.raises(CameraError, match="2 in all"):
-        camera.expose(2)
-    camera = FolderCamera(paths, steps=[500, 0])
-    assert [int(camera.expose(i).image[0, 0, 0]) for i in (500, 0, 500)] == [100, 20, 100]
+        camera.expose({"stage": 2})
+    camera = FolderCamera(paths, positions=[{"stage": 500}, {"stage": 0}])
+    assert [int(camera.expose({"stage": i}).image[0, 0, 0]) for i in (500, 0, 500)] == [100, 20, 100]
     with pytest.raises(CameraError, match="step 1000"):
-        camera.expose(1000)
+        camera.expose({"stage": 1000})
     paths[0].write_bytes(b"")
     with pytest.raises(CameraError, match="can be decoded"):
-        camera.expose(500)
+        camera.expose({"stage": 500})
     with pytest.raises(CameraError, match="no photographs"):
         FolderCamera([]).open()
 
@@ -131,16 +131,16 @@ def test_gphoto2(monkeypatch: pytest.MonkeyPatch):
     camera = GPhotoCamera()
     assert isinstance(camera, CameraDriver)
     with pytest.raises(CameraError, match="open it first"):
-        camera.expose(0)
+        camera.expose({"stage": 0})
     camera.open()
     camera.configure(0.08, gain=1.9)
     assert chosen == {"shutterspeed": "1/10", "iso": "200"}
-    frame = camera.expose(40)
+    frame = camera.expose({"stage": 40})
     assert frame.image[..., 0].mean() == pytest.approx(200, abs=5)
-    assert (frame.step_count, frame.exposure_s, len(deleted)) == (40, 0.08, 1)
+    assert (frame.positions, frame.exposure_s, len(deleted)) == ({"stage": 40}, 0.08, 1)
     device.capture = lambda kind: (_ for _ in ()).throw(OSError("[-110] I/O in progress"))
     with pytest.raises(CameraError, match="I/O in progress: focus by hand"):
-        camera.expose(40)
+        camera.expose({"stage": 40})
     camera.close()
     camera.close()
 
@@ -184,15 +184,15 @@ def test_genicam(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     camera.open()
     camera.configure(0.005, gain=10.0)
     assert (nodes.ExposureTime.value, nodes.Gain.value, nodes.TriggerMode.value) == (5000, 20, "On")
-    image = camera.expose(0).image
+    image = camera.expose({"stage": 0}).image
     assert (image.dtype, image.shape) == (np.uint16, (2, 3))
     assert triggers == ["triggered", "queued again"]
     with pytest.raises(CameraError, match="BayerRG8"):
-        camera.expose(0)
+        camera.expose({"stage": 0})
     with pytest.raises(NoAnswerError, match="check its cable"):
-        camera.expose(0)
+        camera.expose({"stage": 0})
     acquirer.try_fetch = lambda timeout: (_ for _ in ()).throw(OSError("device is gone"))
     with pytest.raises(CameraError, match="device is gone: check its cable"):
-        camera.expose(0)
+        camera.expose({"stage": 0})
     camera.close()
     camera.close()

@@ -62,7 +62,7 @@ def test_home_move_shoot_scan(scanner: Path, capsys: pytest.CaptureFixture[str])
     assert main(["home"]) == 0
     assert "stands at step 0" in capsys.readouterr().out
     assert main(["move", "1234", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"step_count": 1234}
+    assert json.loads(capsys.readouterr().out) == {"positions": {"stage": 1234}}
     assert main(["shoot", "one.png", "--step", "700"]) == 0
     assert "8 × 6 pixels" in capsys.readouterr().out
     assert main(["scan", "cup", "--frames", "3", "--apart", "2000", "--dark", "--name", "cup"]) == 1
@@ -78,11 +78,11 @@ def test_home_move_shoot_scan(scanner: Path, capsys: pytest.CaptureFixture[str])
 
 def test_a_folder_of_photographs_in_its_order_and_a_scan_by_its_steps(scanner: Path):
     camera = folder_camera(scanner / "recorded")
-    assert [int(camera.expose(0).image[0, 0, 0]) for _ in range(4)] == [0, 20, 40, 60]
+    assert [int(camera.expose({}).image[0, 0, 0]) for _ in range(4)] == [0, 20, 40, 60]
     steps = "steps = [30, 20, 10, 0]"
     (scanner / "recorded" / "scan.toml").write_text(f'[scan]\nframes = "*.png"\n{steps}\n')
     camera = folder_camera(scanner / "recorded")
-    assert [int(camera.expose(step).image[0, 0, 0]) for step in (20, 0, 20)] == [20, 60, 20]
+    assert [int(camera.expose({"stage": step}).image[0, 0, 0]) for step in (20, 0, 20)] == [20, 60, 20]
     with pytest.raises(InputError, match="no such folder"):
         folder_camera(scanner / "nowhere")
 
@@ -167,17 +167,17 @@ def test_a_line_that_is_dead(scanner: Path, capsys: pytest.CaptureFixture[str]):
 def test_devices_that_answer(scanner: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["devices", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["stage"], found["camera"], found["described"]) == ("answers", "opens", "scanner.toml")
+    assert (found["axes"], found["camera"], found["described"]) == ({"stage": "answers"}, "opens", "scanner.toml")
     for kind in ("grbl", "marlin"):
         text = SCANNER.replace("bistep", kind).replace("last =", "steps_per_mm = 250\nlast =")
         (scanner / "scanner.toml").write_text(text)
         assert main(["devices", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["stage"] == "answers"
+        assert json.loads(capsys.readouterr().out)["axes"] == {"stage": "answers"}
         # A controller that is off has no reference either, and does not answer.
         (scanner / "scanner.toml").write_text(text.replace("21000", "21000&drop=1"))
         assert main(["devices", "--json"]) == 0
         found = json.loads(capsys.readouterr().out)
-        assert "check that it is on, cable and baud rate" in found["stage"]
+        assert "check that it is on, cable and baud rate" in found["axes"]["stage"]
         assert "not tried" in found["camera"]
 
 
@@ -198,7 +198,7 @@ def test_calibrate_shows_what_it_sees(
     photograph = np.pad((230 - 200 * squares).astype(np.uint8), 40, constant_values=230)
     for path in (scanner / "recorded").iterdir():
         cv2.imwrite(str(path), cv2.GaussianBlur(photograph, (0, 0), 0.7))
-    monkeypatch.setattr(FolderCamera, "expose", lambda self, step: Frame(read_image("recorded/0.png"), step, 0.0, 0.01))
+    monkeypatch.setattr(FolderCamera, "expose", lambda self, at: Frame(read_image("recorded/0.png"), at, 0.0, 0.01))
     live, asked = scanner / "live.png", []
 
     def answer(prompt: str) -> str:

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +38,11 @@ class GreyCamera:
     def configure(self, exposure_s: float, gain: float = 1.0) -> None:
         self.exposure_s = exposure_s
 
-    def expose(self, step_count: int) -> Frame:
-        if step_count == self.fails_at:
+    def expose(self, positions: Mapping[str, int]) -> Frame:
+        if positions["stage"] == self.fails_at:
             raise CameraError("no photograph: check its cable")
         level = round(self.stage.true_position() / 1000) + (100 if getattr(self.laser, "lit", True) else 0)
-        return Frame(np.full((4, 5, 3), level, np.uint8), step_count, 0.0, self.exposure_s)
+        return Frame(np.full((4, 5, 3), level, np.uint8), positions, 0.0, self.exposure_s)
 
     def close(self) -> None:
         """Nothing."""
@@ -49,7 +50,7 @@ class GreyCamera:
 
 def devices(**how: float) -> Devices:
     stage, laser = SimulatedStage(Travel(last=20000), play=150, **how), SimulatedLaser()
-    return Devices(GreyCamera(stage, laser), stage, laser)
+    return Devices(GreyCamera(stage, laser), {"stage": stage}, laser)
 
 
 def levels(paths: tuple[Path, ...]) -> list[int]:
@@ -58,14 +59,16 @@ def levels(paths: tuple[Path, ...]) -> list[int]:
 
 def test_every_frame_is_on_the_disk_before_the_next_move(tmp_path: Path):
     there = devices()
-    folder = ScanFolder.create(tmp_path / "scan", Plan((0, 5000, 3000), dark=True, exposure_s=0.02, name="cup"))
+    folder = ScanFolder.create(
+        tmp_path / "scan", Plan({"stage": (0, 5000, 3000)}, dark=True, exposure_s=0.02, name="cup")
+    )
     counted = []
 
     def taken(path: Path, frame: Frame) -> None:
         scan = read_scan(tmp_path / "scan")
         counted.append(len(scan.frames))
         assert scan.frames[-1].name == path.name
-        assert there.stage.position() == frame.step_count == scan.steps[-1]
+        assert there.axes["stage"].position() == frame.positions["stage"] == scan.steps[-1]
 
     take(folder, there, taken=taken)
     assert counted == [1, 2, 3]
@@ -81,13 +84,13 @@ def test_a_camera_that_fails_leaves_a_scan_that_goes_on(tmp_path: Path):
     there = devices()
     there.camera.fails_at = 3000
     with pytest.raises(CameraError, match="check its cable"):
-        take(ScanFolder.create(tmp_path / "scan", Plan((0, 1000, 2000, 3000))), there)
+        take(ScanFolder.create(tmp_path / "scan", Plan({"stage": (0, 1000, 2000, 3000)})), there)
     assert not there.laser.lit
     (tmp_path / "scan" / "frames" / "0003.png").write_bytes(b"half a photograph")
     (tmp_path / "scan" / "frames" / ".0003.png.ab.part").write_bytes(b"half")
     there.camera.fails_at = -1
     folder = ScanFolder.resume(tmp_path / "scan")
-    assert folder.left == (3000,)
+    assert folder.left == ({"stage": 3000},)
     take(folder, there)
     assert levels(read_scan(tmp_path / "scan").frames) == [100, 101, 102, 103]
     assert not list((tmp_path / "scan").rglob("*.part"))
@@ -95,11 +98,11 @@ def test_a_camera_that_fails_leaves_a_scan_that_goes_on(tmp_path: Path):
 
 def test_pause_resume_abort_from_another_thread(tmp_path: Path):
     there, control = devices(), Control()
-    folder = ScanFolder.create(tmp_path / "scan", Plan(tuple(range(0, 20000, 1000))))
+    folder = ScanFolder.create(tmp_path / "scan", Plan({"stage": tuple(range(0, 20000, 1000))}))
     at_three, ended = threading.Event(), []
 
     def taken(path: Path, frame: Frame) -> None:
-        if frame.step_count == 2000:
+        if frame.positions["stage"] == 2000:
             control.pause()
             at_three.set()
 
@@ -131,9 +134,9 @@ def test_pause_resume_abort_from_another_thread(tmp_path: Path):
 def test_a_cable_pulled_says_that_stage_and_laser_may_be_on(tmp_path: Path):
     stage = SimulatedStage(Travel(last=20000), pull_s=25)
     laser = RtsLaser(stage.line)
-    there = Devices(GreyCamera(stage, FixedLaser()), stage, laser)
+    there = Devices(GreyCamera(stage, FixedLaser()), {"stage": stage}, laser)
     with pytest.raises(LeftOnError) as caught:
-        take(ScanFolder.create(tmp_path / "scan", Plan(tuple(range(0, 20000, 1000)))), there)
+        take(ScanFolder.create(tmp_path / "scan", Plan({"stage": tuple(range(0, 20000, 1000))})), there)
     assert "LASER MAY STILL BE ON" in str(caught.value)
     assert "STAGE MAY STILL BE MOVING" in str(caught.value)
     assert 1 < len(read_scan(tmp_path / "scan").frames) < 20
@@ -142,25 +145,25 @@ def test_a_cable_pulled_says_that_stage_and_laser_may_be_on(tmp_path: Path):
 @pytest.mark.parametrize("reason", [KeyboardInterrupt, SystemExit, ZeroDivisionError])
 def test_the_laser_goes_off_whatever_happens(reason: type[BaseException]):
     there = devices(speed=10)
-    there.stage.home()
+    there.axes["stage"].home()
     there.laser.on()
 
     def move() -> None:
         with pytest.raises(StoppedError):
-            there.stage.move_to(20000)
+            there.axes["stage"].move_to(20000)
 
     mover = threading.Thread(target=move)
     mover.start()
 
     def fail() -> None:
-        with safely(there.stage, there.laser):
+        with safely(there.axes, there.laser):
             raise reason
 
     with pytest.raises(reason):
         fail()
     mover.join(5)
     assert not there.laser.lit
-    assert not there.stage.line.port.axis.moving(there.stage.line.clock.now_s())
+    assert not there.axes["stage"].line.port.axis.moving(there.axes["stage"].line.clock.now_s())
 
 
 def test_an_interpreter_that_ends_without_the_block_switches_it_off():
@@ -168,7 +171,7 @@ def test_an_interpreter_that_ends_without_the_block_switches_it_off():
 from hardware.safety import safely
 class Laser:
     def off(self): print("off")
-block = safely(None, Laser())
+block = safely({}, Laser())
 block.__enter__()
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
@@ -176,22 +179,31 @@ block.__enter__()
 
 
 def test_scans_that_cannot_be(tmp_path: Path):
-    for wrong in ({"steps": ()}, {"steps": (0, 0)}, {"steps": (0,), "settle_s": -1}, {"steps": (0,), "exposure_s": 0}):
+    once = {"stage": (0,)}
+    for wrong in (
+        {"axes": {"stage": ()}},
+        {"axes": {"stage": (0, 0)}},
+        {"axes": {}},
+        {"axes": {"stage": (0, 1), "turntable": (0,)}},
+        {"axes": {"the stage": (0, 1)}},
+        {"axes": once, "settle_s": -1},
+        {"axes": once, "exposure_s": 0},
+    ):
         with pytest.raises(InputError, match=list(wrong)[-1]):
             Plan(**wrong)
-    ScanFolder.create(tmp_path / "scan", Plan((0, 1000)))
+    ScanFolder.create(tmp_path / "scan", Plan({"stage": (0, 1000)}))
     assert read_scan(tmp_path / "scan").frames == ()
     with pytest.raises(InputError, match="--resume"):
-        ScanFolder.create(tmp_path / "scan", Plan((0,)))
+        ScanFolder.create(tmp_path / "scan", Plan({"stage": (0,)}))
     with pytest.raises(InputError, match="without --resume"):
         ScanFolder.resume(tmp_path / "other")
     there = devices()
-    always = Devices(there.camera, there.stage, FixedLaser())
+    always = Devices(there.camera, there.axes, FixedLaser())
     with pytest.raises(InputError, match="always on"):
-        take(ScanFolder.create(tmp_path / "dark", Plan((0,), dark=True)), always)
+        take(ScanFolder.create(tmp_path / "dark", Plan({"stage": (0,)}, dark=True)), always)
     plan = json.loads((tmp_path / "scan" / "plan.json").read_text())
     take(ScanFolder.resume(tmp_path / "scan"), there)
-    (tmp_path / "scan" / "plan.json").write_text(json.dumps({**plan, "steps": [0, 2000]}))
+    (tmp_path / "scan" / "plan.json").write_text(json.dumps({**plan, "axes": {"stage": [0, 2000]}}))
     with pytest.raises(InputError, match="changed by hand"):
         ScanFolder.resume(tmp_path / "scan")
     (tmp_path / "scan" / "plan.json").write_text(json.dumps({**plan, "settles": 1}))
@@ -201,7 +213,7 @@ def test_scans_that_cannot_be(tmp_path: Path):
 
 def test_a_listed_frame_that_is_not_whole_is_named(tmp_path: Path):
     there = devices()
-    take(ScanFolder.create(tmp_path / "scan", Plan((0, 1000))), there)
+    take(ScanFolder.create(tmp_path / "scan", Plan({"stage": (0, 1000)})), there)
     path = tmp_path / "scan" / "frames" / "0001.png"
     path.write_bytes(path.read_bytes()[:40])
     with pytest.raises(InputError, match=r"0001\.png: the image is cut off"):

@@ -21,7 +21,7 @@ def world() -> SimulatedWorld:
 
 def scanner(world: SimulatedWorld) -> tuple[SimulatedCamera, SimulatedStage, SimulatedLaser]:
     stage, laser = SimulatedStage(Travel(last=80000, backlash=900), play=900), SimulatedLaser()
-    return SimulatedCamera(world, stage, laser), stage, laser
+    return SimulatedCamera(world, {"stage": stage}, laser), stage, laser
 
 
 def test_the_camera_sees_where_the_stage_truly_is(world: SimulatedWorld) -> None:
@@ -37,8 +37,8 @@ def test_the_camera_sees_where_the_stage_truly_is(world: SimulatedWorld) -> None
     stage.line.clock.sleep(5)
     assert stage.true_position() == 29900
     laser.on()
-    image = camera.expose(29000).image
-    assert np.array_equal(camera.expose(29000).image, image)
+    image = camera.expose({"stage": 29000}).image
+    assert np.array_equal(camera.expose({"stage": 29000}).image, image)
 
     def off(steps: float) -> float:
         clean = render(world.rig, world.scene, steps=steps, laser=0, lighting=world.lighting, sensor=rig_2003.SENSOR)
@@ -46,5 +46,5 @@ def test_the_camera_sees_where_the_stage_truly_is(world: SimulatedWorld) -> None
 
     assert off(29900) < 0.95 * off(29000)
     laser.off()
-    dark = camera.expose(29000).image.astype(int)
+    dark = camera.expose({"stage": 29000}).image.astype(int)
     assert (dark[..., 0] - dark[..., 1]).max() < 60

@@ -15,7 +15,7 @@ const mine = () => state?.operator?.seat === bench.seat;
 
 function showState(now) {
   state = now;
-  const { operator, job, place } = now;
+  const { operator, job } = now, { place } = now.axes[moved()];
   const own = mine(), named = operator?.name === bench.name;
   const words = element("operator");
   words.textContent = own ? "You operate the scanner" : operator
@@ -28,6 +28,7 @@ function showState(now) {
   for (const part of document.querySelectorAll("[data-operator]")) part.disabled = !own;
   element("place").textContent = place === null ? "an unknown place: it is homed before it moves" : `${place} steps`;
   if (place !== null && !slides && !own) setPlace(place);
+  showRest();
   element("live").checked = now.live;
   element("live-laser").checked = now.live_laser;
   showJob(job, own);
@@ -43,7 +44,7 @@ function showJob(job, own) {
   if (!job) return;
   const { work } = job, under = UNDER_WAY.includes(job.state), scan = work.kind === "scan";
   const counts = scan || work.kind === "calibrate";
-  element("job-title").textContent = [NAMES[work.kind], work.project ?? work.session, work.kind === "move" && `to ${work.step}`].filter(Boolean).join(" ");
+  element("job-title").textContent = [NAMES[work.kind], work.project ?? work.session, work.kind === "move" && `to ${work.step}`, work.axis && several() && `(${work.axis})`].filter(Boolean).join(" ");
   element("job-state").textContent = job.state;
   element("job-state").className = `badge ${job.state}`;
   element("job-progress").hidden = !counts;
@@ -80,7 +81,7 @@ function showGuide(guide, own) {
 async function showProfile(profile) {
   lastProfile = profile;
   drawProfile(element("profile"), profile);
-  element("profile-of").textContent = `${profile.project}, photograph ${profile.number}, step ${profile.step}`;
+  element("profile-of").textContent = `${profile.project}, photograph ${profile.number}, ${profile.place}`;
   if (!profile.points) return;
   const added = profile.project === cloudOf && cloud.length + profile.points.length === profile.cloud_points;
   if (added) cloud.add(profile.points);
@@ -148,6 +149,56 @@ addEventListener("pageshow", connect);
 
 // --- orders -------------------------------------------------------------------------------------------------------
 
+const several = () => Object.keys(state.axes).length > 1;
+/** The axis that moves by hand, and the one along which a batch is taken. */
+const moved = () => element("axis").value;
+const batch = element("batch").elements;
+const others = [...document.querySelectorAll("[data-at]")];
+
+function limit(field, { first, last }) {
+  field.min = first;
+  field.max = last;
+}
+
+/** The slider goes over the whole of the axis in round steps. */
+function showAxis() {
+  const axis = state.axes[moved()];
+  for (const id of ["slider", "step"]) limit(element(id), axis);
+  element("slider").step = Math.min(100, 10 ** Math.max(0, Math.floor(Math.log10((axis.last - axis.first) / 100))));
+  setPlace(axis.place ?? axis.first);
+  showState(state);
+}
+
+/** The fields of a batch along this axis: how far the photographs are apart, and where the others stand. */
+function showBatch() {
+  const axis = state.axes[batch.axis.value], turns = axis.steps_per_turn !== null;
+  limit(batch.first, axis);
+  batch.first.value = axis.first;
+  element("full-turn").hidden = !turns;
+  batch.full_turn.checked = turns;
+  if (turns) batch.frames.value = Math.min(axis.steps_per_turn, 360);
+  showApart();
+  showRest();
+}
+
+function showApart() { batch.apart.disabled = batch.full_turn.checked; }
+
+/** Where the other axes of a batch stand; one of which nobody has said anything stays where it is. */
+function showRest() {
+  for (const label of others) {
+    const field = label.querySelector("input"), { place } = state.axes[label.dataset.at];
+    label.hidden = label.dataset.at === batch.axis.value;
+    if (!field.dataset.said && document.activeElement !== field) field.value = place ?? "";
+  }
+}
+
+/** Where other axes than this one stand, as far as it is known. */
+function rest(axis) {
+  const at = {};
+  for (const [name, { place }] of Object.entries(state.axes)) if (name !== axis && place !== null) at[name] = place;
+  return at;
+}
+
 function setPlace(step) {
   element("slider").value = step;
   element("step").value = step;
@@ -163,24 +214,28 @@ const onClick = (id, work) => element(id).addEventListener("click", (event) => t
 const order = async (work, words) => { await ask("POST", "/api/jobs", work); say(words); };
 const change = (action) => async () => { await ask("POST", `/api/jobs/${state.job.id}/${action}`); say(""); };
 
+element("axis").addEventListener("change", showAxis);
+batch.axis.addEventListener("change", showBatch);
+batch.full_turn.addEventListener("change", showApart);
+for (const label of others) label.addEventListener("input", ({ target }) => { target.dataset.said = target.value; });
 element("slider").addEventListener("input", () => { slides = true; element("step").value = element("slider").value; });
 element("slider").addEventListener("change", () => { slides = false; });
 element("step").addEventListener("input", () => { element("slider").value = chosen(); });
 
-onClick("take", async () => { showState(await ask("POST", "/api/lock", {})); say(""); if (state.place !== null) setPlace(state.place); });
+onClick("take", async () => { showState(await ask("POST", "/api/lock", {})); say(""); const { place } = state.axes[moved()]; if (place !== null) setPlace(place); });
 onClick("take-over", async () => { showState(await ask("POST", "/api/lock", { take_over: true })); say(""); });
 onClick("leave", async () => { await ask("DELETE", "/api/lock"); say(""); });
-onClick("move", () => order({ kind: "move", step: chosen() }, "on the way"));
+onClick("move", () => order({ kind: "move", axis: moved(), step: chosen() }, "on the way"));
 onClick("home", () => order({ kind: "home" }, "to the reference switch, then to step 0"));
-onClick("check", () => order({ kind: "check" }, "asking stage and camera"));
-onClick("shoot", () => order({ kind: "shoot", project: project(), step: chosen() }, "on the way, then a photograph"));
+onClick("check", () => order({ kind: "check" }, "asking motors and camera"));
+onClick("shoot", () => order({ kind: "shoot", project: project(), axis: moved(), step: chosen(), at: rest(moved()) }, "on the way, then a photograph"));
 onClick("pause", change("pause"));
 onClick("resume", change("resume"));
 onClick("abort", change("abort"));
 
 const stop = async () => {
   const { left_on } = await ask("POST", "/api/stop");
-  say(left_on || "stopped; the stage is homed before it moves again", Boolean(left_on));
+  say(left_on || `stopped; ${several() ? "every axis" : `the ${moved()}`} is homed before it moves again`, Boolean(left_on));
 };
 onClick("stop", stop);
 addEventListener("keydown", (event) => { if (event.key === "Escape" && !element("stop").hidden) trying(stop); });
@@ -188,9 +243,14 @@ addEventListener("keydown", (event) => { if (event.key === "Escape" && !element(
 element("batch").addEventListener("submit", (event) => {
   event.preventDefault();
   const fields = new FormData(event.target), number = (name) => Number(fields.get(name));
+  const at = {};
+  for (const label of others) {
+    const field = label.querySelector("input");
+    if (!label.hidden && field.value) at[label.dataset.at] = Number(field.value);
+  }
   trying(() => order({
-    kind: "scan", project: project(), frames: number("frames"), apart: number("apart"), first: number("first"),
-    settle_s: number("settle_s"), dark: fields.has("dark"),
+    kind: "scan", project: project(), axis: fields.get("axis"), at, frames: number("frames"),
+    apart: fields.has("full_turn") ? null : number("apart"), first: number("first"), settle_s: number("settle_s"), dark: fields.has("dark"),
   }, "the devices are asked first, then it begins"), event.submitter);
 });
 

@@ -3,7 +3,7 @@
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,18 +50,18 @@ class StripeCamera:
     def configure(self, exposure_s: float, gain: float = 1.0) -> None:
         """Nothing."""
 
-    def expose(self, step_count: int) -> Frame:
+    def expose(self, positions: Mapping[str, int]) -> Frame:
         if self.broken:
             raise CameraError("no photograph: check the camera's cable")
         time.sleep(self.exposure_s)
         self.taken += 1
         if self.held is not None:
-            return Frame(self.held, step_count, time.time(), 0.01)
+            return Frame(self.held, positions, time.time(), 0.01)
         image = np.full((ROWS, COLUMNS, 3), 20, np.uint8)
         if self.laser.lit:
             center = 20 + 20 * self.stage.true_position() / TRAVEL.last + 3 * np.sin(np.arange(COLUMNS) / 12)
             image[..., 0] += (200 * np.exp(-((np.arange(ROWS)[:, None] - center) ** 2) / 8)).astype(np.uint8)
-        return Frame(image, step_count, time.time(), 0.01)
+        return Frame(image, positions, time.time(), 0.01)
 
     def close(self) -> None:
         """Nothing."""
@@ -179,9 +179,9 @@ def serve(
     def connect() -> Devices:
         if not camera.stage.line.port.is_open:
             camera.stage = make_stage(speed)
-        return Devices(camera, camera.stage, laser)
+        return Devices(camera, {"stage": camera.stage}, laser)
 
-    lab = Lab(folder, scanner or connect, Habits(TRAVEL), **how)
+    lab = Lab(folder, scanner or connect, Habits({"stage": TRAVEL}), **how)
     lab.accounts._hasher = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
     if not profiles:
         lab.gallery._measure = lambda *_: None

@@ -27,9 +27,9 @@ def operator(served: Served):
 def test_home_move_shoot_and_batch_into_one_project(served: Served, tmp_path: Path):
     client = operator(served)
     assert ended(client, client.post("/api/jobs", json={"kind": "home"}))["state"] == "done"
-    assert client.get("/api/state").json()["place"] == 0
+    assert client.get("/api/state").json()["axes"]["stage"]["place"] == 0
     assert ended(client, client.post("/api/jobs", json={"kind": "move", "step": 1500}))["state"] == "done"
-    assert client.get("/api/state").json()["place"] == 1500
+    assert client.get("/api/state").json()["axes"]["stage"]["place"] == 1500
     shot = ended(client, client.post("/api/jobs", json={"kind": "shoot", "project": "cup", "step": 300, "settle_s": 0}))
     assert (shot["state"], shot["taken"], shot["user"]) == ("done", 1, OPERATOR)
     done = ended(client, client.post("/api/jobs", json=scan("cup", first=1000)))
@@ -107,7 +107,7 @@ def test_stop_is_at_once(slow: Served):
     job = until(lambda: (job := job_of(client, number))["ended_s"] and job)
     assert (job["state"], job["message"]) == ("aborted", f"stopped by {OPERATOR}")
     assert not slow.moving
-    assert client.get("/api/state").json()["place"] is None
+    assert client.get("/api/state").json()["axes"]["stage"]["place"] is None
 
 
 def test_a_job_that_ends_as_it_is_stopped(slow: Served, monkeypatch: pytest.MonkeyPatch):
