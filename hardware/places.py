@@ -1,11 +1,11 @@
 """Places: where each axis stands for one photograph, and the lists of them that make a scan."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from hardware.errors import SettingsError
-from hardware.stages.travel_settings import Travel
+from hardware.stages.travel_settings import HERE, Travel
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 
@@ -83,6 +83,25 @@ def check_scan(travels: Mapping[str, Travel], places: Sequence[Place]) -> None:
             f"a scan on the {' and '.join(places[0])}: say where the {STAGE} is to stand meanwhile ({STAGE}=STEP), for "
             "what is seen depends on it"
         )
+
+
+def check_zero(travels: Mapping[str, Travel], names: Iterable[str], known: Iterable[str] = ()) -> None:
+    """See that a scan with photographs can be gone on with: an axis without a switch does not find its step 0 again.
+
+    Args:
+        travels: of the scanner's axes.
+        names: the axes of the scan.
+        known: those that have kept their count since.
+
+    Raises:
+        SettingsError: which axis has not.
+    """
+    for name in names:
+        if name in travels and travels[name].reference == HERE and name not in known:
+            raise SettingsError(
+                f"the {name} has no switch, and where its step 0 was for the photographs that are there is lost: begin "
+                "another scan"
+            )
 
 
 def read_places(path: Path) -> tuple[Place, ...]:

@@ -48,11 +48,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Take it."""
+    from hardware.devices import read_scanner
+    from hardware.places import check_zero
     from hardware.scan import Control, take
     from hardware.scan_plan import ScanFolder
 
     if args.resume:
         folder = ScanFolder.resume(args.folder)
+        if folder.done.frames:
+            with as_input():
+                check_zero(read_scanner(args.scanner).travels, folder.plan.axes)
         say(f"{len(folder.done.frames)} of {len(folder.plan.places)} frames are there")
     else:
         folder = ScanFolder.create(args.folder, _plan(args))

@@ -26,7 +26,7 @@ from hardware.lab.orders import Calibrate, Check, Home, Move, Scan, Shoot, Work,
 from hardware.lab.projects import Projects
 from hardware.lab.refusal import CONFLICT, WRONG_VALUE, Refusal
 from hardware.lab.run import Run
-from hardware.places import axes_of, check_places, check_scan, travel_of
+from hardware.places import axes_of, check_places, check_scan, check_zero, travel_of
 from hardware.scan import Devices, ensure_homed, take
 from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder
 from hardware.stages import Travel
@@ -293,9 +293,10 @@ class Worker:
                     f"project {work.project} has a photograph of {in_words(there[0])} already: choose other places, or "
                     "another project",
                 )
+            self._check_zero(folder)
             folder.go_on_at(places, work.settle_s)
             return folder
-        except JaxscanError as error:
+        except (SettingsError, JaxscanError) as error:
             raise Refusal(CONFLICT, str(error).replace(str(path), work.project)) from error
 
     def _unfinished(self, work: Scan) -> ScanFolder:
@@ -303,11 +304,16 @@ class Worker:
         path = self._projects.path(work.project)
         try:
             folder = ScanFolder.resume(path)
+            self._check_zero(folder)
             places = places_of_work(work, self._habits.travels)
             folder.go_on_at([place for place in places if place not in folder.taken], work.settle_s)
-        except JaxscanError as error:
+        except (SettingsError, JaxscanError) as error:
             raise Refusal(CONFLICT, str(error).replace(str(path), work.project)) from error
         return folder
+
+    def _check_zero(self, folder: ScanFolder) -> None:
+        if folder.done.frames:
+            check_zero(self._habits.travels, folder.plan.axes, self._bench.places)
 
     def _go(self, job: Job, folder: ScanFolder | None) -> Job:
         run = Run(job)

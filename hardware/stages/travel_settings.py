@@ -51,13 +51,13 @@ class Travel:
             raise SettingsError(
                 f"rate_steps_s = {self.rate_steps_s}, ramp_steps_s2 = {self.ramp_steps_s2}: give 1 or more for each"
             )
+        if self.steps_per_turn is not None and self.steps_per_turn < 1:
+            raise SettingsError(f"steps_per_turn = {self.steps_per_turn}: give the motor steps of a full turn")
         if self.backlash < 0 or self.first >= self.last:
             raise SettingsError(
                 f"first = {self.first}, last = {self.last}, backlash = {self.backlash}: a stage has some way to go, "
                 "and no negative play"
             )
-        if self.steps_per_turn is not None and self.steps_per_turn < 1:
-            raise SettingsError(f"steps_per_turn = {self.steps_per_turn}: give the motor steps of a full turn")
         if self.reference not in (SWITCH, HERE):
             raise SettingsError(f'reference = "{self.reference}": must be one of {SWITCH}, {HERE}')
         if self.reference == HERE and not self.first <= 0 <= self.last:
