@@ -26,6 +26,7 @@ from hardware.stages import Travel
 PASSWORD = "correct horse battery"
 ADMINISTRATOR, OPERATOR, VIEWER = "maria", "paul", "olga"
 TRAVEL = Travel(last=20000)
+TURNTABLE = Travel(last=3200, steps_per_turn=3200)
 ROWS, COLUMNS = 64, 80
 # Leases: one that a test waits for, one that does not end however busy the machine is.
 LEASE_S, LONG_S = 1.0, 60.0
@@ -67,9 +68,9 @@ class StripeCamera:
         """Nothing."""
 
 
-def make_stage(speed: float) -> SimulatedStage:
+def make_stage(speed: float, travel: Travel = TRAVEL) -> SimulatedStage:
     """A stage that takes its time, or with a speed of 0 none."""
-    stage = SimulatedStage(TRAVEL)
+    stage = SimulatedStage(travel)
     if speed:
         stage.line.clock = stage.line.port.clock = PacedClock(speed)
     return stage
@@ -169,19 +170,25 @@ def serve(
     cert: Path | None = None,
     key: Path | None = None,
     scanner: Callable[[], Devices] | None = None,
+    turntable: bool = False,
     **how: Any,
 ) -> Served:
-    """Serve a lab until it is ended, with another scanner if need be; without profiles JAX compiles nothing."""
+    """Serve a lab until it is ended, with another scanner if need be; without profiles JAX compiles nothing.
+
+    A turntable, which its camera does not see, is connected anew with the stage.
+    """
     laser = SimulatedLaser()
     camera = StripeCamera(make_stage(speed), laser)
+    travels = {"stage": TRAVEL, "turntable": TURNTABLE} if turntable else {"stage": TRAVEL}
     how = {"lease_s": LONG_S, "live_s": 0.05, **how}
 
     def connect() -> Devices:
         if not camera.stage.line.port.is_open:
             camera.stage = make_stage(speed)
-        return Devices(camera, {"stage": camera.stage}, laser)
+        table = {"turntable": make_stage(speed, TURNTABLE)} if turntable else {}
+        return Devices(camera, {"stage": camera.stage, **table}, laser)
 
-    lab = Lab(folder, scanner or connect, Habits({"stage": TRAVEL}), **how)
+    lab = Lab(folder, scanner or connect, Habits(travels), **how)
     lab.accounts._hasher = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
     if not profiles:
         lab.gallery._measure = lambda *_: None

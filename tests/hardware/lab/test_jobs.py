@@ -4,12 +4,14 @@ import io
 import threading
 import time
 import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from serving import COLUMNS, OPERATOR, ROWS, VIEWER, Served, ended, job_of, scan, serve, until
+from serving import COLUMNS, OPERATOR, ROWS, TURNTABLE, VIEWER, Served, ended, job_of, scan, serve, until
 
 import jaxscan
 from jaxscan.files.scan import read_scan
@@ -215,3 +217,90 @@ def test_an_administrator_removes_a_project(served: Served):
     assert administrator.delete("/api/projects/cup").status_code == 204
     assert administrator.delete("/api/projects/cup").status_code == 404
     assert client.get("/api/projects/cup").status_code == 404
+
+
+@pytest.fixture
+def turning(tmp_path: Path) -> Iterator[Served]:
+    """A lab with a turntable, whose motors take time."""
+    served = serve(tmp_path / "lab", speed=10, turntable=True)
+    yield served
+    served.end()
+
+
+def around(project: str, frames: int = 4, **how: object) -> dict[str, object]:
+    """An order for a scan around the turntable."""
+    return {"kind": "scan", "project": project, "axis": "turntable", "frames": frames, "settle_s": 0, **how}
+
+
+def test_jobs_on_two_axes(turning: Served):
+    client = operator(turning)
+    assert ended(client, client.post("/api/jobs", json={"kind": "home", "axis": "turntable"}))["state"] == "done"
+    axes = client.get("/api/state").json()["axes"]
+    assert axes == {
+        "stage": {"place": None, "first": 0, "last": 20000, "steps_per_turn": None},
+        "turntable": {"place": 0, "first": 0, "last": 3200, "steps_per_turn": 3200},
+    }
+    assert ended(client, client.post("/api/jobs", json={"kind": "home"}))["state"] == "done"
+    moved = client.post("/api/jobs", json={"kind": "move", "axis": "turntable", "step": 800})
+    assert ended(client, moved)["state"] == "done"
+    places = {name: axis["place"] for name, axis in client.get("/api/state").json()["axes"].items()}
+    assert places == {"stage": 0, "turntable": 800}
+    shot = {"kind": "shoot", "project": "owl", "axis": "turntable", "step": 100, "at": {"stage": 3000}, "settle_s": 0}
+    assert ended(client, client.post("/api/jobs", json=shot))["state"] == "done"
+    number = client.post("/api/jobs", json=around("owl", at={"stage": 3000})).json()["id"]
+    until(lambda: job_of(client, number)["taken"] == 1)
+    assert client.post("/api/stop").json() == {"left_on": ""}
+    until(lambda: job_of(client, number)["ended_s"])
+    assert {axis["place"] for axis in client.get("/api/state").json()["axes"].values()} == {None}
+    resumed = ended(client, client.post(f"/api/jobs/{number}/resume"))
+    assert (resumed["state"], resumed["taken"]) == ("done", 4)
+    scan = turning.lab.projects.scan("owl")
+    assert scan.axes == {"turntable": (100, 0, 800, 1600, 2400), "stage": (3000,) * 5}
+    again = client.post("/api/jobs", json=around("owl", at={"stage": 3000}))
+    assert "has a photograph of turntable 0, stage 3000 already" in again.json()["detail"]
+    other = client.post("/api/jobs", json={"kind": "shoot", "project": "owl", "step": 5})
+    assert (other.status_code, "for another" in other.json()["detail"]) == (409, True)
+
+
+@pytest.mark.parametrize(
+    ("work", "says"),
+    [
+        ({"kind": "home", "axis": "lift"}, "no axis lift, but stage, turntable"),
+        ({"kind": "move", "axis": "lift", "step": 1}, "no axis lift, but stage, turntable"),
+        ({"kind": "move", "axis": "turntable", "step": 3201}, "the turntable goes from 0 to 3200"),
+        (around("owl"), "where the stage is to stand"),
+        (around("owl", at={"stage": 20001}), "the stage goes from 0 to 20000"),
+        (around("owl", 40, apart=100, at={"stage": 0}), "1.22 turns"),
+        (around("owl", at={"stage": 0, "lift": 0}), "no axis lift"),
+        ({**around("owl"), "axis": "stage"}, "a full turn of the stage"),
+    ],
+)
+def test_axes_that_cannot_be_sent_there(turning: Served, work: dict[str, object], says: str):
+    client = operator(turning)
+    answer = client.post("/api/jobs", json=work)
+    assert (answer.status_code, says in answer.json()["detail"]) == (422, True), answer.text
+    assert client.get("/api/projects").json() == []
+
+
+def test_no_axis_moves_once_nobody_operates(turning: Served):
+    client = operator(turning)
+    ended(client, client.post("/api/jobs", json={"kind": "home"}))
+    number = client.post("/api/jobs", json={"kind": "move", "axis": "turntable", "step": 3200}).json()["id"]
+    client.delete("/api/lock")
+    job = until(lambda: (job := job_of(client, number))["ended_s"] and job)
+    assert job["state"] == "aborted"
+
+
+def test_a_scan_without_a_switch_goes_on_only_while_its_zero_is_known(tmp_path: Path):
+    served = serve(tmp_path / "lab", turntable=True)
+    served.lab.habits.travels["turntable"] = replace(TURNTABLE, reference="here")
+    client = operator(served)
+    done = ended(client, client.post("/api/jobs", json=around("owl", 2, at={"stage": 0})))
+    assert done["state"] == "done"
+    more = client.post("/api/jobs", json=around("owl", 2, at={"stage": 5000}))
+    assert ended(client, more)["state"] == "done"
+    client.post("/api/stop")
+    refused = client.post("/api/jobs", json=around("owl", 2, at={"stage": 9000}))
+    assert refused.status_code == 409
+    assert "the turntable has no switch" in refused.json()["detail"]
+    served.end()

@@ -119,6 +119,61 @@ def test_a_whole_scan(browser: Browser, lab: Served, tmp_path: Path):
         tab.context.close()
 
 
+def test_a_scan_around_the_turntable(browser: Browser, tmp_path: Path):
+    """The axis is chosen, and the stage stands where the page says; shifted, it is gone around once more."""
+    lab = serve(tmp_path / "lab", lease_s=20.0, turntable=True)
+    page, watcher = sign_in(browser, lab, OPERATOR), sign_in(browser, lab, VIEWER, 390)
+    page.get_by_role("button", name="Operate").click()
+    page.get_by_role("button", name="Reset motor").click()
+    expect(page.locator("#place")).to_have_text("0 steps")
+    page.locator("#axis").select_option("turntable")
+    expect(page.locator("#slider")).to_have_attribute("max", "3200")
+    page.fill("#step", "800")
+    page.get_by_role("button", name="Go there").click()
+    expect(page.locator("#place")).to_have_text("800 steps")
+    expect(page.locator("#job-title")).to_have_text("Move to 800 (turntable)")
+    page.fill("#project", "owl")
+    expect(page.locator("[data-at=stage]")).to_be_hidden()
+    page.locator("[name=axis]").select_option("turntable")
+    stage = page.locator("[data-at=stage] input")
+    # It stands where it stood, until something else is said.
+    expect(stage).to_have_value("0")
+    expect(page.locator("[data-at=turntable]")).to_be_hidden()
+    expect(page.locator("[name=full_turn]")).to_be_checked()
+    expect(page.locator("[name=apart]")).to_be_disabled()
+    lab.camera.exposure_s = 0.3
+    page.fill("[name=frames]", "8")
+    stage.fill("5000")
+    page.get_by_role("button", name="Start").click()
+    expect(page.locator("#job-words")).to_contain_text(re.compile("^[2-6] of 8"))
+    page.get_by_role("button", name="Pause").click()
+    expect(watcher.locator("#job-state")).to_have_text("paused")
+    page.get_by_role("button", name="Abort").click()
+    expect(page.locator("#job-state")).to_have_text("aborted")
+    lab.camera.exposure_s = 0.0
+    page.get_by_role("button", name="Go on").click()
+    expect(watcher.locator("#job-words")).to_contain_text("8 of 8 photographs")
+    expect(page.locator("#job-state")).to_have_text("done")
+    # Four more with the stage elsewhere, each a quarter of a turn on, in the same project.
+    page.locator("[name=full_turn]").uncheck()
+    page.fill("[name=frames]", "4")
+    page.fill("[name=apart]", "800")
+    stage.fill("9000")
+    page.get_by_role("button", name="Start").click()
+    expect(page.locator("#job-words")).to_contain_text("4 of 4 photographs")
+    page.fill("[name=frames]", "9")
+    page.get_by_role("button", name="Start").click()
+    expect(page.locator("#said")).to_contain_text("2.00 turns")
+    scan = lab.lab.projects.scan("owl")
+    assert scan.axes == {
+        "turntable": (*range(0, 3200, 400), *range(0, 3200, 800)),
+        "stage": (5000,) * 8 + (9000,) * 4,
+    }
+    for tab in (page, watcher):
+        tab.context.close()
+    lab.end()
+
+
 def test_a_guided_calibration_session(browser: Browser, tmp_path: Path):
     """On the simulated scanner: somebody holds its board in another pose whenever the guide asks for one."""
     keep_compiled()
