@@ -34,7 +34,7 @@ from hardware.cameras.folder import FolderCamera
 from hardware.cameras.opencv import OpenCvCamera
 from hardware.errors import SettingsError
 from hardware.lasers import ControllerLaser, FixedLaser, LaserSwitch, RtsLaser
-from hardware.places import places_of
+from hardware.places import STAGE, TURNTABLE, places_of
 from hardware.protocols import CameraDriver, LaserDriver, StageDriver
 from hardware.scan import Devices
 from hardware.simulated.laser import SimulatedLaser
@@ -43,7 +43,7 @@ from hardware.stages import STAGE_KINDS, Line, Travel
 from hardware.stages.kinds import StageKind
 from hardware.stages.travel_settings import HERE, SWITCH
 from jaxscan.errors import InputError
-from jaxscan.files.axes import STAGE, is_axis_name
+from jaxscan.files.axes import is_axis_name
 from jaxscan.files.listing import natural_key
 from jaxscan.files.settings import read_stripe_settings
 from jaxscan.files.table import Table
@@ -55,9 +55,8 @@ _CAMERAS: Final = ("opencv", "folder", "gphoto2", "genicam", "simulated")
 _LASERS: Final = ("fixed", "rts", "controller", "simulated")
 _TRAVEL: Final = tuple(item.name for item in fields(Travel))
 _IMAGES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-_TURNTABLE: Final = "turntable"
 # The simulated rig of 2003 moves a board over 60 000 steps and an object over 72 000; its turntable has 3200 a turn.
-_SIMULATED: Final = {STAGE: Travel(last=80_000), _TURNTABLE: Travel(last=3200, steps_per_turn=3200)}
+_SIMULATED: Final = {STAGE: Travel(last=80_000), TURNTABLE: Travel(last=3200, steps_per_turn=3200)}
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def _read_axes(table: Table) -> dict[str, AxisSettings]:
                 raise others.error(name, f"[{STAGE}] is given too: keep one of them")
             axes[name] = _read_axis(name, others.table(name, f"[axes.{name}] "))
         if not axes:
-            raise table.error("axes", f"has no axis: add [axes.{_TURNTABLE}], or [{STAGE}]")
+            raise table.error("axes", f"has no axis: add [axes.{TURNTABLE}], or [{STAGE}]")
     return axes
 
 

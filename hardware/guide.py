@@ -1,4 +1,4 @@
-"""A calibration session taken under guidance: what to do with the board next, and the stage's sequence by itself."""
+"""A calibration session taken under guidance: what to do with the board next, and the axes' sequences by itself."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -9,16 +9,19 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from hardware.coverage import ON_STAGE, ViewsSoFar, draw_coverage
+from hardware.coverage import ON_STAGE, ON_TURNTABLE, ViewsSoFar, draw_coverage
 from hardware.frame import Frame
+from hardware.places import STAGE, TURNTABLE
 from hardware.safety import safely
 from hardware.scan import Devices, ensure_homed
 from jaxscan.errors import InputError
-from jaxscan.files.axes import STAGE
-from jaxscan.files.session import SESSION_FILE, Session, StageImages, Views, write_session
+from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableImages, Views, write_session
 from jaxscan.images import Board, StripeSettings, draw_board, find_board, write_image
 
-_LEAST_VIEWS, _LEAST_STAGE = 3, 2
+_LEAST_VIEWS = 3
+# Photographs of the board on an axis.
+_LEAST: Final = {STAGE: 2, TURNTABLE: 3}
+_WISHES: Final = {STAGE: ON_STAGE, TURNTABLE: ON_TURNTABLE}
 # Live, the board is looked for at this length of the longer side.
 _LIVE_SIDE: Final = 640
 
@@ -67,18 +70,19 @@ class Operator(Protocol):
         ...
 
 
-def check_session(views: int, stage_steps: Sequence[int]) -> None:
+def check_session(views: int, stage_steps: Sequence[int], turntable_steps: Sequence[int] = ()) -> None:
     """See that so much can be a session.
 
     Raises:
-        InputError: too few poses, or a single place of the stage, or one twice.
+        InputError: too few poses, or too few places of the stage or the turntable, or one twice.
     """
     if views < _LEAST_VIEWS:
         raise InputError(f"{views} poses of the board: a calibration needs {_LEAST_VIEWS} or more, better 11")
-    if stage_steps and len(set(stage_steps)) < max(_LEAST_STAGE, len(stage_steps)):
-        raise InputError(
-            f"{len(stage_steps)} stage photographs: give {_LEAST_STAGE} or more, at places of their own, or none"
-        )
+    for name, steps in ((STAGE, stage_steps), (TURNTABLE, turntable_steps)):
+        if steps and len(set(steps)) < max(_LEAST[name], len(steps)):
+            raise InputError(
+                f"{len(steps)} {name} photographs: give {_LEAST[name]} or more, at places of their own, or none"
+            )
 
 
 def guided_session(
@@ -89,6 +93,8 @@ def guided_session(
     *,
     views: int = 11,
     stage_steps: Sequence[int] = (),
+    turntable_steps: Sequence[int] = (),
+    turntable_at: int = 0,
     settle_s: float = 0.2,
     stripe: StripeSettings | None = None,
 ) -> Session:
@@ -104,29 +110,35 @@ def guided_session(
         operator: who holds it.
         views: how many poses; the operator may end earlier.
         stage_steps: where to photograph the board on the stage; none for a rig without a stage.
+        turntable_steps: where to photograph it on the turntable; none for a rig without one.
+        turntable_at: where the stage stands meanwhile, if there is one.
         settle_s: how long to wait at each of those.
         stripe: how the laser's stripe is looked for.
 
     Raises:
         InputError: the folder holds something, what was asked for is no session, the operator ended it before the
-            third pose, or fewer than two stage photographs show the board.
+            third pose, the scanner lacks an axis, or fewer than two photographs on the stage, or three on the
+            turntable, show the board.
         HardwareError: as `scan.take`.
     """
-    check_session(views, stage_steps)
+    check_session(views, stage_steps, turntable_steps)
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder}: is not empty: name a folder that is new or empty")
-    if stage_steps and STAGE not in devices.axes:
-        raise InputError(f"{len(stage_steps)} stage photographs: this scanner has no {STAGE}: leave them out (0)")
+    sequences = {STAGE: stage_steps, TURNTABLE: turntable_steps}
+    for name, steps in sequences.items():
+        if steps and name not in devices.axes:
+            raise InputError(f"{len(steps)} {name} photographs: this scanner has no {name}: leave them out (0)")
     stripe = stripe or StripeSettings()
     guide = _Guide(folder, devices, board, operator, stripe)
     with safely(devices.axes, devices.laser):
         guide.hold_board(views)
-        if not stage_steps or not guide.ask(ON_STAGE):
-            return guide.session
-        guide.along_stage(stage_steps, settle_s)
-    stage = guide.session.stage
-    if stage is None or len(stage.images) < _LEAST_STAGE:
-        raise InputError(f"{folder}: fewer than {_LEAST_STAGE} stage photographs show the board: fix it in view")
+        for name, steps in sequences.items():
+            if not steps or not guide.ask(_WISHES[name]):
+                continue
+            if guide.along(name, steps, settle_s, turntable_at) < _LEAST[name]:
+                raise InputError(
+                    f"{folder}: fewer than {_LEAST[name]} {name} photographs show the board: fix it in view"
+                )
     return guide.session
 
 
@@ -179,27 +191,49 @@ class _Guide:
             number, share = len(self.session.views.boards), self._views.share
             self._operator.say(f"view {number}: {100 * share:.0f} % of the image has had a corner")
 
-    def along_stage(self, steps: Sequence[int], settle_s: float) -> None:
-        """Photograph the board along the stage; places where it is not found are left out."""
-        stage = self._axes[STAGE]
-        ensure_homed({STAGE: stage})
+    def along(self, name: str, steps: Sequence[int], settle_s: float, stage_step: int) -> int:
+        """Photograph the board along an axis; places where it is not found are left out.
+
+        Args:
+            name: stage or turntable.
+            steps: its places.
+            settle_s: how long to wait at each.
+            stage_step: where the stage stands while the turntable turns.
+
+        Returns:
+            How many show the board.
+        """
+        axis = self._axes[name]
+        ensure_homed({name: axis})
+        rest = {}
+        if name == TURNTABLE and STAGE in self._axes:
+            ensure_homed({STAGE: self._axes[STAGE]})
+            self._axes[STAGE].move_to(stage_step)
+            rest = {STAGE: stage_step}
+        paths: list[Path] = []
+        places: list[int] = []
         for number, step in enumerate(steps):
-            stage.move_to(step)
-            stage.settle(settle_s)
-            place = stage.position()
-            frame = self._camera.expose({STAGE: place})
+            axis.move_to(step)
+            axis.settle(settle_s)
+            place = axis.position()
+            frame = self._camera.expose({name: place, **rest})
             corners = self._corners(frame)
             if corners is None:
                 self._show(frame, None)
                 self._operator.say(f"step {step}: the board was not found, this place is left out")
                 continue
-            path = self._write("stage", f"{number:02d}.png", frame)
-            before = self.session.stage or StageImages((), ())
-            self.session = replace(self.session, stage=StageImages((*before.images, path), (*before.steps, place)))
-            if len(before.images) + 1 >= _LEAST_STAGE:
+            paths.append(self._write(name, f"{number:02d}.png", frame))
+            places.append(place)
+            if name == STAGE:
+                self.session = replace(self.session, stage=StageImages(tuple(paths), tuple(places)))
+            else:
+                table = TurntableImages(tuple(paths), tuple(places), rest.get(STAGE, 0))
+                self.session = replace(self.session, turntable=table)
+            if len(paths) >= _LEAST[name]:
                 write_session(self.session)
             self._show(frame, corners)
             self._operator.say(f"step {step}: {number + 1} of {len(steps)}")
+        return len(paths)
 
     def _write(self, kind: str, name: str, frame: Frame) -> Path:
         path = self._folder / kind / name

@@ -3,12 +3,14 @@
 import csv
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 from hardware.errors import SettingsError
 from hardware.stages.travel_settings import HERE, Travel
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 
+TURNTABLE: Final = "turntable"
 # Motor steps by the axis's name.
 Place = dict[str, int]
 Axes = Mapping[str, tuple[int, ...]]

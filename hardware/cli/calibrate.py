@@ -2,18 +2,19 @@
 
 import argparse
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from hardware.cli.options import add_scanner_arguments, check_travel, say, scanner
+from hardware.cli.options import add_scanner_arguments, as_input, check_travel, say, scanner
 
 if TYPE_CHECKING:
     from hardware.guide import Operator, Sight
 
-HELP: Final = "take a calibration session: what to do with the board next, then the stage by itself"
+HELP: Final = "take a calibration session: what to do with the board next, then the axes by themselves"
 EXAMPLE: Final = (
     "scanner calibrate session --board 9x6 --square 16\n"
+    "  scanner calibrate session --turntable-frames 16 --turntable-at 18000\n"
     "  scanner calibrate session --show live.png   # a live picture, for a viewer that follows its file"
 )
 # Between two live pictures.
@@ -31,6 +32,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--stage-apart", type=int, default=2000, help="motor steps between them (default: 2000)")
     parser.add_argument(
+        "--turntable-frames",
+        type=int,
+        default=0,
+        help="places of the turntable, once around in equal parts (default: 0; 16 are enough)",
+    )
+    parser.add_argument(
+        "--turntable-at",
+        type=int,
+        metavar="STEP",
+        help="where the stage stands meanwhile, so that the board on the turntable is in view",
+    )
+    parser.add_argument(
         "--show", type=Path, metavar="IMAGE", help="the live picture with corners and coverage, written anew again"
     )
     add_scanner_arguments(parser)
@@ -40,7 +53,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Take it."""
     from hardware.devices import read_scanner
     from hardware.guide import check_session, guided_session
-    from hardware.places import along
+    from hardware.places import STAGE, TURNTABLE, along, full_turn
     from hardware.simulated.operator import simulated_operator
     from jaxscan.atomic import check_writable
     from jaxscan.errors import InputError
@@ -54,9 +67,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.stage_frames < 0:
         raise InputError(f"--stage-frames {args.stage_frames}: give 2 or more, or 0 for a rig without a stage")
     steps = [args.stage_apart * i for i in range(args.stage_frames)]
-    check_session(args.views, steps)
-    if steps:
-        check_travel(settings, along("stage", steps))
+    turns: Sequence[int] = ()
+    if args.turntable_frames:
+        with as_input():
+            turns = full_turn(settings.travels, TURNTABLE, args.turntable_frames)
+        if STAGE in settings.axes and args.turntable_at is None:
+            raise InputError("--turntable-at: say where the stage is to stand while the board on the turntable turns")
+    check_session(args.views, steps, turns)
+    check_travel(settings, along(STAGE, steps))
+    check_travel(settings, along(TURNTABLE, turns, {} if args.turntable_at is None else {STAGE: args.turntable_at}))
     if args.show is not None:
         check_writable(args.show)
     with scanner(args) as devices:
@@ -68,13 +87,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             _Terminal(hand, args.show),
             views=args.views,
             stage_steps=steps,
+            turntable_steps=turns,
+            turntable_at=args.turntable_at or 0,
             stripe=settings.stripe,
         )
-    stage = session.stage
+    stage, table = session.stage, session.turntable
     return {
         "path": str(args.folder),
         "views": len(session.views.boards),
         "stage_images": 0 if stage is None else len(stage.images),
+        "turntable_images": 0 if table is None else len(table.images),
     }
 
 
@@ -127,7 +149,8 @@ class _Terminal:
 
 def describe(result: dict[str, Any]) -> str:
     """What there is, and what to do with it."""
+    around = f", {result['turntable_images']} on the turntable" if result["turntable_images"] else ""
     return (
-        f"{result['path']}: {result['views']} views of the board, {result['stage_images']} along the stage\n"
+        f"{result['path']}: {result['views']} views of the board, {result['stage_images']} along the stage{around}\n"
         f"next: jaxscan calibrate {result['path']} -o rig.json --report report"
     )

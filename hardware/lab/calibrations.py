@@ -23,6 +23,7 @@ class Calibration(BaseModel):
         name: of it.
         views: poses of the board that it holds.
         stage_images: photographs of the board on the stage.
+        turntable_images: and on the turntable.
         changed_s: when the last was taken, seconds since the epoch.
         problem: why it cannot be read; "" where it can.
     """
@@ -30,6 +31,7 @@ class Calibration(BaseModel):
     name: str
     views: int
     stage_images: int
+    turntable_images: int
     changed_s: float
     problem: str = ""
 
@@ -104,6 +106,13 @@ class Calibrations:
         try:
             session = self._session(path)
         except Refusal as refusal:
-            return Calibration(name=path.name, views=0, stage_images=0, changed_s=changed_s, problem=str(refusal))
-        along = 0 if session.stage is None else len(session.stage.images)
-        return Calibration(name=path.name, views=len(session.views.boards), stage_images=along, changed_s=changed_s)
+            return Calibration(
+                name=path.name, views=0, stage_images=0, turntable_images=0, changed_s=changed_s, problem=str(refusal)
+            )
+        return Calibration(
+            name=path.name,
+            views=len(session.views.boards),
+            stage_images=len(session.stage.images) if session.stage else 0,
+            turntable_images=len(session.turntable.images) if session.turntable else 0,
+            changed_s=changed_s,
+        )

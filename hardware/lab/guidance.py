@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 from pydantic import BaseModel
 
-from hardware.coverage import ON_STAGE
+from hardware.coverage import ON_STAGE, ON_TURNTABLE
+from hardware.places import STAGE, TURNTABLE
 
 if TYPE_CHECKING:
     from hardware.guide import Sight
@@ -21,7 +22,7 @@ class Guide(BaseModel):
 
     Attributes:
         wish: what to do with the board now; "" while photographs are taken.
-        on_stage: whether the board belongs on the stage now, and no more in a hand.
+        on_axis: the axis on which the board belongs now, stage or turntable; "" while it is held in a hand.
         board_seen: whether the board was found in the last photograph.
         covered: the cells of the image, row by row, that have held a corner of the board.
         tilted: the edges of the board that have been towards the camera.
@@ -29,7 +30,7 @@ class Guide(BaseModel):
     """
 
     wish: str = ""
-    on_stage: bool = False
+    on_axis: str = ""
     board_seen: bool = False
     covered: list[list[bool]] = []
     tilted: dict[str, bool] = {}
@@ -74,7 +75,7 @@ class PageOperator:
             self._hand.ready(wish)
         with self._mutex:
             self._waiting, self._answer = True, None
-        self._tell(wish=wish, on_stage=wish == ON_STAGE)
+        self._tell(wish=wish, on_axis={ON_STAGE: STAGE, ON_TURNTABLE: TURNTABLE}.get(wish, ""))
         try:
             while True:
                 self._permit()
@@ -91,7 +92,7 @@ class PageOperator:
         self._permit()
         session = sight.session
         views = len(session.views.boards)
-        self._taken = views + (len(session.stage.images) if session.stage else 0)
+        self._taken = views + sum(len(axis.images) for axis in (session.stage, session.turntable) if axis)
         self._tell(
             board_seen=sight.corners is not None, covered=sight.covered.tolist(), tilted=sight.tilted, views=views
         )

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from hardware.places import Place, along, full_turn
+from hardware.places import STAGE, TURNTABLE, Place, along, full_turn
 from hardware.stages import Travel
 
 # A name is a folder too: nothing in it leads anywhere else.
@@ -89,11 +89,22 @@ class Calibrate(_Work):
     views: int = Field(11, ge=3, le=1000, description="poses of the board")
     stage_frames: int = Field(31, ge=0, le=_MOST_FRAMES, description="places of the stage; 0 for a rig without one")
     stage_apart: Step = 2000
+    turntable_frames: int = Field(0, ge=0, le=_MOST_FRAMES, description="places of the turntable, once around")
+    turntable_at: Step = Field(0, description="where the stage stands meanwhile, motor steps")
 
     @property
     def steps(self) -> tuple[int, ...]:
         """Where the board is photographed on the stage."""
         return tuple(self.stage_apart * i for i in range(self.stage_frames))
+
+
+def turns_of(work: Calibrate, travels: Mapping[str, Travel]) -> tuple[int, ...]:
+    """Where the board is photographed on the turntable.
+
+    Raises:
+        SettingsError: the scanner has none, or it is not known how many steps a turn has.
+    """
+    return full_turn(travels, TURNTABLE, work.turntable_frames) if work.turntable_frames else ()
 
 
 def places_of_work(work: "Work", travels: Mapping[str, Travel]) -> tuple[Place, ...]:
@@ -103,7 +114,8 @@ def places_of_work(work: "Work", travels: Mapping[str, Travel]) -> tuple[Place, 
         SettingsError: a full turn was asked for, of an axis of which it is not known how many steps that is.
     """
     if isinstance(work, Calibrate):
-        return along("stage", work.steps)
+        at = {STAGE: work.turntable_at} if STAGE in travels else {}
+        return (*along(STAGE, work.steps), *along(TURNTABLE, turns_of(work, travels), at))
     if isinstance(work, Move):
         return along(work.axis, (work.step,))
     if isinstance(work, Shoot):

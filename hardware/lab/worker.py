@@ -22,7 +22,7 @@ from hardware.lab.calibrations import Calibrations
 from hardware.lab.guidance import Guide, PageOperator
 from hardware.lab.lock import OperatorLock
 from hardware.lab.logbook import Job, Logbook, State
-from hardware.lab.orders import Calibrate, Check, Home, Move, Scan, Shoot, Work, places_of_work
+from hardware.lab.orders import Calibrate, Check, Home, Move, Scan, Shoot, Work, places_of_work, turns_of
 from hardware.lab.projects import Projects
 from hardware.lab.refusal import CONFLICT, WRONG_VALUE, Refusal
 from hardware.lab.run import Run
@@ -127,7 +127,9 @@ class Worker:
             self._must_be_idle()
             self._check(work)
             folder = self._folder(work)
-            total = work.views + work.stage_frames if isinstance(work, Calibrate) else len(folder.left) if folder else 0
+            total = len(folder.left) if folder else 0
+            if isinstance(work, Calibrate):
+                total = work.views + work.stage_frames + work.turntable_frames
             return self._go(self._logbook.begin(visitor.name, work, total), folder)
 
     def resume(self, number: int, visitor: Visitor) -> Job:
@@ -246,7 +248,7 @@ class Worker:
             if isinstance(work, Calibrate):
                 from hardware.guide import check_session
 
-                check_session(work.views, work.steps)
+                check_session(work.views, work.steps, turns_of(work, self._habits.travels))
                 self._calibrations.new(work.session)
             travels = self._habits.travels
             places = places_of_work(work, travels)
@@ -395,7 +397,13 @@ class Worker:
         hand = simulated_operator(devices.camera, work.views)
         run.operator = PageOperator(permit, self._audience.see, said, hand)
         board = Board.checkerboard((work.columns, work.rows), work.square_mm)
-        how = {"views": work.views, "stage_steps": work.steps, "stripe": self._habits.stripe}
+        how = {
+            "views": work.views,
+            "stage_steps": work.steps,
+            "turntable_steps": turns_of(work, self._habits.travels),
+            "turntable_at": work.turntable_at,
+            "stripe": self._habits.stripe,
+        }
         try:
             guided_session(self._calibrations.new(work.session), devices, board, run.operator, **how)
         finally:

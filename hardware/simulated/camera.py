@@ -14,13 +14,15 @@ from jaxscan.simulation import Body, Scene, Sensor, render, rig_2003
 _EXPOSURE_S = 0.01
 # The view of the object.
 _OBJECT = (0, 0)
+# And that of the board on the turntable.
+_ON_TURNTABLE = (3, 0)
 _AXES = ("stage", "turntable")
 # Makes step counts positive.
 _FAR = 1 << 31
 
 
 class SimulatedWorld:
-    """What stands before the scanner: an object, the board in somebody's hand, or the board on the stage.
+    """What stands before the scanner: an object, the board in somebody's hand, or the board on stage or turntable.
 
     The object stands on the turntable, and that on the stage.
 
@@ -45,7 +47,10 @@ class SimulatedWorld:
         self.view = _OBJECT
 
     def turned(self, steps: float) -> Scene:
-        """What is seen once the turntable has gone so many steps: an object turns with it, and no board does."""
+        """What is seen once the turntable has gone so many steps: it turns an object, and the board that lies on it."""
+        if steps and self.view == _ON_TURNTABLE:
+            (pose,) = rig_2003.turned_boards(self.rig, self._lying, np.array([steps]))
+            return rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
         if steps == 0 or self.view != _OBJECT:
             return self.scene
         return rig_2003.scan_scene(self.rig, rig_2003.turned_on(self.rig, self._bodies, steps))
@@ -64,6 +69,13 @@ class SimulatedWorld:
         self.scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
         self.lighting = rig_2003.BOARD_LIGHTING
         self.view = (2, 0)
+
+    def lay_board(self) -> None:
+        """Lay the board on the turntable."""
+        self._lying = pose = rig_2003.turntable_pose(self.rig, self.seed)
+        self.scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
+        self.lighting = rig_2003.BOARD_LIGHTING
+        self.view = _ON_TURNTABLE
 
 
 class SimulatedCamera:

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 
-from hardware.coverage import ON_STAGE
+from hardware.coverage import ON_STAGE, ON_TURNTABLE
 from hardware.guide import Sight
 from hardware.protocols import CameraDriver
 from hardware.simulated.camera import SimulatedCamera, SimulatedWorld
 
 
 class SimulatedOperator:
-    """Holds the board in one pose of the simulated session after the other, and fixes it on the stage when asked."""
+    """Holds the board in one pose of the simulated session after the other, and fixes it on an axis when asked."""
 
     def __init__(self, world: SimulatedWorld, views: int, say: Callable[[str], object] = lambda words: None):
         self._world, self._views, self._say = world, views, say
@@ -20,6 +20,8 @@ class SimulatedOperator:
         self._say(wish)
         if wish == ON_STAGE:
             self._world.put_board()
+        elif wish == ON_TURNTABLE:
+            self._world.lay_board()
         else:
             self._world.hold_board(self._next % self._views, self._views)
             self._next += 1

@@ -1,8 +1,17 @@
 """What the guide of a calibration session asks for; the session that comes of it is in `test_end_to_end`."""
 
-import numpy as np
+from pathlib import Path
 
+import numpy as np
+import pytest
+
+from hardware.cli.main import main
 from hardware.coverage import ViewsSoFar, draw_coverage
+from hardware.guide import guided_session
+from hardware.scan import Devices
+from jaxscan.errors import InputError
+from jaxscan.files.session import read_session
+from jaxscan.images import find_board, read_image
 from jaxscan.simulation import rig_2003
 
 
@@ -32,3 +41,53 @@ def test_covered_cells_are_drawn_where_they_are() -> None:
     shown = draw_coverage(np.zeros((480, 640, 3), np.uint8), views.covered)
     tint = shown[80::160, 80::160]
     assert np.array_equal(tint[..., 1] > 20, views.covered)
+
+
+def test_the_board_on_the_turntable_of_the_simulated_scanner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its corners are where the true rig sees the board that lies on the table, turned by so many steps."""
+    monkeypatch.chdir(tmp_path)
+    argv = ["calibrate", "session", "--views", "3", "--stage-frames", "2", "--stage-apart", "30000"]
+    assert main([*argv, "--turntable-frames", "3", "--turntable-at", "18000"]) == 0
+    captured = capsys.readouterr()
+    assert "3 views of the board, 2 along the stage, 3 on the turntable" in captured.out
+    assert "lay the board on the turntable" in captured.err
+    session = read_session(tmp_path / "session")
+    table = session.turntable
+    assert table is not None
+    assert (table.steps, table.stage_step) == ((0, 1067, 2133), 18000)
+    rig = rig_2003.with_turntable(rig_2003.simulated_rig(0), 0)
+    lying = rig_2003.turntable_pose(rig, 0)
+    moved = rig_2003.stage_travel(rig, np.array([18000]))
+    poses = rig_2003.turned_boards(rig, lying, np.array(table.steps))
+    for path, pose in zip(table.images, poses, strict=True):
+        found = find_board(session.board, read_image(path))
+        assert found is not None
+        points = session.board.points() @ pose.matrix().T + pose.translation + moved
+        expected = np.asarray(rig_2003._project(rig.camera, points))
+        # A board of an even by an odd number of corners has one order, wherever it is turned.
+        assert np.abs(found.corners - expected).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        (["--turntable-frames", "2", "--turntable-at", "0"], "2 turntable photographs: give 3 or more"),
+        (["--turntable-frames", "4"], "--turntable-at: say where the stage"),
+        (["--turntable-frames", "4", "--turntable-at", "90000"], "the stage goes from 0 to 80000"),
+        (["--turntable-frames", "4000", "--turntable-at", "0"], "give 1 to 3200"),
+    ],
+)
+def test_turntables_that_cannot_be(tmp_path: Path, monkeypatch, capsys, argv: list[str], says: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", "session", *argv]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "session").exists()
+
+
+def test_a_sequence_of_an_axis_that_the_scanner_lacks(tmp_path: Path) -> None:
+    devices = Devices(None, {}, None)  # pyright: ignore[reportArgumentType]
+    for name in ("stage", "turntable"):
+        with pytest.raises(InputError, match=f"3 {name} photographs: this scanner has no {name}"):
+            guided_session(tmp_path, devices, rig_2003.BOARD, None, **{f"{name}_steps": (0, 1, 2)})

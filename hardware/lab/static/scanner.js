@@ -69,11 +69,11 @@ function showGuide(guide, own) {
     element("covered").textContent = `${seen} · corners in ${cells.filter(Boolean).length} of ${cells.length} parts of the image · tilted: ${edges}`;
     element("covered").classList.toggle("seen", guide.board_seen);
   }
-  const comes = own && asks && element("take-view").hidden, held = !guide?.on_stage;
+  const comes = own && asks && element("take-view").hidden, held = !guide?.on_axis;
   element("take-view").hidden = !(own && asks);
-  element("take-view").textContent = held ? "Take" : "Begin the stage's sequence";
+  element("take-view").textContent = held ? "Take" : `Begin the ${guide.on_axis}'s sequence`;
   element("enough").hidden = !(own && asks && guide.views >= 3);
-  element("enough").textContent = held ? "Enough poses" : "No stage";
+  element("enough").textContent = held ? "Enough poses" : `No ${guide.on_axis}`;
   // Whoever holds the board has one hand: Enter or the space bar takes the next view too.
   if (comes && !document.activeElement.matches("input")) element("take-view").focus();
 }

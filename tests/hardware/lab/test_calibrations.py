@@ -68,7 +68,7 @@ def test_a_session_from_the_first_view_to_the_folder(served: Served, tmp_path: P
         assert client.post(f"/api/jobs/{number}/take").status_code == 202
         until(lambda view=view: (guide := asks(watcher)) and guide["views"] == view + 1)
     guide = asks(watcher)
-    assert guide["on_stage"]
+    assert guide["on_axis"] == "stage"
     assert "fix the board on the stage" in guide["wish"]
     assert [any(row) for row in guide["covered"]] == [True, True, True]
     assert guide["tilted"] == {"upper": False, "lower": False, "left": False, "right": False}
