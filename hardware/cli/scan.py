@@ -19,7 +19,7 @@ HELP: Final = "take a scan into a folder; Ctrl-Z pauses it, Ctrl-C ends it, --re
 EXAMPLE: Final = (
     "scanner scan cup --frames 37 --apart 2000\n"
     "  scanner scan cup --resume\n"
-    "  scanner scan owl --axis turntable --full-turn --frames 400 --at stage=18000\n"
+    "  scanner scan owl --axis turntable --full-turn --frames 400 --at stage=37000\n"
     "  scanner scan owl --positions owl.csv   # any mixture: a line `stage,turntable`, then one for each frame"
 )
 
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="go on with the scan in this folder, as it was begun")
     parser.add_argument("--frames", type=int, help="how many")
     apart = parser.add_mutually_exclusive_group()
-    apart.add_argument("--apart", "--per-frame", type=int, metavar="STEPS", help="motor steps from one to the next")
+    apart.add_argument("--apart", type=int, metavar="STEPS", help="motor steps from one to the next")
     apart.add_argument("--full-turn", action="store_true", help="once around, in --frames equal parts")
     apart.add_argument(
         "--positions", type=Path, metavar="CSV", help="the axes' names in a line, then one for each frame"

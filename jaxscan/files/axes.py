@@ -98,7 +98,12 @@ def axes_values(axes: Positions, rules: Rules) -> dict[str, Any]:
         return {"axes": {name: asdict(rule) if rule.per_frame else rule.start for name, rule in rules.items()}}
     if set(axes) <= {STAGE}:
         return {"steps": list(axes.get(STAGE, ()))}
-    return {"axes": {name: list(positions) for name, positions in axes.items()}}
+    # One number stands for all frames; how many these are, an axis that moves says.
+    at_rest = {name: len(positions) > 1 and len(set(positions)) == 1 for name, positions in axes.items()}
+    short = not all(at_rest.values())
+    return {
+        "axes": {name: positions[0] if short and at_rest[name] else list(positions) for name, positions in axes.items()}
+    }
 
 
 def _read_axis(axes: Table, name: str) -> tuple[int, ...] | StepRule:

@@ -97,6 +97,20 @@ def test_axes_by_their_names(folder, written, read):
     assert list(read_scan(folder).axes) == list(read)
 
 
+def test_an_axis_at_rest_is_written_as_one_number(folder):
+    written = Scan(
+        folder / "scan.toml", StripeSettings(), frames(folder), axes={"turntable": (0, 8, 16), "stage": (5, 5, 5)}
+    )
+    write_scan(written)
+    assert "stage = 5\n" in (folder / "scan.toml").read_text()
+    assert read_scan(folder) == written
+    # A video has as many frames as a list has positions.
+    (folder / "v.mp4").write_bytes(b"any")
+    still = dataclasses.replace(written, frames=(), video=folder / "v.mp4", axes={"stage": (5, 5), "lift": (1, 1)})
+    write_scan(still)
+    assert read_scan(folder) == still
+
+
 def test_axes_of_videos(folder):
     (folder / "v.mp4").write_bytes(b"any")
     video = '[scan]\nframes = "v.mp4"\n[scan.axes]\n'

@@ -100,7 +100,7 @@ def test_a_full_turn_and_any_mixture(scanner: Path, capsys: pytest.CaptureFixtur
     assert main(["scan", "mixed", "--positions", "places.csv", "--json"]) == 0
     axes = {"stage": [0, 0, 5000, 5000], "turntable": [0, 1600, 0, 1600]}
     assert json.loads(capsys.readouterr().out)["axes"] == axes
-    assert main(["scan", "again", "--axis", "turntable", "--frames", "2", "--per-frame", "8", "--at", "stage=0"]) == 0
+    assert main(["scan", "again", "--axis", "turntable", "--frames", "2", "--apart", "8", "--at", "stage=0"]) == 0
     assert read_scan("again").axes == {"turntable": (0, 8), "stage": (0, 0)}
 
 
