@@ -10,7 +10,8 @@ from hardware.errors import NoAnswerError, SettingsError
 from hardware.stages.gcode import LETTERS, LOST, MOVING, STILL, GcodeStage, Report
 from hardware.stages.kinds import register_stage
 
-_STATUS = re.compile(rb"<(\w+)(?::\d)?\|MPos:(-?\d+\.\d+(?:,-?\d+\.\d+)*)[^<>]*>")
+_STATUS = re.compile(rb"<(\w+)(?::\d)?\|MPos:([^<>|]+)[^<>]*>")
+_PLACE = re.compile(rb"-?\d+\.\d+")
 _OK = re.compile(rb"(ok|error:\d+|ALARM:\d+)\r?\n")
 # Nothing but the answer itself: `$X` instead of `$H` would say more.
 _BARE_OK = re.compile(rb"^\s*ok\r?\n")
@@ -69,10 +70,13 @@ class Grbl(GcodeStage):
         # In an alarm the motor stands, but may have lost steps.
         state = {b"Idle": STILL, b"Alarm": LOST}.get(status[1], MOVING)
         places, index = status[2].split(b","), LETTERS.index(self.letter)
-        if index >= len(places):
+        if index >= len(places) and all(map(_PLACE.fullmatch, places)):
             raise SettingsError(
                 f"{self.name}: the controller reports {len(places)} axes and no {self.letter}: check axis"
             )
+        # A number beside which a comma was lost, or that was garbled itself.
+        if index >= len(places) or not _PLACE.fullmatch(places[index]):
+            return None
         return Report(state, round(float(places[index]) * abs(self._per_mm)))
 
     def _switched(self, on: bool) -> bool:

@@ -9,8 +9,8 @@ from hardware.stages.gcode import MOVING, STILL, GcodeStage, Report
 from hardware.stages.kinds import register_stage
 
 _ANSWER = re.compile(rb"(?:^|\n)ok\b[^\n]*\n")
-# The first number is where an axis was sent, the second where it is, in steps.
-_PLACE = rb"(?:^|\s)%b:(-?\d+\.\d+) [^\n]*\bCount [^\n]*?\b%b: ?(-?\d+)(?: [^\n]*)?\r?\n(?:[^\n]*\n)*?ok\b[^\n]*\n"
+# The first number is where an axis was sent, the second where it is, in steps; what stands beside them has to be whole.
+_PLACE = rb"%b:(-?\d+\.\d+) [A-Z]:[^\n]* Count %b%b: ?(-?\d+)%b[^\n]*\n(?:[^\n]*\n)*?ok\b[^\n]*\n"
 _SENT_AGAIN = 5
 
 
@@ -31,7 +31,10 @@ class Marlin(GcodeStage):
 
     @cached_property
     def _place(self) -> "re.Pattern[bytes]":
-        return re.compile(_PLACE % (2 * (self.letter.encode(),)))
+        letter = self.letter.encode()
+        # X is the first, and another follows; any other may be the last.
+        around = (b"", rb"(?= [A-Z]:)") if letter == b"X" else (rb"[^\n]* ", rb"(?= [A-Z]:|\r?\n)")
+        return re.compile(_PLACE % (letter, around[0], letter, around[1]))
 
     def _wake(self) -> None:
         self._restart()
