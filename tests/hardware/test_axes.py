@@ -1,9 +1,11 @@
 """Two axes: of one controller on one line, on lines of their own, and in scans of any mixture."""
 
 import json
+import random
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -293,3 +295,27 @@ def _pixels(path: Path) -> np.ndarray:
     from jaxscan.images import read_image
 
     return read_image(path)
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_two_axes_on_a_bad_line_believe_nothing_wrong(seed: int):
+    """Bytes are lost, doubled, garbled and late: whatever position of either is believed, that is where it is."""
+    random_ = random.Random(seed)
+    faults = "".join(
+        f"&{fault}={10 ** random_.uniform(-4, -2):.6f}"
+        for fault in random_.sample(("drop", "double", "garble", "delay"), random_.randint(1, 4))
+    )
+    kind = random_.choice(tuple(KINDS))
+    stage, table = pair(
+        kind, f"{faults}&start=1500&stall_rate=2000&y_stall_rate=2000&seed={random_.randrange(1 << 30)}"
+    )
+    places = [(random_.randrange(12001), random_.randrange(3201)) for _ in range(3)]
+    # Where nothing could be believed the driver says so.
+    with suppress(HardwareError):
+        stage.home()
+        table.home()
+        for place, turn in places:
+            stage.move_to(place)
+            table.move_to(turn)
+            assert (stage.position(), table.position()) == (place, turn)
+            assert true_steps(stage, kind) == pytest.approx((place, 40000 + turn))
