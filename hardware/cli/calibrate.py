@@ -17,6 +17,7 @@ EXAMPLE: Final = (
     "  scanner calibrate session --turntable-frames 16 --turntable-at 18000\n"
     "  scanner calibrate session --show live.png   # a live picture, for a viewer that follows its file"
 )
+_STAGE_FRAMES: Final = 31
 # Between two live pictures.
 _EVERY_S: Final = 0.1
 
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--square", type=float, default=16.0, help="side of its squares, mm (default: 16)")
     parser.add_argument("--views", type=int, default=11, help="poses of the board (default: 11)")
     parser.add_argument(
-        "--stage-frames", type=int, default=31, help="places of the stage (default: 31; 0 for no stage)"
+        "--stage-frames", type=int, help="places of the stage (default: 31 where there is one; 0 for no stage)"
     )
     parser.add_argument("--stage-apart", type=int, default=2000, help="motor steps between them (default: 2000)")
     parser.add_argument(
@@ -64,6 +65,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"--board {args.board}: give columns and rows of inner corners, as 9x6")
     board = Board.checkerboard([int(count) for count in counts], args.square)
     settings = read_scanner(args.scanner)
+    if args.stage_frames is None:
+        args.stage_frames = _STAGE_FRAMES if STAGE in settings.axes else 0
     if args.stage_frames < 0:
         raise InputError(f"--stage-frames {args.stage_frames}: give 2 or more, or 0 for a rig without a stage")
     steps = [args.stage_apart * i for i in range(args.stage_frames)]

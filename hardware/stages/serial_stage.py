@@ -104,7 +104,7 @@ class SerialStage(ABC):
         Raises:
             HardwareError: it did not arrive, or may not be where it says; the text says whether it stands.
         """
-        self.travel.check([step_count], "axis" if len(self._axes) > 1 else "stage")
+        self.travel.check([step_count])
         with self._order():
             self._check_place()
             self._go(step_count)
@@ -172,7 +172,7 @@ class SerialStage(ABC):
         if self._believed is None and self._take_over:
             self._believed = self._settled()
         if self._believed is None:
-            raise NotHomedError(f"{self.name}: the stage has no reference yet: home it (`scanner home`)")
+            raise NotHomedError(f"{self.name}: it has no reference yet: home it (`scanner home`)")
         count = self._settled()
         if count != self._believed:
             raise PositionUncertainError(
@@ -206,7 +206,7 @@ class SerialStage(ABC):
 
     def _check_stop(self) -> None:
         if self._stopping.is_set():
-            raise StoppedError(f"{self.name}: stopped; home the stage before it moves again")
+            raise StoppedError(f"{self.name}: stopped; home it before it moves again")
 
     @contextmanager
     def _order(self, halting: bool = True) -> Iterator[None]:

@@ -82,8 +82,8 @@ class Travel:
         """Steps from the switch to the last place."""
         return self.last - self.switch
 
-    def check(self, steps: Sequence[int], name: str = "stage") -> None:
-        """See that the axis of that name may be sent to all of these.
+    def check(self, steps: Sequence[int], name: str = "axis") -> None:
+        """See that the axis may be sent to all of these; errors call it by its name.
 
         Raises:
             SettingsError: it may not.

@@ -255,3 +255,13 @@ def test_turns():
         check_places(travels, [{"turntable": 1600 * i, "stage": 0} for i in range(4)])
     with pytest.raises(SettingsError, match="no axis lift, but turntable, stage"):
         check_places(travels, [{"lift": 1}])
+
+
+def test_a_session_on_a_scanner_without_a_stage_asks_for_none(scanner: Path, monkeypatch, capsys):
+    alone = SCANNER[: SCANNER.index("[stage]")] + SCANNER[SCANNER.index("[axes.") :]
+    (scanner / "scanner.toml").write_text(alone.replace('"controller"', '"fixed"'))
+    monkeypatch.setattr("builtins.input", lambda prompt: "q")
+    assert main(["calibrate", "session"]) == 2
+    assert "ended after 0 poses" in capsys.readouterr().err
+    assert main(["calibrate", "session", "--stage-frames", "2"]) == 2
+    assert "no axis stage, but turntable" in capsys.readouterr().err

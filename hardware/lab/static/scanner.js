@@ -14,7 +14,12 @@ const mine = () => state?.operator?.seat === bench.seat;
 // --- what is seen -------------------------------------------------------------------------------------------------
 
 function showState(now) {
+  const before = state;
   state = now;
+  if (!before) {
+    limitAxis();
+    showBatch();
+  }
   const { operator, job } = now, { place } = now.axes[moved()];
   const own = mine(), named = operator?.name === bench.name;
   const words = element("operator");
@@ -161,11 +166,16 @@ function limit(field, { first, last }) {
 }
 
 /** The slider goes over the whole of the axis in round steps. */
-function showAxis() {
+function limitAxis() {
   const axis = state.axes[moved()];
   for (const id of ["slider", "step"]) limit(element(id), axis);
   element("slider").step = Math.min(100, 10 ** Math.max(0, Math.floor(Math.log10((axis.last - axis.first) / 100))));
-  setPlace(axis.place ?? axis.first);
+}
+
+function showAxis() {
+  limitAxis();
+  const { place, first } = state.axes[moved()];
+  setPlace(place ?? first);
   showState(state);
 }
 
