@@ -44,7 +44,8 @@ try:
     take(folder, devices, control, taken)
 except StoppedError as stopped:
     print(f"  {stopped}")
-print(f"laser off: {not laser.lit}; still to be taken: {ScanFolder.resume(out / 'cup').left}")
+left = tuple(place["stage"] for place in ScanFolder.resume(out / "cup").left)
+print(f"laser off: {not laser.lit}; still to be taken: {left}")
 
 # Later, or in another program: a new look at the folder, the same devices.
 folder = ScanFolder.resume(out / "cup")
