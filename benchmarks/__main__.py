@@ -47,6 +47,7 @@ SUITES = {
     "surface": "cleaning, floor, mesh and PLY: accuracy and speed (a real pyramid with JAXSCAN_DATA)",
     "merge": "eight views of a figure joined: poses, loop, merged surface, against pairs that are chained",
     "turntable": "a turntable from photographs of the board: axis, angle and place against their σ; scans posed by it",
+    "turning": "scans of a figure while it turns: against the true rig and the makers' recipe, the seam, σ",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
@@ -72,6 +73,7 @@ NOT_QUICK = {
     "exposures",
     "merge",
     "turntable",
+    "turning",
     "batch",
     "lab",
     "growth",

@@ -28,7 +28,9 @@ from benchmarks.pipeline_2003 import Quirks
 from benchmarks.pipelines import MATLAB, OURS, PIPELINES, Pipeline, Taken, matlab
 from benchmarks.simulated import rig_errors
 from jaxscan.errors import JaxscanError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.scan import Scan
+from jaxscan.precision import as_numpy
 from jaxscan.simulation.accuracy import cloud_errors
 from jaxscan.simulation.distance import distance
 from jaxscan.simulation.light import Sensor
@@ -111,10 +113,8 @@ def _with_all_corners(pipeline: Pipeline) -> Pipeline:
 def _one_move_off(taken: Taken, scans: Sequence[Scan]) -> Found:
     """The clouds as the pipeline of 2003 leaves them, one stage move from the first photograph's frame."""
     found = matlab(Quirks(loops=False), transcription)(taken, scans)
-    steps = taken.own.stages[0].steps
-    stage = found.rig.stage
-    assert stage is not None
-    move = np.array([float(c) for c in stage.per_step]) * float(np.diff(steps).mean())
+    steps = taken.own.sequences[0].steps
+    move = as_numpy(found.rig.pose({STAGE: np.float64(np.diff(steps).mean())})).translation
     return replace(found, clouds=tuple(cloud - move for cloud in found.clouds))
 
 

@@ -21,7 +21,7 @@ from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation.distance import distance
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.profile import Profile, true_profile
-from jaxscan.simulation.render import render
+from jaxscan.simulation.render import plane_of, render
 from jaxscan.simulation.scene import Scene
 
 # The laser is dimmed so far that no pixel is full; 16 bits have digits enough.
@@ -50,14 +50,16 @@ def _frame(
     exact = replace(sensor, noise=0.0, bits=16)
     dark = replace(lighting, speckle=0.0, ghost=0.0, ambient=0.0, directional=0.0, highlight=0.0)
     dimmed = replace(dark, laser_power=lighting.laser_power / _DIMMED)
-    ground = _red(render(rig, scene, steps=steps, lighting=lighting, sensor=exact))
+    ground = _red(render(rig, scene, q={"stage": steps}, lighting=lighting, sensor=exact))
     stripes, rows = [], []
     for part in (1 - _ASIDE, 1 + _ASIDE):
         there = _with_sheet(rig, part)
         backdrop = replace(scene, backdrop=(0.0, 0.0, 0.0))
-        stripes.append(_DIMMED * _red(render(there, backdrop, steps=steps, laser=0, lighting=dimmed, sensor=exact)))
-        rows.append(true_profile(there, scene, steps, lighting=lighting).position)
-    seen = true_profile(rig, scene, steps, lighting=lighting)
+        stripes.append(
+            _DIMMED * _red(render(there, backdrop, q={"stage": steps}, laser=0, lighting=dimmed, sensor=exact))
+        )
+        rows.append(true_profile(there, scene, {"stage": steps}, lighting=lighting).position)
+    seen = true_profile(rig, scene, {"stage": steps}, lighting=lighting)
     sigma = _sigma_px(ground, stripes[0], stripes[1], rows[0], rows[1], lighting.speckle, sensor)
     good = np.flatnonzero(np.isfinite(sigma) & np.isfinite(seen.position))
     return _in_mm(rig, scene, seen, good, sigma[good])
@@ -105,9 +107,8 @@ def _in_mm(
     """How far each point is from its true place, and from the surface."""
     position, points = seen.position[columns], seen.points[columns]
     # A point moves within the sheet: along its ray, and aside with its pixel.
-    sheet = np.asarray(rig.lasers[0].omega, float)
     before, after = (
-        rays / (rays @ sheet)[:, None]
+        rays / np.asarray(rig.lights[0].inverse_depth(rays))[:, None]
         for rays in (
             pixel_rays(rig.camera, np.stack([columns, position + aside], axis=-1)) for aside in (-_SMALL_PX, _SMALL_PX)
         )
@@ -118,9 +119,9 @@ def _in_mm(
 
 
 def _with_sheet(rig: Rig, part: float) -> Rig:
-    sheet = rig.lasers[0]
+    sheet = rig.lights[0]
     with float64():
-        return as_numpy(replace(rig, lasers=(LightPlane.create(part * np.asarray(sheet.plane, float), sheet.name),)))
+        return as_numpy(replace(rig, lights=(LightPlane.create(part * plane_of(sheet), sheet.name),)))
 
 
 def _red(image: np.ndarray) -> Float[np.ndarray, "rows columns"]:

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -19,8 +20,8 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, detect_stripe, write_image
 from jaxscan.reconstruction import Kernel, reconstruct
-from jaxscan.reconstruction.triangulate import triangulate
-from jaxscan.rig import Rig
+from jaxscan.reconstruction.triangulate import FramePoses, triangulate
+from jaxscan.rig import Fixed, Rig
 from jaxscan.simulation import rig_2003, true_profile
 from jaxscan.simulation.shapes import box, cup
 
@@ -110,8 +111,8 @@ def _counted(kernel: Kernel, position: Float[np.ndarray, "frames columns"], draw
 
 def _points(kernel: Kernel, position: Float[np.ndarray, "frames columns"]) -> Float[np.ndarray, "frames columns 3"]:
     u = np.broadcast_to(np.arange(COLUMNS, dtype=np.float32), position.shape)
-    flat = [x.astype(np.float32).ravel() for x in (u, position, np.zeros_like(position))]
-    return np.asarray(triangulate(kernel, *flat)).reshape(*position.shape, 3)
+    still = FramePoses.create(Fixed(), {}, len(position))
+    return np.asarray(triangulate(kernel, still, *(jnp.asarray(x, np.float32) for x in (u, position))))
 
 
 def scan(quick: bool) -> list[Metric]:
@@ -136,7 +137,7 @@ def _scanned(rig: Rig, folder: Path, seed: int, frames: int) -> Counts:
     random = np.random.default_rng([seed, 1])
     height, steps, paths, drawn, true = reflectances(random), [], [], [], []
     for i in range(frames):
-        profile = true_profile(rig, scene, apart * i)
+        profile = true_profile(rig, scene, {"stage": apart * i})
         # What stands still has its own generator, begun anew for each photograph; the ghost goes with the stripe.
         own = np.random.default_rng([seed, 2, i])
         one = photograph(profile.position, height, 1.2, _SCAN, own, still=np.random.default_rng([seed, 3]))

@@ -55,7 +55,7 @@ def _truth(frames: int) -> Float[np.ndarray, "frames columns"]:
     bodies = (block, *(body.moved(np.eye(3), np.array([30.0, 0.0, 0.0])) for body in cup(y)))
     scene = rig_2003.scan_scene(rig, bodies)
     apart = 74000 // frames
-    return np.stack([true_profile(rig, scene, apart * i).position for i in range(frames)])
+    return np.stack([true_profile(rig, scene, {"stage": apart * i}).position for i in range(frames)])
 
 
 def _ramp(frames: int) -> Float[np.ndarray, "frames columns"]:

@@ -192,13 +192,14 @@ def _session_errors(observations: Observations, truth: SessionTruth) -> tuple[fl
 @jax.jit
 def _apart(rig: Rig, truth: Rig, T_cam_board: object, pixels: Float[Array, "pixels 2"]) -> Float[Array, "pixels 3"]:
     """Triangulated stripe pixels less where the true sheet meets the true board in the same columns (mm)."""
-    beta, omega = dual_plane(T_cam_board), truth.lasers[0].omega  # pyright: ignore[reportArgumentType]
+    beta = dual_plane(T_cam_board)  # pyright: ignore[reportArgumentType]
 
     def each(pixel: Float[Array, "2"]) -> Float[Array, "3"]:
         exact = pixel
         for _ in range(4):
-            exact = exact.at[1].add(stripe_error(truth, beta, omega, exact, jnp.asarray(True)))
-        return rig.triangulate(pixel, jnp.zeros(())) - truth.triangulate(exact, jnp.zeros(()))
+            x, dx = truth.camera.ray_and_change(exact, jnp.array([0.0, 1.0]))
+            exact = exact.at[1].add(stripe_error(truth.lights[0], beta, x, dx))
+        return rig.triangulate(pixel, {}) - truth.triangulate(exact, {})
 
     return jax.vmap(each)(pixels)
 

@@ -21,9 +21,10 @@ from benchmarks.growth import observations
 from benchmarks.metric import Metric, ratio
 from jaxscan.calibration import Adjustment, calibrate
 from jaxscan.calibration.block_arrow import Arrow, NormalEquations, linearise
-from jaxscan.calibration.bundle import Estimate, as_arrow, solve
+from jaxscan.calibration.bundle import as_arrow, solve
 from jaxscan.calibration.implicit import BlockArrowSolver
 from jaxscan.precision import float64
+from jaxscan.rig import System
 
 VIEWS = 80
 _DAMPING = 1e-4
@@ -39,16 +40,16 @@ def measure(quick: bool) -> list[Metric]:
 
 def step_difference(adjustment: Adjustment) -> Metric:
     """A step from a focal length 2 % off, in units of each unknown's own σ."""
-    (rig, warp), poses = adjustment.estimate.shared, adjustment.estimate.poses
-    f = rig.camera.focal
+    start = adjustment.start
+    rig, f = start.rig, start.rig.camera.focal
     off = replace(rig, camera=replace(rig.camera, focal=(1.02 * f[0], 1.02 * f[1])))
-    y, _, residual = as_arrow(Estimate((off, warp), poses), adjustment.free, adjustment.groups, adjustment.noise)
+    y, _, residual = as_arrow(replace(start, rig=off), adjustment.free, adjustment.groups, adjustment.noise)
     value, jacobian = jax.jit(lambda y: linearise(residual, y))(y)
     normal = NormalEquations.create(value, jacobian)
     step, _ = ravel_pytree(normal.damped(jnp.asarray(_DAMPING), normal.diagonal()).step())
 
-    start, back = ravel_pytree(y)
-    J = np.asarray(jax.jit(jax.jacfwd(lambda x: ravel_pytree(residual(back(x)))[0]))(start))
+    at, back = ravel_pytree(y)
+    J = np.asarray(jax.jit(jax.jacfwd(lambda x: ravel_pytree(residual(back(x)))[0]))(at))
     scale = np.linalg.norm(J, axis=0)
     rows = np.concatenate([J / scale, np.sqrt(_DAMPING) * np.eye(len(scale))])
     dense = np.linalg.lstsq(rows, -np.append(ravel_pytree(value)[0], np.zeros(len(scale))), rcond=None)[0]
@@ -58,23 +59,23 @@ def step_difference(adjustment: Adjustment) -> Metric:
 
 def gradients(adjustment: Adjustment, repeats: int) -> list[Metric]:
     """The gradient of f_u with respect to the corners, both ways."""
-    estimate, free, (views,), noise = adjustment.estimate, adjustment.free, adjustment.groups, adjustment.noise
+    start, free, (views,), noise = adjustment.start, adjustment.free, adjustment.groups, adjustment.noise
 
-    def solved(corners: Float[Array, "views corners 2"]) -> tuple[Float[Array, ""], Estimate]:
-        found = solve(estimate, free, (replace(views, corners=corners),), noise).estimate
-        return jnp.asarray(found.shared[0].camera.focal[0]), found
+    def solved(corners: Float[Array, "views 1 corners 2"]) -> tuple[Float[Array, ""], System]:
+        found = solve(start, free, (replace(views, corners=corners),), noise).system
+        return jnp.asarray(found.rig.camera.focal[0]), found
 
     found, minimum = jax.jit(jax.grad(solved, has_aux=True))(views.corners)
     y, _, _ = as_arrow(minimum, free, (views,), noise)
     wanted = jax.tree.map(jnp.zeros_like, y)
     wanted = replace(wanted, shared=wanted.shared.at[0].set(1.0))
 
-    def cost(y: Arrow, corners: Float[Array, "views corners 2"]) -> Float[Array, ""]:
+    def cost(y: Arrow, corners: Float[Array, "views 1 corners 2"]) -> Float[Array, ""]:
         _, _, residual = as_arrow(minimum, free, (replace(views, corners=corners),), noise)
         return 0.5 * (ravel_pytree(residual(y))[0] ** 2).sum()
 
-    def pull_back(solver: lx.AbstractLinearSolver) -> Callable[..., Float[Array, "views corners 2"]]:
-        def gradient(y: Arrow, corners: Float[Array, "views corners 2"]) -> Float[Array, "views corners 2"]:
+    def pull_back(solver: lx.AbstractLinearSolver) -> Callable[..., Float[Array, "views 1 corners 2"]]:
+        def gradient(y: Arrow, corners: Float[Array, "views 1 corners 2"]) -> Float[Array, "views 1 corners 2"]:
             hessian = lx.JacobianLinearOperator(lambda y, _: jax.grad(cost)(y, corners), y)
             adjoint = lx.linear_solve(hessian, wanted, solver).value
             return -jax.vjp(lambda corners: jax.grad(cost)(y, corners), corners)[1](adjoint)[0]

@@ -1,7 +1,7 @@
 """The hot path on whatever device JAX finds, a GPU where there is one: transfer and work apart.
 
 The limits are the device's own: of detection, reading every byte of frames that lie there once; of the kernel, copying
-as many bytes as it reads and writes. The way there and back is timed by itself: it tells what a GPU does for frames
+as many points as it writes. The way there and back is timed by itself: it tells what a GPU does for frames
 that are there already, and what for those that come from files.
 """
 
@@ -80,7 +80,7 @@ def kernel(device: Any, count: int, repeats: int) -> list[Metric]:
     print(f"  {name}: {took / count * 1e9:.3f} ns a point; the copy {24e-9 * count / limit:.0f} GB/s", flush=True)
     return [
         Metric(f"{name}.of_a_copy", limit / took),
-        *_transfer(f"{name}.to_device", 12 * count, send, repeats),
+        *_transfer(f"{name}.to_device", 8 * count, send, repeats),
         # A fetched array is kept with the one on the device: each time one that was not fetched before.
         *_transfer(f"{name}.to_host", 12 * count, lambda: np.array(jnp.copy(points)), repeats),
     ]

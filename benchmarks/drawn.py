@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscan.calibration import Observations, StageSequence, StripePoints, View
+from jaxscan.calibration import BoardSequence, Observations, StripePoints, View
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Camera, Rig
@@ -38,12 +38,12 @@ def exact_session(seed: int, lasers: int = 1) -> tuple[Rig, Observations]:
         rig_2003.IMAGE_SIZE,
         rig_2003.BOARD,
         exact_views(rig, poses),
-        (StageSequence(steps, along),),
-        lasers=tuple(laser.name for laser in rig.lasers),
+        (BoardSequence({"stage": steps}, along),),
+        lasers=tuple(laser.name for laser in rig.lights),
     )
 
 
-def exact_turn(rig: Rig, seed: int) -> StageSequence:
+def exact_turn(rig: Rig, seed: int) -> BoardSequence:
     """What is seen of the board on the turntable of a rig that has one, without any noise."""
     points, turns = rig_2003.BOARD.points(), rig_2003.TURNS_APART * np.arange(rig_2003.TURNTABLE_VIEWS)
     steps = np.full(len(turns), float(rig_2003.TURNTABLE_STAGE_STEP))
@@ -55,7 +55,7 @@ def exact_turn(rig: Rig, seed: int) -> StageSequence:
         )
         for i, (board, moved) in enumerate(zip(boards, rig_2003.stage_travel(rig, steps), strict=True))
     )
-    return StageSequence(steps, views, turns.astype(float))
+    return BoardSequence({"stage": steps, "turntable": turns.astype(float)}, views, "turntable", "rotary")
 
 
 def exact_views(rig: Rig, poses: Pose) -> tuple[View, ...]:
@@ -66,7 +66,7 @@ def exact_views(rig: Rig, poses: Pose) -> tuple[View, ...]:
     ):
         scene = rig_2003.board_scene(rotation, translation)
         X = Pose(rotation, translation).apply(points)
-        stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n) for n in range(len(rig.lasers)))
+        stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n) for n in range(len(rig.lights)))
         views.append(View(f"view-{i}", _project(rig.camera, X), stripes=stripes))
     return tuple(views)
 
@@ -95,7 +95,7 @@ def redrawn(exact: Observations, noise: Noise, random: np.random.Generator) -> O
     return replace(
         exact,
         views=tuple(stripes(corners(view)) for view in exact.views),
-        stages=tuple(replace(stage, views=tuple(map(corners, stage.views))) for stage in exact.stages),
+        sequences=tuple(replace(stage, views=tuple(map(corners, stage.views))) for stage in exact.sequences),
     )
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.pipeline_2003 import Job
-from jaxscan.calibration import Observations, StageSequence, StripePoints, View
+from jaxscan.calibration import BoardSequence, Observations, StripePoints, View
 from jaxscan.calibration.observe import stripe_points
 from jaxscan.images import Board, StripeSettings, read_image, write_image
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
 OMEGA = np.array([0.0001, -0.00494, 0.00303])
 # From one photograph to the next, mm; and in how many motor steps.
@@ -67,7 +67,7 @@ class Drawing:
         """The true rig."""
         with float64():
             camera = Camera.create(self.image_size, np.diag(self.K)[:2], self.K[:2, 2], "radial1", np.array([_K1]))
-            return as_numpy(Rig(camera, (LightPlane.create(OMEGA),), Stage.create(MOVE / STEPS_APART)))
+            return as_numpy(Rig(camera, (LightPlane.create(OMEGA),), Linear.create(MOVE / STEPS_APART)))
 
     def job(self, views: int, stage_views: int, frames: int) -> Job:
         """Boards with stripes, boards on the stage, and a scan of the bare floor."""
@@ -101,7 +101,7 @@ class Drawing:
         )
         along = tuple(View(f"stage-{i}", corners(seen)) for i, seen in enumerate(job.stage_corners))
         steps = STEPS_APART * np.arange(len(along), dtype=float)
-        return Observations(self.image_size, BOARD, views, (StageSequence(steps, along),), lasers=("",))
+        return Observations(self.image_size, BOARD, views, (BoardSequence({"stage": steps}, along),), lasers=("",))
 
     def _seen(
         self,

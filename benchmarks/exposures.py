@@ -46,7 +46,7 @@ def surface(frames: int, names: tuple[Detector, ...]) -> list[Metric]:
     for i in range(frames):
         steps = rig_2003.STEPS_APART * i
         photographs.append([_photograph(rig, scene, steps, t, i) for t in _EXPOSURES])
-        seen = true_profile(rig, scene, steps, lighting=_LIGHTING)
+        seen = true_profile(rig, scene, {"stage": steps}, lighting=_LIGHTING)
         x = (seen.points - origin) @ R[:, 0]
         apart = np.abs(x[:, None] - _EDGES).min(axis=1)
         truth.append(seen.position)
@@ -84,7 +84,7 @@ def _metric(name: Detector, figure: str, value: float) -> Metric:
 def _photograph(rig: Rig, scene: Scene, steps: int, exposure: float, seed: int) -> np.ndarray:
     sensor = Sensor(gain=exposure, noise=2.0)
     seeds = (seed, round(exposure))
-    return render(rig, scene, steps=steps, laser=0, lighting=_LIGHTING, sensor=sensor, seed=seeds)
+    return render(rig, scene, q={"stage": steps}, laser=0, lighting=_LIGHTING, sensor=sensor, seed=seeds)
 
 
 def _by_band(

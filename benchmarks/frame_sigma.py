@@ -59,8 +59,10 @@ def draw(speckle: float, every: int = 1) -> tuple[Photographs, Float[np.ndarray,
     images, rows = [], []
     for i in range(0, rig_2003.SCAN_FRAMES, every):
         steps = i * rig_2003.STEPS_APART
-        images.append(render(rig, scene, steps=steps, laser=0, lighting=lighting, sensor=sensor, seed=(2003, 0, 2, i)))
-        rows.append(true_profile(rig, scene, steps, laser=0, lighting=lighting)[0])
+        images.append(
+            render(rig, scene, q={"stage": steps}, laser=0, lighting=lighting, sensor=sensor, seed=(2003, 0, 2, i))
+        )
+        rows.append(true_profile(rig, scene, {"stage": steps}, laser=0, lighting=lighting)[0])
     return np.stack(images), np.stack(rows)
 
 

@@ -33,6 +33,7 @@ from jaxscan.reconstruction import reconstruct
 from jaxscan.rig import LightPlane, Rig
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import ScanTruth, simulate_scan
+from jaxscan.simulation.render import plane_of
 from jaxscan.simulation.shapes import stair
 
 HEIGHTS = (1.48, 3.68, 8.94, 14.00)
@@ -96,7 +97,7 @@ def rigs(calibration: Calibration, gauges: Sequence[Gauge], random: np.random.Ge
     turned = replace(
         calibration,
         rig=rig,
-        adjustment=eqx.tree_at(lambda a: a.estimate.shared[0].lasers, calibration.adjustment, rig.lasers),
+        adjustment=eqx.tree_at(lambda a: a.start.rig.lights, calibration.adjustment, rig.lights),
     )
     fits = {
         "boards_and_block": refine_by_gauge(calibration, gauges, doubt=()),
@@ -109,18 +110,18 @@ def rigs(calibration: Calibration, gauges: Sequence[Gauge], random: np.random.Ge
 
 def pushed(rig: Rig, random: np.random.Generator) -> Rig:
     """The rig with its light plane turned by 1° about a random axis."""
-    omega = np.array([float(c) for c in rig.lasers[0].plane])
+    omega = plane_of(rig.lights[0])
     aside = np.cross(omega, random.normal(size=3))
     aside *= np.linalg.norm(omega) / np.linalg.norm(aside)
     with float64():
-        return replace(rig, lasers=(as_numpy(LightPlane.create(np.cos(_TURN) * omega + np.sin(_TURN) * aside)),))
+        return replace(rig, lights=(as_numpy(LightPlane.create(np.cos(_TURN) * omega + np.sin(_TURN) * aside)),))
 
 
 def photograph(folder: Path, rig: Rig, y: float, block: Sequence[float], seed: int) -> tuple[GaugeScan, ScanTruth]:
     """Scan a block with the true rig: where the stripe is found, and the truth."""
     truth = simulate_scan(folder, rig, rig_2003.scan_scene(rig, stair(y, block)), seed)
     image = reconstruct(rig, read_scan(folder))
-    return GaugeScan(image.pixels, image.steps), truth
+    return GaugeScan(image.pixels, image.positions), truth
 
 
 def read_block(folder: Path, rig: Rig, block: Sequence[float], y: float, seed: int) -> Reading:

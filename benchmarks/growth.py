@@ -19,10 +19,11 @@ from benchmarks.metric import Metric, ratio
 from benchmarks.timing import timed
 from jaxscan.calibration import Calibration, Observations, View, calibrate
 from jaxscan.calibration.blocks import view_blocks
-from jaxscan.calibration.bundle import Estimate, solve
+from jaxscan.calibration.bundle import solve
 from jaxscan.calibration.residuals import Noise
 from jaxscan.images import Board
 from jaxscan.precision import as_float64, float64
+from jaxscan.rig import System
 
 BOARD = Board.checkerboard([9, 6], 16.0)
 IMAGE_SIZE = (640, 480)
@@ -74,14 +75,14 @@ def timed_step(session: Observations, found: Calibration) -> Callable[[], float]
         rig = replace(rig, camera=replace(rig.camera, focal=(1.02 * f[0], 1.02 * f[1])))
         groups = (view_blocks(session),)
         poses = as_float64(found.system.boards).as_vector()
-        padded = jnp.pad(poses, ((0, len(groups[0].steps) - len(poses)), (0, 0)), constant_values=1.0)
+        padded = jnp.pad(poses, ((0, len(groups[0].corners) - len(poses)), (0, 0)), constant_values=1.0)
         free = jnp.ones(len(jax.tree.leaves(rig)), bool)
         noise = Noise(jnp.asarray(found.corner_sigma_px), jnp.ones(()), jnp.zeros(()))
 
     def seconds() -> float:
         with float64():
             begin = time.perf_counter()
-            outcome = jax.block_until_ready(solve(Estimate((rig, None), (padded,)), free, groups, noise))
+            outcome = jax.block_until_ready(solve(System(rig, (padded,)), free, groups, noise))
             return (time.perf_counter() - begin) / int(outcome.steps)
 
     seconds()

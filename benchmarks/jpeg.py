@@ -23,6 +23,7 @@ from jaxscan.images import StripeSettings, detect_stripe, read_image, write_imag
 from jaxscan.images.stripe_settings import CHANNELS
 from jaxscan.precision import float64
 from jaxscan.simulation import rig_2003
+from jaxscan.simulation.render import plane_of
 
 _ROWS, _FACES, _COLUMNS, _EDGE = 112, 8, 80, 8
 _HIGHEST_MM, _NOISE, _QUALITY = 14.0, 1.5, 90
@@ -138,7 +139,7 @@ def _heights_and_rows() -> Table:
     """In which row of the middle column the sheet meets a plane so far over the platform, counted from a middle row."""
     rig = rig_2003.simulated_rig(0)
     R, origin = rig_2003.platform(rig)
-    omega = np.asarray([float(c) for c in rig.lasers[0].plane])
+    omega = plane_of(rig.lights[0])
     heights = np.linspace(-1.0, _HIGHEST_MM + 1.0, 200)
     # On the sheet, at this height, and in the plane through the middle of the platform.
     planes = np.stack([omega, R[:, 2], R[:, 0]])

@@ -27,7 +27,7 @@ from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction import reconstruct
-from jaxscan.rig import Rig
+from jaxscan.rig import Positions, Rig
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_scan, simulate_session
 from jaxscan.simulation.shapes import stair
@@ -61,11 +61,11 @@ def measure(quick: bool) -> list[Metric]:
             simulate_session(Path(folder) / "session", seed, rig=rig)
             calibration = calibrate(observe(read_session(Path(folder) / "session")))
             scans, on = [], []
-            for i, laser in enumerate(rig.lasers):
+            for i, laser in enumerate(rig.lights):
                 scene = rig_2003.scan_scene(rig, stair(BLOCK_Y, HEIGHTS))
                 truth = simulate_scan(Path(folder) / laser.name, rig, scene, seed, laser=i)
                 image = reconstruct(calibration.rig, read_scan(Path(folder) / laser.name))
-                scans.append(GaugeScan(image.pixels, image.steps, laser=laser.name))
+                scans.append(GaugeScan(image.pixels, image.positions, laser=laser.name))
                 on.append(faces(truth.points, rig, HEIGHTS, BLOCK_Y))
         here = [face_distance(calibration, scans, masks) for masks in zip(*on, strict=True)]
         found += here
@@ -108,32 +108,33 @@ def face_distance(
     return FaceDistance(d, np.sqrt(np.diagonal(by_rig) + by_pixels_a + np.diagonal(by_pixels_b)), float(np.sqrt(mean)))
 
 
-_Seen = tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points"], str]
+_Seen = tuple[Float[np.ndarray, "points 2"], dict[str, Float[np.ndarray, "points"]], str]
 
 
 def _points_on(scan: GaugeScan, on: Bool[np.ndarray, "frames columns"]) -> _Seen:
-    """Pixels and steps of points of a face, evenly over it."""
+    """Pixels, positions of the axes and laser of points of a face, evenly over it."""
     frame, column = np.nonzero(on & np.isfinite(scan.pixels))
     some = np.linspace(0, len(frame) - 1, _POINTS).astype(int)
     frame, column = frame[some], column[some]
     pixels = np.column_stack([column, scan.pixels[frame, column]]).astype(np.float64)
-    return pixels, np.asarray(scan.steps, np.float64)[frame], scan.laser
+    q = {axis: np.asarray(steps, np.float64)[frame] for axis, steps in scan.positions.items()}
+    return pixels, q, scan.laser
 
 
 def _points(
-    rig: Rig, pixels: Float[Array | np.ndarray, "points 2"], steps: Float[Array | np.ndarray, "points"], laser: str
+    rig: Rig, pixels: Float[Array | np.ndarray, "points 2"], q: Positions, laser: str
 ) -> Float[Array, "points 3"]:
     """The points, mm."""
-    return jax.vmap(lambda pixel, n: rig.triangulate(pixel, n, laser))(jnp.asarray(pixels), jnp.asarray(steps))
+    return jax.vmap(lambda pixel, q: rig.triangulate(pixel, q, laser))(jnp.asarray(pixels), q)
 
 
 @eqx.filter_jit
 def _triangulated(
-    rig: Rig, pixels: Float[Array | np.ndarray, "points 2"], steps: Float[Array | np.ndarray, "points"], laser: str
+    rig: Rig, pixels: Float[Array | np.ndarray, "points 2"], q: Positions, laser: str
 ) -> tuple[Float[Array, "points 3"], Float[Array, "points 3"]]:
     """The points, mm, and how they move with v, mm a pixel."""
     down = jnp.broadcast_to(jnp.array([0.0, 1.0]), pixels.shape)
-    return jax.jvp(lambda pixels: _points(rig, pixels, steps, laser), (jnp.asarray(pixels),), (down,))
+    return jax.jvp(lambda pixels: _points(rig, pixels, q, laser), (jnp.asarray(pixels),), (down,))
 
 
 @eqx.filter_jit

@@ -62,11 +62,13 @@ def measure(quick: bool) -> list[Metric]:
     """Drawn, and in the long form photographed."""
     rig = rig_2003.simulated_rig(0)
     scenes, truth = turned(rig)
-    drawn = [drawn_scan(rig, scene, _STEPS, _STRIPE_PX, k) for k, scene in enumerate(scenes)]
+    drawn = [drawn_scan(rig, scene, {"stage": _STEPS}, _STRIPE_PX, k) for k, scene in enumerate(scenes)]
     metrics = joined("merge.drawn", sides_of(scan.image for scan in drawn), truth, scenes[0])
     off, chained, predicted = [], {how: [] for how in CHAINS}, []
     for seed in range(2 if quick else 6):
-        noisy = [noisy_scan(rig, scan.position, _STEPS, _STRIPE_PX, 8 * seed + k) for k, scan in enumerate(drawn)]
+        noisy = [
+            noisy_scan(rig, scan.position, {"stage": _STEPS}, _STRIPE_PX, 8 * seed + k) for k, scan in enumerate(drawn)
+        ]
         sides = sides_of(noisy)
         found = register(sides, truth)
         off.append(errors(found.poses, truth, found.centre))

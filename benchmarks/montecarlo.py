@@ -21,12 +21,11 @@ from tqdm import tqdm
 from benchmarks.drawn import Noise, exact_session, redrawn
 from benchmarks.metric import Metric
 from jaxscan.calibration import Observations, calibrate, residuals
-from jaxscan.calibration.blocks import reference_step, stage_blocks, view_blocks
-from jaxscan.calibration.bundle import Estimate
+from jaxscan.calibration.blocks import reference_positions, sequence_blocks, view_blocks
 from jaxscan.calibration.uncertainty import precision
 from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.point_sigma import point_covariance
-from jaxscan.rig import Covariance, Rig
+from jaxscan.rig import Covariance, Rig, System
 from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation import rig_2003
 
@@ -106,12 +105,14 @@ def solve(exact: Observations, truth: Float[np.ndarray, "n"], random: np.random.
     pixels = _PIXELS + NOISE.stripe * random.normal(size=(len(_PIXELS), 1)) * [0.0, 1.0]
     with float64():
         projected, points = _measured(as_float64(rig), jnp.asarray(_POINTS), jnp.asarray(pixels), jnp.asarray(_STEPS))
-    of_points = point_covariance(rig, "", covariance, calibration.stripe_sigma_px or 0.0, _PIXELS, _STEPS, columns=True)
+    of_points = point_covariance(
+        rig, "", covariance, calibration.stripe_sigma_px or 0.0, _PIXELS, {"stage": _STEPS}, True
+    )
     poses = [
         np.concatenate([pose.rotation[0], pose.translation[0]]).astype(np.float64)
-        for pose in (system.boards, system.stages)
+        for pose in (system.boards, system.moved)
     ]
-    joint = (calibration.board_covariances[0], calibration.stage_covariances[0])
+    joint = (calibration.board_covariances[0], calibration.moved_covariances[0])
     return Draw(
         values=np.concatenate([theta, *poses, np.ravel(projected), np.ravel(points)]),
         variances=np.concatenate(
@@ -130,23 +131,21 @@ def solve(exact: Observations, truth: Float[np.ndarray, "n"], random: np.random.
 def _measured(
     rig: Rig, X: Float[Array, "n 3"], pixels: Float[Array, "m 2"], steps: Float[Array, "m"]
 ) -> tuple[Float[Array, "n 2"], Float[Array, "m 3"]]:
-    return jax.vmap(rig.camera.project)(X), jax.vmap(rig.triangulate)(pixels, steps)
+    return jax.vmap(rig.camera.project)(X), jax.vmap(rig.triangulate)(pixels, {"stage": steps})
 
 
 def cramer_rao(rig: Rig, exact: Observations) -> Covariance:
     """The least covariance of any unbiased estimate: at the truth, with the true noise, every observation used."""
     poses, stage = rig_2003.board_poses(rig, 0), rig_2003.stage_pose(rig, 0)
-    at_mean = stage.translation + rig_2003.stage_travel(rig, np.array([reference_step(exact.stages[0])]))[0]
+    at_mean = rig.pose(reference_positions(exact.sequences[0])) @ stage
     with float64():
-        groups = (view_blocks(exact), stage_blocks(exact))
+        groups = (view_blocks(exact), sequence_blocks(exact))
         views = np.concatenate([poses.rotation, poses.translation], axis=1)
-        padded = np.ones((len(groups[0].steps), 6))
+        padded = np.ones((len(groups[0].corners), 6))
         padded[: len(views)] = views
-        estimate = Estimate(
-            (as_float64(rig), None),
-            (jnp.asarray(padded), jnp.asarray(np.concatenate([stage.rotation, at_mean])[None])),
-        )
+        moved = np.concatenate([at_mean.rotation, at_mean.translation])
+        system = System(as_float64(rig), (jnp.asarray(padded), jnp.asarray(moved[None])))
         free = jnp.ones(len(parameter_names(rig)), bool)
         sigma = residuals.Noise(jnp.asarray(NOISE.corner), jnp.asarray(NOISE.stripe), jnp.zeros(()))
-        matrix = np.asarray(precision(estimate, free, groups, sigma).covariance)
+        matrix = np.asarray(precision(system, free, groups, sigma).covariance)
     return Covariance(tuple(parameter_names(rig)), matrix)

@@ -20,7 +20,7 @@ from jaxscan.calibration import Observations
 from jaxscan.files.scan import Scan
 from jaxscan.images import read_image
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
 # Responses, (R − G) + (R − B): a peak of less is no stripe; the centre is that of what reaches a part of the peak,
 # within so many rows of it.
@@ -85,7 +85,7 @@ def found(
         clouds.append(np.stack(cloud))
     with float64():
         camera = Camera.create(image_size, np.diag(K)[:2], K[:2, 2], "brown", k[:2], k[2:])
-        rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Stage.create(jnp.asarray(per_step))))
+        rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Linear.create(jnp.asarray(per_step))))
     return Found(rig, tuple(clouds), lit)
 
 

@@ -178,7 +178,7 @@ def millimetres_for_a_pixel(distance_mm: float, angle_deg: float) -> float:
     omega = np.array([0.0, -1 / np.tan(np.radians(angle_deg)), 1.0]) / distance_mm
     middle = np.array([319.5, 239.5])
     rig = Rig(Camera.create((640, 480), [_FOCAL_PX, _FOCAL_PX], middle, "none", []), (LightPlane.create(omega),))
-    return abs(float(ray_jacobian(rig, "", middle[None], np.zeros(1), True)[1][0]))
+    return abs(float(ray_jacobian(rig, "", middle[None], {}, True)[1][0]))
 
 
 def sigma_of_stripe(width_px: float, height: float, columns: int = 2000) -> float:

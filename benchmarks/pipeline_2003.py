@@ -127,7 +127,7 @@ def job_of(observations: Observations, folder: Path, scan: Scan | None, **more: 
         image_size=observations.image_size,
         board=board,
         corners=np.stack([view.corners for view in observations.views]),
-        stage_corners=np.stack([view.corners for view in observations.stages[0].views]),
+        stage_corners=np.stack([view.corners for view in observations.sequences[0].views]),
         board_photos=tuple(folder / view.name for view in observations.views),
         scan_photos=() if scan is None else tuple(scan.frames),
         **more,

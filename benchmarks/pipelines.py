@@ -21,7 +21,7 @@ from jaxscan.files.scan import Scan
 from jaxscan.files.session import Session
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import reconstruct
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
 OURS: Final = "jaxscan"
 MATLAB: Final = "2003"
@@ -91,7 +91,9 @@ def matlab(quirks: Quirks | None = None, runner: ModuleType | None = None) -> Pi
     runner = runner or (octave if octave.octave() else transcription)
 
     def pipeline(taken: Taken, scans: Sequence[Scan]) -> Found:
-        spacings = {int(n) for steps in (taken.own.stages[0].steps, *(s.steps for s in scans)) for n in np.diff(steps)}
+        spacings = {
+            int(n) for steps in (taken.own.sequences[0].steps, *(s.steps for s in scans)) for n in np.diff(steps)
+        }
         if len(spacings) != 1:
             raise ValueError(f"the pipeline of 2003 moves each photograph by the same: steps apart are {spacings}")
         frames = tuple(frame for scan in scans for frame in scan.frames)
@@ -115,7 +117,7 @@ def matlab(quirks: Quirks | None = None, runner: ModuleType | None = None) -> Pi
 def _rig(outcome: Outcome, image_size: tuple[int, int], steps_apart: int) -> Rig:
     with float64():
         camera = Camera.create(image_size, outcome.focal, outcome.principal, "radial1", np.array([outcome.k1]))
-        stage = Stage.create(jnp.asarray(outcome.stage_move / steps_apart))
+        stage = Linear.create(jnp.asarray(outcome.stage_move / steps_apart))
         return as_numpy(Rig(camera, (LightPlane.create(outcome.laser_plane),), stage))
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -19,10 +18,12 @@ from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
+from jaxscan.geometry import Pose
 from jaxscan.images import Board
 from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import Camera
+from jaxscan.rig.light import distance
 
 # Of the photographs opencv-left, by OpenCV's tutorial.
 _TUTORIAL = {"focal_u": 532.795, "focal_v": 532.919, "principal_u": 342.458, "principal_v": 233.901}
@@ -45,7 +46,7 @@ def measure(quick: bool) -> list[Metric]:
 def corners_only(observations: Observations) -> Observations:
     """The same without stripes and stage."""
     views = tuple(replace(view, stripes=()) for view in observations.views)
-    return replace(observations, views=views, stages=(), lasers=())
+    return replace(observations, views=views, sequences=(), lasers=())
 
 
 def opencv_rms(observations: Observations, flags: int) -> tuple[float, np.ndarray]:
@@ -121,7 +122,6 @@ def _stripe_distance(joint: Calibration, observations: Observations) -> tuple[fl
     with float64():
         camera = as_float64(joint.rig.camera)
         poses = np.asarray(as_float64(joint.system.boards).as_vector())
-        omega = np.stack(joint.rig.lasers[0].plane)
         kept_views, kept_in_region, region = [], 0, 0
         for view, fit, pose in zip(observations.views, joint.fits, poses, strict=True):
             R, t = cv2.Rodrigues(pose[:3])[0], pose[3:]
@@ -133,7 +133,7 @@ def _stripe_distance(joint: Calibration, observations: Observations) -> tuple[fl
             kept_in_region += int(_in_region((kept - t) @ R).sum())
             kept_views.append(kept)
     X = np.concatenate(kept_views)
-    return float(np.sqrt((((X @ omega - 1) / np.linalg.norm(omega)) ** 2).mean())), kept_in_region, region
+    return float(np.sqrt((distance(joint.rig.lights[0], X) ** 2).mean())), kept_in_region, region
 
 
 def _in_region(at: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
@@ -146,7 +146,7 @@ def _in_space(
     """Stripe pixels of one view on its board, in the camera frame (mm)."""
     stripe = replace(view.stripes[0], pixels=pixels)
     one = replace(observations, views=(replace(view, stripes=(stripe,)),))
-    return stripe_points_in_space(one, camera, jnp.asarray(pose)[None], 0)[0]
+    return stripe_points_in_space(one, camera, Pose(pose[None, :3], pose[None, 3:]), 0)[0]
 
 
 def _difference(a: Calibration, b: Calibration) -> list[Metric]:

@@ -12,9 +12,10 @@ from jaxtyping import Float
 
 from benchmarks.real import corners_only
 from jaxscan.calibration import Observations, calibrate
+from jaxscan.calibration.first_poses import poses_of_photographs
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.precision import as_float64, as_numpy, float64
-from jaxscan.rig import LightPlane, Rig, Stage
+from jaxscan.rig import LightPlane, Linear, Rig
 
 _OUTLIER_SIGMA = 4.0
 
@@ -24,7 +25,7 @@ def sequential(observations: Observations) -> Rig:
     first = calibrate(corners_only(observations))
     with float64():
         camera = as_float64(first.rig.camera)
-        poses = as_float64(first.system.boards).as_vector()
+        poses = poses_of_photographs(observations, first.rig.camera, np.asarray(first.system.boards.as_vector()))
         on_board, _ = stripe_on_board(observations, camera, poses)
         points, _ = stripe_points_in_space(on_board, camera, poses, 0)
         plane = LightPlane.create(total_least_squares(points))
@@ -37,7 +38,7 @@ def sequential(observations: Observations) -> Rig:
         )
         k = np.array([*(float(c) for c in camera.radial), 0, 0, 0])[:4]
         per_step = stage_by_line(observations, K, k)
-        return as_numpy(Rig(camera, (plane,), Stage.create(jnp.asarray(per_step))))
+        return as_numpy(Rig(camera, (plane,), Linear.create(jnp.asarray(per_step))))
 
 
 def stage_by_line(
@@ -45,7 +46,7 @@ def stage_by_line(
 ) -> Float[np.ndarray, "3"]:
     """The stage's motion for one step, mm: a least-squares line through the board's translations."""
     steps, translations = [], []
-    for stage in observations.stages:
+    for stage in (sequence for sequence in observations.sequences if sequence.kind == "linear"):
         for count, view in zip(stage.steps, stage.views, strict=True):
             used = view.used()
             _, _, t = cv2.solvePnP(observations.board.points()[used], view.corners[used], K, k)

@@ -116,8 +116,8 @@ def _points(rig: Rig, truth: Rig, pixels: Float[jax.Array, "pixels 2"], which: i
     steps = jnp.asarray(rig_2003.STEPS_APART * (rig_2003.SCAN_FRAMES - 1) / 2)
 
     def each(pixel: Float[jax.Array, "2"]) -> Float[jax.Array, "3"]:
-        mixed = replace(truth, lasers=rig.lasers), replace(truth, camera=rig.camera)
-        return jnp.stack([r.triangulate(pixel, steps) for r in (rig, truth, *mixed)])[which]
+        mixed = replace(truth, lights=rig.lights), replace(truth, camera=rig.camera)
+        return jnp.stack([r.triangulate(pixel, {"stage": steps}) for r in (rig, truth, *mixed)])[which]
 
     return jax.vmap(each)(pixels)
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.special import erf
 
 from benchmarks.metric import Metric
@@ -36,7 +36,8 @@ from jaxscan.images import StripeSettings, write_image
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.reconstruction.triangulate import FramePoses
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 from jaxscan.simulation import Lighting, Scene, Sensor, distance, render
 from jaxscan.simulation.rig_2003 import platform, simulated_rig
 from jaxscan.simulation.shapes import box, floor
@@ -78,7 +79,7 @@ def _world() -> _World:
             "radial1",
             np.stack(whole.camera.radial),
         )
-        return _World(as_numpy(Rig(camera, whole.lasers, whole.stage)), *platform(whole))
+        return _World(as_numpy(Rig(camera, whole.lights, whole.motion)), *platform(whole))
 
 
 def sigma() -> list[Metric]:
@@ -110,7 +111,7 @@ def _error_over_sigma(width: float, noise: float, speed: float) -> Float[np.ndar
     per_step = np.array([0.2, 1.0, 0.004]) * speed * depth / focal / steps_apart
     with float64():
         camera = Camera.create((lines, rows), [focal, focal], [lines / 2, rows / 2])
-        rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Stage.create(per_step)))
+        rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Linear.create(per_step)))
 
     def on_sheet(v: Float[np.ndarray, "frames lines"]) -> Float[np.ndarray, "frames lines 3"]:
         ray = _rays(v, lines, rows, focal)
@@ -126,9 +127,13 @@ def _error_over_sigma(width: float, noise: float, speed: float) -> Float[np.ndar
     random = np.random.default_rng(0)
     frames = 10000 + 20000 * (light + noise * random.standard_normal((2 * half + 16, rows, lines)))
     settings, counts = StripeSettings("grey"), steps_apart * np.arange(len(frames))
-    batch = np.rint(frames).astype(np.uint16), None, counts
-    geometry = Geometry.create(rig, settings, steps_apart)
-    found = list(spacetime_profiles(geometry, width / speed, settings, [batch], DEFAULT, "strongest"))
+    batch = np.rint(frames).astype(np.uint16), None, counts[:, None]
+    geometry = Geometry.create(rig, settings, STAGE, steps_apart, {})
+
+    def frames_at(positions: Int[np.ndarray, "frames 1"]) -> FramePoses:
+        return FramePoses.create(rig.motion, {STAGE: positions[:, 0]}, len(positions))
+
+    found = list(spacetime_profiles(geometry, width / speed, settings, [batch], DEFAULT, "strongest", frames_at))
     points, position, predicted = (
         np.concatenate([getattr(one, name) for one in found])[half : half + 16].astype(np.float64)
         for name in ("points", "position", "sigma")
@@ -233,7 +238,9 @@ def _shoot(folder: Path, world: _World, scene: Scene, frames: int, blur: float, 
     paths, counts = [], tuple(_STEPS * i for i in range(frames))
     for i, n in enumerate(counts):
         paths.append(folder / f"{i:03d}.png")
-        write_image(paths[-1], render(world.rig, scene, steps=n, laser=0, lighting=lighting, sensor=sensor, seed=i))
+        write_image(
+            paths[-1], render(world.rig, scene, q={"stage": n}, laser=0, lighting=lighting, sensor=sensor, seed=i)
+        )
     return Scan(folder / "scan.toml", StripeSettings("red"), tuple(paths), axes={STAGE: counts})
 
 

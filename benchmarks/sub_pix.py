@@ -41,5 +41,7 @@ def with_sub_pix(observations: Observations, folder: Path) -> Observations:
     return replace(
         observations,
         views=tuple(again(view) for view in observations.views),
-        stages=tuple(replace(stage, views=tuple(again(view) for view in stage.views)) for stage in observations.stages),
+        sequences=tuple(
+            replace(stage, views=tuple(again(view) for view in stage.views)) for stage in observations.sequences
+        ),
     )

@@ -41,14 +41,16 @@ from jaxtyping import Float
 from benchmarks.metric import Metric, ratio
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.cloud import Cloud, write_ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.geometry.closest import ClosestOnTriangles
 from jaxscan.geometry.robust_plane import refined_plane
+from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import RangeImage, reconstruct
-from jaxscan.rig import Rig, Stage
+from jaxscan.rig import Linear, Rig
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.robust import NORMAL_MAD
 from jaxscan.simulation import Body, Scene, distance, rig_2003
@@ -162,7 +164,7 @@ def photograph(rig: Rig, scene: Scene) -> Scan:
 def draw(rig: Rig, scene: Scene) -> Scan:
     """Where an ideal camera sees the stripe, plus noise, triangulated with the true rig."""
     steps = rig_2003.STEPS_APART * np.arange(rig_2003.SCAN_FRAMES)
-    drawn = drawn_scan(rig, scene, steps, _STRIPE_PX)
+    drawn = drawn_scan(rig, scene, {"stage": steps}, _STRIPE_PX)
     unknown = np.full(drawn.position.shape, np.nan, np.float32)
     return replace(drawn.image, sigma=unknown, sigma_pixel=unknown), drawn.points, drawn.position
 
@@ -183,7 +185,7 @@ def across(
     t = np.linspace(0, 1, _RAYS_ON_A_SIDE)[None, :, None]
     between = (1 - t) * seen[sides[:, 0], None] + t * seen[sides[:, 1], None]
     rays = pixel_rays(rig.camera, between[..., :2])
-    travel = np.array([float(c) for c in _stage(rig).per_step])
+    travel = as_numpy(rig.pose({STAGE: np.float64(1)})).translation
     origin = -between[..., 2:] * travel
     depth = _trace(scene.cast(np.float32), *(jnp.asarray(x, jnp.float32) for x in (origin, rays)))
     X = origin + np.asarray(depth)[..., None] * rays
@@ -209,7 +211,8 @@ def grid_speed() -> list[Metric]:
     valid = rng.random(x.shape) > 0.01
     points[~valid] = np.nan
     none = np.full(valid.shape, np.nan, np.float32)
-    image = RangeImage(points, none, none, none, none, valid, 100 * np.arange(frames), np.array([0.0, 0.001, 0.0]))
+    stage = as_numpy(Linear.create([0.0, 0.001, 0.0]))
+    image = RangeImage(points, none, none, none, none, valid, {STAGE: 100 * np.arange(frames)}, stage)
     speeds, count = [], 0
     for _ in range(8):
         begin = time.perf_counter()
@@ -314,10 +317,11 @@ def pyramid() -> list[Metric]:
 
 def pyramid_of(seen: RangeImage) -> list[Metric]:
     """The same of its range image, by the rig as it was published."""
-    if seen.per_step is None:
+    if not isinstance(seen.motion, Linear):
         raise ValueError("the rig has no stage")
-    turned = (2 * seen.steps[:, None] * seen.per_step).astype(np.float32)
-    other = replace(seen, points=seen.points + turned[:, None], per_step=-seen.per_step)
+    per_step = np.array([float(x) for x in seen.motion.per_step])
+    turned = (2 * seen.steps[:, None] * per_step).astype(np.float32)
+    other = replace(seen, points=seen.points + turned[:, None], motion=as_numpy(Linear.create(-per_step)))
     metrics = []
     for sign, scanned in (("plus", seen), ("minus", other)):
         image = clean(scanned).image
@@ -378,9 +382,3 @@ def _from_plane(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "poi
 
 def _rms(values: Float[np.ndarray, "values"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _stage(rig: Rig) -> Stage:
-    if rig.stage is None:
-        raise ValueError("the rig has no stage")
-    return rig.stage

@@ -1,6 +1,6 @@
 """Throughput against limits measured in the same run: the kernel, detection, a scan from files to points, memory.
 
-The limit of the kernel is a copy, by two threads, of as many bytes as it reads and writes; of detection, reading every
+The limit of the kernel is a copy, by two threads, of as many points as it writes; of detection, reading every
 byte of the images once; of a scan, decoding its photographs.
 """
 
@@ -30,9 +30,10 @@ from jaxscan.images import StripeSettings, detect_stripe, read_image
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, Scanner
 from jaxscan.reconstruction.frames import aligned
-from jaxscan.reconstruction.triangulate import triangulate_into
-from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
+from jaxscan.reconstruction.triangulate import FramePoses, triangulate_into
+from jaxscan.rig import Camera, Covariance, LightPlane, Linear, Rig
 from jaxscan.rig.rig import parameter_names
+from jaxscan.simulation.render import plane_of
 
 _LENSES = {"radial1": ((-0.134,), ()), "brown": ((-0.27, 0.05, 0.1), (1e-3, -2e-3))}
 # Which detectors a scan is measured with: the default, and the quickest.
@@ -41,6 +42,8 @@ OF_A_SCAN: tuple[Detector, ...] = (DEFAULT, "derivative")
 CLOSED: tuple[Detector, ...] = ("gravity", "derivative")
 OF_A_READ = (*CLOSED, DEFAULT)
 _ROWS, _COLUMNS = 1080, 1920
+# Of each frame that the kernel is timed with.
+_LINES = 1000
 
 
 def measure(quick: bool) -> list[Metric]:
@@ -59,7 +62,7 @@ def rig(columns: int, rows: int, lens: str = "radial1") -> Rig:
     with float64():
         focal, principal = (697.7 * scale, 690.4 * scale), ((columns - 1) / 2, (rows - 1) / 2)
         camera = Camera.create((columns, rows), focal, principal, lens, *_LENSES[lens])
-        stage = Stage.create([0.0, 9e-4, -4e-4])
+        stage = Linear.create([0.0, 9e-4, -4e-4])
         return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), stage))
 
 
@@ -89,21 +92,23 @@ def kernel(quick: bool) -> list[Metric]:
     return metrics
 
 
-def random_pixels(count: int, dtype: str) -> list[Float[np.ndarray, "points"]]:
-    """u, v and motor steps of stripe points anywhere in a photograph."""
+def random_pixels(count: int, dtype: str) -> list[Float[np.ndarray, "frames lines"]]:
+    """U and v of stripe points anywhere in photographs of a thousand lines."""
     random = np.random.default_rng(0)
-    return [random.uniform(0, top, count).astype(dtype) for top in (639, 479, 7e4)]
+    return [random.uniform(0, top, (count // _LINES, _LINES)).astype(dtype) for top in (639, 479)]
 
 
-def triangulation(pixels: Sequence[Float[np.ndarray, "points"]], lens: str) -> Callable[[], jax.Array]:
+def triangulation(pixels: Sequence[Float[np.ndarray, "frames lines"]], lens: str) -> Callable[[], jax.Array]:
     """What triangulates pixels that are on the device, into a buffer there that is used again and again."""
     dtype = pixels[0].dtype.name
-    ready, inputs = Kernel.create(rig(640, 480, lens), dtype=dtype), [jnp.asarray(x) for x in pixels]
-    points = jnp.zeros((len(pixels[0]), 3), dtype)
+    whole, n_frames = rig(640, 480, lens), len(pixels[0])
+    ready, inputs = Kernel.create(whole, dtype=dtype), [jnp.asarray(x) for x in pixels]
+    frames = FramePoses.create(whole.motion, {"stage": np.linspace(0, 7e4, n_frames)}, n_frames, dtype)
+    points = jnp.zeros((*pixels[0].shape, 3), dtype)
 
     def once() -> jax.Array:
         nonlocal points
-        points = jax.block_until_ready(triangulate_into(points, ready, *inputs))
+        points = jax.block_until_ready(triangulate_into(points, ready, frames, *inputs))
         return points
 
     return once
@@ -256,7 +261,7 @@ def stripe_centre(rows: int, u: Int[np.ndarray, "columns"], phase: float) -> Flo
 
 def _plain(scan: Scan, rig: Rig) -> None:
     """What one would write in an afternoon: OpenCV reads, NumPy finds the centre of gravity, frame after frame."""
-    camera, plane = rig.camera, np.stack([float(c) for c in rig.lasers[0].plane])
+    camera, plane = rig.camera, plane_of(rig.lights[0])
     (fu, fv), (u0, v0) = camera.focal, camera.principal
     matrix = np.array([[fu, 0, u0], [0, fv, v0], [0, 0, 1]], np.float64)
     lens = np.array([float(camera.radial[0]), 0, 0, 0])

@@ -27,7 +27,7 @@ from benchmarks.metric import Metric
 from jaxscan.calibration import Calibration, calibrate
 from jaxscan.calibration.observe import observe
 from jaxscan.files.session import read_session
-from jaxscan.rig import Rig, Turntable
+from jaxscan.rig import Rig, Rotary
 from jaxscan.rig.turn_facts import turn_facts
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.drawn import drawn_scan
@@ -53,7 +53,7 @@ def measure(quick: bool) -> list[Metric]:
     for seed in range(rigs):
         plain, exact = exact_session(seed)
         rig = rig_2003.with_turntable(plain, seed)
-        exact = replace(exact, stages=(*exact.stages, exact_turn(rig, seed)))
+        exact = replace(exact, sequences=(*exact.sequences, exact_turn(rig, seed)))
         random = np.random.default_rng([2003, seed])
         found += [(rig, calibrate(redrawn(exact, _NOISE, random))) for _ in range(draws)]
     metrics = against_truth("turntable.drawn", found)
@@ -82,8 +82,8 @@ def against_truth(stem: str, found: list[tuple[Rig, Calibration]]) -> list[Metri
         own, true = numbers(table), numbers(true_table)
         told = turn_facts(table, calibration.covariance, middle)
         truth = turn_facts(true_table, None, middle)
-        axis = np.array(told.axis)
-        tilt = np.degrees(np.linalg.norm(np.cross(axis, truth.axis)))
+        axis = np.array(told.axis_direction)
+        tilt = np.degrees(np.linalg.norm(np.cross(axis, truth.axis_direction)))
         place = np.array(truth.through_mm) - told.through_mm
         turn = (told.degrees_per_step - truth.degrees_per_step) * truth.steps_per_turn
         turn_sigma = (told.degrees_per_step_sigma or 0.0) * truth.steps_per_turn
@@ -107,7 +107,7 @@ def against_truth(stem: str, found: list[tuple[Rig, Calibration]]) -> list[Metri
 
 def normalised_square(calibration: Calibration, error: Float[np.ndarray, "6"]) -> float:
     """errorᵀ covariance⁻¹ error of the turntable's six numbers, whose covariance has rank 5, for each of the 5."""
-    at = [i for i, name in enumerate(calibration.covariance.names) if name.startswith("turntable.")]
+    at = [i for i, name in enumerate(calibration.covariance.names) if name.startswith("motion.turntable.")]
     matrix = calibration.covariance.matrix[np.ix_(at, at)]
     scale = np.sqrt(np.diagonal(matrix))
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
@@ -115,16 +115,17 @@ def normalised_square(calibration: Calibration, error: Float[np.ndarray, "6"]) -
     return float((along**2 / values[1:]).mean())
 
 
-def numbers(turntable: Turntable) -> Float[np.ndarray, "6"]:
+def numbers(turntable: Rotary) -> Float[np.ndarray, "6"]:
     """Its rotation vector of one step, then its centre."""
     return np.array([float(x) for x in (*turntable.per_step, *turntable.centre)])
 
 
-def turntable_of(rig: Rig) -> Turntable:
+def turntable_of(rig: Rig) -> Rotary:
     """The turntable of a rig that has one."""
-    if rig.turntable is None:
-        raise ValueError("the rig has no turntable")
-    return rig.turntable
+    turntable = rig.axis("turntable")
+    if not isinstance(turntable, Rotary):
+        raise ValueError(f"the turntable is {turntable.kind}")
+    return turntable
 
 
 def used(rig: Rig, calibration: Calibration) -> list[Metric]:
@@ -133,7 +134,7 @@ def used(rig: Rig, calibration: Calibration) -> list[Metric]:
     sides = []
     for k, steps in enumerate(_TURNS):
         scene = rig_2003.scan_scene(rig, rig_2003.turned_on(rig, figure(rig_2003.OBJECT_Y), steps))
-        sides.append(side_of_image(f"view {k}", drawn_scan(rig, scene, _STEPS, _STRIPE_PX, k).image))
+        sides.append(side_of_image(f"view {k}", drawn_scan(rig, scene, {"stage": _STEPS}, _STRIPE_PX, k).image))
     starts = turntable_poses(turntable_of(calibration.rig), _TURNS)
     found = register(sides, starts)
     metrics = []

@@ -19,26 +19,28 @@ calibration = jaxscan.calibrate(
 )
 
 # Each residual is divided by its own σ, and both σ come out of the fit: nobody has to tell them.
-print(f"{len(calibration.fits)} boards, {len(calibration.stage_fits)} photographs of the stage")
+print(f"{len(calibration.fits)} boards, {len(calibration.moved_fits)} photographs of the stage")
 print(f"σ of a corner {calibration.corner_sigma_px:.3f} px, of a stripe point {calibration.stripe_sigma_px:.3f} px")
 for words in calibration.left_out:
     print(f"left out: {words}")
 
 # A rig is a pytree. Its leaves have names, by which the covariance knows them.
 rig, sigma = calibration.rig, calibration.covariance.sigma
-assert rig.stage is not None  # a session without photographs of the stage leaves it out
+plane, stage = rig.light(), rig.axis("stage")  # both raise where a session has no photographs of them
+assert isinstance(plane, jaxscan.LightPlane)  # other kinds of light have other numbers
+assert isinstance(stage, jaxscan.Linear)
 shown = {
     "camera.focal.0": (rig.camera.focal[0], "px"),
     "camera.principal.0": (rig.camera.principal[0], "px"),
     "camera.radial.0": (rig.camera.radial[0], ""),
-    "laser.plane.1": (rig.lasers[0].plane[1], "1/mm"),
-    "laser.plane.2": (rig.lasers[0].plane[2], "1/mm"),
-    "stage.per_step.1": (rig.stage.per_step[1], "mm"),
+    "lights.0.plane.1": (plane.plane[1], "1/mm"),
+    "lights.0.plane.2": (plane.plane[2], "1/mm"),
+    "motion.stage.per_step.1": (stage.per_step[1], "mm"),
 }
 for name, (value, unit) in shown.items():
     print(f"{name:20} {value:12.6g} ± {sigma(name):.2g} {unit}")
-per_step = np.linalg.norm(rig.stage.per_step)
-print(f"the stage moves its load by {1000 * per_step:.5f} mm in 1000 steps, {rig.stage.way()}")
+per_step = np.linalg.norm(stage.per_step)
+print(f"the stage moves its load by {1000 * per_step:.5f} mm in 1000 steps, {stage.way()}")
 
 # What can be told in a moment of how far to trust it; `--report` looks longer.
 judged = jaxscan.verdict(calibration)

@@ -30,19 +30,19 @@ seen = [((column, float(image.pixels[frame, column])), float(image.steps[frame])
 @jax.jit
 def height(rig: jaxscan.Rig) -> jax.Array:
     """Distance of the fourth point from the plane through the other three, mm."""
-    a, b, c, top = (rig.triangulate(jnp.asarray(pixel), step) for pixel, step in seen)
+    a, b, c, top = (rig.triangulate(jnp.asarray(pixel), {"stage": step}) for pixel, step in seen)
     normal = jnp.cross(b - a, c - a)
     return jnp.abs((top - a) @ normal) / jnp.linalg.norm(normal)
 
 
 with jax.enable_x64(True):
     rig = content.rig
-    gradient = np.array(jax.grad(height)(rig).lasers[0].plane)
+    gradient = np.array(jax.grad(height)(rig).lights[0].plane)
     # The same by moving the plane there and back.
-    plane, by_differences, h = np.array(rig.lasers[0].plane), np.zeros(3), 1e-8
+    plane, by_differences, h = np.array(jax.tree.leaves(rig.light())), np.zeros(3), 1e-8
     for i in range(3):
         there, back = (jaxscan.LightPlane.create(plane + s * h * np.eye(3)[i]) for s in (1, -1))
-        ends = [float(height(replace(rig, lasers=(laser,)))) for laser in (there, back)]
+        ends = [float(height(replace(rig, lights=(laser,)))) for laser in (there, back)]
         by_differences[i] = (ends[0] - ends[1]) / (2 * h)
     measured = float(height(rig))
 
@@ -53,7 +53,7 @@ assert np.allclose(gradient, by_differences, rtol=1e-5, atol=1e-3)
 
 covariance = content.covariance
 assert covariance is not None  # a rig that was written by hand has none
-at = [covariance.names.index(f"laser.plane.{i}") for i in range(3)]
+at = [covariance.names.index(f"lights.0.plane.{i}") for i in range(3)]
 from_plane = np.sqrt(gradient @ covariance.matrix[np.ix_(at, at)] @ gradient)
 from_rig = np.sqrt(covariance.of(rig, height)[0, 0])
 print(f"σ from the light plane alone {from_plane:.4f} mm")

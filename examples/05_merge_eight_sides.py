@@ -25,7 +25,7 @@ sides = []
 for k in range(SIDES):
     by_hand = TURN * k + (random.uniform(-5, 5) if k else 0.0)
     bodies = rig_2003.turned(shapes.figure(rig_2003.OBJECT_Y), by_hand)
-    image = drawn_scan(rig, rig_2003.scan_scene(rig, bodies), STEPS, noise_px=0.03, seed=k).image
+    image = drawn_scan(rig, rig_2003.scan_scene(rig, bodies), {"stage": STEPS}, noise_px=0.03, seed=k).image
     sides.append(jaxscan.side_of_image(f"side {k}", image))
     print(f"{sides[-1].name}: {len(sides[-1].points)} points of the figure")
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxscan.calibration import (
         Adjustment,
+        BoardSequence,
         Calibration,
         Kept,
         Observations,
-        StageSequence,
         StripePoints,
         View,
         calibrate,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from jaxscan.images import Board
     from jaxscan.reconstruction import RangeImage, Scanner, read_range_image, reconstruct, write_points, write_stream
     from jaxscan.reconstruction.next_photographs import next_photographs
-    from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage, System
+    from jaxscan.rig import Camera, Chain, Covariance, Fixed, LightPlane, Linear, Rig, Rotary, System
     from jaxscan.surface.clean import clean
     from jaxscan.surface.coarse import arrange
     from jaxscan.surface.floor import find_floor, stands_on
@@ -44,7 +44,7 @@ _HOME = {
     "Calibration": "jaxscan.calibration",
     "Kept": "jaxscan.calibration",
     "Observations": "jaxscan.calibration",
-    "StageSequence": "jaxscan.calibration",
+    "BoardSequence": "jaxscan.calibration",
     "StripePoints": "jaxscan.calibration",
     "View": "jaxscan.calibration",
     "calibrate": "jaxscan.calibration",
@@ -79,7 +79,10 @@ _HOME = {
     "Camera": "jaxscan.rig",
     "LightPlane": "jaxscan.rig",
     "Rig": "jaxscan.rig",
-    "Stage": "jaxscan.rig",
+    "Linear": "jaxscan.rig",
+    "Rotary": "jaxscan.rig",
+    "Chain": "jaxscan.rig",
+    "Fixed": "jaxscan.rig",
     "System": "jaxscan.rig",
     "clean": "jaxscan.surface.clean",
     "arrange": "jaxscan.surface.coarse",
@@ -95,26 +98,29 @@ _HOME = {
 __all__ = [
     "Adjustment",
     "Board",
+    "BoardSequence",
     "Calibration",
     "Camera",
+    "Chain",
     "Cloud",
     "Covariance",
+    "Fixed",
     "InputError",
     "JaxscanError",
     "Kept",
     "LightPlane",
+    "Linear",
     "ObservabilityError",
     "Observations",
     "Pose",
     "RangeImage",
     "Rig",
     "RigFile",
+    "Rotary",
     "Scan",
     "Scanner",
     "Session",
     "SolveError",
-    "Stage",
-    "StageSequence",
     "StripePoints",
     "System",
     "Verdict",

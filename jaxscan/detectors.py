@@ -2,7 +2,8 @@
 
 from typing import Final, Literal
 
-Detector = Literal["likelihood", "gravity", "derivative", "ridge", "gaussian", "parabola", "threshold"]
+# A name of `DETECTORS`.
+Detector = str
 Choice = Literal["likeliest", "strongest", "first", "last", "continuous", "coherent"]
 
 DETECTORS: Final[dict[Detector, str]] = {

@@ -25,6 +25,8 @@ def solve_blocks(
         right: the right-hand sides; the identity gives the inverse.
     """
     size = V.shape[-1]
+    if not size:
+        return right
     diagonal = jnp.diagonal(V, axis1=-2, axis2=-1)
     unused = diagonal <= 0
     scale = jax.lax.rsqrt(jnp.where(unused, 1.0, diagonal))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.core
@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 
 from jaxscan.errors import InputError
 
+# So many are computed at once where a compiled function serves any number.
+AT_ONCE: Final = 1024
 # A number of a rig: JAX's in a computation, NumPy's in a rig at rest (`as_numpy`).
 Leaf = Float[Array | np.ndarray, ""]
 
@@ -49,3 +51,15 @@ def as_float64(tree: Any) -> Any:
 def as_numpy(tree: Any) -> Any:
     """The same pytree with NumPy leaves, which keep their precision outside of `float64`."""
     return jax.tree.map(np.asarray, tree)
+
+
+def batches_of(
+    values: Float[np.ndarray, "values numbers"], size: int = AT_ONCE
+) -> Float[Array, "batches size numbers"]:
+    """Padded with zeros to batches of one size, at least one, so that any number of them shares one compiled function.
+
+    Inside a `float64` block.
+    """
+    padded = np.zeros((max(-(-len(values) // size), 1) * size, values.shape[1]))
+    padded[: len(values)] = values
+    return jnp.asarray(padded.reshape(-1, size, values.shape[1]))

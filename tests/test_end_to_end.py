@@ -87,7 +87,7 @@ def test_the_rig_is_the_true_one_within_its_uncertainty(world: Path) -> None:
     assert found.covariance is not None
     for name, a, b in (
         ("camera.focal.0", found.rig.camera.focal[0], true.rig.camera.focal[0]),
-        ("laser.plane.1", found.rig.lasers[0].plane[1], true.rig.lasers[0].plane[1]),
+        ("lights.0.plane.1", found.rig.lights[0].plane[1], true.rig.lights[0].plane[1]),
     ):
         assert abs(float(a) - float(b)) < 6 * found.covariance.sigma(name)
     assert found.fit["views"] == 6
@@ -154,7 +154,8 @@ def test_frames_of_another_depth_are_named_however_late_they_come(
 def test_a_rig_that_sees_nothing_of_the_stripe(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A sheet above the optical axis; the stripe of the scan is below it everywhere."""
     rig = json.loads((world / "rig.json").read_text())
-    rig = {key: rig[key] for key in ("format", "units", "camera", "stage")} | {"laser": {"plane": [0.0, -0.05, -0.01]}}
+    rig = {key: rig[key] for key in ("format", "units", "camera", "lights", "motion")}
+    rig["lights"][0]["plane"] = [0.0, -0.05, -0.01]
     (tmp_path / "rig.json").write_text(json.dumps(rig))
     (tmp_path / "frame.png").symlink_to(world / "scan" / "frames" / "000.png")
     (tmp_path / "scan.toml").write_text('[scan]\nframes = "frame.png"\nsteps = [0]\n')
@@ -195,7 +196,7 @@ def test_a_video_with_fewer_frames_than_steps(world: Path, tmp_path: Path, capsy
     (tmp_path / "scan.toml").write_text('[scan]\nframes = "scan.avi"\nsteps = [0, 2000]\n')
     out = tmp_path / "video.npz"
     assert main(["reconstruct", str(tmp_path), "--rig", str(world / "rig.json"), "-o", str(out)]) == 2
-    assert "2 step counts, but" in capsys.readouterr().err
+    assert "2 positions of the axes, but" in capsys.readouterr().err
     assert not out.exists()
 
 

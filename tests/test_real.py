@@ -32,8 +32,8 @@ def test_opencvs_sample_photographs(data: Path) -> None:
     sigma = np.array([ours.covariance.sigma(f"camera.{name}") for name in LEAVES])
     assert np.abs((answer(ours) - published) / sigma).max() < 3
     assert ours.corner_rms_px < 0.85 * theirs.corner_rms_px
-    assert ours.rig.lasers == ()
-    assert ours.rig.stage is None
+    assert ours.rig.lights == ()
+    assert ours.rig.axes() == {}
 
 
 @pytest.mark.parametrize("side", [pytest.param("left", marks=pytest.mark.long), "right"])
@@ -65,7 +65,7 @@ def test_a_saturated_stripe_on_a_dark_board(data: Path) -> None:
     assert result.corner_rms_px < 0.26
     assert result.stripe_rms_px is not None
     assert result.stripe_rms_px < 0.4
-    omega = np.stack(result.rig.lasers[0].plane)
+    omega = np.stack(result.rig.lights[0].plane)
     # Measured before with OpenCV and a plane by SVD: (−0.00808, −0.00122, 0.00521); weakly tied to the focal length.
     np.testing.assert_allclose(omega, [-0.00808, -0.00122, 0.00521], atol=4e-4)
     assert any("beyond the board" in line for line in (*result.left_out, *result.rejected))

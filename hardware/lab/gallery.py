@@ -181,27 +181,21 @@ class Gallery:
         self, lines: np.ndarray, position: Float[np.ndarray, "points"], place: Place
     ) -> Float[np.ndarray, "points 3"]:
         """Stripe pixels to points of the object frame, mm; none where an axis has moved that the rig does not have."""
-        from jaxscan.reconstruction import triangulate
+        from jaxscan.reconstruction.triangulate import FramePoses, triangulate
 
         assert self._rig is not None
         rig = self._rig.rig
-        turn = place.get("turntable", 0)
-        known = {"stage": rig.stage is not None, "turntable": rig.turntable is not None}
-        if any(step and not known.get(name, False) for name, step in place.items()):
+        axes = rig.axes()
+        if any(step and name not in axes for name, step in place.items()):
             return np.zeros((0, 3), np.float32)
 
         # Always as many, so that nothing is compiled twice.
-        along, across = (np.full(_PROFILE_POINTS, np.nan, np.float32) for _ in range(2))
-        along[: len(lines)], across[: len(lines)] = lines, position
+        along, across = (np.full((1, _PROFILE_POINTS), np.nan, np.float32) for _ in range(2))
+        along[0, : len(lines)], across[0, : len(lines)] = lines, position
         u, v = (along, across) if self._stripe.columns else (across, along)
-        points = np.asarray(
-            triangulate(self._kernel, u, v, np.full(_PROFILE_POINTS, place.get("stage", 0), np.float32))
-        )[: len(lines)]
+        frames = FramePoses.create(rig.motion, {name: np.array([step]) for name, step in place.items()}, 1)
+        points = np.asarray(triangulate(self._kernel, frames, u, v))[0, : len(lines)]
         points = points[np.isfinite(points).all(axis=1)]
-        if turn and rig.turntable is not None:
-            # Back from where the table had turned it.
-            pose = rig.turntable.turned(np.asarray(float(turn)))
-            points = (points - np.asarray(pose.translation, np.float32)) @ np.asarray(pose.matrix(), np.float32)
         return points
 
 

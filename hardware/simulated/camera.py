@@ -12,10 +12,8 @@ from jaxscan.simulation import Body, Scene, Sensor, render, rig_2003
 
 # The exposure at which a photograph of the simulated rig is neither dark nor burnt out.
 _EXPOSURE_S = 0.01
-# The view of the object.
-_OBJECT = (0, 0)
-# And that of the board on the turntable.
-_ON_TURNTABLE = (3, 0)
+# The views of the object and of the board on the turntable, which both turn with it.
+_OBJECT, _ON_TURNTABLE = (0, 0), (3, 0)
 _AXES = ("stage", "turntable")
 # Makes step counts positive.
 _FAR = 1 << 31
@@ -46,15 +44,6 @@ class SimulatedWorld:
         self.scene, self.lighting = rig_2003.scan_scene(self.rig, self._bodies), rig_2003.SCAN_LIGHTING
         self.view = _OBJECT
 
-    def turned(self, steps: float) -> Scene:
-        """What is seen once the turntable has gone so many steps: it turns an object, and the board that lies on it."""
-        if steps and self.view == _ON_TURNTABLE:
-            (pose,) = rig_2003.turned_boards(self.rig, self._lying, np.array([steps]))
-            return rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
-        if steps == 0 or self.view != _OBJECT:
-            return self.scene
-        return rig_2003.scan_scene(self.rig, rig_2003.turned_on(self.rig, self._bodies, steps))
-
     def hold_board(self, pose: int, of: int = rig_2003.BOARD_VIEWS) -> None:
         """Hold the board in one of so many poses."""
         boards = rig_2003.board_poses(self.rig, self.seed, of)
@@ -72,7 +61,7 @@ class SimulatedWorld:
 
     def lay_board(self) -> None:
         """Lay the board on the turntable."""
-        self._lying = pose = rig_2003.turntable_pose(self.rig, self.seed)
+        pose = rig_2003.turntable_pose(self.rig, self.seed)
         self.scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
         self.lighting = rig_2003.BOARD_LIGHTING
         self.view = _ON_TURNTABLE
@@ -104,8 +93,8 @@ class SimulatedCamera:
         brightness = self._gain * self._exposure_s / _EXPOSURE_S
         image = render(
             world.rig,
-            world.turned(turn),
-            steps=place,
+            world.scene,
+            q={"stage": place, "turntable": turn if world.view in (_OBJECT, _ON_TURNTABLE) else 0.0},
             laser=0 if self._laser.lit else None,
             lighting=world.lighting,
             sensor=Sensor(blur_px=sensor.blur_px, noise=sensor.noise, gain=brightness),

@@ -2,16 +2,16 @@
 
 from jaxscan.calibration.adjustment import Adjustment, refit
 from jaxscan.calibration.calibrate import calibrate
-from jaxscan.calibration.observations import Kept, Observations, StageSequence, StripePoints, View
+from jaxscan.calibration.observations import BoardSequence, Kept, Observations, StripePoints, View
 from jaxscan.calibration.result import Calibration, PhotographFit
 
 __all__ = [
     "Adjustment",
+    "BoardSequence",
     "Calibration",
     "Kept",
     "Observations",
     "PhotographFit",
-    "StageSequence",
     "StripePoints",
     "View",
     "calibrate",

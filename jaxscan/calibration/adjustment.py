@@ -5,6 +5,7 @@ at; which observations are outliers is fixed, and so are weights and σ unless t
 """
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -13,35 +14,33 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.calibration.bundle import Estimate, solve
+from jaxscan.calibration.bundle import Factor, solve
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64
-from jaxscan.rig import System
+from jaxscan.rig import Motion, Positions, System
 
 
 class Adjustment(eqx.Module):
     """A least-squares problem at fixed inliers, and where its minimum was found. Every number in it is a leaf.
 
     Attributes:
-        estimate: where it ended: there `refit` starts, and from there it reads the parameters that are held.
-        free: which leaves of `estimate.shared` are refined, in their order.
-        groups: observations, weights, board points and masks: of the views, one block each; then, where there is a
-            stage or a turntable, of their sequences. Blocks beyond `counts` are padding.
+        start: where it ended: there `refit` starts, and from there it reads the parameters that are held.
+        free: which leaves of `start.shared` are refined, in their order.
+        groups: observations, weights, board points and masks: of the views, one block each; then, where there are any,
+            of the sequences along the axes. Blocks beyond `counts` are padding.
         noise: σ of a corner and of a stripe point as the solve had them, pixels; only their ratio moves the minimum.
-        reference: the stage's step count at which each sequence's pose stands.
         counts: how many views and how many sequences there are.
-        turned: the turntable's; None where no sequence was turned.
+        factors: what else was known.
     """
 
-    estimate: Estimate
+    start: System
     free: Bool[Array, "shared"]
     groups: tuple[Blocks, ...]
     noise: Noise
-    reference: Float[Array, "sequences"]
     counts: tuple[int, int] = eqx.field(static=True)
-    turned: Float[Array, "sequences"] | None = None
+    factors: tuple[Factor, ...] = ()
 
     def with_board(self, points: Float[Array | np.ndarray, "points 3"]) -> "Adjustment":
         """The same photographs of another board.
@@ -51,31 +50,30 @@ class Adjustment(eqx.Module):
         """
 
         def moved(group: Blocks) -> Blocks:
-            blocks, corners, _ = group.points.shape
-            tiled = jnp.tile(jnp.asarray(points), (corners // len(points), 1))
-            return replace(group, points=jnp.broadcast_to(tiled[None], (blocks, corners, 3)))
+            return replace(group, points=jnp.broadcast_to(jnp.asarray(points)[None], group.points.shape))
 
         return replace(self, groups=tuple(moved(group) for group in self.groups))
 
-    def system(self, estimate: Estimate) -> System:
-        """An estimate's rig and poses, without padding; those of the sequences at motor step 0.
-
-        The centre of its turntable is the point of the axis that is nearest to the origin.
-        """
-        rig, warp = estimate.shared
+    def finished(self, system: System) -> System:
+        """A system without padding, its rig `normal`, its moved boards where they stand with all axes at 0."""
         views, sequences = self.counts
-        boards = Pose.from_vector(estimate.poses[0][:views])
-        if not sequences:
-            return System(rig, boards, Pose(jnp.zeros((0, 3)), jnp.zeros((0, 3))), warp)
-        stages = Pose.from_vector(estimate.poses[1][:sequences])
-        if rig.stage is not None:
-            back = rig.stage.displacement(jnp.asarray(self.reference))
-            stages = Pose(stages.rotation, stages.translation - back)
-        if rig.turntable is not None and self.turned is not None:
-            turntable = rig.turntable
-            stages = jax.vmap(lambda n, pose: turntable.turned(-n) @ pose)(jnp.asarray(self.turned), stages)
-            rig = replace(rig, turntable=turntable.nearest())
-        return System(rig, boards, stages, warp)
+        poses = (system.poses[0][:views],)
+        if sequences:
+            moved = self.groups[1]
+            poses = (*poses, _poses_at_0(system.rig.motion, system.poses[1], moved.reference)[:sequences])
+        return System(system.rig.normal(), poses, system.warp)
+
+
+def pose_at_0(motion: Motion, pose: Float[Array, "6"], reference: Positions) -> Float[Array, "6"]:
+    """The pose with all axes at 0 of a board that stands at a pose at positions of reference."""
+    return (motion.pose(reference).inverse() @ Pose.from_vector(pose)).as_vector()
+
+
+@jax.jit
+def _poses_at_0(
+    motion: Motion, poses: Float[Array, "blocks 6"], reference: dict[str, Float[Array, "blocks"]]
+) -> Float[Array, "blocks 6"]:
+    return jax.vmap(partial(pose_at_0, motion))(poses, reference)
 
 
 def refit(adjustment: Adjustment) -> System:
@@ -83,7 +81,8 @@ def refit(adjustment: Adjustment) -> System:
 
     Derivatives are those of the minimum itself (implicit function theorem, full Hessian), at fixed inliers:
 
-        gradient = eqx.filter_grad(lambda a: refit(a).rig.triangulate(pixel, steps)[2])(calibration.adjustment)
+        height = lambda a: refit(a).rig.triangulate(pixel, {"stage": steps})[2]
+        gradient = eqx.filter_grad(height)(calibration.adjustment)
         gradient.groups[0].corners      # how far a height moves for each pixel that a corner moves
 
     Raises:
@@ -97,6 +96,7 @@ def refit(adjustment: Adjustment) -> System:
         )
     numbers, rest = eqx.partition(adjustment, eqx.is_inexact_array)
     adjustment = eqx.combine(as_float64(numbers), rest)
-    outcome = solve(adjustment.estimate, adjustment.free, adjustment.groups, adjustment.noise)
+    groups = (*adjustment.groups, *adjustment.factors)
+    outcome = solve(adjustment.start, adjustment.free, groups, adjustment.noise)
     failed = outcome.result != optx.RESULTS.successful
-    return adjustment.system(eqx.error_if(outcome.estimate, failed, "the adjustment did not reach a minimum"))
+    return adjustment.finished(eqx.error_if(outcome.system, failed, "the adjustment did not reach a minimum"))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.observations import Observations, StageSequence, View
+from jaxscan.calibration.observations import BoardSequence, Observations, View
 from jaxscan.calibration.residuals import Blocks
 
 # So many boards are solved in milliseconds and compiled for in seconds.
@@ -25,90 +25,76 @@ def bucket(count: int) -> int:
 
 
 def view_blocks(observations: Observations) -> Blocks:
-    """The views, one block each."""
-    boards = [([view], np.zeros(1), None) for view in observations.views]
-    return _pack(observations, boards, bucket(len(boards)), 1)
+    """The views, one block each, of one photograph that no axis moves."""
+    views = [[view] for view in observations.views]
+    return _pack(observations, views, {}, bucket(len(views)), 1)
 
 
-def stage_blocks(observations: Observations) -> Blocks:
-    """The sequences on stage and turntable, one block each, with step counts relative to each one's reference."""
-    boards = [
-        (
-            stage.views,
-            stage.steps - reference_step(stage),
-            None if stage.turns is None else stage.turns - reference_turn(stage),
-        )
-        for stage in observations.stages
-    ]
-    return _pack(observations, boards, len(boards), bucket(max((len(views) for views, _, _ in boards), default=0)))
+def sequence_blocks(observations: Observations) -> Blocks:
+    """The sequences along the axes, one block each."""
+    sequences = observations.sequences
+    photographs = bucket(max((len(sequence.views) for sequence in sequences), default=0))
+    axes = {axis for sequence in sequences for axis in sequence.positions}
+    q = {axis: np.zeros((len(sequences), photographs)) for axis in sorted(axes)}
+    for b, sequence in enumerate(sequences):
+        for axis, steps in sequence.positions.items():
+            # Padding stands with the last, where the motion is as good as there.
+            q[axis][b] = np.pad(steps, (0, photographs - len(steps)), mode="edge")
+    return _pack(observations, [sequence.views for sequence in sequences], q, len(sequences), photographs)
 
 
-def reference_step(stage: StageSequence) -> float:
-    """The step count about which a sequence is fitted: its mean, where t₀ and per_step are least entangled.
-
-    The board of a turned one is placed at the stage's step 0, in the frame of the turntable's axis.
-    """
-    return float(np.mean(stage.steps)) if stage.turns is None else 0.0
-
-
-def reference_turn(stage: StageSequence) -> float:
-    """The turntable's step count about which a sequence is fitted: the mean; 0 on the stage."""
-    return 0.0 if stage.turns is None else float(np.mean(stage.turns))
-
-
-_Counts = Float[np.ndarray, "_"]
+def reference_positions(sequence: BoardSequence) -> dict[str, float]:
+    """About which positions a sequence is fitted: their means, where its pose and the motion are least entangled."""
+    return {axis: float(np.mean(steps)) for axis, steps in sequence.positions.items()}
 
 
 def _pack(
     observations: Observations,
-    boards: Sequence[tuple[Sequence[View], _Counts, _Counts | None]],
+    boards: Sequence[Sequence[View]],
+    q: dict[str, Float[np.ndarray, "blocks photographs"]],
     n_blocks: int,
-    images: int,
+    photographs: int,
 ) -> Blocks:
-    """Blocks for so many boards, each for so many photographs of it.
-
-    With each board go the step counts of the stage and, if it was turned, of the turntable.
-    """
+    """Blocks for so many boards, each for so many photographs of it."""
     points = observations.board.points()
-    each = len(points)
     extent = np.ptp(points[:, :2], axis=0)
     relative = (points[:, :2] - points[:, :2].min(axis=0)) / np.where(extent > 0, extent, 1.0)
-    n_corners = each * images
-    stripes = [[s for view in views for s in view.stripes] for views, _, _ in boards]
-    n_stripe = bucket(max((sum(len(s.pixels) for s in seen) for seen in stripes), default=0))
+    stripes = [
+        [np.concatenate([s.pixels for s in view.stripes] or [np.zeros((0, 2))]) for view in views] for views in boards
+    ]
+    n_stripe = bucket(max((len(pixels) for each in stripes for pixels in each), default=0))
+    shape, striped = (n_blocks, photographs, len(points)), (n_blocks, photographs, n_stripe)
 
-    corners = np.full((n_blocks, n_corners, 2), np.nan)
-    weights = np.zeros((n_blocks, n_corners))
-    steps = np.zeros((n_blocks, n_corners))
-    turns = np.zeros((n_blocks, n_corners)) if any(turned is not None for _, _, turned in boards) else None
-    stripe = np.full((n_blocks, n_stripe, 2), np.nan)
-    columns = np.ones((n_blocks, n_stripe), bool)
-    laser = np.zeros((n_blocks, n_stripe), np.int32)
-    for b, (views, counts, turned) in enumerate(boards):
-        for i, (view, count) in enumerate(zip(views, counts, strict=True)):
-            here = slice(i * each, (i + 1) * each)
-            corners[b, here] = view.corners
-            weights[b, here] = view.used() if view.weights is None else np.where(view.used(), view.weights, 0.0)
-            steps[b, here] = count
-        if turns is not None and turned is not None:
-            turns[b, : each * len(views)] = np.repeat(turned, each)
-        at = 0
-        for seen in stripes[b]:
-            here = slice(at, at + len(seen.pixels))
-            stripe[b, here], columns[b, here], laser[b, here] = seen.pixels, seen.columns, seen.laser
-            at = here.stop
+    corners = np.full((*shape, 2), np.nan)
+    weights = np.zeros(shape)
+    stripe = np.full((*striped, 2), np.nan)
+    columns = np.ones(striped, bool)
+    light = np.zeros(striped, np.int32)
+    for b, views in enumerate(boards):
+        for i, view in enumerate(views):
+            corners[b, i] = view.corners
+            weights[b, i] = view.used() if view.weights is None else np.where(view.used(), view.weights, 0.0)
+            counts = [len(s.pixels) for s in view.stripes]
+            n = sum(counts)
+            stripe[b, i, :n] = stripes[b][i]
+            columns[b, i, :n] = np.repeat([s.columns for s in view.stripes], counts)
+            light[b, i, :n] = np.repeat([s.laser for s in view.stripes], counts)
+    reference = {axis: np.zeros(n_blocks) for axis in q}
+    for b, sequence in enumerate(observations.sequences if q else ()):
+        for axis, step in reference_positions(sequence).items():
+            reference[axis][b] = step
     return Blocks(
-        points=jnp.asarray(np.broadcast_to(np.tile(points, (images, 1)), (n_blocks, n_corners, 3))),
-        relative=jnp.asarray(np.broadcast_to(np.tile(relative, (images, 1)), (n_blocks, n_corners, 2))),
+        points=jnp.asarray(np.broadcast_to(points, (n_blocks, *points.shape))),
+        relative=jnp.asarray(np.broadcast_to(relative, (n_blocks, *relative.shape))),
+        q={axis: jnp.asarray(steps) for axis, steps in q.items()},
+        reference={axis: jnp.asarray(step) for axis, step in reference.items()},
         corners=jnp.asarray(corners),
         weights=jnp.asarray(weights),
         corner_used=jnp.asarray(weights > 0),
-        steps=jnp.asarray(steps),
         stripe=jnp.asarray(stripe),
-        stripe_weights=jnp.ones(stripe.shape[:2]),
+        stripe_weights=jnp.ones(striped),
         stripe_used=jnp.asarray(np.isfinite(stripe).all(axis=-1)),
         stripe_columns=jnp.asarray(columns),
-        stripe_laser=jnp.asarray(laser),
-        turns=None if turns is None else jnp.asarray(turns),
-        radius=jnp.full((n_blocks, n_corners), observations.radius_mm) if observations.radius_mm else None,
+        stripe_light=jnp.asarray(light),
+        radius=jnp.full((n_blocks, len(points)), observations.radius_mm) if observations.radius_mm else None,
     )

@@ -13,52 +13,44 @@ from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.calibration.implicit import BlockArrowSolver
 from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt
 from jaxscan.calibration.residuals import Noise
-from jaxscan.rig import BoardWarp, Rig
+from jaxscan.rig import System
 
 MAX_STEPS = 200
 # A step that would move the estimate by less than 1e-6 of its standard deviation is not taken.
 _NEGLIGIBLE = 1e-12
 
-# Rig and board warp: what all residuals share.
-Shared = tuple[Rig, BoardWarp | None]
-
 
 @runtime_checkable
-class ObservationGroup(Protocol):
-    """Observations of one group of like blocks: boards, or gauges. A pytree."""
+class Factor(Protocol):
+    """Observations of one group of like blocks: boards, gauges, or whatever else tells of a system. A pytree."""
 
     def residuals(
-        self, rig: Rig, warp: BoardWarp | None, poses: Float[Array, "blocks 6"], noise: Noise
+        self, system: System, poses: Float[Array, "blocks 6"], noise: Noise
     ) -> Float[Array, "blocks residuals"]:
-        """The residuals of each block, dimensionless, given the poses of what is seen in them."""
+        """The residuals of each block, in units of their σ, by the system's shared part and the poses of these blocks.
+
+        `noise` has the σ of corners and stripe points, for who has none of his own.
+        """
         ...
 
-
-class Estimate(eqx.Module):
-    """Shared parameters and board poses.
-
-    Attributes:
-        shared: rig and board warp.
-        poses: for each group (blocks, 6): rotation vector, translation.
-    """
-
-    shared: Shared
-    poses: tuple[Float[Array, "_ 6"], ...]
+    def start(self, system: System) -> Float[Array, "blocks size"]:
+        """Where the unknowns of its blocks begin, given where the system does; of size 0 for one that has none."""
+        ...
 
 
 class Outcome(eqx.Module):
     """Where a solve ended.
 
     Attributes:
-        estimate: the refined parameters.
+        system: the refined parameters.
         cost: ½‖r‖² there, dimensionless.
         steps: number of evaluations.
         result: why it stopped.
-        value: the residual where it was last evaluated: at the estimate, but for a step of 1e-6 σ.
+        value: the residual where it was last evaluated: at the system, but for a step of 1e-6 σ.
         jacobian: the Jacobian there.
     """
 
-    estimate: Estimate
+    system: System
     cost: Float[Array, ""]
     steps: Int[Array, ""]
     result: optx.RESULTS
@@ -70,7 +62,7 @@ class Prior(eqx.Module):
     """What is known of the shared parameters beforehand: normal, of a mean and a precision root rootᵀ.
 
     Attributes:
-        mean: of the leaves of `Estimate.shared` in their order.
+        mean: of the leaves of `System.shared` in their order.
         root: (rows, shared) with rootᵀ root the inverse of the covariance; a parameter of which nothing is known has
             a column of zeros.
     """
@@ -80,58 +72,59 @@ class Prior(eqx.Module):
 
 
 def as_arrow(
-    estimate: Estimate,
+    system: System,
     free: Bool[Array, "shared"],
-    groups: tuple[ObservationGroup, ...],
+    groups: tuple[Factor, ...],
     noise: Noise,
     prior: Prior | None = None,
-) -> tuple[Arrow, Callable[[Arrow], Estimate], Callable[[Arrow], Arrow]]:
+) -> tuple[Arrow, Callable[[Arrow], System], Callable[[Arrow], Arrow]]:
     """The problem in the shape of an arrow.
 
-    A held parameter is read from where the estimate had it, so that its column of the Jacobian is zero. Which ones are
+    A held parameter is read from where the system had it, so that its column of the Jacobian is zero. Which ones are
     held is data, not structure: another choice does not compile anew.
 
     Returns:
-        The unknowns, the way back to an estimate, and the residual as a function of the unknowns.
+        The unknowns, the way back to a system, and the residual as a function of the unknowns.
     """
-    start, unravel = ravel_pytree(estimate.shared)
+    start, unravel = ravel_pytree(system.shared)
 
-    def back(y: Arrow) -> Estimate:
-        return Estimate(unravel(jnp.where(free, y.shared, start)), y.blocks)
+    def back(y: Arrow) -> System:
+        rig, warp = unravel(jnp.where(free, y.shared, start))
+        return System(rig, y.blocks, warp)
 
     def residual(y: Arrow) -> Arrow:
-        (rig, warp), poses = back(y).shared, y.blocks
-        blocks = tuple(group.residuals(rig, warp, pose, noise) for pose, group in zip(poses, groups, strict=True))
+        now = back(y)
+        blocks = tuple(group.residuals(now, poses, noise) for poses, group in zip(now.poses, groups, strict=True))
         if prior is None:
             return Arrow(jnp.zeros(0, y.shared.dtype), blocks)
         return Arrow(prior.root @ (jnp.where(free, y.shared, start) - prior.mean), blocks)
 
-    return Arrow(start, estimate.poses), back, residual
+    return Arrow(start, system.poses), back, residual
 
 
 @eqx.filter_jit
 def solve(
-    estimate: Estimate,
+    system: System,
     free: Bool[Array, "shared"],
-    groups: tuple[ObservationGroup, ...],
+    groups: tuple[Factor, ...],
     noise: Noise,
     prior: Prior | None = None,
     first_damping: float = FIRST_DAMPING,
 ) -> Outcome:
     """Refine the free parameters and all poses by Levenberg-Marquardt.
 
-    The estimate can be differentiated with respect to everything else that is given; what else comes back cannot.
+    The system can be differentiated with respect to everything else that is given; what else comes back cannot.
 
     Args:
-        estimate: where to start.
-        free: which leaves of `estimate.shared` are refined, in their order.
+        system: where to start.
+        free: which leaves of `system.shared` are refined, in their order.
         groups: the observations.
         noise: σ and robustness.
         prior: what is known of the shared parameters beforehand.
         first_damping: λ to begin with: small where the start is near and the problem is ill-conditioned, for until λ
             has come down to them nothing moves along its long valleys.
     """
-    y0, back, residual = as_arrow(estimate, free, groups, noise, prior)
+    y0, back, residual = as_arrow(system, free, groups, noise, prior)
     solution = optx.least_squares(
         lambda y, _: residual(y),
         BlockArrowLevenbergMarquardt(_NEGLIGIBLE, first_damping),

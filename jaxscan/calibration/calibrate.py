@@ -10,39 +10,34 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from jaxscan.calibration import initial
-from jaxscan.calibration.blocks import stage_blocks, view_blocks
-from jaxscan.calibration.bundle import MAX_STEPS, Estimate
+from jaxscan.calibration.blocks import sequence_blocks, view_blocks
+from jaxscan.calibration.bundle import MAX_STEPS, Factor
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
 from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
-from jaxscan.calibration.first_motions import first_motions
-from jaxscan.calibration.first_poses import far_away, first_poses
+from jaxscan.calibration.first_motions import first_motions, no_motion_yet
+from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
 from jaxscan.calibration.held import held_parameters
 from jaxscan.calibration.observability import cause_and_mend, undetermined
 from jaxscan.calibration.observations import Kept, Observations, Unused, View
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
-from jaxscan.calibration.residuals import Blocks, Noise
+from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import Refined, refine
 from jaxscan.calibration.second_poses import better_poses
 from jaxscan.errors import InputError, ObservabilityError, SolveError
+from jaxscan.geometry import Pose
 from jaxscan.images import Board
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import BoardWarp, Camera, LightPlane, Rig, Stage, Turntable
-from jaxscan.rig.rig import parameter_names
-from jaxscan.rig.system import warp_names
+from jaxscan.rig import LIGHTS, MOTIONS, BoardWarp, Camera, Light, Rig, System
 
 _FEWEST_CORNERS = 6
 FEWEST_VIEWS = 3
 _FEWEST_STRIPES = 2
 _FEWEST_STRIPE_POINTS = 10
-# Of a sequence, at different step counts: a third place on the turntable tells whether two were a turn at all.
-_FEWEST_PLACES = {"stage": 2, "turntable": 3}
-# A light plane to hold while none is known: across the view, half a metre away.
-_NO_PLANE_YET = (0.0, 0.0, 0.002)
 _PLAIN = "plain least squares: every corner took part with the same weight, also where it does not fit the others"
 
 
@@ -56,9 +51,11 @@ def calibrate(
     board_warp: bool = False,
     plain: bool = False,
     keep: Sequence[Kept] | None = None,
+    light: str = "plane",
+    factors: Sequence[Factor] = (),
     advance: Callable[[str], object] = lambda doing: None,
 ) -> Calibration:
-    """Refine camera, lens, light planes, stage, turntable and all board poses together.
+    """Refine camera, lens, lights, the motion of every axis and all board poses together.
 
     Not to be traced, since values decide what is left out; `refit` differentiates the result.
 
@@ -77,6 +74,8 @@ def calibrate(
         keep: which observations take part, as the `kept` of a finished calibration says it. None of them is then
             rejected, and nothing else is read, neither for the start nor later; σ and the photographs' weights are
             estimated as ever.
+        light: the kind of the lasers' light, one of `rig.LIGHTS`.
+        factors: what else is known of the rig, besides boards and stripes; each with residuals in units of its σ.
         advance: called as each solve begins, with what it is, in words.
 
     Raises:
@@ -84,6 +83,8 @@ def calibrate(
         ObservabilityError: the photographs do not determine the rig.
         SolveError: no minimum was reached.
     """
+    if light not in LIGHTS:
+        raise InputError(f'light = "{light}": this version knows {", ".join(LIGHTS)}; register the kind before')
     held = held_parameters(hold, start.lens if start else lens, principal_point, has_start=start is not None)
     _refuse_tracers(observations)
     if keep is not None:
@@ -103,46 +104,43 @@ def calibrate(
             )
         camera = as_float64(start) if start else _first_camera(usable, lens)
         warp = BoardWarp(jnp.zeros(()), jnp.zeros(())) if board_warp else None
-        unit, board_points = jnp.ones(()), len(usable.board.points())
+        unit = jnp.ones(())
         noise = Noise(unit, unit, jnp.zeros(()))
 
-        # The camera first, from the views' corners alone: lasers and stage are there already, but held, and what they
+        # The camera first, from the views' corners alone: lights and motion are there already, but held, and what they
         # would be found from is masked, so that both solves are one compiled function.
-        rig = Rig(
-            camera,
-            tuple(LightPlane.create(_NO_PLANE_YET, name) for name in usable.lasers),
-            Stage.create(np.zeros(3)) if any(s.turns is None for s in usable.stages) else None,
-            Turntable.create(np.zeros(3), np.zeros(3)) if any(s.turns is not None for s in usable.stages) else None,
-        )
+        lights = tuple(LIGHTS[light].somewhere(name) for name in usable.lasers)
+        system = System(Rig(camera, lights, no_motion_yet(usable)), (), warp)
         views = view_blocks(usable)
-        groups = (views, stage_blocks(usable)) if usable.stages else (views,)
-        free = _free(rig, warp, held, ("camera",))
-        poses = (first_poses(camera, views), *(far_away(len(group.steps)) for group in groups[1:]))
+        groups = (views, sequence_blocks(usable)) if usable.sequences else (views,)
+        free = _free(system, held, ("camera",))
+        poses = (first_poses(camera, views), *(far_away(len(group.points)) for group in groups[1:]))
         corners = _corners_of_views(groups)
-        rounds = partial(refine, board_points=board_points, reject=judge, weigh=not plain)
+        rounds = partial(refine, reject=judge, weigh=not plain)
         of_camera = partial(rounds, begins=lambda solve: advance(f"camera, round {solve}"))
-        refined = of_camera(Estimate((rig, warp), poses), free, corners, noise)
-        if judge and (elsewhere := better_poses(refined.estimate, corners, refined.noise)) is not None:
+        refined = of_camera(replace(system, poses=poses), free, corners, noise)
+        if judge and (elsewhere := better_poses(refined.system, corners, refined.noise)) is not None:
             refined = of_camera(elsewhere, free, corners, refined.noise)
         _check(refined, usable, free)
 
-        if usable.lasers or usable.stages:
-            camera, view_poses = refined.estimate.shared[0].camera, refined.estimate.poses[0]
+        if usable.lasers or usable.sequences:
+            camera, view_poses = refined.system.rig.camera, refined.system.poses[0]
+            stood = poses_of_photographs(usable, camera, view_poses)
             if keep is None:
-                usable, off_board = stripe_on_board(usable, camera, view_poses)
+                usable, off_board = stripe_on_board(usable, camera, stood)
                 unused = unused.and_then(off_board)
                 known.append(replace(usable, left_out=unused.left_out))
-            stage, turntable, *stage_poses = first_motions(usable, camera) if usable.stages else (None, None)
-            rig = Rig(camera, _first_light_planes(usable, camera, view_poses), stage, turntable)
-            groups = (view_blocks(usable), *groups[1:])
-            along = {f"turntable.centre.{turntable.along()}"} if turntable else set()
-            warp = refined.estimate.shared[1]
-            free = _free(rig, warp, held | along, ("camera", "laser", "stage", "turntable"))
+            motion, moved_poses = first_motions(usable, stood)
+            rig = Rig(camera, _first_lights(usable, camera, stood, light), motion)
+            groups = (view_blocks(usable), sequence_blocks(usable)) if usable.sequences else (view_blocks(usable),)
+            system = System(rig, (view_poses, *moved_poses), refined.system.warp)
+            system = replace(system, poses=(*system.poses, *(factor.start(system) for factor in factors)))
+            free = _free(system, held | rig.surplus(), ("camera", "lights", "motion"))
             of_rig = partial(rounds, begins=lambda solve: advance(f"whole rig, round {solve}"))
-            refined = of_rig(Estimate((rig, warp), (view_poses, *stage_poses)), free, groups, refined.noise)
+            refined = of_rig(system, free, groups, refined.noise, tuple(factors))
             _check(refined, usable, free)
         advance("uncertainty")
-        result = assemble(refined, free, usable, held, unused)
+        result = assemble(refined, free, usable, held, unused, tuple(factors))
     kept = iter(result.kept)
     return replace(
         result,
@@ -198,9 +196,9 @@ def _with_enough_corners(observations: Observations) -> Observations:
     return replace(
         observations,
         views=tuple(view for view in observations.views if not _lacking(view, board)),
-        stages=tuple(
-            stage.only([i for i, view in enumerate(stage.views) if not _lacking(view, board)])
-            for stage in observations.stages
+        sequences=tuple(
+            sequence.only([i for i, view in enumerate(sequence.views) if not _lacking(view, board)])
+            for sequence in observations.sequences
         ),
         left_out=(*observations.left_out, *few),
     )
@@ -215,7 +213,7 @@ def _check_enough(observations: Observations) -> None:
             f"more poses, all of it in view and tilted in different directions"
         )
     for i, name in enumerate(observations.lasers):
-        striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in views)
+        striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in observations.photographs())
         if striped < _FEWEST_STRIPES:
             which = f'of laser "{name}" ' if name else ""
             raise InputError(
@@ -223,19 +221,20 @@ def _check_enough(observations: Observations) -> None:
                 f"distances: check [laser] color and columns, that the stripe crosses the board, and, where it has "
                 f"photographs of its own, that boards and stripes are not exchanged"
             )
-    for stage in observations.stages:
-        places = len(np.unique(stage.steps if stage.turns is None else stage.turns))
-        if places < _FEWEST_PLACES[stage.place]:
+    for sequence in observations.sequences:
+        places, fewest = len(np.unique(sequence.steps)), MOTIONS[sequence.kind].fewest
+        if places < fewest:
             raise InputError(
-                f"{places} usable {stage.place} photographs at different step counts; at least "
-                f"{_FEWEST_PLACES[stage.place]} are needed"
+                f"{places} usable {sequence.axis} photographs at different step counts; at least {fewest} are needed"
             )
-    stages = observations.stages
-    if any(stage.steps.any() for stage in stages) and all(stage.turns is not None for stage in stages):
-        raise InputError(
-            "the turntable was photographed away from the stage's step 0, but no board on the stage tells how far "
-            "that is: photograph one, or give stage_step = 0 under [turntable]"
-        )
+    moving = {sequence.axis for sequence in observations.sequences}
+    for sequence in observations.sequences:
+        for axis, steps in sequence.positions.items():
+            if axis not in moving and np.any(steps):
+                raise InputError(
+                    f"the {sequence.axis} was photographed away from the {axis}'s step 0, but no board on the {axis} "
+                    f"tells how far that is: photograph one, or give {axis}_step = 0 under [{sequence.axis}]"
+                )
 
 
 def _stripe_points(view: View, laser: int) -> int:
@@ -249,52 +248,37 @@ def _first_camera(observations: Observations, lens: str) -> Camera:
     return Camera.create(observations.image_size, focal, (np.asarray(observations.image_size) - 1) / 2, lens)
 
 
-def _first_light_planes(
-    observations: Observations, camera: Camera, poses: Float[Array, "blocks 6"]
-) -> tuple[LightPlane, ...]:
-    planes = []
+def _first_lights(observations: Observations, camera: Camera, poses: Pose[np.ndarray], kind: str) -> tuple[Light, ...]:
+    lights = []
     for i, name in enumerate(observations.lasers):
         points, view = stripe_points_in_space(observations, camera, poses, i)
-        which = f'laser "{name}": ' if name else ""
         if len(np.unique(view)) < _FEWEST_STRIPES:
+            which = f'laser "{name}": ' if name else ""
             raise InputError(
                 f"{which}the stripe lies on the board in {len(np.unique(view))} views; at least {_FEWEST_STRIPES} are "
                 "needed: check [laser] color and columns, and that the stripe crosses the board"
             )
-        omega = initial.robust_plane(points, view)
-        if np.isnan(omega).all():
-            raise ObservabilityError(
-                f"{which}the stripes of all views lie on one line, which does not make a plane: hold the board at "
-                "different distances"
-            )
-        if not np.isfinite(omega).all() or np.linalg.norm(omega) > 1.0:
-            raise ObservabilityError(
-                f"{which}the stripes lie on a plane through the camera's centre, which cannot measure: move the laser "
-                "to the side of the camera, or check that the stripe, not its reflection, is found"
-            )
-        planes.append(LightPlane.create(omega, name))
-    return tuple(planes)
+        lights.append(LIGHTS[kind].fitted(points, view, name))
+    return tuple(lights)
 
 
 def _corners_of_views(groups: tuple[Blocks, ...]) -> tuple[Blocks, ...]:
     """The same arrays with everything but the views' corners masked."""
-    views = replace(groups[0], stripe_used=jnp.zeros_like(groups[0].stripe_used))
-    return views, *(replace(group, corner_used=jnp.zeros_like(group.corner_used)) for group in groups[1:])
+    no_stripes = [replace(group, stripe_used=jnp.zeros_like(group.stripe_used)) for group in groups]
+    views, *moved = no_stripes
+    return views, *(replace(group, corner_used=jnp.zeros_like(group.corner_used)) for group in moved)
 
 
-def _free(rig: Rig, warp: BoardWarp | None, held: set[str], parts: tuple[str, ...]) -> Bool[Array, "shared"]:
+def _free(system: System, held: set[str], parts: tuple[str, ...]) -> Bool[Array, "shared"]:
     """Which shared parameters are refined: those of some parts of the rig that are not held, and the board's warp."""
-    names = parameter_names(rig)
-    free = [name.startswith(parts) and name not in held for name in names]
-    return jnp.asarray(free + [True] * len(jax.tree.leaves(warp)))
+    return jnp.asarray([name.startswith((*parts, "warp")) and name not in held for name in system.shared_names()])
 
 
 def _check(refined: Refined, observations: Observations, free: Bool[Array, "shared"]) -> None:
     """Refuse what is no calibration."""
-    rig, warp = refined.estimate.shared
-    names = np.array([*parameter_names(rig), *warp_names(warp)])
+    rig, names = refined.system.rig, np.array(refined.system.shared_names())
     at = np.flatnonzero(free)
-    values = np.array([float(leaf) for leaf in jax.tree.leaves((rig, warp))])
+    values = np.array(refined.system.values())
     spread = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
     directions = np.asarray(refined.precision.directions)[at]
     noise_px = max(float(refined.noise.corner), float(refined.noise.stripe))
@@ -303,8 +287,10 @@ def _check(refined: Refined, observations: Observations, free: Bool[Array, "shar
         eigenvalues = np.asarray(refined.precision.eigenvalues)
         open_question = undetermined(names[at].tolist(), values[at], eigenvalues, directions, spread, noise_px)
     if open_question:
-        with_rig = rig if any(name.startswith("laser") for name in names[at]) else Rig(rig.camera)
-        coverage = measure_coverage(observations, with_rig, refined.estimate.poses[0])
+        with_rig = rig if any(name.startswith("lights") for name in names[at]) else Rig(rig.camera)
+        coverage = measure_coverage(
+            observations, with_rig, poses_of_photographs(observations, rig.camera, refined.system.poses[0])
+        )
         raise ObservabilityError(
             f"from these {len(observations.views)} views {open_question.words}: "
             f"{cause_and_mend(open_question, coverage)}"

@@ -1,4 +1,4 @@
-"""What the photographs cover: tilts and distances of the boards, the image, the sheet of light, the stage's travel.
+"""What the photographs cover: tilts and distances of the boards, the image, the sheet of light, the way of each axis.
 
 The numbers behind every sentence that says why something is not known better, and what photograph would help.
 """
@@ -6,12 +6,13 @@ The numbers behind every sentence that says why something is not known better, a
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.geometry import Pose
 from jaxscan.rig import Rig
+from jaxscan.rig.light import sheet_axes
 
 # The image is looked at in so many columns and rows of cells.
 CELLS = (8, 6)
@@ -37,6 +38,21 @@ class StripeCoverage:
 
 
 @dataclass(frozen=True)
+class AxisCoverage:
+    """How far one axis moved the board.
+
+    Attributes:
+        photographs: of the board along it.
+        way: from the first to the last of its longest sequence; None where its motion is not known yet.
+        unit: of the way, mm or degrees.
+    """
+
+    photographs: int
+    way: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
 class Coverage:
     """What the photographs cover.
 
@@ -49,10 +65,7 @@ class Coverage:
         image_share: share of the cells that hold a corner.
         reach: how far the outermost corner is from the image's centre, as a share of the half diagonal.
         stripes: laser by laser.
-        stage_images: photographs of the board on the stage.
-        stage_travel_mm: between the first and the last of them; None where the rig has no stage.
-        turntable_images: photographs of the board on the turntable.
-        turn_deg: from the first to the last of them; None where the rig has no turntable.
+        axes: of each axis along which the board was photographed.
     """
 
     tilts_deg: Float[np.ndarray, "views"]
@@ -63,22 +76,19 @@ class Coverage:
     image_share: float
     reach: float
     stripes: tuple[StripeCoverage, ...]
-    stage_images: int
-    stage_travel_mm: float | None
-    turntable_images: int
-    turn_deg: float | None
+    axes: dict[str, AxisCoverage]
 
 
-def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "blocks 6"]) -> Coverage:
-    """What the views, stripes and stage photographs of a rig cover; inside a `float64` block.
+def measure_coverage(observations: Observations, rig: Rig, poses: Pose[np.ndarray]) -> Coverage:
+    """What the views, the stripes and the photographs along the axes of a rig cover.
 
     Args:
         observations: the photographs; those stripe points that do not lie on the board are NaN.
-        rig: camera, lasers and stage, JAX float64 leaves; a laser that is not known yet is left out of it.
-        poses: of the views' boards, in the order of the views; there may be more.
+        rig: camera, lights and motion; a light that is not known yet is left out of it.
+        poses: T_cam_board of each photograph, the views' first.
     """
-    # NumPy's: many small arrays, for each of which JAX would compile anew.
-    boards = Pose.from_vector(np.asarray(poses)[: len(observations.views)])
+    n = len(observations.views)
+    boards = Pose(poses.rotation[:n], poses.translation[:n])
     normals = boards.matrix()[..., 2]
     middles = boards.apply(observations.board.points().mean(axis=0))
     corners = np.concatenate([view.corners[view.used()] for view in observations.views])
@@ -86,15 +96,14 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "
     cell = np.floor((corners + 0.5) / size * CELLS).astype(int).clip(0, np.array(CELLS) - 1)
     counts = np.zeros(CELLS[::-1], int)
     np.add.at(counts, (cell[:, 1], cell[:, 0]), 1)
-    along = [stage for stage in observations.stages if stage.turns is None]
-    turns = [(stage.views, stage.turns) for stage in observations.stages if stage.turns is not None]
-    travel = turn = None
-    if rig.stage is not None and along:
-        per_step = float(np.linalg.norm(np.stack(rig.stage.per_step)))
-        travel = per_step * max(float(np.ptp(stage.steps)) for stage in along)
-    if rig.turntable is not None and turns:
-        per_turn = float(np.linalg.norm(np.stack(rig.turntable.per_step)))
-        turn = float(np.degrees(per_turn * max(float(np.ptp(counts)) for _, counts in turns)))
+    axes: dict[str, AxisCoverage] = {}
+    for sequence in observations.sequences:
+        before = axes.get(sequence.axis, AxisCoverage(0, None, ""))
+        way, unit = before.way, before.unit
+        if sequence.axis in rig.axes():
+            own, unit = rig.axis(sequence.axis).amount(float(np.ptp(sequence.steps)))
+            way = max(own, way or 0.0)
+        axes[sequence.axis] = AxisCoverage(before.photographs + len(sequence.views), way, unit)
     return Coverage(
         tilts_deg=np.degrees(np.arccos(np.abs(normals[:, 2]).clip(0, 1))),
         normals=normals,
@@ -103,27 +112,20 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Float[Array, "
         corners_in_cells=counts,
         image_share=float((counts > 0).mean()),
         reach=float(np.linalg.norm(corners - (size - 1) / 2, axis=1).max() / np.linalg.norm(size / 2)),
-        stripes=tuple(_stripes(observations, rig, poses, i) for i in range(len(rig.lasers))),
-        stage_images=sum(len(stage.views) for stage in along),
-        stage_travel_mm=travel,
-        turntable_images=sum(len(views) for views, _ in turns),
-        turn_deg=turn,
+        stripes=tuple(_stripes(observations, rig, poses, i) for i in range(len(rig.lights))),
+        axes=axes,
     )
 
 
-def _stripes(observations: Observations, rig: Rig, poses: Float[Array, "blocks 6"], laser: int) -> StripeCoverage:
+def _stripes(observations: Observations, rig: Rig, poses: Pose[np.ndarray], laser: int) -> StripeCoverage:
     X, view = stripe_points_in_space(observations, rig.camera, poses, laser)
+    light = rig.lights[laser]
     if not len(X):
-        return StripeCoverage(rig.lasers[laser].name, 0, 0, (np.nan, np.nan), 0.0)
-    # Stripes run along the sheet's intersection with boards that face the camera: across the line of sight.
-    omega = np.stack(rig.lasers[laser].plane)
-    along = np.cross(omega, [0.0, 0.0, 1.0])
-    across = np.cross(omega, along)
-    spread = X @ (across / np.linalg.norm(across))
+        return StripeCoverage(light.name, 0, 0, (np.nan, np.nan), 0.0)
     return StripeCoverage(
-        laser=rig.lasers[laser].name,
+        laser=light.name,
         views=len(np.unique(view)),
         points=len(X),
         depths_mm=(float(X[:, 2].min()), float(X[:, 2].max())),
-        across_mm=float(np.ptp(spread)),
+        across_mm=float(np.ptp(X @ sheet_axes(light)[1])),
     )

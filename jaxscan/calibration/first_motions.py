@@ -1,75 +1,78 @@
-"""Stage and turntable in closed form: from the board's pose in each photograph, found by itself."""
+"""The motion of each axis in closed form: from the board's pose in each photograph, found by itself."""
 
-from dataclasses import replace
+from itertools import pairwise
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.calibration import initial
-from jaxscan.calibration.blocks import reference_turn, view_blocks
-from jaxscan.calibration.first_poses import first_poses
-from jaxscan.calibration.observations import Observations, StageSequence
+from jaxscan.calibration.blocks import reference_positions
+from jaxscan.calibration.observations import BoardSequence, Observations
 from jaxscan.errors import InputError
-from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
-from jaxscan.geometry.turn import axis_point, rate_of_turn
-from jaxscan.rig import Camera, Stage, Turntable
+from jaxscan.geometry import Pose
+from jaxscan.precision import as_float64, as_numpy
+from jaxscan.rig import MOTIONS, AxisMotion, Motion, motion_of
 
-# Less is not told from the noise of single poses, radians.
-_LEAST_TURN = 0.05
+
+def no_motion_yet(observations: Observations) -> Motion:
+    """Axes that do not move, in the order and of the kinds that `first_motions` will find."""
+    return motion_of(tuple(MOTIONS[each[0].kind].at_rest(axis) for axis, each in _by_axis(observations).items()))
 
 
 def first_motions(
-    observations: Observations, camera: Camera
-) -> tuple[Stage | None, Turntable | None, Float[Array, "sequences 6"]]:
-    """Stage, turntable, and the pose of each sequence's board at its step counts of reference.
-
-    Raises:
-        InputError: a board on the turntable that did not turn.
-    """
-    middle = observations.board.points().mean(axis=0)
-    slopes, tables, first = [], [], []
-    # Those on the stage first: a turned board is placed in the frame of the stage's step 0.
-    each = sorted(enumerate(observations.stages), key=lambda pair: pair[1].turns is not None)
-    for _, sequence in each:
-        blocks = view_blocks(replace(observations, views=sequence.views))
-        vectors = np.asarray(first_poses(camera, blocks))[: len(sequence.views)]
-        if sequence.turns is None:
-            start, per_step = initial.stage_line(np.asarray(sequence.steps, float), vectors[:, 3:])
-            slopes.append(per_step)
-            first.append(np.concatenate([initial.usual_rotation(vectors[:, :3]), start]))
-        else:
-            travel = np.median(slopes, axis=0) if slopes else np.zeros(3)
-            moved = sequence.steps[:, None] * np.concatenate([np.zeros(3), travel])
-            table, pose = _turned(sequence, vectors - moved, middle)
-            tables.append(table)
-            first.append(pose)
-    order = np.argsort([i for i, _ in each])
-    stage = Stage.create(np.median(slopes, axis=0)) if slopes else None
-    return stage, tables[0] if tables else None, jnp.asarray(np.stack(first)[order])
-
-
-def _turned(
-    sequence: StageSequence, vectors: Float[np.ndarray, "images 6"], middle: Float[np.ndarray, "3"]
-) -> tuple[Turntable, Float[np.ndarray, "6"]]:
-    """The turntable of one sequence, and its board at the reference.
+    observations: Observations, stood: Pose[np.ndarray]
+) -> tuple[Motion, tuple[Float[Array, "_ 6"], ...]]:
+    """The motion, and the pose of each sequence's board at its positions of reference, one group of them or none.
 
     Args:
-        sequence: of a turned board.
-        vectors: its pose in each photograph, in the frame of the stage's step 0.
-        middle: of the board, mm.
+        observations: with the sequences.
+        stood: the board's pose in each photograph, the views' first.
+
+    Raises:
+        InputError: a board that did not move as its axis does.
     """
-    steps = np.asarray(sequence.turns, float) - reference_turn(sequence)
-    poses = Pose.from_vector(vectors)
-    w = rate_of_turn(poses.matrix(), steps)
-    if (turn := float(np.linalg.norm(w) * np.ptp(steps))) < _LEAST_TURN:
-        raise InputError(
-            f"{sequence.views[0].name} … {sequence.views[-1].name}: the board on the turntable turned by "
-            f"{np.degrees(turn):.1f}° in {np.ptp(steps):g} steps: turn it by 30° or more in all, and check the step "
-            "counts under [turntable] and that the board turns with the table"
-        )
-    centre, arm = axis_point(poses.apply(middle), steps, w)
-    back = vector_to_matrix(-steps[:, None] * w)
-    rotation = initial.usual_rotation(matrix_to_vector(back @ poses.matrix()))
-    start = centre + arm - vector_to_matrix(rotation) @ middle
-    return Turntable.create(w, centre), np.concatenate([rotation, start])
+    if not observations.sequences:
+        return motion_of(()), ()
+    middle = observations.board.points().mean(axis=0)
+    ends = np.cumsum([len(observations.views), *(len(sequence.views) for sequence in observations.sequences)])
+    photographs = [Pose(stood.rotation[start:end], stood.translation[start:end]) for start, end in pairwise(ends)]
+    parts: list[AxisMotion] = []
+    for axis, sequences in _by_axis(observations).items():
+        # What is known of the axes that carry this one is taken back; the longest way tells most.
+        longest = max(sequences, key=lambda sequence: float(np.ptp(sequence.steps)))
+        poses = photographs[observations.sequences.index(longest)]
+        carried = motion_of(tuple(parts)).pose(longest.positions)
+        found = _fitted(longest, axis, carried.inverse() @ poses, middle)
+        parts.append(as_numpy(found))
+    motion = motion_of(tuple(parts))
+    first = [
+        _at_reference(motion, sequence, poses, middle)
+        for sequence, poses in zip(observations.sequences, photographs, strict=True)
+    ]
+    return as_float64(motion), (jnp.asarray(np.stack(first)),)
+
+
+def _by_axis(observations: Observations) -> dict[str, list[BoardSequence]]:
+    """The sequences of each axis, from the room to the object: lines carry turns."""
+    axes: dict[str, list[BoardSequence]] = {}
+    for sequence in sorted(observations.sequences, key=lambda each: list(MOTIONS).index(each.kind)):
+        axes.setdefault(sequence.axis, []).append(sequence)
+    return axes
+
+
+def _fitted(sequence: BoardSequence, axis: str, poses: Pose[np.ndarray], middle: Float[np.ndarray, "3"]) -> AxisMotion:
+    try:
+        return MOTIONS[sequence.kind].fitted(axis, sequence.steps, poses, middle)
+    except InputError as error:
+        raise InputError(f"{sequence.views[0].name} … {sequence.views[-1].name}: {error}") from error
+
+
+def _at_reference(
+    motion: Motion, sequence: BoardSequence, poses: Pose[np.ndarray], middle: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "6"]:
+    """Where a sequence's board stands at its reference: what most photographs say."""
+    there = motion.pose(reference_positions(sequence)) @ motion.pose(sequence.positions).inverse() @ poses
+    rotation = initial.usual_rotation(there.rotation)
+    place = np.median(there.apply(middle[None])[:, 0], axis=0)
+    return np.concatenate([rotation, place - Pose(rotation, np.zeros(3)).apply(middle)])

@@ -20,20 +20,19 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.calibration.bundle import Estimate, Prior, solve
+from jaxscan.calibration.bundle import Prior, solve
 from jaxscan.calibration.correlation import integrated_correlation
-from jaxscan.calibration.gauge_points import Gauge, distances, errors, facing, on_object, stripe_points
+from jaxscan.calibration.gauge_points import Gauge, GaugeScan, distances, errors, facing, on_object, stripe_points
 from jaxscan.calibration.gauge_residuals import GaugePoints
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.uncertainty import precision
+from jaxscan.calibration.uncertainty import Precision, arrow_precision
 from jaxscan.errors import InputError, SolveError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_numpy, float64
-from jaxscan.rig import Covariance, Rig
-from jaxscan.rig.covariance import turntable_leaves, with_nearest_centre
-from jaxscan.rig.rig import parameter_names
+from jaxscan.rig import Covariance, Rig, System
+from jaxscan.rig.rig import held_jacobian, idle_ways, parameter_names, with_normal_numbers
 from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ.
@@ -122,26 +121,26 @@ def refine_by_gauge(
         raise InputError(f'doubt names {", ".join(sorted(unknown))}: a gauge can put right "laser" and "stage"')
     with float64():
         boards = _boards(known, gauges, doubt)
-        rig = boards.estimate.shared[0]
+        rig = boards.system.rig
         seen = stripe_points(gauges, rig)
         seen = _laid_in(gauges, rig, seen)
-        first = Estimate(boards.estimate.shared, (*boards.estimate.poses, seen.laid))
+        first = System(rig, (*boards.system.poses, seen.laid), boards.system.warp)
         # The gauges are laid in first, with the rig as it is.
         laid = _fit(gauges, seen, first, boards, jnp.zeros_like(boards.free))
-        fitted = _fit(gauges, seen, laid.estimate, boards, boards.free)
-        groups = (*boards.groups, fitted.scans)
-        found = precision(fitted.estimate, boards.free, groups, boards.noise, boards.prior)
-        refined = fitted.estimate.shared[0]
+        fitted = _fit(gauges, seen, laid.system, boards, boards.free)
+        refined = fitted.system.rig
         names, known_of = parameter_names(rig), np.array(boards.free)
-        known_of[turntable_leaves(rig)] |= known_of[turntable_leaves(rig)].any()
+        for way in idle_ways(rig):
+            # A number that says nothing of its own is known as soon as the others of its way are.
+            known_of[way != 0] |= known_of[way != 0].any()
         at = np.flatnonzero(known_of)
-        matrix = with_nearest_centre(np.asarray(found.covariance), refined, boards.free)
+        matrix = with_normal_numbers(np.asarray(fitted.precision.covariance), refined, boards.free)
         covariance = Covariance(tuple(names[i] for i in at), matrix[np.ix_(at, at)])
         shift = np.asarray(boards.believed.root) @ (
             np.asarray(ravel_pytree(refined)[0]) - np.asarray(boards.believed.mean)
         )
         return GaugeFit(
-            rig=as_numpy(replace(refined, turntable=refined.turntable and refined.turntable.nearest())),
+            rig=as_numpy(refined.normal()),
             covariance=covariance,
             gauges=_readings(gauges, seen, laid, fitted),
             from_prior_in_sigma=float(np.linalg.norm(shift)),
@@ -153,7 +152,7 @@ class _Boards:
     """What the boards tell of the rig, as parts of the solve: by a prior, or by photographs.
 
     Attributes:
-        estimate: shared parameters, and the poses of the photographs' boards.
+        system: the rig, and the poses of the photographs' boards.
         free: which shared parameters are refined.
         groups: the photographs.
         noise: their σ.
@@ -161,7 +160,7 @@ class _Boards:
         believed: all that is known without the gauges, whether by photographs or not.
     """
 
-    estimate: Estimate
+    system: System
     free: Bool[Array, "shared"]
     groups: tuple[Blocks, ...]
     noise: Noise
@@ -172,31 +171,35 @@ class _Boards:
 def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequence[str]) -> _Boards:
     content = known if isinstance(known, RigFile) else known.rig_file()
     rig = as_float64(content.rig)
-    lit = {rig.laser(gauge.scan.laser).name for gauge in gauges} if "laser" in doubt else set()
-    stems = [f"laser.{name}.plane." if name else "laser.plane." for name in sorted(lit)]
-    stems += ["stage."] if "stage" in doubt else []
+    lit = {rig.lights.index(rig.light(gauge.scan.laser)) for gauge in gauges} if "laser" in doubt else set()
+    stems = [f"lights.{i}." for i in sorted(lit)]
+    stems += ["motion.stage."] if "stage" in doubt else []
     roughly, doubted = _roughly(rig, stems)
     told, free = _told(content, doubted)
     mean = jnp.asarray([float(leaf) for leaf in jax.tree.leaves(rig)])
     believed = Prior(mean, jnp.asarray(np.concatenate([roughly, told])))
     if isinstance(known, RigFile):
         unit = Noise(jnp.ones(()), jnp.ones(()), jnp.zeros(()))
-        return _Boards(Estimate((rig, None), ()), jnp.asarray(free), (), unit, believed, believed)
+        return _Boards(System(rig, ()), jnp.asarray(free), (), unit, believed, believed)
     adjustment = jax.tree.map(jnp.asarray, known.adjustment)
-    views, *sequences = adjustment.groups
-    pushed = jnp.asarray([laser.name in lit for laser in rig.lasers])
-    groups = (
-        replace(views, stripe_used=views.stripe_used & ~pushed[views.stripe_laser]),
-        *(replace(s, corner_used=s.corner_used & ("stage" not in doubt)) for s in sequences),
+    pushed = jnp.asarray([i in lit for i in range(len(rig.lights))])
+    groups = tuple(
+        replace(
+            group,
+            corner_used=group.corner_used & (not group.q or "stage" not in doubt),
+            stripe_used=group.stripe_used & ~pushed[group.stripe_light] & (not group.q or "stage" not in doubt),
+        )
+        for group in adjustment.groups
     )
     corner, stripe = known.corner_sigma_px, (known.stripe_sigma_px or 1.0) * (known.stripe_correlation or 1.0) ** 0.5
     noise = Noise(jnp.asarray(corner), jnp.asarray(stripe), jnp.zeros(()))
     if "stage" in doubt:
-        # Where the stage stood tells where the turntable did: of neither a photograph is read, and this one stays.
-        free[turntable_leaves(rig)] = False
-    # The calibration's own estimate, but for where along its axis the turntable's centre stands.
-    estimate = Estimate((rig, None), adjustment.estimate.poses)
-    return _Boards(estimate, jnp.asarray(free), groups, noise, Prior(mean, jnp.asarray(roughly)), believed)
+        # Where the stage stood tells where the others did: of none a photograph is read, and they stay.
+        others = [n.startswith("motion.") and not n.startswith("motion.stage.") for n in parameter_names(rig)]
+        free[np.array(others)] = False
+    # The calibration's own solution, but for the numbers of the rig that say nothing of their own.
+    system = System(rig, adjustment.start.poses)
+    return _Boards(system, jnp.asarray(free), groups, noise, Prior(mean, jnp.asarray(roughly)), believed)
 
 
 def _roughly(rig: Rig, stems: Sequence[str]) -> tuple[Float[np.ndarray, "rows leaves"], Bool[np.ndarray, "leaves"]]:
@@ -217,10 +220,8 @@ def _told(
     if content.covariance is None:
         return np.zeros((0, len(doubted))), doubted
     full = content.covariance.of_leaves(content.rig)
-    if content.rig.turntable is not None:
-        J, leaves = np.eye(len(full)), turntable_leaves(content.rig)
-        J[np.ix_(leaves, leaves)] = content.rig.turntable.held_jacobian()
-        full = J @ full @ J.T
+    J = held_jacobian(content.rig)
+    full = J @ full @ J.T
     at = np.flatnonzero((np.diagonal(full) > 0) & ~doubted)
     scale = np.sqrt(np.diagonal(full)[at])
     L = np.linalg.cholesky(full[np.ix_(at, at)] / np.outer(scale, scale))
@@ -248,16 +249,17 @@ def _laid_in(gauges: Sequence[Gauge], rig: Rig, seen: GaugePoints) -> GaugePoint
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Where rounds of nearest points and solves ended; σ and τ of each scan."""
+    """Where rounds of nearest points and solves ended, what the last tells, and σ and τ of each scan."""
 
-    estimate: Estimate
+    system: System
     scans: GaugePoints
+    precision: Precision
     sigma: Float[np.ndarray, "scans"]
     correlation: Float[np.ndarray, "scans"]
 
 
 def _fit(
-    gauges: Sequence[Gauge], seen: GaugePoints, estimate: Estimate, boards: _Boards, free: Bool[Array, "shared"]
+    gauges: Sequence[Gauge], seen: GaugePoints, system: System, boards: _Boards, free: Bool[Array, "shared"]
 ) -> _Fitted:
     """Nearest points, outliers, σ and the solve in turn.
 
@@ -270,8 +272,8 @@ def _fit(
     tolerance = np.array([_ROUGHLY_MM + _ROUGHLY_SHARE * gauge.shape.size for gauge in gauges])
     held = not bool(free.any())
     for _ in range(_MAX_ROUNDS):
-        scans = facing(gauges, estimate, seen)
-        before, slopes = (np.asarray(a) for a in errors(estimate, scans))
+        scans = facing(gauges, system, seen)
+        before, slopes = (np.asarray(a) for a in errors(system, scans))
         near = np.abs(before * slopes) <= tolerance[:, None]
         if not held:
             near |= np.abs(before) <= _LIMIT * sigma[:, None]
@@ -283,23 +285,24 @@ def _fit(
             scans,
             (jnp.asarray(good), jnp.asarray(np.broadcast_to(weights[:, None], good.shape))),
         )
-        outcome = solve(estimate, free, (*boards.groups, scans), boards.noise, boards.prior, _FIRST_DAMPING)
-        estimate, earlier = outcome.estimate, after
-        after = np.asarray(errors(estimate, scans)[0])
+        outcome = solve(system, free, (*boards.groups, scans), boards.noise, boards.prior, _FIRST_DAMPING)
+        system, earlier = outcome.system, after
+        after = np.asarray(errors(system, scans)[0])
         change = np.sqrt(((after - earlier) ** 2).sum(axis=1, where=good) / good.sum(axis=1))
         sides = (good != used).sum(axis=1)
         sigma, used = _robust_sigmas(after, good), good
         tau = np.array(
             [
-                integrated_correlation(*_by_frame(*each))
-                for each in zip(after, good, np.asarray(seen.steps), strict=True)
+                integrated_correlation(*_by_frame(*each, gauges[i].scan))
+                for i, each in enumerate(zip(after, good, strict=True))
             ]
         )
         settled = bool(np.all((change <= _SETTLED * sigma) & (sides <= _SETTLED * good.sum(axis=1))))
         # While points still change sides it does no harm if a solve runs out of steps on its way.
         decided = held or bool(np.all(tolerance <= _SMALLEST_TOLERANCE))
         if settled and decided and outcome.result == optx.RESULTS.successful:
-            return _Fitted(estimate, scans, sigma, tau)
+            known = arrow_precision(outcome.value, outcome.jacobian)
+            return _Fitted(system, scans, known, sigma, tau)
         tolerance = tolerance if held else tolerance / 2
     raise SolveError(
         f"the rig did not settle on the gauge within {_MAX_ROUNDS} rounds: check the gauge's dimensions (mm), and that "
@@ -326,20 +329,20 @@ def _robust_sigmas(
 
 
 def _by_frame(
-    errors: Float[np.ndarray, "points"], used: Bool[np.ndarray, "points"], steps: Float[np.ndarray, "points"]
+    errors: Float[np.ndarray, "points"], used: Bool[np.ndarray, "points"], scan: GaugeScan
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The errors of a scan frame by frame, in the order of the stripe."""
-    ends = np.flatnonzero(np.diff(steps)) + 1
+    """The errors of a scan frame by frame, in the order of the stripe; padding goes with the last."""
+    ends = np.arange(1, len(scan.pixels)) * scan.pixels.shape[1]
     return np.split(errors, ends), np.split(used, ends)
 
 
 def _readings(gauges: Sequence[Gauge], seen: GaugePoints, laid: _Fitted, fitted: _Fitted) -> tuple[GaugeReading, ...]:
     """How the gauges read."""
     used = np.asarray(fitted.scans.used)
-    before, after = (distances(gauges, fit.estimate, seen) for fit in (laid, fitted))
+    before, after = (distances(gauges, fit.system, seen) for fit in (laid, fitted))
     return tuple(
         GaugeReading(
-            pose=as_numpy(Pose.from_vector(fitted.estimate.poses[-1][i])),
+            pose=as_numpy(Pose.from_vector(fitted.system.poses[-1][i])),
             points=int(used[i].sum()),
             rejected=int(np.asarray(seen.used[i]).sum()) - int(used[i].sum()),
             stripe_sigma_px=float(fitted.sigma[i]),

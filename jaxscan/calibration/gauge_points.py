@@ -1,6 +1,6 @@
 """From scans of gauges to `GaugePoints`: nearest points of their shapes, and which stripe points can tell of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,11 +11,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Real
 
 from jaxscan.calibration.blocks import bucket
-from jaxscan.calibration.bundle import Estimate
-from jaxscan.calibration.gauge_residuals import GaugePoints, gauge_errors, point_of_object
+from jaxscan.calibration.gauge_residuals import GaugePoints, gauge_errors, points_of_object
 from jaxscan.calibration.gauge_shapes import Shape
 from jaxscan.geometry import Pose
-from jaxscan.rig import Rig
+from jaxscan.rig import Rig, System
 
 # A surface seen at less than this angle to the way the stripe moves on it says nothing of where it is.
 _GRAZING: Final = np.sin(np.radians(12.0))
@@ -29,13 +28,13 @@ class GaugeScan:
 
     Attributes:
         pixels: where it was seen: v for each image column, or u for each row; NaN for none.
-        steps: motor step count of each frame.
+        positions: motor steps of each axis at each frame.
         columns: whether v was measured, or u.
         laser: the laser's name, "" for the only one.
     """
 
     pixels: Float[np.ndarray, "frames columns"]
-    steps: Real[np.ndarray, "frames"]
+    positions: Mapping[str, Real[np.ndarray, "frames"]]
     columns: bool = True
     laser: str = ""
 
@@ -56,18 +55,19 @@ class Gauge:
 def stripe_points(gauges: Sequence[Gauge], rig: Rig) -> GaugePoints:
     """All stripe points, one padded block a scan, with nothing known yet of where they lie on the gauges."""
     size = bucket(max(gauge.scan.pixels.size for gauge in gauges))
-    names = [laser.name for laser in rig.lasers]
+    names = [light.name for light in rig.lights]
     stripe = np.full((len(gauges), size, 2), np.nan)
-    steps = np.zeros((len(gauges), size))
+    axes = sorted({axis for gauge in gauges for axis in gauge.scan.positions})
+    q = {axis: np.zeros((len(gauges), size)) for axis in axes}
     for i, gauge in enumerate(gauges):
         scan = gauge.scan
         index = np.broadcast_to(np.arange(scan.pixels.shape[1], dtype=float), scan.pixels.shape)
         pixels = np.stack([index, scan.pixels] if scan.columns else [scan.pixels, index], axis=-1)
         stripe[i, : scan.pixels.size] = pixels.reshape(-1, 2)
-        # Padding stands with the last frame, so that it begins none.
-        steps[i] = np.pad(
-            np.repeat(np.asarray(scan.steps, float), scan.pixels.shape[1]), (0, size - scan.pixels.size), mode="edge"
-        )
+        for axis, steps in scan.positions.items():
+            # Padding stands with the last frame, so that it begins none.
+            each = np.repeat(np.asarray(steps, float), scan.pixels.shape[1])
+            q[axis][i] = np.pad(each, (0, size - scan.pixels.size), mode="edge")
 
     def of_scans(values: list) -> Array:
         return jnp.asarray(np.broadcast_to(np.array(values)[:, None], stripe.shape[:2]))
@@ -75,8 +75,8 @@ def stripe_points(gauges: Sequence[Gauge], rig: Rig) -> GaugePoints:
     return GaugePoints(
         stripe=jnp.asarray(stripe),
         columns=of_scans([gauge.scan.columns for gauge in gauges]),
-        steps=jnp.asarray(steps),
-        laser=of_scans([names.index(rig.laser(gauge.scan.laser).name) for gauge in gauges]),
+        q={axis: jnp.asarray(steps) for axis, steps in q.items()},
+        light=of_scans([names.index(rig.light(gauge.scan.laser).name) for gauge in gauges]),
         surface=jnp.zeros((*stripe.shape[:2], 3)),
         normals=jnp.zeros((*stripe.shape[:2], 3)).at[..., 2].set(1.0),
         used=jnp.asarray(np.isfinite(stripe).all(axis=-1)),
@@ -86,22 +86,23 @@ def stripe_points(gauges: Sequence[Gauge], rig: Rig) -> GaugePoints:
     )
 
 
-def facing(gauges: Sequence[Gauge], estimate: Estimate, seen: GaugePoints) -> GaugePoints:
+def facing(gauges: Sequence[Gauge], system: System, seen: GaugePoints) -> GaugePoints:
     """The points with the nearest ones of the shapes and the normals there; those are used that can tell of them.
 
     A point whose nearest one is on an edge is off to the side of the shape; a face turned from the camera is not what
     was seen; and where the surface lies nearly along the way on which the stripe moves, it may be anywhere on it.
     """
-    rig = estimate.shared[0]
+    rig = system.rig
     points, along = (np.asarray(a) for a in on_object(rig, seen))
     surface, normals, used = np.array(seen.surface), np.array(seen.normals), np.zeros(seen.used.shape, bool)
-    rays = points if rig.stage is None else points + np.asarray(rig.stage.displacement(seen.steps))
+    # From the camera, as the object sees it.
+    rays = points - np.asarray(rig.pose(seen.q).inverse().translation)
     for i, gauge in enumerate(gauges):
-        local, at = _in_gauge(estimate, points, seen, i)
+        local, at = _in_gauge(system, points, seen, i)
         on, m = gauge.shape.nearest(local)
         away = local - on
         aside = np.linalg.norm(away - (away * m).sum(axis=1, keepdims=True) * m, axis=1)
-        outwards = m @ _pose(estimate, i).matrix().T
+        outwards = m @ _pose(system, i).matrix().T
         slope = np.abs((outwards * along[i, at]).sum(axis=1)) / np.linalg.norm(along[i, at], axis=1)
         towards = (outwards * rays[i, at]).sum(axis=1) < 0
         surface[i, at], normals[i, at] = on, m
@@ -113,39 +114,37 @@ def facing(gauges: Sequence[Gauge], estimate: Estimate, seen: GaugePoints) -> Ga
     )
 
 
-def distances(gauges: Sequence[Gauge], estimate: Estimate, seen: GaugePoints) -> Float[np.ndarray, "scans points"]:
+def distances(gauges: Sequence[Gauge], system: System, seen: GaugePoints) -> Float[np.ndarray, "scans points"]:
     """From the surfaces, mm; NaN where there is no stripe."""
-    points = np.asarray(on_object(estimate.shared[0], seen)[0])
+    points = np.asarray(on_object(system.rig, seen)[0])
     found = np.full(seen.used.shape, np.nan)
     for i, gauge in enumerate(gauges):
-        local, at = _in_gauge(estimate, points, seen, i)
+        local, at = _in_gauge(system, points, seen, i)
         found[i, at] = np.linalg.norm(local - gauge.shape.nearest(local)[0], axis=1)
     return found
 
 
 def _in_gauge(
-    estimate: Estimate, points: Float[np.ndarray, "scans points 3"], seen: GaugePoints, i: int
+    system: System, points: Float[np.ndarray, "scans points 3"], seen: GaugePoints, i: int
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
     """The points of a scan where a stripe is, in the gauge's frame (mm), and which they are."""
     at = np.flatnonzero(np.asarray(seen.used[i]) & np.isfinite(points[i]).all(axis=1))
-    return _pose(estimate, i).inverse().apply(points[i, at]), at
+    return _pose(system, i).inverse().apply(points[i, at]), at
 
 
-def _pose(estimate: Estimate, i: int) -> Pose[np.ndarray]:
+def _pose(system: System, i: int) -> Pose[np.ndarray]:
     """T_object_gauge of a scan."""
-    return Pose.from_vector(np.asarray(estimate.poses[-1][i]))
+    return Pose.from_vector(np.asarray(system.poses[-1][i]))
 
 
 @eqx.filter_jit
 def on_object(rig: Rig, seen: GaugePoints) -> tuple[Float[Array, "scans points 3"], Float[Array, "scans points 3"]]:
     """The points of the object frame, mm, and how they move with the stripe, mm a pixel."""
-    omegas = jnp.stack([laser.omega for laser in rig.lasers])[seen.laser]
-    each = jax.vmap(jax.vmap(lambda *point: point_of_object(rig, *point)))
-    return each(omegas, seen.stripe, seen.columns, seen.steps)
+    return jax.vmap(lambda scan: points_of_object(rig, scan, scan.stripe))(seen)
 
 
 @eqx.filter_jit
-def errors(estimate: Estimate, scans: GaugePoints) -> tuple[Float[Array, "scans points"], Float[Array, "scans points"]]:
+def errors(system: System, scans: GaugePoints) -> tuple[Float[Array, "scans points"], Float[Array, "scans points"]]:
     """`gauge_errors` of every scan."""
-    rig = estimate.shared[0]
-    return jax.vmap(lambda pose, scan: gauge_errors(rig, pose, scan))(estimate.poses[-1], scans)
+    rig = system.rig
+    return jax.vmap(lambda pose, scan: gauge_errors(rig, pose, scan))(system.poses[-1], scans)

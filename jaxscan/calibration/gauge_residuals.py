@@ -1,6 +1,6 @@
 """The residual of a stripe point on an object of known shape, in detector pixels.
 
-Ray and light plane give the point P = x / (ω · x) − n · per_step of the object frame, the gauge's pose its place in the
+Ray and light give the point P = M(q)⁻¹ (x z) of the object frame, the gauge's pose its place in the
 gauge's frame, Rᵀ (P − t). With q the nearest point of the surface and m the normal there, d = m · (Rᵀ (P − t) − q) is
 the distance from the surface, and −d / (∂d/∂v) that from the seen stripe to the predicted one in rows (∂d/∂u, in
 columns, for a stripe found row by row), as for a stripe on a board. q and m are held while a solve lasts, and found
@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.calibration.residuals import Noise
 from jaxscan.geometry import Pose
-from jaxscan.rig import BoardWarp, Rig
+from jaxscan.rig import Rig, System
 
 
 class GaugePoints(eqx.Module):
@@ -23,8 +23,8 @@ class GaugePoints(eqx.Module):
     Attributes:
         stripe: where the stripe was seen, pixels.
         columns: True where v was measured, False where u was.
-        steps: motor steps of each point's frame.
-        laser: which laser lit it.
+        q: motor steps of each axis at each point's frame.
+        light: which light lit it.
         surface: q, the nearest points of the surface, mm in the gauge's frame.
         normals: m, unit normals there.
         used: which points take part.
@@ -36,8 +36,8 @@ class GaugePoints(eqx.Module):
 
     stripe: Float[Array, "*scans points 2"]
     columns: Bool[Array, "*scans points"]
-    steps: Float[Array, "*scans points"]
-    laser: Int[Array, "*scans points"]
+    q: dict[str, Float[Array, "*scans points"]]
+    light: Int[Array, "*scans points"]
     surface: Float[Array, "*scans points 3"]
     normals: Float[Array, "*scans points 3"]
     used: Bool[Array, "*scans points"]
@@ -46,27 +46,41 @@ class GaugePoints(eqx.Module):
     laid_to: Float[Array, "*scans 6"]
 
     def residuals(
-        self, rig: Rig, warp: BoardWarp | None, poses: Float[Array, "scans 6"], noise: Noise
+        self, system: System, poses: Float[Array, "scans 6"], noise: Noise
     ) -> Float[Array, "scans residuals"]:
         """The residuals of each scan, dimensionless: of the stripe, then of the pose. A gauge has its own weights."""
-        del warp, noise
-        errors, _ = jax.vmap(lambda pose, scan: gauge_errors(rig, pose, scan))(poses, self)
+        del noise
+        errors, _ = jax.vmap(lambda pose, scan: gauge_errors(system.rig, pose, scan))(poses, self)
         moved = (poses - self.laid) / self.laid_to
         return jnp.concatenate([errors * jnp.where(self.used, self.weights, 0.0), moved], axis=1)
 
+    def start(self, system: System) -> Float[Array, "scans 6"]:
+        """Where the gauges were laid in."""
+        del system
+        return self.laid
 
-def point_of_object(
-    rig: Rig, omega: Float[Array, "3"], pixel: Float[Array, "2"], columns: Bool[Array, ""], steps: Float[Array, ""]
-) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """P (mm, object frame) and ∂P/∂v, or ∂P/∂u, mm a pixel."""
 
-    def point(pixel: Float[Array, "2"]) -> Float[Array, "3"]:
-        x = rig.camera.ray(pixel)
-        P = x / (omega @ x)
-        return P if rig.stage is None else P - rig.stage.displacement(steps)
+def points_of_object(
+    rig: Rig, scan: GaugePoints, pixels: Float[Array, "points 2"]
+) -> tuple[Float[Array, "points 3"], Float[Array, "points 3"]]:
+    """P of each point of one scan (mm, object frame) and ∂P/∂v, or ∂P/∂u, mm a pixel."""
+    back = rig.pose(scan.q).inverse()
+    R, t = (jnp.broadcast_to(x, (len(pixels), *x.shape[-k:])) for x, k in ((back.matrix(), 2), (back.translation, 1)))
 
-    axis = jnp.where(columns, jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
-    return jax.jvp(point, (pixel,), (axis,))
+    def each(
+        pixel: Float[Array, "2"], columns: Bool[Array, ""], which: Int[Array, ""], R: Array, t: Array
+    ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+        def point(pixel: Float[Array, "2"]) -> Float[Array, "3"]:
+            x = rig.camera.ray(pixel)
+            inverse_depth = rig.lights[0].inverse_depth(x)
+            for i, light in enumerate(rig.lights[1:], 1):
+                inverse_depth = jnp.where(which == i, light.inverse_depth(x), inverse_depth)
+            return R @ (x / inverse_depth) + t
+
+        axis = jnp.where(columns, jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
+        return jax.jvp(point, (pixel,), (axis,))
+
+    return jax.vmap(each)(pixels, scan.columns, scan.light, R, t)
 
 
 def gauge_errors(
@@ -75,9 +89,8 @@ def gauge_errors(
     """Of each point of one scan: predicted minus seen position, pixels, and ∂d/∂v, mm a pixel; 0 and 1 where masked."""
     T = Pose.from_vector(pose)
     R = T.matrix()
-    omegas = jnp.stack([laser.omega for laser in rig.lasers])[scan.laser]
     pixels = jnp.where(scan.used[:, None], scan.stripe, jnp.stack(rig.camera.principal))
-    P, along = jax.vmap(lambda *each: point_of_object(rig, *each))(omegas, pixels, scan.columns, scan.steps)
+    P, along = points_of_object(rig, scan, pixels)
     # R m, the normals in the object frame.
     facing = scan.normals @ R.T
     d = (facing * (P - T.translation[None])).sum(-1) - (scan.normals * scan.surface).sum(-1)

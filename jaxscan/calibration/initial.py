@@ -1,4 +1,4 @@
-"""The closed-form start: homographies → intrinsics → poses, the light plane by a robust fit, the stage by a line.
+"""The closed-form start: homographies → intrinsics → poses.
 
 The corner of a planar board and its undistorted pixel are related by a homography H ~ K [r1 r2 t]. Two constraints
 for each view, h1ᵀ ω h2 = 0 and h1ᵀ ω h1 = h2ᵀ ω h2 with ω = K⁻ᵀ K⁻¹, are linear in 1/f² when the principal point is
@@ -6,16 +6,11 @@ known (Z. Zhang, PAMI 2000); it starts at the image centre. Everything here is N
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-
-from jaxscan.geometry.robust_plane import planes_through, refined_plane
+from jaxtyping import Bool, Float
 
 _FOCAL_GRID = np.geomspace(0.3, 20.0, 24)
 # A start whose reprojection is off by more than this share of the image width is not believed.
 _POOR_START = 0.02
-_PLANE_TRIALS = 500
-# A trial is judged by so many points: enough for a median.
-_PLANE_SAMPLE = 500
 
 
 def homographies(
@@ -131,47 +126,6 @@ def board_poses(
 ) -> tuple[Float[np.ndarray, "views 3 3"], Float[np.ndarray, "views 3"]]:
     """T_cam_board of each view for a known camera: rays (x, y) of its corners, already undistorted."""
     return poses_from_homographies(homographies(points, rays, used))
-
-
-def robust_plane(points: Float[np.ndarray, "points 3"], group: Int[np.ndarray, "points"]) -> Float[np.ndarray, "3"]:
-    """The dual plane that most of the points lie on: least median of squares over random triples, then a fit.
-
-    Args:
-        points: stripe points in the camera frame, mm.
-        group: which view each is from: a triple is drawn from two views, since one view's points lie on a line.
-
-    Returns:
-        ω, 1/mm; NaN where no three points span a plane, infinite where it holds the origin.
-    """
-    rng = np.random.default_rng(0)
-    sample = points[rng.permutation(len(points))[:_PLANE_SAMPLE]]
-    # Two points of one view and one of another, for all trials at once: points sorted by view, drawn by their rank.
-    order = np.argsort(group, kind="stable")
-    views, first, count = np.unique(group[order], return_index=True, return_counts=True)
-    one = rng.integers(len(views), size=_PLANE_TRIALS)
-    other = (one + rng.integers(1, len(views), size=_PLANE_TRIALS)) % len(views)
-    at = [first[view] + rng.integers(count[view]) for view in (one, one, other)]
-    a, b, c = (points[order[i]] for i in at)
-    centres, normals = planes_through(a, b, c)
-    if not len(normals):
-        return np.full(3, np.nan)
-    score = np.median(np.abs(sample @ normals.T - (centres * normals).sum(axis=1)), axis=0)
-    least = int(np.argmin(score))
-    centre, normal = refined_plane(points, centres[least], normals[least])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return normal / (normal @ centre)
-
-
-def stage_line(
-    steps: Float[np.ndarray, "images"], translations: Float[np.ndarray, "images 3"]
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Translation at the mean step and translation for each step, by the median of slopes (Theil-Sen)."""
-    i, j = np.triu_indices(len(steps), 1)
-    moved = steps[i] != steps[j]
-    slopes = (translations[j] - translations[i])[moved] / (steps[j] - steps[i])[moved, None]
-    per_step = np.median(slopes, axis=0)
-    middle = np.median(translations - (steps - steps.mean())[:, None] * per_step, axis=0)
-    return middle, per_step
 
 
 def usual_rotation(vectors: Float[np.ndarray, "images 3"]) -> Float[np.ndarray, "3"]:

@@ -25,14 +25,14 @@ from jaxtyping import Array, Bool, Float
 from scipy.optimize import differential_evolution
 
 from jaxscan.calibration.block_arrow import NormalEquations, linearise
-from jaxscan.calibration.bundle import Estimate, as_arrow
+from jaxscan.calibration.bundle import as_arrow
 from jaxscan.calibration.placement import Reach, outline_of
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Covariance, Rig
+from jaxscan.rig import Covariance, Light, Rig, System
 from jaxscan.rig.rig import parameter_names
 
 # Generations of so many places. Always as many, so that nothing compiles anew.
@@ -88,8 +88,7 @@ class Scene(eqx.Module):
     def information(self, pose: Float[Array, "6"]) -> Float[Array, "leaves leaves"]:
         """I(p) = U − W V⁻¹ Wᵀ: what a photograph of the board at a pose tells of the rig's leaves."""
         blocks = jax.tree.map(lambda leaf: leaf[None], self.seen(pose))
-        estimate = Estimate((self.rig, None), (pose[None],))
-        y, _, residual = as_arrow(estimate, self.free, (blocks,), self.noise)
+        y, _, residual = as_arrow(System(self.rig, (pose[None],)), self.free, (blocks,), self.noise)
         normal = NormalEquations.create(*linearise(residual, y))
         # A parameter that no residual depends on has a 1 there that the elimination needs.
         told = jnp.diagonal(normal.U) > 0
@@ -102,30 +101,32 @@ class Scene(eqx.Module):
         return Blocks(
             points=self.points,
             relative=jnp.zeros((count, 2)),
-            corners=jnp.zeros((count, 2)),
-            weights=jnp.ones(count),
-            corner_used=jnp.ones(count, bool),
-            steps=jnp.zeros(count),
-            stripe=pixels.reshape(-1, 2),
-            stripe_weights=weights.ravel(),
-            stripe_used=weights.ravel() > 0,
-            stripe_columns=jnp.repeat(self.columns, _STRIPE_PARTS),
-            stripe_laser=jnp.repeat(jnp.arange(len(self.columns)), _STRIPE_PARTS),
+            q={},
+            reference={},
+            corners=jnp.zeros((1, count, 2)),
+            weights=jnp.ones((1, count)),
+            corner_used=jnp.ones((1, count), bool),
+            stripe=pixels.reshape(1, -1, 2),
+            stripe_weights=weights.reshape(1, -1),
+            stripe_used=weights.reshape(1, -1) > 0,
+            stripe_columns=jnp.repeat(self.columns, _STRIPE_PARTS)[None],
+            stripe_light=jnp.repeat(jnp.arange(len(self.columns)), _STRIPE_PARTS)[None],
         )
 
     def stripes(self, pose: Float[Array, "6"]) -> tuple[Float[Array, "lasers parts 2"], Float[Array, "lasers parts"]]:
         """The stripe of each laser across the pattern, in equal parts: middle pixel, √ of its columns (or rows).
 
-        With a = (R e_x, R e_y)ᵀ ω the line of the sheet on the board is a · (x, y) = 1 − ω · t. Weights are zero where
-        it misses the pattern.
+        The line in which the sheet's level vanishes on the board, as it runs at the board's middle: a · (x, y) = c with
+        a the level's gradient there. Weights are zero where it misses the pattern.
         """
         T = Pose.from_vector(pose)
         R = T.matrix()
         low, high = self.outline[0, :2], self.outline[2, :2]
         middle = (low + high) / 2
 
-        def each(omega: Float[Array, "3"], columns: Bool[Array, ""]) -> tuple[Array, Array]:
-            a, height = R[:, :2].T @ omega, 1 - omega @ T.translation
+        def each(light: Light, columns: Bool[Array, ""]) -> tuple[Array, Array]:
+            level, a = jax.value_and_grad(lambda at: light.level(R[:, :2] @ at + T.translation))(middle)
+            height = a @ middle - level
             foot = middle + a * (height - a @ middle) / (a @ a)
             along = jnp.stack([-a[1], a[0]]) / jnp.linalg.norm(a)
             along = jnp.where(jnp.abs(along) < 1e-9, 1e-9, along)
@@ -139,9 +140,10 @@ class Scene(eqx.Module):
             count = jnp.abs(jnp.diff(jnp.where(columns, pixels[:, 0], pixels[:, 1])[::2]))
             return pixels[1::2], jnp.where(crosses, jnp.sqrt(count), 0.0)
 
-        if not self.rig.lasers:
+        if not self.rig.lights:
             return jnp.zeros((0, _STRIPE_PARTS, 2)), jnp.zeros((0, _STRIPE_PARTS))
-        return jax.vmap(each)(jnp.stack([laser.omega for laser in self.rig.lasers]), self.columns)
+        parts = [each(light, self.columns[i]) for i, light in enumerate(self.rig.lights)]
+        return jnp.stack([pixels for pixels, _ in parts]), jnp.stack([weights for _, weights in parts])
 
 
 def suggest(
@@ -327,8 +329,8 @@ def _scene(calibration: Calibration) -> Scene:
     """The scene of a calibration; inside a `float64` block."""
     observations, rig = calibration.observations, calibration.rig
     columns = [
-        next(s.columns for view in observations.views for s in view.stripes if s.laser == i)
-        for i in range(len(rig.lasers))
+        next(s.columns for view in observations.photographs() for s in view.stripes if s.laser == i)
+        for i in range(len(rig.lights))
     ]
     corner = _usual([fit.corner_sigmas[fit.corner_kept] for fit in calibration.fits])
     stripe = _usual([fit.stripe_sigmas[fit.stripe_kept] for fit in calibration.fits])

@@ -7,10 +7,11 @@ from jaxtyping import Float
 
 from jaxscan.calibration.coverage import Coverage
 from jaxscan.calibration.uncertainty import UNDETERMINED
+from jaxscan.rig.rig import is_place
 
 # Focal length, light plane, travel or turn known no better than this share of itself is not a measurement.
 _LARGEST_RELATIVE_SIGMA = 0.02
-_VECTORS = ("laser", "stage", "turntable.per_step")
+_VECTORS = ("lights", "motion")
 # Shares of a direction below this are not worth a word.
 _WORTH_NAMING = 0.3
 # Boards whose normals differ by less do not show perspective.
@@ -21,9 +22,7 @@ _IN_WORDS = {
     "camera.principal": "the principal point",
     "camera.radial": "the radial distortion",
     "camera.tangential": "the tangential distortion",
-    "laser": "the light plane",
-    "stage": "the stage's travel",
-    "turntable": "the turntable's turn",
+    "lights": "the light plane",
     "warp": "the board's bulge",
 }
 
@@ -74,7 +73,8 @@ def undetermined(
                 f"{sigma:.0f} px ({100 * sigma / abs(values[i]):.0f} %)",
                 (name,),
             )
-    for stem in dict.fromkeys(name.rsplit(".", 1)[0] for name in names if name.startswith(_VECTORS)):
+    stems = dict.fromkeys(name.rsplit(".", 1)[0] for name in names if name.startswith(_VECTORS))
+    for stem in (stem for stem in stems if not is_place(stem)):
         at = [i for i, name in enumerate(names) if name.startswith(stem)]
         # In the worst direction of the vector: of ω its length is the sheet's place, its direction the sheet's tilt.
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(at, at)])[-1]))
@@ -89,24 +89,22 @@ def undetermined(
 def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
     """Why the direction is open, from what the photographs cover, and which photographs would close it."""
     name = question.names[0]
-    if name.startswith("laser"):
-        which = name.split(".")[1] if name.count(".") > 2 else ""
-        stripes = next(s for s in coverage.stripes if s.laser == which)
+    if name.startswith("lights"):
+        stripes = coverage.stripes[int(name.split(".")[1])]
         near, far = stripes.depths_mm
         return (
             f"the stripes on the boards of {stripes.views} views lie between {near:.1f} and {far:.1f} mm from the "
             f"camera and spread by {stripes.across_mm:.1f} mm across themselves. Hold the board at distances that "
             "differ by a third and more, with the stripe on it"
         )
-    if name.startswith("stage"):
+    if name.startswith("motion"):
+        axis = name.split(".")[1]
+        cover = coverage.axes[axis]
+        way = f"by {cover.way:.2f} {cover.unit}" if cover.way is not None else "by an unknown way"
+        mend = "Turn it by 30° and more, all around where it can be seen"
         return (
-            f"the board on the stage moved by {coverage.stage_travel_mm or 0.0:.2f} mm over {coverage.stage_images} "
-            "photographs. Photograph it along the whole travel"
-        )
-    if name.startswith("turntable"):
-        return (
-            f"the board on the turntable turned by {coverage.turn_deg or 0.0:.1f}° over {coverage.turntable_images} "
-            "photographs. Turn it by 30° and more, all around where it can be seen"
+            f"the {axis} moved the board {way} over {cover.photographs} photographs. "
+            f"{mend if cover.unit == 'degrees' else 'Photograph it along the whole travel'}"
         )
     if coverage.tilt_spread_deg < _SMALLEST_TILT_SPREAD_DEG:
         return (
@@ -127,4 +125,6 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
 
 
 def _words(name: str) -> str:
+    if name.startswith("motion."):
+        return f"the motion of the {name.split('.')[1]}"
     return next((words for stem, words in _IN_WORDS.items() if name.startswith(stem)), name)

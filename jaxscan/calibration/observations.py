@@ -3,7 +3,7 @@
 Plain arrays that anyone can fill in; `observe` fills them in from the photographs of a session.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -64,28 +64,30 @@ class View:
 
 
 @dataclass(frozen=True)
-class StageSequence:
-    """Photographs of one board fixed on the stage, along its travel, or on the turntable, along its turn.
+class BoardSequence:
+    """Photographs of one board fixed on what an axis moves, along its travel or its turn.
 
     Attributes:
-        steps: motor step count of the stage at each photograph.
-        views: the photographs, all with the corners in the same order, without stripes.
-        turns: motor step count of the turntable at each photograph; None for a board on the stage.
+        positions: motor steps of each axis at each photograph; all but one axis stand still.
+        views: the photographs, all with the corners in the same order; stripes on the board take part.
+        axis: the axis that moves.
+        kind: how it moves the board, a kind of `rig.MOTIONS`.
     """
 
-    steps: Float[np.ndarray, "images"]
+    positions: Mapping[str, Float[np.ndarray, "images"]]
     views: tuple[View, ...]
-    turns: Float[np.ndarray, "images"] | None = None
+    axis: str = "stage"
+    kind: str = "linear"
 
     @property
-    def place(self) -> str:
-        """What the board stood on, in words."""
-        return "stage" if self.turns is None else "turntable"
+    def steps(self) -> Float[np.ndarray, "images"]:
+        """Of the axis that moves."""
+        return np.asarray(self.positions[self.axis], np.float64)
 
-    def only(self, kept: Sequence[int]) -> "StageSequence":
+    def only(self, kept: Sequence[int]) -> "BoardSequence":
         """Some of its photographs."""
-        views, turns = tuple(self.views[i] for i in kept), None if self.turns is None else self.turns[kept]
-        return StageSequence(self.steps[kept], views, turns)
+        positions = {axis: np.asarray(steps)[list(kept)] for axis, steps in self.positions.items()}
+        return replace(self, positions=positions, views=tuple(self.views[i] for i in kept))
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,7 @@ class Observations:
         image_size: columns and rows of every photograph.
         board: the board, for the millimetres of its points.
         views: the board held in many poses.
-        stages: sequences on stage and turntable.
+        sequences: of the board on an axis.
         lasers: the names of the lasers, "" for the only one.
         left_out: what was looked for and not found, in words.
         notes: what a reader should know of the photographs: ambiguities, guesses.
@@ -161,7 +163,7 @@ class Observations:
     image_size: tuple[int, int]
     board: Board
     views: tuple[View, ...]
-    stages: tuple[StageSequence, ...] = ()
+    sequences: tuple[BoardSequence, ...] = ()
     lasers: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
@@ -180,33 +182,35 @@ class Observations:
             for stripe in view.stripes:
                 if not 0 <= stripe.laser < len(self.lasers):
                     raise InputError(f"{view.name}: a stripe names laser {stripe.laser} of {len(self.lasers)}")
-        for stage in self.stages:
-            for view in stage.views:
-                if view.stripes:
+        for sequence in self.sequences:
+            for axis, steps in sequence.positions.items():
+                if len(steps) != len(sequence.views):
+                    raise InputError(f"{len(steps)} step counts of the {axis} for {len(sequence.views)} photographs")
+                if axis != sequence.axis and len(set(np.asarray(steps).tolist())) > 1:
                     raise InputError(
-                        f"{view.name}: a {stage.place} photograph has stripes, which are compared with boards held "
-                        "still: give this photograph as a view as well, with its stripes, and leave them out of the "
-                        f"{stage.place} sequence"
+                        f"{sequence.views[0].name} … {sequence.views[-1].name}: the board was moved by the {axis} as "
+                        f"well as by the {sequence.axis}: photograph it along one axis at a time"
                     )
-            for counts in (stage.steps, stage.steps if stage.turns is None else stage.turns):
-                if len(counts) != len(stage.views):
-                    raise InputError(f"{len(counts)} step counts for {len(stage.views)} {stage.place} photographs")
 
     def photographs(self) -> tuple[View, ...]:
-        """All photographs of the board: the views, then those on stage and turntable, sequence by sequence."""
-        return *self.views, *(view for stage in self.stages for view in stage.views)
+        """All photographs of the board: the views, then those along the axes, sequence by sequence."""
+        return *self.views, *(view for sequence in self.sequences for view in sequence.views)
+
+    def with_photographs(self, photographs: Sequence[View]) -> "Observations":
+        """The same with others in their places, in the order of `photographs`."""
+        rest = iter(photographs)
+        views = tuple(next(rest) for _ in self.views)
+        sequences = tuple(replace(each, views=tuple(next(rest) for _ in each.views)) for each in self.sequences)
+        return replace(self, views=views, sequences=sequences)
 
     def unweighted(self) -> "Observations":
         """The same with equal weights for all corners that take part."""
-
-        def equal(views: Sequence[View]) -> tuple[View, ...]:
-            return tuple(
+        return self.with_photographs(
+            [
                 view if view.weights is None else replace(view, weights=view.used().astype(np.float64))
-                for view in views
-            )
-
-        stages = tuple(replace(stage, views=equal(stage.views)) for stage in self.stages)
-        return replace(self, views=equal(self.views), stages=stages)
+                for view in self.photographs()
+            ]
+        )
 
     def remarks(self) -> str:
         """Notes and what was left out, a line each, to follow an error's text."""
@@ -226,10 +230,7 @@ class Observations:
                 f"keep has masks for {len(keep)} photographs, there are {len(photographs)}: take them from a "
                 "calibration of the same observations"
             )
-        masked = [mask.of(view) for mask, view in zip(keep, photographs, strict=True)]
-        views, rest = masked[: len(self.views)], iter(masked[len(self.views) :])
-        stages = tuple(replace(stage, views=tuple(next(rest) for _ in stage.views)) for stage in self.stages)
-        return replace(self, views=tuple(views), stages=stages)
+        return self.with_photographs([mask.of(view) for mask, view in zip(keep, photographs, strict=True)])
 
 
 def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:
@@ -270,10 +271,10 @@ def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:
     return replace(
         first,
         views=tuple(called(view, name) for name, own in pairs for view in own.views),
-        stages=tuple(
-            replace(stage, views=tuple(called(view, name) for view in stage.views))
+        sequences=tuple(
+            replace(sequence, views=tuple(called(view, name) for view in sequence.views))
             for name, own in pairs
-            for stage in own.stages
+            for sequence in own.sequences
         ),
         left_out=tuple(f"{name}/{line}" for name, own in pairs for line in own.left_out),
         notes=(*common, *notes),

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations, StageSequence, StripePoints, View
+from jaxscan.calibration.observations import BoardSequence, Observations, StripePoints, View
 from jaxscan.deadline import Workers, result_of
 from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError, said_of
@@ -70,13 +71,16 @@ def observe(
         return relative_name(path, session.path.parent)
 
     def view(index: int) -> _Photograph:
-        path = session.views.boards[index]
-        return _Photograph(name(path), *_look(path, session, index, detector))
+        path, stripes = session.views.boards[index], session.views.stripes
+        lit = [path if stripes is None else stripes[laser.name][index] for laser in session.lasers]
+        return _Photograph(name(path), *_look(path, session, lit, detector))
 
-    def along(path: Path) -> _Photograph:
-        image = read_image(path)
-        found = find_board(session.board, image)
-        return _Photograph(name(path), found, (), _second(session.board, image, found))
+    def along(sequence: StageImages, index: int) -> _Photograph:
+        path = sequence.images[index]
+        lit = [
+            sequence.stripes[laser.name][index] if laser.name in sequence.stripes else None for laser in session.lasers
+        ]
+        return _Photograph(name(path), *_look(path, session, lit, detector))
 
     def looked_at(look: Callable[[Any], _Photograph], paths: Sequence[Path], each: Iterable[Any]) -> list[_Photograph]:
         seen = []
@@ -90,7 +94,7 @@ def observe(
         left_out = _not_found(session, photographs, "view")
         moved = []
         for sequence in sequences:
-            moved.append(looked_at(along, sequence.images, sequence.images))
+            moved.append(looked_at(partial(along, sequence), sequence.images, range(len(sequence.images))))
             what = "turntable" if isinstance(sequence, TurntableImages) else "stage"
             left_out += _not_found(session, moved[-1], f"{what} photograph")
     usual = _usual_sigma([p.found for p in (*photographs, *(p for each in moved for p in each)) if p.found is not None])
@@ -99,7 +103,7 @@ def observe(
     left_out += [line for lines in repeated for line in lines]
     staged = [photograph for each in moved for photograph in each]
     views = [_view(p, p.found, usual) for p in photographs if p.found is not None]
-    for seen in views:
+    for seen in (*views, *(_view(p, p.found, usual) for p in staged if p.found is not None)):
         for stripe in seen.stripes:
             if not np.isfinite(stripe.pixels).any():
                 left_out.append(f"{seen.name}: no {_stripe_of(session.lasers[stripe.laser])} was found")
@@ -121,7 +125,7 @@ def observe(
         image_size=session.image_size,
         board=session.board,
         views=tuple(views),
-        stages=tuple(
+        sequences=tuple(
             _sequence(session.board, sequence, each, usual) for sequence, each in zip(sequences, moved, strict=True)
         ),
         lasers=tuple(laser.name for laser in session.lasers),
@@ -210,23 +214,18 @@ def _radius(board: Board, found: Sequence[BoardView]) -> float:
 
 
 def _look(
-    path: Path, session: Session, index: int, detector: Detector
+    path: Path, session: Session, lit: Sequence[Path | None], detector: Detector
 ) -> tuple[BoardView | None, tuple[StripePoints, ...], bool]:
-    """Corners and stripes of one pose, these from photographs of their own if any; is there a second board?"""
+    """Corners and stripes of one pose, of each laser from the photograph in which it is on; is there a second board?"""
     image = read_image(path)
     found = find_board(session.board, image)
     if found is None:
         return None, (), False
     stripes = []
-    for i, laser in enumerate(session.lasers):
-        lit = image
-        if session.views.stripes is not None:
-            own = session.views.stripes[laser.name][index]
-            if own is None:
-                continue
-            lit = read_image(own)
-        with said_of(path):
-            stripes.append(stripe_points(lit, laser, i, detector))
+    for i, (laser, own) in enumerate(zip(session.lasers, lit, strict=True)):
+        if own is not None:
+            with said_of(path):
+                stripes.append(stripe_points(image if own == path else read_image(own), laser, i, detector))
     return found, tuple(stripes), _second(session.board, image, found)
 
 
@@ -251,7 +250,7 @@ def stripe_points(
 
 def _sequence(
     board: Board, sequence: StageImages, photographs: Sequence[_Photograph], usual_sigma: float
-) -> StageSequence:
+) -> BoardSequence:
     """The photographs on stage or turntable on which the board was found, their corners in one order."""
     views, steps, previous = [], [], None
     for photograph, count in zip(photographs, sequence.steps, strict=True):
@@ -262,8 +261,9 @@ def _sequence(
         steps.append(float(count))
     counts = np.asarray(steps)
     if isinstance(sequence, TurntableImages):
-        return StageSequence(np.full(len(counts), float(sequence.stage_step)), tuple(views), counts)
-    return StageSequence(counts, tuple(views))
+        stood = np.full(len(counts), float(sequence.stage_step))
+        return BoardSequence({"stage": stood, "turntable": counts}, tuple(views), "turntable", "rotary")
+    return BoardSequence({"stage": counts}, tuple(views))
 
 
 def _carried(board: Board, previous: BoardView, found: BoardView) -> BoardView:

@@ -6,38 +6,39 @@ the robust solve. Where the reflectance changes within the stripe's own width, a
 the stripe, its centre is pulled to the bright side: such points are left out too.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxscan.calibration.observations import Observations, StripePoints, Unused
-from jaxscan.geometry import Pose, dual_plane
+from jaxscan.geometry import Pose
 from jaxscan.images import Board
 from jaxscan.rig import Camera
+from jaxscan.rig.projection import pixel_rays
 
 # How far beyond the outermost points the board is taken to reach, in pitches: the outer squares and their quiet zone.
 _MARGIN = 2.0
 
 
-def stripe_on_board(
-    observations: Observations, camera: Camera, poses: Float[Array, "blocks 6"]
-) -> tuple[Observations, Unused]:
+def stripe_on_board(observations: Observations, camera: Camera, poses: Pose[np.ndarray]) -> tuple[Observations, Unused]:
     """The observations with only those stripe points that lie on their board; the others become NaN.
 
+    Args:
+        observations: the photographs.
+        camera: the camera.
+        poses: T_cam_board of each photograph, in their order.
+
     Returns:
-        The observations, and in words how many points of which view do not take part.
+        The observations, and in words how many points of which photograph do not take part.
     """
-    views, unused = [], Unused()
-    for i, view in enumerate(observations.views):
+    photographs, unused = [], Unused()
+    for i, view in enumerate(observations.photographs()):
         stripes, points, off, edge = [], 0, 0, 0
         for stripe in view.stripes:
             seen = np.isfinite(stripe.pixels).all(axis=1)
-            at, before, after = _board_positions(camera, poses[i], stripe)
+            at, before, after = _board_positions(camera, pose_of(poses, i), stripe)
             inside = seen & _inside(observations.board, at)
             clean = inside & _same_reflectance(observations.board, at, before, after)
             points += int(seen.sum())
@@ -49,52 +50,55 @@ def stripe_on_board(
             none_left = "; none is left" if off + edge == points else ""
             line = f"{view.name}: of {points} stripe points {' and '.join(where)}{none_left}"
             unused = unused.add(line, wholly=bool(none_left))
-        views.append(replace(view, stripes=tuple(stripes)))
-    return replace(observations, views=tuple(views)), unused
+        photographs.append(replace(view, stripes=tuple(stripes)))
+    return observations.with_photographs(photographs), unused
 
 
 def stripe_points_in_space(
-    observations: Observations, camera: Camera, poses: Float[Array, "blocks 6"], laser: int
+    observations: Observations, camera: Camera, poses: Pose[np.ndarray], laser: int
 ) -> tuple[Float[np.ndarray, "points 3"], Int[np.ndarray, "points"]]:
-    """Where the stripes of one laser lie in the camera frame (mm), by their boards, and the view of each."""
-    points, view = [np.zeros((0, 3))], [np.zeros(0, int)]
-    for i, each in enumerate(observations.views):
+    """Where the stripes of one laser lie in the camera frame (mm), by their boards, and the photograph of each.
+
+    Args:
+        observations: the photographs.
+        camera: the camera.
+        poses: T_cam_board of each photograph, in their order.
+        laser: which of the observations' lasers.
+    """
+    points, photograph = [np.zeros((0, 3))], [np.zeros(0, int)]
+    for i, each in enumerate(observations.photographs()):
         for stripe in each.stripes:
-            if stripe.laser != laser:
-                continue
-            X, _ = _meet_board(camera, poses[i], _padded(stripe.pixels))
-            X = np.asarray(X)[: len(stripe.pixels)]
-            X = X[np.isfinite(X).all(axis=1) & (X[:, 2] > 0)]
-            points.append(X)
-            view.append(np.full(len(X), i))
-    return np.concatenate(points), np.concatenate(view)
+            if stripe.laser == laser:
+                X, _ = meet_board(camera, pose_of(poses, i), stripe.pixels)
+                X = X[np.isfinite(X).all(axis=1) & (X[:, 2] > 0)]
+                points.append(X)
+                photograph.append(np.full(len(X), i))
+    return np.concatenate(points), np.concatenate(photograph)
 
 
-def _board_positions(camera: Camera, pose: Float[Array, "6"], stripe: StripePoints) -> Any:
+def pose_of(poses: Pose[np.ndarray], i: int) -> Pose[np.ndarray]:
+    """One of a stack."""
+    return Pose(poses.rotation[i], poses.translation[i])
+
+
+def _board_positions(
+    camera: Camera, pose: Pose[np.ndarray], stripe: StripePoints
+) -> Iterator[Float[np.ndarray, "points 2"]]:
     """Board coordinates (mm) of each stripe point, and half a stripe's width before and after it."""
-    n = len(stripe.pixels)
-    along = np.array([0.0, 1.0]) if stripe.columns else np.array([1.0, 0.0])
-    reach = stripe.half_width_px * along
-    return (
-        np.asarray(_meet_board(camera, pose, _padded(stripe.pixels + shift))[1])[:n, :2]
-        for shift in (0 * reach, -reach, reach)
-    )
+    reach = stripe.half_width_px * (np.array([0.0, 1.0]) if stripe.columns else np.array([1.0, 0.0]))
+    shifted = np.concatenate([stripe.pixels, stripe.pixels - reach, stripe.pixels + reach])
+    yield from np.split(meet_board(camera, pose, shifted)[1][:, :2], 3)
 
 
-def _padded(pixels: Float[np.ndarray, "points 2"]) -> Float[Array, "padded 2"]:
-    """To a multiple of 256, so that stripes of different length share one compiled function."""
-    return jnp.asarray(np.pad(pixels, ((0, -len(pixels) % 256), (0, 0)), constant_values=np.nan))
-
-
-@eqx.filter_jit
-def _meet_board(
-    camera: Camera, pose: Float[Array, "6"], pixels: Float[Array, "points 2"]
-) -> tuple[Float[Array, "points 3"], Float[Array, "points 3"]]:
+def meet_board(
+    camera: Camera, pose: Pose[np.ndarray], pixels: Float[np.ndarray, "points 2"]
+) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
     """Where pixels' rays meet the board: in the camera frame and in the board frame (mm)."""
-    T = Pose.from_vector(pose)
-    x = jax.vmap(camera.ray)(pixels)
-    X = x / (x @ dual_plane(T))[:, None]
-    return X, (X - T.translation[None]) @ T.matrix()
+    x, R, t = pixel_rays(camera, pixels), pose.matrix(), pose.translation
+    # The board's plane in dual space: β · X = 1 with β = n / (n · t).
+    with np.errstate(divide="ignore", invalid="ignore"):
+        X = x / (x @ (R[:, 2] / (R[:, 2] @ t)))[:, None]
+    return X, (X - t) @ R
 
 
 def _inside(board: Board, at: Float[np.ndarray, "points 2"]) -> Bool[np.ndarray, "points"]:

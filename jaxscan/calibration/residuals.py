@@ -1,10 +1,11 @@
 """The residuals of the joint solve: raw detector pixels, each divided by its own σ.
 
 Corner: reprojection, predicted minus seen; a circle is predicted as the centre of gravity of its image. Stripe on a
-board: light plane ω and board plane β are both linear in a pixel's ray x at equal depth, so h = (ω − β) · x vanishes
-where the sheet meets the board, and −h / (∂h/∂v) is the distance in rows from the seen stripe to the predicted one
-(∂h/∂u, in columns, for a stripe found row by row). It is differentiated whole, denominator too: holding the denominator
-still would bias and spoil the estimate.
+board: with x the pixel's ray and β the board's plane in dual space, the ray meets the board at x / (β · x), and
+the light's level there times the inverse depth, h = level(x, β · x), vanishes where the light does: of a flat sheet ω
+it is (ω − β) · x. −h / (∂h/∂v) is the distance in rows from the seen stripe to the predicted one (∂h/∂u, in columns,
+for a stripe found row by row). It is differentiated whole, denominator too: holding the denominator still would bias
+and spoil the estimate.
 """
 
 from collections.abc import Callable
@@ -16,65 +17,77 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscan.geometry import Pose, dual_plane
-from jaxscan.rig import BoardWarp, Rig
+from jaxscan.geometry import Pose
+from jaxscan.rig import Light, Rig, System
+from jaxscan.rig.motion import carried
 
 
 class Blocks(eqx.Module):
     """Observations of one group of boards, padded to one shape. Masked entries are never read.
 
-    A view is a block with step counts 0. A sequence on stage or turntable is one block as well: the corners of all its
-    photographs, each with its step counts. Its pose is that at the counts of reference.
+    A block is one board that stands still, or that an axis moves, in all its photographs: a view is one of a single
+    photograph that no axis moves. Its pose is that at the positions of reference.
 
     Attributes:
         points: board points, mm.
         relative: the same in 0 … 1 along columns and rows, for the board's warp.
-        corners: where they were seen, pixels.
+        q: motor steps of each axis at each photograph; empty for boards that no axis moves.
+        reference: motor steps of each axis at which the block's pose stands.
+        corners: where the points were seen, pixels.
         weights: relative 1 / σ of each corner.
         corner_used: which corners take part.
-        steps: motor steps of the stage at each corner's photograph, relative to the block's reference.
         stripe: stripe points, pixels.
         stripe_weights: relative 1 / σ of each stripe point.
         stripe_used: which of them take part.
         stripe_columns: True where v was measured, False where u was.
-        stripe_laser: which laser each belongs to.
-        turns: motor steps of the turntable, as `steps`; None where no block was turned.
+        stripe_light: which light each belongs to.
         radius: of the circles about the points, mm; None where points are seen.
     """
 
     points: Float[Array, "*blocks corners 3"]
     relative: Float[Array, "*blocks corners 2"]
-    corners: Float[Array, "*blocks corners 2"]
-    weights: Float[Array, "*blocks corners"]
-    corner_used: Bool[Array, "*blocks corners"]
-    steps: Float[Array, "*blocks corners"]
-    stripe: Float[Array, "*blocks stripe 2"]
-    stripe_weights: Float[Array, "*blocks stripe"]
-    stripe_used: Bool[Array, "*blocks stripe"]
-    stripe_columns: Bool[Array, "*blocks stripe"]
-    stripe_laser: Int[Array, "*blocks stripe"]
-    turns: Float[Array, "*blocks corners"] | None = None
+    q: dict[str, Float[Array, "*blocks photographs"]]
+    reference: dict[str, Float[Array, "*blocks"]]
+    corners: Float[Array, "*blocks photographs corners 2"]
+    weights: Float[Array, "*blocks photographs corners"]
+    corner_used: Bool[Array, "*blocks photographs corners"]
+    stripe: Float[Array, "*blocks photographs stripe 2"]
+    stripe_weights: Float[Array, "*blocks photographs stripe"]
+    stripe_used: Bool[Array, "*blocks photographs stripe"]
+    stripe_columns: Bool[Array, "*blocks photographs stripe"]
+    stripe_light: Int[Array, "*blocks photographs stripe"]
     radius: Float[Array, "*blocks corners"] | None = None
 
     def residuals(
-        self, rig: Rig, warp: BoardWarp | None, poses: Float[Array, "blocks 6"], noise: "Noise"
+        self, system: System, poses: Float[Array, "blocks 6"], noise: "Noise"
     ) -> Float[Array, "blocks residuals"]:
         """The residuals of all blocks, dimensionless: of each the corners (u, v in turn), then stripe.
 
         Where no stripe takes part none is computed: their rays cost more than all else.
         """
-        corner = jax.vmap(partial(corner_errors, rig, warp))(poses, self)
+        corner = jax.vmap(partial(corner_errors, system))(poses, self)
         corner = corner * (self.weights / noise.corner)[..., None]
         corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[..., None]
 
-        def stripe_residuals() -> Float[Array, "blocks stripe"]:
-            stripe = jax.vmap(partial(stripe_errors, rig))(poses, self) * (self.stripe_weights / noise.stripe)
+        def stripe_residuals() -> Float[Array, "blocks photographs stripe"]:
+            stripe = jax.vmap(partial(stripe_errors, system.rig))(poses, self) * (self.stripe_weights / noise.stripe)
             return stripe * _tamed(noise.robustness**2 * stripe**2)
 
         stripe = jnp.zeros(self.stripe_used.shape, corner.dtype)
-        if rig.lasers and stripe.size:
+        if system.rig.lights and stripe.size:
             stripe = jax.lax.cond(self.stripe_used.any(), stripe_residuals, lambda: stripe)
-        return jnp.concatenate([corner.reshape(len(corner), -1), stripe], axis=1)
+        n = len(corner)
+        return jnp.concatenate([corner.reshape(n, -1), stripe.reshape(n, -1)], axis=1)
+
+    def start(self, system: System) -> Float[Array, "blocks 6"]:
+        """Far away: the poses of boards are found in closed form (`first_poses`)."""
+        del system
+        return far_away(len(self.points))
+
+
+def far_away(blocks: int) -> Float[Array, "blocks 6"]:
+    """Poses for boards that nothing is known of yet: in front of the camera, one metre away."""
+    return jnp.tile(jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0]), (blocks, 1))
 
 
 class Noise(eqx.Module):
@@ -91,34 +104,40 @@ class Noise(eqx.Module):
     robustness: Float[Array, ""]
 
 
-def corner_error(
-    rig: Rig,
-    warp: BoardWarp | None,
-    R: Float[Array, "3 3"],
-    t: Float[Array, "3"],
-    point: Float[Array, "3"],
-    relative: Float[Array, "2"],
-    steps: Float[Array, ""],
-    corner: Float[Array, "2"],
-    turns: Float[Array, ""] | None = None,
-    radius: Float[Array, ""] | None = None,
-) -> Float[Array, "2"]:
-    """Predicted minus seen position of a board point, or of the circle about it, pixels."""
-    if warp is not None:
-        point = point + jnp.array([0.0, 0.0, 1.0]) * warp.height(relative)
+def corner_errors(system: System, pose: Float[Array, "6"], block: Blocks) -> Float[Array, "photographs corners 2"]:
+    """Predicted minus seen position of each board point, or of the circle about it, pixels; zero where masked."""
+    points, camera = block.points, system.rig.camera
+    if system.warp is not None:
+        points = points + jnp.array([0.0, 0.0, 1.0])[None] * system.warp.height(block.relative)[:, None]
+    R, t = photograph_poses(system.rig, pose, block)
+    seen = jnp.where(block.corner_used[..., None], block.corners, 0.0)
 
-    def seen(at: Float[Array, "2"]) -> Float[Array, "2"]:
-        # Written out, here and below: XLA fuses sums with what surrounds them, but not small matrix products.
-        X = jnp.stack([R[i, 0] * at[0] + R[i, 1] * at[1] + R[i, 2] * point[2] + t[i] for i in range(3)])
-        if turns is not None and rig.turntable is not None:
-            X = rig.turntable.turned(turns).apply(X)
-        if rig.stage is not None:
-            X = X + rig.stage.displacement(steps)
-        return rig.camera.project(X)
+    def error(
+        R: Float[Array, "3 3"],
+        t: Float[Array, "3"],
+        point: Float[Array, "3"],
+        corner: Float[Array, "2"],
+        radius: Float[Array, ""] | None,
+    ) -> Float[Array, "2"]:
+        def pixel(at: Float[Array, "2"]) -> Float[Array, "2"]:
+            # Written out, here and below: XLA fuses sums with what surrounds them, but not small matrix products.
+            return camera.project(
+                jnp.stack([R[i, 0] * at[0] + R[i, 1] * at[1] + R[i, 2] * point[2] + t[i] for i in range(3)])
+            )
 
-    if radius is None:
-        return seen(point[:2]) - corner
-    return _centre_of_gravity(seen, point, radius) - corner
+        return (pixel(point[:2]) if radius is None else _centre_of_gravity(pixel, point, radius)) - corner
+
+    of_photograph = jax.vmap(error, in_axes=(None, None, 0, 0, None if block.radius is None else 0))
+    errors = jax.vmap(of_photograph, in_axes=(0, 0, None, 0, None))(R, t, points, seen, block.radius)
+    return jnp.where(block.corner_used[..., None], errors, 0.0)
+
+
+def photograph_poses(
+    rig: Rig, pose: Float[Array, "6"], block: Blocks
+) -> tuple[Float[Array, "photographs 3 3"], Float[Array, "photographs 3"]]:
+    """Where the board of a block stands in each of its photographs: R and t (mm)."""
+    R, t = carried(rig.motion, block.q, block.reference, Pose.from_vector(pose))
+    return (R, t) if block.q else (R[None], t[None])
 
 
 def _centre_of_gravity(
@@ -140,46 +159,51 @@ def _centre_of_gravity(
 
 
 def stripe_error(
-    rig: Rig, beta: Float[Array, "3"], omega: Float[Array, "3"], pixel: Float[Array, "2"], columns: Bool[Array, ""]
+    light: Light, beta: Float[Array, "3"], x: Float[Array, "3"], dx: Float[Array, "3"]
 ) -> Float[Array, ""]:
-    """Predicted minus seen position of the stripe along the axis in which it was found, pixels."""
-    axis = jnp.where(columns, jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
-    x, dx = rig.camera.ray_and_change(pixel, axis)
-    a, b, c = omega - beta
-    return -(a * x[0] + b * x[1] + c * x[2]) / (a * dx[0] + b * dx[1])
+    """Predicted minus seen position of the stripe along the axis in which it was found, pixels.
+
+    Args:
+        light: the light.
+        beta: the board's plane in dual space, 1/mm.
+        x: the ray of the seen pixel.
+        dx: how it changes for each pixel along that axis.
+    """
+
+    def height(x: Float[Array, "3"]) -> Float[Array, ""]:
+        # Of the light above the board along the ray, times the inverse depth: without it the minimum moves.
+        return light.level(x, beta[0] * x[0] + beta[1] * x[1] + beta[2] * x[2])
+
+    h, dh = jax.jvp(height, (x,), (dx,))
+    return -h / dh
 
 
 def block_errors(
-    rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], block: Blocks
-) -> tuple[Float[Array, "corners 2"], Float[Array, "stripe"]]:
+    system: System, pose: Float[Array, "6"], block: Blocks
+) -> tuple[Float[Array, "photographs corners 2"], Float[Array, "photographs stripe"]]:
     """All errors of one block in pixels; zero where masked, whatever stands there."""
-    corner = corner_errors(rig, warp, pose, block)
-    if not rig.lasers or block.stripe.shape[0] == 0:
-        return corner, jnp.zeros(block.stripe.shape[0], corner.dtype)
-    return corner, stripe_errors(rig, pose, block)
+    corner = corner_errors(system, pose, block)
+    if not system.rig.lights or not block.stripe_used.size:
+        return corner, jnp.zeros(block.stripe_used.shape, corner.dtype)
+    return corner, stripe_errors(system.rig, pose, block)
 
 
-def corner_errors(
-    rig: Rig, warp: BoardWarp | None, pose: Float[Array, "6"], block: Blocks
-) -> Float[Array, "corners 2"]:
-    """The corners' errors of one block in pixels; zero where masked."""
-    R = Pose.from_vector(pose).matrix()
-    seen = jnp.where(block.corner_used[:, None], block.corners, 0.0)
-    corner = jax.vmap(lambda *each: corner_error(rig, warp, R, pose[3:], *each))(
-        block.points, block.relative, block.steps, seen, block.turns, block.radius
-    )
-    return jnp.where(block.corner_used[:, None], corner, 0.0)
+def stripe_errors(rig: Rig, pose: Float[Array, "6"], block: Blocks) -> Float[Array, "photographs stripe"]:
+    """The stripe's errors of one block in pixels; zero where masked. The rig has a light, the block a stripe."""
+    R, t = photograph_poses(rig, pose, block)
+    # The board's plane in dual space: β · X = 1 with β = n / (n · t).
+    beta = R[..., 2] / (R[..., 2] * t).sum(-1)[:, None]
+    pixel = jnp.where(block.stripe_used[..., None], block.stripe, jnp.stack(rig.camera.principal))
+    axis = jnp.where(block.stripe_columns[..., None], jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
+    x, dx = jax.vmap(jax.vmap(rig.camera.ray_and_change))(pixel, axis)
 
+    def errors(light: Light) -> Float[Array, "photographs stripe"]:
+        return jax.vmap(jax.vmap(partial(stripe_error, light), in_axes=(None, 0, 0)))(beta, x, dx)
 
-def stripe_errors(rig: Rig, pose: Float[Array, "6"], block: Blocks) -> Float[Array, "stripe"]:
-    """The stripe's errors of one block in pixels; zero where masked. The rig has a laser, the block a stripe."""
-    centre = jnp.stack(rig.camera.principal)
-    beta = dual_plane(Pose.from_vector(pose))
-    omegas = jnp.stack([laser.omega for laser in rig.lasers])
-    omega = jnp.broadcast_to(omegas[:1], (block.stripe.shape[0], 3)) if len(omegas) == 1 else omegas[block.stripe_laser]
-    pixel = jnp.where(block.stripe_used[:, None], block.stripe, centre)
-    stripe = jax.vmap(lambda *each: stripe_error(rig, beta, *each))(omega, pixel, block.stripe_columns)
-    return jnp.where(block.stripe_used, stripe, 0.0)
+    found = errors(rig.lights[0])
+    for i, light in enumerate(rig.lights[1:], 1):
+        found = jnp.where(block.stripe_light == i, errors(light), found)
+    return jnp.where(block.stripe_used, found, 0.0)
 
 
 def _tamed(square: Float[Array, "*any"]) -> Float[Array, "*any"]:

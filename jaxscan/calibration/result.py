@@ -1,8 +1,7 @@
 """What `calibrate` returns: the rig, its covariance, how every photograph fits, and what was left out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,18 +9,17 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.calibration.adjustment import Adjustment
-from jaxscan.calibration.blocks import reference_step, reference_turn
-from jaxscan.calibration.observations import Kept, Observations, StageSequence, Unused, View
+from jaxscan.calibration.adjustment import Adjustment, pose_at_0
+from jaxscan.calibration.bundle import Factor
+from jaxscan.calibration.observations import Kept, Observations, Unused, View
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.calibration.rounds import Refined
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
-from jaxscan.precision import as_float64, as_numpy, float64
-from jaxscan.rig import Covariance, Rig, System, Turntable
-from jaxscan.rig.covariance import with_nearest_centre
-from jaxscan.rig.rig import parameter_names
-from jaxscan.rig.system import warp_names
+from jaxscan.precision import as_numpy
+from jaxscan.rig import Covariance, Motion, Rig, System
+from jaxscan.rig.light import distance
+from jaxscan.rig.rig import parameter_names, with_normal_numbers
 from jaxscan.robust import NORMAL_MAD
 
 # Stripe points so many σ off their light are another light's.
@@ -58,12 +56,12 @@ class Calibration:
     """A calibrated rig, how it was reached, and what was left out.
 
     Attributes:
-        rig: camera, light planes, stage, turntable; NumPy float64 leaves.
+        rig: camera, lights, motion; NumPy float64 leaves.
         system: the same with every board pose.
         observations: what it was found from: the usable photographs, with those stripe points that lie on the board.
         covariance: of the rig's parameters; one that was held is not among them.
         board_covariances: view by view, of the rig's parameters and that board's pose together.
-        stage_covariances: the same of the pose of each sequence on stage or turntable at motor step 0.
+        moved_covariances: the same of the pose of each sequence's board with all axes at 0.
         warp_covariance: of the board's bulge, `warp.x` and `warp.y` (mm); None where the board was taken to be flat.
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
@@ -72,7 +70,7 @@ class Calibration:
         corner_rms_px: root mean square distance of the corners that were kept.
         stripe_rms_px: root mean square stripe error of the points that were kept; None without stripes.
         fits: view by view.
-        stage_fits: photograph by photograph of the sequences on stage and turntable.
+        moved_fits: photograph by photograph of the sequences along the axes.
         left_out: photographs and stripes that were not used, and why, in words.
         rejected: how many corners and stripe points of which photograph that was used were not, and why, in words.
         notes: what a reader should know.
@@ -92,7 +90,7 @@ class Calibration:
     observations: Observations
     covariance: Covariance
     board_covariances: tuple[Covariance, ...]
-    stage_covariances: tuple[Covariance, ...]
+    moved_covariances: tuple[Covariance, ...]
     warp_covariance: Covariance | None
     corner_sigma_px: float
     stripe_sigma_px: float | None
@@ -101,7 +99,7 @@ class Calibration:
     corner_rms_px: float
     stripe_rms_px: float | None
     fits: tuple[PhotographFit, ...]
-    stage_fits: tuple[PhotographFit, ...]
+    moved_fits: tuple[PhotographFit, ...]
     left_out: tuple[str, ...]
     rejected: tuple[str, ...]
     notes: tuple[str, ...]
@@ -119,10 +117,11 @@ class Calibration:
             "corner_rms_px": self.corner_rms_px,
             "corner_sigma_px": self.corner_sigma_px,
             "views": len(self.fits),
-            "stage_images": sum(len(s.views) for s in self.observations.stages if s.turns is None),
+            "stage_images": 0,
         }
-        if turned := [len(s.views) for s in self.observations.stages if s.turns is not None]:
-            fit["turntable_images"] = sum(turned)
+        for sequence in self.observations.sequences:
+            key = f"{sequence.axis}_images"
+            fit[key] = fit.get(key, 0) + len(sequence.views)
         if self.stripe_rms_px is not None:
             fit |= {
                 "stripe_rms_px": self.stripe_rms_px,
@@ -139,73 +138,69 @@ class Calibration:
 
     def stripe_points(self, laser: int) -> Float[np.ndarray, "points 3"]:
         """Where a laser's stripes lie on the boards, camera frame, mm; without those that are far from its light."""
-        with float64():
-            poses = as_float64(self.system.boards).as_vector()
-            X, _ = stripe_points_in_space(self.observations, as_float64(self.rig.camera), poses, laser)
-        off = np.abs(X @ np.array([float(w) for w in self.rig.lasers[laser].plane]) - 1)
+        X, _ = stripe_points_in_space(self.observations, self.rig.camera, self.photograph_poses(), laser)
+        off = np.abs(distance(self.rig.lights[laser], X))
         return X[off <= _FAR_OFF * NORMAL_MAD * np.median(off)] if len(X) else X
+
+    def photograph_poses(self) -> Pose[np.ndarray]:
+        """T_cam_board of every photograph, in the order of `Observations.photographs`."""
+        boards = [np.asarray(self.system.boards.as_vector())]
+        for sequence, pose in zip(self.observations.sequences, np.asarray(self.system.moved.as_vector()), strict=True):
+            boards.append((self.rig.pose(sequence.positions) @ Pose.from_vector(pose)).as_vector())
+        return Pose.from_vector(np.concatenate(boards))
 
     def _stripe_depths(self) -> list[float] | None:
         """The nearest and the farthest depth of a stripe on a board, along the optical axis, mm."""
-        seen = [self.stripe_points(i)[:, 2] for i in range(len(self.rig.lasers))]
+        seen = [self.stripe_points(i)[:, 2] for i in range(len(self.rig.lights))]
         depths = np.concatenate(seen) if seen else np.empty(0)
         return [round(float(depths.min()), 1), round(float(depths.max()), 1)] if depths.size else None
 
 
 def assemble(
-    refined: Refined, free: Bool[Array, "shared"], observations: Observations, held: set[str], unused: Unused
+    refined: Refined,
+    free: Bool[Array, "shared"],
+    observations: Observations,
+    held: set[str],
+    unused: Unused,
+    factors: tuple[Factor, ...],
 ) -> Calibration:
     """The result of the last rounds, in the order of the observations that took part; inside a `float64` block."""
-    shared = refined.estimate.shared[0]
+    solved = refined.system.rig
     adjustment = Adjustment(
-        estimate=refined.estimate,
+        start=refined.system,
         free=free,
         groups=refined.groups,
+        factors=factors,
         noise=refined.solved_with,
-        reference=jnp.asarray([reference_step(stage) for stage in observations.stages]),
-        counts=(len(observations.views), len(observations.stages)),
-        turned=jnp.asarray([reference_turn(stage) for stage in observations.stages])
-        if shared.turntable is not None
-        else None,
+        counts=(len(observations.views), len(observations.sequences)),
     )
-    system = adjustment.system(refined.estimate)
-    rig, (n_views, n_stages) = system.rig, adjustment.counts
+    system = adjustment.finished(refined.system)
+    rig, (n_views, n_sequences) = system.rig, adjustment.counts
     names = parameter_names(rig)
     at = [i for i, name in enumerate(names) if name not in held]
-    joint = tuple(with_nearest_centre(np.asarray(blocks), shared, free) for blocks in refined.precision.blocks)
-    covariance = with_nearest_centre(np.asarray(refined.precision.covariance), shared, free)[np.ix_(at, at)]
-    fits = _photograph_fits(observations.views, refined, 0, len(observations.board.points()))
-    stage_fits = sum(
-        (
-            _stage_fits(stage.views, refined, i, len(observations.board.points()))
-            for i, stage in enumerate(observations.stages)
-        ),
-        (),
-    )
-    unused = unused.and_then(_rejected((*fits, *stage_fits)))
-    corners = np.concatenate([fit.corner_errors[fit.corner_kept] for fit in (*fits, *stage_fits)])
-    stripe = np.concatenate([fit.stripe_errors[fit.stripe_kept] for fit in fits])
+    joint = tuple(_at_0(refined, group, solved, free) for group in range(len(refined.groups)))
+    covariance = with_normal_numbers(np.asarray(refined.precision.covariance), solved, free)[np.ix_(at, at)]
+    fits = _photograph_fits(observations, refined)
+    fits, moved_fits = fits[:n_views], fits[n_views:]
+    unused = unused.and_then(_rejected((*fits, *moved_fits)))
+    corners = np.concatenate([fit.corner_errors[fit.corner_kept] for fit in (*fits, *moved_fits)])
+    stripe = np.concatenate([fit.stripe_errors[fit.stripe_kept] for fit in (*fits, *moved_fits)])
     return Calibration(
         rig=as_numpy(rig),
         system=as_numpy(system),
         observations=observations,
         covariance=Covariance(tuple(names[i] for i in at), covariance),
         board_covariances=_with_poses(joint[0][:n_views], names, at),
-        stage_covariances=tuple(
-            _at_step_0(covariance, stage, rig, refined.estimate.poses[1][i])
-            for i, (covariance, stage) in enumerate(
-                zip(_with_poses(joint[1][:n_stages], names, at) if n_stages else (), observations.stages, strict=True)
-            )
-        ),
+        moved_covariances=_with_poses(joint[1][:n_sequences], names, at) if n_sequences else (),
         warp_covariance=_of_warp(refined, len(names)),
         corner_sigma_px=float(refined.noise.corner),
         stripe_sigma_px=refined.stripe_sigma if stripe.size else None,
         stripe_correlation=refined.stripe_correlation if stripe.size else None,
-        stripe_sigma_ratio=_sigma_ratio(observations.views, fits),
+        stripe_sigma_ratio=_sigma_ratio(observations.photographs(), (*fits, *moved_fits)),
         corner_rms_px=float(np.sqrt((corners**2).sum(axis=1).mean())),
         stripe_rms_px=float(np.sqrt((stripe**2).mean())) if stripe.size else None,
         fits=fits,
-        stage_fits=stage_fits,
+        moved_fits=moved_fits,
         left_out=unused.left_out,
         rejected=unused.rejected,
         notes=observations.notes,
@@ -220,7 +215,7 @@ def assemble(
 
 def _of_warp(refined: Refined, leaves: int) -> Covariance | None:
     """The covariance of the board's bulge, which stands behind that of so many leaves of the rig."""
-    names = warp_names(refined.estimate.shared[1])
+    names = tuple(refined.system.shared_names()[leaves:])
     return Covariance(names, np.asarray(refined.precision.covariance)[leaves:, leaves:]) if names else None
 
 
@@ -233,72 +228,76 @@ def _with_poses(joint: Float[np.ndarray, "blocks n n"], names: list[str], at: li
     return tuple(Covariance((*(names[i] for i in at), *_POSE), matrix[np.ix_(kept, kept)]) for matrix in joint)
 
 
-def _at_step_0(covariance: Covariance, sequence: StageSequence, rig: Rig, pose: Float[Array, "6"]) -> Covariance:
-    """From the pose at a sequence's mean step to that at step 0: t₀ = t − mean · per_step, or turned back."""
-    J = np.eye(len(covariance.names))
-    if rig.turntable is not None and sequence.turns is not None:
-        names = [*(name for name in covariance.names if name.startswith("turntable.")), *_POSE]
-        at = [covariance.names.index(name) for name in names]
-        J[np.ix_(at[-len(_POSE) :], at)] = _turned_back(rig.turntable, jnp.asarray(reference_turn(sequence)), pose)
-    else:
-        mean = reference_step(sequence)
-        for i in range(3):
-            name = f"stage.per_step.{i}"
-            if name in covariance.names:
-                J[covariance.names.index(f"board.translation.{i}"), covariance.names.index(name)] = -mean
-    return Covariance(covariance.names, J @ covariance.matrix @ J.T)
+def _at_0(refined: Refined, group: int, rig: Rig, free: Bool[Array, "shared"]) -> Float[np.ndarray, "blocks n n"]:
+    """The covariance of what is shared and of each block's pose, that of a moved board with all axes at 0."""
+    blocks, joint = refined.groups[group], np.asarray(refined.precision.blocks[group])
+    if blocks.q:
+        # By the rig as it was solved, whose surplus numbers were held: their rows are no covariance yet.
+        known = np.concatenate([np.asarray(free, float), np.ones(len(_POSE))])
+        joint = joint * known[:, None] * known
+        J = np.broadcast_to(np.eye(joint.shape[-1]), joint.shape).copy()
+        motion = [i for i, name in enumerate(parameter_names(rig)) if name.startswith("motion.")]
+        moved = np.asarray(_moved_back(rig.motion, refined.system.poses[group], blocks.reference))
+        J[:, -len(_POSE) :, [*motion, *range(-len(_POSE), 0)]] = moved
+        joint = J @ joint @ J.swapaxes(-1, -2)
+    return with_normal_numbers(joint, rig, free)
 
 
 @jax.jit
-def _turned_back(turntable: Turntable, steps: Float[Array, ""], pose: Float[Array, "6"]) -> Float[Array, "6 12"]:
-    """How a pose, turned back by so many steps, moves with the turntable's six numbers and with the pose."""
-    numbers, unravel = ravel_pytree((turntable, pose))
+def _moved_back(motion: Motion, poses: Float[Array, "blocks 6"], reference: dict) -> Float[Array, "blocks 6 n"]:
+    """How poses brought back to where all axes stand at 0 move with the motion's numbers and with themselves."""
+    numbers, unravel = ravel_pytree(motion)
 
-    def back(numbers: Float[Array, "12"]) -> Float[Array, "6"]:
-        turntable, pose = unravel(numbers)
-        return (turntable.turned(-steps) @ Pose.from_vector(pose)).as_vector()
+    def each(pose: Float[Array, "6"], reference: dict) -> Float[Array, "6 n"]:
+        by_both = jax.jacfwd(lambda numbers, pose: pose_at_0(unravel(numbers), pose, reference), argnums=(0, 1))
+        return jnp.concatenate(by_both(numbers, pose), axis=1)
 
-    return jax.jacfwd(back)(numbers)
+    return jax.vmap(each)(poses, reference)
+
+
+def _photographs(observations: Observations) -> Iterator[tuple[View, int, int, int]]:
+    """Each photograph with the group, the block and the place in it where it stands."""
+    for i, view in enumerate(observations.views):
+        yield view, 0, i, 0
+    for i, sequence in enumerate(observations.sequences):
+        for k, view in enumerate(sequence.views):
+            yield view, 1, i, k
 
 
 def _kept(observations: Observations, refined: Refined) -> tuple[Kept, ...]:
     """What took part in the last solve, photograph by photograph."""
-    each = len(observations.board.points())
-    boards = [(view,) for view in observations.views], [stage.views for stage in observations.stages]
+    masks = [(np.asarray(group.corner_used), np.asarray(group.stripe_used)) for group in refined.groups]
     kept = []
-    for blocks, group in zip(boards, refined.groups, strict=False):
-        rows = zip(blocks, np.asarray(group.corner_used), np.asarray(group.stripe_used), strict=False)
-        for views, corners, stripe in rows:
-            at = 0
-            for i, view in enumerate(views):
-                stripes = []
-                for seen in view.stripes:
-                    stripes.append(stripe[at : at + len(seen.pixels)])
-                    at += len(seen.pixels)
-                kept.append(Kept(corners[i * each : (i + 1) * each], tuple(stripes)))
+    for view, group, i, k in _photographs(observations):
+        corners, stripe = (mask[i, k] for mask in masks[group])
+        ends = np.cumsum([len(seen.pixels) for seen in view.stripes])
+        kept.append(Kept(corners, tuple(np.split(stripe[: ends[-1]], ends[:-1])) if view.stripes else ()))
     return tuple(kept)
 
 
-def _photograph_fits(views: Sequence[View], refined: Refined, group: int, each: int) -> tuple[PhotographFit, ...]:
-    blocks = refined.groups[group]
-    corner, stripe = (np.asarray(x) for x in refined.errors[group])
-    corner_kept, stripe_kept = np.asarray(blocks.corner_used), np.asarray(blocks.stripe_used)
-    corner_sigmas = _sigmas(float(refined.noise.corner), blocks.weights)
-    stripe_sigmas = _sigmas(refined.stripe_sigma, blocks.stripe_weights)
+def _photograph_fits(observations: Observations, refined: Refined) -> tuple[PhotographFit, ...]:
+    arrays = []
+    for blocks, (corner, stripe) in zip(refined.groups, refined.errors, strict=True):
+        corner_sigmas = _sigmas(float(refined.noise.corner), blocks.weights)
+        stripe_sigmas = _sigmas(refined.stripe_sigma, blocks.stripe_weights)
+        kept = np.asarray(blocks.corner_used), np.asarray(blocks.stripe_used)
+        arrays.append((np.asarray(corner), corner_sigmas, kept[0], np.asarray(stripe), stripe_sigmas, kept[1]))
     fits = []
-    for i, view in enumerate(views):
+    for view, group, i, k in _photographs(observations):
+        corner, corner_sigmas, corner_kept, stripe, stripe_sigmas, stripe_kept = (x[i, k] for x in arrays[group])
         pixels = np.concatenate([s.pixels for s in view.stripes]) if view.stripes else np.zeros((0, 2))
         candidate = np.isfinite(pixels).all(axis=1)
+        n = len(pixels)
         fits.append(
             PhotographFit(
                 name=view.name,
-                corner_errors=np.where(view.used()[:, None], corner[i, :each], np.nan),
-                corner_sigmas=corner_sigmas[i, :each],
-                corner_kept=corner_kept[i, :each],
+                corner_errors=np.where(view.used()[:, None], corner, np.nan),
+                corner_sigmas=corner_sigmas,
+                corner_kept=corner_kept,
                 stripe_pixels=pixels[candidate],
-                stripe_errors=stripe[i, : len(pixels)][candidate],
-                stripe_sigmas=stripe_sigmas[i, : len(pixels)][candidate],
-                stripe_kept=stripe_kept[i, : len(pixels)][candidate],
+                stripe_errors=stripe[:n][candidate],
+                stripe_sigmas=stripe_sigmas[:n][candidate],
+                stripe_kept=stripe_kept[:n][candidate],
             )
         )
     return tuple(fits)
@@ -320,18 +319,6 @@ def _sigma_ratio(views: Sequence[View], fits: Sequence[PhotographFit]) -> float 
     known = np.concatenate(scaled) if scaled else np.zeros(0)
     known = known[np.isfinite(known)]
     return NORMAL_MAD * float(np.median(known)) if known.size else None
-
-
-def _stage_fits(views: Sequence[View], refined: Refined, sequence: int, each: int) -> tuple[PhotographFit, ...]:
-    corner = np.asarray(refined.errors[1][0][sequence]).reshape(-1, each, 2)
-    blocks = refined.groups[1]
-    kept = np.asarray(blocks.corner_used[sequence]).reshape(-1, each)
-    sigmas = _sigmas(float(refined.noise.corner), blocks.weights[sequence]).reshape(-1, each)
-    none: Any = np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool)
-    return tuple(
-        PhotographFit(view.name, np.where(view.used()[:, None], corner[i], np.nan), sigmas[i], kept[i], *none)
-        for i, view in enumerate(views)
-    )
 
 
 def _sigmas(sigma: float, weights: Float[Array, "*any"]) -> Float[np.ndarray, "*any"]:

@@ -20,11 +20,12 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
-from jaxscan.calibration.bundle import Estimate, Outcome, solve
+from jaxscan.calibration.bundle import Factor, Outcome, solve
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.residuals import Blocks, Noise, block_errors
 from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, arrow_precision
 from jaxscan.precision import as_numpy
+from jaxscan.rig import System
 from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
@@ -50,28 +51,28 @@ class Refined:
     """Where the rounds ended.
 
     Attributes:
-        estimate: the parameters.
+        system: the parameters.
         noise: σ in pixels, from the residuals: of a corner, and of a stripe point times √τ.
         solved_with: what the last solve divided residuals by; but for a common factor the same, within 1 %.
         stripe_sigma: σ of a stripe point by itself, pixels.
         stripe_correlation: τ, how many neighbouring stripe points are worth one.
         groups: the observations with the masks of those that were kept.
-        errors: for each group, corner (blocks, corners, 2) and stripe (blocks, stripe) errors in pixels, of all
-            candidates, kept or not.
-        precision: covariance and leverages at the estimate.
+        errors: for each group, corner (blocks, photographs, corners, 2) and stripe (blocks, photographs, stripe) errors
+            in pixels, of all candidates, kept or not.
+        precision: covariance and leverages there.
         outcome: the last solve.
         solves: how many solves it took.
         settled: whether σ, weights and outliers had come to rest; otherwise the rounds ended by their number, or
             because more of them would not help.
     """
 
-    estimate: Estimate
+    system: System
     noise: Noise
     solved_with: Noise
     stripe_sigma: float
     stripe_correlation: float
     groups: tuple[Blocks, ...]
-    errors: tuple[tuple[Float[np.ndarray, "_ _ 2"], Float[np.ndarray, "_ _"]], ...]
+    errors: tuple[tuple[Float[np.ndarray, "_ _ _ 2"], Float[np.ndarray, "_ _ _"]], ...]
     precision: Precision
     outcome: Outcome
     solves: int
@@ -81,11 +82,12 @@ class Refined:
 # An error that is no number, or without bound, is left out by its comparison with the limit.
 @np.errstate(invalid="ignore", over="ignore")
 def refine(
-    estimate: Estimate,
+    system: System,
     free: Bool[Array, "shared"],
     candidates: tuple[Blocks, ...],
     noise: Noise,
-    board_points: int,
+    factors: tuple[Factor, ...] = (),
+    *,
     reject: bool,
     weigh: bool,
     begins: Callable[[int], object] = lambda solve: None,
@@ -93,11 +95,12 @@ def refine(
     """Solve with σ from the data, leave outliers out and weigh photographs, as far as either is wanted.
 
     Args:
-        estimate: where to start.
+        system: where to start.
         free: which shared parameters are refined.
         candidates: all observations that may be used.
         noise: a first guess of the two σ.
-        board_points: how many corners a photograph has.
+        factors: what else is known, whose unknowns stand behind those of the candidates; it is neither judged nor
+            weighed.
         reject: whether observations may be left out; otherwise every candidate is used.
         weigh: whether photographs are weighted by their own σ.
         begins: called with the number of each solve, from 1, as it begins.
@@ -108,9 +111,9 @@ def refine(
     if reject:
         begins(1)
         first = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
-        outcome = solve(estimate, free, groups, first)
-        estimate, futile = outcome.estimate, int(outcome.result != optx.RESULTS.successful)
-        errors = as_numpy(group_errors(estimate, candidates))
+        outcome = solve(system, free, (*groups, *factors), first)
+        system, futile = outcome.system, int(outcome.result != optx.RESULTS.successful)
+        errors = as_numpy(group_errors(system, candidates))
         noise = _median_noise(groups, errors, noise)
         groups = _keep(candidates, errors, noise)
         solves = 1
@@ -118,18 +121,18 @@ def refine(
     while True:
         solves += 1
         begins(solves)
-        outcome = solve(estimate, free, groups, noise)
-        estimate = outcome.estimate
-        errors = as_numpy(group_errors(estimate, candidates))
+        outcome = solve(system, free, (*groups, *factors), noise)
+        system = outcome.system
+        errors = as_numpy(group_errors(system, candidates))
         known = as_numpy(arrow_precision(outcome.value, outcome.jacobian))
         believed = _believed(candidates, groups, errors) if weigh else candidates
-        single, photographs = _variance_components(believed, groups, errors, known.leverage, noise, board_points)
+        single, photographs = _variance_components(believed, groups, errors, known.leverage, noise)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
         settled = Noise(single.corner, single.stripe * tau**0.5, single.robustness)
-        kept = _weighted(believed, photographs, single, tau, board_points) if weigh else candidates
+        kept = _weighted(believed, photographs, single, tau) if weigh else candidates
         if reject:
             kept = _keep(kept, errors, _at_least(single, _median_noise(groups, errors, single)))
-        # Only the ratio of the two σ moves the estimate; their common scale is in the covariance alone.
+        # Only the ratio of the two σ moves the solution; their common scale is in the covariance alone.
         ratio = float((settled.stripe / settled.corner) / (noise.stripe / noise.corner))
         calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
         open_ended = outcome.result != optx.RESULTS.successful or known.eigenvalues[0] < UNDETERMINED
@@ -138,7 +141,7 @@ def refine(
             groups = jax.tree.map(jnp.asarray, groups)
             spread = arrow_precision(*_restated(outcome, groups, noise, settled))
             return Refined(
-                estimate, settled, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves, calm
+                system, settled, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves, calm
             )
         noise, groups = settled, kept
 
@@ -147,8 +150,9 @@ def _restated(outcome: Outcome, groups: tuple[Blocks, ...], old: Noise, new: Noi
     """Residuals and Jacobian of a solve with other σ than it was solved with."""
     corner, stripe = float(old.corner / new.corner), float(old.stripe / new.stripe)
     scales = [
-        np.repeat([corner, stripe], [2 * group.weights.shape[1], group.stripe_weights.shape[1]]) for group in groups
+        np.repeat([corner, stripe], [2 * group.weights[0].size, group.stripe_weights[0].size]) for group in groups
     ]
+    scales += [np.ones(1)] * (len(outcome.value.blocks) - len(groups))
     value, blocks = (
         tuple(jnp.asarray(s[:, *axes] * np.asarray(rows)) for s, rows in zip(scales, parts.blocks, strict=True))
         for parts, axes in ((outcome.value, ()), (outcome.jacobian, (None,)))
@@ -173,20 +177,20 @@ def _stripe_correlation(groups: tuple[Blocks, ...], errors: tuple) -> float:
     rows = [
         (error, used)
         for group, (_, stripe) in zip(groups, errors, strict=True)
-        for error, used in zip(stripe, group.stripe_used, strict=True)
+        for errors_of, used_of in zip(stripe, group.stripe_used, strict=True)
+        for error, used in zip(errors_of, used_of, strict=True)
     ]
     return integrated_correlation([error for error, _ in rows], [used for _, used in rows])
 
 
 @eqx.filter_jit
 def group_errors(
-    estimate: Estimate, groups: tuple[Blocks, ...]
-) -> tuple[tuple[Float[Array, "_ _ 2"], Float[Array, "_ _"]], ...]:
+    system: System, groups: tuple[Blocks, ...]
+) -> tuple[tuple[Float[Array, "_ _ _ 2"], Float[Array, "_ _ _"]], ...]:
     """Corner and stripe errors of each group, in pixels."""
-    rig, warp = estimate.shared
     return tuple(
-        jax.vmap(lambda pose, block: block_errors(rig, warp, pose, block))(poses, group)
-        for poses, group in zip(estimate.poses, groups, strict=True)
+        jax.vmap(lambda pose, block: block_errors(system, pose, block))(poses, group)
+        for poses, group in zip(system.poses, groups, strict=False)
     )
 
 
@@ -223,15 +227,12 @@ def _at_least(a: Noise, b: Noise) -> Noise:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Of one group, photograph by photograph: sums of squared errors (px²) and of redundancies.
+    """Of one group, photograph by photograph: sums of squared errors (px²) and of redundancies."""
 
-    Corners have (blocks, images), stripes (blocks,): a stripe belongs to its view.
-    """
-
-    corner_squares: Float[np.ndarray, "blocks images"]
-    corner_redundancy: Float[np.ndarray, "blocks images"]
-    stripe_squares: Float[np.ndarray, "blocks"]
-    stripe_redundancy: Float[np.ndarray, "blocks"]
+    corner_squares: Float[np.ndarray, "blocks photographs"]
+    corner_redundancy: Float[np.ndarray, "blocks photographs"]
+    stripe_squares: Float[np.ndarray, "blocks photographs"]
+    stripe_redundancy: Float[np.ndarray, "blocks photographs"]
 
 
 def _variance_components(
@@ -240,21 +241,19 @@ def _variance_components(
     errors: tuple,
     leverage: tuple[Float[np.ndarray, "_ _"], ...],
     noise: Noise,
-    board_points: int,
 ) -> tuple[Noise, tuple[_Sums, ...]]:
     """σ of each kind over all photographs, and what each photograph contributed to it."""
     sums = []
-    for candidate, group, (corner, stripe), h in zip(candidates, groups, errors, leverage, strict=True):
-        n = corner.shape[1]
-        images = (len(corner), n // board_points, board_points, 2)
-        square = np.where(group.corner_used[..., None], corner * candidate.weights[..., None], 0.0) ** 2
-        redundancy = np.where(group.corner_used[..., None], 1 - h[:, : 2 * n].reshape(corner.shape), 0.0)
+    # What factors tell has the σ that it is given.
+    for candidate, group, (corner, stripe), h in zip(candidates, groups, errors, leverage, strict=False):
+        n = corner[0].size
+        used, striped = group.corner_used[..., None], group.stripe_used
         sums.append(
             _Sums(
-                square.reshape(images).sum((2, 3)),
-                redundancy.reshape(images).sum((2, 3)),
-                (np.where(group.stripe_used, stripe, 0.0) ** 2).sum(1),
-                np.where(group.stripe_used, 1 - h[:, 2 * n :], 0.0).sum(1),
+                (np.where(used, corner * candidate.weights[..., None], 0.0) ** 2).sum((2, 3)),
+                np.where(used, 1 - h[:, :n].reshape(corner.shape), 0.0).sum((2, 3)),
+                (np.where(striped, stripe, 0.0) ** 2).sum(2),
+                np.where(striped, 1 - h[:, n:].reshape(stripe.shape), 0.0).sum(2),
             )
         )
 
@@ -307,7 +306,7 @@ def _believed(candidates: tuple[Blocks, ...], groups: tuple[Blocks, ...], errors
 
 
 def _weighted(
-    candidates: tuple[Blocks, ...], sums: tuple[_Sums, ...], overall: Noise, tau: float, board_points: int
+    candidates: tuple[Blocks, ...], sums: tuple[_Sums, ...], overall: Noise, tau: float
 ) -> tuple[Blocks, ...]:
     """The candidates with weights by the σ of their photograph, relative to that of all."""
     weighted = []
@@ -322,8 +321,8 @@ def _weighted(
                 lambda g: (g.weights, g.stripe_weights),
                 group,
                 (
-                    group.weights / np.repeat(corner, board_points, axis=1),
-                    group.stripe_weights / stripe[:, None],
+                    group.weights / corner[..., None],
+                    group.stripe_weights / stripe[..., None],
                 ),
             )
         )

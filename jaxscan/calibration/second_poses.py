@@ -10,17 +10,20 @@ camera as it is now known. The camera is held, and each board keeps the pose of 
 rounds of `rounds`: squares, up to the limit beyond which a corner is left out.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.calibration.bundle import Estimate, solve
+from jaxscan.calibration.bundle import solve
 from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.rounds import CORNER_LIMIT, group_errors
 from jaxscan.geometry import Pose
+from jaxscan.rig import System
 
 # In doubt is a view of whose corners less than this part is within the limit.
 _FEW_KEPT = 0.75
@@ -28,36 +31,36 @@ _FEW_KEPT = 0.75
 _BETTER = 1.0
 
 
-def better_poses(estimate: Estimate, groups: tuple[Blocks, ...], noise: Noise) -> Estimate | None:
+def better_poses(system: System, groups: tuple[Blocks, ...], noise: Noise) -> System | None:
     """The same camera with some views elsewhere, or None where no other pose fits better.
 
     Args:
-        estimate: a solved one.
+        system: a solved one.
         groups: the views, as candidates; then what else there is, which stays.
         noise: σ as found.
     """
-    views, poses = groups[0], estimate.poses[0]
-    used = np.asarray(views.corner_used)
+    views, poses = groups[0], system.poses[0]
+    used = np.asarray(views.corner_used)[:, 0]
 
-    def with_poses(poses: Float[Array, "views 6"]) -> Estimate:
-        return Estimate(estimate.shared, (poses, *estimate.poses[1:]))
+    def with_poses(poses: Float[Array, "views 6"]) -> System:
+        return replace(system, poses=(poses, *system.poses[1:]))
 
-    def squares(at: Estimate) -> Float[np.ndarray, "views corners"]:
+    def squares(at: System) -> Float[np.ndarray, "views corners"]:
         corner = group_errors(at, groups)[0][0]
-        square = np.asarray((corner**2).sum(-1) * (views.weights / noise.corner) ** 2)
+        square = np.asarray((corner**2).sum(-1) * (views.weights / noise.corner) ** 2)[:, 0]
         return np.where(used, np.minimum(square, CORNER_LIMIT**2), 0.0)
 
-    now = squares(estimate)
+    now = squares(system)
     within = (used & (now < CORNER_LIMIT**2)).sum(1)
     doubtful = within < _FEW_KEPT * used.sum(1)
     if not doubtful.any():
         return None
-    closed = first_poses(estimate.shared[0].camera, views)
-    held = jnp.zeros(len(jax.tree.leaves(estimate.shared)), bool)
+    closed = first_poses(system.rig.camera, views)
+    held = jnp.zeros(len(jax.tree.leaves(system.shared)), bool)
     robust = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
     cost, best = now.sum(1), np.asarray(poses)
     for start in (closed, _mirrored(closed, views), _mirrored(poses, views)):
-        tried = solve(with_poses(jnp.where(doubtful[:, None], start, poses)), held, groups, robust).estimate
+        tried = solve(with_poses(jnp.where(doubtful[:, None], start, poses)), held, groups, robust).system
         tried_cost = squares(tried).sum(1)
         better = doubtful & (tried_cost < cost - _BETTER)
         cost = np.where(better, tried_cost, cost)
@@ -78,4 +81,4 @@ def _mirrored(poses: Float[Array, "views 6"], views: Blocks) -> Float[Array, "vi
         R = (jnp.eye(3) - 2 * jnp.outer(sight, sight)) @ T.matrix() @ jnp.diag(jnp.array([1.0, 1.0, -1.0]))
         return Pose.from_matrix(R, centre - R @ middle).as_vector()
 
-    return jax.vmap(each)(poses, views.points, views.corner_used)
+    return jax.vmap(each)(poses, views.points, views.corner_used[:, 0])

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, linearise
-from jaxscan.calibration.bundle import Estimate, ObservationGroup, Prior, as_arrow
+from jaxscan.calibration.bundle import Factor, Prior, as_arrow
 from jaxscan.calibration.residuals import Noise
 from jaxscan.elimination import solve_blocks
+from jaxscan.rig import System
 
 # An eigenvalue of the Schur complement, scaled to a unit diagonal, below this is rounding: a direction not determined.
 UNDETERMINED = 1e-11
@@ -39,15 +40,15 @@ class Precision(eqx.Module):
 
 @eqx.filter_jit
 def precision(
-    estimate: Estimate,
+    system: System,
     free: Bool[Array, "shared"],
-    groups: tuple[ObservationGroup, ...],
+    groups: tuple[Factor, ...],
     noise: Noise,
     prior: Prior | None = None,
 ) -> Precision:
     """The covariance at a solution, for least squares (whatever robustness `noise` carries)."""
     noise = Noise(noise.corner, noise.stripe, jnp.zeros_like(noise.robustness))
-    y, _, residual = as_arrow(estimate, free, groups, noise, prior)
+    y, _, residual = as_arrow(system, free, groups, noise, prior)
     return arrow_precision(*linearise(residual, y))
 
 

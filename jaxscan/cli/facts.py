@@ -1,6 +1,5 @@
 """What `inspect` finds in a file, as plain numbers and texts. Imported by the command when it runs, so freely slow."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from itertools import pairwise
@@ -20,16 +19,16 @@ from jaxscan.files.listing import common_size
 from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
 from jaxscan.files.ply import Element
 from jaxscan.files.ply_read import read_ply_file
-from jaxscan.files.range_npz import read_range_npz
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
 from jaxscan.images.light import Light
-from jaxscan.rig import Camera, Rig
+from jaxscan.reconstruction import read_range_image
+from jaxscan.rig import Camera
+from jaxscan.rig.facts import axis_facts, light_facts
 from jaxscan.rig.speckle_limit import Optics, limit_of
-from jaxscan.rig.turn_facts import rig_turn_facts
 
 Facts = dict[str, Any]
 
@@ -70,7 +69,7 @@ def scan_facts(path: Path) -> Facts:
         "path": str(scan.path),
         "name": scan.name,
         "video": scan.video and str(scan.video),
-        "frames": None if scan.rules else len(scan.steps),
+        "frames": None if scan.rules else scan.listed,
         "axes": {
             **{name: _steps(positions) for name, positions in scan.axes.items()},
             **{name: _rule(rule) for name, rule in scan.rules.items()},
@@ -87,31 +86,13 @@ def rig_facts(path: Path) -> Facts:
     content = read_rig(path)
     rig, covariance = content.rig, content.covariance
 
-    def values(name: str, leaves: Sequence[Any]) -> Facts:
-        return _values(name, leaves, covariance.sigma if covariance else None)
-
     camera = _camera(rig.camera, covariance.sigma if covariance else None)
-    lasers = []
-    for laser, sheet in zip(rig.lasers, _sheets(rig), strict=True):
-        name = f"laser.{laser.name}.plane" if laser.name else "laser.plane"
-        lasers.append({"name": laser.name, "plane": values(name, laser.plane), **sheet})
-    stage = None
-    if rig.stage is not None:
-        per_step = values("stage.per_step", rig.stage.per_step)
-        travel = math.hypot(*per_step["value"])
-        stage = {
-            "per_step": per_step,
-            "mm_per_1000_steps": 1000 * travel,
-            "direction": [x / travel for x in per_step["value"]],
-            "way": rig.stage.way(),
-        }
     return {
         "kind": "rig",
         "path": str(path),
         "camera": camera,
-        "lasers": lasers,
-        "stage": stage,
-        "turntable": (turntable := rig_turn_facts(rig, covariance)) and asdict(turntable),
+        "lights": light_facts(rig, covariance, image_rays(rig.camera)),
+        "motion": axis_facts(rig, covariance),
         "fit": {name: value for name, value in content.fit.items() if name != "warnings"},
         "warnings": list(content.warnings),
     }
@@ -175,11 +156,12 @@ def _mesh(path: Path, mesh: trimesh.Trimesh) -> Facts:
 
 def range_facts(path: Path) -> Facts:
     """Facts of an organised range image."""
-    image = read_range_npz(path)
+    image = read_range_image(path)
     return {
         "kind": "range image",
         "path": str(path),
-        "frames": _steps(image.steps.tolist()),
+        "frames": len(image.valid),
+        "axes": {axis: _steps(np.asarray(steps).tolist()) for axis, steps in image.positions.items()},
         "columns": image.valid.shape[1],
         "points": int(image.valid.sum()),
         "box_mm": _box(image.points[image.valid]),
@@ -195,15 +177,13 @@ def speckle_limit_facts(path: Path, rig_path: Path, optics: Optics) -> Facts:
     Raises:
         InputError: the points do not lie on the rig's light or have no σ.
     """
-    image, rig = read_range_npz(path), read_rig(rig_path).rig
-    per_step = np.zeros(3) if image.per_step is None else image.per_step
-    points = (image.points + (image.steps[:, None] * per_step)[:, None])[image.valid].astype(np.float64)
+    image, rig = read_range_image(path), read_rig(rig_path).rig
+    points = image.seen()[image.valid]
     light = None if image.light is None else Light.of([image.light])
     sigma = None if image.sigma_pixel is None else _median(image.sigma_pixel[image.valid])
     if not len(points) or sigma is None:
         raise InputError(f"{path}: has no points with a σ: reconstruct them with a rig that has its covariance")
-    planes = [np.asarray([float(c) for c in laser.plane]) for laser in rig.lasers]
-    if not any(np.median(np.abs(points @ plane - 1)) < _OFF_SHEET for plane in planes):
+    if not any(np.median(np.abs(sheet.level(points))) < _OFF_SHEET for sheet in rig.lights):
         raise InputError(f"{path}: its points do not lie on the light of {rig_path}: give the rig of this scan")
     limit = limit_of(rig, points, optics, light.speckle_contrast if light is not None else None, sigma)
     return asdict(limit) | {"times": limit.times}
@@ -240,33 +220,6 @@ def _steps(steps: Sequence[int]) -> Facts:
 def _rule(rule: StepRule) -> Facts:
     """As `_steps`, of frames that are not counted."""
     return {"count": None, "first_step": rule.start, "last_step": None, "spacing": rule.per_frame}
-
-
-def _sheets(rig: Rig) -> list[Facts]:
-    """Where each light plane stands: its distance and angle, and at which angles the camera looks at it.
-
-    The triangulation angle is that between a ray of the camera and the sheet: asin(ω · x / (|ω| |x|)).
-    """
-    if not rig.lasers:
-        return []
-    rays = image_rays(rig.camera)
-    return [_sheet(np.array([float(x) for x in laser.plane]), rays) for laser in rig.lasers]
-
-
-def _sheet(omega: Float[np.ndarray, "3"], rays: Float[np.ndarray, "rays 3"]) -> Facts:
-    middle = len(rays) // 2
-    length = float(np.linalg.norm(omega))
-    inverse_depth = rays @ omega
-    angles = np.degrees(np.arcsin(inverse_depth / (length * np.linalg.norm(rays, axis=1))))
-    # NaN, outside the lens's range, compares as not seen.
-    seen = inverse_depth > 0
-    return {
-        "distance_mm": 1 / length,
-        "angle_to_axis_deg": math.degrees(math.asin(abs(omega[2]) / length)),
-        "depth_in_the_middle_mm": float(1 / inverse_depth[middle]) if seen[middle] else None,
-        "triangulation_angle_deg": float(angles[middle]) if seen[middle] else None,
-        "triangulation_angles_deg": [float(angles[seen].min()), float(angles[seen].max())] if seen.any() else None,
-    }
 
 
 def _box(points: Float[np.ndarray, "points 3"]) -> list[list[float]] | None:

@@ -123,7 +123,7 @@ def _look(content: "RigFile", photographs: Any, shape: "Shape") -> "Gauge":
 
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
         image = reconstruct(content, photographs, advance)
-    return Gauge(GaugeScan(image.pixels, image.steps, photographs.laser.columns, photographs.laser.name), shape)
+    return Gauge(GaugeScan(image.pixels, image.positions, photographs.laser.columns, photographs.laser.name), shape)
 
 
 def describe(result: dict[str, Any]) -> str:

@@ -179,12 +179,14 @@ def _start(args: argparse.Namespace) -> "tuple[Sequence[Pose] | None, Sequence[f
     if not args.steps:
         return None, args.turn
     from jaxscan.files.rig_file import read_rig
+    from jaxscan.rig import Rotary
     from jaxscan.surface.turntable import turntable_poses
 
-    turntable = read_rig(args.rig).rig.turntable
-    if turntable is None:
-        raise InputError(f"{args.rig}: has no turntable: find it with --fit-turntable, or give --turn")
-    return turntable_poses(turntable, args.steps), None
+    turns = [part for part in read_rig(args.rig).rig.motion.parts() if isinstance(part, Rotary)]
+    if len(turns) != 1:
+        has = f"{len(turns)} axes that turn" if turns else "no turntable"
+        raise InputError(f"{args.rig}: has {has}: find it with --fit-turntable, or give --turn")
+    return turntable_poses(turns[0], args.steps), None
 
 
 def _side(path: Path, args: argparse.Namespace, advance: Any) -> "Side":

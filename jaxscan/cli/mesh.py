@@ -326,7 +326,7 @@ def describe(result: dict[str, Any]) -> str:
     if result.get("facing_away", 0.0) > _FOLDED:
         lines.append(
             f"  folded     {100 * result['facing_away']:.0f} % of the surface face away from the camera, as when the "
-            "stage moves the other way than stage.per_step of the rig says"
+            "object moves the other way than the motion of the rig says"
         )
     if "picture" in result:
         lines.append(f"  picture    {result['picture']}")

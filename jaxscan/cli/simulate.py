@@ -41,9 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--apart",
         type=int,
-        default=2000,
         metavar="STEPS",
-        help="motor steps from frame to frame of a scan, 1000 to a millimetre (default: 2000)",
+        help="motor steps from frame to frame of a scan, 1000 to a millimetre (default: 2000); of a scan that turns, "
+        "3200 to a turn (default: 20, 160 frames)",
     )
     parser.add_argument("--noise", type=finite, default=2.0, help="of the sensor, grey levels (default: 2)")
     parser.add_argument("--blur", type=finite, default=0.6, help="of the lens, pixels (default: 0.6)")
@@ -92,7 +92,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--lasers", type=int, choices=(1, 2), default=1, help="2: a second one, and a scan by each (default: 1)"
     )
     parser.add_argument(
-        "--turntable", action="store_true", help="photograph the board on a turntable, and turn by that"
+        "--turntable",
+        action="store_true",
+        help="photograph the board on a turntable too, and scan while it turns, once all around; with --sides, turn it "
+        "from side to side and scan along the stage",
     )
     parser.add_argument("--stripes", action="store_true", help="photograph boards and stripes separately")
     parser.add_argument(
@@ -110,7 +113,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     check_folder(args.out, args.seed)
     if not 1 <= args.sides <= _MOST_SIDES:
         raise InputError(f"--sides {args.sides}: give 1 to {_MOST_SIDES}")
-    if args.apart < 1:
+    if args.apart is not None and args.apart < 1:
         raise InputError(f"--apart {args.apart}: give 1 or more")
     if args.quality is not None:
         from jaxscan.images.jpeg import check_quality
@@ -150,9 +153,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "photographs": len(session.boards.rotation) * _each_pose(args.lasers, args.stripes)
         + len(session.stage_steps)
         + len(session.turntable_steps)
-        + sum(len(scan.steps) for scan in scans),
+        + sum(len(scan.position) for scan in scans),
         "sides": args.sides,
-        "steps_apart": STEPS_PER_TURN / args.sides if args.turntable else None,
+        "steps_apart": STEPS_PER_TURN / args.sides if args.turntable and args.sides > 1 else None,
         "scans": [scan_name(scan.which) for scan in scans],
         "true_points": sum(int((scan.position == scan.position).sum()) for scan in scans),
     }
@@ -176,7 +179,8 @@ def simulate_into(
 ) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
     """Write the session, a scan of some bodies by each laser and from each side, and their truth into a folder.
 
-    A scan goes over the same travel, however many motor steps its frames are apart; by default as the rig of 2003.
+    A scan goes over the same travel, however many motor steps its frames are apart; by default as the rig of 2003. On a
+    turntable a scan of one side goes once all around.
     There is a progress bar. The scene is that of the first side. `light` changes the lighting of the rig of 2003; with
     a highlight the bodies are glossy, and the lamp stands where they mirror it.
     """
@@ -185,6 +189,7 @@ def simulate_into(
     keep_compiled()
     from jaxscan.atomic import replacing_folders
     from jaxscan.cli.progress import progress
+    from jaxscan.files.axes import STAGE
     from jaxscan.simulation import folders, rig_2003
 
     rig = rig_2003.simulated_rig(seed, lasers)
@@ -199,8 +204,12 @@ def simulate_into(
         for k in range(sides)
     ]
     scenes = [rig_2003.scan_scene(rig, each) for each in turned]
-    apart = apart or rig_2003.STEPS_APART
-    frames = 1 + (rig_2003.SCAN_FRAMES - 1) * rig_2003.STEPS_APART // apart
+    if turntable and sides == 1:
+        axes = rig_2003.turning_axes(apart or rig_2003.TURN_APART)
+    else:
+        apart = apart or rig_2003.STEPS_APART
+        axes = {STAGE: tuple(range(0, (rig_2003.SCAN_FRAMES - 1) * rig_2003.STEPS_APART + 1, apart))}
+    frames = len(axes[STAGE])
     common: dict[str, Any] = {
         "sensor": sensor or rig_2003.SENSOR,
         "ending": ending,
@@ -221,7 +230,7 @@ def simulate_into(
             **common,
         )
         scans = []
-        for (i, laser), k in product(enumerate(rig.lasers), range(sides)):
+        for (i, laser), k in product(enumerate(rig.lights), range(sides)):
             side = f"{360 * k / sides:03.0f}" if sides > 1 else ""
             which = "-".join(part for part in (laser.name, side) if part)
             truth = folders.simulate_scan(
@@ -230,8 +239,7 @@ def simulate_into(
                 scenes[k],
                 seed + _SIDES_APART * k,
                 laser=i,
-                frames=frames,
-                steps_apart=apart,
+                axes=axes,
                 name=" ".join(part for part in (name, side) if part),
                 lighting=replace(rig_2003.SCAN_LIGHTING, **light),
                 advance=advance,

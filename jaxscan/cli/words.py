@@ -60,24 +60,23 @@ def _scan(facts: Facts) -> Iterator[Line]:
 
 def _rig(facts: Facts) -> Iterator[Line]:
     yield from _intrinsics(facts["camera"])
-    for laser in facts["lasers"]:
-        yield _called("light plane", laser), f"ω = {_values(laser['plane'], '1/mm')}"
-        yield "", f"{laser['distance_mm']:.1f} mm from the camera, {laser['angle_to_axis_deg']:.1f}° to its axis"
-        if laser["triangulation_angle_deg"] is not None:
-            yield "", f"in the middle of the image {laser['depth_in_the_middle_mm']:.1f} mm away"
-        if laser["triangulation_angles_deg"]:
-            low, high = laser["triangulation_angles_deg"]
+    for light in facts["lights"]:
+        yield (
+            _called("light plane" if light["kind"] == "plane" else f"light, {light['kind']}", light),
+            f"ω = {_values(light['plane'], '1/mm')}" if "plane" in light else "",
+        )
+        yield "", f"{light['distance_mm']:.1f} mm from the camera, {light['angle_to_axis_deg']:.1f}° to its axis"
+        if light["triangulation_angle_deg"] is not None:
+            yield "", f"in the middle of the image {light['depth_in_the_middle_mm']:.1f} mm away"
+        if light["triangulation_angles_deg"]:
+            low, high = light["triangulation_angles_deg"]
             yield "triangulation", f"rays meet the sheet at {low:.1f}° to {high:.1f}°"
-    if not facts["lasers"]:
+    if not facts["lights"]:
         yield "light plane", "none"
-    stage = facts["stage"]
-    if stage is None:
-        yield "stage", "none"
-    else:
-        direction = ", ".join(f"{x:.4f}" for x in stage["direction"])
-        yield "stage", f"{stage['mm_per_1000_steps']:.5g} mm for 1000 steps, {stage['way']}, along ({direction})"
-    if turntable := facts["turntable"]:
-        yield from zip(("turntable", ""), turn_in_words(turntable), strict=True)
+    for axis in facts["motion"]:
+        yield from _axis(axis)
+    if not facts["motion"]:
+        yield "motion", "none"
     for name, value in facts["fit"].items():
         yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
     for warning in facts["warnings"]:
@@ -126,9 +125,10 @@ def _ply(facts: Facts) -> Iterator[Line]:
 
 
 def _range_image(facts: Facts) -> Iterator[Line]:
-    frames = facts["frames"]
-    cells = frames["count"] * facts["columns"]
-    yield "frames", f"{frames['count']}, {_travel(frames)}"
+    cells = facts["frames"] * facts["columns"]
+    yield "frames", str(facts["frames"])
+    for axis, steps in facts["axes"].items():
+        yield axis, _positions(steps)
     yield "lines", f"{facts['columns']}: columns of the photographs, or rows"
     yield "points", f"{facts['points']}, {100 * facts['points'] / max(cells, 1):.1f} % of frames × lines"
     yield from _extent(facts)
@@ -219,13 +219,26 @@ def _positions(steps: Facts) -> str:
     return _travel(steps)
 
 
+def _axis(facts: Facts) -> Iterator[Line]:
+    """The motion of an axis."""
+    if "degrees_per_step" in facts:
+        yield from zip((facts["axis"], ""), turn_in_words(facts), strict=True)
+    elif "direction" in facts:
+        direction = ", ".join(f"{x:.4f}" for x in facts["direction"])
+        yield facts["axis"], f"{facts['mm_per_1000_steps']:.5g} mm for 1000 steps, {facts['way']}, along ({direction})"
+    else:
+        yield facts["axis"], f"{facts['kind']}, {facts['way']}"
+
+
 def turn_in_words(facts: Facts) -> tuple[str, str]:
     """Angle and axis of a turntable: `TurnFacts` as a dictionary."""
 
     def sigma(key: str, unit: str) -> str:
         return f" ± {facts[key]:.2g}{unit}" if facts[key] is not None else ""
 
-    axis, through = (", ".join(f"{x:.{n}f}" for x in facts[key]) for key, n in (("axis", 5), ("through_mm", 3)))
+    axis, through = (
+        ", ".join(f"{x:.{n}f}" for x in facts[key]) for key, n in (("axis_direction", 5), ("through_mm", 3))
+    )
     return (
         f"{facts['degrees_per_step']:.7g}°{sigma('degrees_per_step_sigma', '°')} a step, {facts['steps_per_turn']:.6g} "
         f"steps a turn, {facts['way']} as the camera sees it",

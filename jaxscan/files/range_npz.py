@@ -13,7 +13,7 @@ from tempfile import TemporaryFile
 from typing import IO, Final
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
@@ -29,11 +29,13 @@ _WHERE_KNOWN: Final = {
     "pixels": np.dtype(np.float32),
     "sigma_pixel": np.dtype(np.float32),
     "light": np.dtype(np.float32),
+    "positions": np.dtype(np.int64),
+    "scanner": np.dtype(np.uint8),
     "per_step": np.dtype(np.float64),
 }
 _DTYPES: Final = _ALWAYS | _WHERE_KNOWN
-# The one array that has no entry for each frame.
-_OF_THE_SCAN: Final = "per_step"
+# What has no entry for each frame.
+_OF_THE_SCAN: Final = ("scanner", "per_step")
 _COPIED_AT_ONCE: Final = 1 << 20
 
 # What zipfile, its decompressors and NumPy raise for a file that is damaged, encrypted, or promises more than there is.
@@ -61,7 +63,9 @@ class RangeArrays:
         steps: motor step count of each frame.
         pixels: where the stripe was seen, in rows (or columns) of the photograph, where the file says so.
         sigma_pixel: the pixel's part of sigma, mm, where the file has it.
-        per_step: how far what stands on the stage moves for one step, object frame, mm, where the file has it.
+        positions: motor steps of each axis at each frame, where the file has them.
+        scanner: the axes' names, the motion and the light, JSON in UTF-8 (`range_scanner`), where the file has them.
+        per_step: in older files, how far what stands on the stage moves for one step, object frame, mm.
         light: read noise, gain, speckle contrast and saturation of each frame, where the file has them.
     """
 
@@ -72,6 +76,8 @@ class RangeArrays:
     steps: Int64[np.ndarray, "frames"]
     pixels: Float32[np.ndarray, "frames columns"] | None = None
     sigma_pixel: Float32[np.ndarray, "frames columns"] | None = None
+    positions: Int64[np.ndarray, "frames axes"] | None = None
+    scanner: UInt8[np.ndarray, "bytes"] | None = None
     per_step: Float64[np.ndarray, "3"] | None = None
     light: Float32[np.ndarray, "frames 4"] | None = None
 
@@ -115,7 +121,7 @@ def writing_range_npz(path: str | os.PathLike[str]) -> Iterator[Callable[[RangeA
                 frames, *rest = shapes.get(name, (0, *array.shape[1:]))
                 if tuple(rest) != array.shape[1:]:
                     raise InputError(f"{path}: {array.shape[1]} columns cannot follow {rest[0]}: they are two scans")
-                if name == _OF_THE_SCAN:
+                if name in _OF_THE_SCAN:
                     # It is the same for all frames.
                     parts[name].seek(0)
                     frames = 0
@@ -168,6 +174,9 @@ def _check(path: str | os.PathLike[str], arrays: dict[str, np.ndarray]) -> None:
     shape = arrays["valid"].shape
     expected = {"points": (*shape, 3), "strength": shape, "sigma": shape, "valid": shape, "steps": shape[:1]}
     expected |= {"pixels": shape, "sigma_pixel": shape, "per_step": (3,), "light": (*shape[:1], 4)}
+    # As many axes as they are, and as many letters.
+    expected |= {"positions": (*shape[:1], *arrays.get("positions", np.zeros(())).shape[1:2])}
+    expected |= {"scanner": arrays.get("scanner", np.zeros(())).shape[:1]}
     for name, array in arrays.items():
         if len(shape) != 2 or array.shape != expected[name]:
             raise InputError(

@@ -15,9 +15,8 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
     if image_size is not None and image_size != rig.camera.image_size:
         raise other_size(path, rig.camera.image_size, image_size)
     sigma = {name: covariance.sigma(name) for name in covariance.names} if covariance else {}
-    beside = [f"the light plane {laser.name}".rstrip() for laser in rig.lasers]
-    beside += ["the stage"] if rig.stage is not None else []
-    beside += ["the turntable"] if rig.turntable is not None else []
+    beside = [f"the light {light.name}".rstrip() for light in rig.lights]
+    beside += [f"the {axis}" for axis in rig.axes()]
     beside += ["the covariances"] if covariance else []
     return CameraFile(
         rig.camera.image_size,

@@ -1,6 +1,5 @@
-"""What a rig file must fulfil beyond its types: a light plane that the camera sees, a covariance that is one."""
+"""What a rig file must fulfil beyond its types: a covariance that is one."""
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -10,47 +9,10 @@ from jaxscan.files.table import Table, show
 from jaxscan.rig import Camera
 from jaxscan.rig.projection import pixel_rays
 
-# A sheet nearer to the centre of projection than this (mm) is seen edge on: its depth is lost in rounding.
-_NEAREST_SHEET: Final = 1e-3
 # Pixels along each axis of the image at which rays are looked at; odd, so that one is the middle.
 _GRID: Final = 17
 # Rounding of a covariance, relative to the standard deviations of the parameters.
 _ROUNDING: Final = 1e-8
-
-
-def check_light_plane(table: Table, camera: Camera, plane: tuple[float, ...]) -> None:
-    """Refuse a light plane through the camera, and one that no pixel sees.
-
-    Raises:
-        InputError: ω · x > 0 for no pixel of the image, or the plane passes within a thousandth of a millimetre.
-    """
-    omega = np.array(plane)
-    length = math.hypot(*plane)
-    if length > 1 / _NEAREST_SHEET:
-        raise table.error(
-            "plane",
-            f"the light plane passes through the camera, {1 / length:.1g} mm from its centre: "
-            "the laser must stand beside the camera; calibrate again, with the board tilted and at several distances",
-        )
-    if not _is_seen(camera, omega):
-        raise table.error(
-            "plane",
-            "no pixel sees the light plane (ω · x is nowhere positive, so the sheet lies behind the camera): "
-            "check its sign; ω · X = 1 on the sheet, with z forward",
-        )
-
-
-def _is_seen(camera: Camera, omega: Float64[np.ndarray, "3"]) -> bool:
-    """Whether ω · x > 0 for some pixel of the image.
-
-    ω · x is linear in the ray, and a lens takes the border of the image to the border of the field of view: besides
-    the ray of the principal point, (0, 0, 1), only the border has to be looked at.
-    """
-    columns, rows = camera.image_size
-    u0, v0 = (float(c) for c in camera.principal)
-    if omega[2] > 0 and -0.5 <= u0 <= columns - 0.5 and -0.5 <= v0 <= rows - 0.5:
-        return True
-    return bool(np.any(image_rays(camera) @ omega > 0))
 
 
 def image_rays(camera: Camera) -> Float64[np.ndarray, "rays 3"]:

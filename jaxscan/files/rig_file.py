@@ -1,4 +1,4 @@
-"""`rig.json`: what calibration writes and reconstruction reads, format "jaxscan-rig/1".
+"""`rig.json`: what calibration writes and reconstruction reads, format "jaxscan-rig/2"; format 1 is read too.
 
 All numbers pass through the file unchanged: they are written with as many digits as a float64 needs, and read into
 NumPy float64 leaves, whatever JAX's present default precision is.
@@ -8,26 +8,27 @@ import json
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
-from jaxscan.files.rig_checks import check_covariance, check_light_plane
+from jaxscan.files.rig_checks import check_covariance, image_rays
+from jaxscan.files.rig_format_1 import FORMAT_1, PARTS_1, axis_tables_1, light_tables_1, parameter_names_1
+from jaxscan.files.rig_parts import leaves, lights_values, motion_values, part_tables, read_lights, read_motion
 from jaxscan.files.table import PassedOverWarning, Table
 from jaxscan.files.text import read_json
 from jaxscan.precision import as_numpy
-from jaxscan.rig import LENSES, Camera, Covariance, LightPlane, Rig, Stage, Turntable
+from jaxscan.rig import LENSES, Camera, Covariance, Light, Rig
 from jaxscan.rig.rig import parameter_names
 
-FORMAT: Final = "jaxscan-rig/1"
+FORMAT: Final = "jaxscan-rig/2"
 # Its square is still a float32.
 _LARGEST: Final = 1e18
 
@@ -79,14 +80,18 @@ def write_rig(path: str | os.PathLike[str], content: RigFile) -> None:
 def _decode(table: Table) -> RigFile:
     _check_format(table)
     _check_finite(table)
-    unknown = table.unknown(("format", "units", "camera", "laser", "stage", "turntable", "covariance", "fit"))
+    first = table.values["format"] == FORMAT_1
+    parts = PARTS_1 if first else ("lights", "motion")
+    unknown = table.unknown(("format", "units", "camera", *parts, "covariance", "fit"))
     camera_table = table.table("camera", "camera.")
     unknown += [f"camera.{key}" for key in camera_table.unknown(_CAMERA_KEYS)]
+    lights = light_tables_1(table, unknown) if first else part_tables(table, "lights", "lights")
+    axes = axis_tables_1(table, unknown) if first else part_tables(table, "motion", "axes")
     with jax.enable_x64(True):
         camera = _camera(camera_table)
-        lasers = tuple(_laser(laser, camera, unknown) for laser in _laser_tables(table))
-        rig = as_numpy(Rig(camera, _named_apart(table, lasers), _stage(table, unknown), _turntable(table, unknown)))
-    content = RigFile(rig, _covariance(table, rig, unknown), _fit(table))
+        rig = as_numpy(Rig(camera, _lights(lights, camera, unknown), read_motion(axes, unknown)))
+    names = parameter_names_1(rig) if first else parameter_names(rig)
+    content = RigFile(rig, _covariance(table, rig, names, unknown), _fit(table))
     if unknown:
         keys = ", ".join(unknown)
         warnings.warn(f"{table.path}: passed over what this version does not know: {keys}", PassedOverWarning, 3)
@@ -95,9 +100,10 @@ def _decode(table: Table) -> RigFile:
 
 def _check_format(table: Table) -> None:
     form = table.string("format")
-    if form != FORMAT:
+    if form not in (FORMAT, FORMAT_1):
         raise table.error(
-            "format", f'this version of jaxscan reads "{FORMAT}": calibrate again, or use another version'
+            "format",
+            f'this version of jaxscan reads "{FORMAT}" and "{FORMAT_1}": calibrate again, or use another version',
         )
     if table.string("units") != "mm":
         raise table.error("units", 'must be "mm": convert the light plane (1/mm) and the stage (mm for each step)')
@@ -119,7 +125,7 @@ def _check_finite(table: Table) -> None:
 
 # What reconstruction takes a pixel's σ from.
 _STRIPE_ERRORS: Final = ("stripe_rms_px", "stripe_sigma_px", "stripe_sigma_ratio")
-_CAMERA_KEYS: Final = ("image_size", "focal", "principal", "lens", "radial", "tangential")
+_CAMERA_KEYS: Final = ("image_size", "focal", "principal", "tilt", "lens", "radial", "tangential")
 
 
 def _camera(table: Table) -> Camera:
@@ -128,11 +134,13 @@ def _camera(table: Table) -> Camera:
     focal = table.numbers("focal", 2)
     if min(focal) <= 0:
         raise table.error("focal", "must be two positive numbers of pixels")
+    if "tilt" in table and any(table.numbers("tilt", 2)):
+        raise table.error("tilt", "this version of jaxscan knows no tilted sensor: use the version that wrote the file")
     return Camera(
         focal=_pair(focal),
         principal=_pair(table.numbers("principal", 2)),
-        radial=_leaves(_coefficients(table, "radial", lens, n_radial)),
-        tangential=_leaves(_coefficients(table, "tangential", lens, n_tangential)),
+        radial=leaves(_coefficients(table, "radial", lens, n_radial)),
+        tangential=leaves(_coefficients(table, "tangential", lens, n_tangential)),
         image_size=table.size("image_size"),
     )
 
@@ -144,62 +152,25 @@ def _coefficients(table: Table, key: str, lens: str, count: int) -> tuple[float,
     return values
 
 
-def _laser_tables(table: Table) -> Iterator[Table]:
-    if "laser" not in table:
-        return
-    if isinstance(table.values["laser"], dict):
-        yield table.table("laser", "laser.")
-        return
-    for i, value in enumerate(table.sequence("laser", "lasers, each an object with name and plane")):
-        if not isinstance(value, dict):
-            raise table.error("laser", f"entry {i} must be an object with name and plane")
-        yield Table(table.path, f"laser.{i}.", value)
+def _lights(tables: list[Table], camera: Camera, unknown: list[str]) -> tuple[Light, ...]:
+    lights = read_lights(tables, unknown)
+    rays = image_rays(camera) if lights else np.zeros((0, 3))
+    for light, table in zip(lights, tables, strict=True):
+        if (fault := light.fault(rays)) is not None:
+            raise table.error(*fault)
+    return lights
 
 
-def _laser(table: Table, camera: Camera, unknown: list[str]) -> LightPlane:
-    unknown += [table.prefix + key for key in table.unknown(("plane", "name"))]
-    plane = table.numbers("plane", 3)
-    check_light_plane(table, camera, plane)
-    return LightPlane(_triple(plane), table.string("name") if "name" in table else "")
-
-
-def _named_apart(table: Table, lasers: tuple[LightPlane, ...]) -> tuple[LightPlane, ...]:
-    names = [laser.name for laser in lasers]
-    if len(names) > 1 and (len(set(names)) < len(names) or "" in names):
-        raise InputError(f'{table.path}: laser: of several lasers each needs a "name" of its own; they are {names}')
-    return lasers
-
-
-def _stage(table: Table, unknown: list[str]) -> Stage | None:
-    if "stage" not in table:
-        return None
-    stage = table.table("stage", "stage.")
-    unknown += [f"stage.{key}" for key in stage.unknown(("per_step",))]
-    per_step = stage.numbers("per_step", 3)
-    if not any(per_step):
-        raise stage.error("per_step", "the stage does not move: leave out stage, or calibrate it")
-    return Stage(_triple(per_step))
-
-
-def _turntable(table: Table, unknown: list[str]) -> Turntable | None:
-    if "turntable" not in table:
-        return None
-    turntable = table.table("turntable", "turntable.")
-    unknown += [f"turntable.{key}" for key in turntable.unknown(("per_step", "centre"))]
-    per_step = turntable.numbers("per_step", 3)
-    if not any(per_step):
-        raise turntable.error("per_step", "the turntable does not turn: leave out turntable, or calibrate it")
-    return Turntable(_triple(per_step), _triple(turntable.numbers("centre", 3)))
-
-
-def _covariance(table: Table, rig: Rig, unknown: list[str]) -> Covariance | None:
+def _covariance(table: Table, rig: Rig, names: list[str], unknown: list[str]) -> Covariance | None:
+    """That of the rig's parameters, whose names in the file are given in the order of its leaves."""
     if "covariance" not in table:
         return None
     inner = table.table("covariance", "covariance.")
     unknown += [f"covariance.{key}" for key in inner.unknown(("parameters", "matrix"))]
-    names = inner.sequence("parameters", "parameter names")
-    matrix = check_covariance(inner, names, parameter_names(rig))
-    return Covariance(tuple(names), matrix)
+    given = inner.sequence("parameters", "parameter names")
+    matrix = check_covariance(inner, given, names)
+    known = dict(zip(names, parameter_names(rig), strict=True))
+    return Covariance(tuple(known[name] for name in given), matrix)
 
 
 def _fit(table: Table) -> dict[str, Any]:
@@ -216,18 +187,9 @@ def _fit(table: Table) -> dict[str, Any]:
     return dict(fit.values)
 
 
-def _leaves(values: tuple[float, ...]) -> tuple[Array, ...]:
-    return tuple(jnp.asarray(value, jnp.float64) for value in values)
-
-
 def _pair(values: tuple[float, ...]) -> tuple[Array, Array]:
-    a, b = _leaves(values)
+    a, b = leaves(values)
     return a, b
-
-
-def _triple(values: tuple[float, ...]) -> tuple[Array, Array, Array]:
-    a, b, c = _leaves(values)
-    return a, b, c
 
 
 def _encode(content: RigFile) -> dict[str, Any]:
@@ -245,17 +207,7 @@ def _encode(content: RigFile) -> dict[str, Any]:
             "tangential": _floats(camera.tangential),
         },
     }
-    if len(rig.lasers) == 1 and not rig.lasers[0].name:
-        values["laser"] = {"plane": _floats(rig.lasers[0].plane)}
-    elif rig.lasers:
-        values["laser"] = [{"name": laser.name, "plane": _floats(laser.plane)} for laser in rig.lasers]
-    if rig.stage is not None:
-        values["stage"] = {"per_step": _floats(rig.stage.per_step)}
-    if rig.turntable is not None:
-        values["turntable"] = {
-            "per_step": _floats(rig.turntable.per_step),
-            "centre": _floats(rig.turntable.centre),
-        }
+    values |= {"lights": lights_values(rig.lights), "motion": motion_values(rig.motion)}
     if content.covariance is not None:
         matrix = np.asarray(content.covariance.matrix, dtype=np.float64).tolist()
         values["covariance"] = {"parameters": list(content.covariance.names), "matrix": matrix}

@@ -52,14 +52,29 @@ class Scan:
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """The motor step count of the stage at each frame, 0 where it has no position; empty for a video with rules."""
-        count = max((len(positions) for positions in self.axes.values()), default=len(self.frames))
-        return self.axes.get(STAGE, (0,) * count)
+        """The motor step count of the stage at each frame, 0 where it has no position; none for a video with rules."""
+        return self.axes.get(STAGE, (0,) * self.listed)
 
     @property
-    def steps_per_frame(self) -> int | None:
-        """Of a video with rules, how far the stage goes from one frame to the next; None for other scans."""
-        return (self.rules[STAGE].per_frame if STAGE in self.rules else 0) if self.rules else None
+    def axis_names(self) -> tuple[str, ...]:
+        """The axes in the order in which the file names them."""
+        return tuple(self.rules or self.axes)
+
+    @property
+    def listed(self) -> int:
+        """For how many frames positions are listed; 0 for a video with rules."""
+        return max((len(positions) for positions in self.axes.values()), default=0)
+
+    @property
+    def positions(self) -> list[tuple[int, ...]]:
+        """Of all axes at each frame, in the order of `axis_names`; none for a video with rules."""
+        return list(zip(*self.axes.values(), strict=True))
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """The axes that do not stand still all the time."""
+        by_rule = tuple(axis for axis, rule in self.rules.items() if rule.per_frame)
+        return by_rule + tuple(axis for axis, steps in self.axes.items() if len(set(steps)) > 1)
 
 
 def read_scan(path: str | os.PathLike[str]) -> Scan:

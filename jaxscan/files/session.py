@@ -1,7 +1,7 @@
 """`session.toml`: the photographs of a calibration, and what is on them."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -67,10 +67,13 @@ class StageImages:
     Attributes:
         images: the photographs.
         steps: the motor step count of each.
+        stripes: for each laser by name, and in the order of `images`, the photograph of the same place with that laser
+            on, or None where there is none; empty where no stripe is looked for. It may be the same photograph.
     """
 
     images: tuple[Path, ...]
     steps: tuple[int, ...]
+    stripes: Mapping[str, tuple[Path | None, ...]] = field(default_factory=dict, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -111,9 +114,10 @@ class Session:
     def photographs(self) -> list[Path]:
         """All its photographs: of the board, on stage and turntable, of the stripes."""
         stripes = (self.views.stripes or {}).values()
-        moved = [sequence.images for sequence in (self.stage, self.turntable) if sequence]
-        paths = [*self.views.boards, *(path for images in moved for path in images)]
-        return paths + [path for own in stripes for path in own if path is not None]
+        moved = [sequence for sequence in (self.stage, self.turntable) if sequence]
+        paths = [*self.views.boards, *(path for sequence in moved for path in sequence.images)]
+        lit = [*stripes, *(own for sequence in moved for own in sequence.stripes.values())]
+        return list(dict.fromkeys(paths + [path for own in lit for path in own if path is not None]))
 
 
 def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session:
@@ -135,7 +139,7 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     if not boards:
         raise views.error("boards", "names no photograph: name those of the board")
     lasers, stripes = _lasers(table, views, len(boards))
-    moved = _stage(table), _turntable(table)
+    moved = _stage(table, lasers), _turntable(table, lasers)
     session = Session(table.path, board, Views(boards, stripes), camera, *moved, lasers)
     return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 
@@ -167,6 +171,12 @@ def write_session(session: Session) -> None:
         if sequence is not None:
             images = [relative_name(path, folder) for path in sequence.images]
             values[name] = {"images": images, "steps": list(sequence.steps)}
+            if sequence.stripes:
+                lit = {
+                    laser: [relative_name(path, folder) if path else "" for path in paths]
+                    for laser, paths in sequence.stripes.items()
+                }
+                values[name]["stripes"] = lit if len(lasers) > 1 else next(iter(lit.values()))
     if session.turntable is not None:
         values["turntable"]["stage_step"] = session.turntable.stage_step
     if lasers:
@@ -217,25 +227,31 @@ def _camera(table: Table) -> CameraSettings:
     return CameraSettings(lens, cast(Literal["free", "centre"], principal_point), held)
 
 
-def _stage(table: Table) -> StageImages | None:
+def _stage(table: Table, lasers: Sequence[StripeSettings]) -> StageImages | None:
     if "stage" not in table:
         return None
-    return StageImages(*_sequence(table.table("stage", "[stage] ").only(*_SEQUENCE_KEYS), "two", 2))
+    stage = table.table("stage", "[stage] ").only(*_SEQUENCE_KEYS)
+    images, steps, stripes = _sequence(stage, lasers, "two", 2)
+    return StageImages(images, steps, stripes=stripes)
 
 
-def _turntable(table: Table) -> TurntableImages | None:
+def _turntable(table: Table, lasers: Sequence[StripeSettings]) -> TurntableImages | None:
     if "turntable" not in table:
         return None
     turntable = table.table("turntable", "[turntable] ").only(*_SEQUENCE_KEYS, "stage_step")
-    images, steps = _sequence(turntable, "three", 3)
-    return TurntableImages(images, steps, turntable.whole("stage_step") if "stage_step" in turntable else 0)
+    stood = turntable.whole("stage_step") if "stage_step" in turntable else 0
+    images, steps, stripes = _sequence(turntable, lasers, "three", 3)
+    return TurntableImages(images, steps, stood, stripes=stripes)
 
 
-_SEQUENCE_KEYS: Final = ("images", "steps", "steps_per_image")
+_SEQUENCE_KEYS: Final = ("images", "steps", "steps_per_image", "stripes")
+_Stripes = Mapping[str, tuple[Path | None, ...]]
 
 
-def _sequence(table: Table, fewest_in_words: str, fewest: int) -> tuple[tuple[Path, ...], tuple[int, ...]]:
-    """The photographs of a board that something moves, and the motor step count of each."""
+def _sequence(
+    table: Table, lasers: Sequence[StripeSettings], fewest_in_words: str, fewest: int
+) -> tuple[tuple[Path, ...], tuple[int, ...], _Stripes]:
+    """The photographs of a board that something moves, the motor step count of each, and those of the stripe on it."""
     images = files_of(table, "images")
     steps = read_steps(table, "steps_per_image", images, "images")
     if len(set(steps)) < fewest:
@@ -243,7 +259,15 @@ def _sequence(table: Table, fewest_in_words: str, fewest: int) -> tuple[tuple[Pa
             "steps" if "steps" in table else "images",
             f"photographs at {fewest_in_words} different step counts or more are needed",
         )
-    return images, steps
+    if "stripes" not in table:
+        return images, steps, {}
+    if not lasers:
+        raise table.error("stripes", "the session has no laser whose stripe this could be: add [laser]")
+    if len(lasers) == 1:
+        return images, steps, {lasers[0].name: _stripes(table, len(images))}
+    names = [laser.name for laser in lasers]
+    inner = table.table("stripes", f"{table.prefix}stripes.").only(*names)
+    return images, steps, {name: _stripes(inner, len(images), name) for name in names if name in inner}
 
 
 def _lasers(
@@ -286,11 +310,11 @@ def _check_names(table: Table, lasers: tuple[StripeSettings, ...]) -> None:
         raise InputError(f"{table.path}: [[laser]] name: each of several lasers needs its own; they are {show(names)}")
 
 
-def _stripes(table: Table, n_boards: int) -> tuple[Path | None, ...]:
-    paths = files_or_gaps(table, "stripes")
+def _stripes(table: Table, n_boards: int, key: str = "stripes") -> tuple[Path | None, ...]:
+    paths = files_or_gaps(table, key)
     if len(paths) != n_boards:
         raise table.error(
-            "stripes",
+            key,
             f"{len(paths)} photographs of the stripe for {n_boards} of the board: they are paired in order, "
             'so give as many, in a list with "" where there is none',
         )

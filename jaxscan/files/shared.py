@@ -118,11 +118,19 @@ def _one_sequence(
     if first is None or second is None:
         return first, second
     known = {files[path] for path in first.images}
-    more = [(step, p) for step, p in zip(second.steps, second.images, strict=True) if files[p] not in known]
+    more = [i for i, path in enumerate(second.images) if files[path] not in known]
     if len(more) == len(second.images):
         return first, second
-    both = sorted([*zip(first.steps, first.images, strict=True), *more])
-    return replace(first, images=tuple(path for _, path in both), steps=tuple(step for step, _ in both)), None
+    both = sorted(
+        [*((first, i) for i in range(len(first.images))), *((second, i) for i in more)],
+        key=lambda each: (each[0].steps[each[1]], each[0].images[each[1]]),
+    )
+    lasers = dict.fromkeys([*first.stripes, *second.stripes])
+    stripes = {
+        laser: tuple(own.stripes[laser][i] if laser in own.stripes else None for own, i in both) for laser in lasers
+    }
+    images, steps = tuple(own.images[i] for own, i in both), tuple(own.steps[i] for own, i in both)
+    return replace(first, images=images, steps=steps, stripes=stripes), None
 
 
 def _views_apart(first: Session, second: Session, files: Mapping[Path, str]) -> tuple[Views, Views]:

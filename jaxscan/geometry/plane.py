@@ -4,12 +4,13 @@
 X = x / (ω · x), so 1 / depth is linear in the ray, and so is the difference of two planes' inverse depths.
 """
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxscan.geometry.pose import Pose
+from jaxscan.geometry.rotation import A
 
 
-def dual_plane(pose: Pose) -> Float[Array, "3"]:
+def dual_plane(pose: Pose[A]) -> Float[A, "3"]:
     """The plane z = 0 of frame b, in frame a of a pose T_a_b: ω = n / (n · t), n the third column of R (1/mm)."""
     normal = pose.matrix()[:, 2]
     return normal / (normal @ pose.translation)

@@ -122,5 +122,5 @@ def _length(key: str, value: float) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
         metres = isinstance(value, float) and least <= 1000 * value <= most
         meant = f"; {value:g} m are {1000 * value:g}" if metres else ""
-        raise InputError(f"{key} = {value}: give a number of millimetres, from {least:g} to {most:g}{meant}")
+        raise InputError(f"{key} = {value}: give a positive number of millimetres, from {least:g} to {most:g}{meant}")
     return float(value)

@@ -18,11 +18,11 @@ from jaxtyping import Int, Shaped, UInt
 
 from jaxscan.deadline import Workers, result_of
 from jaxscan.errors import InputError
-from jaxscan.files.axes import STAGE, StepRule
 from jaxscan.files.scan import Scan
 from jaxscan.images import read_image, read_video
 from jaxscan.images.decode import Image
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
+from jaxscan.rig import Positions
 
 # One buffer is measured while two are filled.
 _SLOTS: Final = 3
@@ -39,12 +39,12 @@ class Frames:
         images: a buffer that holds them first; what else is in it is left over. It is used again after the next frames
             are asked for.
         backgrounds: none, one for all frames, or a buffer of one for each.
-        steps: their motor step counts; as many as there are frames.
+        positions: of each axis of the scan in its order, motor steps; as many as there are frames.
     """
 
     images: UInt[np.ndarray, "buffer rows columns *rgb"]
     backgrounds: UInt[np.ndarray, "backgrounds rows columns *rgb"] | None
-    steps: Int[np.ndarray, "frames"]
+    positions: Int[np.ndarray, "frames axes"]
 
 
 def frames_of_scan(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
@@ -61,9 +61,9 @@ def frames_of_scan(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
 
 
 def frames_of(
-    images: Iterable[tuple[Image, int]], background: Image | None, size: tuple[int, int], batch: int
-) -> Iterator[Frames]:
-    """Photographs as they come, with their step counts, so many at a time.
+    images: Iterable[tuple[Image, Positions]], background: Image | None, size: tuple[int, int], batch: int
+) -> Iterator[tuple[Frames, tuple[str, ...]]]:
+    """Photographs as they come, with the positions of the axes, so many at a time; and the axes' names.
 
     Raises:
         InputError: one is unlike the first, or of another size than the rig's camera.
@@ -77,7 +77,9 @@ def frames_of(
             form.check(image, f"frame {count + k}")
             slot[k] = image
         count += len(some)
-        yield Frames(slot, dark, np.asarray([step for _, step in some], np.int64))
+        axes = tuple(some[0][1])
+        positions = np.asarray([[q[axis] for axis in axes] for _, q in some], np.int64).reshape(len(some), len(axes))
+        yield Frames(slot, dark, positions), axes
 
 
 def aligned(shape: tuple[int, ...], dtype: np.dtype | type[np.generic]) -> Shaped[np.ndarray, "..."]:
@@ -146,7 +148,7 @@ def _of_files(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
     slots = [_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(min(_SLOTS, -(-count // batch)))]
     with Workers() as workers:
         for first, slot in _ring(slots, range(0, count, batch), fill):
-            yield Frames(slot.images, dark.of(slot), _steps(scan, first, min(batch, count - first)))
+            yield Frames(slot.images, dark.of(slot), _positions(scan, first, min(batch, count - first)))
 
 
 @dataclass(frozen=True)
@@ -227,23 +229,24 @@ def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
         while count := result_of(ahead, str(video)):
             slot = slots[0]
             slots.rotate()
-            steps = _steps(scan, done, count)
+            positions = _positions(scan, done, count)
             done += count
             ahead = workers.submit(fill, done, slots[0])
-            yield Frames(slot.images, dark.of(slot), steps)
-    if scan.steps and done < len(scan.steps):
+            yield Frames(slot.images, dark.of(slot), positions)
+    if not scan.rules and done < scan.listed:
         raise InputError(
-            f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, but {scan.video} ends after {done} frames: "
-            "copy or record it again, or list the steps of these frames alone"
+            f"{scan.path}: [scan] {scan.listed} positions of the axes, but {scan.video} ends after {done} frames: "
+            "copy or record it again, or list the positions of these frames alone"
         )
 
 
-def _steps(scan: Scan, first: int, count: int) -> Int[np.ndarray, "frames"]:
+def _positions(scan: Scan, first: int, count: int) -> Int[np.ndarray, "frames axes"]:
     if scan.rules:
-        return np.asarray(scan.rules.get(STAGE, StepRule(0, 0)).positions(first, count), np.int64)
-    if first + count > len(scan.steps):
+        each = [rule.positions(first, count) for rule in scan.rules.values()]
+        return np.asarray(each, np.int64).T
+    if first + count > scan.listed:
         raise InputError(
-            f"{scan.path}: [scan] steps: {len(scan.steps)} step counts, the video goes on to frame {first + count}: "
+            f"{scan.path}: [scan] {scan.listed} positions of the axes, the video goes on to frame {first + count}: "
             "give one for each frame, or steps_per_frame"
         )
-    return np.asarray(scan.steps[first : first + count], np.int64)
+    return np.asarray([steps[first : first + count] for steps in scan.axes.values()], np.int64).T

@@ -11,31 +11,33 @@ from jaxscan.errors import InputError, said_of
 from jaxscan.files.scan import Scan
 from jaxscan.images.exposures import merge_exposures
 
-# Frames, their backgrounds (one for all of them, or one for each), and the motor step of each; batches differ in size.
-Batch = tuple[UInt[np.ndarray, "_ rows columns *rgb"], UInt[np.ndarray, "..."] | None, Int[np.ndarray, "_"]]
+# Frames, their backgrounds (one for all of them, or one for each), and the positions of each; batches differ in size.
+Batch = tuple[UInt[np.ndarray, "_ rows columns *rgb"], UInt[np.ndarray, "..."] | None, Int[np.ndarray, "_ axes"]]
 
 
 def step_groups(scan: Scan) -> list[range]:
-    """Which frames of a scan are of one step and are to be merged: runs of frames with equal step counts.
+    """Which frames of a scan are of one step and are to be merged: runs of frames with equal positions of all axes.
 
     A scan without `exposures_s` merges nothing: each of its frames is a group by itself.
 
     Raises:
-        InputError: the stage comes back to a step after others, or one background stands for several exposures.
+        InputError: the axes come back to positions after others, or one background stands for several exposures.
     """
+    positions = scan.positions
     if scan.exposures_s is None:
-        return [range(i, i + 1) for i in range(len(scan.steps))]
-    starts = [0, *(i + 1 for i, (now, then) in enumerate(pairwise(scan.steps)) if now != then)][: len(scan.steps)]
-    groups = [range(*ends) for ends in pairwise([*starts, len(scan.steps)])]
-    seen: dict[int, int] = {}
+        return [range(i, i + 1) for i in range(len(positions))]
+    starts = [0, *(i + 1 for i, (now, then) in enumerate(pairwise(positions)) if now != then)][: len(positions)]
+    groups = [range(*ends) for ends in pairwise([*starts, len(positions)])]
+    seen: dict[tuple[int, ...], int] = {}
     for group in groups:
-        step = scan.steps[group.start]
-        if step in seen:
+        place = positions[group.start]
+        if place in seen:
+            step = ", ".join(map(str, place))
             raise InputError(
-                f"{scan.path}: [scan] steps: step {step} of frame {seen[step]} comes again at frame {group.start}, "
+                f"{scan.path}: [scan] steps: step {step} of frame {seen[place]} comes again at frame {group.start}, "
                 "after others: with exposures_s list the frames of a step one after another"
             )
-        seen[step] = group.start
+        seen[place] = group.start
     if len(scan.backgrounds) == 1 and any(len(group) > 1 for group in groups):
         raise InputError(
             f"{scan.path}: [scan] background: one photograph for frames of several exposures: take one for each frame, "
@@ -59,8 +61,9 @@ def merged_steps(scan: Scan, batches: Iterable[Batch], size: int) -> Iterator[Ba
     if exposures is None or all(len(group) == 1 for group in groups):
         yield from batches
         return
+    positions = scan.positions
     waiting: list[tuple[np.ndarray, np.ndarray | None]] = []
-    merged: list[tuple[np.ndarray, np.ndarray | None, int]] = []
+    merged: list[tuple[np.ndarray, np.ndarray | None, tuple[int, ...]]] = []
     for frames, backgrounds, _ in batches:
         waiting += zip(frames, [None] * len(frames) if backgrounds is None else backgrounds, strict=True)
         while groups and len(waiting) >= len(groups[0]):
@@ -71,7 +74,7 @@ def merged_steps(scan: Scan, batches: Iterable[Batch], size: int) -> Iterator[Ba
                 image, ground = merge_exposures(
                     np.stack(lit), exposures[group.start : group.stop], None if dark[0] is None else np.stack(dark)
                 )
-            merged.append((np.asarray(image), None if ground is None else np.asarray(ground), scan.steps[group.start]))
+            merged.append((np.asarray(image), None if ground is None else np.asarray(ground), positions[group.start]))
             if len(merged) == size:
                 yield _batch(merged)
                 merged = []
@@ -79,6 +82,6 @@ def merged_steps(scan: Scan, batches: Iterable[Batch], size: int) -> Iterator[Ba
         yield _batch(merged)
 
 
-def _batch(merged: list[tuple[np.ndarray, np.ndarray | None, int]]) -> Batch:
-    images, grounds, steps = zip(*merged, strict=True)
-    return np.stack(images), None if grounds[0] is None else np.stack(grounds), np.asarray(steps, np.int64)
+def _batch(merged: list[tuple[np.ndarray, np.ndarray | None, tuple[int, ...]]]) -> Batch:
+    images, grounds, positions = zip(*merged, strict=True)
+    return np.stack(images), None if grounds[0] is None else np.stack(grounds), np.asarray(positions, np.int64)

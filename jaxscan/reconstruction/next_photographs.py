@@ -84,13 +84,13 @@ def next_photographs(
 
 
 def wanted(calibration: Calibration, volumes: tuple[WorkingVolume, ...]) -> Wanted:
-    """Points over the working volumes at motor step 0, or else pixels all over the image."""
+    """Points over the working volumes with all axes at 0, or else pixels all over the image."""
     if not volumes:
         return _pixels(calibration)
     jacobians, own = [], []
     for volume in volumes:
         rays = volume_rays(calibration.rig, volume)
-        of_rig, of_pixel = jacobian_along(calibration.rig, volume.laser, rays, np.zeros(len(rays)), volume.columns)
+        of_rig, of_pixel = jacobian_along(calibration.rig, volume.laser, rays, {}, volume.columns)
         jacobians.append(of_rig)
         own.append(np.abs(of_pixel) * (calibration.stripe_sigma_px or 0.0))
     return Wanted("mm", np.concatenate(jacobians), np.concatenate(own))

@@ -16,13 +16,13 @@ class Overlapping(NamedTuple):
         frames: a buffer that holds first neighbours before, the frames, neighbours after, as far as the scan has them.
             It has one size in all batches, so that a shorter batch compiles nothing anew; what is left of it is black.
         backgrounds: one for each of these, or one for all, or None.
-        steps: their motor step counts, as many as there are frames.
+        positions: of the axes at each, as many as there are frames.
         inner: which of them the batch is of.
     """
 
     frames: UInt[np.ndarray, "buffer rows columns *rgb"]
     backgrounds: UInt[np.ndarray, "backgrounds rows columns *rgb"] | None
-    steps: Int[np.ndarray, "frames"]
+    positions: Int[np.ndarray, "frames axes"]
     inner: slice
 
 
@@ -37,27 +37,27 @@ def overlapping(batches: Iterable[Batch], before: int, after: int, size: int) ->
         after: neighbours after its last.
         size: frames of each batch; the last has fewer.
     """
-    held: list[tuple[np.ndarray, np.ndarray | None, int]] = []
+    held: list[tuple[np.ndarray, np.ndarray | None, list[int]]] = []
     shared: np.ndarray | None = None
     done = 0
 
     def ready(count: int) -> Overlapping:
-        frames, darks, steps = zip(*held[: done + count + after], strict=True)
+        frames, darks, positions = zip(*held[: done + count + after], strict=True)
         backgrounds = shared if darks[0] is None else buffer(darks)
-        return Overlapping(buffer(frames), backgrounds, np.asarray(steps), slice(done, done + count))
+        return Overlapping(buffer(frames), backgrounds, np.asarray(positions, np.int64), slice(done, done + count))
 
     def buffer(images: Sequence[np.ndarray]) -> np.ndarray:
         full = np.zeros((before + size + after, *images[0].shape), images[0].dtype)
         full[: len(images)] = images
         return full
 
-    for frames, backgrounds, steps in batches:
+    for frames, backgrounds, positions in batches:
         darks: Iterable[np.ndarray | None] = [None] * len(frames)
         if backgrounds is not None and backgrounds.shape == frames.shape:
             darks = backgrounds
         elif backgrounds is not None:
             shared = np.reshape(backgrounds, (1, *frames.shape[1:]))
-        held += zip(frames, darks, steps.tolist(), strict=True)
+        held += zip(frames, darks, positions.tolist(), strict=True)
         while len(held) >= done + size + after:
             yield ready(size)
             drop = max(done + size - before, 0)

@@ -27,18 +27,29 @@ def passage_of(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
         The geometry, and the standard deviation of a passage in frames.
 
     Raises:
-        InputError: the rig has no stage, the steps are not equal, or they are too coarse or far too fine.
+        InputError: not one axis of the rig moves, the steps are not equal, or they are too coarse or far too fine.
     """
-    steps = [scan.steps[group.start] for group in step_groups(scan)]
-    _check_enough(scan, len(steps), _LEAST_SIGMA)
-    apart = set(np.diff(steps).tolist()) if scan.steps_per_frame is None else {scan.steps_per_frame}
+    places = [scan.positions[group.start] for group in step_groups(scan)]
+    _check_enough(scan, len(places), _LEAST_SIGMA)
+    if len(scan.moving) != 1:
+        raise InputError(
+            f"{scan.path}: [scan] spacetime analysis follows the motion of one axis, here move "
+            f"{', '.join(scan.moving) or 'none'}: scan along one axis at a time, or leave --spacetime out"
+        )
+    (axis,) = scan.moving
+    at = scan.axis_names.index(axis)
+    steps = [place[at] for place in places]
+    apart = {scan.rules[axis].per_frame} if scan.rules else set(np.diff(steps).tolist())
     if len(apart) != 1 or 0 in apart:
         raise InputError(
             f"{scan.path}: [scan] steps: spacetime analysis needs frames that are equally many motor steps apart, "
             f"these are {', '.join(map(str, sorted(apart)[:4]))}: scan in equal steps, or leave --spacetime out"
         )
     step = apart.pop()
-    geometry = Geometry.create(rig, scan.laser, step)
+    still = {name: rule.start for name, rule in scan.rules.items()} | dict(
+        zip(scan.axis_names, places[0] if places else (), strict=False)
+    )
+    geometry = Geometry.create(rig, scan.laser, axis, step, still)
     if scan.video is None:
         some = np.linspace(0, len(scan.frames) - 1, _LOOKED_AT).astype(int)
         frames = [read_image(scan.frames[i]) for i in some]
@@ -62,7 +73,7 @@ def passage_of(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
             f"{scan.path}: the light takes {sigma:.3g} frames (σ) to pass a point, and more than {_MOST_SIGMA:g} are "
             f"of no use: list every {int(sigma / _MOST_SIGMA) + 1}th frame, or leave --spacetime out"
         )
-    _check_enough(scan, len(steps), sigma)
+    _check_enough(scan, len(places), sigma)
     return geometry, sigma
 
 

@@ -1,10 +1,11 @@
 """How well a triangulated point is known: the rig's part and the pixel's.
 
-A point of the object frame, X = x(u, v) / (ω · x) − n · per_step, is a function of the rig's parameters θ and of the
+A point of the object frame, X = M(q)⁻¹ (x(u, v) z), is a function of the rig's parameters θ and of the
 stripe's position s in its column (or row): its covariance is X_θ Σ X_θᵀ + X_s σ_s² X_sᵀ, to first order. Along the ray,
 with d its direction, that is (d · X_θ) Σ (d · X_θ)ᵀ + (d · X_s)² σ_s².
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -12,12 +13,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Real
 
+from jaxscan.calibration.blocks import bucket
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Covariance, Rig
+from jaxscan.rig import Covariance, Motion, Positions, Rig
+from jaxscan.rig.light import inverse_depths
+from jaxscan.rig.motion import origin_shift
 from jaxscan.rig.projection import pixel_rays, project_points
-from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.rig import leaves_of, parameter_names
+
+# Motor steps of each axis, by its name, of as many points as there are.
+PositionsOfPoints = Mapping[str, Real[np.ndarray, "points"]]
 
 
 @dataclass(frozen=True)
@@ -44,7 +51,7 @@ def point_covariance(
     covariance: Covariance,
     stripe_sigma_px: float,
     pixels: Float[np.ndarray, "points 2"],
-    steps: Float[np.ndarray, "points"],
+    q: PositionsOfPoints,
     columns: bool,
 ) -> PointCovariance:
     """The covariance of each triangulated point.
@@ -55,13 +62,11 @@ def point_covariance(
         covariance: of its parameters.
         stripe_sigma_px: σ of the stripe's position.
         pixels: (u, v) of the stripe points.
-        steps: motor step count of each.
+        q: positions of the axes at each, motor steps.
         columns: whether v was measured, or u.
     """
     with float64():
-        of_rig, of_pixel = (
-            np.asarray(J) for J in _jacobians(as_float64(rig), laser, *_as_arrays(pixels, steps, columns))
-        )
+        of_rig, of_pixel = (np.asarray(J) for J in _jacobians(as_float64(rig), laser, *_as_arrays(pixels, q, columns)))
     return PointCovariance(
         rig=of_rig @ covariance.of_leaves(rig) @ np.swapaxes(of_rig, 1, 2),
         pixel=stripe_sigma_px**2 * of_pixel[:, :, None] * of_pixel[:, None, :],
@@ -74,14 +79,14 @@ def point_sigma(
     covariance: Covariance,
     stripe_sigma_px: float | Float[np.ndarray, "points"],
     pixels: Float[np.ndarray, "points 2"],
-    steps: Float[np.ndarray, "points"],
+    q: PositionsOfPoints,
     columns: bool,
 ) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
     """σ of each point along its ray, of rig and pixel together and of the pixel alone (mm).
 
     The arguments are those of `point_covariance`; σ of the stripe may be one for each point.
     """
-    return sigma_of(rig, covariance, stripe_sigma_px, *ray_jacobian(rig, laser, pixels, steps, columns))
+    return sigma_of(rig, covariance, stripe_sigma_px, *ray_jacobian(rig, laser, pixels, q, columns))
 
 
 def sigma_of(
@@ -101,32 +106,33 @@ def ray_jacobian(
     rig: Rig,
     laser: str,
     pixels: Float[np.ndarray, "points 2"],
-    steps: Float[np.ndarray, "points"],
+    q: PositionsOfPoints,
     columns: bool,
 ) -> tuple[Float[np.ndarray, "points leaves"], Float[np.ndarray, "points"]]:
     """How far each point moves along its ray with the rig's leaves, in their order, and with the stripe's position.
 
     The arguments are those of `point_covariance`; mm for each unit of the parameters, mm for each pixel.
     """
-    return jacobian_along(rig, laser, pixel_rays(rig.camera, pixels), steps, columns)
+    return jacobian_along(rig, laser, pixel_rays(rig.camera, pixels), q, columns)
 
 
 def jacobian_along(
     rig: Rig,
     laser: str,
     rays: Float[np.ndarray, "points 3"],
-    steps: Float[np.ndarray, "points"],
+    q: PositionsOfPoints,
     columns: bool,
 ) -> tuple[Float[np.ndarray, "points leaves"], Float[np.ndarray, "points"]]:
     """What `ray_jacobian` gives, for points on rays (x, y, 1) that are known.
 
-    With the pixel p = π(x; θ) held, ∂x/∂θ = −(∂π/∂x)⁻¹ ∂π/∂θ and ∂x/∂s = (∂π/∂x)⁻¹ e: no lens is inverted. With
-    z = 1 / (ω · x) the point z x moves by dz x + z dx, dz = −z² (dω · x + ω · dx), and by −n · per_step with the stage.
+    With the pixel p = π(x; θ) held, ∂x/∂θ = −(∂π/∂x)⁻¹ ∂π/∂θ and ∂x/∂s = (∂π/∂x)⁻¹ e: no lens is inverted. With the
+    inverse depth w(x; θ), z = 1 / w, the point z x moves by dz x + z dx, dz = −z² dw; the motion moves it by −d · o,
+    o how far it moves what it brings to the camera's centre (`rig.motion.origin_shift`).
     """
-    sheet = rig.laser(laser)
-    omega = np.stack([float(c) for c in sheet.plane])
+    which = rig.lights.index(rig.light(laser))
+    w, w_by_ray, w_by_numbers = inverse_depths(rig.lights[which], rays)
     with np.errstate(invalid="ignore", divide="ignore"):
-        z = np.where(rays @ omega > 0, 1 / (rays @ omega), np.nan)
+        z = np.where(w > 0, 1 / w, np.nan)
         seen = project_points(rig.camera, rays)
         along = np.array([[0.0], [1.0]] if columns else [[1.0], [0.0]])
         right = np.concatenate([-seen.by_camera, np.broadcast_to(along, (len(rays), 2, 1))], axis=2)
@@ -134,24 +140,39 @@ def jacobian_along(
         whole = np.isfinite(seen.by_ray).all(axis=(1, 2)) & np.isfinite(z)
         dx[whole] = np.linalg.solve(seen.by_ray[whole], right[whole])
     length = np.linalg.norm(rays, axis=1)
-    of_x = (z / length)[:, None] * rays[:, :2] - (z**2 * length)[:, None] * omega[:2]
+    of_x = (z / length)[:, None] * rays[:, :2] - (z**2 * length)[:, None] * w_by_ray
     moved = np.einsum("pi,pij->pj", of_x, dx)
-    names = parameter_names(rig)
-    J = np.zeros((len(rays), len(names)))
+    J = np.zeros((len(rays), len(parameter_names(rig))))
     J[:, : moved.shape[1] - 1] = moved[:, :-1]
-    stem = f"laser.{sheet.name}.plane" if sheet.name else "laser.plane"
-    J[:, [names.index(f"{stem}.{i}") for i in range(3)]] = -(z**2 * length)[:, None] * rays
-    if rig.stage is not None:
-        J[:, [names.index(f"stage.per_step.{i}") for i in range(3)]] = -(steps / length)[:, None] * rays
+    J[:, leaves_of(rig, f"lights.{which}.")] = -(z**2 * length)[:, None] * w_by_numbers
+    if at := leaves_of(rig, "motion."):
+        shifts = motion_shifts(rig, q, len(rays))
+        J[:, at] = -np.einsum("pi,pij->pj", rays / length[:, None], shifts)
     J[~whole] = np.nan
     return J, moved[:, -1]
 
 
+def motion_shifts(rig: Rig, q: PositionsOfPoints, count: int) -> Float[np.ndarray, "points 3 numbers"]:
+    """How what the motion brings to the camera's centre moves with the motion's numbers, at so many positions; mm."""
+    with float64():
+        # Padded to the next size of a coarse series, so that a few frames more do not compile anew.
+        padded = {axis: np.resize(np.asarray(steps, np.float64), bucket(count)) for axis, steps in q.items()}
+        shifts = np.asarray(_motion_shifts(as_float64(rig.motion), jax.tree.map(jnp.asarray, padded)))
+    return np.broadcast_to(shifts, (max(len(shifts), count), *shifts.shape[1:]))[:count]
+
+
+@eqx.filter_jit
+def _motion_shifts(motion: Motion, q: Positions) -> Float[Array, "points 3 numbers"]:
+    numbers, unravel = ravel_pytree(motion)
+    shifts = jax.jacfwd(lambda other: origin_shift(motion, q, unravel(other)))(numbers)
+    return shifts if shifts.ndim == 3 else shifts[None]
+
+
 def _as_arrays(
-    pixels: Float[np.ndarray, "points 2"], steps: Float[np.ndarray, "points"], columns: bool
-) -> tuple[Float[Array, "points 2"], Float[Array, "points"], Float[Array, "2"]]:
+    pixels: Float[np.ndarray, "points 2"], q: PositionsOfPoints, columns: bool
+) -> tuple[Float[Array, "points 2"], dict[str, Float[Array, "points"]], Float[Array, "2"]]:
     along = jnp.asarray([0.0, 1.0] if columns else [1.0, 0.0])
-    return jnp.asarray(pixels, jnp.float64), jnp.asarray(steps, jnp.float64), along
+    return jnp.asarray(pixels, jnp.float64), {axis: jnp.asarray(steps, jnp.float64) for axis, steps in q.items()}, along
 
 
 @eqx.filter_jit
@@ -159,16 +180,16 @@ def _jacobians(
     rig: Rig,
     laser: str,
     pixels: Float[Array, "points 2"],
-    steps: Float[Array, "points"],
+    q: Positions,
     along: Float[Array, "2"],
 ) -> tuple[Float[Array, "points 3 leaves"], Float[Array, "points 3"]]:
     """∂X/∂θ and ∂X/∂s of each point."""
     theta, unravel = ravel_pytree(rig)
 
-    def each(pixel: Float[Array, "2"], count: Float[Array, ""]) -> tuple[Float[Array, "3 leaves"], Float[Array, "3"]]:
+    def each(pixel: Float[Array, "2"], q: Positions) -> tuple[Float[Array, "3 leaves"], Float[Array, "3"]]:
         def coordinates(theta: Float[Array, "leaves"], s: Float[Array, ""]) -> Float[Array, "3"]:
-            return unravel(theta).triangulate(pixel + s * along, count, laser)
+            return unravel(theta).triangulate(pixel + s * along, q, laser)
 
         return jax.jacrev(coordinates, argnums=(0, 1))(theta, jnp.zeros(()))
 
-    return jax.vmap(each)(pixels, steps)
+    return jax.vmap(each)(pixels, q)

@@ -1,16 +1,28 @@
 """The range image: one point for each frame and each image column (or row), organised as the scanner saw them."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.cloud import Cloud, check_ending, writing_ply
 from jaxscan.files.range_npz import RangeArrays, read_range_npz, writing_range_npz
+from jaxscan.files.range_scanner import read_scanner, scanner_arrays
+from jaxscan.geometry import Pose
+from jaxscan.precision import as_numpy
+from jaxscan.rig import Fixed, Light, Motion
+
+_STILL: Final = Fixed()
+# The last frame of a turn is no further from the first than so many times the way between frames.
+_LAST_GAP: Final = 1.5
+# What has an entry for each frame, the positions apart.
+_BY_FRAME: Final = ("points", "pixels", "strength", "sigma", "sigma_pixel", "valid", "light")
 
 
 @dataclass(frozen=True)
@@ -24,9 +36,9 @@ class RangeImage:
         sigma: standard deviation along the ray, rig and pixel together, mm; NaN where it is not known.
         sigma_pixel: the pixel's part of it, mm.
         valid: where there is a point.
-        steps: motor step count of each frame.
-        per_step: how far whatever stands on the stage moves for one step, mm, where it is known: the camera saw frame n
-            from −steps[n] · per_step.
+        positions: motor steps of each axis at each frame.
+        motion: what carried the object, by these positions; `Fixed` where it is not known.
+        sheet: the light in which the object was seen, where it is known.
         light: read noise, gain, speckle contrast and saturation of each frame (`images.light`), where they are known.
     """
 
@@ -36,14 +48,26 @@ class RangeImage:
     sigma: Float[np.ndarray, "frames columns"]
     sigma_pixel: Float[np.ndarray, "frames columns"]
     valid: Bool[np.ndarray, "frames columns"]
-    steps: Int[np.ndarray, "frames"]
-    per_step: Float[np.ndarray, "3"] | None = None
+    positions: Mapping[str, Int[np.ndarray, "frames"]]
+    motion: Motion = _STILL
+    sheet: Light | None = None
     light: Float[np.ndarray, "frames 4"] | None = None
 
+    @property
+    def steps(self) -> Int[np.ndarray, "frames"]:
+        """Motor steps of the first axis that moves."""
+        each = [np.asarray(steps) for steps in self.positions.values()]
+        return next((steps for steps in each if len(set(steps.tolist())) > 1), each[0])
+
     @classmethod
-    def of(cls, arrays: RangeArrays) -> "RangeImage":
-        """A range image from what a file holds; what it does not hold is NaN."""
+    def of(cls, path: str | os.PathLike[str], arrays: RangeArrays) -> "RangeImage":
+        """A range image from what a file holds; what it does not hold is NaN.
+
+        Raises:
+            InputError: its scanner is not one.
+        """
         shape = arrays.valid.shape
+        scanner = read_scanner(path, arrays)
         return cls(
             points=arrays.points,
             pixels=np.full(shape, np.nan, np.float32) if arrays.pixels is None else arrays.pixels,
@@ -51,8 +75,9 @@ class RangeImage:
             sigma=arrays.sigma,
             sigma_pixel=np.full(shape, np.nan, np.float32) if arrays.sigma_pixel is None else arrays.sigma_pixel,
             valid=arrays.valid,
-            steps=arrays.steps,
-            per_step=arrays.per_step,
+            positions=scanner.positions,
+            motion=scanner.motion,
+            sheet=scanner.sheet,
             light=arrays.light,
         )
 
@@ -61,9 +86,10 @@ class RangeImage:
         """The frames of several range images of one scan, one after the other."""
         if len(parts) == 1:
             return parts[0]
-        known = [f.name for f in fields(cls) if f.name != "per_step" and getattr(parts[0], f.name) is not None]
+        known = [name for name in _BY_FRAME if getattr(parts[0], name) is not None]
         arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in known}
-        return cls(**arrays, per_step=parts[0].per_step)
+        positions = {axis: np.concatenate([p.positions[axis] for p in parts]) for axis in parts[0].positions}
+        return replace(parts[0], **arrays, positions=positions)
 
     def where(self, keep: Bool[np.ndarray, "frames columns"]) -> "RangeImage":
         """The same grid with those points alone for which `keep` holds."""
@@ -92,14 +118,48 @@ class RangeImage:
             self,
             **{name: getattr(self, name)[place] for name in ("points", "pixels", "strength", "sigma", "sigma_pixel")},
             valid=self.valid[place],
-            steps=self.steps[place[0]],
+            positions={axis: np.asarray(steps)[place[0]] for axis, steps in self.positions.items()},
             light=None if self.light is None else self.light[place[0]],
         )
 
+    def from_camera(self) -> Pose[np.ndarray]:
+        """T_object_camera of each frame: where the camera was as the object sees it."""
+        pose = as_numpy(self.motion.pose({axis: np.asarray(steps, float) for axis, steps in self.positions.items()}))
+        back = pose.inverse()
+        shape = (len(self.valid), 3)
+        return Pose(np.broadcast_to(back.rotation, shape), np.broadcast_to(back.translation, shape))
+
     def cameras(self) -> Float[np.ndarray, "frames 3"]:
-        """Where the camera was at each frame, object frame, mm; the origin where the stage's motion is not known."""
-        per_step = np.zeros(3) if self.per_step is None else np.asarray(self.per_step, np.float64)
-        return -self.steps[:, None].astype(np.float64) * per_step
+        """Where the camera was at each frame, object frame, mm; the origin where the motion is not known."""
+        return self.from_camera().translation
+
+    def closed(self) -> "RangeImage":
+        """With the first frame again behind the last, where the object was turned once all around; else as it is."""
+        moving = [axis for axis, steps in self.positions.items() if len(set(np.asarray(steps).tolist())) > 1]
+        turns = [part for part in self.motion.parts() if [part.axis] == moving and part.amount(1.0)[1] == "degrees"]
+        if not turns:
+            return self
+        axis, steps = turns[0].axis, np.asarray(self.positions[turns[0].axis])
+        apart = np.median(np.diff(steps))
+        whole = np.sign(apart) * 360 / turns[0].amount(1.0)[0]
+        # The way that is left is that from frame to frame, or less.
+        if not 0 < abs(whole - (steps[-1] - steps[0])) <= _LAST_GAP * abs(apart):
+            return self
+        again = self[:1, :]
+        first = {**again.positions, axis: again.positions[axis] + round(float(whole))}
+        return RangeImage.joined([self, replace(again, positions=first)])
+
+    def travel(self) -> Float[np.ndarray, "3"] | None:
+        """The direction in which the object moved, unit, object frame; None where it turned, or none is known."""
+        at = self.from_camera()
+        way = at.translation[0] - at.translation[-1]
+        length = float(np.linalg.norm(way))
+        turned = np.abs(at.rotation - at.rotation[0]).max() > 0
+        return None if turned or length == 0 else way / length
+
+    def seen(self) -> Float[np.ndarray, "frames columns 3"]:
+        """The points in the camera's frame, mm."""
+        return self.from_camera().inverse().apply(np.asarray(self.points, np.float64))
 
     def cloud(self) -> Cloud:
         """The valid points, frame after frame."""
@@ -112,15 +172,17 @@ class RangeImage:
 
     def arrays(self) -> RangeArrays:
         """As the file format has it."""
+        positions, scanner = scanner_arrays(self.positions, self.motion, self.sheet)
         return RangeArrays(
             points=self.points,
             strength=self.strength,
             sigma=self.sigma,
             valid=self.valid,
-            steps=self.steps,
+            steps=np.asarray(self.positions.get(STAGE, self.steps)),
+            positions=positions,
+            scanner=scanner,
             pixels=self.pixels,
             sigma_pixel=self.sigma_pixel,
-            per_step=None if self.per_step is None else np.asarray(self.per_step, np.float64),
             light=self.light,
         )
 
@@ -131,7 +193,7 @@ def read_range_image(path: str | os.PathLike[str]) -> RangeImage:
     Raises:
         InputError: the file is missing or is no range image.
     """
-    return RangeImage.of(read_range_npz(path))
+    return RangeImage.of(path, read_range_npz(path))
 
 
 def write_points(path: str | os.PathLike[str], image: RangeImage) -> None:

@@ -15,7 +15,8 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.images import StripeSettings
 from jaxscan.images.stripes.settle import Band
-from jaxscan.reconstruction.triangulate import Kernel, triangulate
+from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
+from jaxscan.rig import Fixed
 
 # By how much the calibration's range of depths is widened, either way.
 WIDENED: Final = 1.5
@@ -59,8 +60,9 @@ def sheet_band(
         np.arange(lines), np.arange(0, length + _EVERY, _EVERY).clip(max=length - 1), indexing="ij"
     )
     u, v = (line, place) if laser.columns else (place, line)
-    flat = [jnp.asarray(x.ravel(), jnp.float32) for x in (u, v, np.zeros_like(u))]
-    depth: Float[np.ndarray, "lines places"] = np.asarray(triangulate(kernel, *flat))[:, 2].reshape(line.shape)
+    still = FramePoses.create(Fixed(), {}, len(line))
+    found = triangulate(kernel, still, *(jnp.asarray(x, jnp.float32) for x in (u, v)))
+    depth: Float[np.ndarray, "lines places"] = np.asarray(found)[..., 2]
     # NaN where a ray does not meet the sheet.
     inside = (depth >= near) & (depth <= far)
     low = np.where(inside, place, np.inf).min(axis=1) - _EVERY

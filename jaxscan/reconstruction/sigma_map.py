@@ -1,16 +1,18 @@
 """σ of each point as fast as the point itself: maps over the image in place of derivatives at each pixel.
 
-With w = ω · x the inverse depth of pixel (u, v) and n the motor step count, a point moves along its ray with the rig's
-parameters θ and the stripe's position s, to first order, by
+With w(x) the inverse depth of pixel (u, v) with ray x, d = x / |x|, and O(q) the derivative of what the motion brings
+to the camera's centre at positions q by the motion's numbers (`rig.motion.origin_shift`), a point moves along its ray
+with the rig's parameters θ and the stripe's position s, to first order, by
 
-    d · X_θ = J₀(u, v) + n J₁(u, v),    J₀ w² and J₁ smooth;    d · X_s = P(u, v),    P w² smooth
+    d · X_θ = J(u, v) − d · O(q),    J w² smooth;    d · X_s = P(u, v),    P w² smooth
 
-so that, with depth z = 1 / w in the camera frame, the variance along the ray is
+so that, with depth z = 1 / w and m = −Oᵀ d, the variance along the ray is
 
-    σ² = z⁴ A + n z² B + n² C + (z² D σ_s)²,    A = w⁴ J₀ Σ J₀ᵀ,  B = 2 w² J₀ Σ J₁ᵀ,  C = J₁ Σ J₁ᵀ,  D = |P| w²
+    σ² = z⁴ A + z² B · m + mᵀ S m + (z² D σ_s)²,    A = w⁴ J Σ Jᵀ,  B = 2 w² J Σ_m,  D = |P| w²,
 
-What is left is as smooth as the lens, out to where the sheet leaves the camera's view: A, B, C and D are kept as
-Chebyshev polynomials in u and v, fitted to the exact derivatives (`point_sigma`) on a grid.
+S the covariance of the motion's numbers and Σ_m their columns of Σ. What is left is as smooth as the lens, out to where
+the sheet leaves the camera's view: A, B, D and d are kept as Chebyshev polynomials in u and v, fitted to the exact
+derivatives (`point_sigma`) on a grid.
 """
 
 from typing import Final
@@ -22,9 +24,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
 
-from jaxscan.reconstruction.point_sigma import jacobian_along
+from jaxscan.reconstruction.point_sigma import PositionsOfPoints, jacobian_along, motion_shifts
 from jaxscan.rig import Covariance, Rig
+from jaxscan.rig.light import inverse_depths
 from jaxscan.rig.projection import pixel_rays
+from jaxscan.rig.rig import leaves_of
 
 _DEGREE: Final = 10
 # Pixels to each side of the image at which the maps are fitted.
@@ -34,66 +38,96 @@ _FURTHEST: Final = 20.0
 
 
 class SigmaMap(eqx.Module):
-    """The maps of one laser of a rig.
+    """The maps of one light of a rig.
 
     Attributes:
-        maps: Chebyshev coefficients of A, B, C, D in the stripe's position, line by line.
+        maps: Chebyshev coefficients of A, D, the three numbers of d and those of B in the stripe's position, line by
+            line.
         length: of a line, px.
-        depth_per_step: that what stands on the stage gains for one motor step, mm.
+        S: covariance of the motion's numbers.
     """
 
-    maps: Float[Array, "degrees 4 lines"]
+    maps: Float[Array, "degrees maps lines"]
     length: Float[Array, ""]
-    depth_per_step: Float[Array, ""]
+    S: Float[Array, "numbers numbers"]
 
     @staticmethod
-    def create(rig: Rig, laser: str, covariance: Covariance, columns: bool) -> "SigmaMap":
-        """The maps of one laser, for stripes found column by column (or row by row)."""
+    def create(rig: Rig, light: str, covariance: Covariance, columns: bool) -> "SigmaMap":
+        """The maps of one light, for stripes found column by column (or row by row)."""
         nodes = np.cos(np.pi * (np.arange(_GRID) + 0.5) / _GRID)
         u, v = (x.ravel() for x in np.meshgrid(nodes, nodes, indexing="ij"))
         width, height = rig.camera.image_size
         pixels = np.stack([(u + 1) / 2 * (width - 1), (v + 1) / 2 * (height - 1)], axis=-1)
         rays = pixel_rays(rig.camera, pixels)
-        w = rays @ np.stack([float(c) for c in rig.laser(laser).plane])
-        still, of_pixel = jacobian_along(rig, laser, rays, np.zeros(len(pixels)), columns)
-        moved, _ = jacobian_along(rig, laser, rays, np.ones(len(pixels)), columns)
-        J0, J1, S = still * w[:, None] ** 2, moved - still, covariance.of_leaves(rig)
-        products = [np.einsum("pi,ij,pj->p", a, S, b) for a, b in ((J0, J0), (J0, J1), (J1, J1))]
-        values = np.stack([products[0], 2 * products[1], products[2], np.abs(of_pixel) * w**2], axis=-1)
+        w, _, _ = inverse_depths(rig.light(light), rays)
+        still, of_pixel = jacobian_along(rig, light, rays, {}, columns)
+        J, S, at = still * w[:, None] ** 2, covariance.of_leaves(rig), leaves_of(rig, "motion.")
+        # At the positions 0 the motion's numbers move nothing, whatever they are.
+        A = np.einsum("pi,ij,pj->p", J, S, J)
+        d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        values = np.concatenate([np.stack([A, np.abs(of_pixel) * w**2], axis=-1), d, 2 * J @ S[:, at]], axis=-1)
         # Where the sheet is out of sight nothing is fitted, and nothing will be asked.
         seen = np.isfinite(values).all(axis=1) & (w > np.nanmax(w) / _FURTHEST)
         basis = chebyshev.chebvander2d(u, v, [_DEGREE, _DEGREE])
-        fitted = np.linalg.lstsq(basis[seen], values[seen], rcond=1e-10)[0].reshape(_DEGREE + 1, _DEGREE + 1, 4)
+        fitted = np.linalg.lstsq(basis[seen], values[seen], rcond=1e-10)[0].reshape(_DEGREE + 1, _DEGREE + 1, -1)
         lines, length = (width, height) if columns else (height, width)
         across = chebyshev.chebvander(2 * np.arange(lines) / (lines - 1) - 1, _DEGREE)
         maps = np.einsum("li,ijm->jml" if columns else "lj,ijm->iml", across, fitted)
-        per_step = 0.0 if rig.stage is None else float(rig.stage.per_step[2])
-        return SigmaMap(*(jnp.asarray(x, jnp.float32) for x in (maps, length, per_step)))
+        return SigmaMap(*(jnp.asarray(x, jnp.float32) for x in (maps, length, S[np.ix_(at, at)])))
+
+
+class MovedFrames(eqx.Module):
+    """How the motion carried some frames.
+
+    Attributes:
+        depth: the third row of T_camera_object: what takes a point to its depth in the camera frame.
+        shifts: O, mm for each unit of the motion's numbers.
+    """
+
+    depth: Float[Array, "frames 4"]
+    shifts: Float[Array, "frames 3 numbers"]
+
+    @staticmethod
+    def create(rig: Rig, q: PositionsOfPoints, frames: int) -> "MovedFrames":
+        """Of a rig at positions of its axes, one for each frame."""
+        pose = rig.pose({axis: np.asarray(steps, np.float64) for axis, steps in q.items()})
+        row = np.concatenate([np.asarray(pose.matrix())[..., 2, :], np.asarray(pose.translation)[..., 2:]], axis=-1)
+        shifts = motion_shifts(rig, q, frames)
+        return MovedFrames(
+            jnp.asarray(np.broadcast_to(row, (frames, 4)), jnp.float32), jnp.asarray(shifts, jnp.float32)
+        )
 
 
 @jax.jit
 def point_sigmas(
     sigma_map: SigmaMap,
+    frames: MovedFrames,
     position: Float[Array, "frames lines"],
     points: Float[Array, "frames lines 3"],
-    steps: Float[Array, "frames"],
     stripe_sigma_px: Float[Array, "frames lines"],
 ) -> tuple[Float[Array, "frames lines"], Float[Array, "frames lines"]]:
     """σ of each point along its ray, of rig and pixel together and of the pixel alone (mm).
 
     Args:
         sigma_map: of the rig.
+        frames: how the motion carried them.
         position: of the stripe in each line, px.
         points: what it was triangulated to, object frame, mm.
-        steps: motor step count of each frame.
         stripe_sigma_px: σ of the position.
     """
-    n = steps[:, None]
-    z2 = (points[..., 2] + n * sigma_map.depth_per_step) ** 2
+    row = frames.depth[:, None]
+    z2 = (row[..., 0] * points[..., 0] + row[..., 1] * points[..., 1] + row[..., 2] * points[..., 2] + row[..., 3]) ** 2
     t = 2 * position / (sigma_map.length - 1) - 1
-    A, B, C, D = (_clenshaw(sigma_map.maps[:, i, None], t) for i in range(4))
+    A, D, x, y, z, *B = (_clenshaw(sigma_map.maps[:, i, None], t) for i in range(sigma_map.maps.shape[1]))
+    shifts, S = frames.shifts[:, None], sigma_map.S
+    m = [-(shifts[..., 0, k] * x + shifts[..., 1, k] * y + shifts[..., 2, k] * z) for k in range(len(B))]
+    variance = z2 * z2 * A
+    for k, of_rig in enumerate(B):
+        variance = variance + m[k] * (z2 * of_rig + S[k, k] * m[k])
+        for other in range(k):
+            variance = variance + 2 * S[k, other] * m[k] * m[other]
     pixel = z2 * D * stripe_sigma_px
-    return jnp.sqrt(jnp.maximum(z2 * z2 * A + n * z2 * B + n * n * C, 0.0) + pixel**2), pixel
+    return jnp.sqrt(jnp.maximum(variance, 0.0) + pixel**2), pixel
 
 
 def _clenshaw(

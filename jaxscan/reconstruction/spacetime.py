@@ -3,7 +3,7 @@
 A detector that looks for the middle of a stripe in one frame takes for granted that the surface reflects alike on both
 sides of it and goes on to both sides of it. Where it does not, at the border of a print or of the object, the middle is
 off. B. Curless and M. Levoy (1995) look along time instead. Let a point P of the object (object frame) be carried by
-the stage, X(n) = P + n p with p = per_step at motor step n. Its distance from the sheet is
+the stage, X(n) = P + n p with p its way for one motor step, at motor step n. Its distance from the sheet is
 
     d(n) = (ω · X(n) − 1) / |ω| = (ω · P − 1 + n ω · p) / |ω|
 
@@ -24,6 +24,9 @@ there, δ frames off, gives the point
 
     P = X(q(δ)) − (n + δ Δn) p,    Δn the motor steps from frame to frame.
 
+Of an object that turns under the light the same holds for the time in which a point passes it: the track is
+q(m) = π(M_m X(q)), M_m the motion of m frames, which is the same from any frame on where one axis moves in equal steps.
+
 A second look starts at q(δ) in place of q, so that the points stand where the surface crosses the sheet at frame n and
 not where the stripe was thought to be. X(q) is taken to be on the sheet though its pixel was off by some part of the
 stripe's width: as long as that is narrow for the depth, the slant of tracks hardly differs across it.
@@ -34,7 +37,7 @@ What is left of an error at an edge is the light that lens and pixels let in fro
 sheet is seen some pixels wide.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -46,6 +49,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.detectors import Choice, Detector
 from jaxscan.errors import InputError
+from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.stripes.detect import ambient_levels
 from jaxscan.images.stripes.detectors import Measured, measure
@@ -53,10 +57,12 @@ from jaxscan.images.stripes.survey import LEAST_SIGNAL
 from jaxscan.images.stripes.tracks import Tracks, gather_passage, number_scale, passage_windows, survey_passage
 from jaxscan.reconstruction.merged_steps import Batch
 from jaxscan.reconstruction.overlapping import Overlapping, overlapping
-from jaxscan.reconstruction.triangulate import Kernel, triangulate
-from jaxscan.rig import Camera, Rig
+from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
+from jaxscan.rig import Camera, Motion, Rig
 
 Lines = Float[Array, "frames lines"]
+# The poses of frames at positions of the axes.
+FramesAt = Callable[[Int[np.ndarray, "frames axes"]], FramePoses]
 
 # How the stripe is found from which tracks start, and how the first look along them is taken.
 _START: Detector = "gravity"
@@ -78,14 +84,14 @@ class Profiles(NamedTuple):
         sigma: that of the position whose error would displace the point as much as that of the centre in time, px.
         strength: of the light in time, grey levels of its response.
         points: mm, object frame; NaN for none.
-        steps: motor step count of each frame.
+        positions: of the axes at each frame, motor steps.
     """
 
     position: Float[np.ndarray, "frames lines"]
     sigma: Float[np.ndarray, "frames lines"]
     strength: Float[np.ndarray, "frames lines"]
     points: Float[np.ndarray, "frames lines 3"]
-    steps: Int[np.ndarray, "frames"]
+    positions: Int[np.ndarray, "frames axes"]
 
 
 class Geometry(eqx.Module):
@@ -94,30 +100,52 @@ class Geometry(eqx.Module):
     Attributes:
         kernel: of the laser.
         camera: where points are seen.
-        per_frame: p Δn, mm.
-        steps_per_frame: Δn.
+        motion: of the object.
+        still: positions of the axes that stand still.
+        per_frame: motor steps of the axis that moves from one frame to the next.
+        axis: its name.
         columns: whether lines are columns of the image.
     """
 
     kernel: Kernel
     camera: Camera
-    per_frame: Float[Array, "3"]
-    steps_per_frame: Float[Array, ""]
+    motion: Motion
+    still: dict[str, Float[Array, ""]]
+    per_frame: Float[Array, ""]
+    axis: str = eqx.field(static=True)
     columns: bool = eqx.field(static=True)
 
     @staticmethod
-    def create(rig: Rig, settings: StripeSettings, steps_per_frame: int) -> "Geometry":
+    def create(rig: Rig, settings: StripeSettings, axis: str, per_frame: int, still: Mapping[str, int]) -> "Geometry":
         """The rig made ready.
 
+        Args:
+            rig: the rig.
+            settings: the laser.
+            axis: the one that moves.
+            per_frame: its motor steps from one frame to the next.
+            still: where the others stand.
+
         Raises:
-            InputError: the rig has no stage or no such laser.
+            InputError: the rig has no such axis or no such laser.
         """
-        if rig.stage is None:
-            raise InputError("the rig has no stage, and spacetime analysis rests on its motion: calibrate with [stage]")
+        rig.axis(axis)
         kernel = Kernel.create(rig, settings.name)
-        camera = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), rig.camera)
-        steps = jnp.asarray(steps_per_frame, jnp.float32)
-        return Geometry(kernel, camera, -kernel.back * steps, steps, settings.columns)
+        others = {name: step for name, step in still.items() if name != axis}
+        given = (rig.camera, rig.motion, others, per_frame)
+        camera, motion, others, step = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), given)
+        return Geometry(kernel, camera, motion, others, step, axis, settings.columns)
+
+    def later(self, frames: Float[Array, "*some"]) -> tuple[Float[Array, "*some 3 3"], Float[Array, "*some 3"]]:
+        """The motion of so many frames, in the camera's frame: R and t (mm)."""
+
+        def at(frames: Float[Array, "*some"]) -> Pose[Array]:
+            still = {axis: jnp.broadcast_to(step, frames.shape) for axis, step in self.still.items()}
+            return self.motion.pose({**still, self.axis: self.per_frame * frames})
+
+        now, then = at(frames), at(jnp.zeros(()))
+        R = now.matrix() @ then.matrix().T
+        return R, now.translation - (R @ then.translation[..., None])[..., 0]
 
     def pixels(self, position: Lines) -> tuple[Lines, Lines]:
         """(u, v) of a position in each line."""
@@ -136,6 +164,7 @@ def spacetime_profiles(
     batches: Iterable[Batch],
     detector: Detector,
     choice: Choice,
+    frames_at: FramesAt,
 ) -> Iterator[Profiles]:
     """The surface of a scan whose object moves under the light in small, equal steps.
 
@@ -146,6 +175,7 @@ def spacetime_profiles(
         batches: the scan's frames in their order, of any size: the points do not depend on it.
         detector: how the centre in time is measured.
         choice: which stripe is followed where a line has several.
+        frames_at: the poses of frames at positions of the axes.
 
     Raises:
         InputError: there are too few frames.
@@ -155,7 +185,9 @@ def spacetime_profiles(
         count = batch.inner.stop - batch.inner.start
         # The last batch is filled up with its last frame, so that it compiles nothing anew.
         some = batch.inner.start + np.minimum(np.arange(_BATCH), count - 1)
-        yield Profiles(*(x[:count] for x in _profiles(geometry, settings, batch, some, sigma, detector, choice)))
+        yield Profiles(
+            *(x[:count] for x in _profiles(geometry, settings, batch, some, sigma, detector, choice, frames_at))
+        )
         frames += count
     if frames <= 2 * half:
         raise InputError(
@@ -177,6 +209,7 @@ def _profiles(
     sigma: float,
     detector: Detector,
     choice: Choice,
+    frames_at: FramesAt,
 ) -> Profiles:
     own = batch.backgrounds is not None and len(batch.backgrounds) == len(batch.frames)
     dark = batch.backgrounds[some] if own and batch.backgrounds is not None else batch.backgrounds
@@ -187,8 +220,8 @@ def _profiles(
     images, grounds = jax.device_put((batch.frames, batch.backgrounds))
     half, farthest = half_window(sigma), _FARTHEST * sigma
     window = some[:, None] + np.arange(-half, half + 1)
-    within = (window >= 0) & (window < len(batch.steps))
-    frame = jnp.asarray(window.clip(0, len(batch.steps) - 1), jnp.int32)
+    within = (window >= 0) & (window < len(batch.positions))
+    frame = jnp.asarray(window.clip(0, len(batch.positions) - 1), jnp.int32)
     begin = jnp.full(stripe.valid.shape, -half, jnp.int32)
     group = jnp.broadcast_to(jnp.arange(len(some), dtype=jnp.int32)[:, None], stripe.valid.shape)
 
@@ -215,13 +248,13 @@ def _profiles(
     valid = stripe.valid & seen.whole & (jnp.abs(seen.position) < farthest) & (seen.strength > least)
     valid &= (u >= -0.5) & (u <= columns - 0.5) & (v >= -0.5) & (v <= rows - 0.5)
     valid &= jnp.asarray(within.all(axis=1))[:, None]
-    points, pixels_per_frame = _points(geometry, u, v, jnp.asarray(batch.steps[some], jnp.float32), seen.position)
+    points, pixels_per_frame = _points(geometry, frames_at(batch.positions[some]), u, v, seen.position)
     return Profiles(
         np.asarray(jnp.where(valid, geometry.across(u, v), jnp.nan)),
         np.asarray(jnp.where(valid, seen.sigma * pixels_per_frame, jnp.nan)),
         np.asarray(seen.strength / scale),
         np.asarray(jnp.where(valid[..., None], points, jnp.nan)),
-        batch.steps[some],
+        batch.positions[some],
     )
 
 
@@ -240,9 +273,8 @@ def _believed(seen: Measured, farthest: float) -> Lines:
 @jax.jit
 def carried(geometry: Geometry, u: Lines, v: Lines, frames: Lines | Float[Array, ""]) -> tuple[Lines, Lines]:
     """q(m): where what crosses the sheet at pixel (u, v) is seen so many frames later."""
-    point = _on_sheet(geometry, u, v)
-    moved = point + jnp.broadcast_to(frames, u.shape)[..., None] * geometry.per_frame[None, None]
-    q = jax.vmap(jax.vmap(geometry.camera.project))(moved)
+    R, t = geometry.later(jnp.broadcast_to(frames, u.shape))
+    q = jax.vmap(jax.vmap(geometry.camera.project))((R @ _on_sheet(geometry, u, v)[..., None])[..., 0] + t)
     return q[..., 0], q[..., 1]
 
 
@@ -251,34 +283,38 @@ def _track(
     geometry: Geometry, u: Lines, v: Lines, half: int
 ) -> tuple[Float[Array, "frames window lines"], Float[Array, "frames window lines"]]:
     """The track through each pixel, for so many frames to either side."""
-    carry = jnp.arange(-half, half + 1)[:, None] * geometry.per_frame[None]
-    moved = _on_sheet(geometry, u, v)[:, None] + carry[None, :, None]
+    R, t = geometry.later(jnp.arange(-half, half + 1, dtype=jnp.float32))
+    moved = jnp.einsum("wij,flj->fwli", R, _on_sheet(geometry, u, v)) + t[None, :, None]
     q = jax.vmap(jax.vmap(jax.vmap(geometry.camera.project)))(moved)
     return q[..., 0], q[..., 1]
 
 
 def _on_sheet(geometry: Geometry, u: Lines, v: Lines) -> Float[Array, "frames lines 3"]:
     """X(q), mm, camera frame."""
-    zero = jnp.zeros(u.size, jnp.float32)
-    return triangulate(geometry.kernel, u.ravel(), v.ravel(), zero).reshape(*u.shape, 3)
+    still = FramePoses(jnp.tile(jnp.eye(3, dtype=u.dtype), (len(u), 1, 1)), jnp.zeros((len(u), 3), u.dtype))
+    return triangulate(geometry.kernel, still, u, v)
 
 
 @jax.jit
 def _points(
-    geometry: Geometry, u: Lines, v: Lines, steps: Float[Array, "frames"], after: Lines
+    geometry: Geometry, frames: FramePoses, u: Lines, v: Lines, after: Lines
 ) -> tuple[Float[Array, "frames lines 3"], Lines]:
     """Points of the object frame, and by how many pixels a stripe would be off for one frame.
 
     The light of a point P that is thought to pass dn frames later puts it on the same ray where that meets the sheet
-    later, (ω · p) / (ω · d) dn further along the ray's direction d; a stripe ds pixels off does so by d · ∂X / ∂s ds.
+    later, (g · p) / (g · d) dn further along the ray's direction d, with g the sheet's normal and p the way of P in a
+    frame; a stripe ds pixels off does so by d · ∂X / ∂s ds.
     """
-    motor = steps[:, None] + after * geometry.steps_per_frame
-    points = triangulate(geometry.kernel, u.ravel(), v.ravel(), motor.ravel()).reshape(*u.shape, 3)
     X, position = _on_sheet(geometry, u, v), geometry.across(u, v)
+    R, t = geometry.later(after)
+    at_frame = (R.swapaxes(-1, -2) @ (X - t)[..., None])[..., 0]
+    points = jnp.einsum("fij,flj->fli", frames.A, at_frame) + frames.b[:, None]
     ends = [(u, position + h) if geometry.columns else (position + h, v) for h in (-0.5, 0.5)]
     along = _on_sheet(geometry, *ends[1]) - _on_sheet(geometry, *ends[0])
     norm = jnp.linalg.norm(X, axis=-1)
-    omega = geometry.kernel.omega[0]
-    # ω · X = 1.
-    by_frame = jnp.abs((omega * geometry.per_frame).sum()) * norm
+    light = jax.tree.map(lambda leaf: leaf[0], geometry.kernel.light)
+    one = jnp.ones(())
+    (_, _), (dR, dt) = jax.jvp(geometry.later, (0 * one,), (one,))
+    way, g = X @ dR.T + dt[None, None], light.gradient(X)
+    by_frame = jnp.abs((g * way).sum(-1) / (g * X).sum(-1)) * norm
     return points, by_frame / jnp.abs((along * X).sum(-1) / norm)

@@ -3,7 +3,7 @@
 The points of a frame are the same whatever is looked at together with it, and memory is the same whatever the length.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
+from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, DETECTORS, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import common_size
@@ -30,10 +30,10 @@ from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
-from jaxscan.reconstruction.sigma_map import SigmaMap, point_sigmas
+from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import spacetime_profiles
-from jaxscan.reconstruction.triangulate import Kernel, triangulate
-from jaxscan.rig import Rig
+from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
+from jaxscan.rig import Positions, Rig
 
 # Why a line in which something is bright has no point, as programs are told.
 REASONS: Final = {
@@ -42,6 +42,9 @@ REASONS: Final = {
     Verdict.SECOND: "second_stripe",
     Verdict.WEAK: "too_weak",
 }
+# More full turns than these are a mistake; profiles further apart than this are not joined to a surface.
+_MOST_TURNS: Final = 5
+_WIDE_APART_DEG: Final = 10.0
 # Below this part of the points nothing is said of those that are left out.
 _WORTH_A_NOTE: Final = 0.02
 
@@ -66,7 +69,7 @@ class Scanner:
             reason of `REASONS`.
 
     Raises:
-        InputError: the depths are none.
+        InputError: the depths are none, or there is no such detector.
     """
 
     def __init__(
@@ -77,6 +80,8 @@ class Scanner:
         spacetime: bool = False,
         depths_mm: tuple[float, float] | None = None,
     ) -> None:
+        if detector not in DETECTORS:
+            raise InputError(f'there is no detector "{detector}": use one of {", ".join(DETECTORS)}')
         if depths_mm is not None:
             check_depths(depths_mm)
         self._content = rig if isinstance(rig, RigFile) else RigFile(rig)
@@ -104,10 +109,10 @@ class Scanner:
         with said_of(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
-        self.notes, self.left_out = [], {}
+        self.notes, self.left_out = _way_notes(self._content.rig, scan), {}
         verdicts, watch = np.zeros(len(Verdict), int), LightWatch()
         for image, counts in self._images(laser, scan, advance, watch):
-            frames += len(image.steps)
+            frames += len(image.valid)
             verdicts += counts
             seen += int(np.isfinite(image.pixels).sum())
             points += int(image.valid.sum())
@@ -132,7 +137,7 @@ class Scanner:
 
     def frames(
         self,
-        frames: Iterable[tuple[Image, int]],
+        frames: Iterable[tuple[Image, Positions | int]],
         laser: StripeSettings | None = None,
         background: Image | None = None,
         batch: int = 1,
@@ -140,7 +145,8 @@ class Scanner:
         """The points of photographs as they come, as from a camera that is scanning.
 
         Args:
-            frames: each photograph, (rows, columns) or (rows, columns, 3), and its motor step count.
+            frames: each photograph, (rows, columns) or (rows, columns, 3), and the positions of the axes by their
+                names, motor steps; or the step count of the stage.
             laser: which, and how its stripe is looked for; the default is one red laser, and a point for each column.
             background: the scene with the laser off.
             batch: how many photographs are waited for before they are looked at; the points do not depend on it.
@@ -149,20 +155,21 @@ class Scanner:
             InputError: a photograph is not of the rig's size, or unlike the first.
         """
         ready = self._laser(laser or StripeSettings())
-        for some in frames_of(frames, background, self._content.rig.camera.image_size, batch):
-            yield ready.range_image(some)[0]
+        named = ((image, q if isinstance(q, Mapping) else {STAGE: q}) for image, q in frames)
+        for some, axes in frames_of(named, background, self._content.rig.camera.image_size, batch):
+            yield ready.range_image(some, axes)[0]
 
     def _images(
         self, laser: "_Laser", scan: Scan, advance: Callable[[int], object], watch: LightWatch
     ) -> Iterator[Counted]:
         """Range images, and how many lines of each had which verdict."""
         photographs = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
-        several = scan.exposures_s is not None and len(set(scan.steps)) < len(scan.steps)
+        several = scan.exposures_s is not None and len(set(scan.positions)) < scan.listed
         if not (several or self._spacetime or self._choice == "coherent"):
             looked = False
             for some in photographs:
                 with said_of(scan.path):
-                    image, stripe = laser.range_image(some)
+                    image, stripe = laser.range_image(some, scan.axis_names)
                 watch.see(stripe)
                 if not looked and np.isfinite(image.pixels).any():
                     looked = True
@@ -172,13 +179,23 @@ class Scanner:
         steps = merged_steps(scan, _kept(photographs), FRAMES_AT_ONCE)
         if self._spacetime:
             passage = passage_of(self._content.rig, scan)
-            for found in spacetime_profiles(*passage, scan.laser, steps, self._detector, self._choice):
-                yield laser.with_sigma(*found), np.zeros(len(Verdict), int)
+            axes = scan.axis_names
+
+            def frames_at(positions: Int[np.ndarray, "frames axes"]) -> FramePoses:
+                q = dict(zip(axes, positions.T, strict=True))
+                return FramePoses.create(self._content.rig.motion, q, len(positions))
+
+            for found in spacetime_profiles(*passage, scan.laser, steps, self._detector, self._choice, frames_at):
+                q = dict(zip(axes, found.positions.T, strict=True))
+                image = laser.with_sigma(found.position, found.sigma, found.strength, found.points, q)
+                yield image, np.zeros(len(Verdict), int)
             return
         halo = HALO if self._choice == "coherent" else 0
         for some in overlapping(steps, halo, halo, FRAMES_AT_ONCE - 2 * halo):
             with said_of(scan.path):
-                image, stripe = laser.range_image(Frames(some.frames, some.backgrounds, some.steps))
+                image, stripe = laser.range_image(
+                    Frames(some.frames, some.backgrounds, some.positions), scan.axis_names
+                )
             stripe = stripe[some.inner]
             watch.see(stripe)
             yield image[some.inner, :], _counts(stripe)
@@ -212,11 +229,11 @@ class _Laser:
         )
         # What boards have shown the detector's own prediction to be short of.
         self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
-        self._per_step = None if rig.stage is None else np.array([float(c) for c in rig.stage.per_step])
+        self._rig = rig
 
-    def range_image(self, frames: Frames) -> Looked:
+    def range_image(self, frames: Frames, axes: Sequence[str]) -> Looked:
         """Find the stripe in some frames and triangulate it."""
-        count, size = len(frames.steps), len(frames.images)
+        count, size = len(frames.positions), len(frames.images)
         stripe = detect_stripe(
             frames.images,
             self._laser,
@@ -231,9 +248,12 @@ class _Laser:
             np.pad(x, ((0, size - count), (0, 0)), constant_values=np.nan)
             for x in (stripe.position, stripe.sigma, stripe.strength)
         )
-        steps = np.pad(frames.steps, (0, size - count))
-        points = _triangulated(self._kernel, position, steps.astype(np.float32), self._laser.columns)
-        found = self.with_sigma(position, sigma, strength, points, steps)[:count, :]
+        positions = np.pad(frames.positions, ((0, size - count), (0, 0)), mode="edge")
+        q = dict(zip(axes, positions.T, strict=True))
+        points = _triangulated(
+            self._kernel, FramePoses.create(self._rig.motion, q, size), position, self._laser.columns
+        )
+        found = self.with_sigma(position, sigma, strength, points, q)[:count, :]
         return replace(found, light=stripe.light), stripe
 
     def with_sigma(
@@ -242,16 +262,17 @@ class _Laser:
         stripe_sigma: Float[np.ndarray, "frames lines"],
         strength: Float[np.ndarray, "frames lines"],
         points: Float[np.ndarray, "frames lines 3"],
-        steps: Int[np.ndarray, "frames"],
+        q: dict[str, Int[np.ndarray, "frames"]],
     ) -> RangeImage:
         """Points with what is known of them."""
         valid: Bool[np.ndarray, "frames lines"] = np.all(np.isfinite(points), axis=-1)
         sigma = sigma_pixel = np.full(valid.shape, np.nan, np.float32)
         if self._map is not None:
-            own, count = self._ratio * stripe_sigma, steps.astype(np.float32)
-            sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, position, points, count, own))
+            own, moved = self._ratio * stripe_sigma, MovedFrames.create(self._rig, q, len(position))
+            sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, moved, position, points, own))
         points = np.where(valid[..., None], points, np.float32(np.nan))
-        return RangeImage(points, position, strength, sigma, sigma_pixel, valid, steps, self._per_step)
+        sheet = self._rig.light(self._laser.name)
+        return RangeImage(points, position, strength, sigma, sigma_pixel, valid, q, self._rig.motion, sheet)
 
 
 def _counts(stripe: Stripe) -> Int[np.ndarray, "verdicts"]:
@@ -290,23 +311,21 @@ def _left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[floa
 def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterator[Frames]:
     for some in frames:
         yield some
-        advance(len(some.steps))
+        advance(len(some.positions))
 
 
 def _kept(frames: Iterable[Frames]) -> Iterator[Batch]:
     """The frames alone, in memory of their own: the ring's buffers are used again."""
     for some in frames:
-        n, dark = len(some.steps), some.backgrounds
-        yield np.array(some.images[:n]), dark if dark is None or len(dark) == 1 else np.array(dark[:n]), some.steps
+        n, dark = len(some.positions), some.backgrounds
+        yield np.array(some.images[:n]), dark if dark is None or len(dark) == 1 else np.array(dark[:n]), some.positions
 
 
 def _triangulated(
-    kernel: Kernel, position: Float[np.ndarray, "frames lines"], steps: Float[np.ndarray, "frames"], columns: bool
+    kernel: Kernel, frames: FramePoses, position: Float[np.ndarray, "frames lines"], columns: bool
 ) -> Float[np.ndarray, "frames lines 3"]:
     u, v = _u_and_v(position, columns)
-    count = np.broadcast_to(steps[:, None], position.shape)
-    points = triangulate(kernel, *(jnp.asarray(x.ravel()) for x in (u, v, count)))
-    return np.asarray(points).reshape(*position.shape, 3)
+    return np.asarray(triangulate(kernel, frames, jnp.asarray(u), jnp.asarray(v)))
 
 
 def _u_and_v(
@@ -322,15 +341,44 @@ def _check(rig: Rig, scan: Scan) -> None:
         size = common_size(photographs)
         if size != rig.camera.image_size:
             raise InputError(wrong_size(photographs[0], size, rig.camera.image_size))
-    others = {name for name, rule in scan.rules.items() if rule.per_frame}
-    others |= {name for name, positions in scan.axes.items() if len(set(positions)) > 1}
-    if others := sorted(others - {STAGE}):
-        raise InputError(
-            f"{scan.path}: [scan.axes] {others[0]} moves between frames, but points are carried back along the "
-            f"{STAGE} alone: scan one side at a time, with the other axes at rest"
-        )
-    if rig.stage is None and (scan.steps_per_frame or len(set(scan.steps)) > 1):
-        raise InputError(
-            f"{scan.path}: the stage moves between frames, but the rig has no stage: calibrate with a [stage] sequence"
-        )
+    axes = rig.axes()
+    for axis in scan.moving:
+        if axis not in axes:
+            has = f"it has {', '.join(axes)}" if axes else "it has none"
+            raise InputError(
+                f"{scan.path}: the {axis} moves between frames, but the rig has no such axis, {has}: calibrate with a "
+                f"[{axis}] sequence, or name the axis as the rig does"
+            )
     step_groups(scan)
+
+
+def _way_notes(rig: Rig, scan: Scan) -> list[str]:
+    """What is said of how far each axis goes.
+
+    Raises:
+        InputError: an axis turns so far that its steps must be those of another.
+    """
+    notes = []
+    for axis in scan.moving:
+        each = np.asarray(scan.axes.get(axis, ()), np.float64)
+        if len(each) < 2:
+            continue
+        whole, unit = rig.axis(axis).amount(float(np.ptp(each)))
+        apart, _ = rig.axis(axis).amount(float(np.abs(np.diff(each)).max()))
+        if unit != "degrees":
+            continue
+        if whole > _MOST_TURNS * 360:
+            raise InputError(
+                f"{scan.path}: [scan] the {axis} turns by {whole:.0f} degrees, {whole / 360:.1f} full turns: are these "
+                f"the steps of another axis? A full turn is {360 / rig.axis(axis).amount(1.0)[0]:.0f} steps"
+            )
+        if whole > 360 + apart:
+            notes.append(
+                f"the {axis} turns by {whole:.0f} degrees, more than one full turn: what was seen twice stands twice"
+            )
+        if apart > _WIDE_APART_DEG:
+            notes.append(
+                f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other make "
+                f"points, and no surface; take at least {int(np.ceil(whole / _WIDE_APART_DEG))} frames"
+            )
+    return notes

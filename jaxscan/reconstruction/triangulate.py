@@ -1,11 +1,14 @@
-"""The triangulation kernel: (u, v, step) → point, as one fused pass over millions of stripe points.
+"""The triangulation kernel: stripe pixels of some frames → points of the object frame, as one fused pass over millions.
 
-With x the undistorted ray of pixel (u, v), ω the light plane and t = −per_step the point of the object frame is
+With x the undistorted ray of pixel (u, v), i(x) the inverse depth at which it meets the light and x ↦ A x + b the
+motion from the camera's frame to the object's while the frame was taken, the point is
 
-    X_j = (a_j · x) / (ω · x) + t_j n,   a_j the unit vector of coordinate j.
+    X_j = (a_j · x) / i(x) + b_j,   a_j the rows of A.
 
-Written so, with the coefficients as arguments, XLA makes one loop of it that reads u, v and n once and writes the
-(points, 3) output once. The inverse of the lens is a polynomial there (`lens_inverse`) and costs no iteration.
+Written so, with the coefficients as arguments and a copy of the light for each coordinate, XLA makes one loop of it
+that reads u and v once and writes the points once, whatever the light and the motion are. A number that all three
+coordinates share would be a pass of its own. The inverse of the lens is a polynomial there (`lens_inverse`) and costs
+no iteration.
 """
 
 from functools import partial
@@ -16,80 +19,104 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscan.precision import float64
 from jaxscan.reconstruction.lens_inverse import LensInverse, lens_inverse
-from jaxscan.rig import Rig
+from jaxscan.rig import Light, Motion, Positions, Rig
+from jaxscan.rig.light import nameless
 
 
 class Kernel(eqx.Module):
-    """A rig made ready for triangulation: arrays alone, so that another rig of the same lens does not compile anew.
+    """Camera and light made ready: arrays alone, so that another rig of the same kinds does not compile anew.
 
     Attributes:
         principal: u₀, v₀, pixels.
         inverse_focal: 1 / f_u, 1 / f_v.
         lens: the inverse of the lens; pixels beyond its reach give NaN.
-        axes: the unit vectors a_j in rows.
-        omega: the light plane, 1/mm, for each coordinate: to divide all three by one number is a pass of its own.
-        back: −per_step of the stage, mm.
+        light: with each of its numbers three times, once for each coordinate.
     """
 
     principal: Float[Array, "2"]
     inverse_focal: Float[Array, "2"]
     lens: LensInverse
-    axes: Float[Array, "3 3"]
-    omega: Float[Array, "3 3"]
-    back: Float[Array, "3"]
+    light: Light
 
     @staticmethod
-    def create(rig: Rig, laser: str = "", dtype: str = "float32") -> "Kernel":
-        """The kernel of one laser of a rig.
+    def create(rig: Rig, light: str = "", dtype: str = "float32") -> "Kernel":
+        """The kernel of one light of a rig.
 
         Raises:
-            InputError: the rig has no such laser, or the inverse of its lens is no smooth function over the image.
+            InputError: the rig has no such light, or the inverse of its lens is no smooth function over the image.
         """
-        camera, plane = rig.camera, rig.laser(laser)
-        back = np.zeros(3) if rig.stage is None else -np.stack(rig.stage.per_step)
+        camera = rig.camera
         arrays = (
             np.stack(camera.principal),
             1 / np.stack(camera.focal),
             lens_inverse(camera),
-            np.eye(3),
-            np.tile(np.stack(plane.plane), (3, 1)),
-            back,
+            jax.tree.map(lambda leaf: np.tile(np.asarray(leaf), 3), nameless(rig.light(light))),
         )
         return Kernel(*jax.tree.map(lambda array: jnp.asarray(array, dtype), arrays))
 
-    def point(self, u: Float[Array, ""], v: Float[Array, ""], steps: Float[Array, ""]) -> Float[Array, "3"]:
-        """One stripe pixel at a motor step count to its point (mm, object frame); NaN where it sees no sheet."""
+    def point(
+        self, u: Float[Array, ""], v: Float[Array, ""], A: Float[Array, "3 3"], b: Float[Array, "3"]
+    ) -> Float[Array, "3"]:
+        """One stripe pixel to its point (mm, object frame); NaN where it sees no sheet."""
         xd = (u - self.principal[0]) * self.inverse_focal[0]
         yd = (v - self.principal[1]) * self.inverse_focal[1]
         x, y = self.lens(xd, yd)
-        # In brackets, each term is one instruction with the next.
-        inverse_depth = self.omega[:, 0] * x + (self.omega[:, 1] * y + self.omega[:, 2])
-        point = (self.axes[:, 0] * x + (self.axes[:, 1] * y + self.axes[:, 2])) / inverse_depth + self.back * steps
-        # One comparison, NaN beyond the lens: a loop over the conjunction of two is not vectorised, and takes seven
-        # times as long.
-        return jnp.where(inverse_depth > 0, point, jnp.nan)
+        ray = jnp.stack([x, y, jnp.ones_like(x)])
+
+        def coordinate(light: Light, a: Float[Array, "3"], b: Float[Array, ""]) -> Float[Array, ""]:
+            inverse_depth = light.inverse_depth(ray)
+            # In brackets, each term is one instruction with the next.
+            found = (a[0] * ray[0] + (a[1] * ray[1] + a[2])) / inverse_depth + b
+            # One comparison, NaN beyond the lens: a loop over the conjunction of two is not vectorised, and takes seven
+            # times as long.
+            return jnp.where(inverse_depth > 0, found, jnp.nan)
+
+        return jax.vmap(coordinate)(self.light, A, b)
+
+
+class FramePoses(eqx.Module):
+    """From the camera's frame to the object's while each frame was taken: x ↦ A x + b.
+
+    Attributes:
+        A: rotation matrices.
+        b: mm.
+    """
+
+    A: Float[Array, "frames 3 3"]
+    b: Float[Array, "frames 3"]
+
+    @staticmethod
+    def create(motion: Motion, q: Positions, frames: int, dtype: str = "float32") -> "FramePoses":
+        """Of a motion at positions of its axes, one for each frame."""
+        with float64():
+            moved = motion.pose({axis: np.asarray(steps, np.float64) for axis, steps in q.items()}).inverse()
+            A, b = np.asarray(moved.matrix()), np.asarray(moved.translation)
+        A, b = np.broadcast_to(A, (frames, 3, 3)), np.broadcast_to(b, (frames, 3))
+        return FramePoses(jnp.asarray(A, dtype), jnp.asarray(b, dtype))
 
 
 @jax.jit
 def triangulate(
-    kernel: Kernel, u: Float[Array, "points"], v: Float[Array, "points"], steps: Float[Array, "points"]
-) -> Float[Array, "points 3"]:
+    kernel: Kernel, frames: FramePoses, u: Float[Array, "frames lines"], v: Float[Array, "frames lines"]
+) -> Float[Array, "frames lines 3"]:
     """Stripe pixels to points of the object frame (mm), in the kernel's precision."""
-    return jax.vmap(kernel.point)(u, v, steps)
+    of_frame = jax.vmap(kernel.point, in_axes=(0, 0, None, None))
+    return jax.vmap(of_frame)(u, v, frames.A, frames.b)
 
 
 @partial(jax.jit, donate_argnames="out", keep_unused=True)
 def triangulate_into(
-    out: Float[Array, "points 3"],
+    out: Float[Array, "frames lines 3"],
     kernel: Kernel,
-    u: Float[Array, "points"],
-    v: Float[Array, "points"],
-    steps: Float[Array, "points"],
-) -> Float[Array, "points 3"]:
+    frames: FramePoses,
+    u: Float[Array, "frames lines"],
+    v: Float[Array, "frames lines"],
+) -> Float[Array, "frames lines 3"]:
     """As `triangulate`, into the memory of `out`, an array that is used up.
 
     For millions of points at a time: memory that is asked for anew is fetched page by page, which takes longer than the
     points.
     """
-    return triangulate(kernel, u, v, steps)
+    return triangulate(kernel, frames, u, v)

@@ -8,14 +8,16 @@ If a part of the rig (camera, light plane) were known exactly, the rest would ha
 Σ_rr − Σ_rk Σ_kk⁻¹ Σ_kr; how much σ would fall says what limits it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.calibration import Calibration
+from jaxscan.calibration import Calibration, Observations
 from jaxscan.reconstruction.point_sigma import jacobian_along, sigma_of
 from jaxscan.rig import Camera, Covariance, Rig
+from jaxscan.rig.light import section
 from jaxscan.rig.projection import project_points, within_fold
 
 _DEPTHS, _POSITIONS = 25, 41
@@ -33,7 +35,7 @@ class WorkingVolume:
         sigma_mm: of a point along its ray, rig and pixel together.
         pixel_mm: the pixel's part.
         if_known_mm: for "camera" and "light plane" the median σ of a point if that part were known exactly.
-        travelled_mm: median σ after the longest travel of the calibration, along the ray too; None without a stage.
+        travelled_mm: median σ after the longest travel of the calibration, along the ray too; None where nothing moves.
     """
 
     laser: str
@@ -64,16 +66,16 @@ class WorkingVolume:
 def working_volumes(calibration: Calibration) -> tuple[WorkingVolume, ...]:
     """σ over the sheet of each laser that was seen on a board, between its nearest and farthest stripe point."""
     observations, rig = calibration.observations, calibration.rig
-    steps = max((float(np.abs(stage.steps).max()) for stage in observations.stages), default=0.0)
     volumes = []
-    for i, laser in enumerate(rig.lasers):
+    for i, laser in enumerate(rig.lights):
         points = calibration.stripe_points(i)
         if not len(points):
             continue
-        columns = next(s.columns for view in observations.views for s in view.stripes if s.laser == i)
+        columns = next(s.columns for view in observations.photographs() for s in view.stripes if s.laser == i)
         depths = float(points[:, 2].min()), float(points[:, 2].max())
         sigma = calibration.stripe_sigma_px or 0.0
-        volumes.append(working_volume(rig, laser.name, calibration.covariance, sigma, columns, depths, steps))
+        farthest = _farthest(observations)
+        volumes.append(working_volume(rig, laser.name, calibration.covariance, sigma, columns, depths, farthest))
     return tuple(volume for volume in volumes if volume is not None)
 
 
@@ -84,7 +86,7 @@ def working_volume(
     stripe_sigma_px: float,
     columns: bool,
     depths_mm: tuple[float, float],
-    steps: float = 0.0,
+    farthest: Mapping[str, float] | None = None,
 ) -> WorkingVolume | None:
     """σ over the sheet of a laser; None where the camera sees none of it.
 
@@ -95,34 +97,35 @@ def working_volume(
         stripe_sigma_px: σ of the stripe's position.
         columns: whether v is measured, or u.
         depths_mm: the nearest and the farthest stripe point.
-        steps: motor steps of the longest travel, for `travelled_mm`.
+        farthest: positions of the axes at the end of the longest travel, for `travelled_mm`.
     """
-    omega = np.stack(rig.laser(laser).plane).astype(np.float64)
+    light = rig.light(laser)
     depths = np.linspace(*depths_mm, _DEPTHS)
     # Wide enough for the image's diagonal at the largest depth; what the camera does not see is left out below.
     reach = 0.6 * np.hypot(*rig.camera.image_size) * depths[-1] / float(min(rig.camera.focal))
     positions = np.linspace(-reach, reach, 8 * _POSITIONS)
-    seen = _seen(rig.camera, _sheet(omega, depths, positions))
+    seen = _seen(rig.camera, section(light, depths, positions))
     if not seen.any():
         return None
     within = positions[seen.any(axis=0)]
     positions = np.linspace(within[0], within[-1], _POSITIONS)
-    sheet = _sheet(omega, depths, positions)
+    sheet = section(light, depths, positions)
     seen = _seen(rig.camera, sheet)
     rays = (sheet / sheet[..., 2:]).reshape(-1, 3)
 
-    def sigma(covariance: Covariance, count: float) -> tuple[np.ndarray, np.ndarray]:
-        jacobian = jacobian_along(rig, laser, rays, np.full(seen.size, count), columns)
+    def sigma(covariance: Covariance, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        q = {axis: np.full(seen.size, steps) for axis, steps in at.items()}
+        jacobian = jacobian_along(rig, laser, rays, q, columns)
         parts = sigma_of(rig, covariance, stripe_sigma_px, *jacobian)
         total, pixel = (np.where(seen, part.reshape(seen.shape), np.nan) for part in parts)
         return total, pixel
 
-    total, pixel = sigma(covariance, 0.0)
+    total, pixel = sigma(covariance, {})
     known = {
-        words: float(np.nanmedian(sigma(given(covariance, stem), 0.0)[0]))
-        for words, stem in (("camera", "camera"), ("light plane", "laser"))
+        words: float(np.nanmedian(sigma(given(covariance, stem), {})[0]))
+        for words, stem in (("camera", "camera"), ("light plane", "lights"))
     }
-    travelled = float(np.nanmedian(sigma(covariance, steps)[0])) if rig.stage is not None else None
+    travelled = float(np.nanmedian(sigma(covariance, farthest)[0])) if farthest else None
     return WorkingVolume(laser, columns, depths, positions, total, pixel, known, travelled)
 
 
@@ -140,19 +143,16 @@ def given(covariance: Covariance, stem: str) -> Covariance:
 
 def volume_rays(rig: Rig, volume: WorkingVolume) -> Float[np.ndarray, "points 3"]:
     """The rays (x, y, 1) of those points of a working volume that the camera sees."""
-    omega = np.stack(rig.laser(volume.laser).plane).astype(np.float64)
-    sheet = _sheet(omega, volume.depths_mm, volume.positions_mm)
+    sheet = section(rig.light(volume.laser), volume.depths_mm, volume.positions_mm)
     return (sheet / sheet[..., 2:])[_seen(rig.camera, sheet)]
 
 
-def _sheet(
-    omega: Float[np.ndarray, "3"], depths: Float[np.ndarray, "depths"], positions: Float[np.ndarray, "positions"]
-) -> Float[np.ndarray, "depths positions 3"]:
-    """The points of the sheet at each depth and position, camera frame, mm."""
-    along = np.cross(omega, [0.0, 0.0, 1.0])
-    along /= np.linalg.norm(along)
-    aside = omega[:2] * ((1 - omega[2] * depths) / (omega[:2] @ omega[:2]))[:, None]
-    return np.concatenate([aside, depths[:, None]], axis=1)[:, None] + positions[:, None] * along
+def _farthest(observations: Observations) -> dict[str, float]:
+    """The positions farthest from 0 at which the board was photographed, axis by axis."""
+    farthest: dict[str, float] = {}
+    for sequence in observations.sequences:
+        farthest[sequence.axis] = max(farthest.get(sequence.axis, 0.0), float(np.abs(sequence.steps).max()))
+    return farthest
 
 
 def _seen(camera: Camera, X: Float[np.ndarray, "depths positions 3"]) -> Bool[np.ndarray, "depths positions"]:

@@ -1,11 +1,35 @@
-"""The rig as one pytree: camera, light planes, stage, turntable, and the poses that calibration refines with them."""
+"""The rig as one pytree: camera, lights, motion, and the poses that calibration refines with them."""
 
 from jaxscan.rig.camera import LENSES, Camera
 from jaxscan.rig.covariance import Covariance
+from jaxscan.rig.kinds import LIGHTS, MOTIONS, register_light, register_motion
+from jaxscan.rig.light import Light
 from jaxscan.rig.light_plane import LightPlane
+from jaxscan.rig.linear import Linear
+from jaxscan.rig.motion import AxisMotion, Chain, Fixed, Motion, Positions, motion_of
 from jaxscan.rig.rig import Rig
-from jaxscan.rig.stage import Stage
+from jaxscan.rig.rotary import Rotary
 from jaxscan.rig.system import BoardWarp, System
-from jaxscan.rig.turntable import Turntable
 
-__all__ = ["LENSES", "BoardWarp", "Camera", "Covariance", "LightPlane", "Rig", "Stage", "System", "Turntable"]
+__all__ = [
+    "LENSES",
+    "LIGHTS",
+    "MOTIONS",
+    "AxisMotion",
+    "BoardWarp",
+    "Camera",
+    "Chain",
+    "Covariance",
+    "Fixed",
+    "Light",
+    "LightPlane",
+    "Linear",
+    "Motion",
+    "Positions",
+    "Rig",
+    "Rotary",
+    "System",
+    "motion_of",
+    "register_light",
+    "register_motion",
+]

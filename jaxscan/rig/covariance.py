@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Float64
+from jaxtyping import Array, Float, Float64
 
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig.projection import project_points
@@ -63,29 +63,6 @@ class Covariance:
         """The covariance of the pixels (u, v) at which the rig's camera sees points of its frame (mm), px²."""
         J = projection_jacobian(rig, points)
         return J @ self.of_leaves(rig) @ np.swapaxes(J, 1, 2)
-
-
-def with_nearest_centre(
-    matrix: Float64[np.ndarray, "*blocks n n"], rig: Rig, free: Bool[Array | np.ndarray, "shared"]
-) -> Float64[np.ndarray, "*blocks n n"]:
-    """The covariance of a rig's leaves, and of what follows them, once its turntable's centre is `nearest`.
-
-    Args:
-        matrix: in which what is not free, a coordinate of that centre among it, stands with any numbers.
-        rig: where it was found.
-        free: which shared parameters were refined, in their order.
-    """
-    if rig.turntable is None:
-        return matrix
-    J = np.diag(np.pad(np.asarray(free, float), (0, matrix.shape[-1] - len(free)), constant_values=1.0))
-    at = turntable_leaves(rig)
-    J[np.ix_(at, at)] = rig.turntable.nearest_jacobian() @ J[np.ix_(at, at)]
-    return J @ matrix @ J.T
-
-
-def turntable_leaves(rig: Rig) -> list[int]:
-    """Where the turntable's numbers stand among a rig's leaves."""
-    return [i for i, name in enumerate(parameter_names(rig)) if name.startswith("turntable.")]
 
 
 def projection_jacobian(rig: Rig, points: Float[np.ndarray, "points 3"]) -> Float64[np.ndarray, "points 2 leaves"]:

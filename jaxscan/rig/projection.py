@@ -14,12 +14,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Float64
 
-from jaxscan.precision import as_float64, float64
+from jaxscan.precision import AT_ONCE, as_float64, batches_of, float64
 from jaxscan.rig.camera import LENSES, Camera, camera_parameters
 
 # The lens that every other one is a part of.
 RICHEST: Final = "rational"
-_AT_ONCE: Final = 1024
 # A whole image's rays come in larger ones.
 _MANY: Final = 8192
 # A ray is followed outwards from the axis in so many steps: where the lens folds on its way no pixel is its own.
@@ -76,10 +75,10 @@ def project_points(camera: Camera, points: Float[np.ndarray, "points 3"], *, ric
 def pixel_rays(camera: Camera, pixels: Float[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 3"]:
     """The rays (x, y, 1) of pixels; NaN outside the lens's invertible range, and for a pixel that is NaN."""
     flat = pixels.reshape(-1, 2)
-    size = _AT_ONCE if len(flat) < _MANY else _MANY
+    size = AT_ONCE if len(flat) < _MANY else _MANY
     with float64():
         exact = as_float64(camera)
-        batches = [np.asarray(_rays(exact, jnp.asarray(batch))) for batch in _batches(flat, size)]
+        batches = [np.asarray(_rays(exact, batch)) for batch in batches_of(flat, size)]
     return np.concatenate(batches)[: len(flat)].reshape(*pixels.shape[:-1], 3)
 
 
@@ -99,16 +98,9 @@ def _by_ray(
 ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 2"], Float[np.ndarray, "points 2 leaves"]]:
     with float64():
         richest = as_float64(with_richest_lens(camera))
-        parts = [[np.asarray(part) for part in _pixels(richest, jnp.asarray(batch))] for batch in _batches(x, _AT_ONCE)]
+        parts = [[np.asarray(part) for part in _pixels(richest, batch)] for batch in batches_of(x)]
     pixels, by_ray, by_camera = (np.concatenate(part)[: len(x)] for part in zip(*parts, strict=True))
     return pixels, by_ray, by_camera
-
-
-def _batches(x: Float[np.ndarray, "points 2"], size: int) -> Float64[np.ndarray, "batches size 2"]:
-    """Padded with zeros to batches of one size, at least one."""
-    padded = np.zeros((max(-(-len(x) // size), 1) * size, 2))
-    padded[: len(x)] = x
-    return padded.reshape(-1, size, 2)
 
 
 @eqx.filter_jit

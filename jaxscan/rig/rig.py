@@ -2,66 +2,169 @@
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Float64
 
 from jaxscan.errors import InputError
-from jaxscan.precision import Leaf
+from jaxscan.geometry import Pose
+from jaxscan.precision import as_float64, float64
 from jaxscan.rig.camera import Camera
-from jaxscan.rig.light_plane import LightPlane
-from jaxscan.rig.stage import Stage
-from jaxscan.rig.turntable import Turntable
+from jaxscan.rig.light import Light, meet
+from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
 
 
 class Rig(eqx.Module):
-    """A camera, its lasers, the stage and the turntable.
+    """A camera, its lights, and what carries the object.
 
     Attributes:
         camera: the camera.
-        lasers: the light planes; none for a rig calibrated without a laser, several for several lasers.
-        stage: the stage, or None for a rig without one.
-        turntable: what turns the object between scans, or None.
+        lights: the sheets; none for a rig calibrated without a laser, several for several lasers.
+        motion: of the object, by the positions of the axes.
     """
 
     camera: Camera
-    lasers: tuple[LightPlane, ...] = ()
-    stage: Stage | None = None
-    turntable: Turntable | None = None
+    lights: tuple[Light, ...] = ()
+    motion: Motion = Fixed()
 
-    def laser(self, name: str = "") -> LightPlane:
-        """The light plane of a laser; without a name, the only one.
+    def light(self, name: str = "") -> Light:
+        """The light of a laser; without a name, the only one.
 
         Raises:
             InputError: there is no such laser, or more than one and no name.
         """
-        if not self.lasers:
+        if not self.lights:
             raise InputError("the rig has no laser: calibrate it with photographs of the stripe on the board")
-        chosen = [laser for laser in self.lasers if laser.name == name] if name else list(self.lasers)
+        chosen = [light for light in self.lights if light.name == name] if name else list(self.lights)
         if len(chosen) != 1:
-            names = ", ".join(f'"{laser.name}"' for laser in self.lasers)
+            names = ", ".join(f'"{light.name}"' for light in self.lights)
             raise InputError(f'the rig has the lasers {names}; "{name}" names {len(chosen)} of them: name one')
         return chosen[0]
 
-    def triangulate(self, pixel: Float[Array, "2"], steps: float | Leaf, laser: str = "") -> Float[Array, "3"]:
-        """A stripe pixel (u, v) at a motor step count to the point of the object frame (mm).
+    def axes(self) -> dict[str, AxisMotion]:
+        """The motions of its axes by their names, from the room to the object."""
+        return {part.axis: part for part in self.motion.parts()}
 
-        X = x / (ω · x) − n · per_step. The plain statement of what `reconstruction` does at speed; NaN where the
-        pixel cannot see the sheet.
+    def axis(self, name: str) -> AxisMotion:
+        """The motion of one axis.
+
+        Raises:
+            InputError: there is no such axis.
         """
-        point = self.laser(laser).triangulate(self.camera.ray(pixel))
-        return point if self.stage is None else point - self.stage.displacement(steps)
+        axes = self.axes()
+        if name not in axes:
+            has = f"it has {', '.join(axes)}" if axes else "nothing of it moves"
+            raise InputError(f'the rig has no axis "{name}", {has}: calibrate with photographs of the board on it')
+        return axes[name]
+
+    def with_axis(self, part: AxisMotion) -> "Rig":
+        """The same with this motion in the place of its axis, or as the one that carries the object."""
+        axes = {**self.axes(), part.axis: part}
+        return Rig(self.camera, self.lights, motion_of(tuple(axes.values())))
+
+    def normal(self) -> "Rig":
+        """The same rig by the numbers that its file keeps."""
+        return Rig(self.camera, self.lights, normal_motion(self.motion))
+
+    def surplus(self) -> set[str]:
+        """Parameters to hold while the others are sought: of each idle way of the motion the one that it moves most."""
+        names = np.array(parameter_names(self))
+        return {str(names[np.argmax(np.abs(way))]) for way in idle_ways(self)}
+
+    def pose(self, q: Positions) -> Pose:
+        """T_camera_object at positions of the axes (motor steps); one that is not named stands at 0."""
+        return self.motion.pose(q)
+
+    def triangulate(self, pixel: Float[Array, "2"], q: Positions, light: str = "") -> Float[Array, "3"]:
+        """A stripe pixel (u, v) at positions of the axes to the point of the object frame (mm): M(q)⁻¹ (x z).
+
+        z is the depth at which the pixel's ray x meets the sheet. The plain statement of what `reconstruction` does at
+        speed; NaN where the pixel cannot see the sheet.
+        """
+        return self.pose(q).inverse().apply(meet(self.light(light), self.camera.ray(pixel)))
 
 
 def parameter_names(rig: Rig) -> list[str]:
-    """The names of the rig's leaves, in the order of its leaves: `camera.focal.0` … `stage.per_step.2`.
-
-    A laser of several is named in between: `laser.left.plane.0`.
-    """
+    """The names of the rig's leaves in their order: `camera.focal.0`, `lights.0.plane.2`, `motion.stage.per_step.1`."""
+    parts = rig.motion.parts()
 
     def name(path: tuple[jax.tree_util.KeyEntry, ...]) -> str:
         keys = [str(getattr(key, "name", getattr(key, "idx", ""))) for key in path]
-        if keys[0] == "lasers":
-            laser = rig.lasers[int(keys[1])].name
-            keys[:2] = ["laser", laser] if laser else ["laser"]
+        if keys[0] == "motion":
+            keys[1:-2] = [parts[int(keys[2])].axis if keys[1] == "links" else parts[0].axis]
         return ".".join(keys)
 
     return [name(path) for path, _ in jax.tree_util.tree_leaves_with_path(rig)]
+
+
+def is_place(name: str) -> bool:
+    """Whether a parameter says where an axis stands: a share of such a number means nothing."""
+    return ".centre." in f"{name}."
+
+
+def leaves_of(rig: Rig, stem: str) -> list[int]:
+    """Where the parameters whose names begin so stand among a rig's leaves."""
+    return [i for i, name in enumerate(parameter_names(rig)) if name.startswith(stem)]
+
+
+def idle_ways(rig: Rig) -> Float64[np.ndarray, "ways leaves"]:
+    """Ways of the leaves along which the rig stays the same."""
+    ways = []
+    for part in rig.motion.parts():
+        at = leaves_of(rig, f"motion.{part.axis}.")
+        for way in np.asarray(part.idle(), np.float64):
+            ways.append(np.zeros(len(parameter_names(rig))))
+            ways[-1][at] = way
+    return np.array(ways).reshape(-1, len(parameter_names(rig)))
+
+
+def normal_jacobian(rig: Rig) -> Float64[np.ndarray, "leaves leaves"]:
+    """How the leaves of `rig.normal()` move with those of the rig.
+
+    By whatever the surplus numbers were held to find their covariance Σ, J Σ Jᵀ is that of the normal ones
+    (W. Baarda's S-transformation, 1973).
+    """
+    J, at = np.eye(len(parameter_names(rig))), leaves_of(rig, "motion.")
+    if len(idle_ways(rig)):
+        J[np.ix_(at, at)] = motion_normal_jacobian(rig.motion)
+    return J
+
+
+def motion_normal_jacobian(motion: Motion) -> Float64[np.ndarray, "numbers numbers"]:
+    """How the numbers of the normal motion move with those of a motion."""
+    with float64():
+        return np.asarray(_normal_jacobian(as_float64(motion)))
+
+
+@jax.jit
+def _normal_jacobian(motion: Motion) -> Float[Array, "leaves leaves"]:
+    numbers, unravel = ravel_pytree(motion)
+    return jax.jacfwd(lambda numbers: ravel_pytree(normal_motion(unravel(numbers)))[0])(numbers)
+
+
+def held_jacobian(rig: Rig) -> Float64[np.ndarray, "leaves leaves"]:
+    """The way back: how the leaves move when the surplus ones are held."""
+    J = np.eye(len(parameter_names(rig)))
+    for way in idle_ways(rig):
+        k = int(np.argmax(np.abs(way)))
+        J[:, k] -= way / way[k]
+        J[k] = 0.0
+    return J
+
+
+def with_normal_numbers(
+    matrix: Float64[np.ndarray, "*blocks n n"], rig: Rig, free: Bool[Array | np.ndarray, "shared"]
+) -> Float64[np.ndarray, "*blocks n n"]:
+    """The covariance of a rig's leaves, and of what follows them, once the rig is `normal`.
+
+    Args:
+        matrix: in which what is not free stands with any numbers.
+        rig: where it was found.
+        free: which shared parameters were refined, in their order.
+    """
+    if not len(idle_ways(rig)):
+        return matrix
+    J = np.diag(np.pad(np.asarray(free, float), (0, matrix.shape[-1] - len(free)), constant_values=1.0))
+    n = len(parameter_names(rig))
+    J[:n, :n] = normal_jacobian(rig) @ J[:n, :n]
+    return J @ matrix @ J.T

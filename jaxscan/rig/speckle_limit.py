@@ -129,14 +129,14 @@ def speckle_limit(
     Raises:
         InputError: the rig has no laser.
     """
-    if not rig.lasers:
+    if not rig.lights:
         raise InputError("the rig has no laser: give the rig that the points were reconstructed with")
-    planes = [np.asarray([float(c) for c in laser.plane]) for laser in rig.lasers]
-    omega = min(planes, key=lambda plane: float(np.median(np.abs(points @ plane - 1))))
+    light = min(rig.lights, key=lambda light: float(np.median(np.abs(light.level(points)))))
+    normal = np.asarray(light.gradient(points))
     distance = np.linalg.norm(points, axis=1)
     focal_mm = float(np.mean([float(f) for f in rig.camera.focal])) * optics.pixel_um / 1000
     radius = focal_mm / optics.f_number / 2
-    sin_theta = np.abs(points @ omega) / (distance * np.linalg.norm(omega))
+    sin_theta = np.abs((points * normal).sum(axis=1)) / (distance * np.linalg.norm(normal, axis=1))
     return uncertainty(contrast, optics.wavelength_nm * 1e-6, radius / np.hypot(radius, distance), sin_theta)
 
 

@@ -1,12 +1,13 @@
 """The system: the rig together with everything else that its calibration has to find."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscan.geometry import Pose
 from jaxscan.precision import Leaf
-from jaxscan.rig.rig import Rig
+from jaxscan.rig.rig import Rig, parameter_names
 
 
 class BoardWarp(eqx.Module):
@@ -23,36 +24,45 @@ class BoardWarp(eqx.Module):
     x: Leaf
     y: Leaf
 
-    def height(self, relative: Float[Array, "2"]) -> Float[Array, ""]:
+    def height(self, relative: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
         """Z at relative board coordinates (mm)."""
         bulge = 4 * relative * (1 - relative)
-        return jnp.stack([self.x, self.y]) @ bulge
-
-
-def warp_names(warp: BoardWarp | None) -> tuple[str, ...]:
-    """The names of a warp's leaves, in their order; none without one."""
-    return () if warp is None else ("warp.x", "warp.y")
+        return bulge @ jnp.stack([self.x, self.y])
 
 
 class System(eqx.Module):
     """What the joint solve refines, all of it.
 
     Attributes:
-        rig: camera, lasers, stage: shared by all photographs.
-        boards: T_cam_board of each view, stacked (views, 3).
-        stages: T_cam_board of each sequence on stage or turntable with both at motor step 0, stacked (sequences, 3).
-        warp: the board's shape, or None for a flat one.
+        rig: camera, lights, motion: shared by all photographs.
+        poses: for each group of blocks (blocks, 6), rotation vector and translation: T_cam_board of each view; then of
+            each board that was moved by an axis, at its positions of reference; then of each gauge, T_object_gauge.
+        warp: the board's shape, shared as well, or None for a flat one.
     """
 
     rig: Rig
-    boards: Pose
-    stages: Pose
+    poses: tuple[Float[Array, "_ _"], ...]
     warp: BoardWarp | None = None
 
-    def stage_board(self, sequence: int, steps: Leaf, turns: Leaf | None = None) -> Pose:
-        """T_cam_board of a sequence: turned by the turntable's step count, if any, then moved by n · per_step."""
-        board = Pose(self.stages.rotation[sequence], self.stages.translation[sequence])
-        if turns is not None and self.rig.turntable is not None:
-            board = self.rig.turntable.turned(turns) @ board
-        moved = jnp.zeros(3) if self.rig.stage is None else self.rig.stage.displacement(steps)
-        return Pose(board.rotation, board.translation + moved)
+    @property
+    def shared(self) -> tuple[Rig, BoardWarp | None]:
+        """What all residuals depend on, in the order of its leaves."""
+        return self.rig, self.warp
+
+    @property
+    def boards(self) -> Pose:
+        """T_cam_board of each view, stacked (views, 3)."""
+        return Pose.from_vector(self.poses[0])
+
+    @property
+    def moved(self) -> Pose:
+        """T_cam_board of each board that an axis moved, stacked; of a finished calibration with all axes at 0."""
+        return Pose.from_vector(self.poses[1] if len(self.poses) > 1 else jnp.zeros((0, 6)))
+
+    def shared_names(self) -> list[str]:
+        """The names of what is shared, in the order of its leaves."""
+        return [*parameter_names(self.rig), *(("warp.x", "warp.y") if self.warp is not None else ())]
+
+    def values(self) -> list[float]:
+        """Of what is shared."""
+        return [float(leaf) for leaf in jax.tree.leaves(self.shared)]

@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.rig.covariance import Covariance
-from jaxscan.rig.rig import Rig
-from jaxscan.rig.turntable import Turntable
+from jaxscan.rig.rotary import Rotary
 
 
 @dataclass(frozen=True)
@@ -15,7 +14,7 @@ class TurnFacts:
     """A turntable in a person's numbers. A σ is None where there is no covariance.
 
     Attributes:
-        axis: its direction, a unit vector; turned about it by the right hand's rule as the step count rises.
+        axis_direction: of the axis, a unit vector; turned about it by the right hand's rule as the step count rises.
         axis_sigma_deg: σ of that direction, in the direction in which it is largest.
         degrees_per_step: the angle of one motor step.
         degrees_per_step_sigma: its σ.
@@ -25,7 +24,7 @@ class TurnFacts:
         way: how what stands on it goes as the step count rises, as the camera sees it, in words.
     """
 
-    axis: tuple[float, ...]
+    axis_direction: tuple[float, ...]
     axis_sigma_deg: float | None
     degrees_per_step: float
     degrees_per_step_sigma: float | None
@@ -35,7 +34,7 @@ class TurnFacts:
     way: str
 
 
-def turn_facts(turntable: Turntable, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> TurnFacts:
+def turn_facts(turntable: Rotary, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> TurnFacts:
     """What is said of a turntable.
 
     At c + s u, u the unit axis, the axis stands off by P (δc + s δu) with P = I − u uᵀ.
@@ -47,7 +46,7 @@ def turn_facts(turntable: Turntable, covariance: Covariance | None, near: Float[
     """
     w, c = (np.array([float(x) for x in part]) for part in (turntable.per_step, turntable.centre))
     angle = float(np.linalg.norm(w))
-    u, known = w / angle, _known(covariance)
+    u, known = w / angle, _known(turntable.axis, covariance)
     s = float(u @ (near - c))
     sigmas: list[float | None] = [None] * 3
     if known is not None:
@@ -61,7 +60,7 @@ def turn_facts(turntable: Turntable, covariance: Covariance | None, near: Float[
             float(np.sqrt(np.linalg.eigvalsh(of_place)[-1])),
         ]
     return TurnFacts(
-        axis=tuple(u.tolist()),
+        axis_direction=tuple(u.tolist()),
         axis_sigma_deg=sigmas[0],
         degrees_per_step=float(np.degrees(angle)),
         degrees_per_step_sigma=sigmas[1],
@@ -72,18 +71,9 @@ def turn_facts(turntable: Turntable, covariance: Covariance | None, near: Float[
     )
 
 
-def rig_turn_facts(rig: Rig, covariance: Covariance | None) -> TurnFacts | None:
-    """What is said of a rig's turntable; None for a rig without one. Things are scanned in the middle of the view."""
-    if rig.turntable is None:
-        return None
-    inverse_depths = [float(laser.plane[2]) for laser in rig.lasers]
-    near = np.array([0.0, 0.0, max((1 / x for x in inverse_depths if x > 0), default=0.0)])
-    return turn_facts(rig.turntable, covariance, near)
-
-
-def _known(covariance: Covariance | None) -> Float[np.ndarray, "6 6"] | None:
+def _known(axis: str, covariance: Covariance | None) -> Float[np.ndarray, "6 6"] | None:
     """The covariance of the six numbers, where it is known."""
-    names = [f"turntable.{part}.{i}" for part in ("per_step", "centre") for i in range(3)]
+    names = [f"motion.{axis}.{part}.{i}" for part in ("per_step", "centre") for i in range(3)]
     if covariance is None or not set(names) <= set(covariance.names):
         return None
     at = [covariance.names.index(name) for name in names]

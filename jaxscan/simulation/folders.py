@@ -6,13 +6,14 @@ The truth is three kinds of files:
 - `session.json`: `seed`; `boards`, T_cam_board of every view, and `stage`, that of the board on the stage at step 0, as
   rotation vector (radians) and translation (mm); `stage_steps`. With a turntable `turntable`, T_cam_board of the board
   on it with both at step 0; `turntable_steps`; `turntable_stage_step`, that of the stage.
-- `scan.npz`, or `scan-NAME.npz` for each of several lasers: `steps` (frames); `position` (frames, columns), the row in
+- `scan.npz`, or `scan-NAME.npz` for each of several lasers: motor steps (frames) by the name of each axis;
+  `position` (frames, columns), the row in
   which an ideal camera sees the middle of the sheet; `points` (frames, columns, 3), that point in the object frame, mm;
   NaN where there is none.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -77,13 +78,13 @@ class ScanTruth:
     """What a simulated scan shows.
 
     Attributes:
-        steps: motor step count of every frame.
+        axes: motor steps of each axis at every frame.
         position: row in which an ideal camera sees the middle of the sheet, NaN for none, px.
         points: that point in the object frame, mm.
         which: of several scans, by laser or by side; empty for the only one.
     """
 
-    steps: Int[np.ndarray, "frames"]
+    axes: dict[str, Int[np.ndarray, "frames"]]
     position: Float[np.ndarray, "frames columns"]
     points: Float[np.ndarray, "frames columns 3"]
     which: str = ""
@@ -126,11 +127,17 @@ def simulate_session(
         InputError: something cannot be written.
     """
     rig = rig_2003.simulated_rig(seed) if rig is None else rig
-    separate = separate_stripes or len(rig.lasers) != 1
+    separate = separate_stripes or len(rig.lights) != 1
     views = rig_2003.BOARD_VIEWS if views is None else views
     boards, stage = rig_2003.board_poses(rig, seed, views), rig_2003.stage_pose(rig, seed)
     steps = tuple(steps_apart * i for i in range(rig_2003.STAGE_VIEWS if stage_views is None else stage_views))
-    _make(folder, "boards", "stage", *(["stripes"] if separate else []), *(["turntable"] if rig.turntable else []))
+    _make(
+        folder,
+        "boards",
+        "stage",
+        *(["stripes"] if separate else []),
+        *(["turntable"] if "turntable" in rig.axes() else []),
+    )
     (folder / SESSION_FILE).unlink(missing_ok=True)
 
     def shoot(name: str, scene: Scene, kind: int, i: int, **how: Any) -> Path:
@@ -141,22 +148,22 @@ def simulate_session(
         return path
 
     board_images: list[Path] = []
-    stripe_images: dict[str, list[Path | None]] = {laser.name: [] for laser in rig.lasers}
+    stripe_images: dict[str, list[Path | None]] = {laser.name: [] for laser in rig.lights}
     for i in range(views):
         scene = rig_2003.board_scene(np.asarray(boards.rotation[i]), np.asarray(boards.translation[i]))
         board_images.append(shoot(f"boards/{i:02d}", scene, _BOARD_NOISE, i, laser=None if separate else 0))
-        for n, laser in enumerate(rig.lasers if separate else ()):
+        for n, laser in enumerate(rig.lights if separate else ()):
             name = f"stripes/{laser.name or 'stripe'}-{i:02d}"
             stripe_images[laser.name].append(shoot(name, scene, _STRIPE_NOISE + n, i, laser=n))
     scene = rig_2003.board_scene(np.asarray(stage.rotation), np.asarray(stage.translation))
-    stage_images = [shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, steps=n) for i, n in enumerate(steps)]
-    lying = rig_2003.turntable_pose(rig, seed) if rig.turntable else None
+    stage_images = [shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, q={STAGE: n}) for i, n in enumerate(steps)]
+    lying = rig_2003.turntable_pose(rig, seed) if "turntable" in rig.axes() else None
     turns = tuple(rig_2003.TURNS_APART * i for i in range(rig_2003.TURNTABLE_VIEWS)) if lying else ()
     on_stage, turned = rig_2003.TURNTABLE_STAGE_STEP, []
     for i, pose in enumerate(rig_2003.turned_boards(rig, lying, np.array(turns)) if lying else ()):
         scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
-        turned.append(shoot(f"turntable/{i:02d}", scene, _TURNTABLE_NOISE, i, steps=on_stage))
-    stripes = {name: tuple(paths) for name, paths in stripe_images.items()} if separate and rig.lasers else None
+        turned.append(shoot(f"turntable/{i:02d}", scene, _TURNTABLE_NOISE, i, q={STAGE: on_stage}))
+    stripes = {name: tuple(paths) for name, paths in stripe_images.items()} if separate and rig.lights else None
     write_session(
         Session(
             path=folder / SESSION_FILE,
@@ -164,7 +171,7 @@ def simulate_session(
             views=Views(tuple(board_images), stripes),
             stage=StageImages(tuple(stage_images), steps),
             turntable=TurntableImages(tuple(turned), turns, on_stage) if turned else None,
-            lasers=tuple(StripeSettings(name=laser.name) for laser in rig.lasers),
+            lasers=tuple(StripeSettings(name=laser.name) for laser in rig.lights),
             image_size=rig.camera.image_size,
         )
     )
@@ -181,6 +188,7 @@ def simulate_scan(
     name: str = "",
     frames: int = SCAN_FRAMES,
     steps_apart: int = STEPS_APART,
+    axes: Mapping[str, Sequence[int]] | None = None,
     lighting: Lighting = rig_2003.SCAN_LIGHTING,
     sensor: Sensor = rig_2003.SENSOR,
     ending: str = ".png",
@@ -192,12 +200,13 @@ def simulate_scan(
     Args:
         folder: is made if it is not there.
         rig: the true rig.
-        scene: as it stands at motor step 0.
+        scene: as it stands with all axes at 0.
         seed: of the noise.
         laser: which of the rig's lasers is on (an index).
         name: of the object.
-        frames: how many, the first at step 0.
-        steps_apart: motor steps from one to the next.
+        frames: how many, the first at the stage's step 0.
+        steps_apart: motor steps of the stage from one to the next.
+        axes: motor steps of each axis at each frame, in place of these two.
         lighting: what lights the scene.
         sensor: of all frames.
         ending: format of the photographs.
@@ -209,19 +218,21 @@ def simulate_scan(
     """
     _make(folder, "frames")
     (folder / SCAN_FILE).unlink(missing_ok=True)
-    steps = tuple(steps_apart * i for i in range(frames))
+    given = {STAGE: range(0, steps_apart * frames, steps_apart)} if axes is None else axes
+    positions = {axis: tuple(int(n) for n in steps) for axis, steps in given.items()}
     paths, profiles = [], []
-    for i, n in enumerate(steps):
+    for i, place in enumerate(zip(*positions.values(), strict=True)):
+        q = dict(zip(positions, place, strict=True))
         seeds = (2003, seed, _SCAN_NOISE, i, *([laser] if laser else []))
-        image = render(rig, scene, steps=n, laser=laser, lighting=lighting, sensor=sensor, seed=seeds)
+        image = render(rig, scene, q=q, laser=laser, lighting=lighting, sensor=sensor, seed=seeds)
         paths.append(folder / "frames" / f"{i:03d}{ending}")
         _write(paths[-1], image, quality)
-        profiles.append(true_profile(rig, scene, n, laser=laser, lighting=lighting))
+        profiles.append(true_profile(rig, scene, q, laser=laser, lighting=lighting))
         advance(1)
-    settings = StripeSettings(name=rig.lasers[laser].name)
-    write_scan(Scan(folder / SCAN_FILE, settings, frames=tuple(paths), axes={STAGE: steps}, name=name))
-    positions, points = (np.stack([profile[k] for profile in profiles]) for k in (0, 1))
-    return ScanTruth(np.asarray(steps), positions, points, settings.name)
+    settings = StripeSettings(name=rig.lights[laser].name)
+    write_scan(Scan(folder / SCAN_FILE, settings, frames=tuple(paths), axes=positions, name=name))
+    rows, points = (np.stack([profile[k] for profile in profiles]) for k in (0, 1))
+    return ScanTruth({axis: np.asarray(steps) for axis, steps in positions.items()}, rows, points, settings.name)
 
 
 def scan_name(which: str) -> str:
@@ -250,7 +261,8 @@ def write_truth(folder: Path, session: SessionTruth, *scans: ScanTruth) -> None:
         json.dump(values, file, indent=2)
     for scan in scans:
         with replacing(folder / f"{scan_name(scan.which)}.npz") as file:
-            np.savez(file, steps=scan.steps, position=scan.position, points=scan.points)
+            arrays: dict[str, Any] = {"position": scan.position, "points": scan.points, **scan.axes}
+            np.savez(file, **arrays)
     write_rig(folder / TRUE_RIG, RigFile(session.rig))
 
 
@@ -264,7 +276,8 @@ def read_scan_truth(folder: Path, which: str = "") -> ScanTruth:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file: name the folder truth of a simulation")
     with np.load(path) as arrays:
-        return ScanTruth(arrays["steps"], arrays["position"], arrays["points"], which)
+        axes = {name: arrays[name] for name in arrays.files if name not in ("position", "points")}
+        return ScanTruth(axes, arrays["position"], arrays["points"], which)
 
 
 def _write(path: Path, image: np.ndarray, quality: int) -> None:

@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Camera, Rig
+from jaxscan.rig import Camera, Positions, Rig
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import FINE, Sheet
 from jaxscan.simulation.light import Lighting
-from jaxscan.simulation.render import at_steps, sheet_of, trace
+from jaxscan.simulation.render import carried, sheet_of, trace
 from jaxscan.simulation.scene import Scene
 
 # Candidates are refined in multiples of this many, so that frames share a compilation.
@@ -48,7 +48,7 @@ class Profile(NamedTuple):
 def true_profile(
     rig: Rig,
     scene: Scene,
-    steps: float = 0,
+    q: Positions | None = None,
     *,
     laser: int = 0,
     columns: bool = True,
@@ -58,18 +58,19 @@ def true_profile(
 
     Args:
         rig: the true one.
-        scene: as it stands at motor step 0.
-        steps: motor step count.
+        scene: as it stands with all axes at 0.
+        q: positions of the axes, motor steps.
         laser: which of the rig's lasers is on (an index).
         columns: one point for each image column; else one for each row.
         lighting: where the laser stands.
 
     Raises:
-        InputError: the rig has no such laser, or no stage although steps is not 0.
+        InputError: the rig has no such laser, or no axis of that name.
     """
     lighting = lighting or Lighting()
-    here = at_steps(rig, scene, steps)
-    displacement = np.zeros(3) if rig.stage is None else steps * np.asarray([np.float64(c) for c in rig.stage.per_step])
+    q = {axis: np.float64(steps) for axis, steps in (q or {}).items()}
+    here = carried(rig, scene, q)
+    back = as_numpy(rig.pose(q)).inverse()
     x, y = _line_rays(rig.camera, columns)
     n_lines = x.shape[1]
     coarse = here.cast(np.float32)
@@ -96,7 +97,7 @@ def true_profile(
     for i in np.argsort(brightness):
         if brightness[i] > 0 and -0.5 <= rows[i] < x.shape[0] / FINE - 0.5:
             profile.position[line[i]] = rows[i]
-            profile.points[line[i]] = point[i] - displacement
+            profile.points[line[i]] = back.apply(point[i])
     return profile
 
 

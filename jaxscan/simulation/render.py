@@ -15,7 +15,9 @@ from jaxtyping import Array, Float, UInt
 
 from jaxscan.errors import InputError
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
-from jaxscan.rig import Camera, Rig
+from jaxscan.precision import as_numpy
+from jaxscan.rig import Camera, LightPlane, Positions, Rig
+from jaxscan.rig import Light as SheetOfLight
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import CHUNK, FINE, Light, Sheet
@@ -33,7 +35,7 @@ def render(
     rig: Rig,
     scene: Scene,
     *,
-    steps: float = 0,
+    q: Positions | None = None,
     laser: int | None = None,
     lighting: Lighting | None = None,
     sensor: Sensor | None = None,
@@ -43,8 +45,8 @@ def render(
 
     Args:
         rig: the true one.
-        scene: as it stands at motor step 0.
-        steps: motor step count; the bodies on the stage have moved by steps · per_step.
+        scene: as it stands with all axes at 0.
+        q: positions of the axes, motor steps; the bodies on the stage are where the rig's motion has carried them.
         laser: which of the rig's lasers is on (an index), or None for none.
         lighting: what lights the scene.
         sensor: how the light becomes numbers.
@@ -54,11 +56,11 @@ def render(
         Red, green and blue, uint8 or uint16 as the sensor has it.
 
     Raises:
-        InputError: the rig has no such laser, or no stage although steps is not 0.
+        InputError: the rig has no such laser, or no axis of that name.
     """
     lighting, sensor = lighting or Lighting(), sensor or Sensor()
     random = np.random.default_rng(seed)
-    scene = at_steps(rig, scene, steps).cast(np.float32)
+    scene = carried(rig, scene, q or {}).cast(np.float32)
     light, sheet = _light(lighting), None if laser is None else sheet_of(rig, laser, lighting)
     grainy = sheet is not None and lighting.speckle > 0
     x, y = fine_rays(rig.camera)
@@ -81,17 +83,17 @@ def render(
     return np.asarray(image).astype(np.uint8 if sensor.bits == 8 else np.uint16)
 
 
-def at_steps(rig: Rig, scene: Scene, steps: float) -> Scene:
-    """The scene after the stage has moved its load.
+def carried(rig: Rig, scene: Scene, q: Positions) -> Scene:
+    """The scene after the axes have moved their load.
 
     Raises:
-        InputError: the rig has no stage although steps is not 0.
+        InputError: the rig has no axis of that name, although it does not stand at 0.
     """
-    if steps == 0:
+    if not any(q.values()):
         return scene
-    if rig.stage is None:
-        raise InputError(f"steps = {steps}: the rig has no stage: give it one, or render at step 0")
-    return scene.displaced(steps * np.asarray([np.float64(c) for c in rig.stage.per_step]))
+    for axis in q:
+        rig.axis(axis)
+    return scene.carried(as_numpy(rig.pose({axis: np.float64(steps) for axis, steps in q.items()})))
 
 
 def sheet_of(rig: Rig, laser: int, lighting: Lighting, dtype: type = np.float32) -> Sheet:
@@ -100,10 +102,9 @@ def sheet_of(rig: Rig, laser: int, lighting: Lighting, dtype: type = np.float32)
     Raises:
         InputError: there is no such laser.
     """
-    if not 0 <= laser < len(rig.lasers):
-        raise InputError(f"laser = {laser}: the rig has {len(rig.lasers)} lasers, counted from 0")
-    plane = rig.lasers[laser]
-    omega = np.asarray([np.float64(c) for c in plane.plane])
+    if not 0 <= laser < len(rig.lights):
+        raise InputError(f"laser = {laser}: the rig has {len(rig.lights)} lasers, counted from 0")
+    omega = plane_of(rig.lights[laser])
     power = lighting.laser_power * np.asarray(lighting.laser_colour)
     values = (omega, lighting.source(omega), power, lighting.sheet_sigma_mm)
     return Sheet(*(np.asarray(value, dtype) for value in values))
@@ -195,3 +196,14 @@ def trace(scene: Scene, x: Array, y: Array) -> tuple[Array, Array]:
     if scene.on_host:
         return kernels.depth_and_key_of(scene, x, y)
     return kernels.depth_of(scene, x, y), kernels.key_of(scene, x, y)
+
+
+def plane_of(light: SheetOfLight) -> Float[np.ndarray, "3"]:
+    """ω of a flat sheet, the only one that is drawn, 1/mm.
+
+    Raises:
+        InputError: the light is no plane.
+    """
+    if not isinstance(light, LightPlane):
+        raise InputError(f"a light of the kind {light.kind} cannot be simulated: use a plane")
+    return np.asarray([np.float64(c) for c in light.plane])

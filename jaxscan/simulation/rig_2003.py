@@ -10,7 +10,6 @@ off the platform's normal; 16 photographs of the board lying on it, 200 steps ap
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 import jax
@@ -22,9 +21,10 @@ from scipy.spatial.transform import Rotation
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.images import Board
-from jaxscan.precision import as_float64, as_numpy, float64
-from jaxscan.rig import Camera, LightPlane, Rig, Stage, Turntable
+from jaxscan.precision import as_numpy, float64
+from jaxscan.rig import Camera, LightPlane, Linear, Rig, Rotary
 from jaxscan.simulation.light import Lighting, Sensor
+from jaxscan.simulation.render import plane_of
 from jaxscan.simulation.scene import Body, Scene
 from jaxscan.simulation.shapes import board_plate, floor
 
@@ -53,6 +53,10 @@ _TRAVEL = np.array([0.03, 0.92, -0.39])
 _MM_PER_STEP = 0.001
 _TURN = np.radians(2.0)
 STEPS_PER_TURN: Final = 3200
+# Where the middle of what stands on the platform comes under the sheet.
+_UNDER_SHEET = 37000
+# Motor steps of the turntable from frame to frame of a scan that turns.
+TURN_APART: Final = 20
 # How far the turntable's axis, and the middle of the board on it, may stand from where they should, mm.
 _OFF_AXIS = 3.0
 # Makes the second sheet about as steep as the first, (0, 0.00494, 0.00268) 1/mm.
@@ -82,7 +86,7 @@ def simulated_rig(seed: int, lasers: int = 1) -> Rig:
     omega, travel = _turned(_OMEGA, random), _turned(_TRAVEL / np.linalg.norm(_TRAVEL), random)
     with float64():
         camera = Camera.create(IMAGE_SIZE, np.asarray(_FOCAL), np.asarray(_PRINCIPAL), "radial1", np.asarray([_K1]))
-        rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Stage.create(_MM_PER_STEP * travel)))
+        rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Linear.create(_MM_PER_STEP * travel)))
         if lasers == 1:
             return rig
         R, origin = platform(rig)
@@ -90,7 +94,7 @@ def simulated_rig(seed: int, lasers: int = 1) -> Rig:
         # The planes through the line where ω and β meet are a ω + (1 - a) β.
         lower = beta + _BEYOND_PLATFORM * (beta - omega)
         sheets = (LightPlane.create(omega, "upper"), LightPlane.create(lower, "lower"))
-        return as_numpy(Rig(camera, sheets, rig.stage))
+        return as_numpy(Rig(camera, sheets, rig.motion))
 
 
 def board_poses(rig: Rig, seed: int, views: int = BOARD_VIEWS) -> Pose:
@@ -128,8 +132,8 @@ def with_turntable(rig: Rig, seed: int) -> Rig:
     axis = _turned(R[:, 2], random)
     with float64():
         through = origin + R @ np.array([aside[0], OBJECT_Y + aside[1], 0.0])
-        turntable = Turntable.create(2 * np.pi / STEPS_PER_TURN * axis, through).nearest()
-        return as_numpy(replace(rig, turntable=turntable))
+        turntable = Rotary.create(2 * np.pi / STEPS_PER_TURN * axis, through)
+        return as_numpy(rig.with_axis(turntable).normal())
 
 
 def turntable_pose(rig: Rig, seed: int) -> Pose:
@@ -158,17 +162,14 @@ def turned_boards(rig: Rig, pose: Pose, steps: Num[np.ndarray, "images"]) -> lis
     Raises:
         InputError: the rig has no turntable.
     """
-    if rig.turntable is None:
+    if "turntable" not in rig.axes():
         raise InputError("the rig has no turntable: make one with with_turntable")
-    with float64():
-        table, board = as_float64(rig.turntable), as_float64(pose)
-        return [as_numpy(table.turned(jnp.asarray(float(n))) @ board) for n in steps]
+    return [as_numpy(rig.pose({"turntable": np.float64(n)})) @ pose for n in steps]
 
 
-def stage_travel(rig: Rig, steps: Float[np.ndarray, "images"]) -> Float[np.ndarray, "images 3"]:
+def stage_travel(rig: Rig, steps: Num[np.ndarray, "images"]) -> Float[np.ndarray, "images 3"]:
     """How far the stage has moved its load (mm, camera frame)."""
-    per_step = np.zeros(3) if rig.stage is None else np.asarray([np.float64(c) for c in rig.stage.per_step])
-    return steps[:, None] * per_step
+    return as_numpy(rig.pose({"stage": steps.astype(np.float64)})).translation
 
 
 def platform(rig: Rig, depth: float = _PLATFORM_DEPTH) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
@@ -202,6 +203,12 @@ def scan_scene(rig: Rig, bodies: Sequence[Body]) -> Scene:
     return Scene(tuple(body.moved(R, origin) for body in (*bodies, floor(*_FLOOR))))
 
 
+def turning_axes(apart: int) -> dict[str, tuple[int, ...]]:
+    """A full turn of the turntable in frames so many of its motor steps apart, its axis under the sheet."""
+    turns = tuple(range(0, STEPS_PER_TURN, apart))
+    return {"stage": (_UNDER_SHEET,) * len(turns), "turntable": turns}
+
+
 def turned(bodies: Sequence[Body], degrees: float) -> tuple[Body, ...]:
     """What stands on the platform, turned about the upright through its middle, anticlockwise as seen from above."""
     middle = np.array([0.0, OBJECT_Y, 0.0])
@@ -224,7 +231,7 @@ def board_scene(rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray,
 
 def _sheet_point(rig: Rig, depth: float) -> Float[np.ndarray, "3"]:
     """The point of the first laser's sheet at a depth that is nearest to the optical axis (mm)."""
-    omega = np.asarray([np.float64(c) for c in rig.lasers[0].plane])
+    omega = plane_of(rig.lights[0])
     aside = omega[:2] * (1 - omega[2] * depth) / (omega[:2] @ omega[:2])
     return np.array([*aside, depth])
 

@@ -1,6 +1,6 @@
 """A scene: bodies, of which some stand on the stage and move with it.
 
-All coordinates are those of the camera frame; a body on the stage is described as it stands at motor step 0.
+All coordinates are those of the camera frame; a body on the stage is described as it stands with all axes at 0.
 """
 
 from dataclasses import replace
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxscan.geometry import Pose
 from jaxscan.simulation.solids import Shape, Vector
 from jaxscan.simulation.vector import Rays, Vec, dot, scale, select
 
@@ -49,9 +50,10 @@ class Scene(eqx.Module):
     bodies: tuple[Body, ...]
     backdrop: Vector = (6.0, 6.0, 6.0)
 
-    def displaced(self, displacement: Float[np.ndarray, "3"]) -> "Scene":
-        """The scene after the stage has moved its load by so much (mm)."""
-        bodies = tuple(body.moved(np.eye(3), displacement) if body.on_stage else body for body in self.bodies)
+    def carried(self, pose: Pose[np.ndarray]) -> "Scene":
+        """The scene after what moves has been carried to a pose (T_camera_object)."""
+        R, t = pose.matrix(), pose.translation
+        bodies = tuple(body.moved(R, t) if body.on_stage else body for body in self.bodies)
         return Scene(bodies, self.backdrop)
 
     @property

@@ -82,7 +82,7 @@ def find_floor(image: RangeImage) -> Floor:
     cloud = image.points[image.valid].astype(np.float64)
     if len(cloud) < 3:
         raise InputError(f"{len(cloud)} points have no floor: scan more")
-    frame = dominant_plane(cloud, image.per_step)
+    frame = dominant_plane(cloud, image.travel())
     origin, up = frame.translation, frame.matrix()[:, 2]
     height = (cloud - origin) @ up
     floor = _measured(cloud, origin, up, image)
@@ -169,7 +169,7 @@ def _measured(
     image: RangeImage,
 ) -> Floor:
     """The plane with its scatter and flatness."""
-    frame = plane_frame(origin, normal, image.per_step)
+    frame = plane_frame(origin, normal, image.travel())
     local = frame.inverse().apply(cloud)
     height = local[:, 2]
     near = np.abs(height) < _WITHIN_MM

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.geometry import Pose
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface.triangles import grid_surface
@@ -67,7 +68,7 @@ def resample(image: RangeImage, spacing_mm: float, frame: Pose) -> RangeImage:
         sigma=interpolated(image.sigma),
         sigma_pixel=interpolated(image.sigma_pixel),
         valid=there.reshape(rows, columns),
-        steps=np.arange(rows),
+        positions={STAGE: np.arange(rows)},
     )
 
 

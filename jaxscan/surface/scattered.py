@@ -17,6 +17,7 @@ from jaxscan.errors import InputError
 from jaxscan.extras import extra
 from jaxscan.geometry.robust_plane import dominant_plane
 from jaxscan.rig import Rig
+from jaxscan.rig.light import sheet_axes
 
 # A side of more than so many median sides is no side of the surface.
 _LONG: Final = 4.0
@@ -29,10 +30,8 @@ def light_direction(rig: Rig, laser: str = "") -> Float[np.ndarray, "3"]:
     Raises:
         InputError: the rig has no such laser.
     """
-    omega = np.array([float(c) for c in rig.laser(laser).plane])
-    omega /= np.linalg.norm(omega)
-    direction = np.array([0.0, 0.0, 1.0]) - omega[2] * omega
-    return direction / np.linalg.norm(direction)
+    direction = sheet_axes(rig.light(laser))[1]
+    return direction if direction[2] > 0 else -direction
 
 
 def delaunay_surface(

@@ -5,9 +5,9 @@ column (or row); with that line's direction e, the ray's d and the normal n, σ 
 
     σ |n · e| / |d · e|.
 
-ω is the plane through all points as the camera saw them (X + n · per_step lies on it whatever the frame n), and a
-column's plane contains the camera, so both come from the points themselves. Where the points lie on no such plane the
-error is taken to be along the ray.
+The sheet's normal at each point is that of the range image's light; range images of older files have none, and there
+ω is the plane through all points as the camera saw them. A column's plane contains the camera. Where the points lie on
+no such plane the error is taken to be along the ray.
 """
 
 from dataclasses import dataclass
@@ -115,18 +115,33 @@ def side_of_cloud(name: str, cloud: Cloud) -> Side:
 
 def error_direction(image: RangeImage) -> Float[np.ndarray, "frames columns 3"]:
     """The direction in which a stripe's error moves each point: unit; NaN where there is no point."""
-    seen = image.points.astype(np.float64) - image.cameras()[:, None]
-    omega = np.linalg.lstsq(seen[image.valid], np.ones(int(image.valid.sum())), rcond=None)[0]
-    if np.abs(seen[image.valid] @ omega - 1).max() > _OFF_SHEET:
-        return seen / np.linalg.norm(seen, axis=-1, keepdims=True)
+    seen = image.seen()
+    normal = _sheet_normal(image, seen)
     # Along a column of the image x / z stays the same, along a row y / z.
     ray = seen / seen[..., 2:]
-    full = image.valid.sum(axis=0) > 1
-    held = np.median(np.nanstd(ray[:, full], axis=0)[:, :2], axis=0).argmin()
-    across = np.zeros_like(ray)
-    across[..., held], across[..., 2] = 1.0, -ray[..., held]
-    e = np.cross(omega, across)
+    if normal is None:
+        e = ray
+    else:
+        full = image.valid.sum(axis=0) > 1
+        held = np.median(np.nanstd(ray[:, full], axis=0)[:, :2], axis=0).argmin()
+        across = np.zeros_like(ray)
+        across[..., held], across[..., 2] = 1.0, -ray[..., held]
+        e = np.cross(normal, across)
+    e = e @ image.from_camera().matrix().swapaxes(-1, -2)
     return e / np.linalg.norm(e, axis=-1, keepdims=True)
+
+
+def _sheet_normal(
+    image: RangeImage, seen: Float[np.ndarray, "frames columns 3"]
+) -> Float[np.ndarray, "*frames_columns 3"] | None:
+    """The normal of the sheet at each point as the camera saw it; None where the points lie on no sheet.
+
+    Range images of older files do not have their light: there it is the plane through all points.
+    """
+    if image.sheet is not None:
+        return np.asarray(image.sheet.gradient(seen))
+    normal = np.linalg.lstsq(seen[image.valid], np.ones(int(image.valid.sum())), rcond=None)[0]
+    return None if np.abs(seen[image.valid] @ normal - 1).max() > _OFF_SHEET else normal
 
 
 def _side(

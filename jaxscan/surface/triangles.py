@@ -55,7 +55,7 @@ class Surface:
 
 
 def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
-    """The triangles of a range image.
+    """The triangles of a range image; of one that was turned once all around, the last frame is joined to the first.
 
     Args:
         image: the range image.
@@ -64,6 +64,7 @@ def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
     Raises:
         InputError: there is one frame, or no three neighbouring points.
     """
+    once, image = image, image.closed()
     code = _cells(image, links(image, how))
     # Cells are numbered by their corner a, so the last column and the last frame have none.
     columns = image.valid.shape[1]
@@ -91,8 +92,12 @@ def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
         for k, i in enumerate(corners):
             number[corner[i] :].take(cells, out=triangles[done : done + len(cells), k], mode="clip")
         done += len(cells)
-    surface = Surface(image.points.reshape(-1, 3)[place], triangles, place, np.concatenate(at))
-    return surface if facing_away(surface, image) <= 0.5 else _turned(surface)
+    if image is not once:
+        # Of a turn that closes, the first frame's points stand at its end too.
+        place, same = np.unique(place % once.valid.size, return_inverse=True)
+        triangles = same.astype(np.int32)[triangles]
+    surface = Surface(once.points.reshape(-1, 3)[place], triangles, place, np.concatenate(at))
+    return surface if facing_away(surface, once) <= 0.5 else _turned(surface)
 
 
 def _cells(image: RangeImage, linked: Links) -> UInt8[np.ndarray, "cells"]:

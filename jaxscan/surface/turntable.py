@@ -20,10 +20,12 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.geometry.turn import axis_point, rate_of_turn
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Covariance, Rig, Turntable
+from jaxscan.rig import Covariance, Rotary
+from jaxscan.rig.motion import normal_motion
+from jaxscan.rig.rig import motion_normal_jacobian
 from jaxscan.surface.register import Registration
 
-_NAMES: Final = tuple(f"turntable.{part}.{i}" for part in ("per_step", "centre") for i in range(3))
+_NAMES: Final = tuple(f"motion.turntable.{part}.{i}" for part, count in Rotary.numbers.items() for i in range(count))
 _ROUNDS: Final = 20
 # Where the axis stands is lost in turns of less than this between the sides, radians.
 _LEAST_TURN: Final = 0.02
@@ -39,13 +41,13 @@ class TurntableFit:
         misfit: root mean square of what is left of the poses, in units of their σ: 1 where they are a turntable's.
     """
 
-    turntable: Turntable
+    turntable: Rotary
     covariance: Covariance
     misfit: float
 
     def on(self, content: RigFile) -> RigFile:
         """A rig with this turntable; what is known of the rest does not depend on it."""
-        rig = Rig(content.rig.camera, content.rig.lasers, content.rig.stage, self.turntable)
+        rig = content.rig.with_axis(self.turntable)
         if content.covariance is None:
             return replace(content, rig=rig, covariance=self.covariance)
         kept = [i for i, name in enumerate(content.covariance.names) if name not in _NAMES]
@@ -79,22 +81,22 @@ def fit_turntable(registration: Registration, steps: Sequence[float]) -> Turntab
             if np.abs(step[:3]).max() * np.abs(n - n[0]).max() < 1e-12 and np.abs(step[3:]).max() < 1e-9:
                 break
         r, J = (np.asarray(x) for x in _misfit(jnp.asarray(theta), *given))
-        found = Turntable.create(theta[:3], around.T @ theta[3:])
-        turntable = as_numpy(found.nearest())
+        found = Rotary.create(theta[:3], around.T @ theta[3:])
+        turntable = as_numpy(normal_motion(found))
     whitened = weight @ r
     freedom = len(r) - 5
     misfit = float(np.sqrt(whitened @ whitened / freedom)) if freedom > 0 else 1.0
     full = np.zeros((6, 5))
     full[:3, :3], full[3:, 3:] = np.eye(3), around.T
-    full = found.nearest_jacobian() @ full
+    full = motion_normal_jacobian(found) @ full
     covariance = max(misfit, 1.0) ** 2 * full @ np.linalg.inv((weight @ J).T @ (weight @ J)) @ full.T
     return TurntableFit(turntable, Covariance(_NAMES, (covariance + covariance.T) / 2), misfit)
 
 
-def turntable_poses(turntable: Turntable, steps: Sequence[float]) -> list[Pose]:
+def turntable_poses(turntable: Rotary, steps: Sequence[float]) -> list[Pose]:
     """T_first_side of sides scanned at these step counts."""
     with float64():
-        turned = [as_numpy(turntable.turned(jnp.asarray(float(n)))) for n in steps]
+        turned = [as_numpy(turntable.pose({turntable.axis: np.float64(n)})) for n in steps]
     return [turned[0] @ T.inverse() for T in turned]
 
 

@@ -17,7 +17,7 @@ _AMBIENT: Final = 0.15
 
 def depth(image: RangeImage) -> Float[np.ndarray, "frames columns"]:
     """How far each point was in front of the camera when it was seen, mm."""
-    return image.points[..., 2] - image.cameras()[:, 2:].astype(np.float32)
+    return image.seen()[..., 2].astype(np.float32)
 
 
 def height(image: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns"]:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.calibration import Calibration, Observations
@@ -18,7 +17,10 @@ from jaxscan.calibration.diagnostics import (
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
 from jaxscan.calibration.next_pose import NextPose
+from jaxscan.calibration.on_board import pose_of
 from jaxscan.reconstruction.working_volume import WorkingVolume
+from jaxscan.rig import Light
+from jaxscan.rig.light import section, sheet_axes
 from jaxscan.view.matplotlib_setup import pyplot
 
 BLUE, RED, PINK, GREY, LIGHT = "#1f5a94", "#c0392b", "#e8a9a2", "#666666", "#b9c9da"
@@ -322,12 +324,10 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
     boards, rig = calibration.system.boards, calibration.rig
     for rotation, translation in zip(boards.rotation, boards.translation, strict=True):
         board(rotation, translation, BLUE, 0.12)
-    for i, sequence in enumerate(calibration.observations.stages):
-        turns = [None] * len(sequence.steps) if sequence.turns is None else sequence.turns
-        moved = [
-            calibration.system.stage_board(i, jnp.asarray(n), None if k is None else jnp.asarray(k))
-            for n, k in zip(sequence.steps, turns, strict=True)
-        ]
+    places, at = calibration.photograph_poses(), len(calibration.observations.views)
+    for sequence in calibration.observations.sequences:
+        moved = [pose_of(places, i) for i in range(at, at + len(sequence.views))]
+        at += len(sequence.views)
         for pose in (moved[0], moved[-1]):
             board(pose.rotation, pose.translation, "#2e8b57", 0.12)
         middles = place(np.stack([np.asarray(pose.translation) + _middle(points, pose.rotation) for pose in moved]))
@@ -336,7 +336,7 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
         if len(X):
             axes.plot(*place(X[:: 1 + len(X) // 3000]).T, ".", color=RED, markersize=1)
             named["stripes"] = Line2D([], [], color=RED, marker=".", linestyle="")
-            sheet = place(_sheet(np.stack(rig.lasers[i].plane), X))
+            sheet = place(_sheet(rig.lights[i], X))
             drawn.append(sheet)
             axes.add_collection3d(Poly3DCollection([sheet], facecolor=RED, edgecolor=RED, alpha=0.12, linewidth=0.8))
             named["light plane"] = Patch(facecolor=RED, alpha=0.2)
@@ -371,15 +371,11 @@ def _middle(points: np.ndarray, rotation: Any) -> np.ndarray:
     return cv2.Rodrigues(np.asarray(rotation, np.float64))[0] @ points.mean(axis=0)
 
 
-def _sheet(omega: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """A rectangle of the light plane that holds all stripe points."""
-    along = np.cross(omega, [0.0, 0.0, 1.0])
-    along /= np.linalg.norm(along)
-    across = np.cross(omega / np.linalg.norm(omega), along)
-    foot = omega / (omega @ omega)
-    a, b = (X - foot) @ along, (X - foot) @ across
-    ends = [(a.min(), b.min()), (a.max(), b.min()), (a.max(), b.max()), (a.min(), b.max())]
-    return np.array([foot + s * along + t * across for s, t in ends])
+def _sheet(light: Light, X: np.ndarray) -> np.ndarray:
+    """A part of the sheet that holds all stripe points, its outline in turn."""
+    a = X @ sheet_axes(light)[0]
+    corners = section(light, np.array([X[:, 2].min(), X[:, 2].max()]), np.array([a.min(), a.max()]))
+    return corners.reshape(-1, 3)[[0, 1, 3, 2]]
 
 
 def _frustum(calibration: Calibration) -> np.ndarray:

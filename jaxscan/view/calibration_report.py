@@ -114,11 +114,11 @@ class BoardPose:
 def board_poses(calibration: Calibration) -> tuple[BoardPose, ...]:
     """Every board with its pose and the covariance of it: the views, then the sequences on stage and turntable."""
     names = [fit.name for fit in calibration.fits]
-    staged = [stage.views[0].name for stage in calibration.observations.stages]
+    staged = [sequence.views[0].name for sequence in calibration.observations.sequences]
     poses = []
     for on_stage, called, pose, covariances in (
         (False, names, calibration.system.boards, calibration.board_covariances),
-        (True, staged, calibration.system.stages, calibration.stage_covariances),
+        (True, staged, calibration.system.moved, calibration.moved_covariances),
     ):
         rotations, translations = np.asarray(pose.rotation), np.asarray(pose.translation)
         poses += [

@@ -1,20 +1,16 @@
 """The sections of a calibration's report that show its numbers: a table and its figures each, with how to read them."""
 
-from typing import Any
-
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.images.light import Light
-from jaxscan.precision import as_float64, float64
 from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays
+from jaxscan.rig.facts import axis_facts
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.speckle_limit import Optics, limit_of
-from jaxscan.rig.turn_facts import rig_turn_facts
 from jaxscan.view import calibration_plots as plots
 from jaxscan.view.report import Section, Table, draw
 
@@ -34,7 +30,7 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         f"Corners have σ = {calibration.corner_sigma_px:.3f} px along each axis"
         + (f", stripe points {calibration.stripe_sigma_px:.3f} px" if calibration.stripe_sigma_px is not None else "")
         + f", from the residuals. {len(calibration.fits)} views"
-        + "".join(f", {len(s.views)} {s.place} photographs" for s in calibration.observations.stages)
+        + "".join(f", {len(s.views)} {s.axis} photographs" for s in calibration.observations.sequences)
         + ". "
         + (
             f"The solve stopped after {calibration.solves} rounds because σ, weights and outliers had settled"
@@ -44,7 +40,7 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         + f"; its last round reached the minimum in {calibration.steps} steps."
     )
     title = "Parameters (px, 1/mm, mm per step" + (
-        "; turntable: radians per step, mm)" if calibration.rig.turntable else ")"
+        "; of what turns: radians per step, mm)" if diagnostics.turntables else ")"
     )
     return Section(
         "The rig",
@@ -81,7 +77,7 @@ def photographs(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         "RMS of each photograph, the worst first"
         + (f" ({plots.MOST_PHOTOGRAPHS} of {len(rows)})" if len(rows) > plots.MOST_PHOTOGRAPHS else "")
         + "; dashed: the median of the corners. "
-        + ("Pale bars are photographs on stage or turntable. " if calibration.stage_fits else "")
+        + ("Pale bars are photographs on stage or turntable. " if calibration.moved_fits else "")
         + "A photograph that stands out was blurred, moved, bent, or does not belong."
     )
     title = "RMS distance of the corners that took part, and RMS error of the stripe"
@@ -148,7 +144,9 @@ def residuals(calibration: Calibration, diagnostics: Diagnostics) -> Section:
 def light(calibration: Calibration, volumes: tuple[WorkingVolume, ...], optics: Optics | None) -> Section | None:
     """What the photographs tell of light and sensor, laser by laser; None where no detector has looked at them."""
     by_laser = {volume.laser: volume for volume in volumes}
-    seen = [stripe for view in calibration.observations.views for stripe in view.stripes if stripe.light is not None]
+    seen = [
+        stripe for view in calibration.observations.photographs() for stripe in view.stripes if stripe.light is not None
+    ]
     said = []
     for i, name in enumerate(calibration.observations.lasers):
         of_laser = [np.asarray(stripe.light, np.float32) for stripe in seen if stripe.laser == i]
@@ -163,8 +161,7 @@ def light(calibration: Calibration, volumes: tuple[WorkingVolume, ...], optics: 
 def _limit(calibration: Calibration, volume: WorkingVolume, optics: Optics, contrast: float | None) -> str:
     """How near the pixels come to what speckle alone leaves, in words."""
     rays = volume_rays(calibration.rig, volume)
-    omega = np.array([float(x) for x in calibration.rig.laser(volume.laser).plane])
-    points = rays / (rays @ omega)[:, None]
+    points = rays / np.asarray(calibration.rig.light(volume.laser).inverse_depth(rays))[:, None]
     limit = limit_of(calibration.rig, points, optics, contrast, float(np.nanmedian(volume.pixel_mm)))
     return f"Speckle alone leaves {limit.in_words()}, along the ray in the median of the working volume."
 
@@ -199,11 +196,12 @@ def stripes(diagnostics: Diagnostics) -> Section:
 def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     """Which way it goes, step error and straightness."""
     rows = []
-    found: Any = calibration.rig.stage
-    words = (
-        f"With rising step counts what stands on the stage moves {found.way()}, as the camera sees it, by "
-        f"{1000 * np.linalg.norm(found.per_step):.5g} mm in 1000 steps. If it really moves the other way, the steps "
-        "in session.toml run backwards: nothing else shows that."
+    words = tuple(
+        f"With rising step counts what stands on the {facts['axis']} moves {facts['way']}, as the camera sees it, by "
+        f"{facts['mm_per_1000_steps']:.5g} mm in 1000 steps. If it really moves the other way, the steps in "
+        "session.toml run backwards: nothing else shows that."
+        for facts in axis_facts(calibration.rig, calibration.covariance)
+        if "mm_per_1000_steps" in facts
     )
     for s in diagnostics.stages:
         along = 1000 * np.sqrt((s.error_mm[:, 0] ** 2).mean())
@@ -231,8 +229,8 @@ def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     )
     return Section(
         "The stage",
-        paragraphs=(words,),
-        tables=(Table("Where the board really stood against t₀ + n · per_step", columns, tuple(rows)),),
+        paragraphs=words,
+        tables=(Table("Where the board really stood against one line", columns, tuple(rows)),),
         figures=(
             draw(
                 "stage",
@@ -246,7 +244,6 @@ def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
 
 def turntable(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     """Axis and angle with their σ, errors of the angle and wobble."""
-    facts: Any = rig_turn_facts(calibration.rig, calibration.covariance)
     rows = []
     for t in diagnostics.turntables:
         turn, wobble = t.turn_error_deg[:, 0], t.turn_error_deg[:, 1:]
@@ -270,15 +267,18 @@ def turntable(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         "along the axis, across it / µm RMS",
         "in σ",
     )
-    words = (
-        f"With rising step counts it turns {facts.way} as the camera sees it, by {facts.degrees_per_step:.7g} ± "
-        f"{facts.degrees_per_step_sigma:.2g}° a step, about the axis ({_triple(facts.axis, 5)}) ± "
-        f"{facts.axis_sigma_deg:.2g}° through ({_triple(facts.through_mm, 3)}) ± {facts.through_sigma_mm:.2g} mm. "
+    words = tuple(
+        f"With rising step counts the {facts['axis']} turns {facts['way']} as the camera sees it, by "
+        f"{facts['degrees_per_step']:.7g} ± {facts['degrees_per_step_sigma']:.2g}° a step, about the axis "
+        f"({_triple(facts['axis_direction'], 5)}) ± {facts['axis_sigma_deg']:.2g}° through "
+        f"({_triple(facts['through_mm'], 3)}) ± {facts['through_sigma_mm']:.2g} mm. "
         "If it really turns the other way, the steps in session.toml run backwards: nothing else shows that."
+        for facts in axis_facts(calibration.rig, calibration.covariance)
+        if "degrees_per_step" in facts
     )
     return Section(
         "The turntable",
-        paragraphs=(words,),
+        paragraphs=words,
         tables=(Table("Where the board really stood against one turn about one axis", columns, tuple(rows)),),
         figures=(
             draw(
@@ -355,10 +355,10 @@ def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
             f"Stripes{' of laser ' + s.laser if s.laser else ''}: {s.points} points on {s.views} boards, "
             f"{s.depths_mm[0]:.0f} to {s.depths_mm[1]:.0f} mm away, spread by {s.across_mm:.0f} mm within the sheet."
         )
-    if cover.stage_travel_mm is not None:
-        words.append(f"Stage: {cover.stage_images} photographs over {cover.stage_travel_mm:.1f} mm.")
-    if cover.turn_deg is not None:
-        words.append(f"Turntable: {cover.turntable_images} photographs over {cover.turn_deg:.1f}°.")
+    for axis, along in cover.axes.items():
+        if along.way is not None:
+            name = f"{axis[0].upper()}{axis[1:]}"
+            words.append(f"{name}: {along.photographs} photographs over {along.way:.1f} {along.unit}.")
     caption = (
         "Where corners were seen (photographs in each part of the image tie the lens down there), how the boards were "
         "tilted (well spread is good), and how far away boards and stripes were."
@@ -386,13 +386,11 @@ def left_out(calibration: Calibration) -> Section:
 
 
 def _points_in_space(calibration: Calibration) -> list[np.ndarray]:
-    with float64():
-        camera = as_float64(calibration.rig.camera)
-        poses = jnp.asarray(np.asarray(as_float64(calibration.system.boards).as_vector()))
-        return [
-            stripe_points_in_space(calibration.observations, camera, poses, i)[0]
-            for i in range(len(calibration.rig.lasers))
-        ]
+    camera, poses = calibration.rig.camera, calibration.photograph_poses()
+    return [
+        stripe_points_in_space(calibration.observations, camera, poses, i)[0]
+        for i in range(len(calibration.rig.lights))
+    ]
 
 
 def _triple(values: tuple[float, ...], digits: int) -> str:

@@ -14,6 +14,7 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.geometry.robust_plane import dominant_plane
 from jaxscan.reconstruction import RangeImage, read_range_image
 from jaxscan.rig import Rig
+from jaxscan.rig.light import section, sheet_axes
 from jaxscan.surface.floor import find_floor
 
 UNITS: Final = {"height": "mm", "sigma": "mm", "strength": "grey levels"}
@@ -130,22 +131,11 @@ def _setup(points: Float32[np.ndarray, "points 3"], travel: Float[np.ndarray, "2
     focal = [float(f) for f in rig.camera.focal]
     half = 0.5 * np.array([columns, rows]) / focal
     sheet = np.zeros((0, 3))
-    if rig.lasers:
-        omega = np.array([float(c) for c in rig.lasers[0].plane])
+    if rig.lights:
+        light = rig.lights[0]
         depth = points[:, 2] - np.median(travel[:, 2])
         near, far = _BEFORE * float(depth.min()), _BEYOND * float(depth.max())
-        # Rows or columns: the image axis along which the sheet hardly climbs.
-        across = int(abs(omega[0]) > abs(omega[1]))
-        low, high = _WIDER * points[:, across].min(), _WIDER * points[:, across].max()
-        sheet = np.stack(
-            [_on_sheet(omega, across, x, z) for x, z in ((low, near), (high, near), (high, far), (low, far))]
-        )
+        along = points @ sheet_axes(light)[0]
+        ends = _WIDER * np.array([along.min(), along.max()])
+        sheet = section(light, np.array([near, far]), ends).reshape(-1, 3)[[0, 1, 3, 2]]
     return Setup(travel, sheet, float(2 * np.arctan(half[1])), columns / rows)
-
-
-def _on_sheet(omega: Float[np.ndarray, "3"], across: int, value: float, depth: float) -> Float[np.ndarray, "3"]:
-    """The point of ω · X = 1 with this coordinate across and this depth."""
-    X = np.array([0.0, 0.0, depth])
-    X[across] = value
-    X[1 - across] = (1 - omega @ X) / omega[1 - across]
-    return X

@@ -241,11 +241,13 @@ def thin(diagnostics: Diagnostics) -> list[Box]:
                     "across it.",
                 )
             )
-    if cover.stage_travel_mm is not None and cover.stage_images < _STAGE_IMAGES:
+    for axis, along in cover.axes.items():
+        if along.way is None or along.unit != "mm" or along.photographs >= _STAGE_IMAGES:
+            continue
         boxes.append(
             Box(
                 "care",
-                f"The stage rests on {cover.stage_images} photographs: its straightness cannot be seen.",
+                f"The {axis} rests on {along.photographs} photographs: its straightness cannot be seen.",
                 f"Photograph the board at {_STAGE_IMAGES} or more places along the travel.",
             )
         )

@@ -292,7 +292,7 @@ def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
                     "A mixture of good and bad photographs looks like this: the report has the worst of them.",
                 )
             )
-    fits = (*calibration.fits, *calibration.stage_fits)
+    fits = (*calibration.fits, *calibration.moved_fits)
     for what, kept, seen in (
         (
             "corners",

@@ -41,8 +41,8 @@ def test_careful_opencv_finds_what_was_drawn_and_makers_do_not(taken: tuple[Take
     careful, makers = (
         opencv_pipeline(session.sub_pix, session.folder, [scan], careful=careful) for careful in (True, False)
     )
-    np.testing.assert_allclose(careful.rig.lasers[0].plane, OMEGA, rtol=0, atol=3e-6)
-    np.testing.assert_allclose(careful.rig.stage.per_step, MOVE / STEPS_APART, rtol=0, atol=3e-6)
+    np.testing.assert_allclose(careful.rig.lights[0].plane, OMEGA, rtol=0, atol=3e-6)
+    np.testing.assert_allclose(careful.rig.axis("stage").per_step, MOVE / STEPS_APART, rtol=0, atol=3e-6)
     assert careful.clouds[0].shape == (3, 640, 3)
     assert np.isfinite(careful.clouds[0][..., 0]).mean() > 0.99
     assert careful.lit.sum(axis=1).min() > 120

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from jaxscan.calibration import Observations, StageSequence, StripePoints, View
+from jaxscan.calibration import BoardSequence, Observations, StripePoints, View
 from jaxscan.images import Board
 
 IMAGE_SIZE = (640, 480)
@@ -22,15 +22,15 @@ TRUTH = {
     "camera.principal.0": PRINCIPAL[0],
     "camera.principal.1": PRINCIPAL[1],
     "camera.radial.0": K1,
-    **{f"laser.plane.{i}": OMEGA[i] for i in range(3)},
-    **{f"stage.per_step.{i}": PER_STEP[i] for i in range(3)},
+    **{f"lights.0.plane.{i}": OMEGA[i] for i in range(3)},
+    **{f"motion.stage.per_step.{i}": PER_STEP[i] for i in range(3)},
 }
 
 CENTRE = ON_AXIS - ON_AXIS @ PER_TURN / (PER_TURN @ PER_TURN) * PER_TURN
 TRUTH_WITH_TURNTABLE = {
     **TRUTH,
-    **{f"turntable.per_step.{i}": PER_TURN[i] for i in range(3)},
-    **{f"turntable.centre.{i}": CENTRE[i] for i in range(3)},
+    **{f"motion.turntable.per_step.{i}": PER_TURN[i] for i in range(3)},
+    **{f"motion.turntable.centre.{i}": CENTRE[i] for i in range(3)},
 }
 
 
@@ -93,6 +93,7 @@ def observations(
     first_step: int = 0,
     step: int = 2000,
     laser: bool = True,
+    stripes_on_stage: bool = False,
 ) -> Observations:
     """A session of the rig of 2003."""
     rng = np.random.default_rng(seed)
@@ -116,14 +117,29 @@ def observations(
             View(
                 f"stage-{i}",
                 project(points @ R.T + t + PER_STEP * step * i) + noise.corner * rng.normal(size=(len(points), 2)),
+                stripes=noisy_stripe(R, t + PER_STEP * step * i, noise.stripe, seed + i) if stripes_on_stage else (),
             )
             for i in range(n_stage)
         )
-        stages = (StageSequence(steps, stage_views),)
+        stages = (BoardSequence({"stage": steps}, stage_views),)
     return Observations(IMAGE_SIZE, BOARD, tuple(views), stages, ("",) if laser else ())
 
 
-def turned(seed: int, noise: float = 0.05, images: int = 8, apart: float = 400.0, stage_step: int = 0) -> StageSequence:
+def noisy_stripe(R: np.ndarray, t: np.ndarray, noise: float, seed: int) -> tuple[StripePoints, ...]:
+    """The stripe on a board, column by column."""
+    pixels = stripe_on(R, t, True)
+    pixels[:, 1] += noise * np.random.default_rng([seed, 11]).normal(size=len(pixels))
+    return (StripePoints(pixels, half_width_px=1e-6),)
+
+
+def turned(
+    seed: int,
+    noise: float = 0.05,
+    images: int = 8,
+    apart: float = 400.0,
+    stage_step: int = 0,
+    stripes: bool = False,
+) -> BoardSequence:
     """Photographs of a board that lies on the turntable, askew and beside its middle."""
     rng = np.random.default_rng([seed, 7])
     points = BOARD.points()
@@ -131,6 +147,9 @@ def turned(seed: int, noise: float = 0.05, images: int = 8, apart: float = 400.0
     on_table = (points - points.mean(axis=0) + rng.uniform(-8, 8, 3)) @ lying.T
     views, steps = [], apart * np.arange(images)
     for i, n in enumerate(steps):
-        X = on_table @ cv2.Rodrigues(n * PER_TURN)[0].T + ON_AXIS + stage_step * PER_STEP
-        views.append(View(f"turntable-{i}", project(X) + noise * rng.normal(size=(len(points), 2))))
-    return StageSequence(np.full(len(steps), float(stage_step)), tuple(views), steps)
+        turn = cv2.Rodrigues(n * PER_TURN)[0]
+        X = on_table @ turn.T + ON_AXIS + stage_step * PER_STEP
+        stripe = noisy_stripe(turn @ lying, X[0] - turn @ lying @ points[0], 2 * noise, seed + i) if stripes else ()
+        views.append(View(f"turntable-{i}", project(X) + noise * rng.normal(size=(len(points), 2)), stripes=stripe))
+    stood = np.full(len(steps), float(stage_step))
+    return BoardSequence({"stage": stood, "turntable": steps}, tuple(views), "turntable", "rotary")

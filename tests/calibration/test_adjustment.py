@@ -18,13 +18,13 @@ PIXEL, STEPS = (300.0, 200.0), 4000.0
 
 def height(adjustment):
     """Depth of a triangulated pixel, mm."""
-    return refit(adjustment).rig.triangulate(jnp.asarray(PIXEL), jnp.asarray(STEPS))[2]
+    return refit(adjustment).rig.triangulate(jnp.asarray(PIXEL), {"stage": jnp.asarray(STEPS)})[2]
 
 
 def settled_height(adjustment):
     """The same, the solve begun once more where it ended: differences need digits that no σ needs."""
-    once = solve(adjustment.estimate, adjustment.free, adjustment.groups, adjustment.noise)
-    return height(replace(adjustment, estimate=once.estimate))
+    once = solve(adjustment.start, adjustment.free, adjustment.groups, adjustment.noise)
+    return height(replace(adjustment, start=once.system))
 
 
 @pytest.fixture(scope="module")
@@ -52,23 +52,23 @@ def test_refit_is_the_calibration(x64, calibration):
     for a, b, s in zip(jax.tree.leaves(again.rig), jax.tree.leaves(calibration.rig), sigma.values(), strict=True):
         assert abs(float(a) - float(b)) < 1e-5 * s
     np.testing.assert_allclose(again.boards.translation, calibration.system.boards.translation, atol=1e-6)
-    np.testing.assert_allclose(again.stages.translation, calibration.system.stages.translation, atol=1e-6)
+    np.testing.assert_allclose(again.moved.translation, calibration.system.moved.translation, atol=1e-6)
 
 
 def moved_corner(a, by):
-    return replace(a, groups=(replace(a.groups[0], corners=_add(a.groups[0].corners, (2, 7, 1), by)), a.groups[1]))
+    return replace(a, groups=(replace(a.groups[0], corners=_add(a.groups[0].corners, (2, 0, 7, 1), by)), a.groups[1]))
 
 
 def moved_stage_corner(a, by):
-    return replace(a, groups=(a.groups[0], replace(a.groups[1], corners=_add(a.groups[1].corners, (0, 60, 0), by))))
+    return replace(a, groups=(a.groups[0], replace(a.groups[1], corners=_add(a.groups[1].corners, (0, 1, 6, 0), by))))
 
 
 def moved_stripe(a, by):
-    return replace(a, groups=(replace(a.groups[0], stripe=_add(a.groups[0].stripe, (3, 320, 1), by)), a.groups[1]))
+    return replace(a, groups=(replace(a.groups[0], stripe=_add(a.groups[0].stripe, (3, 0, 320, 1), by)), a.groups[1]))
 
 
 def reweighted(a, by):
-    return replace(a, groups=(replace(a.groups[0], weights=_add(a.groups[0].weights, (4, 11), by)), a.groups[1]))
+    return replace(a, groups=(replace(a.groups[0], weights=_add(a.groups[0].weights, (4, 0, 11), by)), a.groups[1]))
 
 
 def scaled_board(a, by):
@@ -76,7 +76,7 @@ def scaled_board(a, by):
 
 
 def moved_principal_point(a, by):
-    return eqx.tree_at(lambda a: a.estimate.shared[0].camera.principal[1], a, replace_fn=lambda v: v + by)
+    return eqx.tree_at(lambda a: a.start.rig.camera.principal[1], a, replace_fn=lambda v: v + by)
 
 
 def wider_stripe_noise(a, by):
@@ -127,6 +127,6 @@ def test_without_x64_it_says_what_to_do(calibration):
 
 
 def test_no_minimum_is_an_error(x64, adjustment):
-    nowhere = replace(adjustment.estimate, poses=tuple(poses * jnp.nan for poses in adjustment.estimate.poses))
+    nowhere = replace(adjustment.start, poses=tuple(poses * jnp.nan for poses in adjustment.start.poses))
     with pytest.raises(RuntimeError, match="did not reach a minimum"):
-        refit(replace(adjustment, estimate=nowhere))
+        refit(replace(adjustment, start=nowhere))

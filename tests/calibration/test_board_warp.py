@@ -34,7 +34,7 @@ def bulging(monkeypatch: pytest.MonkeyPatch) -> None:
 def session(moved: bool) -> Observations:
     """Views, and with them a board on the stage and one on the turntable."""
     seen = synthetic.observations(seed=3, n_stage=9 if moved else 0, laser=False)
-    return replace(seen, stages=(*seen.stages, synthetic.turned(seed=3))) if moved else seen
+    return replace(seen, sequences=(*seen.sequences, synthetic.turned(seed=3))) if moved else seen
 
 
 def errors_in_sigma(result: Calibration) -> dict[str, float]:

@@ -15,10 +15,10 @@ from tests.calibration import synthetic
 from tests.calibration.synthetic import FOCAL, TRUTH, Noise
 
 
-def errors_in_sigma(calibration):
+def errors_in_sigma(calibration, truth=TRUTH):
     values = dict(zip(parameter_names(calibration.rig), map(float, jax.tree.leaves(calibration.rig)), strict=True))
     names = calibration.covariance.names
-    return np.array([(values[name] - TRUTH[name]) / calibration.covariance.sigma(name) for name in names])
+    return np.array([(values[name] - truth[name]) / calibration.covariance.sigma(name) for name in names])
 
 
 def mahalanobis(calibration):
@@ -76,17 +76,20 @@ def test_outliers_are_left_out_and_named(session, calibration):
 
 
 def test_a_far_first_step_does_not_matter(session, calibration):
-    far = replace(session, stages=(replace(session.stages[0], steps=session.stages[0].steps - 100000),))
+    far = replace(
+        session, sequences=(replace(session.sequences[0], positions={"stage": session.sequences[0].steps - 100000}),)
+    )
     moved = calibrate(far)
     for a, b in zip(jax.tree.leaves(moved.rig), jax.tree.leaves(calibration.rig), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-15)
-    at_first = moved.system.stage_board(0, np.array(-100000.0)).translation
-    np.testing.assert_allclose(at_first, calibration.system.stages.translation[0], atol=1e-4)
+    first = len(session.views)
+    places = (each.photograph_poses().translation[first] for each in (moved, calibration))
+    np.testing.assert_allclose(next(places), next(places), atol=1e-4)
     # … nor to how well the pose there is known, although at step 0, far outside the sequence, it is known much worse.
-    there, here = moved.stage_covariances[0], calibration.stage_covariances[0]
+    there, here = moved.moved_covariances[0], calibration.moved_covariances[0]
     J = np.eye(len(there.names))
     for i in range(3):
-        J[there.names.index(f"board.translation.{i}"), there.names.index(f"stage.per_step.{i}")] = -100000.0
+        J[there.names.index(f"board.translation.{i}"), there.names.index(f"motion.stage.per_step.{i}")] = -100000.0
     scale = np.sqrt(np.diagonal(here.matrix))
     np.testing.assert_allclose(
         J @ there.matrix @ J.T / np.outer(scale, scale), here.matrix / np.outer(scale, scale), atol=1e-6
@@ -97,7 +100,7 @@ def test_a_far_first_step_does_not_matter(session, calibration):
 def test_the_pose_of_each_board_has_a_covariance_with_the_rig(session, calibration):
     n = len(calibration.covariance.names)
     assert len(calibration.board_covariances) == len(session.views)
-    for covariance in (*calibration.board_covariances, *calibration.stage_covariances):
+    for covariance in (*calibration.board_covariances, *calibration.moved_covariances):
         assert covariance.names[:n] == calibration.covariance.names
         np.testing.assert_array_equal(covariance.matrix[:n, :n], calibration.covariance.matrix)
         assert (
@@ -109,15 +112,15 @@ def test_stripe_found_row_by_row_and_no_stage():
     # The sheet stands so that its stripe runs along the rows' direction of detection as well as it can.
     turned = synthetic.observations(seed=2, n_stage=0, columns=True)
     result = calibrate(turned)
-    assert result.rig.stage is None
+    assert result.rig.axes() == {}
     assert np.abs(errors_in_sigma(result)).max() < 4.5
 
 
 def test_corners_alone_give_a_camera(session):
-    corners = replace(session, views=tuple(replace(v, stripes=()) for v in session.views), stages=(), lasers=())
+    corners = replace(session, views=tuple(replace(v, stripes=()) for v in session.views), sequences=(), lasers=())
     result = calibrate(corners)
-    assert result.rig.lasers == ()
-    assert result.rig.stage is None
+    assert result.rig.lights == ()
+    assert result.rig.axes() == {}
     assert result.stripe_rms_px is None
     assert np.abs(errors_in_sigma(result)).max() < 4.5
 
@@ -127,7 +130,7 @@ def test_least_squares_over_corners_is_opencvs_minimum(session):
 
     # OpenCV takes corners in float32.
     views = [replace(v, corners=v.corners.astype(np.float32).astype(float), stripes=()) for v in session.views]
-    ours = calibrate(replace(session, views=tuple(views), stages=(), lasers=()), plain=True)
+    ours = calibrate(replace(session, views=tuple(views), sequences=(), lasers=()), plain=True)
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     rms, K, _, _, _ = cv2.calibrateCamera(
         [session.board.points().astype(np.float32)] * len(views),
@@ -143,7 +146,7 @@ def test_least_squares_over_corners_is_opencvs_minimum(session):
 
 
 def test_principal_point_can_be_held(session):
-    corners = replace(session, views=tuple(replace(v, stripes=()) for v in session.views), stages=(), lasers=())
+    corners = replace(session, views=tuple(replace(v, stripes=()) for v in session.views), sequences=(), lasers=())
     held = calibrate(corners, principal_point="centre")
     assert [float(x) for x in held.rig.camera.principal] == [319.5, 239.5]
     assert "camera.principal.0" not in held.covariance.names
@@ -159,8 +162,8 @@ def test_stripe_beyond_the_board_does_not_spoil_the_plane(session, calibration):
         pixels[missing] = np.stack([missing, np.full(len(missing), np.nanmedian(pixels[:, 1]) - 60.0)], axis=-1)
         views.append(replace(view, stripes=(replace(stripe, pixels=pixels),)))
     result = calibrate(replace(session, views=tuple(views)))
-    a, b = (np.array([float(x) for x in jax.tree.leaves(c.rig.lasers)]) for c in (result, calibration))
-    np.testing.assert_allclose(a, b, atol=3 * calibration.covariance.sigma("laser.plane.2"))
+    a, b = (np.array([float(x) for x in jax.tree.leaves(c.rig.lights)]) for c in (result, calibration))
+    np.testing.assert_allclose(a, b, atol=3 * calibration.covariance.sigma("lights.0.plane.2"))
     assert any("beyond the board" in line for line in result.rejected)
 
 
@@ -177,7 +180,7 @@ def parallel(observations):
         )
         for i, shift in enumerate(shifts)
     )
-    return replace(observations, views=views, stages=(), lasers=())
+    return replace(observations, views=views, sequences=(), lasers=())
 
 
 def test_parallel_boards_are_refused_in_words(session):
@@ -191,9 +194,7 @@ def test_parallel_boards_are_refused_in_words(session):
         (lambda o: replace(o, views=o.views[:2]), "2 usable views.*at least 3"),
         (lambda o: replace(o, views=tuple(replace(v, stripes=()) for v in o.views)), "0 usable stripes.*at least 2"),
         (
-            lambda o: replace(
-                o, stages=(replace(o.stages[0], steps=o.stages[0].steps[:1], views=o.stages[0].views[:1]),)
-            ),
+            lambda o: replace(o, sequences=(o.sequences[0].only([0]),)),
             "1 usable stage photographs",
         ),
         (lambda o: replace(o, views=tuple(replace(v, corners=v.corners * np.nan) for v in o.views)), "0 usable views"),
@@ -209,11 +210,22 @@ def test_shapes_that_do_not_fit_are_refused(session):
         replace(session, views=(replace(session.views[0], corners=np.zeros((5, 2))), *session.views[1:]))
 
 
-def test_stripes_on_the_stage_are_refused(session):
-    stage = session.stages[0]
-    lit = tuple(replace(view, stripes=session.views[0].stripes) for view in stage.views)
-    with pytest.raises(InputError, match="stage-0: a stage photograph has stripes"):
-        replace(session, stages=(replace(stage, views=lit),))
+def test_stripes_on_a_board_that_moves_are_used():
+    """On the stage and on the turntable; without them the light is known less well."""
+    still = synthetic.observations(3, n_stage=8)
+    moving = synthetic.observations(3, n_stage=8, stripes_on_stage=True)
+    turned = synthetic.turned(3, stage_step=5000, stripes=True)
+    found = [
+        calibrate(replace(each, sequences=(*each.sequences, turn)))
+        for each, turn in ((still, synthetic.turned(3, stage_step=5000)), (moving, turned))
+    ]
+    for result in found:
+        assert np.abs(errors_in_sigma(result, synthetic.TRUTH_WITH_TURNTABLE)).max() < 4.5
+    sigma = [result.covariance.sigma("lights.0.plane.1") for result in found]
+    assert sigma[1] < 0.9 * sigma[0]
+    seen = [sum(int(fit.stripe_kept.sum()) for fit in result.moved_fits) for result in found]
+    assert seen[0] == 0
+    assert seen[1] > 2000
 
 
 def test_inside_a_float32_trace_it_says_what_to_do(session):
@@ -319,7 +331,7 @@ def test_corners_on_one_line_give_no_pose(session, seen):
 
 
 def test_a_stage_that_did_not_move_is_lost_in_the_noise(session):
-    (stage,) = session.stages
+    (stage,) = session.sequences
     still = replace(stage, views=tuple(stage.views[0] for _ in stage.views))
-    with pytest.raises(ObservabilityError, match=r"the stage's travel is not determined, it is lost in the noise"):
-        calibrate(replace(session, stages=(still,)))
+    with pytest.raises(ObservabilityError, match=r"the motion of the stage is not determined, it is lost in the noise"):
+        calibrate(replace(session, sequences=(still,)))

@@ -2,23 +2,19 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxscan.calibration import calibrate
-from jaxscan.calibration.coverage import Coverage, StripeCoverage, measure_coverage
+from jaxscan.calibration.coverage import AxisCoverage, Coverage, StripeCoverage, measure_coverage
 from jaxscan.calibration.observability import OpenQuestion, cause_and_mend
 from jaxscan.errors import ObservabilityError
-from jaxscan.precision import as_float64, float64
 from tests.calibration import synthetic
 
 
 @pytest.fixture
 def coverage(calibration):
-    with float64():
-        poses = jnp.asarray(as_float64(calibration.system.boards).as_vector())
-        return measure_coverage(calibration.observations, as_float64(calibration.rig), poses)
+    return measure_coverage(calibration.observations, calibration.rig, calibration.photograph_poses())
 
 
 def test_numbers_are_those_of_the_poses_drawn(coverage, session):
@@ -33,8 +29,8 @@ def test_numbers_are_those_of_the_poses_drawn(coverage, session):
     np.testing.assert_allclose(coverage.tilts_deg, tilts, atol=0.5)
     np.testing.assert_allclose(coverage.distances_mm, distances, rtol=3e-3)
     assert coverage.corners_in_cells.sum() == 11 * 54
-    assert coverage.stage_images == 5
-    assert coverage.stage_travel_mm == pytest.approx(8.0, rel=5e-3)
+    assert coverage.axes["stage"].photographs == 5
+    assert coverage.axes["stage"].way == pytest.approx(8.0, rel=5e-3)
     (stripe,) = coverage.stripes
     assert stripe.views == 11
     assert 270 < stripe.depths_mm[0] < stripe.depths_mm[1] < 420
@@ -50,10 +46,7 @@ COVERAGE = Coverage(
     image_share=0.3,
     reach=0.4,
     stripes=(StripeCoverage("", 2, 300, (340.0, 341.0), 2.5),),
-    stage_images=3,
-    stage_travel_mm=0.25,
-    turntable_images=4,
-    turn_deg=6.5,
+    axes={"stage": AxisCoverage(3, 0.25, "mm"), "turntable": AxisCoverage(4, 6.5, "degrees")},
 )
 
 
@@ -63,9 +56,9 @@ COVERAGE = Coverage(
         ("camera.focal.0", 4.0, "normals lie within 4.0°.*Tilt the board by 30°"),
         ("camera.radial.1", 40.0, "30 % of the image and reach 40 %.*lens with fewer terms"),
         ("camera.principal.0", 40.0, "within 40°.*Tilt the board"),
-        ("laser.plane.0", 40.0, "2 views lie between 340.0 and 341.0 mm.*spread by 2.5 mm.*distances"),
-        ("stage.per_step.1", 40.0, "moved by 0.25 mm over 3 photographs.*whole travel"),
-        ("turntable.centre.0", 40.0, "turned by 6.5° over 4 photographs.*30° and more"),
+        ("lights.0.plane.0", 40.0, "2 views lie between 340.0 and 341.0 mm.*spread by 2.5 mm.*distances"),
+        ("motion.stage.per_step.1", 40.0, "moved the board by 0.25 mm over 3 photographs.*whole travel"),
+        ("motion.turntable.centre.0", 40.0, "by 6.50 degrees over 4 photographs.*30° and more"),
     ],
 )
 def test_cause_and_mend_come_from_the_session(name, spread, words):
@@ -76,5 +69,5 @@ def test_cause_and_mend_come_from_the_session(name, spread, words):
 
 
 def test_a_stage_that_hardly_moves_is_refused_in_words():
-    with pytest.raises(ObservabilityError, match=r"the stage's travel is not determined.*moved by 0\.0"):
+    with pytest.raises(ObservabilityError, match=r"the motion of the stage is not determined.*moved the board by 0\.0"):
         calibrate(synthetic.observations(seed=0, n_stage=5, step=4))

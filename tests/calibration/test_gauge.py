@@ -36,12 +36,12 @@ def true_rig():
 @pytest.fixture(scope="module")
 def turned(true_rig):
     """The rig with its sheet turned by 1°, and with a covariance that knows nothing of that."""
-    omega = np.array([float(c) for c in true_rig.lasers[0].plane])
+    omega = np.array([float(c) for c in true_rig.lights[0].plane])
     aside = np.cross(omega, [0.3, 1.0, 0.2])
     aside *= np.linalg.norm(omega) / np.linalg.norm(aside)
     wrong = np.cos(np.radians(1)) * omega + np.sin(np.radians(1)) * aside
     with float64():
-        rig = replace(true_rig, lasers=(as_numpy(LightPlane.create(wrong)),))
+        rig = replace(true_rig, lights=(as_numpy(LightPlane.create(wrong)),))
     return RigFile(rig, Covariance(tuple(parameter_names(rig)), np.diag(SIGMA**2)))
 
 
@@ -49,8 +49,8 @@ def scan_of(rig, bodies, seed=0):
     """What an ideal detector sees, with noise."""
     steps = APART * np.arange(FRAMES)
     scene = rig_2003.scan_scene(rig, bodies)
-    rows = np.stack([true_profile(rig, scene, float(n)).position for n in steps])
-    return GaugeScan(rows + NOISE_PX * np.random.default_rng(seed).normal(size=rows.shape), steps)
+    rows = np.stack([true_profile(rig, scene, {"stage": float(n)}).position for n in steps])
+    return GaugeScan(rows + NOISE_PX * np.random.default_rng(seed).normal(size=rows.shape), {"stage": steps})
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,7 @@ def test_boards_and_gauge_in_one_solve(calibration, block, true_rig):
 @pytest.mark.long
 def test_boards_tell_nothing_of_a_part_that_is_doubted(calibration, turned, true_rig):
     """The laser was pushed after the boards were photographed: their stripes lie on a sheet that is no more."""
-    pushed = replace(true_rig, lasers=turned.rig.lasers)
+    pushed = replace(true_rig, lights=turned.rig.lights)
     scan = scan_of(pushed, stair(37.0, HEIGHTS))
     fit = refine_by_gauge(calibration, [Gauge(scan, Steps((0.0, *HEIGHTS)))])
     sigma = np.sqrt(np.diagonal(fit.covariance.matrix))

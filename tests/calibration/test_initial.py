@@ -5,6 +5,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import initial
+from jaxscan.geometry import Pose
+from jaxscan.rig import Linear
+from jaxscan.rig.light_plane import robust_plane
 from tests.calibration import synthetic
 from tests.calibration.synthetic import BOARD, IMAGE_SIZE
 
@@ -55,23 +58,24 @@ def test_robust_plane_through_two_fifths_of_strays():
     points = np.c_[rng.uniform(-50, 50, (300, 2)), np.zeros(300)]
     points[:, 2] = (1 - points[:, :2] @ omega[:2]) / omega[2] + 0.01 * rng.normal(size=300)
     points[rng.random(300) < 0.4, 2] += rng.uniform(20, 100)
-    np.testing.assert_allclose(initial.robust_plane(points, view), omega, atol=2e-6)
+    np.testing.assert_allclose(robust_plane(points, view), omega, atol=2e-6)
 
 
 def test_stripes_that_make_no_plane_give_no_number():
     line = np.c_[np.linspace(-50, 50, 40), np.zeros(40), np.full(40, 300.0)]
-    assert np.isnan(initial.robust_plane(np.concatenate([line, line]), np.repeat([0, 1], 40))).all()
+    assert np.isnan(robust_plane(np.concatenate([line, line]), np.repeat([0, 1], 40))).all()
     through_the_camera = np.c_[line[:, :2], np.random.default_rng(0).uniform(200, 400, 40)]
-    assert not np.isfinite(initial.robust_plane(through_the_camera, np.repeat([0, 1], 20))).all()
+    assert not np.isfinite(robust_plane(through_the_camera, np.repeat([0, 1], 20))).all()
 
 
 def test_stage_line_with_one_photograph_off():
     steps = np.arange(-100000, -80000, 2000.0)
     translations = np.array([1.0, 2.0, 300.0]) + (steps - steps.mean())[:, None] * [1e-5, 9e-4, -4e-4]
     translations[3] += 50
-    middle, per_step = initial.stage_line(steps, translations)
-    np.testing.assert_allclose(per_step, [1e-5, 9e-4, -4e-4], rtol=1e-9)
-    np.testing.assert_allclose(middle, [1, 2, 300], rtol=1e-9)
+    poses = Pose(np.zeros((len(steps), 3)), translations)
+    found = Linear.fitted("stage", steps, poses, np.zeros(3))
+    per_step = [float(x) for x in found.per_step]
+    np.testing.assert_allclose(per_step, [1e-5, 9e-4, -4e-4], rtol=1e-6)
 
 
 def test_a_board_turned_in_one_photograph_has_no_say_in_how_it_stood():

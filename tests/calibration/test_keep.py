@@ -13,7 +13,7 @@ from jaxscan.errors import InputError
 @pytest.fixture(scope="module")
 def spoilt(session):
     """The session with corners, stage corners and a piece of stripe spoilt, and a view that shows too little."""
-    views, stage = list(session.views), session.stages[0]
+    views, stage = list(session.views), session.sequences[0]
     corners = views[2].corners.copy()
     corners[[3, 17]] += [[9.0, -7.0], [0.0, 4.0]]
     views[2] = replace(views[2], corners=corners)
@@ -23,7 +23,7 @@ def spoilt(session):
     views[7] = replace(views[7], corners=np.where(np.arange(54)[:, None] < 5, views[7].corners, np.nan))
     staged = list(stage.views)
     staged[1] = replace(staged[1], corners=staged[1].corners + np.where(np.arange(54)[:, None] == 9, 5.0, 0.0))
-    return replace(session, views=tuple(views), stages=(replace(stage, views=tuple(staged)),))
+    return replace(session, views=tuple(views), sequences=(replace(stage, views=tuple(staged)),))
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +48,8 @@ def with_value(observations, kept, value):
 
     views = [spoil(view, mask) for view, mask in zip(observations.photographs(), kept, strict=True)]
     n = len(observations.views)
-    stage = replace(observations.stages[0], views=tuple(views[n:]))
-    return replace(observations, views=tuple(views[:n]), stages=(stage,))
+    stage = replace(observations.sequences[0], views=tuple(views[n:]))
+    return replace(observations, views=tuple(views[:n]), sequences=(stage,))
 
 
 def test_the_mask_is_of_all_photographs_and_leaves_the_outliers_out(spoilt, finished):
@@ -65,7 +65,7 @@ def test_the_mask_is_of_all_photographs_and_leaves_the_outliers_out(spoilt, fini
 def test_what_is_not_kept_is_not_read_bit_for_bit(spoilt, finished, kept_only, value):
     changed = with_value(spoilt, finished.kept, value)
     again = calibrate(changed, keep=finished.kept)
-    fields = ("system", "rig", "adjustment", "covariance", "fits", "stage_fits", "kept")
+    fields = ("system", "rig", "adjustment", "covariance", "fits", "moved_fits", "kept")
     for name in (*fields, "corner_sigma_px", "stripe_sigma_px", "stripe_correlation", "corner_rms_px", "stripe_rms_px"):
         a, b = (leaves(getattr(c, name)) for c in (kept_only, again))
         assert len(a) == len(b) > 0

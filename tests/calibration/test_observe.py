@@ -69,10 +69,32 @@ def test_a_copy_on_the_stage_counts_once_and_a_view_may_be_there_too(folder: Pat
     )
     found = observe(read_session(folder))
     assert found.left_out == ("again.png: a copy of board.png, which counts once",)
-    (stage,) = found.stages
+    (stage,) = found.sequences
     assert [view.name for view in stage.views] == ["board.png", "moved.png"]
     assert list(stage.steps) == [0.0, 100.0]
     assert len(found.views) == 1
+
+
+def test_the_stripe_is_looked_for_where_the_session_says_so(folder: Path) -> None:
+    """In a photograph of its own, or in that of the board; where nothing is said of it nothing is looked for."""
+    image = cv2.imread(str(folder / "board.png"))
+    lit = image.astype(float)
+    lit[118:123, :, 2] += 150
+    cv2.imwrite(str(folder / "lit.png"), lit.clip(0, 255).astype(np.uint8))
+    cv2.imwrite(str(folder / "moved.png"), np.roll(image, 3, axis=0))
+    text = (
+        "[board]\ninner_corners = [5, 4]\nsquare_mm = 10\n[views]\nboards = ['board.png']\nstripes = ['lit.png']\n"
+        "[laser]\n[stage]\nimages = ['board.png', 'moved.png']\nsteps_per_image = 100\n"
+    )
+    (folder / "session.toml").write_text(text)
+    assert [view.stripes for view in observe(read_session(folder), detector="gravity").sequences[0].views] == [(), ()]
+    (folder / "session.toml").write_text(text + "stripes = ['lit.png', '']\n")
+    first, second = observe(read_session(folder), detector="gravity").sequences[0].views
+    assert second.stripes == ()
+    (stripe,) = first.stripes
+    seen = stripe.pixels[np.isfinite(stripe.pixels).all(axis=1)]
+    assert len(seen) > 100
+    assert abs(np.median(seen[:, 1]) - 120) < 0.5
 
 
 @pytest.mark.parametrize("columns", [True, False])

@@ -10,7 +10,7 @@ from jaxscan.calibration import residuals
 from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.residuals import Noise, _tamed, block_errors, stripe_error
 from jaxscan.geometry import Pose, dual_plane
-from jaxscan.rig import Camera, LightPlane, Rig
+from jaxscan.rig import Camera, LightPlane, Rig, System
 from tests.calibration import synthetic
 
 
@@ -19,12 +19,15 @@ def true_rig():
     return Rig(camera, (LightPlane.create(synthetic.OMEGA),))
 
 
+def error_at(rig, beta, pixel, columns):
+    axis = jnp.where(columns, jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
+    return stripe_error(rig.lights[0], beta, *rig.camera.ray_and_change(pixel, axis))
+
+
 def test_stripe_error_is_the_shift_in_rows_and_in_columns(x64):
     R, t = synthetic.board_pose(np.random.default_rng(3))
     beta = dual_plane(Pose.from_matrix(jnp.asarray(R), jnp.asarray(t)))
-    error = jax.jit(
-        jax.vmap(lambda p, c: stripe_error(true_rig(), beta, jnp.asarray(synthetic.OMEGA), p, c), (0, None))
-    )
+    error = jax.jit(jax.vmap(lambda p, c: error_at(true_rig(), beta, p, c), (0, None)))
     for columns in (True, False):
         pixels = synthetic.stripe_on(R, t, columns)
         pixels = pixels[np.isfinite(pixels).all(axis=1)][::20]
@@ -46,7 +49,7 @@ def test_stripe_error_is_differentiated_whole(x64):
         parts = [p.reshape(leaf.shape) for p, leaf in zip(jnp.split(x, sizes), leaves, strict=True)]
         rig, pose = jax.tree.unflatten(tree, parts)
         beta = dual_plane(Pose.from_vector(pose))
-        return stripe_error(rig, beta, rig.lasers[0].omega, pixel, jnp.array(True))
+        return error_at(rig, beta, pixel, jnp.array(True))
 
     x = jnp.concatenate([leaf.ravel() for leaf in leaves])
     h = 1e-6 * np.maximum(np.abs(x), 1e-4)
@@ -58,25 +61,25 @@ def test_masked_entries_are_not_read(x64):
     with_values = synthetic.observations(seed=1, n_views=3, n_stage=0)
     block = jax.tree.map(lambda leaf: leaf[0], view_blocks(with_values))
     mask = dict(
-        corner_used=block.corner_used.at[:7].set(False),
-        stripe_used=block.stripe_used & (jnp.arange(block.stripe_used.size) > 300),
+        corner_used=block.corner_used.at[0, :7].set(False),
+        stripe_used=block.stripe_used & (jnp.arange(block.stripe_used.size) > 300)[None],
     )
     pose = jnp.array([0.1, 0.2, 0.0, -60.0, -40.0, 340.0])
     noise = Noise(jnp.array(0.05), jnp.array(0.1), jnp.array(0.0))
 
     def cost(pose, block):
         alone = jax.tree.map(lambda leaf: leaf[None], block)
-        return (alone.residuals(true_rig(), None, pose[None], noise) ** 2).sum()
+        return (alone.residuals(System(true_rig(), ()), pose[None], noise) ** 2).sum()
 
     kept = replace(block, **mask)
-    spoilt = replace(kept, corners=kept.corners.at[:7].set(jnp.nan), stripe=kept.stripe.at[:301].set(jnp.nan))
+    spoilt = replace(kept, corners=kept.corners.at[0, :7].set(jnp.nan), stripe=kept.stripe.at[0, :301].set(jnp.nan))
     value = jax.jit(jax.value_and_grad(cost))
     for a, b in zip(value(pose, kept), value(pose, spoilt), strict=True):
         np.testing.assert_array_equal(a, b)
         assert np.isfinite(a).all()
-    corner, stripe = block_errors(true_rig(), None, pose, spoilt)
-    assert (np.asarray(corner[:7]) == 0).all()
-    assert (np.asarray(stripe[:301]) == 0).all()
+    corner, stripe = block_errors(System(true_rig(), ()), pose, spoilt)
+    assert (np.asarray(corner[0, :7]) == 0).all()
+    assert (np.asarray(stripe[0, :301]) == 0).all()
 
 
 def test_robust_loss_is_square_then_straight(x64):
@@ -94,13 +97,13 @@ def test_a_stripe_that_takes_no_part_is_not_computed(x64, monkeypatch):
 
     monkeypatch.setattr(residuals, "stripe_errors", stripe_errors)
     views = view_blocks(synthetic.observations(seed=1, n_views=3, n_stage=0))
-    poses = jnp.tile(jnp.array([0.1, 0.2, 0.0, -60.0, -40.0, 340.0]), (len(views.steps), 1))
+    poses = jnp.tile(jnp.array([0.1, 0.2, 0.0, -60.0, -40.0, 340.0]), (len(views.points), 1))
     one = jnp.ones(())
-    of_group = jax.jit(lambda group: group.residuals(true_rig(), None, poses, Noise(one, one, one)))
+    of_group = jax.jit(lambda group: group.residuals(System(true_rig(), ()), poses, Noise(one, one, one)))
     masked = replace(views, stripe_used=jnp.zeros_like(views.stripe_used))
-    assert (of_group(masked)[:, -views.stripe_used.shape[1] :] == 0).all()
+    assert (of_group(masked)[:, -views.stripe_used.shape[2] :] == 0).all()
     jax.effects_barrier()
     assert not computed
-    assert (of_group(views)[:3, -views.stripe_used.shape[1] :] != 0).any()
+    assert (of_group(views)[:3, -views.stripe_used.shape[2] :] != 0).any()
     jax.effects_barrier()
     assert computed

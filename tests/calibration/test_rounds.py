@@ -19,22 +19,23 @@ def test_weights_are_drawn_towards_equal_ones_as_far_as_the_errors_ask(common):
     # One that is left out has no say, and keeps no weight.
     given[0, 0], errors[0, 0] = 0.0, 1e6
     with float64():
-        zeros, used = jnp.zeros((1, n)), jnp.asarray(given > 0)
-        none, off = jnp.zeros((1, 0)), jnp.zeros((1, 0), bool)
+        used = jnp.asarray(given > 0)
+        none, off = jnp.zeros((1, 1, 0)), jnp.zeros((1, 1, 0), bool)
         group = Blocks(
             points=jnp.zeros((1, n, 3)),
             relative=jnp.zeros((1, n, 2)),
-            corners=jnp.zeros((1, n, 2)),
-            weights=jnp.asarray(given),
-            corner_used=used,
-            steps=zeros,
-            stripe=jnp.zeros((1, 0, 2)),
+            q={},
+            reference={},
+            corners=jnp.zeros((1, 1, n, 2)),
+            weights=jnp.asarray(given[:, None]),
+            corner_used=used[:, None],
+            stripe=jnp.zeros((1, 1, 0, 2)),
             stripe_weights=none,
             stripe_used=off,
             stripe_columns=off,
-            stripe_laser=jnp.zeros((1, 0), int),
+            stripe_light=jnp.zeros((1, 1, 0), int),
         )
-        (believed,) = _believed((group,), (group,), ((jnp.asarray(errors), none),))
-        weights = np.asarray(believed.weights)
+        (believed,) = _believed((group,), (group,), ((jnp.asarray(errors[:, None]), none),))
+        weights = np.asarray(believed.weights)[:, 0]
     assert weights[0, 0] == 0
     np.testing.assert_allclose(weights[0, 1:], 0.03 / sigma[0, 1:], rtol=0.15)

@@ -11,6 +11,7 @@ import pytest
 from jaxscan.calibration import Calibration, Observations, calibrate
 from jaxscan.calibration.diagnostics.halves import halves, solve_apart
 from jaxscan.calibration.diagnostics.stage_errors import stage_errors, turntable_errors
+from jaxscan.calibration.on_board import pose_of
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import read_rig, write_rig
 from jaxscan.geometry import Pose
@@ -24,7 +25,7 @@ STAGE_STEP = 3000
 
 @pytest.fixture(scope="module")
 def with_turntable(session: Observations) -> Observations:
-    return replace(session, stages=(*session.stages, synthetic.turned(0, stage_step=STAGE_STEP)))
+    return replace(session, sequences=(*session.sequences, synthetic.turned(0, stage_step=STAGE_STEP)))
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +35,10 @@ def found(with_turntable: Observations) -> Calibration:
 
 def respoilt(observations: Observations, **changes: Any) -> Observations:
     """The same with another sequence on the turntable."""
-    on_stage, turned = observations.stages
-    return replace(observations, stages=(on_stage, replace(turned, **changes)))
+    on_stage, turned = observations.sequences
+    if "turns" in changes:
+        changes["positions"] = {**turned.positions, "turntable": changes.pop("turns")}
+    return replace(observations, sequences=(on_stage, replace(turned, **changes)))
 
 
 def values(calibration: Calibration) -> np.ndarray:
@@ -66,15 +69,17 @@ def test_the_truth_lies_within_the_predicted_covariance(found):
 
 
 def test_the_centre_is_the_point_of_the_axis_nearest_to_the_origin(found):
-    w, c = (np.stack(part) for part in (found.rig.turntable.per_step, found.rig.turntable.centre))
+    w, c = (np.stack(part) for part in (found.rig.axis("turntable").per_step, found.rig.axis("turntable").centre))
     assert abs(w @ c) < 1e-12 * np.linalg.norm(w) * np.linalg.norm(c)
 
 
 def test_boards_stand_where_they_stood(with_turntable, found):
-    turned = with_turntable.stages[1]
+    turned = with_turntable.sequences[1]
     with float64():
-        for n, view in zip(turned.turns, turned.views, strict=True):
-            board = found.system.stage_board(1, np.array(float(STAGE_STEP)), np.array(n))
+        places = found.photograph_poses()
+        first = len(with_turntable.views) + len(with_turntable.sequences[0].views)
+        for i, view in enumerate(turned.views):
+            board = pose_of(places, first + i)
             X = synthetic.BOARD.points() @ np.asarray(board.matrix()).T + np.asarray(board.translation)
             off = np.asarray(jax.vmap(as_float64(found.rig.camera).project)(X)) - view.corners
             assert np.sqrt((off**2).mean()) < 0.08
@@ -82,22 +87,24 @@ def test_boards_stand_where_they_stood(with_turntable, found):
 
 def test_the_pose_at_step_0_has_a_covariance_that_turns_with_it(with_turntable, found):
     """Counted from the middle of the sequence, the pose at step 0 is the one that the solve has."""
-    turned = with_turntable.stages[1]
-    middle = float(turned.turns.mean())
-    moved = calibrate(respoilt(with_turntable, turns=turned.turns - middle))
+    turned = with_turntable.sequences[1]
+    middle = float(turned.steps.mean())
+    moved = calibrate(respoilt(with_turntable, turns=turned.steps - middle))
     np.testing.assert_allclose(values(moved), values(found), rtol=1e-7, atol=1e-13)
-    there, here = found.stage_covariances[1], moved.stage_covariances[1]
+    there, here = found.moved_covariances[1], moved.moved_covariances[1]
     names = list(there.names)
-    at = [names.index(f"turntable.{part}.{i}") for part in ("per_step", "centre") for i in range(3)]
+    at = [names.index(f"motion.turntable.{part}.{i}") for part in ("per_step", "centre") for i in range(3)]
     pose = slice(len(names) - 6, len(names))
     with float64():
-        numbers = [np.asarray(x) for x in (*found.rig.turntable.per_step, *found.rig.turntable.centre)]
-        start = np.concatenate([found.system.stages.rotation[1], found.system.stages.translation[1]])
+        numbers = [np.asarray(x) for x in (*found.rig.axis("turntable").per_step, *found.rig.axis("turntable").centre)]
+        start = np.concatenate([found.system.moved.rotation[1], found.system.moved.translation[1]])
 
         def at_middle(each: np.ndarray) -> np.ndarray:
-            table = type(found.rig.turntable).create(each[:3], each[3:6])
+            table = type(found.rig.axis("turntable")).create(each[:3], each[3:6])
             return np.asarray(
-                (table.turned(np.asarray(middle)) @ Pose.from_vector(jax.numpy.asarray(each[6:]))).as_vector()
+                (
+                    table.pose({"turntable": np.asarray(middle)}) @ Pose.from_vector(jax.numpy.asarray(each[6:]))
+                ).as_vector()
             )
 
         each, J = np.concatenate([numbers, start]), np.eye(len(names))
@@ -110,7 +117,7 @@ def test_the_pose_at_step_0_has_a_covariance_that_turns_with_it(with_turntable, 
 
 
 def test_one_photograph_of_another_place_is_left_out(with_turntable, found):
-    views = list(with_turntable.stages[1].views)
+    views = list(with_turntable.sequences[1].views)
     views[3] = replace(views[3], corners=views[3].corners + np.array([7.0, -4.0]))
     spoilt = calibrate(respoilt(with_turntable, views=tuple(views)))
     assert any(line.startswith("turntable-3: 54 of 54 corners rejected") for line in spoilt.left_out)
@@ -125,7 +132,7 @@ def test_an_angle_that_is_off_is_measured(with_turntable, found):
     np.testing.assert_allclose(straight.turn_deg, 45.0 * np.arange(8), atol=0.02)
     assert len(stage_errors(found)) == 1
     # 1 step of 3200 is 0.1125°; the fit, through eight photographs, takes a little of it.
-    turns = with_turntable.stages[1].turns.copy()
+    turns = with_turntable.sequences[1].steps.copy()
     turns[4] -= 1.0
     (missed,) = turntable_errors(calibrate(respoilt(with_turntable, turns=turns)))
     assert np.argmax(np.abs(missed.turn_error_deg[:, 0])) == 4
@@ -155,29 +162,33 @@ def test_in_the_report_and_in_the_rig_file(tmp_path, found):
     back = read_rig(tmp_path / "rig.json")
     assert back.fit["turntable_images"] == 8
     assert back.fit["stage_images"] == 5
-    assert back.covariance.sigma("turntable.per_step.1") == found.covariance.sigma("turntable.per_step.1")
+    assert back.covariance.sigma("motion.turntable.per_step.1") == found.covariance.sigma("motion.turntable.per_step.1")
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (lambda s: s.only([0, 1]), "2 usable turntable photographs at different step counts; at least 3"),
-        (lambda s: replace(s, turns=s.turns[[0, 1, 0, 1, 0, 1, 0, 1]]), "2 usable turntable photographs"),
+        (
+            lambda s: replace(s, positions={**s.positions, "turntable": s.steps[[0, 1, 0, 1, 0, 1, 0, 1]]}),
+            "2 usable turntable photographs",
+        ),
         (lambda s: replace(s, views=s.views[:1] * 8), "turntable-0 … turntable-0: the board .* turned by 0.0°"),
     ],
 )
 def test_what_is_no_turn_is_refused(with_turntable, change, words):
-    on_stage, turned = with_turntable.stages
+    on_stage, turned = with_turntable.sequences
     with pytest.raises(InputError, match=words):
-        calibrate(replace(with_turntable, stages=(on_stage, change(turned))))
+        calibrate(replace(with_turntable, sequences=(on_stage, change(turned))))
 
 
 def test_away_from_step_0_without_a_stage_is_refused(with_turntable):
     with pytest.raises(InputError, match="give stage_step = 0"):
-        calibrate(replace(with_turntable, stages=with_turntable.stages[1:]))
+        calibrate(replace(with_turntable, sequences=with_turntable.sequences[1:]))
 
 
 def test_shapes_that_do_not_fit_are_refused(session):
     turned = synthetic.turned(0)
-    with pytest.raises(InputError, match="3 step counts for 8 turntable photographs"):
-        replace(session, stages=(replace(turned, steps=turned.steps[:3], turns=turned.turns[:3]),))
+    few = {"stage": turned.positions["stage"], "turntable": turned.steps[:3]}
+    with pytest.raises(InputError, match="3 step counts of the turntable for 8 photographs"):
+        replace(session, sequences=(replace(turned, positions=few),))

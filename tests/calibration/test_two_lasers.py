@@ -37,18 +37,18 @@ def calibration():
 def scans_and_faces(true_rig):
     scene, random = rig_2003.scan_scene(true_rig, stair(BLOCK_Y, HEIGHTS)), np.random.default_rng(1)
     scans, on = [], []
-    for i, laser in enumerate(true_rig.lasers):
-        profiles = [true_profile(true_rig, scene, n, laser=i) for n in STEPS]
+    for i, laser in enumerate(true_rig.lights):
+        profiles = [true_profile(true_rig, scene, {"stage": n}, laser=i) for n in STEPS]
         rows = np.stack([profile.position for profile in profiles])
         rows += Noise().stripe * random.normal(size=rows.shape)
-        scans.append(GaugeScan(rows, STEPS, laser=laser.name))
+        scans.append(GaugeScan(rows, {"stage": STEPS}, laser=laser.name))
         on.append(faces(np.stack([profile.points for profile in profiles]), true_rig, HEIGHTS, BLOCK_Y))
     return scans, list(zip(*on, strict=True))
 
 
 def test_both_light_planes_are_found_in_one_solve(calibration, true_rig):
     names = parameter_names(true_rig)
-    assert "laser.upper.plane.0" in names
+    assert "lights.0.plane.0" in names
     assert calibration.covariance.names == tuple(names)
     found, truth = (np.array([float(x) for x in jax.tree.leaves(rig)]) for rig in (calibration.rig, true_rig))
     assert (np.abs(found - truth) < 4 * np.sqrt(np.diagonal(calibration.covariance.matrix))).all()
@@ -65,8 +65,8 @@ def test_what_two_lasers_see_agrees(calibration, scans_and_faces):
 
 def test_a_light_plane_that_is_wrong_shows(calibration, scans_and_faces):
     scans, on = scans_and_faces
-    upper, lower = calibration.rig.lasers
+    upper, lower = calibration.rig.lights
     wrong = replace(upper, plane=tuple(np.asarray(1.002 * float(x)) for x in upper.plane))
-    pushed = replace(calibration, rig=replace(calibration.rig, lasers=(wrong, lower)))
+    pushed = replace(calibration, rig=replace(calibration.rig, lights=(wrong, lower)))
     face = face_distance(pushed, scans, on[-1])
     assert abs(face.each.mean()) > 10 * face.mean_sigma

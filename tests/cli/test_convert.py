@@ -45,7 +45,7 @@ def refusal(capsys, *argv: object) -> str:
 def test_a_rig_for_a_format_of_cameras_says_what_stays_behind(rig, tmp_path, capsys):
     assert run("convert", rig, tmp_path / "a.cameramodel", "--json") == 0
     out, err = capsys.readouterr()
-    left = ["the light plane", "the stage", "the covariances", "the standard deviations"]
+    left = ["the light", "the stage", "the covariances", "the standard deviations"]
     assert json.loads(out)["left_out"] == left
     assert (
         f"jaxscan: warning: {tmp_path / 'a.cameramodel'}: mrcal's .cameramodel has no place for {', '.join(left)}"
@@ -66,7 +66,7 @@ def test_a_camera_becomes_a_rig_without_laser_and_stage(tmp_path, capsys):
     assert "532.795 ± 0.5" not in out
     assert "no place for the standard deviations, 2 photographs of the board" in err
     found = read_rig(tmp_path / "rig.json")
-    assert (found.rig.lasers, found.rig.stage, found.covariance) == ((), None, None)
+    assert (found.rig.lights, found.rig.axes(), found.covariance) == ((), {}, None)
     assert found.rig.camera.lens == "brown"
     assert float(found.rig.camera.radial[2]) == samples.TERMS[4]
 

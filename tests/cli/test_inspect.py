@@ -51,7 +51,8 @@ def refusal(capsys, *argv: object) -> str:
 
 def test_a_rig_in_numbers(rig, capsys):
     found = facts(capsys, rig)
-    (laser,) = found["lasers"]
+    (laser,) = found["lights"]
+    assert (laser["name"], laser["kind"], laser["plane"]["value"]) == ("", "plane", RIG["laser"]["plane"])
     assert laser["angle_to_axis_deg"] == pytest.approx(30)
     assert laser["distance_mm"] == pytest.approx(300 * math.sin(math.radians(30)))
     assert laser["depth_in_the_middle_mm"] == pytest.approx(300)
@@ -61,8 +62,10 @@ def test_a_rig_in_numbers(rig, capsys):
     half_height = math.degrees(math.atan(240.5 / 690))
     assert high == pytest.approx(30 + half_height, abs=1e-6)
     assert low < 30 - half_height + 1e-6
-    assert found["stage"]["mm_per_1000_steps"] == pytest.approx(1.0)
-    assert found["stage"]["direction"] == pytest.approx([0, 0.6, -0.8])
+    (stage,) = found["motion"]
+    assert (stage["axis"], stage["kind"], stage["per_step"]["sigma"]) == ("stage", "linear", [None] * 3)
+    assert stage["mm_per_1000_steps"] == pytest.approx(1.0)
+    assert stage["direction"] == pytest.approx([0, 0.6, -0.8])
     assert found["camera"]["focal"] == {"value": [700.0, 690.0], "sigma": [0.5, 0.0]}
     assert found["camera"]["principal"]["sigma"] == [None, None]
     assert found["fit"] == RIG["fit"]
@@ -93,7 +96,9 @@ def test_a_rig_with_a_turntable(tmp_path, capsys):
     assert "axis (0.00000, 0.00000, -1.00000) ± 0.029° through (3.000, 4.000, 300.000) mm ± 0.15 mm" in said
     path.write_text(json.dumps(RIG | {"turntable": turntable}))
     assert "through (3.000, 4.000, 300.000) mm\n" in words(capsys, path)
-    assert facts(capsys, path)["turntable"]["through_sigma_mm"] is None
+    found = facts(capsys, path)["motion"]
+    assert [(axis["axis"], axis["kind"]) for axis in found] == [("stage", "linear"), ("turntable", "rotary")]
+    assert found[1]["through_sigma_mm"] is None
 
 
 def test_the_least_rig(rig, capsys):
@@ -172,7 +177,9 @@ def test_an_empty_range_image(tmp_path, capsys):
     none = np.zeros((0, 3), np.float32)
     arrays = RangeArrays(np.zeros((0, 3, 3), np.float32), none, none, none > 0, np.zeros(0, np.int64))
     write_range_npz(tmp_path / "cup.npz", arrays)
-    assert "0, no steps" in words(capsys, tmp_path / "cup.npz")
+    said = words(capsys, tmp_path / "cup.npz")
+    assert "frames  0\n" in said
+    assert "stage   no steps\n" in said
 
 
 @pytest.fixture

@@ -38,7 +38,7 @@ def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None
     assert len(session.views.boards) == 2
     assert session.turntable is not None
     assert len(session.turntable.images) == 3
-    assert read_rig(out / "truth" / "rig.json").rig.turntable is not None
+    assert read_rig(out / "truth" / "rig.json").rig.axis("turntable") is not None
     scan = read_scan(out / "scan")
     assert len(scan.frames) == 2
     assert scan.frames[0].suffix == ".jpg"
@@ -52,7 +52,7 @@ def test_a_box_from_three_sides(few_photographs: None, tmp_path: Path, monkeypat
     result = simulate.run(parse(str(out), "--object", "box", "--sides", "3", "--apart", "18000"))
     assert result["scans"] == ["scan-000", "scan-120", "scan-240"]
     first, second = (read_scan_truth(out / "truth", which) for which in ("000", "120"))
-    assert read_scan(out / "scan-240").steps == (0, 18000, 36000) == tuple(first.steps)
+    assert read_scan(out / "scan-240").axes["stage"] == (0, 18000, 36000) == tuple(first.axes["stage"])
     assert not np.array_equal(first.position, second.position, equal_nan=True)
     assert "--turn 120" in simulate.describe(result)
 

@@ -11,7 +11,9 @@ import trimesh
 from jaxscan.cli.main import main
 from jaxscan.files.ply import Lists
 from jaxscan.files.ply_read import read_ply_file
+from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import RangeImage, read_range_image, write_points
+from jaxscan.rig import Linear
 from tests.surface import scenes
 
 
@@ -30,8 +32,8 @@ def drawn(noise: float = 0.02) -> RangeImage:
         0.05 * full,
         0.02 * full,
         on | True,
-        400 * np.arange(60),
-        np.array([0, 0.001, 0]),
+        {"stage": 400 * np.arange(60)},
+        as_numpy(Linear.create([0.0, 0.001, 0.0])),
     )
 
 
@@ -245,4 +247,4 @@ def test_a_folded_surface_is_said(folder, capsys):
     wrong = replace(image, points=np.stack([image.points[..., 0], y - 2.0 * np.abs(y), 300 - 3 * np.abs(y)], axis=-1))
     write_points(folder / "folded.npz", wrong)
     assert main(["mesh", str(folder / "folded.npz"), "-o", str(folder / "f.stl"), "--floor", "keep", "--raw"]) == 0
-    assert "as when the stage moves the other way" in capsys.readouterr().out
+    assert "as when the object moves the other way" in capsys.readouterr().out

@@ -1,15 +1,25 @@
 """The organised range image: exact round trips, and what a reader must refuse."""
 
 import dataclasses
+import json
 import re
 import sys
 
+import jax
 import numpy as np
 import pytest
 
 from jaxscan.errors import InputError
 from jaxscan.files.range_npz import RangeArrays, read_range_npz, write_range_npz
-from jaxscan.reconstruction.range_image import RangeImage, writing_points
+from jaxscan.files.range_scanner import scanner_arrays
+from jaxscan.precision import as_numpy
+from jaxscan.reconstruction.range_image import RangeImage, read_range_image, write_points, writing_points
+from jaxscan.rig import Chain, Fixed, LightPlane, Linear, Rotary
+
+SHEET = as_numpy(LightPlane.create([0.0, -0.005, 1 / 300], "left"))
+MOTION = as_numpy(
+    Chain((Linear.create([1e-4, 1e-3, 1 / 3000]), Rotary.create([0.0, 0.01, 1e-3], [1.5, 0.0, 1000 / 3])))
+)
 
 
 def image(frames: int = 4, columns: int = 7) -> RangeArrays:
@@ -22,11 +32,13 @@ def image(frames: int = 4, columns: int = 7) -> RangeArrays:
 
 
 def whole(frames: int = 4) -> RangeArrays:
-    """With what a file may leave out."""
+    """With what a file may leave out, an older one's too."""
     rng, bare = np.random.default_rng(3), image(frames)
     pixels, sigma_pixel = rng.random((2, *bare.valid.shape), dtype=np.float32)
     light = rng.random((frames, 4), dtype=np.float32)
-    return dataclasses.replace(bare, pixels=pixels, sigma_pixel=sigma_pixel, per_step=rng.random(3), light=light)
+    positions, scanner = scanner_arrays({"turntable": np.arange(frames), "stage": bare.steps}, MOTION, SHEET)
+    known = {"pixels": pixels, "sigma_pixel": sigma_pixel, "per_step": rng.random(3), "light": light}
+    return dataclasses.replace(bare, positions=positions, scanner=scanner, **known)
 
 
 @pytest.mark.parametrize("frames", [0, 1, 4])
@@ -45,8 +57,70 @@ def test_what_is_not_known_is_left_out(tmp_path):
     assert read.pixels is None
     assert read.sigma_pixel is None
     assert read.per_step is None
+    assert read.positions is None
+    assert read.scanner is None
     with np.load(tmp_path / "a.npz") as archive:
         assert set(archive) == {"points", "strength", "sigma", "valid", "steps"}
+
+
+def test_the_scanner_survives_the_file(tmp_path):
+    arrays, positions = image(), {"turntable": np.array([0, 8, 16, 24]), "stage": np.full(4, 20000)}
+    bare = RangeImage.of("a.npz", arrays)
+    for motion, sheet in ((MOTION, SHEET), (MOTION.links[1], None), (Fixed(), SHEET), (Fixed(), None)):
+        write_points(tmp_path / "a.npz", dataclasses.replace(bare, positions=positions, motion=motion, sheet=sheet))
+        read = read_range_image(tmp_path / "a.npz")
+        assert list(read.positions) == ["turntable", "stage"]
+        for axis in positions:
+            np.testing.assert_array_equal(read.positions[axis], positions[axis])
+        # Of the axis that moves.
+        np.testing.assert_array_equal(read.steps, positions["turntable"])
+        # To the last bit.
+        assert jax.tree.structure((read.motion, read.sheet)) == jax.tree.structure((motion, sheet))
+        assert jax.tree.leaves((read.motion, read.sheet)) == jax.tree.leaves((motion, sheet))
+
+
+def test_older_files_have_a_stage(tmp_path):
+    per_step = np.array([1e-4, 1e-3, 1 / 3000])
+    write_range_npz(tmp_path / "a.npz", dataclasses.replace(image(), per_step=per_step))
+    read = read_range_image(tmp_path / "a.npz")
+    assert list(read.positions) == ["stage"]
+    np.testing.assert_array_equal(read.positions["stage"], image().steps)
+    assert isinstance(read.motion, Linear)
+    assert [float(x) for x in read.motion.per_step] == per_step.tolist()
+    assert read.sheet is None
+    np.testing.assert_allclose(read.cameras(), -image().steps[:, None] * per_step, rtol=1e-12)
+    for still in (image(), dataclasses.replace(image(), per_step=np.zeros(3))):
+        write_range_npz(tmp_path / "a.npz", still)
+        assert read_range_image(tmp_path / "a.npz").motion == Fixed()
+
+
+def test_a_broken_scanner_is_refused_by_name(tmp_path):
+    good = whole()
+    values = json.loads(good.scanner.tobytes())
+    axis = values["motion"][0]
+
+    def said(**changes: object) -> bytes:
+        return json.dumps({**values, **changes}).encode()
+
+    for broken, text in {
+        b"": '"scanner" is no JSON',
+        b"\xff\xfe{": '"scanner" is no JSON',
+        b"[" * 100_000: '"scanner" is no JSON',
+        b"[]": '"scanner" is no object',
+        said(axes=["stage"]): r"scanner\.axes.* 1 names for 2",
+        said(axes=["stage", "stage"]): r"scanner\.axes.* twice",
+        said(axes=2): r"scanner\.axes = 2: .*list",
+        said(motion=[{**axis, "kind": "robot"}]): r'scanner\.motion\.0\.kind = "robot"',
+        said(motion=[{**axis, "per_step": [0, np.nan, 0]}]): r"scanner\.motion\.0\.per_step.*finite",
+        said(lights=[{"kind": "plane"}]): r"scanner\.lights\.0\.plane: is missing",
+    }.items():
+        write_range_npz(tmp_path / "a.npz", dataclasses.replace(good, scanner=np.frombuffer(broken, np.uint8)))
+        with pytest.raises(InputError, match=rf"a\.npz: .*{text}"):
+            read_range_image(tmp_path / "a.npz")
+    for half in ("scanner", "positions"):
+        write_range_npz(tmp_path / "a.npz", dataclasses.replace(good, **{half: None}))
+        with pytest.raises(InputError, match=r'a\.npz: has one of "scanner" and "positions"'):
+            read_range_image(tmp_path / "a.npz")
 
 
 def test_arrays_that_do_not_fit_are_not_written(tmp_path):
@@ -132,4 +206,4 @@ def test_a_disk_that_is_full_half_way_leaves_what_was_there(tmp_path, ending):
 def range_image_of(points, step):
     shape = (1, len(points))
     one = np.ones(shape, np.float32)
-    return RangeImage(points[None], one, one, one, one, np.ones(shape, bool), np.asarray([step]))
+    return RangeImage(points[None], one, one, one, one, np.ones(shape, bool), {"stage": np.asarray([step])})

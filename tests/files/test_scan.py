@@ -65,9 +65,10 @@ def test_one_background_or_one_for_each_frame(folder, background, count):
 def test_videos(folder):
     (folder / "scan.MP4").write_bytes(b"any")
     counted = scan(folder, '[scan]\nframes = "scan.MP4"\nsteps_per_frame = 5\nbackground = "dark.png"')
-    assert (counted.video, counted.frames, counted.steps, counted.steps_per_frame) == (folder / "scan.MP4", (), (), 5)
+    assert (counted.video, counted.frames, counted.steps) == (folder / "scan.MP4", (), ())
+    assert counted.rules == {"stage": StepRule(0, 5)}
     listed = scan(folder, '[scan]\nframes = "scan.MP4"\nsteps = [0, 5]\nexposures_s = [1, 2]')
-    assert (listed.steps, listed.steps_per_frame) == ((0, 5), None)
+    assert (listed.steps, listed.rules) == ((0, 5), {})
     for read in (counted, listed):
         write_scan(read)
         assert read_scan(folder) == read
@@ -116,7 +117,7 @@ def test_axes_of_videos(folder):
     video = '[scan]\nframes = "v.mp4"\n[scan.axes]\n'
     uncounted = scan(folder, video, "turntable = { start = 3, per_frame = 8 }\nstage = 20000")
     assert uncounted.rules == {"turntable": StepRule(3, 8), "stage": StepRule(20000, 0)}
-    assert (uncounted.axes, uncounted.steps, uncounted.steps_per_frame) == ({}, (), 0)
+    assert (uncounted.axes, uncounted.steps) == ({}, ())
     # One list says how many frames there are.
     counted = scan(folder, video, "turntable = { per_frame = 8 }\nstage = [0, 0, 5, 5]")
     assert (counted.axes, counted.rules) == ({"turntable": (0, 8, 16, 24), "stage": (0, 0, 5, 5)}, {})

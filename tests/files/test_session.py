@@ -78,6 +78,26 @@ def test_a_turntable_there_and_back(folder):
     assert read_session(folder) == read
 
 
+def test_stripes_on_a_board_that_moves_there_and_back(folder):
+    turn = '[turntable]\nimages = "stage/*.png"\nsteps_per_image = 400\n'
+    read = session(folder, BOARD, VIEWS, turn + 'stripes = ["stage/v1.png", "", "stage/v10.png"]', "[laser]")
+    assert read.turntable is not None
+    first, _, last = read.turntable.images
+    assert read.turntable.stripes == {"": (first, None, last)}
+    write_session(read)
+    assert read_session(folder) == read
+    lasers = '[[laser]]\nname = "a"\nstripes = "stripes/*.png"\n[[laser]]\nname = "b"\nstripes = "stripes/*.png"\n'
+    two = session(folder, BOARD, VIEWS, lasers, turn + '[turntable.stripes]\nb = "stage/*.png"')
+    assert two.turntable is not None
+    assert two.turntable.stripes == {"b": two.turntable.images}
+    write_session(two)
+    assert read_session(folder) == two
+    with pytest.raises(InputError, match=r"\[turntable\] stripes.*2 photographs of the stripe for 3"):
+        session(folder, BOARD, VIEWS, turn + 'stripes = ["stage/v1.png", "stage/v2.png"]', "[laser]")
+    with pytest.raises(InputError, match=r"\[turntable\] stripes.*no laser"):
+        session(folder, BOARD, VIEWS, turn + 'stripes = "stage/*.png"')
+
+
 def test_steps_per_image_count_from_zero(folder):
     stage = session(folder, BOARD, VIEWS, '[stage]\nimages = "stage/*.png"\nsteps_per_image = -2000').stage
     assert stage is not None

@@ -50,7 +50,9 @@ def test_the_camera_sees_where_the_stage_truly_is(world: SimulatedWorld) -> None
     assert np.array_equal(camera.expose({"stage": 29000}).image, image)
 
     def off(steps: float) -> float:
-        clean = render(world.rig, world.scene, steps=steps, laser=0, lighting=world.lighting, sensor=rig_2003.SENSOR)
+        clean = render(
+            world.rig, world.scene, q={"stage": steps}, laser=0, lighting=world.lighting, sensor=rig_2003.SENSOR
+        )
         return float(np.abs(image.astype(float) - clean).mean())
 
     assert off(29900) < 0.95 * off(29000)

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
 ROWS, COLUMNS = 96, 128
 
@@ -13,7 +13,7 @@ def small_rig() -> Rig:
     """Of the size of the photographs."""
     with float64():
         camera = Camera.create((COLUMNS, ROWS), [140.0, 140.0], [63.5, 47.5], "radial1", [-0.1])
-        return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.005, 0.003]),), Stage.create([0.0, 1e-3, -1e-4])))
+        return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.005, 0.003]),), Linear.create([0.0, 1e-3, -1e-4])))
 
 
 def wavy_stripe(lower: float) -> Float[np.ndarray, "rows columns"]:

@@ -11,7 +11,7 @@ from jaxscan.images.exposures import merge_exposures
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import reconstruct
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
 STEPS, EXPOSURES = (0, 0, 10, 10, 10, 20), (0.01, 0.04, 0.01, 0.04, 0.04, 0.02)
 SHAPE = (96, 64)
@@ -33,7 +33,7 @@ def frames():
 def batches(images, darks, size):
     for i in range(0, len(images), size):
         some = slice(i, i + size)
-        yield images[some], None if darks is None else darks[some], np.asarray(STEPS[some])
+        yield images[some], None if darks is None else darks[some], np.asarray(STEPS[some])[:, None]
 
 
 def test_steps_are_grouped_where_they_stand_together():
@@ -65,7 +65,7 @@ def test_what_comes_out_does_not_depend_on_the_batches_that_come_in(with_dark):
     for size in (1, 4, 6):
         out = list(merged_steps(scan(), batches(images, darks, size), 2))
         assert [len(steps) for _, _, steps in out] == [2, 1]
-        assert np.concatenate([steps for _, _, steps in out]).tolist() == [0, 10, 20]
+        assert np.concatenate([steps for _, _, steps in out]).tolist() == [[0], [10], [20]]
         np.testing.assert_array_equal(np.concatenate([x for x, _, _ in out]), np.stack([x for x, _ in whole]))
         for (_, ground, _), expected in zip(out, (whole[:2], whole[2:]), strict=True):
             if darks is None:
@@ -77,7 +77,7 @@ def test_what_comes_out_does_not_depend_on_the_batches_that_come_in(with_dark):
 def test_a_scan_of_several_exposures_has_one_row_of_points_for_each_step(tmp_path):
     with float64():
         camera = Camera.create(SHAPE[::-1], np.array([100.0, 100.0]), np.array([31.5, 47.5]))
-        stage = Stage.create(np.array([0.0, 0.01, 0.0]))
+        stage = Linear.create(np.array([0.0, 0.01, 0.0]))
         rig = as_numpy(Rig(camera, (LightPlane.create(np.array([0.0, -0.004, 0.003])),), stage))
     paths = []
     for i, image in enumerate(frames()):

@@ -7,11 +7,12 @@ import pytest
 
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.reconstruction.point_sigma import point_covariance, point_sigma, ray_jacobian
-from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
+from jaxscan.rig import Camera, Covariance, LightPlane, Linear, Rig, Rotary
 from jaxscan.rig.rig import parameter_names
 
 PIXELS = np.array([[100.0, 60.0], [320.0, 100.0], [600.0, 20.0]])
 STEPS = np.array([0.0, 40000.0, -72000.0])
+Q = {"stage": STEPS, "turntable": STEPS / 50}
 STRIPE_SIGMA = 0.1
 
 
@@ -19,7 +20,7 @@ STRIPE_SIGMA = 0.1
 def rig():
     with float64():
         camera = Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], "radial1", [-0.134])
-        return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), Stage.create([0.0, 1e-3, -1e-4])))
+        return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), Linear.create([0.0, 1e-3, -1e-4])))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def drawn(rig, covariance):
         def points(parameters, shift):
             rig = jax.tree.unflatten(tree, list(parameters))
             moved = jnp.asarray(PIXELS) + shift[:, None] * jnp.array([[0.0, 1.0]])
-            return jax.vmap(rig.triangulate)(moved, jnp.asarray(STEPS))
+            return jax.vmap(rig.triangulate)(moved, jax.tree.map(jnp.asarray, Q))
 
         mean = np.array([float(x) for x in leaves])
         parameters = random.multivariate_normal(mean, covariance.matrix, size=n)
@@ -55,7 +56,7 @@ def drawn(rig, covariance):
 
 
 def test_covariances_of_rig_and_pixel_are_those_of_drawn_rigs_and_pixels(rig, covariance, drawn):
-    found = point_covariance(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=True)
+    found = point_covariance(rig, "", covariance, STRIPE_SIGMA, PIXELS, Q, columns=True)
     for part, points in zip((found.rig, found.pixel), drawn, strict=True):
         for i in range(len(PIXELS)):
             spread = np.cov(points[:, i].T)
@@ -64,7 +65,7 @@ def test_covariances_of_rig_and_pixel_are_those_of_drawn_rigs_and_pixels(rig, co
 
 
 def test_sigma_is_the_spread_along_the_ray(rig, covariance, drawn):
-    both, pixel_alone = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=True)
+    both, pixel_alone = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, Q, columns=True)
     with float64():
         rays = np.array([as_float64(rig).camera.ray(jnp.asarray(pixel)) for pixel in PIXELS])
     along = rays / np.linalg.norm(rays, axis=1)[:, None]
@@ -75,30 +76,36 @@ def test_sigma_is_the_spread_along_the_ray(rig, covariance, drawn):
 
 def test_a_stripe_found_row_by_row_is_uncertain_along_u(rig, covariance):
     near_axis = 1
-    _, by_rows = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=False)
-    _, by_columns = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, STEPS, columns=True)
+    _, by_rows = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, Q, columns=False)
+    _, by_columns = point_sigma(rig, "", covariance, STRIPE_SIGMA, PIXELS, Q, columns=True)
     # ω has no x component: on the axis a step along u moves the point across the ray alone, not in depth.
     assert by_rows[near_axis] < 0.02 * by_columns[near_axis]
 
 
-def test_derivatives_along_the_ray_are_differences(rig):
+@pytest.mark.parametrize("turned", [False, True])
+def test_derivatives_along_the_ray_are_differences(rig, turned):
     """By a lens with all terms, two lasers and a stage; a pixel that does not see the sheet has none."""
     with float64():
         lens = {"radial": [-0.13, 0.02, 0.003, 0.01, 0.002, 0.001], "tangential": [4e-4, -3e-4]}
         camera = Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], "rational", **lens)
         other = LightPlane.create([0.0, 0.004, 0.003], "lower")
-        both = as_numpy(Rig(camera, (LightPlane.create([1e-4, -0.00494, 0.00303], "upper"), other), rig.stage))
-        found, of_pixel = ray_jacobian(both, "upper", PIXELS, STEPS, columns=True)
+        lights = (LightPlane.create([1e-4, -0.00494, 0.00303], "upper"), other)
+        both = Rig(camera, lights, rig.axis("stage"))
+        if turned:
+            both = both.with_axis(Rotary.create([2e-4, 1.5e-3, 1e-4], [3.0, 4.0, 340.0]))
+        both = as_numpy(both)
+        found, of_pixel = ray_jacobian(both, "upper", PIXELS, Q, columns=True)
         leaves, tree = jax.tree.flatten(as_float64(both))
 
         @jax.jit
         def points(leaves, shift):
             moved = jax.tree.unflatten(tree, list(leaves))
             pixels = jnp.asarray(PIXELS) + shift * jnp.array([[0.0, 1.0]])
-            return jax.vmap(lambda p, n: moved.triangulate(p, n, "upper"))(pixels, jnp.asarray(STEPS))
+            return jax.vmap(lambda p, q: moved.triangulate(p, q, "upper"))(pixels, jax.tree.map(jnp.asarray, Q))
 
         values = np.array([float(leaf) for leaf in leaves])
-        ray = np.asarray(points(values, 0.0)) + STEPS[:, None] * np.stack(both.stage.per_step)
+        # As the object sees it.
+        ray = np.asarray(points(values, 0.0)) - both.pose(Q).inverse().translation
         along = ray / np.linalg.norm(ray, axis=1)[:, None]
 
         def difference(step, shift):
@@ -110,4 +117,4 @@ def test_derivatives_along_the_ray_are_differences(rig):
             expected = difference(h * (np.arange(len(values)) == i), 0.0) / h
             np.testing.assert_allclose(found[:, i], expected, rtol=1e-5, atol=1e-4)
         np.testing.assert_allclose(of_pixel, difference(0.0, 1e-3) / 1e-3, rtol=1e-5)
-    assert np.isnan(ray_jacobian(rig, "", np.array([[320.0, 700.0]]), np.zeros(1), columns=True)[0]).all()
+    assert np.isnan(ray_jacobian(rig, "", np.array([[320.0, 700.0]]), {}, columns=True)[0]).all()

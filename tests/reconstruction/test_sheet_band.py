@@ -27,7 +27,7 @@ def test_every_pixel_whose_ray_meets_the_sheet_in_the_range_is_in_the_band(colum
     low, high = band
     pixels = np.stack([random.integers(0, COLUMNS, 200), random.integers(0, ROWS, 200)], axis=-1)
     with float64():
-        points = np.asarray(jax.vmap(lambda p: as_float64(rig).triangulate(p, 0.0))(jnp.asarray(pixels, jnp.float64)))
+        points = np.asarray(jax.vmap(lambda p: as_float64(rig).triangulate(p, {}))(jnp.asarray(pixels, jnp.float64)))
     within = 0
     for pixel, depth in zip(pixels, points[:, 2], strict=True):
         line, place = pixel if columns else pixel[::-1]

@@ -7,46 +7,58 @@ import pytest
 
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction.point_sigma import point_sigma
-from jaxscan.reconstruction.sigma_map import SigmaMap, point_sigmas
-from jaxscan.rig import Camera, Covariance, LightPlane, Rig, Stage
+from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
+from jaxscan.rig import Camera, Covariance, LightPlane, Linear, Rig, Rotary
 from jaxscan.rig.rig import parameter_names
 
 LENSES = {"radial1": ([-0.134], []), "rational": ([-0.1, 0.05, 0.0, 0.05, 0.02, 0.0], [1e-3, 1e-3])}
 
 
 @pytest.mark.parametrize(
-    ("lens", "columns"), [("radial1", True), pytest.param("rational", False, marks=pytest.mark.long)]
+    ("lens", "columns", "turned"),
+    [
+        ("radial1", True, False),
+        ("radial1", True, True),
+        pytest.param("rational", False, False, marks=pytest.mark.long),
+        pytest.param("rational", False, True, marks=pytest.mark.long),
+    ],
 )
-def test_sigma_is_that_of_the_exact_derivatives(lens, columns):
+def test_sigma_is_that_of_the_exact_derivatives(lens, columns, turned):
     plane = [0.0, -0.00494, 0.00303] if columns else [-0.004, 0.0005, 0.0024]
     with float64():
         camera = Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], lens, *LENSES[lens])
-        rig = as_numpy(Rig(camera, (LightPlane.create(plane),), Stage.create([0.0, 1e-3, -4e-4])))
+        rig = as_numpy(Rig(camera, (LightPlane.create(plane),), Linear.create([0.0, 1e-3, -4e-4])))
+        if turned:
+            rig = as_numpy(rig.with_axis(Rotary.create([1e-4, 1.5e-3, 2e-4], [3.0, 4.0, 340.0])))
     names = tuple(parameter_names(rig))
     random = np.random.default_rng(0)
     scale = np.array([1e-3 if "radial" in n or "tangential" in n else 0.3 for n in names])
-    scale[-6:] = [1e-6, 2e-6, 2e-6, 4e-6, 4e-6, 4e-6]
+    motion = next(i for i, n in enumerate(names) if n.startswith("motion"))
+    scale[motion - 3 : motion + 3] = [1e-6, 2e-6, 2e-6, 4e-6, 4e-6, 4e-6]
+    if turned:
+        scale[-6:] = [2e-6, 2e-6, 2e-6, 0.02, 0.02, 0.02]
     root = scale[:, None] * (np.eye(len(names)) + 0.3 * random.normal(size=(len(names), len(names))))
     covariance = Covariance(names, root @ root.T)
 
-    steps = np.array([-72000.0, 0.0, 40000.0])
+    q = {"stage": np.array([-72000.0, 0.0, 40000.0]), "turntable": np.array([300.0, 0.0, -900.0])}
     lines, length = (640, 480) if columns else (480, 640)
     position = random.uniform(0, length - 1, (3, lines)).astype(np.float32)
     index = np.broadcast_to(np.arange(lines, dtype=np.float32), position.shape)
     pixels = np.stack([index, position] if columns else [position, index], axis=-1).reshape(-1, 2).astype(np.float64)
-    count = np.repeat(steps, lines)
+    each = {axis: np.repeat(steps, lines) for axis, steps in q.items()}
     stripe = random.uniform(0.02, 0.3, position.size)
     with float64():
-        points = np.asarray(jax.vmap(rig.triangulate)(jnp.asarray(pixels), jnp.asarray(count)))
-    camera_z = points[:, 2] + count * float(rig.stage.per_step[2])
+        points = np.asarray(jax.vmap(rig.triangulate)(jnp.asarray(pixels), jax.tree.map(jnp.asarray, each)))
+    pose = rig.pose(each)
+    camera_z = pose.apply(points[:, None])[:, 0, 2]
     inside = np.isfinite(points).all(axis=1) & (camera_z > 0) & (camera_z < 2000)
     assert inside.mean() > 0.4
-    exact = point_sigma(rig, "", covariance, stripe, pixels, count, columns)
+    exact = point_sigma(rig, "", covariance, stripe, pixels, each, columns)
     mapped = point_sigmas(
         SigmaMap.create(rig, "", covariance, columns),
+        MovedFrames.create(rig, q, 3),
         jnp.asarray(position),
         jnp.asarray(points.reshape(3, lines, 3), jnp.float32),
-        jnp.asarray(steps, jnp.float32),
         jnp.asarray(stripe.reshape(position.shape), jnp.float32),
     )
     for own, known in zip(mapped, exact, strict=True):

@@ -14,7 +14,8 @@ from jaxscan.reconstruction import reconstruct, spacetime
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.spacetime import Geometry, carried, spacetime_profiles
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.reconstruction.triangulate import FramePoses
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
 ROWS, COLUMNS, FRAMES = 96, 40, 40
 DEPTH, SHEET_MM, STEP = 300.0, 0.8, 200
@@ -28,7 +29,7 @@ GREY = StripeSettings("grey")
 def rig():
     with float64():
         camera = Camera.create((COLUMNS, ROWS), np.array([600.0, 600.0]), np.array([20.0, 48.0]))
-        stage = Stage.create(PER_STEP)
+        stage = Linear.create(PER_STEP)
         return as_numpy(Rig(camera, (LightPlane.create(OMEGA),), stage))
 
 
@@ -55,7 +56,7 @@ def scan(tmp_path_factory):
 
 
 def test_a_track_is_where_the_camera_sees_what_the_stage_carries(rig):
-    geometry = Geometry.create(rig, GREY, STEP)
+    geometry = Geometry.create(rig, GREY, "stage", STEP, {})
     q, m = np.array([13.0, 60.0]), 3.5
     with float64():
         ray = np.asarray(rig.camera.ray(jnp.asarray(q)))
@@ -86,7 +87,7 @@ def test_a_border_of_reflectance_does_not_bend_the_surface(images):
 
 def test_each_frame_has_the_points_that_cross_the_sheet_at_its_time(images, scan):
     image = images[1]
-    assert image.steps.tolist() == list(scan.steps)
+    assert image.steps.tolist() == list(scan.axes["stage"])
     # Of the border itself, half-way, the bright side is seen a little sooner.
     away = np.r_[HALF:16, 24 : FRAMES - HALF]
     crossing = -image.steps[away] * PER_STEP[1]
@@ -101,19 +102,23 @@ def frames(scan):
 
 def points_of(rig, settings, frames, steps, sigma, dark=None):
     """The points of frames that come seven at a time."""
-    geometry = Geometry.create(rig, settings, STEP)
+    geometry = Geometry.create(rig, settings, "stage", STEP, {})
     own = dark is not None and dark.shape == frames.shape
     batches = [
-        (frames[i : i + 7], dark[i : i + 7] if own else dark, np.asarray(steps[i : i + 7]))
+        (frames[i : i + 7], dark[i : i + 7] if own else dark, np.asarray(steps[i : i + 7])[:, None])
         for i in range(0, len(frames), 7)
     ]
-    found = spacetime_profiles(geometry, sigma, settings, batches, "gravity", "strongest")
+
+    def frames_at(positions):
+        return FramePoses.create(rig.motion, {"stage": positions[:, 0]}, len(positions))
+
+    found = spacetime_profiles(geometry, sigma, settings, batches, "gravity", "strongest", frames_at)
     return np.concatenate([x.points for x in found])
 
 
 def test_points_do_not_depend_on_the_batches(rig, scan, frames, images):
     _, sigma = passage_of(rig, scan)
-    np.testing.assert_array_equal(points_of(rig, GREY, frames, scan.steps, sigma), images[1].points)
+    np.testing.assert_array_equal(points_of(rig, GREY, frames, scan.axes["stage"], sigma), images[1].points)
 
 
 def test_a_scan_of_another_length_compiles_nothing(rig, scan, frames, images):
@@ -131,10 +136,10 @@ def test_lines_that_are_rows(rig, scan, frames, images):
     """The scan turned over its diagonal, its rig likewise."""
     with float64():
         camera = Camera.create((ROWS, COLUMNS), np.array([600.0, 600.0]), np.array([48.0, 20.0]))
-        turned = as_numpy(Rig(camera, (LightPlane.create(OMEGA[[1, 0, 2]]),), Stage.create(PER_STEP[[1, 0, 2]])))
+        turned = as_numpy(Rig(camera, (LightPlane.create(OMEGA[[1, 0, 2]]),), Linear.create(PER_STEP[[1, 0, 2]])))
     _, sigma = passage_of(rig, scan)
     rows = StripeSettings("grey", columns=False)
-    points = points_of(turned, rows, np.ascontiguousarray(frames.swapaxes(1, 2)), scan.steps, sigma)
+    points = points_of(turned, rows, np.ascontiguousarray(frames.swapaxes(1, 2)), scan.axes["stage"], sigma)
     np.testing.assert_allclose(points[..., [1, 0, 2]], images[1].points, atol=1e-3)
 
 
@@ -147,7 +152,7 @@ def test_a_red_laser_beside_a_lamp(rig, scan, frames, images, photographs):
     dark = np.rint(lamp[..., None] * (1.0, 0.7, 0.4)).astype(np.uint16)
     lit = dark + (frames[..., None] * np.array([0.5, 0.05, 0.02])).astype(np.uint16)
     grounds = np.broadcast_to(dark, (photographs, *dark.shape))
-    points = points_of(rig, StripeSettings("red"), lit, scan.steps, sigma, grounds)
+    points = points_of(rig, StripeSettings("red"), lit, scan.axes["stage"], sigma, grounds)
     seen = np.isfinite(points[HALF:-HALF, :, 2])
     assert seen.all()
     np.testing.assert_allclose(points[HALF:-HALF], images[1].points[HALF:-HALF], atol=0.02)
@@ -157,13 +162,14 @@ def test_a_red_laser_beside_a_lamp(rig, scan, frames, images, photographs):
 def test_overlapping_batches_have_every_frame_once_and_its_neighbours(size):
     frames, steps = np.arange(10, dtype=np.uint8)[:, None, None], np.arange(10)
     dark = np.zeros((1, 1), np.uint8)
-    batches = [(frames[i : i + size], dark, steps[i : i + size]) for i in range(0, 10, size)]
+    batches = [(frames[i : i + size], dark, steps[i : i + size, None]) for i in range(0, 10, size)]
     inner = []
     for batch in overlapping(batches, 2, 1, 4):
-        some = batch.steps[batch.inner]
+        steps_here = batch.positions[:, 0]
+        some = steps_here[batch.inner]
         inner += some.tolist()
-        assert {some[0] - 1, some[0] - 2, some[-1] + 1} & set(range(10)) <= set(batch.steps.tolist())
-        np.testing.assert_array_equal(batch.frames[: len(batch.steps), 0, 0], batch.steps)
+        assert {some[0] - 1, some[0] - 2, some[-1] + 1} & set(range(10)) <= set(steps_here.tolist())
+        np.testing.assert_array_equal(batch.frames[: len(steps_here), 0, 0], steps_here)
         assert len(batch.frames) == 2 + 4 + 1
         assert batch.backgrounds.shape == (1, 1, 1)
     assert inner == list(range(10))
@@ -173,7 +179,7 @@ def test_overlapping_batches_have_every_frame_once_and_its_neighbours(size):
     ("steps", "says"),
     [
         (tuple(STEP * i + (i == 5) for i in range(FRAMES)), "equally many motor steps apart"),
-        ((0,) * FRAMES, "equally many"),
+        ((0,) * FRAMES, "one axis, here move none"),
         (tuple(10 * STEP * i for i in range(FRAMES)), r"scan in steps of at most \d+ in place of 2000"),
         (tuple(range(FRAMES)), r"list every \d+th frame"),
     ],
@@ -185,9 +191,9 @@ def test_steps_that_are_unfit_are_refused_in_words(rig, scan, steps, says):
 
 def test_too_few_frames_and_a_rig_without_a_stage_are_refused(rig, scan):
     with pytest.raises(InputError, match="12 frames: spacetime analysis looks at"):
-        passage_of(rig, replace(scan, frames=scan.frames[14:26], axes={"stage": scan.steps[14:26]}))
-    with pytest.raises(InputError, match="no stage"):
-        passage_of(Rig(rig.camera, rig.lasers), scan)
+        passage_of(rig, replace(scan, frames=scan.frames[14:26], axes={"stage": scan.axes["stage"][14:26]}))
+    with pytest.raises(InputError, match='has no axis "stage"'):
+        passage_of(Rig(rig.camera, rig.lights), scan)
 
 
 def test_a_scan_without_a_stripe_is_refused(rig, scan, tmp_path):

@@ -10,8 +10,8 @@ import pytest
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, triangulate
 from jaxscan.reconstruction.lens_inverse import lens_inverse
-from jaxscan.reconstruction.triangulate import triangulate_into
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.reconstruction.triangulate import FramePoses, triangulate_into
+from jaxscan.rig import Camera, Fixed, LightPlane, Linear, Rig, Rotary
 
 LENSES = {
     "none": ((), ()),
@@ -25,7 +25,17 @@ def rig_with(lens: str, image_size=(640, 480), radial=None) -> Rig:
     k, p = LENSES[lens]
     with float64():
         camera = Camera.create(image_size, [697.7, 690.4], [310.3, 228.1], lens, k if radial is None else radial, p)
-        return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), Stage.create([0.0, 1e-3, -1e-4])))
+        return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), Linear.create([0.0, 1e-3, -1e-4])))
+
+
+def points_of(kernel: Kernel, rig: Rig, u, v, steps, dtype: str = "float32"):
+    """Each pixel a frame of its own."""
+    frames = FramePoses.create(rig.motion, {"stage": np.asarray(steps)}, len(u), dtype)
+    return triangulate(kernel, frames, *(jnp.asarray(x, dtype)[:, None] for x in (u, v)))[:, 0]
+
+
+def still(count: int, dtype: str = "float32") -> FramePoses:
+    return FramePoses.create(Fixed(), {}, count, dtype)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -34,10 +44,12 @@ def test_kernel_is_the_definition(lens):
     random = np.random.default_rng(0)
     u, v, steps = random.uniform([0, 0, 0], [639, 479, 7e4], (2000, 3)).T
     with float64():
-        exact = jax.jit(jax.vmap(lambda p, n: rig.triangulate(p, n)))(jnp.stack([u, v], -1), jnp.asarray(steps))
+        exact = jax.jit(jax.vmap(lambda p, n: rig.triangulate(p, {"stage": n})))(
+            jnp.stack([u, v], -1), jnp.asarray(steps)
+        )
         exact = np.asarray(exact)
-        double = np.asarray(triangulate(Kernel.create(rig, dtype="float64"), *map(jnp.asarray, (u, v, steps))))
-    single = triangulate(Kernel.create(rig), *(jnp.asarray(x, jnp.float32) for x in (u, v, steps)))
+        double = np.asarray(points_of(Kernel.create(rig, dtype="float64"), rig, u, v, steps, "float64"))
+    single = points_of(Kernel.create(rig), rig, u, v, steps)
     assert single.dtype == jnp.float32
     near = np.isfinite(exact).all(axis=1) & (exact[:, 2] < 400)
     assert near.sum() > 300
@@ -65,7 +77,7 @@ def test_strong_lenses_in_float32_over_the_whole_image(lens, radial, tangential,
         pixels = np.stack(np.meshgrid(np.linspace(-0.5, 639.5, 97), np.linspace(-0.5, 479.5, 73)), -1).reshape(-1, 2)
         exact = np.asarray(jax.jit(jax.vmap(camera.ray))(jnp.asarray(pixels)))
     u, v = jnp.asarray(pixels.T, jnp.float32)
-    points = np.asarray(triangulate(Kernel.create(rig), u, v, jnp.zeros_like(u)))
+    points = np.asarray(triangulate(Kernel.create(rig), still(1), u[None], v[None])[0])
     found = np.isfinite(points).all(axis=1)
     assert np.isfinite(exact[found]).all()
     assert found.sum() > 0.95 * np.isfinite(exact).all(axis=1).sum()
@@ -82,43 +94,74 @@ def test_a_usual_lens_needs_no_correction_and_a_strong_one_does():
 
 def test_a_pixel_that_is_missing_or_sees_no_sheet_gives_nan():
     kernel = Kernel.create(rig_with("radial1"))
-    points = triangulate(kernel, jnp.array([300.0, jnp.nan, 300.0]), jnp.array([100.0, 100.0, jnp.nan]), jnp.zeros(3))
+    u, v = jnp.array([[300.0, jnp.nan, 300.0]]), jnp.array([[100.0, 100.0, jnp.nan]])
+    points = triangulate(kernel, still(1), u, v)[0]
     assert np.isfinite(points).all(axis=1).tolist() == [True, False, False]
     rig = rig_with("radial1")
-    steep = Kernel.create(replace(rig, lasers=(LightPlane.create([0.0, -0.0145, 0.00303]),)))
-    assert np.isnan(triangulate(steep, jnp.array([300.0]), jnp.array([478.0]), jnp.zeros(1))).all()
+    steep = Kernel.create(replace(rig, lights=(LightPlane.create([0.0, -0.0145, 0.00303]),)))
+    assert np.isnan(triangulate(steep, still(1), jnp.array([[300.0]]), jnp.array([[478.0]]))).all()
 
 
 def test_a_lens_that_folds_back_inside_the_image_has_points_up_to_the_fold():
     # r (1 − 0.134 r²) is highest at r_d = 1.0515, 734 px from the middle: inside an image of 1600 × 1200.
     rig = rig_with("radial1", (1600, 1200))
     kernel = Kernel.create(rig)
-    u = jnp.array([310.0 + 600, 310.0 + 900], jnp.float32)
-    points = triangulate(kernel, u, jnp.array([100.0, 100.0]), jnp.zeros(2))
+    u = jnp.array([[310.0 + 600, 310.0 + 900]], jnp.float32)
+    points = triangulate(kernel, still(1), u, jnp.array([[100.0, 100.0]]))[0]
     assert np.isfinite(points).all(axis=1).tolist() == [True, False]
 
 
 def test_another_rig_does_not_compile_again():
-    u, v, steps = (jnp.full(7, x) for x in (300.0, 100.0, 0.0))
-    triangulate(Kernel.create(rig_with("radial1")), u, v, steps)
+    u, v = (jnp.full((1, 7), x) for x in (300.0, 100.0))
+    triangulate(Kernel.create(rig_with("radial1")), still(1), u, v)
     before = triangulate._cache_size()
-    triangulate(Kernel.create(rig_with("radial1", radial=[-0.13])), u, v, steps)
+    triangulate(Kernel.create(rig_with("radial1", radial=[-0.13])), still(1), u, v)
     assert triangulate._cache_size() == before
 
 
+TURNED = Rotary.create([0.0, 2e-3, 1e-4], [3.0, 4.0, 300.0])
+
+
+@pytest.mark.parametrize("motion", ["stage", "turntable", "both"])
 @pytest.mark.parametrize(("dtype", "lens"), [("float32", "radial1"), ("float64", "radial1"), ("float32", "brown")])
-def test_the_kernel_is_one_pass_into_memory_that_is_handed_in(dtype, lens):
+def test_the_kernel_is_one_pass_into_memory_that_is_handed_in(dtype, lens, motion):
     with jax.enable_x64(dtype == "float64"):
-        kernel = Kernel.create(rig_with(lens), dtype=dtype)
+        rig = rig_with(lens)
+        if motion != "stage":
+            rig = as_numpy(rig.with_axis(TURNED) if motion == "both" else Rig(rig.camera, rig.lights, TURNED))
+        kernel = Kernel.create(rig, dtype=dtype)
         random = np.random.default_rng(0)
-        u, v, steps = (jnp.asarray(x, dtype) for x in random.uniform([0, 0, 0], [639, 479, 7e4], (4096, 3)).T)
-        out = jnp.zeros((4096, 3), dtype)
-        compiled = triangulate_into.lower(out, kernel, u, v, steps).compile()
+        q = {"stage": random.uniform(0, 7e4, 32), "turntable": random.uniform(0, 3e3, 32)}
+        frames = FramePoses.create(rig.motion, q, 32, dtype)
+        u, v = (jnp.asarray(random.uniform(0, high, (32, 128)), dtype) for high in (639, 479))
+        out = jnp.zeros((32, 128, 3), dtype)
+        compiled = triangulate_into.lower(out, kernel, frames, u, v).compile()
         entry = compiled.as_text().split("ENTRY")[1]
         assert entry.count(" fusion(") == 1
         assert entry.count(" call(") == 0
         place = out.unsafe_buffer_pointer()
-        points = triangulate_into(out, kernel, u, v, steps)
+        points = triangulate_into(out, kernel, frames, u, v)
         assert points.unsafe_buffer_pointer() == place
         assert points.dtype == dtype
-        np.testing.assert_allclose(points, triangulate(kernel, u, v, steps), rtol=1e-6)
+        np.testing.assert_allclose(points, triangulate(kernel, frames, u, v), rtol=1e-6)
+
+
+def test_points_of_turned_and_shifted_frames_are_those_of_the_definition():
+    rig = as_numpy(rig_with("radial1").with_axis(TURNED))
+    random = np.random.default_rng(1)
+    q = {"stage": random.uniform(0, 7e4, 50), "turntable": random.uniform(0, 3e3, 50)}
+    u, v = random.uniform(0, 639, (50, 40)), random.uniform(0, 300, (50, 40))
+    found = np.asarray(
+        triangulate(Kernel.create(rig), FramePoses.create(rig.motion, q, 50), jnp.asarray(u), jnp.asarray(v))
+    )
+    with float64():
+        exact = rig_points(rig, np.stack([u, v], axis=-1), q)
+    near = np.isfinite(exact).all(axis=-1) & (np.abs(exact) < 600).all(axis=-1)
+    assert near.mean() > 0.5
+    np.testing.assert_allclose(found[near], exact[near], atol=2e-3)
+
+
+def rig_points(rig: Rig, pixels: np.ndarray, q: dict) -> np.ndarray:
+    """Of frames and lines, as the rig itself says."""
+    along = jax.vmap(jax.vmap(rig.triangulate, in_axes=(0, None)))
+    return np.asarray(jax.jit(along)(jnp.asarray(pixels), {axis: jnp.asarray(steps) for axis, steps in q.items()}))

@@ -38,7 +38,7 @@ def test_a_point_of_the_map_is_a_point_of_the_sheet():
     assert pytest.approx(1) == OMEGA @ X
     K = np.array([[697.7, 0, 310.3], [0, 690.4, 228.1], [0, 0, 1]])
     pixel = cv2.projectPoints(X[None, None], np.zeros(3), np.zeros(3), K, np.array([-0.134, 0, 0, 0]))[0].reshape(1, 2)
-    total, alone = point_sigma(rig, "", covariance, 0.1, pixel, np.zeros(1), True)
+    total, alone = point_sigma(rig, "", covariance, 0.1, pixel, {}, True)
     assert volume.sigma_mm[i, j] == pytest.approx(total[0], rel=1e-4)
     assert volume.pixel_mm[i, j] == pytest.approx(alone[0], rel=1e-4)
     assert volume.if_known_mm["camera"] < volume.median_mm
@@ -62,7 +62,7 @@ def test_beyond_the_fold_of_a_lens_nothing_is_seen():
 def test_given_is_the_conditional_covariance():
     A = np.random.default_rng(0).normal(size=(5, 5))
     S = A @ A.T
-    names = ("camera.focal.0", "camera.focal.1", "laser.plane.0", "laser.plane.1", "laser.plane.2")
+    names = ("camera.focal.0", "camera.focal.1", "lights.0.plane.0", "lights.0.plane.1", "lights.0.plane.2")
     found = given(Covariance(names, S), "camera").matrix
     # The inverse of the information's block.
     np.testing.assert_allclose(found[2:, 2:], np.linalg.inv(np.linalg.inv(S)[2:, 2:]), rtol=1e-9)

@@ -40,10 +40,10 @@ def test_of_leaves_puts_each_parameter_in_its_place_and_held_ones_to_zero(rig, c
     full = covariance.of_leaves(rig)
     names = parameter_names(rig)
     assert full[names.index(HELD)].any() == False  # noqa: E712 (a NumPy bool)
-    for a in ("camera.focal.0", "laser.plane.2"):
+    for a in ("camera.focal.0", "lights.0.plane.2"):
         assert full[names.index(a), names.index(a)] == pytest.approx(covariance.sigma(a) ** 2, rel=1e-12)
-    i, j = covariance.names.index("camera.focal.0"), covariance.names.index("laser.plane.1")
-    assert full[names.index("camera.focal.0"), names.index("laser.plane.1")] == covariance.matrix[i, j]
+    i, j = covariance.names.index("camera.focal.0"), covariance.names.index("lights.0.plane.1")
+    assert full[names.index("camera.focal.0"), names.index("lights.0.plane.1")] == covariance.matrix[i, j]
 
 
 def test_projected_points_scatter_as_predicted(rig, covariance):
@@ -60,8 +60,8 @@ def test_projected_points_scatter_as_predicted(rig, covariance):
 
 
 def test_of_any_function_is_that_of_the_leaves_for_the_leaves(rig, covariance):
-    found = covariance.of(rig, lambda rig: jnp.stack([rig.camera.focal[0], 2 * rig.lasers[0].plane[2]]))
-    a, b = covariance.sigma("camera.focal.0"), covariance.sigma("laser.plane.2")
+    found = covariance.of(rig, lambda rig: jnp.stack([rig.camera.focal[0], 2 * rig.lights[0].plane[2]]))
+    a, b = covariance.sigma("camera.focal.0"), covariance.sigma("lights.0.plane.2")
     np.testing.assert_allclose(np.sqrt(np.diag(found)), [a, 2 * b], rtol=1e-12)
 
 

@@ -4,25 +4,27 @@ import numpy as np
 import pytest
 
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Covariance, Turntable
+from jaxscan.rig import Camera, Covariance, Rig, Rotary
+from jaxscan.rig.motion import normal_motion
+from jaxscan.rig.rig import held_jacobian, motion_normal_jacobian
 from jaxscan.rig.turn_facts import turn_facts
 
 W, C = np.array([0.0002, -0.0008, -0.0018]), np.array([20.0, -40.0, 350.0])
-NAMES = tuple(f"turntable.{part}.{i}" for part in ("per_step", "centre") for i in range(3))
+NAMES = tuple(f"motion.turntable.{part}.{i}" for part in ("per_step", "centre") for i in range(3))
 
 
-def table(w: np.ndarray, c: np.ndarray) -> Turntable:
+def table(w: np.ndarray, c: np.ndarray) -> Rotary:
     with float64():
-        return as_numpy(Turntable.create(w, c))
+        return as_numpy(Rotary.create(w, c))
 
 
-def numbers(turntable: Turntable) -> np.ndarray:
+def numbers(turntable: Rotary) -> np.ndarray:
     return np.array([float(x) for x in (*turntable.per_step, *turntable.centre)])
 
 
 def nearest(each: np.ndarray) -> np.ndarray:
     with float64():
-        return numbers(table(each[:3], each[3:]).nearest())
+        return numbers(as_numpy(normal_motion(table(each[:3], each[3:]))))
 
 
 def test_its_jacobian_is_that_of_finite_differences():
@@ -32,18 +34,19 @@ def test_its_jacobian_is_that_of_finite_differences():
         J[:, k] = (nearest(at + step) - nearest(at - step)) / (2 * step[k])
     scale = np.concatenate([np.full(3, 1e-3), np.full(3, 1.0)])
     np.testing.assert_allclose(
-        table(W, C).nearest_jacobian() * scale / scale[:, None], J * scale / scale[:, None], atol=1e-4
+        motion_normal_jacobian(table(W, C)) * scale / scale[:, None], J * scale / scale[:, None], atol=1e-4
     )
 
 
 def test_a_covariance_there_and_back():
     """What is known of the nearest point follows from what is known where a coordinate is held, and gives that back."""
     turntable = table(*np.split(nearest(np.concatenate([W, C])), 2))
-    assert turntable.along() == 2
+    rig = Rig(Camera.create((640, 480), [700.0, 700.0], [320.0, 240.0]), (), turntable)
+    assert rig.surplus() == {"motion.turntable.centre.2"}
     root = np.random.default_rng(0).normal(size=(6, 6)) * np.array([1e-6] * 3 + [0.05] * 3)[:, None]
-    root[3 + turntable.along()] = 0.0
+    root[5] = 0.0
     held = root @ root.T
-    N, H = turntable.nearest_jacobian(), turntable.held_jacobian()
+    N, H = motion_normal_jacobian(turntable), held_jacobian(rig)[-6:, -6:]
     scale = np.array([1e-6] * 3 + [0.05] * 3)
     known = N @ held @ N.T
     np.testing.assert_allclose(H @ known @ H.T / np.outer(scale, scale), held / np.outer(scale, scale), atol=1e-9)
@@ -65,7 +68,7 @@ def test_which_way_it_turns(axis, way):
     turntable = table(1e-3 * np.array(axis), np.zeros(3))
     assert turntable.way() == way
     with float64():
-        moved = np.asarray(turntable.turned(np.asarray(1.0)).apply(np.array([0.0, 0.0, -1.0])))
+        moved = np.asarray(turntable.pose({"turntable": 1.0}).apply(np.array([0.0, 0.0, -1.0])))
     if "near" in way:
         assert {"right": moved[0] > 0, "left": moved[0] < 0, "down": moved[1] > 0}[way.split()[-1]]
 

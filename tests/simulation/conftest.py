@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Camera, LightPlane, Rig, Stage
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 from jaxscan.simulation.light import Lighting, Sensor
 
 OMEGA = np.array([0.0, -0.00494, 0.00303])
@@ -14,7 +14,7 @@ def small_rig(k1: float = 0.0) -> Rig:
     """A quarter of the rig of 2003 in each direction, 160 × 120 pixels."""
     with float64():
         camera = Camera.create((160, 120), np.array([174.4, 172.6]), np.array([77.6, 57.0]), "radial1", np.array([k1]))
-        stage = Stage.create(np.array([0.00003, 0.00092, -0.00039]))
+        stage = Linear.create(np.array([0.00003, 0.00092, -0.00039]))
         return as_numpy(Rig(camera, (LightPlane.create(OMEGA),), stage))
 
 

@@ -10,7 +10,7 @@ from jaxscan.simulation.shapes import sphere
 def test_points_scatter_about_the_surface_by_their_sigma():
     rig = rig_2003.simulated_rig(0)
     scene = rig_2003.scan_scene(rig, (sphere(rig_2003.OBJECT_Y),))
-    scan = drawn_scan(rig, scene, np.array([26_000, 40_000]), 0.05)
+    scan = drawn_scan(rig, scene, {"stage": np.array([26_000, 40_000])}, 0.05)
     image = scan.image
     assert image.valid.sum() > 500
     np.testing.assert_array_equal(image.valid, np.isfinite(scan.points).all(axis=-1))

@@ -39,14 +39,14 @@ def test_session_scan_and_truth(tmp_path: Path) -> None:
     truth = folders.simulate_scan(tmp_path / "scan", rig, scene, 4, name="ball", frames=2, steps_apart=30000)
     scan = read_scan(tmp_path / "scan")
     assert scan.name == "ball"
-    assert scan.steps == (0, 30000)
+    assert scan.axes["stage"] == (0, 30000)
     frame = read_image(scan.frames[1])
     strongest = np.argmax(frame[..., 0].astype(int) - frame[..., 1], axis=0)
     seen = np.isfinite(truth.position[1])
     assert (np.abs(strongest - truth.position[1])[seen] < 3).mean() > 0.98
     folders.write_truth(tmp_path / "truth", session_truth, truth)
     written = read_rig(tmp_path / "truth" / "rig.json").rig
-    assert [float(x) for x in written.lasers[0].plane] == [float(x) for x in rig.lasers[0].plane]
+    assert [float(x) for x in written.lights[0].plane] == [float(x) for x in rig.lights[0].plane]
     values = json.loads((tmp_path / "truth" / "session.json").read_text())
     np.testing.assert_array_equal([b["rotation"] for b in values["boards"]], session_truth.boards.rotation)
     np.testing.assert_array_equal(values["stage"]["translation"], session_truth.stage.translation)

@@ -32,7 +32,7 @@ def plate() -> Scene:
 def upright(rig: Rig) -> Rig:
     """The rig with a sheet whose stripe runs down the columns."""
     with float64():
-        return as_numpy(replace(rig, lasers=(LightPlane.create(np.array([-0.00494, 0.0, 0.00303])),)))
+        return as_numpy(replace(rig, lights=(LightPlane.create(np.array([-0.00494, 0.0, 0.00303])),)))
 
 
 def grains(rig: Rig, scene: Scene, lighting: Lighting, seed: int) -> np.ndarray:

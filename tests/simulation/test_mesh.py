@@ -66,7 +66,7 @@ def test_photograph_of_a_ball(rig: Rig, ball: Mesh) -> None:
 
 def test_profile_of_a_ball(rig: Rig, ball: Mesh) -> None:
     mesh, solid = (
-        true_profile(rig, Scene((Body(shape, grey(0.7)),)), 3000) for shape in (ball, Sphere(CENTRE, RADIUS))
+        true_profile(rig, Scene((Body(shape, grey(0.7)),)), {"stage": 3000}) for shape in (ball, Sphere(CENTRE, RADIUS))
     )
     both = np.isfinite(mesh.position) & np.isfinite(solid.position)
     assert both.sum() > 20

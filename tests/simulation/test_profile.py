@@ -30,7 +30,7 @@ def to_pixels(rig: Rig, points: np.ndarray) -> np.ndarray:
 
 
 def test_floor_through_a_lens(lens_rig: Rig) -> None:
-    profile = true_profile(lens_rig, Scene((flat(),)), 500)
+    profile = true_profile(lens_rig, Scene((flat(),)), {"stage": 500})
     seen = np.isfinite(profile.position)
     y = (1 - OMEGA[2] * FLOOR_Z) / OMEGA[1]
     x = np.linspace(-50, 60, 2001)
@@ -46,7 +46,7 @@ def test_floor_through_a_lens(lens_rig: Rig) -> None:
 def test_points_are_seen_where_they_are_said_to_be(lens_rig: Rig) -> None:
     ball = Body(Sphere(np.array([5.0, -14.0, 300.0]), 18.0), grey(0.6))
     for steps in (0, 4000):
-        profile = true_profile(lens_rig, Scene((flat(), ball)), steps)
+        profile = true_profile(lens_rig, Scene((flat(), ball)), {"stage": steps})
         seen = np.flatnonzero(np.isfinite(profile.position))
         shift = steps * np.array([0.00003, 0.00092, -0.00039])
         pixels = to_pixels(lens_rig, profile.points[seen] + shift)
@@ -87,7 +87,7 @@ def test_rows_in_place_of_columns(rig: Rig) -> None:
 
     with float64():
         across = as_numpy(LightPlane.create(np.array([-0.005, 0.0, 0.003])))
-    profile = true_profile(replace(rig, lasers=(across,)), Scene((flat(),)), columns=False)
+    profile = true_profile(replace(rig, lights=(across,)), Scene((flat(),)), columns=False)
     seen = np.isfinite(profile.position)
     assert profile.position.shape == (120,)
     assert seen.sum() > 50
@@ -107,5 +107,5 @@ def test_a_sheet_that_meets_nothing(rig: Rig) -> None:
 @pytest.mark.parametrize("steps", [0, 20000])
 def test_same_points_whatever_the_light(rig: Rig, steps: int) -> None:
     scene = Scene((flat(),))
-    a, b = (true_profile(rig, scene, steps, lighting=Lighting(laser_power=p)) for p in (10.0, 2000.0))
+    a, b = (true_profile(rig, scene, {"stage": steps}, lighting=Lighting(laser_power=p)) for p in (10.0, 2000.0))
     np.testing.assert_array_equal(a.points, b.points)

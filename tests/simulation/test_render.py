@@ -12,7 +12,7 @@ from jaxscan.errors import InputError
 from jaxscan.geometry import vector_to_matrix
 from jaxscan.images import Board
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Rig
+from jaxscan.rig import Fixed, Rig
 from jaxscan.simulation.light import Lighting, Sensor, default_source
 from jaxscan.simulation.render import render
 from jaxscan.simulation.scene import Body, Scene
@@ -119,7 +119,7 @@ def test_stripe_on_a_board(lens_rig: Rig) -> None:
     found = (image * v).sum(0)[columns] / strength[columns]
     # In the column the ray meets board and sheet in one point: (ω − β) · x = 0.
     beta = R[:, 2] / (R[:, 2] @ translation)
-    omega = np.array([float(c) for c in lens_rig.lasers[0].plane])
+    omega = np.array([float(c) for c in lens_rig.lights[0].plane])
     rows = np.linspace(0, image.shape[0] - 1, 4001)
     with float64():
         camera = as_float64(lens_rig.camera)
@@ -167,7 +167,7 @@ def test_stage_moves_what_stands_on_it(rig: Rig, plain_light: Lighting, exact: S
     shifted = Body(Sphere(np.array([0.0, -8.0, 300.0]) + 20000 * per_step, 9.0), grey(1.0))
 
     def shoot(body: Body, steps: int) -> np.ndarray:
-        return render(rig, Scene((body,), DARK), steps=steps, lighting=plain_light, sensor=exact)
+        return render(rig, Scene((body,), DARK), q={"stage": steps}, lighting=plain_light, sensor=exact)
 
     np.testing.assert_array_equal(shoot(moving, 20000), shoot(shifted, 0))
     np.testing.assert_array_equal(shoot(fixed, 20000), shoot(moving, 0))
@@ -216,8 +216,10 @@ def test_what_cannot_be_is_refused(rig: Rig) -> None:
     scene = board_scene(*TILTED)
     with pytest.raises(InputError, match="laser = 1"):
         render(rig, scene, laser=1)
-    with pytest.raises(InputError, match="no stage"):
-        render(replace(rig, stage=None), scene, steps=5)
+    with pytest.raises(InputError, match='no axis "stage"'):
+        render(replace(rig, motion=Fixed()), scene, q={"stage": 5})
+    with pytest.raises(InputError, match='no axis "turntable", it has stage'):
+        render(rig, scene, q={"stage": 5, "turntable": 0})
     for wrong in ({"bits": 12}, {"noise": -1.0}, {"saturation": 300.0}, {"blur_px": -1.0}, {"gain": 0.0}):
         with pytest.raises(InputError):
             Sensor(**wrong)

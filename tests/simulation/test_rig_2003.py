@@ -49,9 +49,8 @@ def test_rig_is_the_one_of_the_definition() -> None:
         rig = simulated_rig(seed)
         assert [float(x) for x in rig.camera.focal] == [697.70833, 690.43328]
         assert [float(x) for x in rig.camera.radial] == [-0.13396]
-        planes.append(np.array([float(x) for x in rig.lasers[0].plane]))
-        assert rig.stage is not None
-        travels.append(np.array([float(x) for x in rig.stage.per_step]))
+        planes.append(np.array([float(x) for x in rig.lights[0].plane]))
+        travels.append(np.array([float(x) for x in rig.axis("stage").per_step]))
     for omega, travel in zip(planes, travels, strict=True):
         assert angle_deg(omega, np.array([0, -0.00494, 0.00303])) == pytest.approx(2)
         assert np.linalg.norm(omega) == pytest.approx(np.hypot(0.00494, 0.00303))
@@ -77,9 +76,8 @@ def test_poses_are_those_of_the_definition() -> None:
             assert corners.min() > 5
             assert (corners < [635, 475]).all()
         stage = stage_pose(rig, seed)
-        assert rig.stage is not None
         for steps in (0, 60000):
-            moved = np.asarray(stage.translation) + steps * np.array([float(x) for x in rig.stage.per_step])
+            moved = np.asarray(stage.translation) + steps * np.array([float(x) for x in rig.axis("stage").per_step])
             corners = cv2.projectPoints(BOARD.points(), np.asarray(stage.rotation), moved, K, DISTORTION)[0]
             assert corners.min() > 5
             assert (corners.reshape(-1, 2) < [635, 475]).all()
@@ -124,12 +122,12 @@ def test_thresholds_of_2003_are_reached_on_a_cup(rig: Rig) -> None:
     up, origin = platform(rig)
     for frame in (1, 9, 18, 27, 35):
         steps = 2000 * frame
-        image = render(rig, scene, steps=steps, laser=0, lighting=SCAN_LIGHTING, sensor=SENSOR, seed=frame)
-        profile = true_profile(rig, scene, steps, lighting=SCAN_LIGHTING)
+        image = render(rig, scene, q={"stage": steps}, laser=0, lighting=SCAN_LIGHTING, sensor=SENSOR, seed=frame)
+        profile = true_profile(rig, scene, {"stage": steps}, lighting=SCAN_LIGHTING)
         ideal = np.isfinite(profile.position)
         seen += ideal.sum()
         reached += (ideal & (response(image) >= 200).any(0)).sum()
-        depth = profile.points[ideal, 2] + steps * float(rig.stage.per_step[2]) if rig.stage else 0
+        depth = profile.points[ideal, 2] + steps * float(rig.axis("stage").per_step[2])
         assert np.min(depth) > 260
         assert np.max(depth) < 400
         height = (profile.points[ideal] - origin) @ up[:, 2]

@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import RangeImage
+from jaxscan.rig import Linear
 
-PER_STEP = np.array([0.0, 0.001, 0.0])
+STAGE = as_numpy(Linear.create([0.0, 0.001, 0.0]))
 
 
 def seen(
@@ -27,8 +29,8 @@ def seen(
         sigma=np.where(valid, 0.05, np.nan).astype(np.float32),
         sigma_pixel=np.where(valid, noise, np.nan).astype(np.float32),
         valid=valid,
-        steps=(1000 * spacing[0] * np.arange(frames)).astype(np.int64),
-        per_step=PER_STEP,
+        positions={"stage": (1000 * spacing[0] * np.arange(frames)).astype(np.int64)},
+        motion=STAGE,
     )
 
 

@@ -7,6 +7,7 @@ import pytest
 from scenes import ball, block, grid, seen
 
 from jaxscan.errors import InputError
+from jaxscan.rig import Linear
 from jaxscan.surface.floor import find_floor, floor_from_picks, stands_on
 
 
@@ -79,4 +80,4 @@ def test_no_floor_and_nothing_on_it():
         find_floor(flat.where(np.zeros_like(flat.valid)))
     # The stage does not move within this plane.
     with pytest.raises(InputError, match="no plane through the scan's points holds the direction"):
-        find_floor(replace(flat, per_step=np.array([0.0, 0.0, 0.001])))
+        find_floor(replace(flat, motion=Linear.create([0.0, 0.0, 0.001])))

@@ -8,7 +8,7 @@ import trimesh
 from scenes import ball, block, grid, seen
 
 from jaxscan.errors import InputError
-from jaxscan.rig import Camera, LightPlane, Rig
+from jaxscan.rig import Camera, Fixed, LightPlane, Rig
 from jaxscan.surface.holes import fill_holes
 from jaxscan.surface.links import links
 from jaxscan.surface.normals import normals
@@ -29,7 +29,7 @@ def test_a_plane_is_all_triangles_and_faces_the_camera():
     assert mesh.is_winding_consistent
     assert (mesh.face_normals[:, 2] < 0).all()
     assert mesh.area == pytest.approx(0.4 * 19 * 0.2 * 29 * np.sqrt(1 + 0.09 + 0.01), rel=1e-4)
-    backwards = replace(seen(0.3 * x + 0.1 * y), per_step=None)[::-1, :]
+    backwards = replace(seen(0.3 * x + 0.1 * y), motion=Fixed())[::-1, :]
     assert (as_mesh(grid_surface(backwards)).face_normals[:, 2] < 0).all()
 
 

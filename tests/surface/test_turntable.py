@@ -6,7 +6,7 @@ import pytest
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.geometry import Pose
-from jaxscan.rig import Covariance, Turntable
+from jaxscan.rig import Covariance, Rotary
 from jaxscan.simulation.rig_2003 import simulated_rig
 from jaxscan.surface.register import Registration
 from jaxscan.surface.turntable import fit_turntable, turntable_poses
@@ -56,15 +56,15 @@ def test_turned_by_hand_is_told():
 
 def test_in_the_rig_file(tmp_path):
     found = fit_turntable(registered(1e-4, 1e-3), STEPS)
-    content = RigFile(simulated_rig(0), Covariance(("stage.per_step.0",), np.array([[1e-12]])))
+    content = RigFile(simulated_rig(0), Covariance(("motion.stage.per_step.0",), np.array([[1e-12]])))
     for rig in (content, found.on(content)):
         write_rig(tmp_path / "rig.json", found.on(rig))
         back = read_rig(tmp_path / "rig.json")
-        assert isinstance(back.rig.turntable, Turntable)
-        np.testing.assert_array_equal(back.rig.turntable.centre, found.turntable.centre)
+        assert isinstance(back.rig.axis("turntable"), Rotary)
+        np.testing.assert_array_equal(back.rig.axis("turntable").centre, found.turntable.centre)
         assert back.covariance is not None
-        assert back.covariance.sigma("turntable.centre.0") > 0
-        assert back.covariance.sigma("stage.per_step.0") == 1e-6
+        assert back.covariance.sigma("motion.turntable.centre.0") > 0
+        assert back.covariance.sigma("motion.stage.per_step.0") == 1e-6
 
 
 def test_what_cannot_be_fitted(tmp_path):
@@ -74,7 +74,7 @@ def test_what_cannot_be_fitted(tmp_path):
         fit_turntable(registered(1e-4, 1e-3), np.zeros(8))
     write_rig(tmp_path / "rig.json", RigFile(simulated_rig(0)))
     text = (tmp_path / "rig.json").read_text()
-    still = '"turntable": {"per_step": [0, 0, 0], "centre": [0, 0, 0]},'
-    (tmp_path / "rig.json").write_text(text.replace('"stage"', still + '"stage"'))
-    with pytest.raises(InputError, match="the turntable does not turn"):
+    still = '"motion": [{"axis": "turntable", "kind": "rotary", "per_step": [0, 0, 0], "centre": [0, 0, 0]}, '
+    (tmp_path / "rig.json").write_text(text.replace('"motion": [', still))
+    with pytest.raises(InputError, match="the turntable does not move"):
         read_rig(tmp_path / "rig.json")

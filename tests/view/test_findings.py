@@ -43,7 +43,7 @@ SUSPECT = Suspect("07.png", False, 0.96, 0.5, 0.05, 0.06, 31.0, "mirrored left t
 
 
 def agreement(factor: float, scale: float | None = None) -> Agreement:
-    names, values = ("camera.focal.0", "laser.plane.0"), (np.ones(2), np.ones(2))
+    names, values = ("camera.focal.0", "lights.0.plane.0"), (np.ones(2), np.ones(2))
     p = 1e-9 if factor > 1.5 else 0.5
     return Agreement(("monday", "tuesday"), (6, 5), names, values, np.array([0.5, -4.0]), factor**2, p, scale, 0.001)
 
@@ -60,7 +60,7 @@ def better(ladder: Ladder, lens: str) -> Ladder:
         (lambda d: {"suspects": (SUSPECT,)}, "stop: Photograph 07.png does not fit .* fits when it is mirrored left"),
         (lambda d: {"suspects": (replace(SUSPECT, explanation=None),)}, "stop: .* another camera"),
         (lambda d: {"suspects": (replace(SUSPECT, explanation=None, staged=True),)}, "stop: .* Its step count"),
-        (lambda d: {"halves": agreement(2.0)}, "care: Two halves .* 2.0 times .* laser.plane.0, 4.0 σ"),
+        (lambda d: {"halves": agreement(2.0)}, "care: Two halves .* 2.0 times .* lights.0.plane.0, 4.0 σ"),
         (lambda d: {"halves": agreement(6.0)}, "stop: Two halves"),
         (lambda d: {"halves": None}, "care: A half of the photographs gives no rig"),
         (

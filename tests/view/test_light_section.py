@@ -15,7 +15,8 @@ from jaxscan.view import calibration_sections as sections
 def test_the_report_says_what_the_light_was():
     light = np.array([2.0, 0.5, 0.18, 252.0])
     stripes = [StripePoints(np.zeros((1, 2)), laser=i, light=each) for i, each in enumerate((light, None))]
-    observations = SimpleNamespace(views=[SimpleNamespace(stripes=stripes)], lasers=("upper", "lower"))
+    photographs = [SimpleNamespace(stripes=stripes)]
+    observations = SimpleNamespace(photographs=lambda: photographs, lasers=("upper", "lower"))
     calibration: Any = SimpleNamespace(observations=observations)
     section = sections.light(calibration, (), None)
     assert section is not None
@@ -39,7 +40,7 @@ def test_the_report_says_how_near_the_limit_of_speckle_is(calibration):
     limit = float(found[1])
     # By hand in the middle of the volume: 650 nm, f/8, the focal length in pixels of 5 µm.
     rig, depth = seen.rig, float(np.median(volumes[0].depths_mm))
-    omega = np.array([float(w) for w in rig.lasers[0].plane])
+    omega = np.array([float(w) for w in rig.lights[0].plane])
     aperture = float(rig.camera.focal[0]) * 0.005 / 8 / 2
     by_hand = 0.2 * 0.00065 / (2 * np.pi * (aperture / depth) / (depth * np.linalg.norm(omega)))
     assert limit == pytest.approx(by_hand, rel=0.3)

@@ -52,9 +52,9 @@ def three_boards(session: Observations) -> Observations:
 
 def mixed_up(session: Observations) -> Observations:
     """The stage's photographs in the order that their names 0, 1, 10, 11, … would have."""
-    (stage,) = session.stages
+    (stage,) = session.sequences
     order = [0, 8, 1, 2, 3, 4, 5, 6, 7]
-    return replace(session, stages=(replace(stage, views=tuple(stage.views[i] for i in order)),))
+    return replace(session, sequences=(replace(stage, views=tuple(stage.views[i] for i in order)),))
 
 
 def as_it_is(session: Observations) -> Observations:
@@ -101,14 +101,14 @@ def test_good_sessions_are_not_warned_of(draw, seeds: range):
 
 def test_a_rig_without_a_laser_has_a_verdict_too(draw):
     session = draw(2, laser=False)
-    found = verdict(calibrate(replace(session, stages=())))
+    found = verdict(calibrate(replace(session, sequences=())))
     assert found.level == "good"
     assert "The focal length is" in found.statement
     assert "Corners" in found.limits
 
 
 def test_a_held_camera_is_said_to_be_held(draw):
-    session = replace(draw(2, laser=False), stages=())
+    session = replace(draw(2, laser=False), sequences=())
     camera = calibrate(session).rig.camera
     held = calibrate(session, start=camera, hold=parameter_names(Rig(camera)))
     assert "is held at" in verdict(held).statement

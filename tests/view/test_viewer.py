@@ -38,7 +38,7 @@ def test_what_is_shown(folder):
     np.testing.assert_allclose(np.median(shown.values["height"][shown.points[:, 2] < 297]), 5.0, atol=0.02)
     assert shown.setup is not None
     np.testing.assert_allclose(shown.setup.travel, image.cameras()[[0, -1]])
-    omega = [float(c) for c in simulated_rig(0).lasers[0].plane]
+    omega = [float(c) for c in simulated_rig(0).lights[0].plane]
     np.testing.assert_allclose(shown.setup.sheet @ omega, 1.0, atol=1e-9)
     mesh = exhibit(folder / "block.ply")
     assert mesh.triangles is not None

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.calibration.coverage import Coverage, measure_coverage
@@ -33,7 +32,6 @@ from jaxscan.calibration.diagnostics.stage_order import StageOrder, stage_orders
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape, stripe_shapes
 from jaxscan.calibration.diagnostics.suspects import Suspect, suspects
 from jaxscan.calibration.result import Calibration
-from jaxscan.precision import as_float64, float64
 
 # The calls of `advance` that `diagnose` makes.
 PARTS = 4
@@ -102,10 +100,7 @@ def diagnose(
     """
     residuals = corner_residuals(calibration)
     principal = np.stack(calibration.rig.camera.principal).astype(np.float64)
-    with float64():
-        boards = calibration.system.boards
-        poses = jnp.asarray(np.concatenate([boards.rotation, boards.translation], axis=1))
-        coverage = measure_coverage(calibration.observations, as_float64(calibration.rig), poses)
+    coverage = measure_coverage(calibration.observations, calibration.rig, calibration.photograph_poses())
     suspected = suspects(calibration, explain=thorough)
     advance(1)
     parts = halves(calibration.observations)
@@ -122,7 +117,7 @@ def diagnose(
         suspects=suspected,
         corners=residuals,
         corner_normality=corner_normality(residuals),
-        stripe_normality=stripe_normality(calibration.fits),
+        stripe_normality=stripe_normality((*calibration.fits, *calibration.moved_fits)),
         by_radius=by_radius(residuals, principal),
         over_image=over_image(residuals, calibration.observations.image_size),
         stripes=stripe_shapes(calibration),

@@ -17,6 +17,7 @@ from jaxscan.calibration.diagnostics.resolve import Part, PartialRig, resolve
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.result import Calibration
 from jaxscan.precision import float64
+from jaxscan.rig.rig import is_place
 
 # Parts disagree where chance would bring them so far apart less than once in a thousand times.
 _P = 1e-3
@@ -76,7 +77,9 @@ def halves(observations: Observations) -> tuple[Part, Part] | None:
     order = sorted(range(len(views)), key=lambda i: (seen[i] > 0, size[i]))
     first = np.zeros(len(views), bool)
     first[order[::2]] = True
-    along = np.concatenate([np.arange(len(stage.views)) % 2 == 0 for stage in observations.stages] or [np.zeros(0)])
+    along = np.concatenate(
+        [np.arange(len(sequence.views)) % 2 == 0 for sequence in observations.sequences] or [np.zeros(0)]
+    )
     along = along.astype(bool)
     parts = Part("one half", first, along), Part("the other half", ~first, ~along)
     return parts if all(stands_alone(observations, part) for part in parts) else None
@@ -85,21 +88,26 @@ def halves(observations: Observations) -> tuple[Part, Part] | None:
 def stands_alone(observations: Observations, part: Part) -> bool:
     """Whether a part has what a rig needs."""
     views = [view for view, used in zip(observations.views, part.views, strict=True) if used]
+    moved = [view for sequence in observations.sequences for view in sequence.views]
+    striped_views = [*views, *(view for view, used in zip(moved, part.moved, strict=True) if used)]
     striped = [
-        sum(any(s.laser == i and np.isfinite(s.pixels).all(axis=1).any() for s in view.stripes) for view in views)
+        sum(
+            any(s.laser == i and np.isfinite(s.pixels).all(axis=1).any() for s in view.stripes)
+            for view in striped_views
+        )
         for i in range(len(observations.lasers))
     ]
-    places = np.array([stage.place for stage in observations.stages for _ in stage.views])
+    axes = np.array([sequence.axis for sequence in observations.sequences for _ in sequence.views])
     return (
         len(views) >= _FEWEST_VIEWS
         and all(count >= _FEWEST_STRIPES for count in striped)
-        and all((places[part.stage_images] == place).sum() >= _FEWEST_MOVED for place in set(places))
+        and all((axes[part.moved] == axis).sum() >= _FEWEST_MOVED for axis in set(axes))
     )
 
 
 def sessions(observations: Observations) -> tuple[Part, ...]:
     """One part for each session that stands alone; none where all photographs are of one session."""
-    images = [view for stage in observations.stages for view in stage.views]
+    images = [view for sequence in observations.sequences for view in sequence.views]
     names = dict.fromkeys(view.session for view in (*observations.views, *images))
 
     def of(name: str) -> Part:
@@ -125,11 +133,12 @@ def compare(a: PartialRig, b: PartialRig) -> Agreement:
     both = a.covariance.matrix + b.covariance.matrix
     inverse = _inverse(both)
     chi2 = float(difference @ inverse @ difference)
-    # Where b's millimetres are longer by ε, its planes 1/mm are shorter and its travel is longer by ε. The turntable,
+    # Where b's millimetres are longer by ε, its planes 1/mm are shorter and its travel is longer by ε. What turns,
     # whose axis moves too, but by no share of numbers one of which is held, has no say.
-    at = [i for i, name in enumerate(names) if not name.startswith("turntable")]
+    turns = tuple({".".join(name.split(".")[:2]) + "." for name in names if is_place(name)})
+    at = [i for i, name in enumerate(names) if not (turns and name.startswith(turns))]
     middle = (a.values + b.values)[at] / 2
-    sign = np.array([-1.0 if n.startswith("laser") else 1.0 if n.startswith("stage") else 0.0 for n in names])[at]
+    sign = np.array([-1.0 if n.startswith("lights") else 1.0 if n.startswith("motion") else 0.0 for n in names])[at]
     direction = sign * middle
     along = direction @ _inverse(both[np.ix_(at, at)])
     weight = float(along @ direction)

@@ -23,13 +23,12 @@ from jaxtyping import Array, Bool, Float
 from scipy.special import fdtrc
 
 from jaxscan.calibration.blocks import bucket, view_blocks
-from jaxscan.calibration.bundle import Estimate, Outcome, solve
-from jaxscan.calibration.first_poses import far_away
-from jaxscan.calibration.residuals import Blocks, Noise
+from jaxscan.calibration.bundle import Outcome, solve
+from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import group_errors, refine
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import LENSES, Rig
+from jaxscan.rig import LENSES, Rig, System
 from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.projection import with_richest_lens
 from jaxscan.rig.rig import parameter_names
@@ -101,25 +100,23 @@ def climb(calibration: Calibration) -> Ladder:
     """Solve every rung on the corners of the views."""
     chosen = calibration.rig.camera.lens
     with float64():
-        estimate, group = _corners_alone(calibration)
+        system, group = _corners_alone(calibration)
         held = {
             name for name in parameter_names(Rig(calibration.rig.camera)) if name not in calibration.covariance.names
         }
         names = _distinct(chosen, held)
         reference = max(_REFERENCE, chosen, key=list(LENSES).index)
-        shape = len(jax.tree.leaves(estimate.shared[1]))
+        shape = len(jax.tree.leaves(system.warp))
 
         def free(lens: str) -> Bool[Array, "shared"]:
             return jnp.pad(_free(lens, held), (0, shape))
 
         noise = Noise(jnp.asarray(calibration.corner_sigma_px, jnp.float64), jnp.ones(()), jnp.zeros(()))
-        each = len(calibration.observations.board.points())
         judge = not calibration.plain
-        best = refine(estimate, free(reference), (group,), noise, each, reject=judge, weigh=judge)
+        best = refine(system, free(reference), (group,), noise, reject=judge, weigh=judge)
         n = len(calibration.observations.views)
         solved = {
-            lens: _solve_rung(_without(estimate, lens, held), free(lens), best.groups[0], best.noise, n)
-            for lens in names
+            lens: _solve_rung(_without(system, lens, held), free(lens), best.groups[0], best.noise, n) for lens in names
         }
     observations = float(2 * np.asarray(best.groups[0].corner_used).sum())
     rungs, top = [], names[0]
@@ -147,15 +144,15 @@ def f_test(chi2_poor: float, chi2_rich: float, terms: int, dof: float) -> float:
     return float(fdtrc(terms, dof, F))
 
 
-def _corners_alone(calibration: Calibration) -> tuple[Estimate, Blocks]:
+def _corners_alone(calibration: Calibration) -> tuple[System, Blocks]:
     """The views' corners, and the calibration's camera as a rational lens; the board bulges as it was found to."""
     observations = calibration.observations
     views = tuple(replace(view, stripes=()) for view in observations.views)
-    group = view_blocks(replace(observations, views=views, stages=(), lasers=()))
+    group = view_blocks(replace(observations, views=views, sequences=(), lasers=()))
     camera = with_richest_lens(as_float64(calibration.rig.camera))
     poses = np.asarray(as_float64(calibration.system.boards).as_vector())
     padded = far_away(bucket(len(poses))).at[: len(poses)].set(poses)
-    return Estimate((Rig(camera), as_float64(calibration.system.warp)), (padded,)), group
+    return System(Rig(camera), (padded,), as_float64(calibration.system.warp)), group
 
 
 def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:
@@ -179,16 +176,16 @@ def _distinct(chosen: str, held: set[str]) -> list[str]:
     return list(rungs.values())
 
 
-def _solve_rung(estimate: Estimate, free: Bool[Array, "shared"], group: Blocks, noise: Noise, n: int) -> _Solved:
+def _solve_rung(system: System, free: Bool[Array, "shared"], group: Blocks, noise: Noise, n: int) -> _Solved:
     """One lens on all views, and fold by fold on views that it has not seen."""
-    whole = solve(estimate, free, (group,), noise)
-    folds = np.arange(len(group.steps)) % min(_FOLDS, n)
+    whole = solve(system, free, (group,), noise)
+    folds = np.arange(len(group.points)) % min(_FOLDS, n)
     held_out, count = np.zeros(n), np.zeros(n)
     for fold in range(min(_FOLDS, n)):
         inside = jnp.asarray(folds == fold)
-        others = solve(whole.estimate, free, (_only(group, ~inside),), noise)
+        others = solve(whole.system, free, (_only(group, ~inside),), noise)
         own = _only(group, inside)
-        placed = solve(others.estimate, jnp.zeros_like(free), (own,), noise)
+        placed = solve(others.system, jnp.zeros_like(free), (own,), noise)
         square, used = _squares(placed, own, noise)
         for outcome in (others, placed):
             if outcome.result != optx.RESULTS.successful:
@@ -202,27 +199,27 @@ def _solve_rung(estimate: Estimate, free: Bool[Array, "shared"], group: Blocks, 
     return _Solved(chi2, pixels * float(np.sqrt(2 * square.sum() / used.sum())), pixels**2 * held_out, count)
 
 
-def _without(estimate: Estimate, lens: str, held: set[str]) -> Estimate:
-    """The estimate with those lens terms at zero that the lens does not have and that are not held."""
-    rig, warp = estimate.shared
+def _without(system: System, lens: str, held: set[str]) -> System:
+    """The system with those lens terms at zero that the lens does not have and that are not held."""
+    camera = system.rig.camera
     kept = {*camera_parameters(lens), *held}
     own = (name in kept for name in camera_parameters("rational")[4:])
     zero = jnp.zeros(())
-    radial = tuple(k if next(own) else zero for k in rig.camera.radial)
-    tangential = tuple(p if next(own) else zero for p in rig.camera.tangential)
-    return Estimate((Rig(replace(rig.camera, radial=radial, tangential=tangential)), warp), estimate.poses)
+    radial = tuple(k if next(own) else zero for k in camera.radial)
+    tangential = tuple(p if next(own) else zero for p in camera.tangential)
+    return replace(system, rig=Rig(replace(camera, radial=radial, tangential=tangential)))
 
 
 def _only(group: Blocks, blocks: Bool[Array, "blocks"]) -> Blocks:
-    return replace(group, corner_used=group.corner_used & blocks[:, None])
+    return replace(group, corner_used=group.corner_used & blocks[:, None, None])
 
 
 def _squares(outcome: Outcome, group: Blocks, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     """Sum over each block of squared errors in σ, and of coordinates."""
-    corner = np.asarray(group_errors(outcome.estimate, (group,))[0][0])
+    corner = np.asarray(group_errors(outcome.system, (group,))[0][0])
     used = np.asarray(group.corner_used)
     scaled = np.where(used, np.asarray(group.weights), 0.0)[..., None] * corner / float(noise.corner)
-    return (scaled**2).sum(axis=(1, 2)), 2.0 * used.sum(axis=1)
+    return (scaled**2).sum(axis=(1, 2, 3)), 2.0 * used.sum(axis=(1, 2))
 
 
 def _gain(below: _Solved, own: _Solved) -> tuple[float, float]:

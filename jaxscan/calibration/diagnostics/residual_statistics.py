@@ -114,7 +114,7 @@ class CornerResiduals:
 def photographs(calibration: Calibration) -> tuple[PhotographStatistics, ...]:
     """Every photograph: first those of which no corner took part, then by the RMS of their corners, the worst first."""
     each = [_photograph(fit, staged=False) for fit in calibration.fits]
-    each += [_photograph(fit, staged=True) for fit in calibration.stage_fits]
+    each += [_photograph(fit, staged=True) for fit in calibration.moved_fits]
     return tuple(sorted(each, key=lambda p: -np.nan_to_num(p.corner_rms_px, nan=np.inf)))
 
 
@@ -138,7 +138,7 @@ def _photograph(fit: PhotographFit, staged: bool) -> PhotographStatistics:
 def corner_residuals(calibration: Calibration) -> CornerResiduals:
     """The corners of all views and stage photographs."""
     views = calibration.observations.photographs()
-    fits = (*calibration.fits, *calibration.stage_fits)
+    fits = (*calibration.fits, *calibration.moved_fits)
     return CornerResiduals(
         np.concatenate([view.corners[fit.corner_kept] for view, fit in zip(views, fits, strict=True)]),
         np.concatenate([fit.corner_errors[fit.corner_kept] for fit in fits]),

@@ -10,15 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
-from jaxscan.calibration.blocks import stage_blocks, view_blocks
-from jaxscan.calibration.bundle import Estimate
+from jaxscan.calibration.blocks import sequence_blocks, view_blocks
 from jaxscan.calibration.residuals import Blocks
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined, refine
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Covariance
+from jaxscan.rig import Covariance, System
 from jaxscan.rig.rig import parameter_names
 
 
@@ -29,12 +28,12 @@ class Part:
     Attributes:
         name: how the report calls it.
         views: of its views.
-        stage_images: of its photographs on stage and turntable, sequence after sequence.
+        moved: of its photographs along the axes, sequence after sequence.
     """
 
     name: str
     views: Bool[np.ndarray, "views"]
-    stage_images: Bool[np.ndarray, "images"]
+    moved: Bool[np.ndarray, "images"]
 
 
 @dataclass(frozen=True)
@@ -59,53 +58,44 @@ def resolve(calibration: Calibration, part: Part) -> PartialRig | None:
     It starts at the calibration's own solution, so that it ends in the same valley.
     """
     with float64():
-        estimate, groups = problem(calibration)
+        system, groups = problem(calibration)
         names, free = parameter_names(calibration.rig), np.asarray(calibration.adjustment.free)
-        each = len(calibration.observations.board.points())
         refined = refine(
-            estimate,
+            system,
             jnp.asarray(calibration.adjustment.free),
             _masked(calibration, groups, part),
             as_float64(calibration.adjustment.noise),
-            each,
             reject=not calibration.plain,
             weigh=not calibration.plain,
         )
         return _partial(refined, part, [name for name, one in zip(names, free, strict=False) if one])
 
 
-def problem(calibration: Calibration) -> tuple[Estimate, tuple[Blocks, ...]]:
+def problem(calibration: Calibration) -> tuple[System, tuple[Blocks, ...]]:
     """The solution and all candidates, rejected ones among them, as the solve takes them; inside a `float64` block."""
     observations = calibration.observations
-    groups = (view_blocks(observations), *((stage_blocks(observations),) if observations.stages else ()))
-    return as_float64(calibration.adjustment.estimate), groups
+    groups = (view_blocks(observations), *((sequence_blocks(observations),) if observations.sequences else ()))
+    start = as_float64(calibration.adjustment.start)
+    # Without what belongs to other factors than the photographs.
+    return replace(start, poses=start.poses[: len(groups)]), groups
 
 
 def _masked(calibration: Calibration, groups: tuple[Blocks, ...], part: Part) -> tuple[Blocks, ...]:
-    views = _padded(part.views, len(groups[0].steps))
-    masked = [
-        replace(
-            groups[0],
-            corner_used=groups[0].corner_used & views[:, None],
-            stripe_used=groups[0].stripe_used & views[:, None],
-        )
-    ]
+    parts = [part.views[:, None]]
     if len(groups) > 1:
-        each, used, at = len(calibration.observations.board.points()), np.asarray(groups[1].corner_used).copy(), 0
-        for i, stage in enumerate(calibration.observations.stages):
-            own = part.stage_images[at : at + len(stage.views)]
-            used[i, : len(own) * each] &= np.repeat(own, each)
-            at += len(own)
-        masked.append(replace(groups[1], corner_used=jnp.asarray(used)))
+        counts = [len(sequence.views) for sequence in calibration.observations.sequences]
+        own = np.split(part.moved, np.cumsum(counts)[:-1])
+        longest = groups[1].corner_used.shape[1]
+        parts.append(np.stack([np.pad(each, (0, longest - len(each))) for each in own]))
+    masked = []
+    for group, used in zip(groups, parts, strict=True):
+        mask = jnp.asarray(np.pad(used, ((0, len(group.points) - len(used)), (0, 0))))[..., None]
+        masked.append(replace(group, corner_used=group.corner_used & mask, stripe_used=group.stripe_used & mask))
     return tuple(masked)
 
 
-def _padded(mask: Bool[np.ndarray, "n"], length: int) -> Bool[Array, "length"]:
-    return jnp.asarray(np.pad(mask, (0, length - len(mask))))
-
-
 def _partial(refined: Refined, part: Part, free: Sequence[str]) -> PartialRig | None:
-    rig = refined.estimate.shared[0]
+    rig = refined.system.rig
     values, names = np.array([float(leaf) for leaf in jax.tree.leaves(rig)]), parameter_names(rig)
     at = [names.index(name) for name in free]
     matrix = np.asarray(refined.precision.covariance)[np.ix_(at, at)]

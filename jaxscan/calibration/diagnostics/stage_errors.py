@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.observations import StageSequence
+from jaxscan.calibration.observations import BoardSequence
 from jaxscan.calibration.result import Calibration, PhotographFit
 from jaxscan.geometry import Pose
+from jaxscan.rig import Linear, Rotary
 from jaxscan.rig.projection import project_points
 
 
@@ -88,18 +89,16 @@ class TurntableErrors:
 
 
 def stage_errors(calibration: Calibration) -> tuple[StageErrors, ...]:
-    """Each sequence; photographs with fewer than four corners that took part are left out."""
-    if calibration.rig.stage is None:
-        return ()
-    per_step = np.stack(calibration.rig.stage.per_step).astype(np.float64)
-    axes, out = _axes(per_step), []
+    """Each sequence along a line; photographs with fewer than four corners that took part are left out."""
+    out = []
     for fits, sequence, places in _own_places(calibration):
-        if sequence.turns is None:
+        if isinstance(line := calibration.rig.axis(sequence.axis), Linear):
+            axes, first = _axes(line.direction()), sequence.steps.min()
             out.append(
                 StageErrors(
                     names=tuple(fit.name for fit in fits),
                     steps=sequence.steps,
-                    travel_mm=(sequence.steps - sequence.steps.min()) * float(np.linalg.norm(per_step)),
+                    travel_mm=(sequence.steps - first) * line.amount(1.0)[0],
                     error_mm=places.moved @ axes.T,
                     sigma_mm=_sigmas(axes, places.moved_covariance),
                     rotation_mrad=1e3 * places.turned,
@@ -110,21 +109,18 @@ def stage_errors(calibration: Calibration) -> tuple[StageErrors, ...]:
 
 
 def turntable_errors(calibration: Calibration) -> tuple[TurntableErrors, ...]:
-    """Each sequence; photographs with fewer than four corners that took part are left out."""
-    if calibration.rig.turntable is None:
-        return ()
-    per_step = np.stack(calibration.rig.turntable.per_step).astype(np.float64)
-    axes, out = _axes(per_step), []
-    # A small turn δr tilts the first axis towards the others by δr · (third) and −δr · (second).
-    tilts = np.stack([axes[0], axes[2], -axes[1]])
+    """Each sequence about an axis; photographs with fewer than four corners that took part are left out."""
+    out = []
     for fits, sequence, places in _own_places(calibration):
-        if sequence.turns is not None:
-            first = sequence.turns.min()
+        if isinstance(turn := calibration.rig.axis(sequence.axis), Rotary):
+            axes, first = _axes(turn.direction()), sequence.steps.min()
+            # A small turn δr tilts the first axis towards the others by δr · (third) and −δr · (second).
+            tilts = np.stack([axes[0], axes[2], -axes[1]])
             out.append(
                 TurntableErrors(
                     names=tuple(fit.name for fit in fits),
-                    steps=sequence.turns,
-                    turn_deg=np.degrees((sequence.turns - first) * np.linalg.norm(per_step)),
+                    steps=sequence.steps,
+                    turn_deg=(sequence.steps - first) * turn.amount(1.0)[0],
                     turn_error_deg=np.degrees(places.turned @ tilts.T),
                     turn_sigma_deg=np.degrees(_sigmas(tilts, places.turned_covariance)),
                     error_mm=places.moved @ axes.T,
@@ -144,11 +140,11 @@ class _Places:
     turned_covariance: Float[np.ndarray, "images 3 3"]
 
 
-def _own_places(calibration: Calibration) -> list[tuple[list[PhotographFit], StageSequence, _Places]]:
+def _own_places(calibration: Calibration) -> list[tuple[list[PhotographFit], BoardSequence, _Places]]:
     """Sequence by sequence, those photographs of it that tell where their board stood."""
     points, at, found = calibration.observations.board.points(), 0, []
-    for i, whole in enumerate(calibration.observations.stages):
-        fits = calibration.stage_fits[at : at + len(whole.views)]
+    for i, whole in enumerate(calibration.observations.sequences):
+        fits = calibration.moved_fits[at : at + len(whole.views)]
         at += len(whole.views)
         used = [j for j, fit in enumerate(fits) if fit.corner_kept.sum() >= 4]
         if len(used) < 2:
@@ -163,17 +159,11 @@ def _own_places(calibration: Calibration) -> list[tuple[list[PhotographFit], Sta
 
 
 def _corners_in_space(
-    calibration: Calibration, index: int, sequence: StageSequence, points: Float[np.ndarray, "corners 3"]
+    calibration: Calibration, index: int, sequence: BoardSequence, points: Float[np.ndarray, "corners 3"]
 ) -> Float[np.ndarray, "images corners 3"]:
     """Where the corners stand in the camera frame by the rig, photograph by photograph of a sequence (mm)."""
-    rig, stages = calibration.rig, calibration.system.stages
-    at_0 = Pose(stages.rotation[index], stages.translation[index]).apply(points)
-    X = np.repeat(at_0[None], len(sequence.views), axis=0)
-    if sequence.turns is not None and rig.turntable is not None:
-        per_step, centre = np.stack(rig.turntable.per_step), np.stack(rig.turntable.centre)
-        X = Pose.about(np.outer(sequence.turns, per_step), centre).apply(at_0)
-    per_step = np.zeros(3) if rig.stage is None else np.stack(rig.stage.per_step)
-    return X + sequence.steps[:, None, None] * per_step
+    at_0 = Pose.from_vector(np.asarray(calibration.system.moved.as_vector())[index])
+    return calibration.rig.pose(sequence.positions).apply(at_0.apply(points))
 
 
 def _sigmas(

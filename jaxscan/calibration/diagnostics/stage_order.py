@@ -41,11 +41,11 @@ def stage_orders(calibration: Calibration) -> tuple[StageOrder, ...]:
     """The sequences on the stage that were mixed up."""
     found = []
     middle = calibration.observations.board.points().mean(axis=0)
-    for sequence in calibration.observations.stages:
-        if sequence.turns is not None or len(sequence.views) < _FEWEST:
+    for sequence in calibration.observations.sequences:
+        if sequence.kind != "linear" or len(sequence.views) < _FEWEST:
             continue
         with float64():
-            blocks = view_blocks(replace(calibration.observations, views=sequence.views))
+            blocks = view_blocks(replace(calibration.observations, views=sequence.views, sequences=()))
             poses = np.array(first_poses(as_float64(calibration.rig.camera), blocks))[: len(sequence.views)]
         places = Pose.from_vector(poses).apply(middle)
         order = out_of_order(sequence.steps, places)

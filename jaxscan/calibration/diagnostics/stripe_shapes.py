@@ -5,15 +5,14 @@ least squares d(t) = a + b t, t from −1 to 1 along the stripe. What its runnin
 valley, is the bend of the plate, or a lens that is not followed.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.on_board import stripe_points_in_space
+from jaxscan.calibration.on_board import meet_board, pose_of
 from jaxscan.calibration.result import Calibration
-from jaxscan.precision import as_float64, float64
+from jaxscan.rig.light import distance
 
 _FEWEST_POINTS = 20
 # The running mean is over this share of a stripe's points.
@@ -62,30 +61,21 @@ class StripeShape:
 
 def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
     """Every stripe that has enough points, the most bent first."""
-    shapes = []
-    with float64():
-        camera = as_float64(calibration.rig.camera)
-        poses = np.asarray(as_float64(calibration.system.boards).as_vector())
-        for i, (view, fit) in enumerate(zip(calibration.observations.views, calibration.fits, strict=True)):
-            at = 0
-            for stripe in view.stripes:
-                seen = np.flatnonzero(np.isfinite(stripe.pixels).all(axis=1))
-                kept = seen[fit.stripe_kept[at : at + len(seen)]]
-                at += len(seen)
-                if len(kept) < _FEWEST_POINTS:
-                    continue
-                # As long as it was, so that nothing compiles anew.
-                pixels = np.full_like(stripe.pixels, np.nan)
-                pixels[kept] = stripe.pixels[kept]
-                one = replace(view, stripes=(replace(stripe, pixels=pixels),))
-                X, _ = stripe_points_in_space(
-                    replace(calibration.observations, views=(one,)), camera, jnp.asarray(poses[i : i + 1]), stripe.laser
-                )
-                laser = calibration.rig.lasers[stripe.laser]
-                omega = np.stack(laser.plane)
-                along = stripe.pixels[kept][:, 0 if stripe.columns else 1]
-                distance = (X @ omega - 1) / np.linalg.norm(omega)
-                shapes.append(shape(view.name, laser.name, along, distance, float(np.median(X[:, 2]))))
+    observations, shapes = calibration.observations, []
+    poses, fits = calibration.photograph_poses(), (*calibration.fits, *calibration.moved_fits)
+    for i, (view, fit) in enumerate(zip(observations.photographs(), fits, strict=True)):
+        at = 0
+        for stripe in view.stripes:
+            seen = np.flatnonzero(np.isfinite(stripe.pixels).all(axis=1))
+            kept = seen[fit.stripe_kept[at : at + len(seen)]]
+            at += len(seen)
+            if len(kept) < _FEWEST_POINTS:
+                continue
+            pixels = stripe.pixels[kept]
+            X = meet_board(calibration.rig.camera, pose_of(poses, i), pixels)[0]
+            light = calibration.rig.lights[stripe.laser]
+            along = pixels[:, 0 if stripe.columns else 1]
+            shapes.append(shape(view.name, light.name, along, distance(light, X), float(np.median(X[:, 2]))))
     return tuple(sorted(shapes, key=lambda s: -s.bend_mm))
 
 
@@ -93,16 +83,16 @@ def shape(
     name: str,
     laser: str,
     along: Float[np.ndarray, "points"],
-    distance: Float[np.ndarray, "points"],
+    off: Float[np.ndarray, "points"],
     depth_mm: float,
 ) -> StripeShape:
     """The shape of one stripe."""
     order = np.argsort(along)
-    along, distance = along[order], distance[order]
+    along, off = along[order], off[order]
     t = 2 * (along - along[0]) / max(float(np.ptp(along)), 1e-9) - 1
     A = np.stack([np.ones_like(t), t], axis=1)
-    line = np.linalg.lstsq(A, distance, rcond=None)[0]
-    left = distance - A @ line
+    line = np.linalg.lstsq(A, off, rcond=None)[0]
+    left = off - A @ line
     window = max(5, round(_WINDOW * len(left)))
     whole = np.convolve(left, np.ones(window), "same") / np.convolve(np.ones(len(left)), np.ones(window), "same")
     noise = float(np.sqrt(((left - whole) ** 2).mean()))
@@ -110,7 +100,7 @@ def shape(
         name=name,
         laser=laser,
         along_px=along,
-        distance_mm=distance,
+        distance_mm=off,
         smooth_mm=A @ line + whole,
         offset_mm=float(line[0]),
         offset_error_mm=noise / np.sqrt(len(left)),

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.blocks import view_blocks
-from jaxscan.calibration.bundle import Estimate, solve
+from jaxscan.calibration.bundle import solve
 from jaxscan.calibration.diagnostics.resolve import problem
 from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.observations import View
@@ -73,7 +73,7 @@ def suspects(calibration: Calibration, explain: bool = True) -> tuple[Suspect, .
         explain: whether each is placed anew, mirrored and turned, which takes some solves.
     """
     fits = [(fit, i, False) for i, fit in enumerate(calibration.fits)]
-    fits += [(fit, i, True) for i, fit in enumerate(calibration.stage_fits)]
+    fits += [(fit, i, True) for i, fit in enumerate(calibration.moved_fits)]
     usual = float(np.nanmedian([_median(fit.corner_errors) for fit, _, _ in fits]))
     found = []
     for fit, i, staged in fits:
@@ -147,21 +147,22 @@ def _placed(calibration: Calibration, index: int, view: View) -> tuple[float, fl
     views = [*observations.views]
     views[index] = view
     with float64():
-        estimate, groups = problem(calibration)
+        system, groups = problem(calibration)
         group = view_blocks(replace(observations, views=tuple(views)))
-        only = jnp.arange(len(group.steps)) == index
-        corners = replace(
-            group, corner_used=group.corner_used & only[:, None], stripe_used=jnp.zeros_like(group.stripe_used)
+        only = (jnp.arange(len(group.points)) == index)[:, None, None]
+        corners = replace(group, corner_used=group.corner_used & only, stripe_used=jnp.zeros_like(group.stripe_used))
+        others = tuple(
+            replace(g, corner_used=jnp.zeros_like(g.corner_used), stripe_used=jnp.zeros_like(g.stripe_used))
+            for g in groups[1:]
         )
-        others = tuple(replace(g, corner_used=jnp.zeros_like(g.corner_used)) for g in groups[1:])
-        start = Estimate(estimate.shared, (first_poses(estimate.shared[0].camera, corners), *estimate.poses[1:]))
+        start = replace(system, poses=(first_poses(system.rig.camera, corners), *system.poses[1:]))
         # Robust, so that a few wild corners do not place the board.
         one = jnp.ones((), jnp.float64)
         noise = Noise(one * calibration.corner_sigma_px, one, one)
         free = jnp.zeros_like(jnp.asarray(calibration.adjustment.free))
-        placed = solve(start, free, (corners, *others), noise).estimate
-        seen = replace(group, stripe_used=group.stripe_used & only[:, None])
-        corner, stripe = (np.asarray(e[index]) for e in group_errors(placed, (seen, *others))[0])
-    used = np.asarray(corners.corner_used[index])
-    on_stripe = np.abs(stripe[np.asarray(seen.stripe_used[index])])
+        placed = solve(start, free, (corners, *others), noise).system
+        seen = replace(group, stripe_used=group.stripe_used & only)
+        corner, stripe = (np.asarray(e[index, 0]) for e in group_errors(placed, (seen, *others))[0])
+    used = np.asarray(corners.corner_used[index, 0])
+    on_stripe = np.abs(stripe[np.asarray(seen.stripe_used[index, 0])])
     return _median(corner[used]), float(np.nanmedian(on_stripe)) if on_stripe.size else None

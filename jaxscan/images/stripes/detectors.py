@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.detectors import Detector
+from jaxscan.detectors import DETECTORS, Detector
 from jaxscan.images.stripes import classical
 from jaxscan.images.stripes.classical import Estimate
 from jaxscan.images.stripes.likelihood import Misfit, likelihood
@@ -18,7 +18,9 @@ from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bum
 
 Model = Literal["plain", "censored", "grained", "grained and censored", "torn"]
 
-_CLOSED: Final[dict[str, Callable[[Windows, Outline, Sensor], Estimate]]] = {
+Measure = Callable[[Windows, Outline, Sensor], Estimate]
+
+_CLOSED: Final[dict[str, Measure]] = {
     "gravity": classical.gravity,
     "derivative": classical.derivative,
     "ridge": classical.ridge,
@@ -32,6 +34,19 @@ _MARGIN = 5
 _ONE_SIDED = 0.5
 # Of a window that is fuller than this, the rest may be noise.
 _MOSTLY_FULL = 0.5
+
+
+def register_detector(name: str, words: str, measure: Measure) -> None:
+    """Let stripes be measured in one more way.
+
+    Args:
+        name: for `detector=` and `--detector`.
+        words: what it is, in words.
+        measure: the centre of the stripe in each window, its σ and width, from windows, their outlines and the sensor;
+            traced by JAX.
+    """
+    DETECTORS[name] = words
+    _CLOSED[name] = measure
 
 
 class Measured(eqx.Module):

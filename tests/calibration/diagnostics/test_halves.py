@@ -49,7 +49,7 @@ def test_halves_disagree_when_a_view_is_of_another_camera(session, monkeypatch):
 
 
 def test_the_comparison_is_numpys():
-    names = ("camera.focal.0", "laser.plane.0", "laser.plane.1", "stage.per_step.0")
+    names = ("camera.focal.0", "lights.0.plane.0", "lights.0.plane.1", "motion.stage.per_step.0")
     A, B = (np.diag([4.0, 1e-10, 1e-10, 1e-10]) * s for s in (1.0, 2.0))
     a = np.array([700.0, -0.005, 0.003, 0.001])
     # b's millimetres are 4 % longer.

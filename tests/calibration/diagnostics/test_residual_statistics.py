@@ -48,7 +48,7 @@ def test_photographs_are_the_fits_the_worst_first(calibration):
     found = statistics.photographs(calibration)
     assert len(found) == 16
     assert [p.corner_rms_px for p in found] == sorted((p.corner_rms_px for p in found), reverse=True)
-    worst = next(fit for fit in (*calibration.fits, *calibration.stage_fits) if fit.name == found[0].name)
+    worst = next(fit for fit in (*calibration.fits, *calibration.moved_fits) if fit.name == found[0].name)
     distance = np.linalg.norm(worst.corner_errors[worst.corner_kept], axis=1)
     assert found[0].corner_rms_px == pytest.approx(np.sqrt((distance**2).mean()))
 

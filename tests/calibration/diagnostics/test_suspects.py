@@ -32,17 +32,19 @@ def test_a_mirrored_photograph(session, left_to_right, words):
 
 def test_a_turned_photograph_in_the_middle_of_the_stage(session, calibration):
     """It is in the middle, where the sequence's pose is; the others say how the board stood."""
-    (stage,) = session.stages
+    (stage,) = session.sequences
     views = list(stage.views)
     turned = np.array(session.image_size) - 1 - views[2].corners
     views[2] = replace(views[2], corners=turned)
-    without = calibrate(replace(session, stages=(replace(stage, views=tuple(views)),)))
+    without = calibrate(replace(session, sequences=(replace(stage, views=tuple(views)),)))
     (found,) = suspects(without)
     assert found.name == views[2].name
     assert found.staged
     assert found.corners_rejected == 1
-    sigma = without.covariance.sigma("stage.per_step.1")
-    assert abs(float(without.rig.stage.per_step[1]) - float(calibration.rig.stage.per_step[1])) < 3 * sigma
+    sigma = without.covariance.sigma("motion.stage.per_step.1")
+    assert (
+        abs(float(without.rig.axis("stage").per_step[1]) - float(calibration.rig.axis("stage").per_step[1])) < 3 * sigma
+    )
 
 
 def test_mirroring_twice_is_nothing(session):

@@ -51,7 +51,7 @@ def test_photographs_are_shown_with_profile_and_points(tmp_path: Path, monkeypat
     # The quick detector, at the size at which it has been compiled for the profile.
     monkeypatch.setattr(jaxscan, "reconstruct", partial(jaxscan.reconstruct, detector="derivative"), raising=False)
     camera = jaxscan.Camera.create((COLUMNS, ROWS), FOCAL, PRINCIPAL)
-    rig = jaxscan.Rig(camera, (jaxscan.LightPlane.create(OMEGA),), jaxscan.Stage.create(PER_STEP))
+    rig = jaxscan.Rig(camera, (jaxscan.LightPlane.create(OMEGA),), jaxscan.Linear.create(PER_STEP))
     served = serve(tmp_path / "lab", profiles=True, rig=jaxscan.RigFile(rig))
     client = operator(served)
     assert client.get("/api/picture").status_code == 404

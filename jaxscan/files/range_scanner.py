@@ -1,0 +1,69 @@
+"""What a range image's file says of its scanner: where the axes stood at each frame, the motion and the light."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int, Int64, UInt8
+
+from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
+from jaxscan.files.range_npz import RangeArrays
+from jaxscan.files.rig_parts import lights_values, motion_values, part_tables, read_lights, read_motion
+from jaxscan.files.table import Table
+from jaxscan.precision import as_numpy, float64
+from jaxscan.rig import Fixed, Light, Linear, Motion
+
+
+class RangeScanner(NamedTuple):
+    """The scanner of a range image."""
+
+    positions: dict[str, Int[np.ndarray, "frames"]]
+    motion: Motion
+    sheet: Light | None
+
+
+def scanner_arrays(
+    positions: Mapping[str, Int[np.ndarray, "frames"]], motion: Motion, sheet: Light | None
+) -> tuple[Int64[np.ndarray, "frames axes"], UInt8[np.ndarray, "bytes"]]:
+    """As `RangeArrays` has them: positions, and all else as JSON."""
+    lights = () if sheet is None else (sheet,)
+    values = {"axes": list(positions), "lights": lights_values(lights), "motion": motion_values(motion)}
+    encoded = np.frombuffer(json.dumps(values, ensure_ascii=False).encode(), np.uint8)
+    return np.stack([np.asarray(steps, np.int64) for steps in positions.values()], axis=-1), encoded
+
+
+def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScanner:
+    """The inverse of `scanner_arrays`; older files have the steps of a stage, and how far it moves for one.
+
+    Raises:
+        InputError: what is said of the scanner is not sound.
+    """
+    if (arrays.scanner is None) != (arrays.positions is None):
+        raise InputError(f'{path}: has one of "scanner" and "positions" without the other: reconstruct again')
+    if arrays.scanner is None or arrays.positions is None:
+        if arrays.per_step is None or not arrays.per_step.any():
+            return RangeScanner({STAGE: arrays.steps}, Fixed(), None)
+        with float64():
+            stage = Linear.create(arrays.per_step)
+        return RangeScanner({STAGE: arrays.steps}, as_numpy(stage), None)
+    try:
+        values = json.loads(arrays.scanner.tobytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f'{path}: "scanner" is no JSON ({error}): reconstruct again') from error
+    if not isinstance(values, dict):
+        raise InputError(f'{path}: "scanner" is no object: reconstruct again')
+    table = Table(Path(path), "scanner.", values)
+    axes = table.sequence("axes", "names of axes")
+    if len({str(axis) for axis in axes}) < len(axes):
+        raise table.error("axes", "name an axis twice: reconstruct again")
+    if len(axes) != arrays.positions.shape[1]:
+        raise table.error("axes", f"{len(axes)} names for {arrays.positions.shape[1]} positions: reconstruct again")
+    with float64():
+        lights = read_lights(part_tables(table, "lights", "lights"), [])
+        motion = read_motion(part_tables(table, "motion", "axes"), [])
+    positions = {str(axis): arrays.positions[:, i] for i, axis in enumerate(axes)}
+    return RangeScanner(positions, as_numpy(motion), as_numpy(lights[0]) if lights else None)

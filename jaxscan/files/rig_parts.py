@@ -1,0 +1,97 @@
+"""Lights and motions as files have them: an object with its kind, its name and its numbers, by `rig.kinds`."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxscan.files.axes import is_axis_name
+from jaxscan.files.table import Table
+from jaxscan.rig import LIGHTS, MOTIONS, AxisMotion, Light, Motion, motion_of
+
+
+def part_tables(table: Table, key: str, of: str) -> list[Table]:
+    """The tables of the parts that are listed under a key; none where it is left out.
+
+    Raises:
+        InputError: what is there is no list of objects.
+    """
+    values = table.values.get(key, [])
+    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+        raise table.error(key, f"must be a list of {of}, each an object with its kind and its numbers")
+    return [Table(table.path, f"{table.prefix}{key}.{i}.", value) for i, value in enumerate(values)]
+
+
+def read_lights(tables: Sequence[Table], unknown: list[str]) -> tuple[Light, ...]:
+    """The lights of these tables; keys that are not known are added to the unknown ones.
+
+    Raises:
+        InputError: what is no light, and why.
+    """
+    lights: list[Light] = []
+    for table in tables:
+        name = table.string("name") if table.values.get("name", "") != "" else ""
+        lights.append(_part(table, LIGHTS[_kind(table, LIGHTS)], unknown, name=name))
+    names = [light.name for light in lights]
+    for i, (table, name) in enumerate(zip(tables, names, strict=True)):
+        if len(names) > 1 and (not name or name in names[:i]):
+            raise table.error("name", f'of several lasers each needs a "name" of its own; they are {names}')
+    return tuple(lights)
+
+
+def read_motion(tables: Sequence[Table], unknown: list[str]) -> Motion:
+    """The motion of the axes of these tables; keys that are not known are added to the unknown ones.
+
+    Raises:
+        InputError: what is no motion, and why.
+    """
+    parts: list[AxisMotion] = []
+    for table in tables:
+        axis = table.string("axis")
+        if not is_axis_name(axis):
+            raise table.error("axis", "is no name of an axis: write letters, digits, _ and - alone")
+        if axis in [part.axis for part in parts]:
+            raise table.error("axis", "stands twice: give each axis a name of its own")
+        kind = MOTIONS[_kind(table, MOTIONS)]
+        parts.append(_part(table, kind, unknown, axis=axis))
+        moves = next(iter(kind.numbers))
+        if not any(table.numbers(moves)):
+            raise table.error(moves, f"the {axis} does not move: leave it out, or calibrate it")
+    return motion_of(tuple(parts))
+
+
+def _kind(table: Table, kinds: Mapping[str, object]) -> str:
+    kind = table.string("kind")
+    if kind not in kinds:
+        raise table.error(
+            "kind",
+            f"this version of jaxscan knows {', '.join(kinds)}: use the version that wrote the file, or register the "
+            "kind before the file is read",
+        )
+    return kind
+
+
+def _part(table: Table, kind: type[Any], unknown: list[str], **named: str) -> Any:
+    """A light, or the motion of an axis: its numbers as tuples of leaves."""
+    unknown += [table.prefix + key for key in table.unknown(("kind", *named, *kind.numbers))]
+    return kind(**{name: leaves(table.numbers(name, count)) for name, count in kind.numbers.items()}, **named)
+
+
+def lights_values(lights: tuple[Light, ...]) -> list[dict[str, Any]]:
+    """The inverse of `read_lights`."""
+    return [{"name": light.name, "kind": light.kind, **_numbers(light)} for light in lights]
+
+
+def motion_values(motion: Motion) -> list[dict[str, Any]]:
+    """The inverse of `read_motion`."""
+    return [{"axis": part.axis, "kind": part.kind, **_numbers(part)} for part in motion.parts()]
+
+
+def _numbers(part: Any) -> dict[str, list[float]]:
+    return {name: [float(leaf) for leaf in getattr(part, name)] for name in part.numbers}
+
+
+def leaves(values: tuple[float, ...]) -> tuple[Array, ...]:
+    """Numbers of a part as its leaves."""
+    return tuple(jnp.asarray(value, jnp.float64) for value in values)

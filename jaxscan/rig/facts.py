@@ -1,0 +1,96 @@
+"""What is said of a rig's lights and axes: a person's numbers, each with its σ where it is known."""
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.rig.covariance import Covariance
+from jaxscan.rig.light import Light, inverse_depths, sheet_axes
+from jaxscan.rig.light import distance as distance_from
+from jaxscan.rig.linear import Linear
+from jaxscan.rig.motion import AxisMotion
+from jaxscan.rig.rig import Rig
+from jaxscan.rig.rotary import Rotary
+from jaxscan.rig.turn_facts import turn_facts
+
+Facts = dict[str, Any]
+
+
+def light_facts(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> list[Facts]:
+    """Of each light its numbers, where it stands, and at which angles the camera looks at it.
+
+    The triangulation angle is that between a ray of the camera and the sheet.
+
+    Args:
+        rig: the rig.
+        covariance: of its parameters, where it is known.
+        rays: (x, y, 1) over the image, the middle one in the middle.
+    """
+    return [
+        {
+            "name": light.name,
+            "kind": light.kind,
+            **_numbers(f"lights.{i}", light, covariance),
+            **_sheet(light, rays),
+        }
+        for i, light in enumerate(rig.lights)
+    ]
+
+
+def axis_facts(rig: Rig, covariance: Covariance | None) -> list[Facts]:
+    """Of each axis, from the room to the object, its numbers, its way in words, and what belongs to its kind."""
+    # Things are scanned in the middle of the view.
+    inverse = [float(light.inverse_depth(np.array([[0.0, 0.0, 1.0]]))[0]) for light in rig.lights]
+    near = np.array([0.0, 0.0, max((1 / x for x in inverse if x > 0), default=0.0)])
+    return [
+        {
+            "axis": part.axis,
+            "kind": part.kind,
+            **_numbers(f"motion.{part.axis}", part, covariance),
+            "way": part.way(),
+            **_of_kind(part, covariance, near),
+        }
+        for part in rig.motion.parts()
+    ]
+
+
+def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> Facts:
+    if isinstance(part, Rotary):
+        return asdict(turn_facts(part, covariance, near))
+    if isinstance(part, Linear):
+        per_step = [float(x) for x in part.per_step]
+        travel = math.hypot(*per_step)
+        return {"mm_per_1000_steps": 1000 * travel, "direction": [x / travel for x in per_step]}
+    return {}
+
+
+def _numbers(stem: str, part: Light | AxisMotion, covariance: Covariance | None) -> Facts:
+    return {
+        name: {
+            "value": [float(leaf) for leaf in getattr(part, name)],
+            "sigma": [covariance.sigma(f"{stem}.{name}.{i}") for i in range(count)] if covariance else None,
+        }
+        for name, count in part.numbers.items()
+    }
+
+
+def _sheet(light: Light, rays: Float[np.ndarray, "rays 3"]) -> Facts:
+    middle = len(rays) // 2
+    w, _, _ = inverse_depths(light, rays)
+    # NaN, outside the lens's range, compares as not seen.
+    seen = w > 0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        points = rays / w[:, None]
+        normals = np.asarray(light.gradient(points), np.float64)
+        sines = (normals * rays).sum(axis=1) / np.linalg.norm(normals, axis=1) / np.linalg.norm(rays, axis=1)
+        angles = np.degrees(np.arcsin(sines))
+    return {
+        "distance_mm": float(abs(distance_from(light, np.zeros((1, 3)))[0])),
+        "angle_to_axis_deg": math.degrees(math.asin(abs(sheet_axes(light)[2, 2]))),
+        "depth_in_the_middle_mm": float(1 / w[middle]) if seen[middle] else None,
+        "triangulation_angle_deg": float(angles[middle]) if seen[middle] else None,
+        "triangulation_angles_deg": [float(angles[seen].min()), float(angles[seen].max())] if seen.any() else None,
+    }

@@ -1,0 +1,144 @@
+"""The light: a surface in the camera frame, of which each pixel's ray meets one point.
+
+Which kinds there are is listed in `rig.kinds`. What a kind says of itself is its level and the inverse depth along a
+ray; all else that is asked of a sheet, in residuals, pictures and reports, is made of these here.
+"""
+
+from collections.abc import Mapping
+from typing import ClassVar, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Float64, Int
+
+from jaxscan.geometry.rotation import A
+from jaxscan.precision import as_float64, as_numpy, batches_of, float64
+
+# Newton's steps onto a sheet that is not flat; a flat one takes one.
+_STEPS = 5
+
+
+@runtime_checkable
+class Light(Protocol):
+    """A sheet of light. A pytree whose leaves are its numbers. NumPy's arrays in, NumPy's out.
+
+    Attributes:
+        kind: what the rig file calls it.
+        numbers: its numbers in their order, and how many each has.
+        name: which laser of several this is; the only one needs none.
+    """
+
+    kind: ClassVar[str]
+    numbers: ClassVar[Mapping[str, int]]
+    name: str
+
+    @classmethod
+    def fitted(cls, points: Float[np.ndarray, "points 3"], view: Int[np.ndarray, "points"], name: str = "") -> "Light":
+        """A start for a solve: the light that most of these points (camera frame, mm) lie on.
+
+        Args:
+            points: on boards that the stripe crossed.
+            view: which photograph each is from.
+            name: the light's.
+
+        Raises:
+            ObservabilityError: the points do not make such a light.
+        """
+        ...
+
+    @classmethod
+    def somewhere(cls, name: str = "") -> "Light":
+        """One across the view: what a solve holds while nothing is known of the light."""
+        ...
+
+    def level(
+        self, ray: Float[A, "*points 3"], inverse_depth: Float[A, "*points"] | float = 1.0
+    ) -> Float[A, "*points"]:
+        """Of the point ray / inverse depth, times the inverse depth; of any scale.
+
+        0 on the sheet, negative on the camera's side of it. With the inverse depth 1 that of the point `ray` itself.
+        """
+        ...
+
+    def gradient(self, point: Float[A, "*points 3"]) -> Float[A, "*points 3"]:
+        """Of the level: at right angles to the sheet."""
+        ...
+
+    def inverse_depth(self, ray: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
+        """1 / z of the point at which a ray (x, y, 1) meets the sheet, 1/mm; not positive where it does not."""
+        ...
+
+    def fault(self, rays: Float[np.ndarray, "rays 3"]) -> tuple[str, str] | None:
+        """What is wrong with it for a camera with these rays: the number's name, and the fault with its mend."""
+        ...
+
+
+def meet(light: Light, ray: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Where a camera ray meets the sheet, X = x z (mm); NaN where it does not, in front of the camera."""
+    inverse_depth = light.inverse_depth(ray)
+    meets = inverse_depth > 0
+    return jnp.where(meets, ray / jnp.where(meets, inverse_depth, 1.0), jnp.nan)
+
+
+def distance(light: Light, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points"]:
+    """Of points from the sheet, to first order, mm; negative on the camera's side of it."""
+    light = as_numpy(light)
+    return light.level(points) / np.linalg.norm(light.gradient(points), axis=-1)
+
+
+def sheet_axes(light: Light) -> Float[np.ndarray, "3 3"]:
+    """Unit vectors: along the stripe on a board that faces the camera, the light's way, the sheet's normal.
+
+    Of a sheet that is not flat, those where it is nearest to the camera.
+    """
+    normal = np.asarray(light.gradient(np.zeros(3)), np.float64)
+    normal = normal / np.linalg.norm(normal)
+    along = np.cross(normal, [0.0, 0.0, 1.0])
+    along /= np.linalg.norm(along)
+    return np.stack([along, np.cross(along, normal), normal])
+
+
+def section(
+    light: Light, depths: Float[np.ndarray, "depths"], positions: Float[np.ndarray, "positions"]
+) -> Float[np.ndarray, "depths positions 3"]:
+    """The points of the sheet at each depth and at each place along the stripe there, camera frame, mm."""
+    light = as_numpy(light)
+    along, _, normal = sheet_axes(light)
+    aside = np.array([normal[0], normal[1], 0.0])
+    X = depths[:, None, None] * np.array([0.0, 0.0, 1.0]) + positions[:, None] * along
+    for _ in range(_STEPS):
+        X = X - (light.level(X) / (light.gradient(X) @ aside))[..., None] * aside
+    return X
+
+
+def nameless(light: Light) -> Light:
+    """The same light without its name, so that lights of several names share what was compiled for one."""
+    return type(light)(**{**vars(light), "name": ""})
+
+
+def inverse_depths(
+    light: Light, rays: Float[np.ndarray, "rays 3"]
+) -> tuple[Float64[np.ndarray, "rays"], Float64[np.ndarray, "rays 2"], Float64[np.ndarray, "rays numbers"]]:
+    """The inverse depth along rays (x, y, 1), and its derivatives by x and y and by the light's numbers."""
+    with float64():
+        exact = as_float64(nameless(light))
+        parts = [[np.asarray(part) for part in _inverse_depths(exact, batch)] for batch in batches_of(rays)]
+    w, by_ray, by_numbers = (np.concatenate(part)[: len(rays)] for part in zip(*parts, strict=True))
+    return w, by_ray[:, :2], by_numbers
+
+
+@eqx.filter_jit
+def _inverse_depths(
+    light: Light, rays: Float[Array, "batch 3"]
+) -> tuple[Float[Array, "batch"], Float[Array, "batch 3"], Float[Array, "batch numbers"]]:
+    numbers, unravel = ravel_pytree(light)
+
+    def inverse_depth(ray: Float[Array, "3"], numbers: Float[Array, "numbers"]) -> Float[Array, ""]:
+        return unravel(numbers).inverse_depth(ray)
+
+    both = jax.value_and_grad(inverse_depth, argnums=(0, 1))
+    w, (by_ray, by_numbers) = jax.vmap(both, in_axes=(0, None))(rays, numbers)
+    return w, by_ray, by_numbers
