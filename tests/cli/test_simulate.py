@@ -27,6 +27,7 @@ def few_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig_2003, "STAGE_VIEWS", 2)
     monkeypatch.setattr(rig_2003, "SCAN_FRAMES", 2)
     monkeypatch.setattr(rig_2003, "TURNTABLE_VIEWS", 3)
+    monkeypatch.setattr(rig_2003, "TURN_APART", 1600)
     monkeypatch.setattr("jaxscan.cli.compiled.keep_compiled", lambda: None)
 
 
@@ -41,6 +42,8 @@ def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None
     assert read_rig(out / "truth" / "rig.json").rig.axis("turntable") is not None
     scan = read_scan(out / "scan")
     assert len(scan.frames) == 2
+    # It turns once all around, with the stage where the sheet holds the axis.
+    assert (scan.moving, scan.axes["turntable"]) == (("turntable",), (0, 1600))
     assert scan.frames[0].suffix == ".jpg"
     assert (out / "truth" / "scan.npz").is_file()
     assert "box" in simulate.describe(result)
