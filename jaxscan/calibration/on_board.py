@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.calibration.observations import Observations, StripePoints, Unused
-from jaxscan.geometry import Pose
+from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.images import Board
 from jaxscan.rig import Camera
 from jaxscan.rig.projection import pixel_rays
@@ -95,9 +95,8 @@ def meet_board(
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
     """Where pixels' rays meet the board: in the camera frame and in the board frame (mm)."""
     x, R, t = pixel_rays(camera, pixels), pose.matrix(), pose.translation
-    # The board's plane in dual space: β · X = 1 with β = n / (n · t).
     with np.errstate(divide="ignore", invalid="ignore"):
-        X = x / (x @ (R[:, 2] / (R[:, 2] @ t)))[:, None]
+        X = x / (x @ dual_plane_of(R, t))[:, None]
     return X, (X - t) @ R
 
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscan.geometry import Pose
+from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.rig import Light, Rig, System
 from jaxscan.rig.motion import carried
 
@@ -191,8 +191,7 @@ def block_errors(
 def stripe_errors(rig: Rig, pose: Float[Array, "6"], block: Blocks) -> Float[Array, "photographs stripe"]:
     """The stripe's errors of one block in pixels; zero where masked. The rig has a light, the block a stripe."""
     R, t = photograph_poses(rig, pose, block)
-    # The board's plane in dual space: β · X = 1 with β = n / (n · t).
-    beta = R[..., 2] / (R[..., 2] * t).sum(-1)[:, None]
+    beta = dual_plane_of(R, t)
     pixel = jnp.where(block.stripe_used[..., None], block.stripe, jnp.stack(rig.camera.principal))
     axis = jnp.where(block.stripe_columns[..., None], jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
     x, dx = jax.vmap(jax.vmap(rig.camera.ray_and_change))(pixel, axis)

@@ -54,10 +54,14 @@ class RangeImage:
     light: Float[np.ndarray, "frames 4"] | None = None
 
     @property
+    def moving(self) -> tuple[str, ...]:
+        """The axes that do not stand still all the time."""
+        return tuple(axis for axis, steps in self.positions.items() if len(set(np.asarray(steps).tolist())) > 1)
+
+    @property
     def steps(self) -> Int[np.ndarray, "frames"]:
         """Motor steps of the first axis that moves."""
-        each = [np.asarray(steps) for steps in self.positions.values()]
-        return next((steps for steps in each if len(set(steps.tolist())) > 1), each[0])
+        return np.asarray(self.positions[next(iter(self.moving or self.positions))])
 
     @classmethod
     def of(cls, path: str | os.PathLike[str], arrays: RangeArrays) -> "RangeImage":
@@ -135,8 +139,8 @@ class RangeImage:
 
     def closed(self) -> "RangeImage":
         """With the first frame again behind the last, where the object was turned once all around; else as it is."""
-        moving = [axis for axis, steps in self.positions.items() if len(set(np.asarray(steps).tolist())) > 1]
-        turns = [part for part in self.motion.parts() if [part.axis] == moving and part.amount(1.0)[1] == "degrees"]
+        moving = self.moving
+        turns = [part for part in self.motion.parts() if (part.axis,) == moving and part.amount(1.0)[1] == "degrees"]
         if not turns:
             return self
         axis, steps = turns[0].axis, np.asarray(self.positions[turns[0].axis])

@@ -61,9 +61,7 @@ def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.nda
     if isinstance(part, Rotary):
         return asdict(turn_facts(part, covariance, near))
     if isinstance(part, Linear):
-        per_step = [float(x) for x in part.per_step]
-        travel = math.hypot(*per_step)
-        return {"mm_per_1000_steps": 1000 * travel, "direction": [x / travel for x in per_step]}
+        return {"mm_per_1000_steps": part.amount(1000.0)[0], "direction": part.direction().tolist()}
     return {}
 
 

@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike, Float
 from jaxscan.geometry import Pose
 from jaxscan.geometry.rotation import namespace
 from jaxscan.precision import Leaf
-from jaxscan.rig.motion import Positions
+from jaxscan.rig.motion import Positions, unit_vector
 
 # A direction that is less than this share of the way is not worth a word.
 _A_WORD = 0.25
@@ -80,8 +80,7 @@ class Linear(eqx.Module):
 
     def direction(self) -> Float[np.ndarray, "3"]:
         """Along its travel."""
-        per_step = np.array([float(leaf) for leaf in self.per_step])
-        return per_step / np.linalg.norm(per_step)
+        return unit_vector(self.per_step)
 
     def amount(self, steps: float) -> tuple[float, str]:
         """Millimetres."""

@@ -185,6 +185,7 @@ def normal_motion(motion: Motion) -> Motion:
     return motion_of(tuple(normal(part) for part in motion.parts()))
 
 
-def numbers_of(part: Any) -> dict[str, tuple[Leaf, ...]]:
-    """The numbers of a part of the rig, by their names."""
-    return {name: getattr(part, name) for name in part.numbers}
+def unit_vector(leaves: tuple[Leaf, Leaf, Leaf]) -> Float[np.ndarray, "3"]:
+    """The direction of a part's three numbers."""
+    vector = np.array([float(leaf) for leaf in leaves])
+    return vector / np.linalg.norm(vector)

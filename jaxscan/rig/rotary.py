@@ -13,7 +13,7 @@ from jaxscan.geometry import Pose
 from jaxscan.geometry.rotation import A, namespace
 from jaxscan.geometry.turn import axis_point, rate_of_turn
 from jaxscan.precision import Leaf
-from jaxscan.rig.motion import Positions
+from jaxscan.rig.motion import Positions, unit_vector
 
 # An axis within this share of its length of the line of sight's right angle is seen from the side.
 _FROM_THE_SIDE = 0.25
@@ -98,8 +98,7 @@ class Rotary(eqx.Module):
 
     def direction(self) -> Float[np.ndarray, "3"]:
         """Of its axis; it turns about it by the right hand's rule."""
-        per_step = np.array([float(leaf) for leaf in self.per_step])
-        return per_step / np.linalg.norm(per_step)
+        return unit_vector(self.per_step)
 
     def amount(self, steps: float) -> tuple[float, str]:
         """Degrees."""
