@@ -35,6 +35,7 @@ from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, write_image
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import RangeImage, reconstruct
+from jaxscan.reconstruction.frames import Frames
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
 from jaxscan.reconstruction.triangulate import FramePoses
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
@@ -127,7 +128,7 @@ def _error_over_sigma(width: float, noise: float, speed: float) -> Float[np.ndar
     random = np.random.default_rng(0)
     frames = 10000 + 20000 * (light + noise * random.standard_normal((2 * half + 16, rows, lines)))
     settings, counts = StripeSettings("grey"), steps_apart * np.arange(len(frames))
-    batch = np.rint(frames).astype(np.uint16), None, counts[:, None]
+    batch = Frames(np.rint(frames).astype(np.uint16), None, counts[:, None])
     geometry = Geometry.create(rig, settings, STAGE, steps_apart, {})
 
     def frames_at(positions: Int[np.ndarray, "frames 1"]) -> FramePoses:

@@ -198,6 +198,12 @@ class _Parser(argparse.ArgumentParser):
             if option.startswith("--") and not known and " " not in text:
                 self._refuse([option])
         namespace, extras = super().parse_known_args(given, namespace)
+        several = next((each for each in self._get_positional_actions() if each.nargs in ("+", "*")), None)
+        if extras and several and not any(text.startswith("-") for text in extras):
+            # argparse fills a list of files from those before the first option alone.
+            listed = [*getattr(namespace, several.dest), *self._get_values(several, extras)]
+            setattr(namespace, several.dest, listed)
+            extras = []
         if extras:
             self._refuse(extras)
         return namespace, extras

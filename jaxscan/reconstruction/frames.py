@@ -8,7 +8,7 @@ compiled for anew.
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -33,18 +33,32 @@ _ALIGNMENT: Final = 64
 
 @dataclass(frozen=True)
 class Frames:
-    """Some frames of a scan.
+    """Some frames of a scan: what its stages hand on to each other.
 
     Attributes:
         images: a buffer that holds them first; what else is in it is left over. It is used again after the next frames
             are asked for.
         backgrounds: none, one for all frames, or a buffer of one for each.
         positions: of each axis of the scan in its order, motor steps; as many as there are frames.
+        inner: which of them the batch is of; the others are neighbours of theirs.
     """
 
     images: UInt[np.ndarray, "buffer rows columns *rgb"]
     backgrounds: UInt[np.ndarray, "backgrounds rows columns *rgb"] | None
     positions: Int[np.ndarray, "frames axes"]
+    inner: slice = field(default_factory=lambda: slice(None))
+
+    @property
+    def background(self) -> UInt[np.ndarray, "1 rows columns *rgb"] | None:
+        """That of all frames, where they have one in common."""
+        dark = self.backgrounds
+        return dark if dark is not None and len(dark) < len(self.images) else None
+
+    def kept(self) -> Iterator[tuple[Image, Image | None, Int[np.ndarray, "axes"]]]:
+        """Each frame, its own background if it has one, and its positions, in memory of their own."""
+        own = None if self.background is not None else self.backgrounds
+        for i, positions in enumerate(self.positions):
+            yield self.images[i].copy(), None if own is None else own[i].copy(), positions
 
 
 def frames_of_scan(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:

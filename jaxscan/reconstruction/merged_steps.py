@@ -5,14 +5,12 @@ from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Int, UInt
 
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.scan import Scan
+from jaxscan.images.decode import Image
 from jaxscan.images.exposures import merge_exposures
-
-# Frames, their backgrounds (one for all of them, or one for each), and the positions of each; batches differ in size.
-Batch = tuple[UInt[np.ndarray, "_ rows columns *rgb"], UInt[np.ndarray, "..."] | None, Int[np.ndarray, "_ axes"]]
+from jaxscan.reconstruction.frames import Frames
 
 
 def step_groups(scan: Scan) -> list[range]:
@@ -46,7 +44,7 @@ def step_groups(scan: Scan) -> list[range]:
     return groups
 
 
-def merged_steps(scan: Scan, batches: Iterable[Batch], size: int) -> Iterator[Batch]:
+def merged_steps(scan: Scan, batches: Iterable[Frames], size: int) -> Iterator[Frames]:
     """One photograph for each step, `size` at a time whatever the size of the batches that come in.
 
     Args:
@@ -62,10 +60,10 @@ def merged_steps(scan: Scan, batches: Iterable[Batch], size: int) -> Iterator[Ba
         yield from batches
         return
     positions = scan.positions
-    waiting: list[tuple[np.ndarray, np.ndarray | None]] = []
+    waiting: list[tuple[Image, Image | None]] = []
     merged: list[tuple[np.ndarray, np.ndarray | None, tuple[int, ...]]] = []
-    for frames, backgrounds, _ in batches:
-        waiting += zip(frames, [None] * len(frames) if backgrounds is None else backgrounds, strict=True)
+    for batch in batches:
+        waiting += ((image, dark) for image, dark, _ in batch.kept())
         while groups and len(waiting) >= len(groups[0]):
             group = groups.popleft()
             lit, dark = zip(*waiting[: len(group)], strict=True)
@@ -82,6 +80,7 @@ def merged_steps(scan: Scan, batches: Iterable[Batch], size: int) -> Iterator[Ba
         yield _batch(merged)
 
 
-def _batch(merged: list[tuple[np.ndarray, np.ndarray | None, tuple[int, ...]]]) -> Batch:
+def _batch(merged: list[tuple[np.ndarray, np.ndarray | None, tuple[int, ...]]]) -> Frames:
     images, grounds, positions = zip(*merged, strict=True)
-    return np.stack(images), None if grounds[0] is None else np.stack(grounds), np.asarray(positions, np.int64)
+    darks = None if grounds[0] is None else np.stack(grounds)
+    return Frames(np.stack(images), darks, np.asarray(positions, np.int64))

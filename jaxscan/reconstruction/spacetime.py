@@ -55,8 +55,8 @@ from jaxscan.images.stripes.detect import ambient_levels
 from jaxscan.images.stripes.detectors import Measured, measure
 from jaxscan.images.stripes.survey import LEAST_SIGNAL
 from jaxscan.images.stripes.tracks import Tracks, gather_passage, number_scale, passage_windows, survey_passage
-from jaxscan.reconstruction.merged_steps import Batch
-from jaxscan.reconstruction.overlapping import Overlapping, overlapping
+from jaxscan.reconstruction.frames import Frames
+from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
 from jaxscan.rig import Camera, Motion, Rig
 
@@ -161,7 +161,7 @@ def spacetime_profiles(
     geometry: Geometry,
     sigma: float,
     settings: StripeSettings,
-    batches: Iterable[Batch],
+    batches: Iterable[Frames],
     detector: Detector,
     choice: Choice,
     frames_at: FramesAt,
@@ -204,20 +204,20 @@ def half_window(sigma: float) -> int:
 def _profiles(
     geometry: Geometry,
     settings: StripeSettings,
-    batch: Overlapping,
+    batch: Frames,
     some: Int[np.ndarray, "frames"],
     sigma: float,
     detector: Detector,
     choice: Choice,
     frames_at: FramesAt,
 ) -> Profiles:
-    own = batch.backgrounds is not None and len(batch.backgrounds) == len(batch.frames)
+    own = batch.background is None
     dark = batch.backgrounds[some] if own and batch.backgrounds is not None else batch.backgrounds
-    stripe = detect_stripe(batch.frames[some], settings, dark, detector=_START, choice=choice)
-    scale = number_scale(batch.frames.dtype)
-    ambient = jnp.asarray(scale * ambient_levels(batch.frames[some], dark, settings.color))
+    stripe = detect_stripe(batch.images[some], settings, dark, detector=_START, choice=choice)
+    scale = number_scale(batch.images.dtype)
+    ambient = jnp.asarray(scale * ambient_levels(batch.images[some], dark, settings.color))
     surveyed = jnp.asarray(_some_lines(stripe.valid))
-    images, grounds = jax.device_put((batch.frames, batch.backgrounds))
+    images, grounds = jax.device_put((batch.images, batch.backgrounds))
     half, farthest = half_window(sigma), _FARTHEST * sigma
     window = some[:, None] + np.arange(-half, half + 1)
     within = (window >= 0) & (window < len(batch.positions))

@@ -5,7 +5,6 @@ The points of a frame are the same whatever is looked at together with it, and m
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,28 +24,16 @@ from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wrong_size
 from jaxscan.reconstruction.light_watch import LightWatch
-from jaxscan.reconstruction.merged_steps import Batch, merged_steps, step_groups
+from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.range_image import RangeImage
+from jaxscan.reconstruction.scan_notes import REASONS, left_out_notes, way_notes
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
-from jaxscan.reconstruction.spacetime import spacetime_profiles
+from jaxscan.reconstruction.spacetime import Geometry, spacetime_profiles
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
 from jaxscan.rig import Positions, Rig
-
-# Why a line in which something is bright has no point, as programs are told.
-REASONS: Final = {
-    Verdict.OUTSIDE: "outside_of_the_depths",
-    Verdict.SPOT: "no_line",
-    Verdict.SECOND: "second_stripe",
-    Verdict.WEAK: "too_weak",
-}
-# More full turns than these are a mistake; profiles further apart than this are not joined to a surface.
-_MOST_TURNS: Final = 5
-_WIDE_APART_DEG: Final = 10.0
-# Below this part of the points nothing is said of those that are left out.
-_WORTH_A_NOTE: Final = 0.02
 
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
 Looked = tuple[RangeImage, Stripe]
@@ -109,7 +96,7 @@ class Scanner:
         with said_of(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
-        self.notes, self.left_out = _way_notes(self._content.rig, scan), {}
+        self.notes, self.left_out = way_notes(self._content.rig, scan), {}
         verdicts, watch = np.zeros(len(Verdict), int), LightWatch()
         for image, counts in self._images(laser, scan, advance, watch):
             frames += len(image.valid)
@@ -120,7 +107,7 @@ class Scanner:
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
         self.left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
-        notes = _left_out_notes(self.left_out, points, self._depths_mm)
+        notes = left_out_notes(self.left_out, points, self._depths_mm)
         light = watch.notes(scan.exposures_s is not None, bool(scan.backgrounds))
         if not seen:
             raise InputError(
@@ -163,42 +150,33 @@ class Scanner:
         self, laser: "_Laser", scan: Scan, advance: Callable[[int], object], watch: LightWatch
     ) -> Iterator[Counted]:
         """Range images, and how many lines of each had which verdict."""
-        photographs = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
-        several = scan.exposures_s is not None and len(set(scan.positions)) < scan.listed
-        if not (several or self._spacetime or self._choice == "coherent"):
-            looked = False
-            for some in photographs:
-                with said_of(scan.path):
-                    image, stripe = laser.range_image(some, scan.axis_names)
-                watch.see(stripe)
-                if not looked and np.isfinite(image.pixels).any():
-                    looked = True
-                    self.notes += _miscoloured(scan.laser, some, image)
-                yield image, _counts(stripe)
-            return
-        steps = merged_steps(scan, _kept(photographs), FRAMES_AT_ONCE)
+        batches, axes = self._batches(scan, advance), scan.axis_names
         if self._spacetime:
             passage = passage_of(self._content.rig, scan)
-            axes = scan.axis_names
-
-            def frames_at(positions: Int[np.ndarray, "frames axes"]) -> FramePoses:
-                q = dict(zip(axes, positions.T, strict=True))
-                return FramePoses.create(self._content.rig.motion, q, len(positions))
-
-            for found in spacetime_profiles(*passage, scan.laser, steps, self._detector, self._choice, frames_at):
-                q = dict(zip(axes, found.positions.T, strict=True))
-                image = laser.with_sigma(found.position, found.sigma, found.strength, found.points, q)
+            for image in laser.passages(*passage, batches, axes):
                 yield image, np.zeros(len(Verdict), int)
             return
-        halo = HALO if self._choice == "coherent" else 0
-        for some in overlapping(steps, halo, halo, FRAMES_AT_ONCE - 2 * halo):
+        looked = False
+        for some in batches:
             with said_of(scan.path):
-                image, stripe = laser.range_image(
-                    Frames(some.frames, some.backgrounds, some.positions), scan.axis_names
-                )
+                image, stripe = laser.range_image(some, axes)
+            if not looked and np.isfinite(image.pixels).any():
+                looked = True
+                self.notes += _miscoloured(scan.laser, some, image)
             stripe = stripe[some.inner]
             watch.see(stripe)
             yield image[some.inner, :], _counts(stripe)
+
+    def _batches(self, scan: Scan, advance: Callable[[int], object]) -> Iterator[Frames]:
+        """Read; the exposures of a step merged; neighbours in time at hand: each where it is asked for."""
+        read = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
+        several = scan.exposures_s is not None and len(set(scan.positions)) < scan.listed
+        merged = merged_steps(scan, read, FRAMES_AT_ONCE) if several else read
+        halo = HALO if self._choice == "coherent" else 0
+        # Merged steps come in batches of any size: they get one here, so that the last of them compiles nothing anew.
+        if self._spacetime or not (several or halo):
+            return merged
+        return overlapping(merged, halo, halo, FRAMES_AT_ONCE - 2 * halo)
 
     def _laser(self, settings: StripeSettings) -> "_Laser":
         if settings not in self._ready:
@@ -256,6 +234,18 @@ class _Laser:
         found = self.with_sigma(position, sigma, strength, points, q)[:count, :]
         return replace(found, light=stripe.light), stripe
 
+    def passages(
+        self, geometry: Geometry, width: float, batches: Iterable[Frames], axes: Sequence[str]
+    ) -> Iterator[RangeImage]:
+        """Find when the light passes over each point, `width` frames long, and where that is."""
+
+        def frames_at(positions: Int[np.ndarray, "frames axes"]) -> FramePoses:
+            return FramePoses.create(self._rig.motion, dict(zip(axes, positions.T, strict=True)), len(positions))
+
+        for found in spacetime_profiles(geometry, width, self._laser, batches, self._detector, self._choice, frames_at):
+            q = dict(zip(axes, found.positions.T, strict=True))
+            yield self.with_sigma(found.position, found.sigma, found.strength, found.points, q)
+
     def with_sigma(
         self,
         position: Float[np.ndarray, "frames lines"],
@@ -290,35 +280,10 @@ def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> li
     return [] if said is None else [f"the stripe {said} in scan.toml"]
 
 
-def _left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float, float] | None) -> list[str]:
-    """What is said of lines without a point, where they are many."""
-    outside, weak = (left_out[REASONS[verdict]] for verdict in (Verdict.OUTSIDE, Verdict.WEAK))
-    notes = []
-    if depths_mm is not None and outside:
-        near, far = depths_mm
-        notes.append(
-            f"{outside} points were left out that would lie nearer than {near:.0f} or farther than {far:.0f} mm: set "
-            "the depths of the scene with --depths NEAR,FAR, or keep all of them with --depths 0,inf"
-        )
-    if weak > _WORTH_A_NOTE * points:
-        notes.append(
-            f"{weak} lines, {weak / (weak + points):.0%} of those with a stripe, show it too weak to be told from "
-            "noise: expose longer, open the lens, or take the laser nearer"
-        )
-    return notes
-
-
 def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterator[Frames]:
     for some in frames:
         yield some
         advance(len(some.positions))
-
-
-def _kept(frames: Iterable[Frames]) -> Iterator[Batch]:
-    """The frames alone, in memory of their own: the ring's buffers are used again."""
-    for some in frames:
-        n, dark = len(some.positions), some.backgrounds
-        yield np.array(some.images[:n]), dark if dark is None or len(dark) == 1 else np.array(dark[:n]), some.positions
 
 
 def _triangulated(
@@ -350,35 +315,3 @@ def _check(rig: Rig, scan: Scan) -> None:
                 f"[{axis}] sequence, or name the axis as the rig does"
             )
     step_groups(scan)
-
-
-def _way_notes(rig: Rig, scan: Scan) -> list[str]:
-    """What is said of how far each axis goes.
-
-    Raises:
-        InputError: an axis turns so far that its steps must be those of another.
-    """
-    notes = []
-    for axis in scan.moving:
-        each = np.asarray(scan.axes.get(axis, ()), np.float64)
-        if len(each) < 2:
-            continue
-        whole, unit = rig.axis(axis).amount(float(np.ptp(each)))
-        apart, _ = rig.axis(axis).amount(float(np.abs(np.diff(each)).max()))
-        if unit != "degrees":
-            continue
-        if whole > _MOST_TURNS * 360:
-            raise InputError(
-                f"{scan.path}: [scan] the {axis} turns by {whole:.0f} degrees, {whole / 360:.1f} full turns: are these "
-                f"the steps of another axis? A full turn is {360 / rig.axis(axis).amount(1.0)[0]:.0f} steps"
-            )
-        if whole > 360 + apart:
-            notes.append(
-                f"the {axis} turns by {whole:.0f} degrees, more than one full turn: what was seen twice stands twice"
-            )
-        if apart > _WIDE_APART_DEG:
-            notes.append(
-                f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other make "
-                f"points, and no surface; take at least {int(np.ceil(whole / _WIDE_APART_DEG))} frames"
-            )
-    return notes

@@ -135,6 +135,13 @@ def test_what_is_misspelt_is_told_by_its_command(main, argv, usage, said, capsys
     assert said in err
 
 
+@pytest.mark.parametrize("argv", ["calibrate a -o r.json b", "calibrate -o r.json a b", "merge a -o m.stl b"])
+def test_options_may_stand_between_the_files(argv):
+    args = cli.parser_of(cli.Program("jaxscan", "", cli.COMMANDS)).parse_args(argv.split())
+    files = args.session if "calibrate" in argv else args.scans
+    assert [str(path) for path in files] == ["a", "b"]
+
+
 def test_help_has_an_example(command, capsys):
     command(lambda args: None)
     assert cli.main(["try", "--help"]) == 0

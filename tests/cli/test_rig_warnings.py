@@ -56,8 +56,10 @@ def test_calibrate_ends_with_the_verdict_and_has_it_as_data(
     lines = capsys.readouterr().out.rstrip().split("\n")
     assert [line.partition(":")[0] for line in lines[-3:]] == ["verdict", "what limits it", "photograph next"]
     assert not any(line.startswith("left out") for line in lines)
-    assert main([*command, "--json"]) == 0
+    # Of a session that is given twice there is a note, and nothing else changes.
+    assert main(["calibrate", str(world / "session"), *command[1:], "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
+    assert any("counts once" in note or "count once" in note for note in said["notes"]), said["notes"]
     assert set(said["verdict"]) == {"level", "statement", "limits", "next", "thorough"}
     assert lines[-3] == f"verdict: {said['verdict']['statement']}"
     assert said["verdict"]["thorough"] is False

@@ -10,6 +10,7 @@ from jaxscan.images import StripeSettings, write_image
 from jaxscan.images.exposures import merge_exposures
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import reconstruct
+from jaxscan.reconstruction.frames import Frames
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
@@ -33,7 +34,7 @@ def frames():
 def batches(images, darks, size):
     for i in range(0, len(images), size):
         some = slice(i, i + size)
-        yield images[some], None if darks is None else darks[some], np.asarray(STEPS[some])[:, None]
+        yield Frames(images[some], None if darks is None else darks[some], np.asarray(STEPS[some])[:, None])
 
 
 def test_steps_are_grouped_where_they_stand_together():
@@ -64,14 +65,14 @@ def test_what_comes_out_does_not_depend_on_the_batches_that_come_in(with_dark):
     ]
     for size in (1, 4, 6):
         out = list(merged_steps(scan(), batches(images, darks, size), 2))
-        assert [len(steps) for _, _, steps in out] == [2, 1]
-        assert np.concatenate([steps for _, _, steps in out]).tolist() == [[0], [10], [20]]
-        np.testing.assert_array_equal(np.concatenate([x for x, _, _ in out]), np.stack([x for x, _ in whole]))
-        for (_, ground, _), expected in zip(out, (whole[:2], whole[2:]), strict=True):
+        assert [len(batch.positions) for batch in out] == [2, 1]
+        assert np.concatenate([batch.positions for batch in out]).tolist() == [[0], [10], [20]]
+        np.testing.assert_array_equal(np.concatenate([batch.images for batch in out]), np.stack([x for x, _ in whole]))
+        for batch, expected in zip(out, (whole[:2], whole[2:]), strict=True):
             if darks is None:
-                assert ground is None
+                assert batch.backgrounds is None
             else:
-                np.testing.assert_array_equal(ground, np.stack([dark for _, dark in expected]))
+                np.testing.assert_array_equal(batch.backgrounds, np.stack([dark for _, dark in expected]))
 
 
 def test_a_scan_of_several_exposures_has_one_row_of_points_for_each_step(tmp_path):

@@ -11,6 +11,7 @@ from jaxscan.images import StripeSettings, read_image, write_image
 from jaxscan.images.stripes.tracks import gather_passage, passage_windows
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import reconstruct, spacetime
+from jaxscan.reconstruction.frames import Frames
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.spacetime import Geometry, carried, spacetime_profiles
@@ -105,7 +106,7 @@ def points_of(rig, settings, frames, steps, sigma, dark=None):
     geometry = Geometry.create(rig, settings, "stage", STEP, {})
     own = dark is not None and dark.shape == frames.shape
     batches = [
-        (frames[i : i + 7], dark[i : i + 7] if own else dark, np.asarray(steps[i : i + 7])[:, None])
+        Frames(frames[i : i + 7], dark[i : i + 7] if own else dark, np.asarray(steps[i : i + 7])[:, None])
         for i in range(0, len(frames), 7)
     ]
 
@@ -161,17 +162,18 @@ def test_a_red_laser_beside_a_lamp(rig, scan, frames, images, photographs):
 @pytest.mark.parametrize("size", [1, 3, 10])
 def test_overlapping_batches_have_every_frame_once_and_its_neighbours(size):
     frames, steps = np.arange(10, dtype=np.uint8)[:, None, None], np.arange(10)
-    dark = np.zeros((1, 1), np.uint8)
-    batches = [(frames[i : i + size], dark, steps[i : i + size, None]) for i in range(0, 10, size)]
+    dark = np.zeros((1, 1, 1), np.uint8)
+    batches = [Frames(frames[i : i + size], dark, steps[i : i + size, None]) for i in range(0, 10, size)]
     inner = []
     for batch in overlapping(batches, 2, 1, 4):
         steps_here = batch.positions[:, 0]
         some = steps_here[batch.inner]
         inner += some.tolist()
         assert {some[0] - 1, some[0] - 2, some[-1] + 1} & set(range(10)) <= set(steps_here.tolist())
-        np.testing.assert_array_equal(batch.frames[: len(steps_here), 0, 0], steps_here)
-        assert len(batch.frames) == 2 + 4 + 1
-        assert batch.backgrounds.shape == (1, 1, 1)
+        np.testing.assert_array_equal(batch.images[: len(steps_here), 0, 0], steps_here)
+        assert len(batch.images) == 2 + 4 + 1
+        # Of frames that come one at a time nothing tells whether the background is that of all.
+        assert len(batch.backgrounds) == (1 if size > 1 else 7)
     assert inner == list(range(10))
 
 
