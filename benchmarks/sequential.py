@@ -6,6 +6,7 @@ OpenCV's iterative PnP, the stage by a least-squares line.
 """
 
 import cv2
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -36,7 +37,7 @@ def sequential(observations: Observations) -> Rig:
                 [0, 0, 1],
             ]
         )
-        k = np.array([*(float(c) for c in camera.radial), 0, 0, 0])[:4]
+        k = np.array([*(float(c) for c in jax.tree.leaves(camera.lens)), 0, 0, 0])[:4]
         per_step = stage_by_line(observations, K, k)
         return as_numpy(Rig(camera, (plane,), Linear.create(jnp.asarray(per_step))))
 

@@ -23,6 +23,7 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import erf
@@ -78,7 +79,7 @@ def _world() -> _World:
             np.stack(whole.camera.focal),
             np.stack(whole.camera.principal) - _CORNER,
             "radial1",
-            np.stack(whole.camera.radial),
+            np.stack(jax.tree.leaves(whole.camera.lens)),
         )
         return _World(as_numpy(Rig(camera, whole.lights, whole.motion)), *platform(whole))
 

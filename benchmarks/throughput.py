@@ -264,7 +264,7 @@ def _plain(scan: Scan, rig: Rig) -> None:
     camera, plane = rig.camera, plane_of(rig.lights[0])
     (fu, fv), (u0, v0) = camera.focal, camera.principal
     matrix = np.array([[fu, 0, u0], [0, fv, v0], [0, 0, 1]], np.float64)
-    lens = np.array([float(camera.radial[0]), 0, 0, 0])
+    lens = np.array([float(jax.tree.leaves(camera.lens)[0]), 0, 0, 0])
     rows = np.arange(_ROWS, dtype=np.float32)[:, None]
     for path in scan.frames:
         image = np.asarray(cv2.imread(str(path)), np.float32)

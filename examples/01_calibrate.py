@@ -6,6 +6,7 @@ problem in JAX, in which lens, light plane, stage and the pose of every board mo
 covariance, and that of anything computed from the rig follows from it (example 3).
 """
 
+import jax
 import numpy as np
 import photographs
 
@@ -32,7 +33,7 @@ assert isinstance(stage, jaxscan.Linear)
 shown = {
     "camera.focal.0": (rig.camera.focal[0], "px"),
     "camera.principal.0": (rig.camera.principal[0], "px"),
-    "camera.radial.0": (rig.camera.radial[0], ""),
+    "camera.radial.0": (jax.tree.leaves(rig.camera.lens)[0], ""),
     "lights.0.plane.1": (plane.plane[1], "1/mm"),
     "lights.0.plane.2": (plane.plane[2], "1/mm"),
     "motion.stage.per_step.1": (stage.per_step[1], "mm"),

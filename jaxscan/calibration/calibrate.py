@@ -85,7 +85,7 @@ def calibrate(
     """
     if light not in LIGHTS:
         raise InputError(f'light = "{light}": this version knows {", ".join(LIGHTS)}; register the kind before')
-    held = held_parameters(hold, start.lens if start else lens, principal_point, has_start=start is not None)
+    held = held_parameters(hold, start.lens.kind if start else lens, principal_point, has_start=start is not None)
     _refuse_tracers(observations)
     if keep is not None:
         observations = observations.only(keep)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from jaxscan.calibration.coverage import Coverage
 from jaxscan.calibration.uncertainty import UNDETERMINED
+from jaxscan.rig.camera import lens_numbers
 from jaxscan.rig.rig import is_place
 
 # Focal length, light plane, travel or turn known no better than this share of itself is not a measurement.
@@ -20,8 +21,6 @@ _SMALLEST_TILT_SPREAD_DEG = 20.0
 _IN_WORDS = {
     "camera.focal": "the focal length",
     "camera.principal": "the principal point",
-    "camera.radial": "the radial distortion",
-    "camera.tangential": "the tangential distortion",
     "lights": "the light plane",
     "warp": "the board's bulge",
 }
@@ -111,7 +110,7 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
             f"the boards are nearly parallel, their normals lie within {coverage.tilt_spread_deg:.1f}° of each other. "
             "Tilt the board by 30° or more, in different directions from view to view"
         )
-    if name.startswith(("camera.radial", "camera.tangential")):
+    if lens_numbers(name) is not None:
         return (
             f"corners cover {100 * coverage.image_share:.0f} % of the image and reach {100 * coverage.reach:.0f} % of "
             "the way from its centre to its corners. Hold the board into the corners of the image, or choose a lens "
@@ -127,4 +126,6 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
 def _words(name: str) -> str:
     if name.startswith("motion."):
         return f"the motion of the {name.split('.')[1]}"
+    if numbers := lens_numbers(name):
+        return f"the {numbers} distortion"
     return next((words for stem, words in _IN_WORDS.items() if name.startswith(stem)), name)

@@ -18,7 +18,6 @@ from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.geometry.rotation import skew
 from jaxscan.images import Board
 from jaxscan.rig import Camera
-from jaxscan.rig.lens import invertible_radius
 
 
 class Reach(eqx.Module):
@@ -72,7 +71,7 @@ class Reach(eqx.Module):
         size = jnp.asarray(self.camera.image_size, pixels.dtype)
         low, high = self.margin_px - 0.5, size[None] - 0.5 - self.margin_px
         # Beyond the fold of a lens, and behind the camera, a point has a pixel too.
-        widest, _ = invertible_radius(self.camera.radial, pixels.dtype)
+        widest = self.camera.lens.invertible_radius(pixels.dtype)
         radius = jnp.hypot(X[:, 0], X[:, 1])
         tilt = jnp.hypot(place[3], place[4])
         over = [(low - pixels) / size[None], (pixels - high) / size[None], radius / (widest * jnp.abs(X[:, 2])) - 1]

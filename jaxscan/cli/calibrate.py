@@ -197,7 +197,7 @@ def solve_sessions(
             "add [laser] to session.toml, or leave out these options"
         )
     start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
-    asked, lens = settings[0], start.lens if start else settings[0].lens
+    asked, lens = settings[0], start.lens.kind if start else settings[0].lens
     held_parameters(asked.hold, lens, asked.principal_point, has_start=start is not None)
     photographs = sum(photograph_count(content) for content in contents if isinstance(content, Session))
     with progress("finding boards and stripes", photographs) as advance:

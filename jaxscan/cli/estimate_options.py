@@ -45,7 +45,7 @@ class Estimate:
             terms = f"the terms {', '.join(zeros)}" if zeros else "no term"
             raise InputError(
                 f"--free {', '.join(others)}: frees a lens term that --camera has as 0; {path}, whose lens is "
-                f'"{start.lens}", has {terms} as 0'
+                f'"{start.lens.kind}", has {terms} as 0'
             )
         return tuple(name for name in zeros if name not in self.free)
 
@@ -101,9 +101,9 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
     if both := sorted(set(hold) & set(free)):
         raise InputError(f"--hold and --free both name {', '.join(both)}: keep one of them")
     if args.lens is not None:
-        from jaxscan.rig.camera import lens_size
+        from jaxscan.rig.kinds import lens_of_kind
 
-        lens_size(args.lens)
+        lens_of_kind(args.lens)
         if args.camera is not None:
             raise InputError("--lens and --camera: the camera of a file brings its own lens, so leave out one of them")
     return Estimate(args.lens, hold, free, args.plain)

@@ -34,7 +34,6 @@ Facts = dict[str, Any]
 
 # How far points may be from the sheet, in parts of their distance, that a rig is theirs.
 _OFF_SHEET = 0.01
-_CAMERA_PARTS = ("focal", "principal", "radial", "tangential")
 
 
 def session_facts(path: Path) -> Facts:
@@ -192,8 +191,9 @@ def speckle_limit_facts(path: Path, rig_path: Path, optics: Optics) -> Facts:
 def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Facts:
     return {
         "image_size": list(camera.image_size),
-        "lens": camera.lens,
-        **{part: _values(f"camera.{part}", getattr(camera, part), sigma) for part in _CAMERA_PARTS},
+        "lens": camera.lens.kind,
+        **{part: _values(f"camera.{part}", getattr(camera, part), sigma) for part in ("focal", "principal")},
+        **{name: _values(f"camera.{name}", getattr(camera.lens, name), sigma) for name in camera.lens.numbers},
     }
 
 

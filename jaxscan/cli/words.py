@@ -6,6 +6,9 @@ from typing import Any
 Facts = dict[str, Any]
 Line = tuple[str, str]
 
+# What is said of a camera besides its lens's terms.
+_PINHOLE = ("image_size", "lens", "focal", "principal")
+
 
 def in_words(facts: Facts) -> str:
     """The facts of any kind of file."""
@@ -98,10 +101,9 @@ def _intrinsics(camera: Facts) -> Iterator[Line]:
     yield "camera", f"{_size(camera['image_size'])}, lens {camera['lens']}"
     yield "focal length", _values(camera["focal"], "px")
     yield "principal point", _values(camera["principal"], "px")
-    if camera["radial"]["value"]:
-        yield "radial terms", _values(camera["radial"])
-    if camera["tangential"]["value"]:
-        yield "tangential terms", _values(camera["tangential"])
+    for name, terms in camera.items():
+        if name not in _PINHOLE and terms["value"]:
+            yield f"{name} terms", _values(terms)
 
 
 def _cloud(facts: Facts) -> Iterator[Line]:

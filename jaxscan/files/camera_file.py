@@ -17,7 +17,8 @@ from jaxtyping import Array, Float, Float64
 from jaxscan.errors import InputError
 from jaxscan.files.table import PassedOverWarning, Table, show
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import LENSES, Camera
+from jaxscan.rig import Camera
+from jaxscan.rig.opencv_lens import LADDER, OpenCVLens
 
 TERMS: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _BEYOND: Final = ("s1", "s2", "s3", "s4", "tauX", "tauY")
@@ -94,17 +95,16 @@ def camera_from_terms(
         raise table.error(focal_key, "the focal lengths must be two positive numbers of pixels: calibrate again")
     k1, k2, p1, p2, *higher = (*terms, *[0.0] * (len(TERMS) - len(terms)))
     radial, tangential = (k1, k2, *higher), (p1, p2)
-    for n_radial, n_tangential in LENSES.values():
+    for kind in LADDER.values():
+        n_radial, n_tangential = kind.numbers.values()
         if not any(radial[n_radial:]) and not any(tangential[n_tangential:]):
             break
     else:
         raise AssertionError("the last lens of the ladder has every term")
     with float64():
         f_u, f_v, u0, v0 = _leaves(pinhole)
-        camera = Camera(
-            (f_u, f_v), (u0, v0), _leaves(radial[:n_radial]), _leaves(tangential[:n_tangential]), image_size=size
-        )
-        return as_numpy(camera)
+        lens = kind(_leaves(radial[:n_radial]), _leaves(tangential[:n_tangential]))
+        return as_numpy(Camera((f_u, f_v), (u0, v0), lens, size))
 
 
 def _leaves(values: Sequence[float]) -> tuple[Float[Array, ""], ...]:
@@ -120,10 +120,15 @@ def terms_for(path: Path, camera: Camera, count: int, title: str) -> list[float]
     """The first `count` of the camera's `TERMS`.
 
     Raises:
-        InputError: a term beyond them is not zero; it is named.
+        InputError: a term beyond them is not zero; it is named. Or the lens has terms of its own.
     """
-    k = [float(leaf) for leaf in camera.radial] + [0.0] * (6 - len(camera.radial))
-    p = [float(leaf) for leaf in camera.tangential] or [0.0, 0.0]
+    if not isinstance(camera.lens, OpenCVLens):
+        raise InputError(
+            f'{path}: the lens "{camera.lens.kind}" has no counterpart in {title}, which has OpenCV\'s terms: write a '
+            f"rig.json, or calibrate with one of {', '.join(LADDER)}"
+        )
+    k = [float(leaf) for leaf in camera.lens.radial] + [0.0] * (6 - len(camera.lens.radial))
+    p = [float(leaf) for leaf in camera.lens.tangential] or [0.0, 0.0]
     terms = [k[0], k[1], *p, *k[2:]]
     for name, value in zip(TERMS[count:], terms[count:], strict=True):
         if value != 0:

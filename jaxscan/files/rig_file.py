@@ -21,11 +21,20 @@ from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.rig_checks import check_covariance, image_rays
 from jaxscan.files.rig_format_1 import FORMAT_1, PARTS_1, axis_tables_1, light_tables_1, parameter_names_1
-from jaxscan.files.rig_parts import leaves, lights_values, motion_values, part_tables, read_lights, read_motion
+from jaxscan.files.rig_parts import (
+    leaves,
+    lights_values,
+    motion_values,
+    part_numbers,
+    part_tables,
+    read_lens,
+    read_lights,
+    read_motion,
+)
 from jaxscan.files.table import PassedOverWarning, Table
 from jaxscan.files.text import read_json
 from jaxscan.precision import as_numpy
-from jaxscan.rig import LENSES, Camera, Covariance, Light, Rig
+from jaxscan.rig import Camera, Covariance, Light, Rig
 from jaxscan.rig.rig import parameter_names
 
 FORMAT: Final = "jaxscan-rig/2"
@@ -83,12 +92,10 @@ def _decode(table: Table) -> RigFile:
     first = table.values["format"] == FORMAT_1
     parts = PARTS_1 if first else ("lights", "motion")
     unknown = table.unknown(("format", "units", "camera", *parts, "covariance", "fit"))
-    camera_table = table.table("camera", "camera.")
-    unknown += [f"camera.{key}" for key in camera_table.unknown(_CAMERA_KEYS)]
-    lights = light_tables_1(table, unknown) if first else part_tables(table, "lights", "lights")
-    axes = axis_tables_1(table, unknown) if first else part_tables(table, "motion", "axes")
     with jax.enable_x64(True):
-        camera = _camera(camera_table)
+        camera = _camera(table.table("camera", "camera."), unknown)
+        lights = light_tables_1(table, unknown) if first else part_tables(table, "lights", "lights")
+        axes = axis_tables_1(table, unknown) if first else part_tables(table, "motion", "axes")
         rig = as_numpy(Rig(camera, _lights(lights, camera, unknown), read_motion(axes, unknown)))
     names = parameter_names_1(rig) if first else parameter_names(rig)
     content = RigFile(rig, _covariance(table, rig, names, unknown), _fit(table))
@@ -125,12 +132,11 @@ def _check_finite(table: Table) -> None:
 
 # What reconstruction takes a pixel's σ from.
 _STRIPE_ERRORS: Final = ("stripe_rms_px", "stripe_sigma_px", "stripe_sigma_ratio")
-_CAMERA_KEYS: Final = ("image_size", "focal", "principal", "tilt", "lens", "radial", "tangential")
+_CAMERA_KEYS: Final = ("image_size", "focal", "principal", "tilt")
 
 
-def _camera(table: Table) -> Camera:
-    lens = table.string("lens", choices=tuple(LENSES))
-    n_radial, n_tangential = LENSES[lens]
+def _camera(table: Table, unknown: list[str]) -> Camera:
+    lens = read_lens(table, _CAMERA_KEYS, unknown)
     focal = table.numbers("focal", 2)
     if min(focal) <= 0:
         raise table.error("focal", "must be two positive numbers of pixels")
@@ -139,17 +145,9 @@ def _camera(table: Table) -> Camera:
     return Camera(
         focal=_pair(focal),
         principal=_pair(table.numbers("principal", 2)),
-        radial=leaves(_coefficients(table, "radial", lens, n_radial)),
-        tangential=leaves(_coefficients(table, "tangential", lens, n_tangential)),
+        lens=lens,
         image_size=table.size("image_size"),
     )
-
-
-def _coefficients(table: Table, key: str, lens: str, count: int) -> tuple[float, ...]:
-    values = table.numbers(key) if count or key in table else ()
-    if len(values) != count:
-        raise table.error(key, f'the lens "{lens}" has {count} {key} coefficients, here are {len(values)}: mend either')
-    return values
 
 
 def _lights(tables: list[Table], camera: Camera, unknown: list[str]) -> tuple[Light, ...]:
@@ -202,9 +200,8 @@ def _encode(content: RigFile) -> dict[str, Any]:
             "image_size": list(camera.image_size),
             "focal": _floats(camera.focal),
             "principal": _floats(camera.principal),
-            "lens": camera.lens,
-            "radial": _floats(camera.radial),
-            "tangential": _floats(camera.tangential),
+            "lens": camera.lens.kind,
+            **part_numbers(camera.lens),
         },
     }
     values |= {"lights": lights_values(rig.lights), "motion": motion_values(rig.motion)}

@@ -1,4 +1,7 @@
-"""Lights and motions as files have them: an object with its kind, its name and its numbers, by `rig.kinds`."""
+"""Parts of a rig as files have them, by `rig.kinds`.
+
+A light or a motion is an object with its kind, its name and its numbers; a lens has them in the camera's object.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,7 +11,7 @@ from jaxtyping import Array
 
 from jaxscan.files.axes import is_axis_name
 from jaxscan.files.table import Table
-from jaxscan.rig import LIGHTS, MOTIONS, AxisMotion, Light, Motion, motion_of
+from jaxscan.rig import LENSES, LIGHTS, MOTIONS, AxisMotion, Lens, Light, Motion, motion_of
 
 
 def part_tables(table: Table, key: str, of: str) -> list[Table]:
@@ -21,6 +24,31 @@ def part_tables(table: Table, key: str, of: str) -> list[Table]:
     if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
         raise table.error(key, f"must be a list of {of}, each an object with its kind and its numbers")
     return [Table(table.path, f"{table.prefix}{key}.{i}.", value) for i, value in enumerate(values)]
+
+
+def read_lens(table: Table, beside: Sequence[str], unknown: list[str]) -> Lens:
+    """The lens of a camera's table; keys that are not known are added to the unknown ones.
+
+    Args:
+        table: with the kind as `lens`, and its numbers.
+        beside: what else a camera has.
+        unknown: what was not known so far.
+
+    Raises:
+        InputError: what is no lens, and why.
+    """
+    kind = LENSES[table.string("lens", choices=tuple(LENSES))]
+    unknown += [table.prefix + key for key in table.unknown((*beside, "lens", *kind.numbers))]
+    return kind(**{name: leaves(_coefficients(table, kind, name)) for name in kind.numbers})
+
+
+def _coefficients(table: Table, kind: type[Any], key: str) -> tuple[float, ...]:
+    count = kind.numbers[key]
+    values = table.numbers(key) if count or key in table else ()
+    if len(values) != count:
+        here = f'the lens "{kind.kind}" has {count} {key} coefficients, here are {len(values)}: mend either'
+        raise table.error(key, here)
+    return values
 
 
 def read_lights(tables: Sequence[Table], unknown: list[str]) -> tuple[Light, ...]:
@@ -80,15 +108,16 @@ def _part(table: Table, kind: type[Any], unknown: list[str], **named: str) -> An
 
 def lights_values(lights: tuple[Light, ...]) -> list[dict[str, Any]]:
     """The inverse of `read_lights`."""
-    return [{"name": light.name, "kind": light.kind, **_numbers(light)} for light in lights]
+    return [{"name": light.name, "kind": light.kind, **part_numbers(light)} for light in lights]
 
 
 def motion_values(motion: Motion) -> list[dict[str, Any]]:
     """The inverse of `read_motion`."""
-    return [{"axis": part.axis, "kind": part.kind, **_numbers(part)} for part in motion.parts()]
+    return [{"axis": part.axis, "kind": part.kind, **part_numbers(part)} for part in motion.parts()]
 
 
-def _numbers(part: Any) -> dict[str, list[float]]:
+def part_numbers(part: Lens | Light | AxisMotion) -> dict[str, list[float]]:
+    """Its numbers by their names."""
     return {name: [float(leaf) for leaf in getattr(part, name)] for name in part.numbers}
 
 

@@ -1,20 +1,13 @@
 """The inverse of a lens without iterations: what takes a distorted ray to the undistorted one, as polynomials.
 
-The factor from distorted to undistorted coordinates of a radial lens is a function of r_d² alone. It is found in
-float64 once for a camera and kept as a polynomial S (in powers of 2ρ − 1, ρ = r_d² / reach: powers of ρ would cancel,
-and cost float32 its precision).
+OpenCV's lens terms have theirs (`opencv_inverse`). Of any other lens the exact inverse is computed at pixels all over
+the image, and followed, by least squares, by
 
-Brown's tangential terms are, with w = (p2, p1), Δ(x) = |x|² w + 2 (w · x) x. Turning x, x_d and w together changes
-nothing, so Δ as a function of the distorted ray is
+    x = S(|x_d|²) x_d + P(x_d),
 
-    Δ = F x_d + G w,    F and G functions of |x_d|² and m = w · x_d alone,
-
-each a polynomial of low degree, for Δ is small: F of the second order in m, G of the first. What is left is a radial
-lens, x = S(|x_d − Δ|²) (x_d − Δ). Where that is not near enough, fixed-point corrections Δ ← Δ(x) follow, each of which
-divides the error by about the size of the tangential terms.
+S as there. P is for what is not symmetric about the axis: a polynomial in both coordinates, of the lowest degree that
+is good enough. A lens that is symmetric needs none, and has the compiled kernel of OpenCV's radial lenses.
 """
-
-from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -24,94 +17,46 @@ from jaxtyping import Array, Float
 
 from jaxscan.errors import InputError
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Camera
-from jaxscan.rig.lens import Coefficients, distort, invertible_radius, undistort
+from jaxscan.reconstruction.opencv_inverse import (
+    FIT_GOAL_PX,
+    FIT_LIMIT_PX,
+    HIGHEST_DEGREE,
+    LOWEST_DEGREE,
+    SHARES_OF_THE_FOLD,
+    LensInverse,
+    opencv_inverse,
+    polynomial,
+)
+from jaxscan.rig import Camera, Lens
+from jaxscan.rig.opencv_lens import OpenCVLens
 
-# Most lenses need the lowest one and so share a compiled kernel.
-_LOWEST_DEGREE, _HIGHEST_DEGREE = 6, 16
-_FIT_SAMPLES = 400
-# The polynomial is made no better than this (pixels), and a lens whose inverse is worse than the second is refused.
-_FIT_GOAL_PX = 5e-5
-_FIT_LIMIT_PX = 1e-3
-# How near to the fold of a lens the polynomial is tried.
-_SHARES_OF_THE_FOLD = (0.999, 0.99, 0.97, 0.94, 0.9)
-# Of F and G: orders of m, and degree in ρ. For a usual lens they err by 2e-4 px.
-_ORDERS_ALONG, _ORDERS_ACROSS, _SHIFT_DEGREE = 3, 2, 4
-# How many corrections for the tangential terms are tried.
-_CORRECTIONS = (0, 1, 3, 6, 12)
 # Pixels along each side of the image at which the inverse is compared with the exact one.
 _GRID = 100
+# Of P.
+_DEGREES = (3, 5, 7, 9)
 
 
-class LensInverse(eqx.Module):
-    """Distorted to undistorted rays: arrays alone, so that another lens of the same kind does not compile anew.
+class FittedInverse(eqx.Module):
+    """The inverse of a lens that is not symmetric about its axis.
 
     Attributes:
-        factor: coefficients c_i of S = Σ c_i (2ρ − 1)^i with ρ = r_d² / reach.
-        inverse_reach: one over the largest r_d² that has an inverse.
-        tangential: p1, p2, or empty.
-        along: of F, for each order of m; empty without tangential terms.
-        across: of G.
-        corrections: how many the tangential terms need.
+        symmetric: S.
+        rest: coefficients of P for x and for y: c_ij of (x_d / r)^i (y_d / r)^j, r the reach of S.
     """
 
-    factor: Float[Array, "coefficients"]
-    inverse_reach: Float[Array, ""]
-    tangential: Float[Array, "tangential"]
-    along: Float[Array, "orders shift"]
-    across: Float[Array, "fewer shift"]
-    corrections: int = eqx.field(static=True)
+    symmetric: LensInverse
+    rest: Float[Array, "2 degrees degrees"]
 
     def __call__(self, xd: Float[Array, ""], yd: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Undistorted coordinates; NaN beyond the reach, where nothing holds."""
-        if not self.tangential.size:
-            return self._radial(xd, yd, jnp.nan)
-        p1, p2 = self.tangential
-        m, t = self._invariants(xd, yd)
-        F, G = (_polynomial(m, [_polynomial(t, row) for row in rows]) for rows in (self.along, self.across))
-        at = xd - F * xd - G * p2, yd - F * yd - G * p1
-        for _ in range(self.corrections):
-            # Held at the reach: a correction that starts beyond it must not be thrown about by the polynomial's tail.
-            x, y = self._radial(*at, self.factor.sum())
-            moved = distort((), (p1, p2), jnp.stack([x, y])) - jnp.stack([x, y])
-            at = xd - moved[0], yd - moved[1]
-        return self._radial(*at, jnp.nan)
-
-    def _radial(
-        self, xd: Float[Array, ""], yd: Float[Array, ""], beyond: Float[Array, ""] | float
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """The radial lens alone, with a factor of one's own beyond the reach."""
-        t = self._place(xd, yd)
-        s = jnp.where(t < 1, _polynomial(t, self.factor), beyond)
-        return xd * s, yd * s
-
-    def _place(self, xd: Float[Array, "*n"], yd: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """2ρ − 1."""
-        return (xd * xd + yd * yd) * (2 * self.inverse_reach) - 1
-
-    def _invariants(self, xd: Float[Array, "*n"], yd: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
-        """m, and 2ρ − 1 of the distorted ray, held at the reach."""
-        p1, p2 = self.tangential
-        t = self._place(xd, yd)
-        # Not `minimum`, which asks for NaN too.
-        return p2 * xd + p1 * yd, jnp.where(t < 1, t, 1.0)
+        x, y = self.symmetric(xd, yd)
+        scale = jnp.sqrt(self.symmetric.inverse_reach)
+        of_x, of_y = (polynomial(scale * xd, [polynomial(scale * yd, row) for row in rows]) for rows in self.rest)
+        return x + of_x, y + of_y
 
 
-def _polynomial(x: Float[Array, "*n"], coefficients: Float[Array, "coefficients"] | list) -> Float[Array, "*n"]:
-    """Σ c_i x^i by halves, each of powers of x²: steps wait for one another, and these are half as many (G. Estrin)."""
-    terms = list(coefficients)
-    while len(terms) > 1:
-        ends = terms[-1:] if len(terms) % 2 else []
-        terms = [low + high * x for low, high in zip(terms[::2], terms[1::2], strict=False)] + ends
-        x = x * x
-    return jnp.broadcast_to(terms[0], x.shape)
-
-
-def lens_inverse(camera: Camera) -> LensInverse:
+def lens_inverse(camera: Camera) -> LensInverse | FittedInverse:
     """The inverse of a camera's lens over its image, in float64.
-
-    Least squares against the exact inverse. Where the lens folds back inside the image no polynomial follows its
-    inverse up to the fold; the reach then ends a little before it.
 
     Raises:
         InputError: the inverse is not met to a thousandth of a pixel.
@@ -122,87 +67,78 @@ def lens_inverse(camera: Camera) -> LensInverse:
     xd = (pixels - np.stack(camera.principal)) / np.stack(camera.focal)
     focal = float(np.max(np.stack(camera.focal)))
     with float64():
-        radial, tangential = as_float64((camera.radial, camera.tangential))
-        fold = float(invertible_radius(radial, jnp.float64)[1]) if radial else np.inf
-        # The radius is looked up after the tangential terms have been taken off.
-        exact, straight = (np.asarray(x) for x in _exact(radial, tangential, jnp.asarray(xd)))
-        looked_up = np.linalg.norm(straight, axis=1)
-        widest = 1.001 * float(np.nanmax(np.where(np.isfinite(looked_up), looked_up, np.linalg.norm(xd, axis=1))))
-        for share in _SHARES_OF_THE_FOLD:
-            reach = min(widest, share * fold)
-            factor, error = _fit_factor(radial, reach, focal)
-            if error > _FIT_LIMIT_PX:
-                continue
-            none = jnp.zeros((0, _SHIFT_DEGREE + 1))
-            inverse = LensInverse(jnp.asarray(factor), jnp.asarray(1 / reach**2), jnp.zeros(0), none, none, 0)
-            if not tangential:
-                return inverse
-            within = looked_up < reach
-            inverse = _with_shift(inverse, np.stack(tangential), xd[within], (xd - straight)[within])
-            for corrections in _CORRECTIONS:
-                inverse = replace(inverse, corrections=corrections)
-                x, y = (np.asarray(z) for z in _over_image(inverse, *jnp.asarray(xd.T)))
-                off = np.hypot(x - exact[:, 0], y - exact[:, 1])[np.isfinite(x)] * focal
-                if (off <= _FIT_LIMIT_PX).all():
-                    return inverse
+        lens = as_float64(camera.lens)
+        found = opencv_inverse(lens, xd, focal) if isinstance(lens, OpenCVLens) else _fitted(lens, xd, focal)
+    if found is not None:
+        return found
+    values = " and ".join(f"{name} {[float(leaf) for leaf in getattr(lens, name)]}" for name in lens.numbers)
     raise InputError(
-        f"the inverse of the lens {camera.lens} with radial {[float(k) for k in camera.radial]} and tangential "
-        f"{[float(p) for p in camera.tangential]} is not smooth over the image, no polynomial follows it: calibrate "
-        "with a simpler lens"
+        f"the inverse of the lens {lens.kind} with {values} is not smooth over the image, no polynomial follows it: "
+        "calibrate with a simpler lens"
     )
 
 
-def _fit_factor(radial: Coefficients, reach: float, focal: float) -> tuple[Float[np.ndarray, "coefficients"], float]:
-    """S at Chebyshev points up to the reach, of the lowest degree that is good enough, and its worst error (pixels)."""
-    rho = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_FIT_SAMPLES) + 0.5) / _FIT_SAMPLES)
-    distorted = reach * np.sqrt(rho)
-    exact = np.asarray(_undistort_radii(radial, jnp.asarray(distorted))) / distorted
-    degree, error, fit = _LOWEST_DEGREE if np.ptp(exact) else 0, np.inf, np.polynomial.Chebyshev([1.0])
-    while error > _FIT_GOAL_PX and degree <= _HIGHEST_DEGREE:
-        fit = np.polynomial.Chebyshev.fit(rho, exact, degree, domain=[0, 1])
-        error = float(np.abs((fit(rho) - exact) * distorted).max()) * focal
-        degree += 2
-    power = fit.convert(kind=np.polynomial.Polynomial, domain=[0, 1], window=[-1, 1])
-    return power.coef, error if np.isfinite(error) else np.inf
+def _fitted(lens: Lens, xd: Float[np.ndarray, "n 2"], focal: float) -> LensInverse | FittedInverse | None:
+    exact, radius = np.asarray(_undistorted(lens, jnp.asarray(xd))), np.linalg.norm(xd, axis=1)
+    fold = float(radius[~np.isfinite(exact).all(axis=1)].min(initial=np.inf))
+    for share in SHARES_OF_THE_FOLD:
+        reach = min(1.001 * float(radius.max()), share * fold)
+        within = radius < reach
+        factor, rest = _factor(xd[within] / reach, exact[within] / reach, reach * focal)
+        if _worst(rest, reach * focal) <= FIT_GOAL_PX:
+            return LensInverse.symmetric(factor, reach)
+        further, rest = _polynomial_rest(xd[within] / reach, rest, reach * focal)
+        if _worst(rest, reach * focal) <= FIT_LIMIT_PX:
+            return FittedInverse(LensInverse.symmetric(factor, reach), jnp.asarray(reach * further))
+    return None
 
 
-def _with_shift(
-    inverse: LensInverse,
-    tangential: Float[np.ndarray, "2"],
-    xd: Float[np.ndarray, "n 2"],
-    shift: Float[np.ndarray, "n 2"],
-) -> LensInverse:
-    """The inverse with F and G, such that F x_d + G w is nearest to the shift Δ."""
-    inverse = replace(inverse, tangential=jnp.asarray(tangential))
-    m, powers = (np.asarray(z) for z in inverse._invariants(*jnp.asarray(xd.T)))
-    of_radius = np.vander(powers, _SHIFT_DEGREE + 1, increasing=True)
-    orders = m[:, None] ** np.arange(_ORDERS_ALONG)
-    basis = (orders[:, :, None] * of_radius[:, None]).reshape(len(m), -1)
-    across = basis[:, : _ORDERS_ACROSS * (_SHIFT_DEGREE + 1)]
-    columns = np.concatenate([xd[:, :, None] * basis[:, None], tangential[::-1, None] * across[:, None]], axis=2)
-    columns = columns.reshape(-1, columns.shape[2])
-    # Orders of m are orders of a thousandth.
-    scale = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-    found = np.linalg.lstsq(columns / scale, shift.reshape(-1))[0] / scale
-    rows = jnp.asarray(found.reshape(-1, _SHIFT_DEGREE + 1))
-    return replace(inverse, along=rows[:_ORDERS_ALONG], across=rows[_ORDERS_ALONG:])
+def _factor(
+    u: Float[np.ndarray, "n 2"], x: Float[np.ndarray, "n 2"], scale: float
+) -> tuple[Float[np.ndarray, "coefficients"], Float[np.ndarray, "n 2"]]:
+    """S, of the lowest degree that does as well as any, and what it leaves; coordinates in units of the reach."""
+    fits = []
+    for degree in range(LOWEST_DEGREE, HIGHEST_DEGREE + 1, 2):
+        basis = np.polynomial.chebyshev.chebvander(2 * (u**2).sum(axis=1) - 1, degree)
+        columns = (u[:, :, None] * basis[:, None]).reshape(-1, degree + 1)
+        coefficients = np.linalg.lstsq(columns, x.reshape(-1))[0]
+        rest = x - (columns @ coefficients).reshape(-1, 2)
+        fits.append((coefficients, rest))
+        if _worst(rest, scale) <= FIT_GOAL_PX:
+            break
+    least = min(_worst(rest, scale) for _, rest in fits)
+    coefficients, rest = next(fit for fit in fits if _worst(fit[1], scale) <= 1.1 * least)
+    return np.polynomial.chebyshev.cheb2poly(coefficients), rest
 
 
-@jax.jit
-def _undistort_radii(radial: Coefficients, rd: Float[Array, "n"]) -> Float[Array, "n"]:
-    along = jnp.stack([rd, jnp.zeros_like(rd)], axis=-1)
-    return jax.vmap(lambda x: undistort(radial, (), x))(along)[:, 0]
+def _polynomial_rest(
+    u: Float[np.ndarray, "n 2"], x: Float[np.ndarray, "n 2"], scale: float
+) -> tuple[Float[np.ndarray, "2 degrees degrees"], Float[np.ndarray, "n 2"]]:
+    """P, of the lowest degree that is good enough, and what it leaves; coordinates in units of the reach."""
+    found, rest = np.zeros((2, 1, 1)), x
+    for degree in _DEGREES:
+        i, j = np.nonzero(np.add.outer(np.arange(degree + 1), np.arange(degree + 1)) <= degree)
+        along, across = (np.polynomial.chebyshev.chebvander(u[:, k], degree) for k in (0, 1))
+        columns = along[:, i] * across[:, j]
+        coefficients = np.linalg.lstsq(columns, x)[0]
+        rest = x - columns @ coefficients
+        chebyshev = np.zeros((2, degree + 1, degree + 1))
+        chebyshev[:, i, j] = coefficients.T
+        # To powers, along one coordinate and then along the other.
+        powers = np.zeros((degree + 1, degree + 1))
+        for k in range(degree + 1):
+            powers[k, : k + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(degree + 1)[k])
+        found = powers.T @ chebyshev @ powers
+        if _worst(rest, scale) <= FIT_GOAL_PX:
+            break
+    return found, rest
 
 
-@jax.jit
-def _exact(
-    radial: Coefficients, tangential: Coefficients, xd: Float[Array, "n 2"]
-) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"]]:
-    """Undistorted rays, and as the radial terms alone would distort them."""
-    x = jax.vmap(lambda xd: undistort(radial, tangential, xd))(xd)
-    return x, jax.vmap(lambda x: distort(radial, (), x))(x)
+def _worst(rest: Float[np.ndarray, "n 2"], scale: float) -> float:
+    """The largest error, pixels."""
+    return float(np.linalg.norm(rest, axis=1).max(initial=0.0)) * scale
 
 
-@jax.jit
-def _over_image(inverse: LensInverse, xd: Float[Array, "n"], yd: Float[Array, "n"]) -> tuple[Float[Array, "n"], ...]:
-    return jax.vmap(inverse)(xd, yd)
+@eqx.filter_jit
+def _undistorted(lens: Lens, xd: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    return jax.vmap(lens.undistort)(xd)

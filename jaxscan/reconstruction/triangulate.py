@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.precision import float64
-from jaxscan.reconstruction.lens_inverse import LensInverse, lens_inverse
+from jaxscan.reconstruction.lens_inverse import FittedInverse, lens_inverse
+from jaxscan.reconstruction.opencv_inverse import LensInverse
 from jaxscan.rig import Light, Motion, Positions, Rig
 from jaxscan.rig.light import nameless
 
@@ -37,7 +38,7 @@ class Kernel(eqx.Module):
 
     principal: Float[Array, "2"]
     inverse_focal: Float[Array, "2"]
-    lens: LensInverse
+    lens: LensInverse | FittedInverse
     light: Light
 
     @staticmethod

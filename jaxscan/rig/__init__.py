@@ -1,8 +1,9 @@
 """The rig as one pytree: camera, lights, motion, and the poses that calibration refines with them."""
 
-from jaxscan.rig.camera import LENSES, Camera
+from jaxscan.rig.camera import Camera
 from jaxscan.rig.covariance import Covariance
-from jaxscan.rig.kinds import LIGHTS, MOTIONS, register_light, register_motion
+from jaxscan.rig.kinds import LENSES, LIGHTS, MOTIONS, register_lens, register_light, register_motion
+from jaxscan.rig.lens import Lens
 from jaxscan.rig.light import Light
 from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.linear import Linear
@@ -21,6 +22,7 @@ __all__ = [
     "Chain",
     "Covariance",
     "Fixed",
+    "Lens",
     "Light",
     "LightPlane",
     "Linear",
@@ -30,6 +32,7 @@ __all__ = [
     "Rotary",
     "System",
     "motion_of",
+    "register_lens",
     "register_light",
     "register_motion",
 ]

@@ -2,17 +2,35 @@
 
 from typing import Any, Final, TypeVar
 
+from jaxscan.errors import InputError
+from jaxscan.rig.lens import Lens
 from jaxscan.rig.light import Light
 from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.linear import Linear
 from jaxscan.rig.motion import AxisMotion
+from jaxscan.rig.opencv_lens import LADDER
 from jaxscan.rig.rotary import Rotary
 
+LENSES: Final[dict[str, type[Lens]]] = {**LADDER}
 LIGHTS: Final[dict[str, type[Light]]] = {kind.kind: kind for kind in (LightPlane,)}
 MOTIONS: Final[dict[str, type[AxisMotion]]] = {kind.kind: kind for kind in (Linear, Rotary)}
 
+# What a rig file has beside a lens's numbers.
+_OF_THE_CAMERA: Final = {"image_size", "focal", "principal", "tilt", "lens"}
 
 _Kind = TypeVar("_Kind", bound=type)
+
+
+def register_lens(kind: _Kind) -> _Kind:
+    """Let rig files and calibrations have lenses of a kind; as a decorator of its class too.
+
+    Raises:
+        InputError: one of its numbers is called as something of the camera is.
+    """
+    if taken := sorted(_OF_THE_CAMERA.intersection(kind.numbers)):
+        raise InputError(f'the lens "{_of(kind)}" has numbers called {", ".join(taken)}, as the camera: rename them')
+    LENSES[_of(kind)] = kind
+    return kind
 
 
 def register_light(kind: _Kind) -> _Kind:
@@ -25,6 +43,17 @@ def register_motion(kind: _Kind) -> _Kind:
     """Let rig files and calibrations have axes of a kind; as a decorator of its class too."""
     MOTIONS[_of(kind)] = kind
     return kind
+
+
+def lens_of_kind(name: str) -> type[Any]:
+    """The class of a kind of lens, one of `LENSES`; a protocol's classes cannot be told at run time.
+
+    Raises:
+        InputError: there is no such lens.
+    """
+    if name not in LENSES:
+        raise InputError(f'there is no lens "{name}": use one of {", ".join(LENSES)}')
+    return LENSES[name]
 
 
 def _of(kind: Any) -> str:

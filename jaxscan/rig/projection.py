@@ -1,7 +1,8 @@
 """How a camera's pixels move with the point that is seen and with the camera: what every covariance is made of.
 
-A pixel is a function of x = (X/Z, Y/Z) and of the camera's numbers θ. Whatever lens a camera has, it is looked at as a
-rational one, whose further terms are zero, and points come in batches of one size: one compiled function for all.
+A pixel is a function of x = (X/Z, Y/Z) and of the camera's numbers θ. A lens of OpenCV's ladder is looked at as a
+rational one, whose further terms are zero, and points come in batches of one size: one compiled function for all of
+them. A lens of another kind is its own richest.
 """
 
 from dataclasses import dataclass
@@ -15,10 +16,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Float64
 
 from jaxscan.precision import AT_ONCE, as_float64, batches_of, float64
-from jaxscan.rig.camera import LENSES, Camera, camera_parameters
+from jaxscan.rig.camera import Camera, camera_parameters
+from jaxscan.rig.opencv_lens import LADDER, OpenCVLens, Rational
 
-# The lens that every other one is a part of.
-RICHEST: Final = "rational"
 # A whole image's rays come in larger ones.
 _MANY: Final = 8192
 # A ray is followed outwards from the axis in so many steps: where the lens folds on its way no pixel is its own.
@@ -43,17 +43,15 @@ class Projection:
 
 
 def lens_leaves(lens: str) -> Bool[np.ndarray, "leaves"]:
-    """Which leaves of a camera with the richest lens one with this lens has."""
-    return np.isin(camera_parameters(RICHEST), camera_parameters(lens))
+    """Which leaves of a camera with the richest lens of its kind one with this lens has."""
+    richest = Rational.kind if lens in LADDER else lens
+    return np.isin(camera_parameters(richest), camera_parameters(lens))
 
 
 def with_richest_lens(camera: Camera) -> Camera:
-    """The same camera with all terms of the richest lens, those that it lacks zero."""
-    most, most_tangential = LENSES[RICHEST]
-    zero = jnp.zeros(())
-    radial = camera.radial + (zero,) * (most - len(camera.radial))
-    tangential = camera.tangential + (zero,) * (most_tangential - len(camera.tangential))
-    return Camera(camera.focal, camera.principal, radial, tangential, camera.image_size)
+    """The same camera with all terms of the richest lens of its kind, those that it lacks zero."""
+    lens = camera.lens.rational() if isinstance(camera.lens, OpenCVLens) else camera.lens
+    return Camera(camera.focal, camera.principal, lens, camera.image_size)
 
 
 def project_points(camera: Camera, points: Float[np.ndarray, "points 3"], *, richest: bool = False) -> Projection:
@@ -69,7 +67,7 @@ def project_points(camera: Camera, points: Float[np.ndarray, "points 3"], *, ric
     pixels, by_ray, by_camera = _by_ray(camera, x)
     # x = (X, Y) / Z
     by_point = np.concatenate([by_ray, -by_ray @ x[:, :, None]], axis=2) / depth[:, None, None]
-    return Projection(pixels, by_point, by_ray, by_camera if richest else by_camera[..., lens_leaves(camera.lens)])
+    return Projection(pixels, by_point, by_ray, by_camera if richest else by_camera[..., lens_leaves(camera.lens.kind)])
 
 
 def pixel_rays(camera: Camera, pixels: Float[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 3"]:

@@ -85,11 +85,16 @@ class Rig(eqx.Module):
 
 
 def parameter_names(rig: Rig) -> list[str]:
-    """The names of the rig's leaves in their order: `camera.focal.0`, `lights.0.plane.2`, `motion.stage.per_step.1`."""
+    """The names of the rig's leaves in their order: `camera.focal.0`, `lights.0.plane.2`, `motion.stage.per_step.1`.
+
+    The lens's are the camera's own: `camera.radial.0`.
+    """
     parts = rig.motion.parts()
 
     def name(path: tuple[jax.tree_util.KeyEntry, ...]) -> str:
         keys = [str(getattr(key, "name", getattr(key, "idx", ""))) for key in path]
+        if keys[:2] == ["camera", "lens"]:
+            del keys[1]
         if keys[0] == "motion":
             keys[1:-2] = [parts[int(keys[2])].axis if keys[1] == "links" else parts[0].axis]
         return ".".join(keys)

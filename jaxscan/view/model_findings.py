@@ -5,8 +5,8 @@ import numpy as np
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics
 from jaxscan.calibration.diagnostics.missing_terms import MissingTerms
-from jaxscan.rig import LENSES
-from jaxscan.rig.camera import camera_parameters
+from jaxscan.rig.camera import camera_parameters, lens_parameters
+from jaxscan.rig.opencv_lens import LADDER
 from jaxscan.view.report import Box
 
 # A richer lens is worth a word when held-out corners are nearer by this share.
@@ -67,7 +67,7 @@ def listed(words: list[str]) -> str:
 
 
 def _lens(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
-    tried, names, missing = diagnostics.ladder, list(LENSES), diagnostics.missing_terms
+    tried, names, missing = diagnostics.ladder, list(LADDER), diagnostics.missing_terms
     lacking = _missing_terms(missing)
     # On the ladder's rungs stays held what was held.
     if tried is None or (lacking and missing is not None and missing.freed):
@@ -134,12 +134,13 @@ def _missing_terms(missing: MissingTerms | None) -> list[Box]:
 
 def _held_terms(calibration: Calibration) -> list[str]:
     """The terms of the lens that were not sought."""
-    return [n for n in camera_parameters(calibration.rig.camera.lens)[4:] if n not in calibration.covariance.names]
+    return [n for n in lens_parameters(calibration.rig.camera.lens.kind) if n not in calibration.covariance.names]
 
 
 def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     held = _held_terms(calibration)
-    richer = f"free {', '.join(held)}, held here, or try a richer lens" if held else "try a richer lens"
+    other = "try a richer lens" if calibration.rig.camera.lens.kind in LADDER else "try another lens"
+    richer = f"free {', '.join(held)}, held here, or {other}" if held else other
     by = diagnostics.by_radius
     out = np.abs(by.radial_px) / by.radial_error_px
     worst = int(np.argmax(np.where(np.abs(by.radial_px) > _SHARE * calibration.corner_sigma_px, out, 0.0)))

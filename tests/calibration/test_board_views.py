@@ -56,7 +56,7 @@ def test_a_camera_to_start_from_and_one_to_hold(saved, seen, tmp_path, capsys):
     assert main(["calibrate", str(saved), "-o", str(rig), "--camera", str(camera), "--hold-camera"]) == 0
     held, asked = read_rig(rig), read_camera(camera)
     assert [float(x) for x in held.rig.camera.focal] == [float(x) for x in asked.focal]
-    assert [float(x) for x in held.rig.camera.radial] == [float(x) for x in asked.radial]
+    assert [float(x) for x in held.rig.camera.lens.radial] == [float(x) for x in asked.lens.radial]
     assert held.covariance is None or held.covariance.names == ()
     assert held.fit["corner_rms_px"] > 2 * free.corner_rms_px  # a wrong camera shows in the residuals
     capsys.readouterr()

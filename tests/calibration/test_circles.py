@@ -70,4 +70,4 @@ def test_the_focal_length_is_that_of_circles_and_not_of_their_centres(seed):
     camera, sigma = calibration.rig.camera, calibration.covariance.sigma
     for i in range(2):
         assert abs(float(camera.focal[i]) - FOCAL) < 2.5 * sigma(f"camera.focal.{i}")
-    assert abs(float(camera.radial[0]) - K1) < 2.5 * sigma("camera.radial.0")
+    assert abs(float(camera.lens.radial[0]) - K1) < 2.5 * sigma("camera.radial.0")

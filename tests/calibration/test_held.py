@@ -39,8 +39,8 @@ def held(seen: Observations) -> Calibration:
 
 
 def test_a_term_is_held_at_zero_without_a_start(held):
-    assert float(held.rig.camera.radial[2]) == 0.0
-    assert float(held.rig.camera.radial[1]) != 0.0
+    assert float(held.rig.camera.lens.radial[2]) == 0.0
+    assert float(held.rig.camera.lens.radial[1]) != 0.0
     assert K3 not in held.covariance.names
     assert set(held.covariance.names) == set(camera_parameters("brown")) - {K3}
     assert held.covariance.of_leaves(held.rig)[6].any() == np.False_
@@ -50,7 +50,7 @@ def test_what_is_held_stays_so_in_all_that_is_made_of_it(held, x64):
     # Nothing else compiles anew: refit, halves, the ladder and the next poses read what is free as data.
     again = refit(held.adjustment).rig
     np.testing.assert_allclose(jax.tree.leaves(again), jax.tree.leaves(held.rig), rtol=1e-5, atol=1e-8)
-    assert float(again.camera.radial[2]) == 0.0
+    assert float(again.camera.lens.radial[2]) == 0.0
     agreement = solve_apart(held, *(halves(held.observations) or ()))
     assert agreement is not None
     assert K3 not in agreement.names
@@ -121,7 +121,7 @@ def test_terms_that_a_file_has_as_zero_stay_zero_and_can_be_freed(saved, tmp_pat
     out = capsys.readouterr().out
     assert f"note: {K3} is 0 in {camera} and stayed 0: to have one found, name it with --free" in out
     content = read_rig(rig)
-    assert float(content.rig.camera.radial[2]) == 0.0
+    assert float(content.rig.camera.lens.radial[2]) == 0.0
     assert content.covariance is not None
     assert set(content.covariance.names) == set(camera_parameters("brown")) - {K3}
     # Kalibr has no k3, and takes a camera without one.
@@ -129,7 +129,7 @@ def test_terms_that_a_file_has_as_zero_stay_zero_and_can_be_freed(saved, tmp_pat
     assert float(read_camera(tmp_path / "camera.yaml").focal[0]) == float(content.rig.camera.focal[0])
     assert main([*argv, "--free", K3]) == 0
     assert "stayed 0" not in capsys.readouterr().out
-    assert float(read_rig(rig).rig.camera.radial[2]) != 0.0
+    assert float(read_rig(rig).rig.camera.lens.radial[2]) != 0.0
     assert main([*argv, "--free", K3, "--hold-camera"]) == 2
     assert f"--free {K3} seeks a part of it" in capsys.readouterr().err
     assert main([*argv, "--free", "camera.radial.0"]) == 2

@@ -84,7 +84,9 @@ def test_corners_tell_what_opencv_s_derivatives_say(calibration: Calibration):
         alone = Rig(scene.rig.camera)
         scene = replace(scene, rig=alone, free=jnp.ones(5, bool), columns=jnp.zeros(0, bool))
         found = np.asarray(scene.information(jnp.asarray(np.concatenate([rvec, tvec]))))
-        fx, fy, u0, v0, k1 = (float(x) for x in (*alone.camera.focal, *alone.camera.principal, *alone.camera.radial))
+        fx, fy, u0, v0, k1 = (
+            float(x) for x in (*alone.camera.focal, *alone.camera.principal, *alone.camera.lens.radial)
+        )
         corner = float(scene.noise.corner)
     K = np.array([[fx, 0, u0], [0, fy, v0], [0, 0, 1.0]])
     _, J = cv2.projectPoints(synthetic.BOARD.points(), rvec, tvec, K, np.array([k1, 0, 0, 0]))

@@ -67,8 +67,8 @@ def test_a_camera_becomes_a_rig_without_laser_and_stage(tmp_path, capsys):
     assert "no place for the standard deviations, 2 photographs of the board" in err
     found = read_rig(tmp_path / "rig.json")
     assert (found.rig.lights, found.rig.axes(), found.covariance) == ((), {}, None)
-    assert found.rig.camera.lens == "brown"
-    assert float(found.rig.camera.radial[2]) == samples.TERMS[4]
+    assert found.rig.camera.lens.kind == "brown"
+    assert float(found.rig.camera.lens.radial[2]) == samples.TERMS[4]
 
 
 def test_every_pair_of_formats(tmp_path, capsys):

@@ -196,5 +196,5 @@ def _outcome(path: Path) -> str:
         camera = read_camera(path)
     except InputError as error:
         return str(error)
-    numbers = [float(leaf) for leaf in (*camera.focal, *camera.principal, *camera.radial, *camera.tangential)]
+    numbers = [float(leaf) for leaf in (*camera.focal, *camera.principal, *camera.lens.radial, *camera.lens.tangential)]
     return "a camera" if np.isfinite(numbers).all() and min(numbers[:2]) > 0 else f"no camera: {numbers}"

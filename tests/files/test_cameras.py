@@ -18,7 +18,8 @@ from jaxscan.errors import InputError
 from jaxscan.files.cameras import lost, read_camera_file, write_camera_file
 from jaxscan.files.formats import FORMATS
 from jaxscan.files.table import PassedOverWarning
-from jaxscan.rig import LENSES, Camera
+from jaxscan.rig import Camera
+from jaxscan.rig.opencv_lens import LADDER
 
 # How many of OpenCV's terms each format has.
 TERMS = {"rig": 8, "bouguet": 5, "opencv": 8, "ros": 8, "kalibr": 4, "mrcal": 8}
@@ -28,7 +29,7 @@ NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 def camera(lens: str, seed: int = 0) -> Camera:
     """A camera of which no number fits a float32."""
     rng = np.random.default_rng(seed)
-    n_radial, n_tangential = LENSES[lens]
+    n_radial, n_tangential = LADDER[lens].numbers.values()
     with jax.enable_x64(True):
         made = Camera.create(
             (int(rng.integers(1, 5000)), int(rng.integers(1, 5000))),
@@ -46,13 +47,13 @@ def numbers(camera: Camera) -> list[float]:
 
 
 def opencv_terms(camera: Camera) -> list[float]:
-    k = [*map(float, camera.radial), *[0.0] * 6][:6]
-    p = [*map(float, camera.tangential), 0.0, 0.0][:2]
+    k = [*map(float, camera.lens.radial), *[0.0] * 6][:6]
+    p = [*map(float, camera.lens.tangential), 0.0, 0.0][:2]
     return [k[0], k[1], *p, *k[2:]]
 
 
 @pytest.mark.parametrize("x64", [False, True])
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", LADDER)
 @pytest.mark.parametrize("form", FORMATS)
 def test_every_bit_survives_where_the_format_has_the_term(tmp_path, form, lens, x64):
     for seed in range(5):
@@ -74,13 +75,13 @@ def test_every_bit_survives_where_the_format_has_the_term(tmp_path, form, lens, 
             assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves(back))
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", LADDER)
 @pytest.mark.parametrize("form", ["bouguet", "opencv", "ros", "mrcal"])
 def test_what_is_written_projects_as_opencv_does(x64, tmp_path, form, lens):
     """K and the coefficients are taken from the file by another reader, and the points projected by another program."""
     if form == "bouguet" and lens == "rational":
         return
-    n_radial, n_tangential = LENSES[lens]
+    n_radial, n_tangential = LADDER[lens].numbers.values()
     ours = Camera.create(
         (640, 480),
         (697.7, 690.4),
@@ -142,15 +143,17 @@ def test_files_as_the_programs_write_them(tmp_path, name):
         samples.bouguet(path)
     found = read_camera(path)
     k3 = 0.0 if name == "kalibr.yaml" else samples.TERMS[4]
-    assert (found.image_size, found.lens) == (samples.SIZE, "brown")
+    assert (found.image_size, found.lens.kind) == (samples.SIZE, "brown")
     assert numbers(found) == [*samples.PINHOLE, *samples.TERMS[:2], k3, *samples.TERMS[2:4]]
 
 
 def test_a_term_that_is_zero_was_not_estimated(tmp_path):
     """Bouguet's est_dist = [1 1 0 0 0] leaves zeros in kc, OpenCV's flags in its coefficients: the lens is radial2."""
-    assert read_camera(samples.bouguet(tmp_path / "a.mat", kc=np.array([[-0.2, 0.1, 0, 0, 0]]).T)).lens == "radial2"
-    assert read_camera(samples.bouguet(tmp_path / "a.mat", kc=np.array([[-0.2, 0.1, 0, 0]]).T)).lens == "radial2"
-    assert read_camera(samples.bouguet(tmp_path / "a.mat", kc=np.array([[-0.2, 0, 0, 1e-4, 0]]).T)).lens == "brown"
+    assert (
+        read_camera(samples.bouguet(tmp_path / "a.mat", kc=np.array([[-0.2, 0.1, 0, 0, 0]]).T)).lens.kind == "radial2"
+    )
+    assert read_camera(samples.bouguet(tmp_path / "a.mat", kc=np.array([[-0.2, 0.1, 0, 0]]).T)).lens.kind == "radial2"
+    assert read_camera(samples.bouguet(tmp_path / "a.mat", kc=np.array([[-0.2, 0, 0, 1e-4, 0]]).T)).lens.kind == "brown"
 
 
 def test_poses_corners_and_deviations_of_the_toolbox(tmp_path):
@@ -196,7 +199,7 @@ def test_matlab_files_by_another_writer(tmp_path, deflated):
     }
     scipy.io.savemat(path, variables, do_compression=deflated)
     found = read_camera(path)
-    assert (found.lens, numbers(found)) == ("none", [700.0, 699.0, 320.5, 239.25])
+    assert (found.lens.kind, numbers(found)) == ("none", [700.0, 699.0, 320.5, 239.25])
 
 
 def test_corners_without_a_camera(tmp_path):
@@ -261,7 +264,7 @@ def test_opencvs_names_and_numbers_of_coefficients(tmp_path, k_name, d_name, cou
     storage.write(d_name, np.array([terms]))
     storage.release()
     found = read_camera(tmp_path / "a.yml", image_size=(640, 480))
-    assert found.lens == ("brown" if count < 8 else "rational")
+    assert found.lens.kind == ("brown" if count < 8 else "rational")
     assert opencv_terms(found)[: min(count, 8)] == terms[:8]
     with pytest.raises(InputError, match="image_width: is missing"):
         read_camera(tmp_path / "a.yml")

@@ -209,7 +209,7 @@ def test_standard_deviations_by_name(tmp_path):
 
 def test_the_real_rig(data):
     rig = read_rig(data / "stage-pyramid" / "rig.json").rig
-    assert rig.camera.lens == "none"
+    assert rig.camera.lens.kind == "none"
     assert [float(x) for x in rig.lights[0].plane] == [-0.0268097, 0.0, 0.0125]
 
 

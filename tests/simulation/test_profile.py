@@ -25,7 +25,7 @@ def flat() -> Body:
 def to_pixels(rig: Rig, points: np.ndarray) -> np.ndarray:
     f, c = (np.array([float(x) for x in pair]) for pair in (rig.camera.focal, rig.camera.principal))
     K = np.array([[f[0], 0, c[0]], [0, f[1], c[1]], [0, 0, 1]])
-    k1 = float(rig.camera.radial[0])
+    k1 = float(rig.camera.lens.radial[0])
     return cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, np.array([k1, 0, 0, 0]))[0].reshape(-1, 2)
 
 

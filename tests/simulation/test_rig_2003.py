@@ -48,7 +48,7 @@ def test_rig_is_the_one_of_the_definition() -> None:
     for seed in range(20):
         rig = simulated_rig(seed)
         assert [float(x) for x in rig.camera.focal] == [697.70833, 690.43328]
-        assert [float(x) for x in rig.camera.radial] == [-0.13396]
+        assert [float(x) for x in rig.camera.lens.radial] == [-0.13396]
         planes.append(np.array([float(x) for x in rig.lights[0].plane]))
         travels.append(np.array([float(x) for x in rig.axis("stage").per_step]))
     for omega, travel in zip(planes, travels, strict=True):

@@ -59,7 +59,7 @@ class Diagnostics:
         too_few_for_halves: whether there are too few photographs for two rigs.
         halves: two halves of the photographs solved apart; None where there are too few.
         sessions: each further session against the first; empty for a single one.
-        ladder: the lenses tried; None where the camera was held.
+        ladder: the lenses tried; None where the camera was held, or its lens is none of the ladder.
     """
 
     photographs: tuple[PhotographStatistics, ...]

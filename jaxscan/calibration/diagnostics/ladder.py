@@ -28,8 +28,9 @@ from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import group_errors, refine
 from jaxscan.precision import as_float64, float64
-from jaxscan.rig import LENSES, Rig, System
-from jaxscan.rig.camera import camera_parameters
+from jaxscan.rig import Rig, System
+from jaxscan.rig.camera import camera_parameters, lens_parameters
+from jaxscan.rig.opencv_lens import LADDER, Rational
 from jaxscan.rig.projection import with_richest_lens
 from jaxscan.rig.rig import parameter_names
 
@@ -96,16 +97,18 @@ class _Solved:
     count: Float[np.ndarray, "views"]
 
 
-def climb(calibration: Calibration) -> Ladder:
-    """Solve every rung on the corners of the views."""
-    chosen = calibration.rig.camera.lens
+def climb(calibration: Calibration) -> Ladder | None:
+    """Solve every rung on the corners of the views; None where the calibration's own lens is none of them."""
+    chosen = calibration.rig.camera.lens.kind
+    if chosen not in LADDER:
+        return None
     with float64():
         system, group = _corners_alone(calibration)
         held = {
             name for name in parameter_names(Rig(calibration.rig.camera)) if name not in calibration.covariance.names
         }
         names = _distinct(chosen, held)
-        reference = max(_REFERENCE, chosen, key=list(LENSES).index)
+        reference = max(_REFERENCE, chosen, key=list(LADDER).index)
         shape = len(jax.tree.leaves(system.warp))
 
         def free(lens: str) -> Bool[Array, "shared"]:
@@ -158,18 +161,18 @@ def _corners_alone(calibration: Calibration) -> tuple[System, Blocks]:
 def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:
     """Which leaves of the rational camera are sought with a lens."""
     own = set(camera_parameters(lens)) - held
-    return jnp.asarray([name in own for name in camera_parameters("rational")])
+    return jnp.asarray([name in own for name in camera_parameters(Rational.kind)])
 
 
 def _sought(lens: str, held: set[str]) -> int:
     """How many coefficients of a lens are sought."""
-    return len(set(camera_parameters(lens)[4:]) - held)
+    return len(set(lens_parameters(lens)) - held)
 
 
 def _distinct(chosen: str, held: set[str]) -> list[str]:
     """The rungs, without those that seek the same terms as another; the calibration's own is kept."""
     rungs: dict[frozenset[str], str] = {}
-    for lens in LENSES:
+    for lens in LADDER:
         sought = frozenset(camera_parameters(lens)) - held
         if sought not in rungs or lens == chosen:
             rungs[sought] = lens
@@ -201,13 +204,11 @@ def _solve_rung(system: System, free: Bool[Array, "shared"], group: Blocks, nois
 
 def _without(system: System, lens: str, held: set[str]) -> System:
     """The system with those lens terms at zero that the lens does not have and that are not held."""
-    camera = system.rig.camera
-    kept = {*camera_parameters(lens), *held}
-    own = (name in kept for name in camera_parameters("rational")[4:])
-    zero = jnp.zeros(())
-    radial = tuple(k if next(own) else zero for k in camera.radial)
-    tangential = tuple(p if next(own) else zero for p in camera.tangential)
-    return replace(system, rig=Rig(replace(camera, radial=radial, tangential=tangential)))
+    leaves, structure = jax.tree.flatten(system.rig.camera)
+    kept, zero = {*camera_parameters(lens), *held}, jnp.zeros(())
+    names = camera_parameters(Rational.kind)
+    own = [leaf if name in kept else zero for name, leaf in zip(names, leaves, strict=True)]
+    return replace(system, rig=Rig(jax.tree.unflatten(structure, own)))
 
 
 def _only(group: Blocks, blocks: Bool[Array, "blocks"]) -> Blocks:

@@ -13,15 +13,15 @@ from jaxtyping import Float
 
 from jaxscan.calibration.diagnostics.ladder import f_test
 from jaxscan.calibration.result import Calibration
-from jaxscan.rig import LENSES
-from jaxscan.rig.projection import RICHEST, lens_leaves, project_points
+from jaxscan.rig.opencv_lens import LADDER, Rational
+from jaxscan.rig.projection import lens_leaves, project_points
 from jaxscan.rig.rig import parameter_names
 
 # Eigenvalues of the scaled normal equations below this share of the largest.
 _ROUNDING = 1e-10
 _PINHOLE = ("camera.focal", "camera.principal")
 # At zero the denominator's terms of the rational lens do what the numerator's do.
-_TRIED = tuple(lens for lens in LENSES if lens != RICHEST)
+_TRIED = tuple(lens for lens in LADDER if lens != Rational.kind)
 
 
 @dataclass(frozen=True)
@@ -46,25 +46,29 @@ class MissingTerms:
 
 
 def missing_terms(calibration: Calibration) -> MissingTerms | None:
-    """What the residuals say of richer lenses and of held terms; None where there are none or the camera was held."""
-    camera = calibration.rig.camera
-    richer = [lens for lens in _TRIED if (lens_leaves(lens) & ~lens_leaves(camera.lens)).any()]
-    richer = [lens for lens in richer if lens_leaves(lens)[lens_leaves(camera.lens)].all()]
+    """What the residuals say of richer lenses and of held terms; None where there are none or the camera was held.
+
+    A lens that is none of OpenCV's has no richer one.
+    """
+    lens_now = calibration.rig.camera.lens.kind
+    own_leaves = lens_leaves(lens_now)
+    richer = [lens for lens in _TRIED if (lens_leaves(lens) & ~own_leaves).any()] if lens_now in LADDER else []
+    richer = [lens for lens in richer if lens_leaves(lens)[own_leaves].all()]
     names = [name for name in parameter_names(calibration.rig) if name.startswith("camera.")]
     held = np.array([name not in calibration.covariance.names for name in names])
     freed = tuple(name for name, is_held in zip(names, held, strict=True) if is_held and not name.startswith(_PINHOLE))
     if not (richer or freed) or held.all():
         return None
     N, g, chi2, count = _normal_equations(calibration)
-    of_lens = np.flatnonzero(lens_leaves(camera.lens))
+    of_lens = np.flatnonzero(own_leaves)
     at = of_lens[~held]
     fall, moved = _freed(N, g, at)
     sigma = np.sqrt(np.diagonal(_inverse(N, at)))
     # They are the first of the camera's numbers; what a coefficient of the lens is depends on the others.
     free = [name for name, is_held in zip(names, held, strict=True) if not is_held and name.startswith(_PINHOLE)]
     # The held ones first: of two that noise does equally never it is the lens that was asked for.
-    tried = [(camera.lens, freed, of_lens[[name in freed for name in names]])] if freed else []
-    tried += [(lens, (), np.flatnonzero(lens_leaves(lens) & ~lens_leaves(camera.lens))) for lens in richer]
+    tried = [(lens_now, freed, of_lens[[name in freed for name in names]])] if freed else []
+    tried += [(lens, (), np.flatnonzero(lens_leaves(lens) & ~own_leaves)) for lens in richer]
     found = []
     for lens, own, further in tried:
         more = np.concatenate([at, further])

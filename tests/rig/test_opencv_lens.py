@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.rig.lens import _invert_radius, distort, invertible_radius, undistort
+from jaxscan.rig import growing
+from jaxscan.rig.opencv_lens import _WIDEST_RADIUS, _height, distort, invertible_radius, undistort
 
 # The coefficients as arguments: lenses with as many of them share what is compiled.
 DISTORT = jax.jit(jax.vmap(distort, in_axes=(None, None, 0)))
@@ -39,7 +40,11 @@ def test_newton_stops_at_the_root(radial, x64):
         k = tuple(map(jnp.asarray, radial))
         _, rd_limit = invertible_radius(k, k[0].dtype)
         rd = jnp.linspace(0, 0.99 * rd_limit, 50001)
-        _, steps = jax.jit(jax.vmap(lambda rd: _invert_radius(k, rd)))(rd)
+
+        def along(rd):
+            return growing.inverse_and_steps(lambda r: _height(k, r), _WIDEST_RADIUS, rd)
+
+        _, steps = jax.jit(jax.vmap(along))(rd)
         assert int(steps.max()) <= 20
 
 
