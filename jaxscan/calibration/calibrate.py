@@ -12,12 +12,12 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool
 
-from jaxscan.calibration import initial
 from jaxscan.calibration.blocks import sequence_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Factor
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
 from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
+from jaxscan.calibration.first_camera import first_camera
 from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
 from jaxscan.calibration.held import held_parameters
@@ -61,7 +61,7 @@ def calibrate(
 
     Args:
         observations: corners and stripes.
-        lens: a rung of the lens ladder: none, radial1, radial2, radial3, brown, rational.
+        lens: a kind of lens: none, radial1, radial2, radial3, brown, rational, or one that was registered.
         principal_point: "free", or "centre" to hold it at the image centre.
         start: a camera to start from; its lens takes the place of `lens`. Without it a closed-form start is used.
         hold: names of the camera's parameters, as in `rig.json`, that keep the value of `start`; without a start lens
@@ -102,7 +102,7 @@ def calibrate(
             raise InputError(
                 "board_warp does not go with a laser, whose stripe is compared with a flat board: leave the stripes out"
             )
-        camera = as_float64(start) if start else _first_camera(usable, lens)
+        camera = as_float64(start) if start else first_camera(usable, lens)
         warp = BoardWarp(jnp.zeros(()), jnp.zeros(())) if board_warp else None
         unit = jnp.ones(())
         noise = Noise(unit, unit, jnp.zeros(()))
@@ -239,13 +239,6 @@ def _check_enough(observations: Observations) -> None:
 
 def _stripe_points(view: View, laser: int) -> int:
     return sum(int(np.isfinite(s.pixels).all(axis=1).sum()) for s in view.stripes if s.laser == laser)
-
-
-def _first_camera(observations: Observations, lens: str) -> Camera:
-    seen = np.stack([view.corners for view in observations.views])
-    used = np.stack([view.used() for view in observations.views])
-    focal = initial.focal_length(observations.board.points()[:, :2], seen, used, observations.image_size)
-    return Camera.create(observations.image_size, focal, (np.asarray(observations.image_size) - 1) / 2, lens)
 
 
 def _first_lights(observations: Observations, camera: Camera, poses: Pose[np.ndarray], kind: str) -> tuple[Light, ...]:

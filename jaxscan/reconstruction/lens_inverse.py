@@ -9,6 +9,8 @@ S as there. P is for what is not symmetric about the axis: a polynomial in both 
 is good enough. A lens that is symmetric needs none, and has the compiled kernel of OpenCV's radial lenses.
 """
 
+from dataclasses import dataclass, replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -32,6 +34,8 @@ from jaxscan.rig.opencv_lens import OpenCVLens
 
 # Pixels along each side of the image at which the inverse is compared with the exact one.
 _GRID = 100
+# Every so many of them serve the fit.
+_EVERY = 3
 # Of P.
 _DEGREES = (3, 5, 7, 9)
 
@@ -81,64 +85,76 @@ def lens_inverse(camera: Camera) -> LensInverse | FittedInverse:
 def _fitted(lens: Lens, xd: Float[np.ndarray, "n 2"], focal: float) -> LensInverse | FittedInverse | None:
     exact, radius = np.asarray(_undistorted(lens, jnp.asarray(xd))), np.linalg.norm(xd, axis=1)
     fold = float(radius[~np.isfinite(exact).all(axis=1)].min(initial=np.inf))
-    for share in SHARES_OF_THE_FOLD:
-        reach = min(1.001 * float(radius.max()), share * fold)
+    widest = 1.001 * float(radius.max())
+    for reach in dict.fromkeys(min(widest, share * fold) for share in SHARES_OF_THE_FOLD):
         within = radius < reach
-        factor, rest = _factor(xd[within] / reach, exact[within] / reach, reach * focal)
-        if _worst(rest, reach * focal) <= FIT_GOAL_PX:
-            return LensInverse.symmetric(factor, reach)
-        further, rest = _polynomial_rest(xd[within] / reach, rest, reach * focal)
-        if _worst(rest, reach * focal) <= FIT_LIMIT_PX:
-            return FittedInverse(LensInverse.symmetric(factor, reach), jnp.asarray(reach * further))
+
+        def fit(degree: int, rest: int | None = None, reach: float = reach, within: np.ndarray = within) -> _Fit:
+            found = _fit(xd[within], exact[within], reach, degree, rest)
+            rays = np.zeros_like(xd)
+            rays[within] = found.rays
+            off = np.asarray(_distorted(lens, jnp.asarray(rays))) - xd
+            return replace(found, error_px=focal * float(np.linalg.norm(off[within], axis=1).max(initial=0.0)))
+
+        for degree in range(LOWEST_DEGREE, HIGHEST_DEGREE + 1, 2):
+            found = fit(degree)
+            if found.error_px <= (FIT_GOAL_PX if degree < HIGHEST_DEGREE else FIT_LIMIT_PX):
+                return LensInverse.symmetric(found.factor, reach)
+        for rest in _DEGREES:
+            found = fit(HIGHEST_DEGREE, rest)
+            if found.error_px <= FIT_LIMIT_PX:
+                return FittedInverse(LensInverse.symmetric(found.factor, reach), jnp.asarray(found.rest))
     return None
 
 
-def _factor(
-    u: Float[np.ndarray, "n 2"], x: Float[np.ndarray, "n 2"], scale: float
-) -> tuple[Float[np.ndarray, "coefficients"], Float[np.ndarray, "n 2"]]:
-    """S, of the lowest degree that does as well as any, and what it leaves; coordinates in units of the reach."""
-    fits = []
-    for degree in range(LOWEST_DEGREE, HIGHEST_DEGREE + 1, 2):
-        basis = np.polynomial.chebyshev.chebvander(2 * (u**2).sum(axis=1) - 1, degree)
-        columns = (u[:, :, None] * basis[:, None]).reshape(-1, degree + 1)
-        coefficients = np.linalg.lstsq(columns, x.reshape(-1))[0]
-        rest = x - (columns @ coefficients).reshape(-1, 2)
-        fits.append((coefficients, rest))
-        if _worst(rest, scale) <= FIT_GOAL_PX:
-            break
-    least = min(_worst(rest, scale) for _, rest in fits)
-    coefficients, rest = next(fit for fit in fits if _worst(fit[1], scale) <= 1.1 * least)
-    return np.polynomial.chebyshev.cheb2poly(coefficients), rest
+@dataclass(frozen=True)
+class _Fit:
+    """Coefficients of S and P, the rays that they give, and how far from its pixel the worst of these is seen."""
+
+    factor: Float[np.ndarray, "coefficients"]
+    rest: Float[np.ndarray, "2 degrees degrees"]
+    rays: Float[np.ndarray, "n 2"]
+    error_px: float = np.inf
 
 
-def _polynomial_rest(
-    u: Float[np.ndarray, "n 2"], x: Float[np.ndarray, "n 2"], scale: float
-) -> tuple[Float[np.ndarray, "2 degrees degrees"], Float[np.ndarray, "n 2"]]:
-    """P, of the lowest degree that is good enough, and what it leaves; coordinates in units of the reach."""
-    found, rest = np.zeros((2, 1, 1)), x
-    for degree in _DEGREES:
-        i, j = np.nonzero(np.add.outer(np.arange(degree + 1), np.arange(degree + 1)) <= degree)
-        along, across = (np.polynomial.chebyshev.chebvander(u[:, k], degree) for k in (0, 1))
-        columns = along[:, i] * across[:, j]
-        coefficients = np.linalg.lstsq(columns, x)[0]
-        rest = x - columns @ coefficients
-        chebyshev = np.zeros((2, degree + 1, degree + 1))
-        chebyshev[:, i, j] = coefficients.T
-        # To powers, along one coordinate and then along the other.
-        powers = np.zeros((degree + 1, degree + 1))
-        for k in range(degree + 1):
-            powers[k, : k + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(degree + 1)[k])
-        found = powers.T @ chebyshev @ powers
-        if _worst(rest, scale) <= FIT_GOAL_PX:
-            break
-    return found, rest
+def _fit(
+    xd: Float[np.ndarray, "n 2"], x: Float[np.ndarray, "n 2"], reach: float, degree: int, rest: int | None
+) -> _Fit:
+    """S and P together, in Chebyshev's polynomials; what both can do is shared out by least norm.
 
-
-def _worst(rest: Float[np.ndarray, "n 2"], scale: float) -> float:
-    """The largest error, pixels."""
-    return float(np.linalg.norm(rest, axis=1).max(initial=0.0)) * scale
+    Args:
+        xd: distorted coordinates.
+        x: undistorted ones.
+        reach: the largest r_d that has an inverse.
+        degree: of S.
+        rest: of P; None for none.
+    """
+    radial = np.polynomial.chebyshev.chebvander(2 * (xd**2).sum(axis=1) / reach**2 - 1, degree)
+    columns = xd[:, :, None] * radial[:, None]
+    orders = np.arange(0 if rest is None else rest + 1)
+    i, j = np.nonzero(np.add.outer(orders, orders) <= len(orders) - 1)
+    if rest is not None:
+        along, across = (np.polynomial.chebyshev.chebvander(xd[:, k] / reach, rest) for k in (0, 1))
+        both = along[:, i] * across[:, j]
+        none = np.zeros_like(both)
+        columns = np.concatenate([columns, np.stack([both, none], axis=1), np.stack([none, both], axis=1)], axis=2)
+    few = slice(None, None, _EVERY)
+    found = np.linalg.lstsq(columns[few].reshape(-1, columns.shape[2]), x[few].reshape(-1))[0]
+    chebyshev = np.zeros((2, len(orders), len(orders)))
+    chebyshev[:, i, j] = found[degree + 1 :].reshape(2, -1)
+    # To powers, along one coordinate and along the other.
+    powers = np.zeros((len(orders), len(orders)))
+    for k in orders:
+        powers[k, : k + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(len(orders))[k])
+    factor = np.polynomial.chebyshev.cheb2poly(found[: degree + 1])
+    return _Fit(factor, powers.T @ chebyshev @ powers, columns @ found)
 
 
 @eqx.filter_jit
 def _undistorted(lens: Lens, xd: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
     return jax.vmap(lens.undistort)(xd)
+
+
+@eqx.filter_jit
+def _distorted(lens: Lens, x: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    return jax.vmap(lens.distort)(x)

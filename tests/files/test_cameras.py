@@ -18,8 +18,10 @@ from jaxscan.errors import InputError
 from jaxscan.files.cameras import lost, read_camera_file, write_camera_file
 from jaxscan.files.formats import FORMATS
 from jaxscan.files.table import PassedOverWarning
+from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera
 from jaxscan.rig.opencv_lens import LADDER
+from tests.other_lenses import Division, registered
 
 # How many of OpenCV's terms each format has.
 TERMS = {"rig": 8, "bouguet": 5, "opencv": 8, "ros": 8, "kalibr": 4, "mrcal": 8}
@@ -50,6 +52,21 @@ def opencv_terms(camera: Camera) -> list[float]:
     k = [*map(float, camera.lens.radial), *[0.0] * 6][:6]
     p = [*map(float, camera.lens.tangential), 0.0, 0.0][:2]
     return [k[0], k[1], *p, *k[2:]]
+
+
+def test_a_lens_of_another_kind_is_written_to_rig_json_alone(tmp_path):
+    with registered(Division):
+        with float64():
+            camera = as_numpy(Camera.create(samples.SIZE, [700.0, 699.0], [320.5, 239.25], "division", [-0.21]))
+        write_camera(tmp_path / "rig.json", camera)
+        back = read_camera(tmp_path / "rig.json")
+        assert (back.lens.kind, numbers(back)) == ("division", numbers(camera))
+        for name in ("camera.mat", "camera.xml", "camera.cameramodel"):
+            with pytest.raises(InputError, match=rf'{name}: the lens "division" has no counterpart in .* rig.json, or'):
+                write_camera(tmp_path / name, camera)
+            assert not (tmp_path / name).exists()
+    with pytest.raises(InputError, match=r'camera.lens = "division": must be one of none, radial1'):
+        read_camera(tmp_path / "rig.json")
 
 
 @pytest.mark.parametrize("x64", [False, True])

@@ -7,11 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxscan.errors import InputError
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, triangulate
-from jaxscan.reconstruction.lens_inverse import lens_inverse
+from jaxscan.reconstruction.lens_inverse import FittedInverse, lens_inverse
+from jaxscan.reconstruction.opencv_inverse import LensInverse
 from jaxscan.reconstruction.triangulate import FramePoses, triangulate_into
 from jaxscan.rig import Camera, Fixed, LightPlane, Linear, Rig, Rotary
+from tests.other_lenses import Division, Faceted, Prism, registered
 
 LENSES = {
     "none": ((), ()),
@@ -82,6 +85,40 @@ def test_strong_lenses_in_float32_over_the_whole_image(lens, radial, tangential,
     assert np.isfinite(exact[found]).all()
     assert found.sum() > 0.95 * np.isfinite(exact).all(axis=1).sum()
     assert np.linalg.norm(points - exact, axis=1)[found].max() * focal < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("kind", "numbers", "inverse"),
+    [(Division, ([-0.25],), LensInverse), (Prism, ([0.02], [-0.03]), FittedInverse)],
+)
+def test_a_lens_that_is_none_of_opencvs(kind, numbers, inverse):
+    with registered(kind), float64():
+        camera = Camera.create((640, 480), [400.0, 410.0], [327.0, 235.0], kind.kind, *numbers)
+        rig = as_numpy(Rig(camera, (LightPlane.create([0.0, 0.0, 1.0]),)))
+        pixels = np.stack(np.meshgrid(np.linspace(-0.5, 639.5, 97), np.linspace(-0.5, 479.5, 73)), -1).reshape(-1, 2)
+        exact = np.asarray(jax.jit(jax.vmap(camera.ray))(jnp.asarray(pixels)))
+    kernel = Kernel.create(rig)
+    assert isinstance(kernel.lens, inverse)
+    u, v = jnp.asarray(pixels.T, jnp.float32)
+    points = np.asarray(triangulate(kernel, still(1), u[None], v[None])[0])
+    assert np.linalg.norm(points - exact, axis=1).max() * 400 < 2e-3
+
+
+def test_a_symmetric_lens_of_another_kind_has_the_kernel_of_a_radial_one():
+    with registered(Division), float64():
+        camera = as_numpy(Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], "division", [-0.13]))
+    u, v = (jnp.full((1, 7), x) for x in (300.0, 100.0))
+    triangulate(Kernel.create(rig_with("radial1")), still(1), u, v)
+    before = triangulate._cache_size()
+    triangulate(Kernel.create(replace(rig_with("radial1"), camera=camera)), still(1), u, v)
+    assert triangulate._cache_size() == before
+
+
+def test_a_lens_that_is_not_smooth_is_refused():
+    with registered(Faceted), float64():
+        camera = as_numpy(Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], "faceted", [0.01]))
+        with pytest.raises(InputError, match=r"lens faceted with division \[0.01\] is not smooth over the image"):
+            lens_inverse(camera)
 
 
 def test_a_usual_lens_needs_no_correction_and_a_strong_one_does():
