@@ -1,13 +1,10 @@
 """The camera from which a solve starts, with the nominal lens of its kind."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.calibration import initial
 from jaxscan.calibration.observations import Observations
-from jaxscan.precision import as_float64
 from jaxscan.rig import LENSES, Camera
 from jaxscan.rig.projection import pixel_rays, project_points
 
@@ -27,12 +24,11 @@ def first_camera(observations: Observations, lens: str) -> Camera:
     seen = np.stack([view.corners for view in observations.views])
     used = np.stack([view.used() for view in observations.views])
     points, size = observations.board.points()[:, :2], observations.image_size
-    focal = initial.focal_length(points, seen, used, size)
-    camera = Camera.create(size, focal, (np.asarray(size) - 1) / 2, lens)
+    middle = (np.asarray(size) - 1) / 2
     if LENSES[lens].pinhole:
-        return camera
+        return Camera.create(size, initial.focal_length(points, seen, used, size), middle, lens)
     # The closed form is a pinhole's.
-    tried = [as_float64(replace(camera, focal=(f, f))) for f in size[0] * _FOCAL_GRID]
+    tried = [Camera.create(size, (f, f), middle, lens) for f in size[0] * _FOCAL_GRID]
     return min(tried, key=lambda camera: _reprojection(camera, points, seen, used))
 
 
