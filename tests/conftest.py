@@ -56,6 +56,18 @@ def x64() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def own_kinds() -> Iterator[None]:
+    """The kinds of parts that a test registers are forgotten after it."""
+    from jaxscan.rig import LENSES, LIGHTS, MOTIONS
+
+    before = [(kinds, dict(kinds)) for kinds in (LENSES, LIGHTS, MOTIONS)]
+    yield
+    for kinds, known in before:
+        kinds.clear()
+        kinds.update(known)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """What takes long by itself, mostly to compile, is run on request."""
     parser.addoption("--long", action="store_true", help="also the tests that take long")

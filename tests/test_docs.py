@@ -209,6 +209,7 @@ def test_the_board_that_is_drawn_is_the_one_that_is_configured():
     assert mm * down < 210
 
 
+@pytest.mark.usefixtures("own_kinds")
 @pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page, "python")], ids=lambda page: page.name)
 def test_snippets(page: Path, world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def camera():

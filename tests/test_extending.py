@@ -16,12 +16,13 @@ from jaxscan.calibration import BoardSequence, Observations, StripePoints, View,
 from jaxscan.calibration.diagnostics import diagnose
 from jaxscan.calibration.diagnostics.ladder import climb
 from jaxscan.calibration.diagnostics.missing_terms import missing_terms
+from jaxscan.calibration.first_camera import first_camera
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, Scanner, triangulate
 from jaxscan.reconstruction.triangulate import FramePoses
-from jaxscan.rig import LENSES, LIGHTS, MOTIONS, Rig, motion_of
+from jaxscan.rig import Rig, motion_of
 from jaxscan.rig.rig import parameter_names
 from tests.calibration import synthetic
 
@@ -30,7 +31,7 @@ EXAMPLES = dict(re.findall(r"```python\n# (\w+)\.py\n(.*?)```", PAGE.read_text()
 
 
 @pytest.fixture
-def example(tmp_path):
+def example(tmp_path, own_kinds):
     """Runs one of the page's files, and gives what is defined in it."""
 
     def run(name):
@@ -38,11 +39,7 @@ def example(tmp_path):
         path.write_text(EXAMPLES[name])
         return runpy.run_path(str(path))
 
-    registered = dict(LENSES), dict(LIGHTS), dict(MOTIONS)
-    yield run
-    for kinds, before in zip((LENSES, LIGHTS, MOTIONS), registered, strict=True):
-        kinds.clear()
-        kinds.update(before)
+    return run
 
 
 def test_every_kind_of_the_page_is_tested():
@@ -153,6 +150,9 @@ def test_a_fisheye_is_found_written_and_triangulated(example, tmp_path):
     example("fisheye")
     session = fisheye_session(1)
     found = calibrate(session, lens="fisheye")
+    # From a start that a pinhole would not give: 192 px.
+    with float64():
+        assert abs(first_camera(session, "fisheye").focal[0] / FISHEYE_FOCAL[0] - 1) < 0.1
     names = parameter_names(found.rig)
     assert names[4:8] == [f"camera.angular.{i}" for i in range(4)]
     values, sigmas = np.array(jax.tree.leaves(found.rig)), np.array([found.covariance.sigma(name) for name in names])

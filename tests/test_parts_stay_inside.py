@@ -1,4 +1,4 @@
-"""What a light plane, a stage and a turntable are made of is known to the rig, the files and the simulation alone."""
+"""What a lens, a light plane, a stage and a turntable are made of is known to rig, files and simulation alone."""
 
 import ast
 from pathlib import Path
@@ -6,6 +6,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 INSIDE = ("rig", "files", "simulation")
 NUMBERS = {"omega", "per_step"}
+# OpenCV's lens terms, and who has their inverse for the kernel.
+TERMS = {"radial", "tangential"}
+FAST_INVERSE = "jaxscan/reconstruction/opencv_inverse.py"
 PARTS = {"light", "lights", "motion", "axis", "sheet"}
 
 
@@ -33,6 +36,12 @@ def test_no_module_outside_names_the_numbers_of_a_part():
     found = {str(path) for path, tree in outside() if NUMBERS & set(names(tree))}
     print(f"modules outside of {', '.join(INSIDE)} that name {', '.join(sorted(NUMBERS))}: {len(found)}")
     assert found == set()
+
+
+def test_one_module_outside_names_the_terms_of_opencvs_lenses():
+    found = {str(path) for path, tree in outside() if TERMS & set(names(tree))}
+    print(f"modules outside of {', '.join(INSIDE)} that name {', '.join(sorted(TERMS))}: {', '.join(sorted(found))}")
+    assert found == {FAST_INVERSE}
 
 
 def test_no_module_outside_asks_whether_the_rig_has_a_part():

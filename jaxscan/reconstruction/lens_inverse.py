@@ -129,8 +129,8 @@ def _fit(
         degree: of S.
         rest: of P; None for none.
     """
-    radial = np.polynomial.chebyshev.chebvander(2 * (xd**2).sum(axis=1) / reach**2 - 1, degree)
-    columns = xd[:, :, None] * radial[:, None]
+    basis = np.polynomial.chebyshev.chebvander(2 * (xd**2).sum(axis=1) / reach**2 - 1, degree)
+    columns = xd[:, :, None] * basis[:, None]
     orders = np.arange(0 if rest is None else rest + 1)
     i, j = np.nonzero(np.add.outer(orders, orders) <= len(orders) - 1)
     if rest is not None:

@@ -1,5 +1,7 @@
 """Places and their poses against OpenCV, and the limits of where a board can be held."""
 
+from dataclasses import replace
+
 import cv2
 import equinox as eqx
 import jax
@@ -12,6 +14,7 @@ from jaxscan.calibration.placement import Reach, outline_of
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Camera
 from tests.calibration import synthetic
+from tests.other_lenses import Division, registered
 
 MARGIN = 5.0
 
@@ -84,6 +87,28 @@ def test_within(place):
 )
 def test_beyond(place):
     assert not excess(place) <= 0
+
+
+def test_beyond_the_fold_of_a_lens_of_another_kind():
+    class Narrow(Division):
+        """Folds 0.3 from the axis: within the image at 697 px."""
+
+        kind = "narrow"
+
+        def invertible_radius(self, dtype):
+            return jnp.asarray(0.3, dtype)
+
+    with registered(Division, Narrow), float64():
+        division, narrow = (
+            replace(
+                reach_of(), camera=as_float64(Camera.create(synthetic.IMAGE_SIZE, [700.0, 700.0], [319.5, 239.5], kind))
+            )
+            for kind in ("division", "narrow")
+        )
+    near, middle = [200.0, 150.0, np.log(450), 0.0, 0.0, 0.0], [320.0, 240.0, np.log(450), 0.0, 0.0, 0.0]
+    assert [excess(place, division) for place in (near, middle)] == [0, 0]
+    assert excess(near, narrow) > 0
+    assert excess(middle, narrow) == 0
 
 
 def test_the_limit_is_the_margin():

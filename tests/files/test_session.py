@@ -10,6 +10,7 @@ from jaxscan.cli.calibrate import solve_sessions
 from jaxscan.errors import InputError
 from jaxscan.files.session import CameraSettings, Session, StageImages, Views, read_session, write_session
 from jaxscan.images import Board, StripeSettings
+from tests.other_lenses import Division, registered
 
 BOARD = "[board]\ninner_corners = [9, 6]\nsquare_mm = 10.0\n"
 LASERS = '[[laser]]\nname = "{}"\nstripes = "stripes/*.png"\n[[laser]]\nname = "{}"\nstripes = "stripes/*.png"'
@@ -47,6 +48,14 @@ def test_the_least_session_has_the_defaults_of_the_format(folder):
         image_size=(32, 24),
     )
     assert read_session(str(folder / "session.toml")) == read
+
+
+def test_a_lens_that_was_registered(folder):
+    asked = BOARD, VIEWS, '[camera]\nlens = "division"\nhold = ["camera.division.0"]'
+    with registered(Division):
+        assert session(folder, *asked).camera == CameraSettings("division", hold=("camera.division.0",))
+    with pytest.raises(InputError, match=r"\[camera\] lens = \"division\": must be one of none, .*, rational$"):
+        session(folder, *asked)
 
 
 def test_everything_that_the_format_has(folder):
