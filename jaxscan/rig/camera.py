@@ -56,10 +56,11 @@ class Camera(eqx.Module):
         f, c = (jnp.ravel(jnp.asarray(x, dtype=float)) for x in (focal, principal))
         if f.size != 2 or c.size != 2:
             raise InputError(f"focal and principal take two numbers each; they have {f.size} and {c.size}")
-        if len(numbers) > len(kind.numbers) or not named.keys() <= kind.numbers.keys():
+        if len(numbers) > len(kind.numbers) or not named.keys() <= {*list(kind.numbers)[len(numbers) :]}:
+            by_name = f" and {', '.join(named)}" if named else ""
             raise InputError(
-                f'the lens "{lens}" takes {", ".join(kind.numbers)}: {len(numbers)} lists of numbers were '
-                f"given, and by name {', '.join(named)}"
+                f'the lens "{lens}" takes {", ".join(kind.numbers)}, each once; {len(numbers)} in this order{by_name} '
+                "were given"
             )
         given = dict(zip(kind.numbers, numbers, strict=False)) | named
         arrays = {name: jnp.ravel(jnp.asarray(given.get(name, ()), dtype=float)) for name in kind.numbers}

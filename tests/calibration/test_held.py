@@ -20,6 +20,7 @@ from jaxscan.files.session import CameraSettings
 from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.rig import parameter_names
 from tests.calibration import synthetic
+from tests.other_lenses import Division, registered
 
 K3 = "camera.radial.2"
 TERMS = (-0.13396, 0.02, 0.0, 0.001, -0.0005)
@@ -157,3 +158,21 @@ def test_the_toolboxs_default_on_the_command_line(saved, seen, tmp_path, capsys)
     assert f"--hold and --free both name {K3}" in capsys.readouterr().err
     assert main([*argv, "--camera", str(rig)]) == 2
     assert "brings its own lens" in capsys.readouterr().err
+
+
+def test_a_lens_of_another_kind_on_the_command_line(saved, tmp_path, capsys):
+    rig = tmp_path / "rig.json"
+    argv = ["calibrate", str(saved), "-o", str(rig), "--lens", "division"]
+    with registered(Division):
+        assert main([*argv, "--hold", "camera.division.0"]) == 0
+        out = capsys.readouterr().out
+        assert "The lens is not followed with camera.division.0 held" in out
+        assert "Free camera.division.0, held here, or try another lens" in out
+        assert main(argv) == 0
+        assert read_rig(rig).rig.camera.lens.kind == "division"
+        assert main(["inspect", str(rig)]) == 0
+        assert "division terms" in capsys.readouterr().out
+        assert main([*argv, "--hold", "camera.radial.0"]) == 2
+        assert 'with the lens "division" has camera.focal.0' in capsys.readouterr().err
+    assert main(argv) == 2
+    assert 'there is no lens "division": use one of none, radial1' in capsys.readouterr().err

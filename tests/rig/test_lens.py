@@ -53,14 +53,20 @@ def test_numbers_by_their_order_or_by_name_and_zeros_for_the_others():
     ("given", "words"),
     [
         (([1.0, 2.0], []), "has 1 across and 1 along coefficients; 2 and 0 were given"),
-        (([1.0], [1.0], [1.0]), "takes across, along: 3 lists"),
+        (([1.0], [1.0], [1.0]), "takes across, along, each once; 3 in this order were given"),
     ],
 )
 def test_numbers_that_the_lens_does_not_have_are_refused(given, words):
     with pytest.raises(InputError, match=words):
         Camera.create((640, 480), [700.0, 700.0], [320.0, 240.0], "prism", *given)
-    with pytest.raises(InputError, match="takes across, along"):
-        Camera.create((640, 480), [700.0, 700.0], [320.0, 240.0], "prism", radial=[0.1])
+
+
+@pytest.mark.parametrize(("given", "named"), [((), {"radial": [0.1]}), (([0.1],), {"across": [0.1]})])
+def test_names_of_numbers_that_the_lens_does_not_have_are_refused(given, named):
+    with pytest.raises(
+        InputError, match=rf"takes across, along, each once; {len(given)} in .* and {next(iter(named))}"
+    ):
+        Camera.create((640, 480), [700.0, 700.0], [320.0, 240.0], "prism", *given, **named)
 
 
 @pytest.mark.parametrize("lens", VALUES)
