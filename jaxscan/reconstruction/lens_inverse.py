@@ -9,7 +9,9 @@ S as there. P is for what is not symmetric about the axis: a polynomial in both 
 is good enough. A lens that is symmetric needs none, and has the compiled kernel of OpenCV's radial lenses.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
 
 import equinox as eqx
 import jax
@@ -36,8 +38,9 @@ from jaxscan.rig.opencv_lens import OpenCVLens
 _GRID = 100
 # Every so many of them serve the fit.
 _EVERY = 3
-# Of P.
-_DEGREES = (3, 5, 7, 9)
+# Degrees of S and of P that are tried: without P first, up to the fold or a little before it.
+_SYMMETRIC = tuple((degree, None) for degree in range(LOWEST_DEGREE, HIGHEST_DEGREE + 1, 2))
+_WITH_REST = tuple((HIGHEST_DEGREE, rest) for rest in (3, 5, 7, 9))
 
 
 class FittedInverse(eqx.Module):
@@ -86,35 +89,49 @@ def _fitted(lens: Lens, xd: Float[np.ndarray, "n 2"], focal: float) -> LensInver
     exact, radius = np.asarray(_undistorted(lens, jnp.asarray(xd))), np.linalg.norm(xd, axis=1)
     fold = float(radius[~np.isfinite(exact).all(axis=1)].min(initial=np.inf))
     widest = 1.001 * float(radius.max())
-    for reach in dict.fromkeys(min(widest, share * fold) for share in SHARES_OF_THE_FOLD):
+    reaches = dict.fromkeys(min(widest, share * fold) for share in SHARES_OF_THE_FOLD)
+    for degrees, reach in product((_SYMMETRIC, _WITH_REST), reaches):
         within = radius < reach
+        if within.any() and (found := _up_to(reach, degrees, lens, xd[within], exact[within], focal)) is not None:
+            return found
+    return None
 
-        def fit(degree: int, rest: int | None = None, reach: float = reach, within: np.ndarray = within) -> _Fit:
-            found = _fit(xd[within], exact[within], reach, degree, rest)
-            rays = np.zeros_like(xd)
-            rays[within] = found.rays
-            off = np.asarray(_distorted(lens, jnp.asarray(rays))) - xd
-            return replace(found, error_px=focal * float(np.linalg.norm(off[within], axis=1).max(initial=0.0)))
 
-        for degree in range(LOWEST_DEGREE, HIGHEST_DEGREE + 1, 2):
-            found = fit(degree)
-            if found.error_px <= (FIT_GOAL_PX if degree < HIGHEST_DEGREE else FIT_LIMIT_PX):
-                return LensInverse.symmetric(found.factor, reach)
-        for rest in _DEGREES:
-            found = fit(HIGHEST_DEGREE, rest)
-            if found.error_px <= FIT_LIMIT_PX:
-                return FittedInverse(LensInverse.symmetric(found.factor, reach), jnp.asarray(found.rest))
+def _up_to(
+    reach: float,
+    degrees: Sequence[tuple[int, int | None]],
+    lens: Lens,
+    xd: Float[np.ndarray, "n 2"],
+    x: Float[np.ndarray, "n 2"],
+    focal: float,
+) -> LensInverse | FittedInverse | None:
+    """The inverse up to a distorted radius; None where it is not met.
+
+    Args:
+        reach: the radius.
+        degrees: of S and P, to be tried in turn.
+        lens: whose inverse.
+        xd: distorted coordinates up to there.
+        x: undistorted ones.
+        focal: pixels.
+    """
+    for degree, rest in degrees:
+        found = _fit(xd, x, reach, degree, rest)
+        off = np.asarray(_distorted(lens, jnp.asarray(found.rays))) - xd
+        error = focal * float(np.linalg.norm(off, axis=1).max())
+        if error <= (FIT_GOAL_PX if degree < HIGHEST_DEGREE else FIT_LIMIT_PX):
+            symmetric = LensInverse.symmetric(found.factor, reach)
+            return symmetric if rest is None else FittedInverse(symmetric, jnp.asarray(found.rest))
     return None
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """Coefficients of S and P, the rays that they give, and how far from its pixel the worst of these is seen."""
+    """Coefficients of S and P, and the rays that they give."""
 
     factor: Float[np.ndarray, "coefficients"]
     rest: Float[np.ndarray, "2 degrees degrees"]
     rays: Float[np.ndarray, "n 2"]
-    error_px: float = np.inf
 
 
 def _fit(
