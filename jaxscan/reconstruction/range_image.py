@@ -59,6 +59,12 @@ class RangeImage:
         return tuple(axis for axis, steps in self.positions.items() if len(set(np.asarray(steps).tolist())) > 1)
 
     @property
+    def full_turn(self) -> int | None:
+        """Motor steps of a full turn, to the nearest, where one axis alone moves and turns the object; else None."""
+        turns = [part.amount(1.0) for part in self.motion.parts() if (part.axis,) == self.moving]
+        return next((round(360 / amount) for amount, unit in turns if unit == "degrees" and amount > 0), None)
+
+    @property
     def steps(self) -> Int[np.ndarray, "frames"]:
         """Motor steps of the first axis that moves."""
         return np.asarray(self.positions[next(iter(self.moving or self.positions))])
@@ -137,20 +143,31 @@ class RangeImage:
         """Where the camera was at each frame, object frame, mm; the origin where the motion is not known."""
         return self.from_camera().translation
 
-    def closed(self) -> "RangeImage":
-        """With the first frame again behind the last, where the object was turned once all around; else as it is."""
-        moving = self.moving
-        turns = [part for part in self.motion.parts() if (part.axis,) == moving and part.amount(1.0)[1] == "degrees"]
-        if not turns:
-            return self
-        axis, steps = turns[0].axis, np.asarray(self.positions[turns[0].axis])
-        apart = np.median(np.diff(steps))
-        whole = np.sign(apart) * 360 / turns[0].amount(1.0)[0]
+    def gaps(self) -> Int[np.ndarray, "gaps"]:
+        """Motor steps from each frame to the next, full turns left out.
+
+        There is one fewer than frames; as many where the object was turned all around: the last is from the last frame
+        to the first.
+        """
+        steps, whole = self.steps, self.full_turn
+        gaps = np.diff(steps)
+        if whole is None or len(gaps) < 2:
+            return gaps
+        around = np.append(gaps, steps[0] - steps[-1])
+        around -= whole * np.round(around / whole).astype(around.dtype)
+        apart = float(np.median(around[:-1]))
         # The way that is left is that from frame to frame, or less.
-        if not 0 < abs(whole - (steps[-1] - steps[0])) <= _LAST_GAP * abs(apart):
+        closes = 0 < np.sign(apart) * around[-1] <= _LAST_GAP * abs(apart) and around.sum() != 0
+        return around if closes else around[:-1]
+
+    def closed(self) -> "RangeImage":
+        """With the first frame again behind the last, where the object was turned all around; else as it is."""
+        gaps = self.gaps()
+        if len(gaps) < len(self.valid):
             return self
+        (axis,) = self.moving
         again = self[:1, :]
-        first = {**again.positions, axis: again.positions[axis] + round(float(whole))}
+        first = {**again.positions, axis: self.steps[-1:] + gaps[-1:]}
         return RangeImage.joined([self, replace(again, positions=first)])
 
     def travel(self) -> Float[np.ndarray, "3"] | None:

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from jaxscan.errors import InputError
 from jaxscan.reconstruction import RangeImage
 from jaxscan.robust import NORMAL_MAD
-from jaxscan.surface.links import Links, Sampling, links, sampling
+from jaxscan.surface.links import Links, Sampling, links, next_frame, of_both_gaps, sampling
 from jaxscan.surface.normals import incidence
 
 RULES: Final = ("mixed", "grazing", "isolated")
@@ -97,7 +97,7 @@ def patches(image: RangeImage, linked: Links) -> Int[np.ndarray, "frames columns
     number = np.arange(image.valid.size).reshape(image.valid.shape)
     pairs = [
         np.stack([number[:, :-1][linked.across], number[:, 1:][linked.across]]),
-        np.stack([number[:-1][linked.along], number[1:][linked.along]]),
+        np.stack([number[: len(linked.along)][linked.along], next_frame(number, len(linked.along))[linked.along]]),
     ]
     i, j = np.concatenate(pairs, axis=1)
     graph = coo_array((np.ones(len(i), bool), (i, j)), shape=(number.size, number.size))
@@ -123,11 +123,9 @@ def _sizes(image: RangeImage, linked: Links) -> Int[np.ndarray, "frames columns"
 
 def _borders(image: RangeImage, linked: Links) -> Bool[np.ndarray, "frames columns"]:
     """Points that lack a link to one of their four neighbours."""
-    count = np.zeros(image.valid.shape, np.int8)
-    count[:, 1:] += linked.across
-    count[:, :-1] += linked.across
-    count[1:] += linked.along
-    count[:-1] += linked.along
+    frames, columns = image.valid.shape
+    count = of_both_gaps(linked.along.view(np.int8), frames)
+    count += of_both_gaps(linked.across.view(np.int8).T, columns).T
     return count < 4
 
 
@@ -139,9 +137,12 @@ def _weak(
     places = np.argwhere(candidates)
     strength = np.where(image.valid, image.strength, np.nan)
     rows, columns = np.mgrid[-_FRAMES : _FRAMES + 1, -_COLUMNS : _COLUMNS + 1].reshape(2, -1)
-    last = np.array(strength.shape) - 1
+    frames, last = len(strength), strength.shape[1] - 1
+    closes = len(image.gaps()) == frames
     for start in range(0, len(places), _AT_ONCE):
         frame, column = places[start : start + _AT_ONCE].T
-        near = np.clip(frame[:, None] + rows, 0, last[0]), np.clip(column[:, None] + columns, 0, last[1])
-        weak[frame, column] = strength[frame, column] < weakest * np.nanmedian(strength[near], axis=1)
+        row = frame[:, None] + rows
+        row = row % frames if closes else np.clip(row, 0, frames - 1)
+        near = strength[row, np.clip(column[:, None] + columns, 0, last)]
+        weak[frame, column] = strength[frame, column] < weakest * np.nanmedian(near, axis=1)
     return weak

@@ -23,7 +23,7 @@ from jaxscan.geometry.robust_plane import dominant_plane, plane_frame, refined_p
 from jaxscan.reconstruction import RangeImage
 from jaxscan.robust import NORMAL_MAD
 from jaxscan.surface.clean import patches
-from jaxscan.surface.links import Links, links
+from jaxscan.surface.links import Links, links, next_frame
 
 _LOW, _HIGH = 3.0, 6.0
 # A floor has at least this part of all points, and at most that part below it.
@@ -148,10 +148,9 @@ def stands_on(image: RangeImage, floor: Floor, linked: Links | None = None) -> B
         above = image.valid & (height > _LOW * floor.sigma_mm)
         core = above & (height > _HIGH * floor.sigma_mm)
     linked = linked or links(image)
-    label = patches(
-        image.where(above),
-        Links(linked.across & above[:, 1:] & above[:, :-1], linked.along & above[1:] & above[:-1]),
-    )
+    gaps = len(linked.along)
+    along = linked.along & above[:gaps] & next_frame(above, gaps)
+    label = patches(image.where(above), Links(linked.across & above[:, 1:] & above[:, :-1], along))
     count = np.bincount(label[core], minlength=image.valid.size)
     kept = above & (count[label] >= _FEWEST)
     if not kept.any():

@@ -25,6 +25,10 @@ def fill_holes(image: RangeImage, largest_mm: float) -> RangeImage:
     """
     if not largest_mm > 0:
         raise InputError(f"holes of up to {largest_mm:g} mm: give a size that is more than 0")
+    # Where a turn closes, the frames stand there twice, so that what goes over its ends is in one piece in the middle.
+    once, frames = image, len(image.valid)
+    if len(image.gaps()) == frames:
+        image = RangeImage.joined([image, image])
     label = np.zeros(image.valid.shape, np.int32)
     ndimage.label(~image.valid, output=label)
     fill = np.zeros(image.valid.shape, bool)
@@ -37,10 +41,15 @@ def fill_holes(image: RangeImage, largest_mm: float) -> RangeImage:
         if np.ptp(rim, axis=0).max() <= largest_mm:
             fill[around] |= hole
     if not fill.any():
-        return image
-    points = image.points.copy()
-    points[fill] = _harmonic(image.points, fill)
-    return replace(image, points=points, valid=image.valid | fill)
+        return once
+    filled = image.points.copy()
+    filled[fill] = _harmonic(image.points, fill)
+    points, valid = once.points.copy(), once.valid.copy()
+    for start in range(0, len(fill), frames):
+        here = fill[start : start + frames]
+        points[here] = filled[start : start + frames][here]
+        valid |= here
+    return replace(once, points=points, valid=valid)
 
 
 def _harmonic(points: np.ndarray, fill: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
 from jaxscan.errors import InputError
 from jaxscan.reconstruction import RangeImage
@@ -57,11 +57,11 @@ class Links:
 
     Attributes:
         across: point (f, c) with (f, c + 1).
-        along: point (f, c) with (f + 1, c).
+        along: point (f, c) with (f + 1, c); where a turn closes, the last frame's with the first's too.
     """
 
     across: Bool[np.ndarray, "frames columns-1"]
-    along: Bool[np.ndarray, "frames-1 columns"]
+    along: Bool[np.ndarray, "gaps columns"]
 
 
 def sampling(image: RangeImage) -> Sampling:
@@ -75,9 +75,12 @@ def sampling(image: RangeImage) -> Sampling:
     """
     if len(image.steps) < 2:
         raise InputError("a surface takes at least two frames, and there is one: scan with the stage moving")
-    # Every so many-th frame with the one after it; there are as many columns as it takes.
-    some = np.arange(0, len(image.steps) - 1, max(1, image.valid.size // _SAMPLE))
-    P, Q = (image.points[frames].astype(np.float64) for frames in (some, some + 1))
+    # Every so many-th frame with the one after it; there are as many columns as it takes. Of a turn that closes the same
+    # ones whichever comes first.
+    gaps, frames = image.gaps(), len(image.steps)
+    start = int(np.argmin(image.steps % image.full_turn)) if image.full_turn and len(gaps) == frames else 0
+    some = (start + np.arange(0, len(gaps), max(1, image.valid.size // _SAMPLE))) % frames
+    P, Q = (image.points[which].astype(np.float64) for which in (some, (some + 1) % frames))
     with np.errstate(invalid="ignore"):
         across, along = np.linalg.norm(P[:, 1:] - P[:, :-1], axis=2), np.linalg.norm(Q - P, axis=2)
         second = P[:, 2:] - 2 * P[:, 1:-1] + P[:, :-2]
@@ -93,7 +96,7 @@ def sampling(image: RangeImage) -> Sampling:
     known = image.sigma_pixel[image.valid]
     if np.isfinite(known).any():
         noise = max(noise, float(np.nanmedian(known)))
-    return Sampling(across_mm, along_mm, noise, float(np.median(np.abs(np.diff(image.steps)))))
+    return Sampling(across_mm, along_mm, noise, float(np.median(np.abs(gaps))))
 
 
 def links(image: RangeImage, how: Sampling | None = None) -> Links:
@@ -103,23 +106,41 @@ def links(image: RangeImage, how: Sampling | None = None) -> Links:
         InputError: as `sampling`.
     """
     how = how or sampling(image)
-    gap = np.diff(image.steps.astype(np.float32))
+    gap = image.gaps().astype(np.float32)
     near = (gap != 0) & (np.abs(gap) <= _LARGEST_GAP * how.step)
     relative = np.where(near, gap / (how.step or 1.0), 1.0).astype(np.float32)
     frames, columns = image.valid.shape
-    across, along = np.empty((frames, columns - 1), bool), np.empty((frames - 1, columns), bool)
+    across, along = np.empty((frames, columns - 1), bool), np.empty((len(gap), columns), bool)
     for start in range(0, frames, _FRAMES_AT_ONCE):
         stop = min(start + _FRAMES_AT_ONCE, frames)
         # A pair of frames is compared with the pair before and the pair after.
-        low, high = max(start - 1, 0), min(stop + 2, frames)
-        valid, own = image.valid[low:high], slice(start - low, stop - low)
-        xyz = [np.ascontiguousarray(image.points[low:high, :, i]) for i in range(3)]
+        low, high = start - 1, stop + 2
+        if len(gap) < frames:
+            low, high = max(low, 0), min(high, frames)
+        some = np.arange(low, high) % frames
+        valid, own = image.valid[some], slice(start - low, stop - low)
+        xyz = [np.ascontiguousarray(image.points[some, :, i]) for i in range(3)]
         with np.errstate(invalid="ignore"):
             pairs = valid[:, 1:] & valid[:, :-1]
             across[start:stop] = _along_axis(1, [x[own] for x in xyz], pairs[own], how, how.across_mm)
-            pairs = valid[1:] & valid[:-1] & near[low : high - 1, None]
-            along[start:stop] = _along_axis(0, xyz, pairs, how, how.along_mm, relative[low : high - 1])[own]
+            pairs = valid[1:] & valid[:-1] & near[some[:-1], None]
+            along[start:stop] = _along_axis(0, xyz, pairs, how, how.along_mm, relative[some[:-1]])[own]
     return Links(across, along)
+
+
+def next_frame(values: Shaped[np.ndarray, "frames *each"], gaps: int) -> Shaped[np.ndarray, "gaps *each"]:
+    """For each gap between frames, what the frame behind it has; behind the last frame of a turn that closes, the first."""
+    return values[1:] if gaps < len(values) else np.roll(values, -1, axis=0)
+
+
+def of_both_gaps(values: Shaped[np.ndarray, "gaps *each"], frames: int) -> Shaped[np.ndarray, "frames *each"]:
+    """For each frame, the sum of what the gaps before and behind it have."""
+    if len(values) == frames:
+        return values + np.roll(values, 1, axis=0)
+    total = np.zeros((frames, *values.shape[1:]), values.dtype)
+    total[:-1] += values
+    total[1:] += values
+    return total
 
 
 def _along_axis(

@@ -1,10 +1,10 @@
 """Which way the surface of a range image faces, from each point's linked neighbours."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxscan.reconstruction import RangeImage
-from jaxscan.surface.links import Links
+from jaxscan.surface.links import Links, next_frame, of_both_gaps
 
 
 def normals(image: RangeImage, linked: Links) -> Float[np.ndarray, "frames columns 3"]:
@@ -12,8 +12,8 @@ def normals(image: RangeImage, linked: Links) -> Float[np.ndarray, "frames colum
 
     It is at right angles to the mean difference to the linked neighbours in the frame, and to that over the frames.
     """
-    across = _mean_difference(image.points, linked.across)
-    along = _mean_difference(image.points.swapaxes(0, 1), linked.along.T).swapaxes(0, 1)
+    across = _mean_difference(image.points.swapaxes(0, 1), linked.across.T).swapaxes(0, 1)
+    along = _mean_difference(image.points, linked.along)
     normal = np.cross(across, along)
     with np.errstate(invalid="ignore", divide="ignore"):
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -30,11 +30,8 @@ def incidence(image: RangeImage, linked: Links) -> Float[np.ndarray, "frames col
 
 
 def _mean_difference(
-    points: Float[np.ndarray, "lines items 3"], linked: np.ndarray
+    points: Float[np.ndarray, "lines items 3"], linked: Bool[np.ndarray, "gaps items"]
 ) -> Float[np.ndarray, "lines items 3"]:
-    """Of the differences to the linked neighbours along the second axis; zero where there is none."""
-    delta = np.where(linked[..., None], points[:, 1:] - points[:, :-1], np.float32(0))
-    total = np.zeros_like(points)
-    total[:, 1:] += delta
-    total[:, :-1] += delta
-    return total
+    """Of the differences to the linked neighbours along the first axis; zero where there is none."""
+    apart = next_frame(points, len(linked)) - points[: len(linked)]
+    return of_both_gaps(np.where(linked[..., None], apart, np.float32(0)), len(points))

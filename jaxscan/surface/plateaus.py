@@ -111,7 +111,7 @@ def plateaus(image: RangeImage, floor: Floor, least_mm2: float = 20.0) -> tuple[
 
 def _spacing(image: RangeImage, floor: Floor) -> tuple[float, float]:
     """From one column, and one frame, to the next, as seen from above the floor, in the median, mm."""
-    flat = floor.frame.inverse().apply(image.points)[..., :2]
+    flat = floor.frame.inverse().apply(image.closed().points)[..., :2]
     across, along = (float(np.nanmedian(np.linalg.norm(np.diff(flat, axis=axis), axis=-1))) for axis in (1, 0))
     return across, along
 

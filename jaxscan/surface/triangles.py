@@ -64,8 +64,11 @@ def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
     Raises:
         InputError: there is one frame, or no three neighbouring points.
     """
+    linked = links(image, how)
     once, image = image, image.closed()
-    code = _cells(image, links(image, how))
+    if image is not once:
+        linked = Links(np.concatenate([linked.across, linked.across[:1]]), linked.along)
+    code = _cells(image, linked)
     # Cells are numbered by their corner a, so the last column and the last frame have none.
     columns = image.valid.shape[1]
     kinds = [
