@@ -50,9 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fill", type=finite, metavar="MM", help="fill holes of up to this size")
     parser.add_argument(
         "--method",
-        choices=("grid", "delaunay", "poisson"),
-        help="grid: neighbours in frame and column (default for .npz) | delaunay: seen along the light (default for "
-        ".ply) | poisson: a closed surface, by the extra poisson",
+        choices=("grid", "fused", "delaunay", "poisson"),
+        help="grid: neighbours in frame and column (default for .npz) | fused: what a turn has shown several times as "
+        "one surface, each point by its sigma (default for it) | delaunay: seen along the light (default for .ply) | "
+        "poisson: a closed surface, by the extra poisson",
     )
     parser.add_argument(
         "--rig", type=Path, help="whose light delaunay looks along (default: at right angles to the floor)"
@@ -143,7 +144,7 @@ def _check(args: argparse.Namespace) -> None:
             raise InputError(
                 f"{args.points}: --{given[0].removeprefix('--')} needs the order of a range image: give the .npz"
             )
-        if args.method == "grid":
+        if args.method in ("grid", "fused"):
             raise InputError(f"{args.points}: a cloud has no grid: give the .npz, or --method delaunay")
     if args.every and min(args.every) < 1:
         raise InputError(f"--every {args.every[0]},{args.every[1]}: give whole numbers from 1")
@@ -243,7 +244,25 @@ def _of_image(
     import trimesh
 
     from jaxscan.files.cloud import Cloud
+    from jaxscan.surface.passages import passages
 
+    result["passages"] = times = len(passages(image))
+    if times > 1 and args.quads and args.method is None:
+        raise InputError(
+            f"--quads: the turn has shown the object {times} times, and one surface of all has no quadrilaterals: leave "
+            "--quads out, or give --method grid for a layer of each"
+        )
+    if times > 1 and args.method == "delaunay":
+        raise InputError(
+            f"--method delaunay: the turn has shown the object {times} times, from all around: leave it out, or give "
+            "--method grid or poisson"
+        )
+    if args.method == "fused" or (args.method is None and times > 1):
+        from jaxscan.surface.fused import fused
+
+        found = fused(image)
+        result["seen_times"] = float(found.sides.mean())
+        return found.mesh, Cloud(found.mesh.vertices.astype(np.float32), None, found.sigma.astype(np.float32)), None
     if args.method in (None, "grid"):
         from jaxscan.surface.triangles import facing_away, grid_surface
 
@@ -323,6 +342,12 @@ def describe(result: dict[str, Any]) -> str:
                 f"             {floor['points_beside_the_scan']} points lie beside the scan of the stage: "
                 "they were held against the plane through it"
             )
+    if "seen_times" in result:
+        lines.append(
+            f"  fused      of {result['passages']} passages through the light: {result['seen_times']:.1f} on each vertex"
+        )
+    elif result.get("passages", 1) > 1:
+        lines.append(f"  layers     {result['passages']}: the turn has shown the object as often")
     if result.get("facing_away", 0.0) > _FOLDED:
         lines.append(
             f"  folded     {100 * result['facing_away']:.0f} % of the surface face away from the camera, as when the "

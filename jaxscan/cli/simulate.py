@@ -259,12 +259,14 @@ def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
     out, sides = result["path"], result["sides"]
     turned = f"--steps {result['steps_apart']:g}" if result["steps_apart"] else f"--turn {360 / sides:g}"
+    if sides == 1:
+        turned = "--turn 0"
     joined = f"\nthen: jaxscan merge {out}/scan-* --rig {out}/rig.json {turned} -o {out}/model.stl"
     return (
         f"{result['photographs']} photographs of boards and of a {result['object']}, "
         f"{result['true_points']} true points: "
         f"{', '.join(f'{out}/{folder}' for folder in ('session', *result['scans'], 'truth'))}\n"
-        f"next: jaxscan calibrate {out}/session -o {out}/rig.json" + (joined if sides > 1 else "")
+        f"next: jaxscan calibrate {out}/session -o {out}/rig.json" + (joined if len(result["scans"]) > 1 else "")
     )
 
 

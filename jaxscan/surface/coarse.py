@@ -112,6 +112,9 @@ def _starts(
     if known is not None:
         yield known[i].inverse() @ known[j]
     elif degrees is not None:
+        if degrees[i] == degrees[j]:
+            # Two lasers of one rig, or the same place again.
+            yield Pose.identity()
         for up_a, up_b in _ups(a, b):
             for offset in _OFFSETS_DEG:
                 yield _turned(a, b, up_a, up_b, degrees[j] - degrees[i] + offset)

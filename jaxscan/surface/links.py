@@ -75,8 +75,8 @@ def sampling(image: RangeImage) -> Sampling:
     """
     if len(image.steps) < 2:
         raise InputError("a surface takes at least two frames, and there is one: scan with the stage moving")
-    # Every so many-th frame with the one after it; there are as many columns as it takes. Of a turn that closes the same
-    # ones whichever comes first.
+    # Every so many-th frame with the one after it; there are as many columns as it takes. In a turn that closes these
+    # are the same ones whichever frame comes first.
     gaps, frames = image.gaps(), len(image.steps)
     start = int(np.argmin(image.steps % image.full_turn)) if image.full_turn and len(gaps) == frames else 0
     some = (start + np.arange(0, len(gaps), max(1, image.valid.size // _SAMPLE))) % frames
@@ -129,7 +129,7 @@ def links(image: RangeImage, how: Sampling | None = None) -> Links:
 
 
 def next_frame(values: Shaped[np.ndarray, "frames *each"], gaps: int) -> Shaped[np.ndarray, "gaps *each"]:
-    """For each gap between frames, what the frame behind it has; behind the last frame of a turn that closes, the first."""
+    """For each gap, what the frame behind it has; behind the last gap of a turn that closes that is the first frame."""
     return values[1:] if gaps < len(values) else np.roll(values, -1, axis=0)
 
 

@@ -23,7 +23,8 @@ from jaxscan.files.cloud import Cloud
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface.clean import clean
 from jaxscan.surface.floor import Floor, find_floor, stands_on
-from jaxscan.surface.links import sampling
+from jaxscan.surface.links import Sampling, sampling
+from jaxscan.surface.triangles import Surface, even_points
 
 # Planes are laid through the points within so many spacings.
 _AROUND: Final = 1.5
@@ -86,14 +87,38 @@ def side_of_image(name: str, image: RangeImage, *, cleaned: bool = True, on_floo
     how = sampling(image)
     points = image.points[image.valid].astype(np.float64)
     to_camera = np.broadcast_to(image.cameras()[:, None], image.points.shape)[image.valid] - points
-    sigma = image.sigma_pixel[image.valid].astype(np.float64)
-    sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, how.noise_mm)
-    spacing = max(how.across_mm, how.along_mm)
-    normals, rim, rms = _planes(name, points, to_camera, _AROUND * spacing)
-    ray = -to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
     e = error_direction(image)[image.valid]
-    along = np.abs((normals * e).sum(axis=1)) / np.maximum(np.abs((ray * e).sum(axis=1)), 1e-3)
-    return _side(name, points, normals, sigma * np.maximum(along, _BEST), rim, rms, spacing, floor)
+    sigma = _known_sigma(image, how)[image.valid]
+    return _side_of_points(name, points, to_camera, e, sigma, max(how.across_mm, how.along_mm), floor)
+
+
+def side_of_surface(name: str, image: RangeImage, surface: Surface, how: Sampling) -> Side:
+    """A side from the triangles of a range image, with more points where they are large.
+
+    A turn samples its surface closely about the axis and widely far from it, and so does any scan of a wall. Points are
+    added until none are further apart than the spacing; n² in the place of one have a σ n times as large, so that they
+    weigh no more than it.
+
+    Args:
+        name: what the scan is called.
+        image: the range image.
+        surface: triangles between its points.
+        how: its spacing and noise.
+
+    Raises:
+        InputError: there are too few points.
+    """
+    spacing = max(how.across_mm, how.along_mm)
+    corners, weights, parts = even_points(surface, spacing)
+    place = surface.place[corners]
+
+    def mean(values: Float[np.ndarray, "frames columns *each"]) -> Float[np.ndarray, "points *each"]:
+        return np.einsum("pk,pk...->p...", weights, values.reshape(-1, *values.shape[2:])[place].astype(np.float64))
+
+    points = mean(image.points)
+    to_camera = mean(np.broadcast_to(image.cameras()[:, None], image.points.shape)) - points
+    sigma = mean(_known_sigma(image, how)) * parts
+    return _side_of_points(name, points, to_camera, mean(error_direction(image)), sigma, spacing, None)
 
 
 def side_of_cloud(name: str, cloud: Cloud) -> Side:
@@ -142,6 +167,28 @@ def _sheet_normal(
         return np.asarray(image.sheet.gradient(seen))
     normal = np.linalg.lstsq(seen[image.valid], np.ones(int(image.valid.sum())), rcond=None)[0]
     return None if np.abs(seen[image.valid] @ normal - 1).max() > _OFF_SHEET else normal
+
+
+def _known_sigma(image: RangeImage, how: Sampling) -> Float[np.ndarray, "frames columns"]:
+    """The pixel's part of σ along the ray; where it is not known, the noise."""
+    sigma = image.sigma_pixel.astype(np.float64)
+    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, how.noise_mm)
+
+
+def _side_of_points(
+    name: str,
+    points: Float[np.ndarray, "points 3"],
+    to_camera: Float[np.ndarray, "points 3"],
+    e: Float[np.ndarray, "points 3"],
+    sigma: Float[np.ndarray, "points"],
+    spacing: float,
+    floor: Floor | None,
+) -> Side:
+    """With σ along the rays, and the directions in which an error of the stripe moves the points."""
+    normals, rim, rms = _planes(name, points, to_camera, _AROUND * spacing)
+    ray = -to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
+    along = np.abs((normals * e).sum(axis=1)) / np.maximum(np.abs((ray * e).sum(axis=1)), 1e-3)
+    return _side(name, points, normals, sigma * np.maximum(along, _BEST), rim, rms, spacing, floor)
 
 
 def _side(

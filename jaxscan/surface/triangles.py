@@ -13,7 +13,8 @@ from jaxtyping import Float, Int, UInt8
 
 from jaxscan.errors import InputError
 from jaxscan.reconstruction import RangeImage
-from jaxscan.surface.links import Links, Sampling, links
+from jaxscan.surface.links import Links, Sampling, links, sampling
+from jaxscan.surface.passages import passages
 
 # Corners a, b, c, d of a cell are 0 to 3. The diagonal a d: a b d and a d c; the diagonal b c: a b c and b d c.
 _OF_DIAGONAL = (((0, 1, 3), (0, 3, 2)), ((0, 1, 2), (1, 3, 2)))
@@ -57,6 +58,8 @@ class Surface:
 def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
     """The triangles of a range image; of one that was turned once all around, the last frame is joined to the first.
 
+    What was seen at several passages (`jaxscan.surface.passages`) has as many layers, which are not joined.
+
     Args:
         image: the range image.
         how: its spacing and noise; by default as `sampling` finds them.
@@ -64,6 +67,33 @@ def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
     Raises:
         InputError: there is one frame, or no three neighbouring points.
     """
+    layers = grid_layers(image, how)
+    if len(layers) == 1:
+        return layers[0]
+    vertices = np.cumsum([0, *(len(layer.place) for layer in layers)])
+    return Surface(
+        np.concatenate([layer.vertices for layer in layers]),
+        np.concatenate([layer.triangles + first for layer, first in zip(layers, vertices, strict=False)]),
+        np.concatenate([layer.place for layer in layers]),
+        np.concatenate([layer.cells + i * image.closed().valid.size for i, layer in enumerate(layers)]),
+    )
+
+
+def grid_layers(image: RangeImage, how: Sampling | None = None) -> list[Surface]:
+    """The triangles of each passage, as `grid_surface`; one surface of what was seen once.
+
+    Raises:
+        InputError: as `grid_surface`.
+    """
+    how = how or sampling(image)
+    layers = [layer for part in passages(image) if (layer := _layer(image.where(part), how)) is not None]
+    if not layers:
+        raise InputError("no three neighbouring points make a triangle: scan with smaller steps, or clean less")
+    return layers
+
+
+def _layer(image: RangeImage, how: Sampling) -> Surface | None:
+    """The triangles of one passage; None where there are none."""
     linked = links(image, how)
     once, image = image, image.closed()
     if image is not once:
@@ -86,7 +116,7 @@ def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
             used[corner[i] : corner[i] + code.size] |= here
     place = np.flatnonzero(used)
     if not len(place):
-        raise InputError("no three neighbouring points make a triangle: scan with smaller steps, or clean less")
+        return None
     number = np.cumsum(used, dtype=np.int32)
     number -= 1
     triangles = np.empty((sum(map(len, at)), 3), np.int32)
@@ -101,6 +131,32 @@ def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
         triangles = same.astype(np.int32)[triangles]
     surface = Surface(once.points.reshape(-1, 3)[place], triangles, place, np.concatenate(at))
     return surface if facing_away(surface, once) <= 0.5 else _turned(surface)
+
+
+def even_points(
+    surface: Surface, spacing_mm: float
+) -> tuple[Int[np.ndarray, "points 3"], Float[np.ndarray, "points 3"], Int[np.ndarray, "points"]]:
+    """The vertices of a surface, and points on its larger triangles, so that none are further apart than a spacing.
+
+    Returns:
+        Of each point the vertices that it lies between, its weights on them, and into how many parts the sides of its
+        triangle were divided: 1 for a vertex.
+    """
+    number = np.arange(len(surface.vertices))
+    corners, weights = [np.stack([number] * 3, axis=1)], [np.broadcast_to([1.0, 0.0, 0.0], (len(number), 3))]
+    parts = [np.ones(len(number), int)]
+    at = surface.vertices[surface.triangles].astype(np.float64)
+    longest = np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).max(axis=1)
+    divided = np.ceil(longest / spacing_mm).astype(int)
+    for n in np.unique(divided[divided > 1]):
+        i, j = np.mgrid[: n + 1, : n + 1].reshape(2, -1)
+        inner = (i + j <= n) & (np.maximum(np.maximum(i, j), n - i - j) < n)
+        lattice = np.stack([i, j, n - i - j], axis=1)[inner] / n
+        some = surface.triangles[divided == n]
+        corners.append(np.repeat(some, len(lattice), axis=0))
+        weights.append(np.tile(lattice, (len(some), 1)))
+        parts.append(np.full(len(some) * len(lattice), n))
+    return np.concatenate(corners), np.concatenate(weights), np.concatenate(parts)
 
 
 def _cells(image: RangeImage, linked: Links) -> UInt8[np.ndarray, "cells"]:

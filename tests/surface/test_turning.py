@@ -114,7 +114,8 @@ def test_it_does_not_matter_which_frame_comes_first(turning, first, around):
     linked, there = links(image), links(other)
     same(linked.across, there.across)
     same(linked.along, there.along)
-    assert linked.along.shape == image.valid.shape and linked.along[-1].any()
+    assert linked.along.shape == image.valid.shape
+    assert linked.along[-1].any()
     same(normals(image, linked), normals(other, there))
     cleaned, again = clean(image), clean(other)
     assert all(count > 0 for count in cleaned.counts().values())
@@ -159,4 +160,5 @@ def test_a_turn_that_does_not_close_has_two_ends(turning):
     assert len(image[:-1, :].gaps()) == 48
     assert len(RangeImage.joined([image, image]).gaps()) == 100
     still = replace(image, positions={axis: np.zeros(50, int) for axis in image.positions})
-    assert still.full_turn is None and len(still.gaps()) == 49
+    assert still.full_turn is None
+    assert len(still.gaps()) == 49

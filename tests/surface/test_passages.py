@@ -1,0 +1,142 @@
+"""What a full turn shows twice is one surface, up to the axis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from jaxscan.geometry import Pose
+from jaxscan.precision import as_numpy, float64
+from jaxscan.reconstruction import RangeImage
+from jaxscan.rig import Fixed, Rig, Rotary
+from jaxscan.simulation import rig_2003
+from jaxscan.simulation.distance import distance
+from jaxscan.simulation.drawn import drawn_scan
+from jaxscan.simulation.scene import Body, Scene
+from jaxscan.simulation.shapes import grey
+from jaxscan.simulation.solids import Sphere
+from jaxscan.surface.clean import clean
+from jaxscan.surface.fused import fused
+from jaxscan.surface.links import sampling
+from jaxscan.surface.passages import passages
+from jaxscan.surface.resample import resample
+from jaxscan.surface.triangles import facing_away, grid_layers, grid_surface
+
+TURN = rig_2003.STEPS_PER_TURN
+NOISE_PX = 0.05
+
+
+@pytest.fixture(scope="module")
+def dome():
+    """A ball of 50 mm, its middle 35 mm under the platform and 8 mm off the axis, which lies in the sheet."""
+    rig = rig_2003.simulated_rig(3)
+    R, origin = rig_2003.platform(rig)
+    normal = np.array([float(leaf) for leaf in rig.lights[0].plane])
+    normal /= np.linalg.norm(normal)
+    axis = R[:, 2] - (R[:, 2] @ normal) * normal
+    axis /= np.linalg.norm(axis)
+    with float64():
+        rig = as_numpy(Rig(rig.camera, rig.lights, Rotary.create(2 * np.pi / TURN * axis, origin)))
+    ball = Sphere(origin - 35.0 * axis + 8.0 * np.cross(axis, normal), 50.0)
+    scene = Scene((Body(ball, grey(0.6)),))
+    image = drawn_scan(rig, scene, {"turntable": np.arange(0, TURN, 32)}, NOISE_PX).image
+    off_axis = np.linalg.norm(np.cross(image.points - origin, axis), axis=-1)
+    return image.where(off_axis < 22.0), scene, lambda points: np.linalg.norm(np.cross(points - origin, axis), axis=-1)
+
+
+def rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def layers_along(mesh: trimesh.Trimesh, points: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
+    """How many triangles a piece of each line goes through: Möller and Trumbore, all with all."""
+    a, b, c = np.asarray(mesh.vertices)[np.asarray(mesh.faces)].swapaxes(0, 1)
+    count = []
+    for origin, d in zip(points, directions, strict=True):
+        p = np.cross(d, c - a)
+        det = ((b - a) * p).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = ((origin - a) * p).sum(axis=1) / det
+            q = np.cross(origin - a, b - a)
+            v, t = (q @ d) / det, ((c - a) * q).sum(axis=1) / det
+        count.append(int(((u >= 0) & (v >= 0) & (u + v <= 1) & (np.abs(t) < reach)).sum()))
+    return np.array(count)
+
+
+def test_each_point_is_of_one_passage(dome):
+    image, _, off_axis = dome
+    parts = passages(image)
+    assert len(parts) == 2
+    np.testing.assert_array_equal(parts[0] | parts[1], image.valid)
+    assert not (parts[0] & parts[1]).any()
+    # The sheet holds the axis, so that in each frame the passages are its two sides.
+    for part in parts:
+        column = np.argwhere(part & (off_axis(image.points) > 2.0))[:, 1]
+        assert np.ptp(column) < 0.6 * np.ptp(np.argwhere(image.valid)[:, 1])
+    half = image[:50, :]
+    assert len(passages(half)) == 1
+    assert len(passages(image[:60, :])) == 2
+    further = {"turntable": image.positions["turntable"] + TURN}
+    assert len(passages(RangeImage.joined([image, replace(image, positions=further)]))) == 4
+    assert len(passages(replace(image, sheet=None))) == len(passages(replace(image, motion=Fixed()))) == 1
+
+
+def test_layers_of_the_grid_are_not_joined_and_face_the_camera(dome):
+    image, _, _ = dome
+    surface = grid_surface(image)
+    assert facing_away(surface, image) < 0.005
+    first = passages(image)[0].ravel()[surface.place[surface.triangles]]
+    assert (first.all(axis=1) | ~first.any(axis=1)).all()
+    assert len(np.unique(surface.cells)) >= len(surface.cells) / 2
+    triangles, quads = surface.faces()
+    assert len(triangles) + 2 * len(quads) == len(surface.triangles)
+
+
+def test_a_full_turn_is_one_surface_up_to_its_axis(dome):
+    image, scene, off_axis = dome
+    image = clean(image).image
+    found = fused(image)
+    mesh, spacing = found.mesh, max(sampling(image).across_mm, sampling(image).along_mm)
+    off = distance(scene, np.asarray(mesh.vertices))
+    points = distance(scene, image.points[image.valid].astype(np.float64))
+    # Averaged, and nowhere far off.
+    assert rms(off) < 0.6 * rms(points)
+    assert off.max() < 4 * rms(points)
+    assert mesh.body_count == 1
+    assert found.sides.mean() > 1.8
+    # A single layer.
+    inner = off_axis(np.asarray(mesh.triangles_center)) < 18.0
+    some = np.random.default_rng(0).permutation(np.flatnonzero(inner))[:300]
+    weights = np.random.default_rng(1).dirichlet(np.ones(3), len(some))
+    at = np.einsum("ni,nik->nk", weights, mesh.triangles[some])
+    assert (layers_along(mesh, at, np.asarray(mesh.face_normals)[some], 2.0) == 1).all()
+    # No hole about the axis.
+    edges, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    border = off_axis(np.asarray(mesh.vertices)[edges[count == 1]])
+    assert border.min() > 20.0
+    assert np.abs(off_axis(np.asarray(mesh.vertices))).min() < spacing
+    # No needles there.
+    near = off_axis(np.asarray(mesh.triangles_center)) < 5.0
+    assert near.sum() > 50
+    sides = np.linalg.norm(mesh.triangles - np.roll(mesh.triangles, 1, axis=1), axis=2)[near]
+    assert sides.max() < 2.5 * spacing
+    assert np.degrees(mesh.face_angles[near]).min() > 10.0
+    doubled = grid_layers(image)
+    assert len(doubled) == 2
+
+
+def test_a_grid_from_above_is_the_mean_of_the_layers(dome):
+    image, scene, off_axis = dome
+    up = Pose.from_matrix(rig_2003.platform(rig_2003.simulated_rig(3))[0], np.zeros(3))
+    nodes = resample(image, 1.0, up)
+    one = resample(image.where(passages(image)[0]), 1.0, up)
+    there = nodes.valid & (off_axis(np.nan_to_num(nodes.points)) < 18)
+    off = rms(distance(scene, nodes.points[there].astype(np.float64)))
+    alone = distance(scene, one.points[one.valid & (off_axis(np.nan_to_num(one.points)) < 18)].astype(np.float64))
+    assert off < 0.85 * rms(alone)
+    assert np.median(nodes.sigma_pixel[there]) == pytest.approx(np.nanmedian(one.sigma_pixel) / np.sqrt(2), rel=0.05)
+    # The higher of two would stand above the surface.
+    ball = scene.bodies[0].shape
+    height = np.linalg.norm(nodes.points[there] - np.asarray(ball.centre), axis=1) - 50.0
+    assert abs(height.mean()) < 0.2 * off
