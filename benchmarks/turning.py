@@ -4,6 +4,10 @@ The rig comes from a rendered session with a board on the table; the same photog
 with it and with the true rig. The makers' recipe beside it: camera from OpenCV's way of calibrating, the light plane by
 total least squares, the axis from the circle of the board's middle, the angle of a step as the motor has it, and the
 mean of each line's bright pixels.
+
+A second rig has two lasers, a photograph by each at every angle: the points of the one are held against the surface of
+the other, both by the calibrated rig. Of each point and the nearest of the other laser, neither on a rim, the distance
+along the mean normal is divided by the σ of the two pixels along it; what the rig is wrong by is not in that σ.
 """
 
 import tempfile
@@ -21,6 +25,7 @@ from jaxscan.calibration.first_poses import poses_of_photographs
 from jaxscan.calibration.observe import observe
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
+from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import Rig, Rotary, motion_of
@@ -28,6 +33,8 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.accuracy import rigid_fit
 from jaxscan.simulation.folders import ScanTruth, simulate_scan, simulate_session
 from jaxscan.simulation.shapes import figure
+from jaxscan.surface.pairs import equations, match
+from jaxscan.surface.side import side_of_image
 
 _SPECKLE: Final = 0.3
 # Motor steps from frame to frame: 356 frames of a turn, and 100 in the quick form.
@@ -36,7 +43,7 @@ _APART, _APART_QUICK = 9, 32
 
 def measure(quick: bool) -> list[Metric]:
     """Rendered, calibrated, reconstructed; one seed, or four."""
-    each = [_measured(seed, quick) for seed in range(1 if quick else 4)]
+    each = [[*_measured(seed, quick), *_of_two_lasers(seed, quick)] for seed in range(1 if quick else 4)]
     return [
         replace(metrics[0], value=float(np.sqrt(np.mean([metric.value**2 for metric in metrics]))))
         for metrics in zip(*each, strict=True)
@@ -75,6 +82,30 @@ def _measured(seed: int, quick: bool) -> list[Metric]:
         Metric("turning.first_frame_against_last", abs(first - last), "mm", "lower", 0.02, slack=0.5),
         Metric("turning.over_makers", _rms(error) / _rms(recipe), "", "lower", 0.25, slack=0.1),
         *_within(own, truth, found),
+    ]
+
+
+def _of_two_lasers(seed: int, quick: bool) -> list[Metric]:
+    """The points of one laser against the surface of the other, of a rig with two."""
+    true = rig_2003.with_turntable(rig_2003.simulated_rig(seed, 2), seed)
+    axes = rig_2003.turning_axes(_APART_QUICK if quick else _APART)
+    scene = rig_2003.scan_scene(true, figure(rig_2003.OBJECT_Y))
+    light = replace(rig_2003.SCAN_LIGHTING, speckle=_SPECKLE)
+    sides = []
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        boards = replace(rig_2003.BOARD_LIGHTING, speckle=_SPECKLE)
+        simulate_session(here / "session", seed, rig=true, lighting=boards)
+        found = calibrate(observe(read_session(here / "session"))).rig_file()
+        for i, laser in enumerate(true.lights):
+            simulate_scan(here / laser.name, true, scene, seed, laser=i, axes=axes, lighting=light)
+            sides.append(side_of_image(laser.name, reconstruct(found, read_scan(here / laser.name))))
+    still, spacing = Pose.identity(), max(side.spacing_mm for side in sides)
+    matches = match(*sides, still, still, spacing, max(len(side.points) for side in sides))
+    pairs = equations(*sides, still, still, matches, np.zeros(3))
+    return [
+        Metric("turning.lasers_apart_in_sigma", _rms(pairs.residual / pairs.sigma), "", "lower", 1.25),
+        Metric("turning.lasers_apart", _rms(pairs.residual), "mm", "lower"),
     ]
 
 

@@ -249,8 +249,8 @@ def _of_image(
     result["passages"] = times = len(passages(image))
     if times > 1 and args.quads and args.method is None:
         raise InputError(
-            f"--quads: the turn has shown the object {times} times, and one surface of all has no quadrilaterals: leave "
-            "--quads out, or give --method grid for a layer of each"
+            f"--quads: the turn has shown the object {times} times, and one surface of all has no quadrilaterals: "
+            "leave --quads out, or give --method grid for a layer of each"
         )
     if times > 1 and args.method == "delaunay":
         raise InputError(
@@ -344,7 +344,8 @@ def describe(result: dict[str, Any]) -> str:
             )
     if "seen_times" in result:
         lines.append(
-            f"  fused      of {result['passages']} passages through the light: {result['seen_times']:.1f} on each vertex"
+            f"  fused      of {result['passages']} passages through the light, {result['seen_times']:.1f} on each "
+            "vertex"
         )
     elif result.get("passages", 1) > 1:
         lines.append(f"  layers     {result['passages']}: the turn has shown the object as often")

@@ -1,0 +1,99 @@
+"""Whether a scan fits a rig: what is refused before any photograph is read, and what is said of its positions."""
+
+from typing import Final
+
+import numpy as np
+
+from jaxscan.errors import InputError
+from jaxscan.files.listing import common_size
+from jaxscan.files.scan import Scan
+from jaxscan.reconstruction.frames import wrong_size
+from jaxscan.reconstruction.merged_steps import step_groups
+from jaxscan.rig import Rig
+
+# More full turns than these are a mistake; profiles further apart than this are not joined to a surface.
+_MOST_TURNS: Final = 5
+_WIDE_APART_DEG: Final = 10.0
+
+
+def check_scan(rig: Rig, scan: Scan) -> None:
+    """Refuse before any long work what cannot come out right.
+
+    Raises:
+        InputError: the photographs are not of the rig's size, or the positions of the axes are not those of the rig.
+    """
+    if photographs := [*scan.frames, *scan.backgrounds]:
+        size = common_size(photographs)
+        if size != rig.camera.image_size:
+            raise InputError(wrong_size(photographs[0], size, rig.camera.image_size))
+    axes = rig.axes()
+    for axis in scan.moving:
+        if axis not in axes:
+            has = f"it has {', '.join(axes)}" if axes else "it has none"
+            raise InputError(
+                f"{scan.path}: the {axis} moves between frames, but the rig has no such axis, {has}: calibrate with a "
+                f"[{axis}] sequence, or name the axis as the rig does"
+            )
+    _check_named(rig, scan)
+    step_groups(scan)
+
+
+def _check_named(rig: Rig, scan: Scan) -> None:
+    """Refuse a scan that does not say where an axis stands that carries one that moves: points depend on it.
+
+    What moves along a line is carried alike wherever another stage stands; a turn is not.
+    """
+    parts = rig.motion.parts()
+    units = [part.amount(1.0)[1] for part in parts]
+    for i, part in enumerate(parts):
+        turned = [p for p, unit in zip(parts[i + 1 :], units[i + 1 :], strict=True) if "degrees" in (units[i], unit)]
+        carried = [p.axis for p in turned if p.axis in scan.moving]
+        if carried and part.axis not in scan.axis_names:
+            raise InputError(
+                f"{scan.path}: [scan.axes] the {carried[0]} moves, and it is not said where the "
+                f"{part.axis} stands that carries it: add {part.axis} = its motor steps, 0 if it stood at 0"
+            )
+
+
+def _place(scan: Scan) -> str:
+    return ", ".join(f"{axis} {steps[0]}" for axis, steps in scan.axes.items())
+
+
+def way_notes(rig: Rig, scan: Scan) -> list[str]:
+    """What is said of how far each axis goes.
+
+    Raises:
+        InputError: an axis turns so far that its steps must be those of another.
+    """
+    notes = []
+    if scan.listed > 1 and not scan.moving:
+        notes.append(
+            f"all {scan.listed} frames are of one place, {_place(scan)}: give the motor steps of what moved between "
+            "them, or there is no surface"
+        )
+    for axis in scan.moving:
+        each = np.asarray(scan.axes.get(axis, ()), np.float64)
+        if len(each) < 2:
+            continue
+        whole, unit = rig.axis(axis).amount(float(np.ptp(each)))
+        step, _ = rig.axis(axis).amount(1.0)
+        if unit != "degrees":
+            continue
+        # Full turns left out: positions may start again at 0.
+        apart = float(np.abs((step * np.diff(each) + 180) % 360 - 180).max())
+        if whole > _MOST_TURNS * 360:
+            raise InputError(
+                f"{scan.path}: [scan] the {axis} turns by {whole:.0f} degrees, {whole / 360:.1f} full turns: are these "
+                f"the steps of another axis? A full turn is {360 / rig.axis(axis).amount(1.0)[0]:.0f} steps"
+            )
+        if whole > 360 + apart:
+            notes.append(
+                f"the {axis} turns by {whole:.0f} degrees, more than one full turn: what was seen twice stands "
+                "twice, and is one surface again in jaxscan mesh"
+            )
+        if apart > _WIDE_APART_DEG:
+            notes.append(
+                f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other make "
+                f"points, and no surface; take at least {int(np.ceil(whole / _WIDE_APART_DEG))} frames"
+            )
+    return notes
