@@ -101,8 +101,9 @@ def _of_two_lasers(seed: int, quick: bool) -> list[Metric]:
             simulate_scan(here / laser.name, true, scene, seed, laser=i, axes=axes, lighting=light)
             sides.append(side_of_image(laser.name, reconstruct(found, read_scan(here / laser.name))))
     still, spacing = Pose.identity(), max(side.spacing_mm for side in sides)
-    matches = match(*sides, still, still, spacing, max(len(side.points) for side in sides))
-    pairs = equations(*sides, still, still, matches, np.zeros(3))
+    upper, lower = sides
+    matches = match(upper, lower, still, still, spacing, max(len(side.points) for side in sides))
+    pairs = equations(upper, lower, still, still, matches, np.zeros(3))
     return [
         Metric("turning.lasers_apart_in_sigma", _rms(pairs.residual / pairs.sigma), "", "lower", 1.25),
         Metric("turning.lasers_apart", _rms(pairs.residual), "mm", "lower"),

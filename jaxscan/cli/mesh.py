@@ -181,6 +181,8 @@ def _prepared(
     if args.every:
         image = image[:: args.every[0], :: args.every[1]]
     result["points_read"] = int(image.valid.sum())
+    whole = image.full_turn
+    result["degrees_apart"] = float(np.median(np.abs(image.gaps()))) * 360 / whole if whole else None
     if not args.raw:
         cleaned = clean(image, sampling(image))
         result["removed"] = cleaned.counts()
@@ -319,6 +321,8 @@ def _write(path: Path, mesh: "trimesh.Trimesh", cloud: "Cloud | None", quads: An
 
 def describe(result: dict[str, Any]) -> str:
     """The result in words."""
+    from jaxscan.reconstruction.range_image import WIDE_APART_DEG
+
     lines = _plateaus_in_words(result) if "plateaus" in result else []
     if "triangles" not in result:
         return "\n".join(lines)
@@ -342,6 +346,11 @@ def describe(result: dict[str, Any]) -> str:
                 f"             {floor['points_beside_the_scan']} points lie beside the scan of the stage: "
                 "they were held against the plane through it"
             )
+    if (result.get("degrees_apart") or 0.0) > WIDE_APART_DEG:
+        lines.append(
+            f"  coarse     the frames are {result['degrees_apart']:.1f} degrees of a turn apart, and what lies between "
+            f"them is a guess: scan in steps of {WIDE_APART_DEG:g} degrees or less"
+        )
     if "seen_times" in result:
         lines.append(
             f"  fused      of {result['passages']} passages through the light, {result['seen_times']:.1f} on each "

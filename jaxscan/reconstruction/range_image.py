@@ -21,6 +21,8 @@ from jaxscan.rig import Fixed, Light, Motion
 _STILL: Final = Fixed()
 # The last frame of a turn is no further from the first than so many times the way between frames.
 _LAST_GAP: Final = 1.5
+# Profiles of a turn that are further apart make no surface.
+WIDE_APART_DEG: Final = 10.0
 # What has an entry for each frame, the positions apart.
 _BY_FRAME: Final = ("points", "pixels", "strength", "sigma", "sigma_pixel", "valid", "light")
 

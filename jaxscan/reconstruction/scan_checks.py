@@ -9,11 +9,11 @@ from jaxscan.files.listing import common_size
 from jaxscan.files.scan import Scan
 from jaxscan.reconstruction.frames import wrong_size
 from jaxscan.reconstruction.merged_steps import step_groups
+from jaxscan.reconstruction.range_image import WIDE_APART_DEG
 from jaxscan.rig import Rig
 
-# More full turns than these are a mistake; profiles further apart than this are not joined to a surface.
+# More full turns than these are a mistake.
 _MOST_TURNS: Final = 5
-_WIDE_APART_DEG: Final = 10.0
 
 
 def check_scan(rig: Rig, scan: Scan) -> None:
@@ -91,9 +91,9 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
                 f"the {axis} turns by {whole:.0f} degrees, more than one full turn: what was seen twice stands "
                 "twice, and is one surface again in jaxscan mesh"
             )
-        if apart > _WIDE_APART_DEG:
+        if apart > WIDE_APART_DEG:
             notes.append(
                 f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other make "
-                f"points, and no surface; take at least {int(np.ceil(whole / _WIDE_APART_DEG))} frames"
+                f"points, and no surface; take at least {int(np.ceil(whole / WIDE_APART_DEG))} frames"
             )
     return notes

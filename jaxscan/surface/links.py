@@ -71,10 +71,15 @@ def sampling(image: RangeImage) -> Sampling:
     a larger part of the pixel (`sigma_pixel`) it is that.
 
     Raises:
-        InputError: there are no two frames, or no neighbours.
+        InputError: there are no two frames, nothing moved between them, or there are no neighbours.
     """
     if len(image.steps) < 2:
         raise InputError("a surface takes at least two frames, and there is one: scan with the stage moving")
+    if not image.moving:
+        raise InputError(
+            f"all {len(image.steps)} frames are of one place, {_place(image)}, so that none is beside another: give "
+            "the motor steps of what moved between them in scan.toml, and reconstruct again"
+        )
     # Every so many-th frame with the one after it; there are as many columns as it takes. In a turn that closes these
     # are the same ones whichever frame comes first.
     gaps, frames = image.gaps(), len(image.steps)
@@ -97,6 +102,10 @@ def sampling(image: RangeImage) -> Sampling:
     if np.isfinite(known).any():
         noise = max(noise, float(np.nanmedian(known)))
     return Sampling(across_mm, along_mm, noise, float(np.median(np.abs(gaps))))
+
+
+def _place(image: RangeImage) -> str:
+    return ", ".join(f"{axis} {int(np.asarray(steps)[0])}" for axis, steps in image.positions.items())
 
 
 def links(image: RangeImage, how: Sampling | None = None) -> Links:

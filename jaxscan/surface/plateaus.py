@@ -22,7 +22,8 @@ from scipy.stats import t as students_t
 from jaxscan.errors import InputError
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface.floor import Floor, stands_on
-from jaxscan.surface.links import sampling
+from jaxscan.surface.links import next_frame, sampling
+from jaxscan.surface.passages import passages
 
 # Of the fitted planes: how far they reach, in spacings, and at least, mm; how many points they are fitted to.
 _REACH, _SMALLEST_MM = 1.6, 1.0
@@ -98,13 +99,14 @@ def plateaus(image: RangeImage, floor: Floor, least_mm2: float = 20.0) -> tuple[
     reach = max(_REACH * spacing, _SMALLEST_MM)
     level, fitted = _level(places[:, :2], z, reach, max(how.noise_mm, floor.sigma_mm))
     label = _together(places[level, :2], fitted[level], 1.5 * spacing, how.noise_mm)
-    cell = across * along * every
+    areas = every * _areas(image, floor)[of][level]
     on_floor = _floor_means(image, floor, height, kept)
     cloud = image.points[of].astype(np.float64)[level]
     found = []
-    for piece in np.flatnonzero(np.bincount(label) * cell >= least_mm2) if len(label) else ():
+    for piece in np.flatnonzero(np.bincount(label, areas) >= least_mm2) if len(label) else ():
         of_piece = label == piece
-        plateau = _measured(places[level, :2][of_piece], z[level][of_piece], cloud[of_piece], cell, spacing, on_floor)
+        area = float(areas[of_piece].sum())
+        plateau = _measured(places[level, :2][of_piece], z[level][of_piece], cloud[of_piece], area, spacing, on_floor)
         found += [plateau] if plateau else []
     return tuple(sorted(found, key=lambda one: -one.area_mm2))
 
@@ -114,6 +116,36 @@ def _spacing(image: RangeImage, floor: Floor) -> tuple[float, float]:
     flat = floor.frame.inverse().apply(image.closed().points)[..., :2]
     across, along = (float(np.nanmedian(np.linalg.norm(np.diff(flat, axis=axis), axis=-1))) for axis in (1, 0))
     return across, along
+
+
+def _areas(image: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns"]:
+    """What each point stands for of the surface as seen from above the floor, mm².
+
+    Of a scan along a line it is the same for all. A turn samples closely about its axis and widely far from it, and
+    what several passages have shown is shared by their points.
+    """
+    across, along = _spacing(image, floor)
+    areas = np.full(image.valid.shape, across * along)
+    if image.full_turn is None:
+        return areas
+    flat = floor.frame.inverse().apply(image.points.astype(np.float64))[..., :2]
+    down = _way_on(flat, len(image.gaps()))
+    right = _way_on(flat.swapaxes(0, 1), flat.shape[1] - 1).swapaxes(0, 1)
+    own = np.abs(down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0])
+    areas = np.where(np.isfinite(own), own, areas)
+    parts = passages(image)
+    trees = [KDTree(image.points[part]) for part in parts]
+    for part in parts:
+        away = [tree.query(image.points[part])[0] for tree in trees]
+        areas[part] /= (np.array(away) <= max(across, along)).sum(axis=0)
+    return areas
+
+
+def _way_on(flat: Float[np.ndarray, "lines items 2"], gaps: int) -> Float[np.ndarray, "lines items 2"]:
+    """From each place to the one in the next line, or where there is none from the one before; NaN without both."""
+    after = np.full(flat.shape, np.nan)
+    after[:gaps] = next_frame(flat, gaps) - flat[:gaps]
+    return np.where(np.isfinite(after), after, np.roll(after, 1, axis=0))
 
 
 def _level(
@@ -161,7 +193,7 @@ def _measured(
     places: Float[np.ndarray, "points 2"],
     z: Float[np.ndarray, "points"],
     cloud: Float[np.ndarray, "points 3"],
-    cell: float,
+    area: float,
     spacing: float,
     on_floor: tuple[Float[np.ndarray, "squares 3"], float],
 ) -> Plateau | None:
@@ -169,7 +201,6 @@ def _measured(
     offset = places - places.mean(axis=0)
     A = np.column_stack([np.ones(len(z)), offset])
     slope = np.linalg.lstsq(A, z, rcond=None)[0][1:]
-    area = len(z) * cell
     size = float(np.clip(np.sqrt(area / _SQUARES), spacing, _LARGEST_MM))
     means = _means(places, z, size, 0.25)[:, 2]
     if np.linalg.norm(slope) > _TILTED or len(means) < _FEWEST_SQUARES:

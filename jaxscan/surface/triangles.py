@@ -22,6 +22,8 @@ _FIRST, _SECOND, _OTHER = 1, 2, 4
 # Frames whose cells are looked at together: they stay in the processor's cache.
 _FRAMES_AT_ONCE = 32
 _MOST_TURNED_ON = 100_000
+# Fewer of the points than this make no surface.
+_LEAST_JOINED = 0.1
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
         how: its spacing and noise; by default as `sampling` finds them.
 
     Raises:
-        InputError: there is one frame, or no three neighbouring points.
+        InputError: there is one frame, or hardly any point has neighbours.
     """
     layers = grid_layers(image, how)
     if len(layers) == 1:
@@ -87,8 +89,12 @@ def grid_layers(image: RangeImage, how: Sampling | None = None) -> list[Surface]
     """
     how = how or sampling(image)
     layers = [layer for part in passages(image) if (layer := _layer(image.where(part), how)) is not None]
-    if not layers:
-        raise InputError("no three neighbouring points make a triangle: scan with smaller steps, or clean less")
+    joined, points = sum(len(layer.place) for layer in layers), int(image.valid.sum())
+    if not layers or joined < _LEAST_JOINED * points:
+        raise InputError(
+            f"{joined} of {points} points make triangles with their neighbours, so there is no surface: scan with "
+            f"smaller steps than {how.step:g}, or clean less"
+        )
     return layers
 
 

@@ -14,12 +14,14 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.distance import distance
 from jaxscan.simulation.drawn import drawn_scan
 from jaxscan.simulation.scene import Body, Scene
-from jaxscan.simulation.shapes import grey
+from jaxscan.simulation.shapes import box, floor, grey
 from jaxscan.simulation.solids import Sphere
 from jaxscan.surface.clean import clean
+from jaxscan.surface.floor import find_floor
 from jaxscan.surface.fused import fused
 from jaxscan.surface.links import sampling
 from jaxscan.surface.passages import passages
+from jaxscan.surface.plateaus import plateaus
 from jaxscan.surface.resample import resample
 from jaxscan.surface.triangles import facing_away, grid_layers, grid_surface
 
@@ -27,9 +29,8 @@ TURN = rig_2003.STEPS_PER_TURN
 NOISE_PX = 0.05
 
 
-@pytest.fixture(scope="module")
-def dome():
-    """A ball of 50 mm, its middle 35 mm under the platform and 8 mm off the axis, which lies in the sheet."""
+def rig_with_its_axis_in_the_sheet() -> Rig:
+    """With a turntable and no stage; the axis goes through the origin of the platform."""
     rig = rig_2003.simulated_rig(3)
     R, origin = rig_2003.platform(rig)
     normal = np.array([float(leaf) for leaf in rig.lights[0].plane])
@@ -37,7 +38,16 @@ def dome():
     axis = R[:, 2] - (R[:, 2] @ normal) * normal
     axis /= np.linalg.norm(axis)
     with float64():
-        rig = as_numpy(Rig(rig.camera, rig.lights, Rotary.create(2 * np.pi / TURN * axis, origin)))
+        return as_numpy(Rig(rig.camera, rig.lights, Rotary.create(2 * np.pi / TURN * axis, origin)))
+
+
+@pytest.fixture(scope="module")
+def dome():
+    """A ball of 50 mm, its middle 35 mm under the platform and 8 mm off the axis, which lies in the sheet."""
+    rig = rig_with_its_axis_in_the_sheet()
+    origin, axis = rig_2003.platform(rig_2003.simulated_rig(3))[1], rig.axis("turntable").direction()
+    normal = np.array([float(leaf) for leaf in rig.lights[0].plane])
+    normal /= np.linalg.norm(normal)
     ball = Sphere(origin - 35.0 * axis + 8.0 * np.cross(axis, normal), 50.0)
     scene = Scene((Body(ball, grey(0.6)),))
     image = drawn_scan(rig, scene, {"turntable": np.arange(0, TURN, 32)}, NOISE_PX).image
@@ -140,3 +150,17 @@ def test_a_grid_from_above_is_the_mean_of_the_layers(dome):
     ball = scene.bodies[0].shape
     height = np.linalg.norm(nodes.points[there] - np.asarray(ball.centre), axis=1) - 50.0
     assert abs(height.mean()) < 0.2 * off
+
+
+def test_a_level_piece_has_its_area_once():
+    """The top of a box under the axis, seen at two passages and more densely near the axis."""
+    rig = rig_with_its_axis_in_the_sheet()
+    R, origin = rig_2003.platform(rig_2003.simulated_rig(3))
+    bodies = (box(0.0, (30.0, 24.0, 5.0)), floor((-40.0, -40.0), (40.0, 40.0)))
+    scene = Scene(tuple(body.moved(R, origin) for body in bodies))
+    image = drawn_scan(rig, scene, {"turntable": np.arange(0, TURN, 32)}, NOISE_PX).image
+    image = clean(image).image
+    found = plateaus(image, find_floor(image))
+    assert len(found) == 1
+    assert found[0].height_mm == pytest.approx(5.0, abs=0.02)
+    assert found[0].area_mm2 == pytest.approx(30 * 24, rel=0.1)
