@@ -11,6 +11,7 @@ from jaxscan.errors import InputError, said_of
 from jaxscan.files.cloud import Cloud, cloud_of
 from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
 from jaxscan.files.ply_read import read_ply_file
+from jaxscan.geometry import Pose
 from jaxscan.geometry.robust_plane import dominant_plane
 from jaxscan.reconstruction import RangeImage, read_range_image
 from jaxscan.rig import Rig
@@ -22,6 +23,8 @@ UNITS: Final = {"height": "mm", "sigma": "mm", "strength": "grey levels"}
 _BEFORE, _BEYOND = 0.95, 1.02
 # How wide, in widths of the points about the camera's axis.
 _WIDER: Final = 1.1
+# Of a scan no more places of the camera are drawn than twice this.
+_MOST_CAMERAS: Final = 50
 
 
 @dataclass(frozen=True)
@@ -29,13 +32,13 @@ class Setup:
     """The scanner around what it has seen, object frame, mm.
 
     Attributes:
-        travel: where the camera was at the first frame and at the last; twice the origin where it did not move.
-        sheet: corners of the light plane at step 0, as far as the camera sees it there; none without a laser.
+        at: T_object_camera from the first frame to the last, some in between; the identity where it did not move.
+        sheet: corners of the light plane at the first frame, as far as the camera sees it there; none without a laser.
         fov: the camera's vertical field of view, radians.
         aspect: width of its image over the height.
     """
 
-    travel: Float[np.ndarray, "2 3"]
+    at: Pose[np.ndarray]
     sheet: Float[np.ndarray, "corners 3"]
     fov: float
     aspect: float
@@ -105,7 +108,10 @@ def _of_image(image: RangeImage, rig: Rig | None) -> Exhibit:
         known = getattr(image, name)[image.valid]
         if np.isfinite(known).any():
             values[name] = known.astype(np.float64)
-    return Exhibit(points, up, values, None, _setup(points, image.cameras()[[0, -1]], rig))
+    at, every = image.from_camera(), max(1, len(image.valid) // _MOST_CAMERAS)
+    some = np.append(np.arange(0, len(image.valid) - 1, every), len(image.valid) - 1)
+    seen = image.seen()[image.valid]
+    return Exhibit(points, up, values, None, _setup(seen, Pose(at.rotation[some], at.translation[some]), rig))
 
 
 def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None) -> Exhibit:
@@ -114,7 +120,7 @@ def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, r
     sigma = cloud.sigma_pixel if cloud.sigma is None else cloud.sigma
     if sigma is not None:
         values["sigma"] = sigma.astype(np.float64)
-    return Exhibit(cloud.points, up, values, triangles, _setup(cloud.points, np.zeros((2, 3)), rig))
+    return Exhibit(cloud.points, up, values, triangles, _setup(cloud.points, Pose(*np.zeros((2, 1, 3))), rig))
 
 
 def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "points"]]:
@@ -124,7 +130,8 @@ def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray,
     return up, height - height.min()
 
 
-def _setup(points: Float32[np.ndarray, "points 3"], travel: Float[np.ndarray, "2 3"], rig: Rig | None) -> Setup | None:
+def _setup(seen: Float[np.ndarray, "points 3"], at: Pose[np.ndarray], rig: Rig | None) -> Setup | None:
+    """From the points in the frame of the camera that saw them."""
     if rig is None:
         return None
     columns, rows = rig.camera.image_size
@@ -133,9 +140,9 @@ def _setup(points: Float32[np.ndarray, "points 3"], travel: Float[np.ndarray, "2
     sheet = np.zeros((0, 3))
     if rig.lights:
         light = rig.lights[0]
-        depth = points[:, 2] - np.median(travel[:, 2])
-        near, far = _BEFORE * float(depth.min()), _BEYOND * float(depth.max())
-        along = points @ sheet_axes(light)[0]
+        near, far = _BEFORE * float(seen[:, 2].min()), _BEYOND * float(seen[:, 2].max())
+        along = seen @ sheet_axes(light)[0]
         ends = _WIDER * np.array([along.min(), along.max()])
         sheet = section(light, np.array([near, far]), ends).reshape(-1, 3)[[0, 1, 3, 2]]
-    return Setup(travel, sheet, float(2 * np.arctan(half[1])), columns / rows)
+        sheet = Pose(at.rotation[0], at.translation[0]).apply(sheet)
+    return Setup(at, sheet, float(2 * np.arctan(half[1])), columns / rows)

@@ -182,9 +182,9 @@ def draw_exhibit(path: str | os.PathLike[str], shown: Exhibit, colour: str, titl
         ax.set(aspect="equal", xlabel="mm", ylabel="mm")
         if shown.setup is not None and ax is axes[-1]:
             view = np.stack([across, above], axis=1)
-            travel, sheet = ((place - middle) @ view for place in (shown.setup.travel, shown.setup.sheet))
-            ax.fill(*sheet.T, color="tab:red", alpha=0.25, label="light plane at step 0")
-            ax.plot(*travel.T, "o-", color="tab:blue", label="camera, from the first frame to the last")
+            travel, sheet = ((place - middle) @ view for place in (shown.setup.at.translation, shown.setup.sheet))
+            ax.fill(*sheet.T, color="tab:red", alpha=0.25, label="light plane at the first frame")
+            ax.plot(*travel.T, ".-", color="tab:blue", label="camera, from the first frame to the last")
             ax.legend(loc="lower left")
     figure.colorbar(dots, ax=axes[-1], label=f"{colour}, {UNITS[colour]}", shrink=0.8)
     figure.suptitle(title)

@@ -5,6 +5,7 @@ from typing import Any, Final
 import numpy as np
 import trimesh
 from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
 
 from jaxscan.extras import extra
 from jaxscan.surface.colours import sequential
@@ -66,12 +67,20 @@ def serve(shown: Exhibit, port: int, colour: str | None = None) -> Any:
     draw(colour)
     if shown.setup is not None:
         setup = shown.setup
-        for name, place in zip(("first", "last"), setup.travel, strict=True):
+        places = setup.at.translation - middle
+        for name, i in (("first", 0), ("last", -1)):
             scene.add_camera_frustum(
-                f"/scanner/{name}", setup.fov, setup.aspect, scale=0.12 * size, color=_CAMERA, position=place - middle
+                f"/scanner/{name}",
+                setup.fov,
+                setup.aspect,
+                scale=0.12 * size,
+                color=_CAMERA,
+                wxyz=Rotation.from_rotvec(setup.at.rotation[i]).as_quat(scalar_first=True),
+                position=places[i],
             )
-        line = (setup.travel - middle)[None].astype(np.float32)
-        scene.add_line_segments("/scanner/travel", line, _TRAVEL, thickness=0.005 * size)
+        line = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
+        if len(line):
+            scene.add_line_segments("/scanner/travel", line, _TRAVEL, thickness=0.005 * size)
         if len(setup.sheet):
             corners = (setup.sheet - middle).astype(np.float32)
             faces = np.array([[0, 1, 2], [0, 2, 3]])

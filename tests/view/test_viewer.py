@@ -3,6 +3,7 @@
 import io
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from PIL import Image
 from jaxscan.cli.main import main
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile, write_rig
+from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import write_points
-from jaxscan.simulation.rig_2003 import simulated_rig
+from jaxscan.simulation.rig_2003 import simulated_rig, turning_axes, with_turntable
 from jaxscan.view.exhibit import exhibit
 from jaxscan.view.viewer import HOST, coloured, serve
 from tests.surface.scenes import block
@@ -37,7 +39,7 @@ def test_what_is_shown(folder):
     assert set(shown.values) == {"height", "sigma", "strength"}
     np.testing.assert_allclose(np.median(shown.values["height"][shown.points[:, 2] < 297]), 5.0, atol=0.02)
     assert shown.setup is not None
-    np.testing.assert_allclose(shown.setup.travel, image.cameras()[[0, -1]])
+    np.testing.assert_allclose(shown.setup.at.translation[[0, -1]], image.cameras()[[0, -1]])
     omega = [float(c) for c in simulated_rig(0).lights[0].plane]
     np.testing.assert_allclose(shown.setup.sheet @ omega, 1.0, atol=1e-9)
     mesh = exhibit(folder / "block.ply")
@@ -46,6 +48,25 @@ def test_what_is_shown(folder):
     assert mesh.setup is None
     with pytest.raises(InputError, match='"strength" is not known of these points: choose height, sigma'):
         mesh.colour("strength")
+
+
+def test_a_turntable_is_gone_round_by_the_camera_and_its_light(tmp_path):
+    rig = with_turntable(simulated_rig(0), 0)
+    turn = {axis: np.array(steps) for axis, steps in turning_axes(160).items()}
+    still = block()[:20, :]
+    at = as_numpy(rig.pose({axis: steps.astype(float) for axis, steps in turn.items()})).inverse()
+    points = np.einsum("fij,fcj->fci", at.matrix(), still.points) + at.translation[:, None]
+    image = replace(still, points=points.astype(np.float32), positions=turn, motion=rig.motion)
+    write_points(tmp_path / "turn.npz", image)
+    setup = exhibit(tmp_path / "turn.npz", rig).setup
+    assert setup is not None
+    np.testing.assert_allclose(setup.at.translation, at.translation)
+    # On a circle, all around.
+    out = setup.at.translation - setup.at.translation.mean(axis=0)
+    np.testing.assert_allclose(np.linalg.norm(out, axis=1), np.linalg.norm(out[0]), rtol=1e-3)
+    omega = [float(c) for c in rig.lights[0].plane]
+    carried = as_numpy(rig.pose({axis: np.float64(steps[0]) for axis, steps in turn.items()})).apply(setup.sheet)
+    np.testing.assert_allclose(carried @ omega, 1.0, atol=1e-9)
 
 
 def test_colours_go_from_dark_to_bright():
