@@ -16,11 +16,10 @@ from jaxscan.files.range_npz import RangeArrays, read_range_npz, writing_range_n
 from jaxscan.files.range_scanner import read_scanner, scanner_arrays
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
+from jaxscan.reconstruction.turns import full_turn, gaps_between
 from jaxscan.rig import Fixed, Light, Motion
 
 _STILL: Final = Fixed()
-# The last frame of a turn is no further from the first than so many times the way between frames.
-_LAST_GAP: Final = 1.5
 # Profiles of a turn that are further apart make no surface.
 WIDE_APART_DEG: Final = 10.0
 # What has an entry for each frame, the positions apart.
@@ -63,8 +62,7 @@ class RangeImage:
     @property
     def full_turn(self) -> int | None:
         """Motor steps of a full turn, to the nearest, where one axis alone moves and turns the object; else None."""
-        turns = [part.amount(1.0) for part in self.motion.parts() if (part.axis,) == self.moving]
-        return next((round(360 / amount) for amount, unit in turns if unit == "degrees" and amount > 0), None)
+        return full_turn(self.motion, self.moving)
 
     @property
     def steps(self) -> Int[np.ndarray, "frames"]:
@@ -151,16 +149,7 @@ class RangeImage:
         There is one fewer than frames; as many where the object was turned all around: the last is from the last frame
         to the first.
         """
-        steps, whole = self.steps, self.full_turn
-        gaps = np.diff(steps)
-        if whole is None or len(gaps) < 2:
-            return gaps
-        around = np.append(gaps, steps[0] - steps[-1])
-        around -= whole * np.round(around / whole).astype(around.dtype)
-        apart = float(np.median(around[:-1]))
-        # The way that is left is that from frame to frame, or less.
-        closes = 0 < np.sign(apart) * around[-1] <= _LAST_GAP * abs(apart) and around.sum() != 0
-        return around if closes else around[:-1]
+        return gaps_between(self.steps, self.full_turn)
 
     def closed(self) -> "RangeImage":
         """With the first frame again behind the last, where the object was turned all around; else as it is."""

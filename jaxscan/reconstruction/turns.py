@@ -1,0 +1,78 @@
+"""Full turns: whether a scan closes, and what stands before its first frame and behind its last where it does."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxscan.files.scan import Scan
+from jaxscan.reconstruction.merged_steps import step_groups
+from jaxscan.rig import Motion
+
+# The last frame of a turn is no further from the first than so many times the way between frames.
+_LAST_GAP: Final = 1.5
+
+
+def full_turn(motion: Motion, moving: Sequence[str]) -> int | None:
+    """Motor steps of a full turn, to the nearest, where one axis alone moves and turns the object; else None."""
+    turns = [part.amount(1.0) for part in motion.parts() if [part.axis] == list(moving)]
+    return next((round(360 / amount) for amount, unit in turns if unit == "degrees" and amount > 0), None)
+
+
+def gaps_between(steps: Int[np.ndarray, "frames"], whole: int | None) -> Int[np.ndarray, "gaps"]:
+    """Motor steps from each frame to the next, full turns left out.
+
+    There is one fewer than frames; as many where the object was turned all around: the last is from the last frame to
+    the first.
+
+    Args:
+        steps: of the axis that moves.
+        whole: of a full turn; None where there is none.
+    """
+    gaps = np.diff(steps)
+    if whole is None or len(gaps) < 2:
+        return gaps
+    around = np.append(gaps, steps[0] - steps[-1])
+    around -= whole * np.round(around / whole).astype(around.dtype)
+    apart = float(np.median(around[:-1]))
+    # The way that is left is that from frame to frame, or less.
+    closes = 0 < np.sign(apart) * around[-1] <= _LAST_GAP * abs(apart) and around.sum() != 0
+    return around if closes else around[:-1]
+
+
+def with_ends(scan: Scan, motion: Motion, steps: int, equal: bool = False) -> tuple[Scan, int]:
+    """A scan with so many of its last steps once more before it, and of its first behind it, if its turn closes.
+
+    What looks at a frame's neighbours in time has the same of every frame then.
+
+    Args:
+        scan: of photographs; a video stays as it is.
+        motion: of the object.
+        steps: how many.
+        equal: stay with the scan as it is where the last gap is not as wide as the others.
+
+    Returns:
+        The scan, and how many steps were put before it.
+    """
+    groups = step_groups(scan) if scan.video is None and len(scan.moving) == 1 else []
+    if steps < 1 or len(groups) < steps:
+        return scan, 0
+    (axis,) = scan.moving
+    gaps = gaps_between(np.asarray([scan.axes[axis][group.start] for group in groups]), full_turn(motion, scan.moving))
+    if len(gaps) < len(groups) or (equal and len(set(gaps.tolist())) > 1):
+        return scan, 0
+    n = len(scan.frames)
+    order = [*range(groups[-steps].start, n), *range(n), *range(groups[steps - 1].stop)]
+    turns = np.repeat([-1, 0, 1], [n - groups[-steps].start, n, groups[steps - 1].stop])
+    axes = {name: tuple(positions[i] for i in order) for name, positions in scan.axes.items()}
+    axes[axis] = tuple(int(step + turn * gaps.sum()) for step, turn in zip(axes[axis], turns, strict=True))
+    exposures = scan.exposures_s
+    return replace(
+        scan,
+        frames=tuple(scan.frames[i] for i in order),
+        axes=axes,
+        backgrounds=tuple(scan.backgrounds[i] for i in order) if len(scan.backgrounds) == n else scan.backgrounds,
+        exposures_s=None if exposures is None else tuple(exposures[i] for i in order),
+    ), steps
