@@ -10,6 +10,7 @@ from jaxscan.files.scan import Scan
 from jaxscan.images import Stripe, detect_stripe, read_image, read_video
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.spacetime import Geometry, carried, half_window
+from jaxscan.reconstruction.turns import full_turn, gaps_between
 from jaxscan.rig import Rig
 
 # Frames of the scan that are looked at; of a video, every so many of its first.
@@ -39,7 +40,8 @@ def passage_of(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
     (axis,) = scan.moving
     at = scan.axis_names.index(axis)
     steps = [place[at] for place in places]
-    apart = {scan.rules[axis].per_frame} if scan.rules else set(np.diff(steps).tolist())
+    gaps = gaps_between(np.asarray(steps), full_turn(rig.motion, scan.moving))[: max(len(steps) - 1, 0)]
+    apart = {scan.rules[axis].per_frame} if scan.rules else set(gaps.tolist())
     if len(apart) != 1 or 0 in apart:
         raise InputError(
             f"{scan.path}: [scan] steps: spacetime analysis needs frames that are equally many motor steps apart, "

@@ -31,7 +31,7 @@ A second look starts at q(δ) in place of q, so that the points stand where the 
 not where the stripe was thought to be. X(q) is taken to be on the sheet though its pixel was off by some part of the
 stripe's width: as long as that is narrow for the depth, the slant of tracks hardly differs across it.
 
-The frames at either end of a scan, whose passages are not seen whole, have no points.
+The frames at either end of a scan, whose passages are not seen whole, have no points; a turn that closes has no ends.
 
 What is left of an error at an edge is the light that lens and pixels let in from beyond it. It counts little where the
 sheet is seen some pixels wide.

@@ -14,7 +14,7 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.geometry import Pose
 from jaxscan.geometry.robust_plane import dominant_plane
 from jaxscan.reconstruction import RangeImage, read_range_image
-from jaxscan.rig import Rig
+from jaxscan.rig import Light, Rig
 from jaxscan.rig.light import section, sheet_axes
 from jaxscan.surface.floor import find_floor
 
@@ -111,7 +111,9 @@ def _of_image(image: RangeImage, rig: Rig | None) -> Exhibit:
     at, every = image.from_camera(), max(1, len(image.valid) // _MOST_CAMERAS)
     some = np.append(np.arange(0, len(image.valid) - 1, every), len(image.valid) - 1)
     seen = image.seen()[image.valid]
-    return Exhibit(points, up, values, None, _setup(seen, Pose(at.rotation[some], at.translation[some]), rig))
+    return Exhibit(
+        points, up, values, None, _setup(seen, Pose(at.rotation[some], at.translation[some]), rig, image.sheet)
+    )
 
 
 def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None) -> Exhibit:
@@ -130,16 +132,19 @@ def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray,
     return up, height - height.min()
 
 
-def _setup(seen: Float[np.ndarray, "points 3"], at: Pose[np.ndarray], rig: Rig | None) -> Setup | None:
-    """From the points in the frame of the camera that saw them."""
+def _setup(
+    seen: Float[np.ndarray, "points 3"], at: Pose[np.ndarray], rig: Rig | None, light: Light | None = None
+) -> Setup | None:
+    """From the points in the frame of the camera that saw them, in the light that lit them or the rig's first."""
     if rig is None:
         return None
     columns, rows = rig.camera.image_size
     focal = [float(f) for f in rig.camera.focal]
     half = 0.5 * np.array([columns, rows]) / focal
     sheet = np.zeros((0, 3))
-    if rig.lights:
+    if light is None and rig.lights:
         light = rig.lights[0]
+    if light is not None:
         near, far = _BEFORE * float(seen[:, 2].min()), _BEYOND * float(seen[:, 2].max())
         along = seen @ sheet_axes(light)[0]
         ends = _WIDER * np.array([along.min(), along.max()])

@@ -38,8 +38,9 @@ def scan(tmp_path_factory) -> Scan:
     return Scan(folder / "scan.toml", GREY, tuple(paths), axes={"turntable": steps})
 
 
-def begun_at(scan: Scan, first: int) -> Scan:
-    steps = np.roll(scan.axes["turntable"], -first) + np.where(np.arange(FRAMES) < FRAMES - first, 0, FRAMES * APART)
+def begun_at(scan: Scan, first: int, around: int) -> Scan:
+    """Its positions go on behind a full turn, or start again at 0."""
+    steps = np.roll(scan.axes["turntable"], -first) + np.where(np.arange(FRAMES) < FRAMES - first, 0, around)
     frames = tuple(np.roll(np.array(scan.frames, object), -first))
     return replace(scan, frames=frames, axes={"turntable": tuple(int(step) for step in steps)})
 
@@ -70,10 +71,11 @@ def test_a_turn_goes_on_before_its_first_frame_and_behind_its_last(rig, scan):
     assert with_ends(uneven, rig.motion, 3, equal=True) == (uneven, 0)
 
 
+@pytest.mark.parametrize("around", [FRAMES * APART, 0])
 @pytest.mark.parametrize("how", [{"spacetime": True}, {"choice": "coherent"}])
-def test_points_do_not_depend_on_which_frame_comes_first(rig, scan, how):
+def test_points_do_not_depend_on_which_frame_comes_first(rig, scan, how, around):
     one = reconstruct(rig, scan, detector="gravity", **how)
-    other = reconstruct(rig, begun_at(scan, 37), detector="gravity", **how)
+    other = reconstruct(rig, begun_at(scan, 37, around), detector="gravity", **how)
     assert one.valid.shape == other.valid.shape
     assert len(one.valid) == FRAMES
     assert one.valid[[0, -1]].any(axis=1).all()
