@@ -131,6 +131,8 @@ def _range_image(facts: Facts) -> Iterator[Line]:
     yield "frames", str(facts["frames"])
     for axis, steps in facts["axes"].items():
         yield axis, _positions(steps)
+    if facts["full_turn"]:
+        yield "turn", "once all around, or more: the last frame is beside the first"
     yield "lines", f"{facts['columns']}: columns of the photographs, or rows"
     yield "points", f"{facts['points']}, {100 * facts['points'] / max(cells, 1):.1f} % of frames × lines"
     yield from _extent(facts)

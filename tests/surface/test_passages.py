@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from jaxscan.cli.main import main
+from jaxscan.files.ply_read import read_ply_file
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy, float64
-from jaxscan.reconstruction import RangeImage
+from jaxscan.reconstruction import RangeImage, write_points
 from jaxscan.rig import Fixed, Rig, Rotary
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.distance import distance
@@ -134,6 +136,42 @@ def test_a_full_turn_is_one_surface_up_to_its_axis(dome):
     assert np.degrees(mesh.face_angles[near]).min() > 10.0
     doubled = grid_layers(image)
     assert len(doubled) == 2
+
+
+def test_the_commands_say_what_they_make_of_a_turn(dome, tmp_path, capsys):
+    image, _, _ = dome
+    write_points(tmp_path / "dome.npz", image)
+    write_points(tmp_path / "few.npz", image[::12, :])
+    write_points(tmp_path / "half.npz", image[:50, :])
+    write_points(tmp_path / "still.npz", replace(image, positions={"turntable": np.zeros(len(image.valid), int)}))
+
+    def run(*words: str) -> tuple[int, str]:
+        code = main([word if word.startswith("-") or "." not in word else str(tmp_path / word) for word in words])
+        captured = capsys.readouterr()
+        return code, captured.out + captured.err
+
+    keep = ("--floor", "keep", "-o", "dome.ply")
+    code, said = run("mesh", "dome.npz", *keep)
+    assert code == 0
+    assert "fused      of 2 passages through the light, 2.0 on each vertex" in said
+    assert "folded" not in said
+    assert "sigma_pixel" in read_ply_file(tmp_path / "dome.ply").elements["vertex"].columns
+    code, said = run("mesh", "dome.npz", *keep, "--method", "grid", "--quads")
+    assert code == 0
+    assert "layers     2: the turn has shown the object as often" in said
+    for words, says in (
+        (("--quads",), "dome.npz: --quads: the turn has shown the object 2 times"),
+        (("--method", "delaunay"), "dome.npz: --method delaunay: the turn has shown the object 2 times"),
+    ):
+        code, said = run("mesh", "dome.npz", *keep, *words)
+        assert code == 2
+        assert says in said
+    assert (
+        "the frames are 43.2 degrees of a turn apart" in run("mesh", "few.npz", *keep, "--raw", "--method", "grid")[1]
+    )
+    assert "all 100 frames are of one place, turntable 0" in run("mesh", "still.npz", *keep)[1]
+    assert "turn       once all around, or more: the last frame is beside the first" in run("inspect", "dome.npz")[1]
+    assert "all around" not in run("inspect", "half.npz")[1]
 
 
 def test_a_grid_from_above_is_the_mean_of_the_layers(dome):
