@@ -122,3 +122,13 @@ def test_what_slides_is_not_guessed():
     balls = [side(f"{k}.npz", scenes.seen(dome, NOISE, seed=k)) for k in range(2)]
     with pytest.raises(ObservabilityError, match=r"1\.npz: slides"):
         arrange(balls, [0.0, 45.0])
+
+
+def test_scans_of_one_place_are_tried_as_they_stand():
+    """Two lasers of one rig see other parts of an object, so that the middles of their points are no start."""
+    left, right = scanned(0.0, 0), scanned(0.0, 1)
+    parts = [left.where(left.points[..., 0] < 2.5), right.where(right.points[..., 0] > -2.5)]
+    here = [side(f"{k}.npz", part) for k, part in enumerate(parts)]
+    assert np.linalg.norm(here[0].points.mean(axis=0) - here[1].points.mean(axis=0)) > 5.0
+    found = arrange(here, [0.0, 0.0])[1]
+    assert np.linalg.norm(off(found, Pose.identity(), here[0].points.mean(axis=0))[3:]) < 0.05
