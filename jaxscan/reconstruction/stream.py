@@ -3,6 +3,7 @@
 The points of a frame are the same whatever is looked at together with it, and memory is the same whatever the length.
 """
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -13,7 +14,6 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, DETECTORS, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.axes import STAGE
-from jaxscan.files.listing import common_size
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import Stripe, StripeSettings, detect_stripe
@@ -22,21 +22,23 @@ from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.images.stripes.validity import Verdict
-from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wrong_size
+from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.range_image import RangeImage
-from jaxscan.reconstruction.scan_notes import REASONS, left_out_notes, way_notes
+from jaxscan.reconstruction.scan_checks import check_scan, way_notes
+from jaxscan.reconstruction.scan_notes import REASONS, left_out_notes
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
-from jaxscan.reconstruction.spacetime import Geometry, spacetime_profiles
+from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
+from jaxscan.reconstruction.turns import with_ends
 from jaxscan.rig import Positions, Rig
 
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
-Looked = tuple[RangeImage, Stripe]
+Looked = tuple[RangeImage, Stripe | None]
 
 
 class Scanner:
@@ -92,7 +94,7 @@ class Scanner:
             InputError: the scan does not fit the rig, a photograph cannot be read or is unlike the others, the scan has
                 no frames, or there is no stripe in any of them.
         """
-        _check(self._content.rig, scan)
+        check_scan(self._content.rig, scan)
         with said_of(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
@@ -150,33 +152,48 @@ class Scanner:
         self, laser: "_Laser", scan: Scan, advance: Callable[[int], object], watch: LightWatch
     ) -> Iterator[Counted]:
         """Range images, and how many lines of each had which verdict."""
-        batches, axes = self._batches(scan, advance), scan.axis_names
-        if self._spacetime:
-            passage = passage_of(self._content.rig, scan)
-            for image in laser.passages(*passage, batches, axes):
-                yield image, np.zeros(len(Verdict), int)
-            return
-        looked = False
-        for some in batches:
-            with said_of(scan.path):
-                image, stripe = laser.range_image(some, axes)
-            if not looked and np.isfinite(image.pixels).any():
-                looked = True
-                self.notes += _miscoloured(scan.laser, some, image)
-            stripe = stripe[some.inner]
-            watch.see(stripe)
-            yield image[some.inner, :], _counts(stripe)
+        rig = self._content.rig
+        passage = passage_of(rig, scan) if self._spacetime else None
+        halo = HALO if self._choice == "coherent" else 0
+        # Where a turn closes, its first frames have neighbours before them, and its last behind them.
+        looked_at = halo if passage is None else half_window(passage[1])
+        longer, before = with_ends(scan, rig.motion, looked_at, equal=self._spacetime)
+        own, done = range(before, before + (len(step_groups(scan)) or sys.maxsize)), 0
+        batches = self._batches(longer, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
+        if passage is None:
+            found = self._stripes(laser, scan, batches)
+        else:
+            found = laser.passages(*passage, batches, scan.axis_names)
+        for image, stripe in found:
+            here, done = _part_of(own, done, len(image.valid)), done + len(image.valid)
+            if here.start == here.stop:
+                continue
+            counts = np.zeros(len(Verdict), int)
+            if stripe is not None:
+                watch.see(stripe[here])
+                counts = np.bincount(stripe[here].verdict.ravel(), minlength=len(Verdict))
+            yield image[here, :], counts
 
-    def _batches(self, scan: Scan, advance: Callable[[int], object]) -> Iterator[Frames]:
+    def _batches(self, scan: Scan, halo: int, advance: Callable[[int], object]) -> Iterator[Frames]:
         """Read; the exposures of a step merged; neighbours in time at hand: each where it is asked for."""
         read = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
         several = scan.exposures_s is not None and len(set(scan.positions)) < scan.listed
         merged = merged_steps(scan, read, FRAMES_AT_ONCE) if several else read
-        halo = HALO if self._choice == "coherent" else 0
-        # Merged steps come in batches of any size: they get one here, so that the last of them compiles nothing anew.
         if self._spacetime or not (several or halo):
             return merged
+        # Merged steps come in batches of any size: they get one here, so that the last of them compiles nothing anew.
         return overlapping(merged, halo, halo, FRAMES_AT_ONCE - 2 * halo)
+
+    def _stripes(self, laser: "_Laser", scan: Scan, batches: Iterable[Frames]) -> Iterator[Looked]:
+        """The stripe of each frame by itself, and its points."""
+        looked = False
+        for some in batches:
+            with said_of(scan.path):
+                image, stripe = laser.range_image(some, scan.axis_names)
+            if not looked and np.isfinite(image.pixels).any():
+                looked = True
+                self.notes += _miscoloured(scan.laser, some, image)
+            yield image[some.inner, :], stripe[some.inner]
 
     def _laser(self, settings: StripeSettings) -> "_Laser":
         if settings not in self._ready:
@@ -209,7 +226,7 @@ class _Laser:
         self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
         self._rig = rig
 
-    def range_image(self, frames: Frames, axes: Sequence[str]) -> Looked:
+    def range_image(self, frames: Frames, axes: Sequence[str]) -> tuple[RangeImage, Stripe]:
         """Find the stripe in some frames and triangulate it."""
         count, size = len(frames.positions), len(frames.images)
         stripe = detect_stripe(
@@ -236,7 +253,7 @@ class _Laser:
 
     def passages(
         self, geometry: Geometry, width: float, batches: Iterable[Frames], axes: Sequence[str]
-    ) -> Iterator[RangeImage]:
+    ) -> Iterator[tuple[RangeImage, None]]:
         """Find when the light passes over each point, `width` frames long, and where that is."""
 
         def frames_at(positions: Int[np.ndarray, "frames axes"]) -> FramePoses:
@@ -244,7 +261,7 @@ class _Laser:
 
         for found in spacetime_profiles(geometry, width, self._laser, batches, self._detector, self._choice, frames_at):
             q = dict(zip(axes, found.positions.T, strict=True))
-            yield self.with_sigma(found.position, found.sigma, found.strength, found.points, q)
+            yield self.with_sigma(found.position, found.sigma, found.strength, found.points, q), None
 
     def with_sigma(
         self,
@@ -265,10 +282,6 @@ class _Laser:
         return RangeImage(points, position, strength, sigma, sigma_pixel, valid, q, self._rig.motion, sheet)
 
 
-def _counts(stripe: Stripe) -> Int[np.ndarray, "verdicts"]:
-    return np.bincount(stripe.verdict.ravel(), minlength=len(Verdict))
-
-
 def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> list[str]:
     """Whether the stripe has another colour than it is looked for."""
     colors = [
@@ -278,6 +291,23 @@ def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> li
     ]
     said = miscoloured(colors, laser)
     return [] if said is None else [f"the stripe {said} in scan.toml"]
+
+
+def _part_of(own: range, done: int, count: int) -> slice:
+    """Which of so many frames, those from number `done` on, are a scan's own."""
+    return slice(min(max(own.start - done, 0), count), min(max(own.stop - done, 0), count))
+
+
+def _at_most(advance: Callable[[int], object], most: int) -> Callable[[int], object]:
+    """Tell of no more than so many."""
+    left = most
+
+    def told(by: int) -> None:
+        nonlocal left
+        advance(min(by, left))
+        left -= min(by, left)
+
+    return told
 
 
 def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterator[Frames]:
@@ -298,20 +328,3 @@ def _u_and_v(
 ) -> tuple[Float[np.ndarray, "*frames lines"], Float[np.ndarray, "*frames lines"]]:
     line = np.broadcast_to(np.arange(position.shape[-1], dtype=np.float32), position.shape)
     return (line, position) if columns else (position, line)
-
-
-def _check(rig: Rig, scan: Scan) -> None:
-    """Refuse before any long work what cannot come out right."""
-    if photographs := [*scan.frames, *scan.backgrounds]:
-        size = common_size(photographs)
-        if size != rig.camera.image_size:
-            raise InputError(wrong_size(photographs[0], size, rig.camera.image_size))
-    axes = rig.axes()
-    for axis in scan.moving:
-        if axis not in axes:
-            has = f"it has {', '.join(axes)}" if axes else "it has none"
-            raise InputError(
-                f"{scan.path}: the {axis} moves between frames, but the rig has no such axis, {has}: calibrate with a "
-                f"[{axis}] sequence, or name the axis as the rig does"
-            )
-    step_groups(scan)
