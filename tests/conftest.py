@@ -14,6 +14,19 @@ if TYPE_CHECKING:
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+# A process may have 65530 areas of memory unless the system says otherwise, and each compiled function takes some.
+_MAPS = Path("/proc/self/maps")
+_MANY_MAPS = 30_000
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_maps() -> Iterator[None]:
+    """Forget compiled functions before there are too many for one process: the next one to compile would abort it."""
+    yield
+    if _MAPS.exists() and _MAPS.read_text().count("\n") > _MANY_MAPS:
+        jax.clear_caches()
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of real photographs and reference problems, which is not part of the repository."""

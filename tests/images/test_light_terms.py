@@ -55,6 +55,24 @@ def test_speckle_of_a_short_stripe_that_is_burnt_out_here_and_there():
     np.testing.assert_allclose(errors, np.median(errors), rtol=0.2)
 
 
+@pytest.mark.parametrize(("peak", "width", "ambient"), [(260, 0.85, 60), (200, 0.85, 100)])
+def test_speckle_of_a_short_stripe_in_luma_on_a_bright_scene(peak, width, ambient):
+    """Lines of the bright scene were looked at, where there is no stripe: no speckle was seen, and σ was a third."""
+    random, frames = np.random.default_rng(1), 16
+    centre = 48 + 3 * np.sin(np.arange(640) / 40) + random.uniform(-0.5, 0.5, 640)
+    away = np.arange(ROWS)[:, None] - centre
+    light = np.where(np.abs(np.arange(640) - 320) < 130, peak * np.exp(-0.5 * (away / width) ** 2), 0.0)
+    levels = np.full((frames, ROWS, 640, 3), float(ambient))
+    levels[..., 0] += light * random.gamma(25.0, 0.04, (frames, *light.shape))
+    levels += 2 * random.standard_normal(levels.shape)
+    found = detect_stripe(np.rint(levels.clip(0, 255)).astype(np.uint8), StripeSettings("grey"))
+    np.testing.assert_allclose(found.light[:, 2], 0.2, atol=0.09)
+    off = np.where(found.valid, np.abs(found.position - centre), np.nan)
+    ratios = np.nanmedian(found.sigma, axis=1) / (1.4826 * np.nanmedian(off, axis=1))
+    assert ratios.min() > 0.6
+    assert ratios.max() < 1.3
+
+
 def test_a_photograph_without_a_stripe_says_nothing():
     dark = detect_stripe(np.full((ROWS, 64), 40, np.uint8), StripeSettings("grey"))
     assert np.isnan(dark.light).all()

@@ -89,9 +89,9 @@ def row_of(peaks: Packed, block: Packed, length: int) -> Packed:
 def choose_peaks(
     peaks: Int[Array, "frames across down"], length: int, columns: bool
 ) -> tuple[Int[Array, "frames lines"], Int[Array, "frames lines"]]:
-    """The row (or column) of the peak, for each column (or row): in the block that stands out most; and how much.
+    """The row (or column) of each column's (or row's) peak, and by how much it is above its surroundings.
 
-    Of equals the first is taken.
+    It is looked for in the block that stands out most. Of equals the first is taken.
     """
     axis = 1 if columns else 2
     n = peaks.shape[axis]
@@ -103,7 +103,9 @@ def choose_peaks(
     best = (score * 2**bits + (n - 1 - place)).max(axis, keepdims=True)
     block = n - 1 - (best & (2**bits - 1))
     peak = jnp.take_along_axis(peaks, block, axis, mode="promise_in_bounds")
-    return row_of(peak.astype(jnp.int32), block, length).squeeze(axis), (best >> bits).squeeze(axis)
+    # In light that fills the image a bright block without a stripe stands out as its level does: that is taken off.
+    above = (best >> bits) - level_of(peak.astype(jnp.int32))
+    return row_of(peak.astype(jnp.int32), block, length).squeeze(axis), above.squeeze(axis)
 
 
 def _along(axis: int, rank: int) -> list[int]:

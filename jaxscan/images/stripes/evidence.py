@@ -14,6 +14,8 @@ edge goes on and beyond which no grain of speckle does: γ_k = ½ ⟨(h_i − h_
 import numpy as np
 from jaxtyping import Bool, Float
 
+# No difference of two fits is as small; its inverse is a number in float32 too.
+_TINY = 1e-20
 # Half the lengths of the windows: an edge may run along a stripe for long or for a little.
 _HALF_WINDOWS = (4, 16)
 # K.
@@ -111,7 +113,7 @@ def _chance(
             np.median(row[there > 0]) if (there > 0).any() else 0.0 for row, there in zip(squares, pairs, strict=True)
         ]
         gamma.append(np.asarray(each)[:, None])
-    last = np.maximum(gamma[-1], np.finfo(np.float64).tiny)
+    last = np.maximum(gamma[-1], _TINY)
     tau = 1 + 2 * sum(np.clip(1 - each / last, 0.0, 1.0) for each in gamma[:-1])
     # The median of the square of a normal number is 0.455 of its mean.
     return np.asarray(tau), gamma[-1] / 0.455

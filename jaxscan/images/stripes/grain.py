@@ -29,6 +29,8 @@ _LAGS: Final = 3
 _DISTANCES: Final = 5
 # ρ is one of so many, up to this: a grain of 2 px has 0.88.
 _MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
+# To this part of itself noise and profile say what any of these products should be, however many pixels there are.
+_MODEL = 0.1
 # What each further number must explain at the least, in squares of standard deviations.
 _PRICE: Final = 4.0
 # Every so many lines tell what the others are expected to leave, too.
@@ -158,10 +160,15 @@ def chance(
         return [jnp.maximum(n, 1.0) / groups for n in (*free, *[sum(free)] * len(lags))]
 
     def usual(each: list[PerLine], number: list[Frames]) -> Float[Array, "sums frames"]:
-        grouped = jnp.stack(each)
-        use = grouped.shape[-1] // groups * groups
-        grouped = grouped[..., :use].reshape(*grouped.shape[:-1], groups, -1).sum(-1)
+        """Lines that are read are divided among the groups, in their order: no group is of lines without a stripe."""
+        which = jnp.cumsum(read, axis=1) - 1
+        which = jnp.where(read, groups * which // jnp.maximum(read.sum(1, keepdims=True), 1), -1)
+        member = (which[..., None] == jnp.arange(groups)[None, None]).astype(jnp.float32)
+        grouped = jnp.einsum("sfl,flg->sfg", jnp.stack(each), member)
         return median(grouped / jnp.stack(number)[:, :, None])
+
+    def mean(each: list[PerLine], number: list[Frames]) -> Float[Array, "sums frames"]:
+        return jnp.stack(each).sum(-1) / (groups * jnp.stack(number))
 
     def sums(regions: Sequence[Pixels], pairs: Sequence[tuple[Pixels, Pixels]]) -> list[PerLine]:
         """Of products of pixels: in each region, and of those so far apart, everywhere."""
@@ -169,6 +176,7 @@ def chance(
         apart = [_total([a[:, lag:] * b[:, :-lag] + a[:, :-lag] * b[:, lag:] for a, b in pairs]) / 2 for lag in lags]
         return [*((at * own).sum(1) for at in regions), *(x.sum(1) for x in apart)]
 
+    read = (unit > 0).any(1)
     number = numbers(regions, unit, taken)
     seen = usual(sums(regions, [(standard, standard)]), number)
     # What is expected differs less from line to line than what is seen: some of them tell it.
@@ -202,17 +210,17 @@ def chance(
             lambda y: root * (root * y + sum(rho * _both_ways(root * y, apart) for apart, rho in near)),
         )
 
-    by_read, by_photons, *by_distance = (usual(independent(v), expected) for v in (unit, photons, light**2))
+    by_read, by_photons, *by_distance = (mean(independent(v), expected) for v in (unit, photons, light**2))
     if correlation is None:
         rho = jnp.linspace(0.0, _MOST, _STEPS)
         priced = jnp.where(rho > 0, 1.0, 0.0)
-        by_distance += [usual(alike(light, apart), expected) for apart in range(1, _DISTANCES)]
+        by_distance += [mean(alike(light, apart), expected) for apart in range(1, _DISTANCES)]
         powers = rho[None] ** (jnp.arange(_DISTANCES)[:, None] ** 2)
         by_speckle, by_photons = jnp.einsum("jg,jsf->sgf", powers, jnp.stack(by_distance)), by_photons[:, None]
     else:
         # The stripe's own noise is smoothed like that beside it, or, by a filter that keeps edges, it is not.
         rho, priced = jnp.zeros(2), jnp.arange(2.0)
-        by_read, *even = (usual(smoothed(v, correlation), expected) for v in (jnp.sqrt(unit), jnp.sqrt(photons), light))
+        by_read, *even = (mean(smoothed(v, correlation), expected) for v in (jnp.sqrt(unit), jnp.sqrt(photons), light))
         by_photons, by_speckle = (
             jnp.stack(each, axis=1) for each in zip(even, (by_photons, *by_distance), strict=True)
         )
@@ -220,7 +228,9 @@ def chance(
     own = [v**2 for v in seen[: len(regions)]]
     product = jnp.stack([n * v for n, v in zip(number, own, strict=False)]).sum(0) / number[-1]
     scatter = [*(2 * v for v in own), *[product] * len(lags)]
-    weight = jnp.stack([groups * n / jnp.maximum(v, _TINY) for n, v in zip(number, scatter, strict=True)])
+    # The tail's many pixels would outvote the core's few, and a read noise a little too large hide the speckle.
+    within = [1 / (groups * n) + _MODEL**2 for n in number]
+    weight = jnp.stack([1 / jnp.maximum(v * part, _TINY) for v, part in zip(scatter, within, strict=True)])
     equations = seen[:, None], weight[:, None], by_read[:, None], by_photons, by_speckle
     found = _least(*equations, rho, priced, read2, known)
     # What goes on as far as the list does is no speckle, but a profile that is not the model's.

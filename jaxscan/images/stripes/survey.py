@@ -77,6 +77,8 @@ LEAST_SIGNAL = 4.7
 _MOST_COMMON = 0.12
 # Of a burnt-out stripe, pixels higher than this part of a full one may be filled by speckle.
 _MAY_FILL = 0.55
+# A channel's least part of luma: that of blue.
+_LEAST_LUMA = 0.1
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
 # A line that leaves so many times as much as most is no sample of the noise.
@@ -180,7 +182,9 @@ def survey_windows(
     plain = response(levels, NEUTRAL, ambient[:, None, None])
     weights = (one, one) if color == "grey" else _weights(levels, plain, burnt, half, color)
     r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
-    span = full.astype(jnp.float32) * (1 if color == "grey" else 2)
+    # Of a colour its own light counts twice; in luma a channel's light counts for its part of it.
+    in_luma = color == "grey" and levels[0].ndim < lit.ndim
+    span = full.astype(jnp.float32) * (_part_of_luma(laser, r, burnt) if in_luma else 1 if color == "grey" else 2)
     rounding = _ROUNDING * (one if color == "grey" else jnp.sqrt(4 + weights[0] ** 2 + weights[1] ** 2))
     ground = _ground(plain, burnt, gain)
     if half is not None and detail is not None:
@@ -294,6 +298,19 @@ def _weights(
     core = (k > around.start) & (k < around.end) & around.whole & ~burnt
     stripe = jnp.where(core, r - around.floor, 0.0)
     return channel_weights(levels, stripe, jnp.broadcast_to(beside, r.shape), half, color)
+
+
+def _part_of_luma(
+    laser: Int[Array, "frames window lines"], r: Float[Array, "frames window lines"], burnt: Array
+) -> Float[Array, "frames"]:
+    """What the brightest channel of the laser's light counts for in luma: of red 0.3."""
+    around = outline(r)
+    k = jnp.arange(r.shape[1])[None, :, None]
+    core = (k > around.start) & (k < around.end) & around.whole & ~burnt
+    ends = jnp.concatenate([laser[:, :_FLANK], laser[:, -_FLANK:]], axis=1).astype(jnp.float32)
+    rise, luma = laser - ends.mean(1, keepdims=True), r - around.floor
+    luma, rise = (jnp.where(core, x, 0.0).sum((1, 2)) for x in (luma, rise))
+    return jnp.clip(luma / jnp.maximum(rise, _TINY), _LEAST_LUMA, 1.0)
 
 
 def _shown(correlation: Float[Array, "frames distances"]) -> Float[Array, "frames"]:
