@@ -26,7 +26,7 @@ from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
-from jaxscan.images.stripes.evidence import edges_and_profiles
+from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
 from jaxscan.images.stripes.likelihood import ROUGH
 from jaxscan.images.stripes.response import numbers
 from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
@@ -265,6 +265,15 @@ def _detect(
         # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.
         halo = looked.burnt | (looked.burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
         plain = looked.strong & ~looked.cramped & ~halo
+        # What edges leave is taken for noise where most lines have one: it is read again off those that have least.
+        misled, even = mostly_torn(measured.h3, measured.h4, plain)
+        if misled.any():
+            stands[misled] = np.where(even, stands, np.iinfo(stands.dtype).min)[misled]
+            sensor = survey(*looking, correlation if len(smoothed) else None)
+            again = looked_at(tuple(index[misled].ravel() for index in (*np.indices(peak.shape, np.int32), peak)))
+            measured = jax.tree.map(
+                lambda old, new: _replaced(old, misled, new.reshape(-1, peak.shape[1])), measured, again.measured
+            )
         strained, odd = edges_and_profiles(measured.h3, measured.h4, plain, plain & measured.strained)
         flat = jax.tree.map(np.ravel, measured)
         flat = look_again(flat, (*everywhere[:2], peak.ravel()), strained.ravel(), narrow, "torn")

@@ -28,6 +28,11 @@ _LEAST_OF_USUAL = 0.5
 # Where at least this part of the lines has evidence for an edge, and less than that part of these once what all lines
 # have in common is taken out, it is the laser's profile.
 _MANY, _REST = 0.1, 0.3
+# Where edges run along more than that part of the lines, this part is taken to have hardly one.
+_MOST, _LEAST = 0.4, 0.12
+# The variance of means of neighbours over that within them (JPEGs: up to 5). What is further off than so many times
+# the mean is held.
+_ALIKE, _CLIP = 8.0, 4.0
 
 Lines = Float[np.ndarray, "frames lines"]
 
@@ -73,6 +78,44 @@ def edges_and_profiles(
         odd[many] = rest.sum(1) < _REST * edges[many].sum(1)
         edges[many] = np.where(odd[many, None], rest, edges[many])
     return edges, odd
+
+
+def mostly_torn(
+    h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"]
+) -> tuple[Bool[np.ndarray, "frames"], Bool[np.ndarray, "frames lines"]]:
+    """In which frames edges run along so many lines that they are taken for noise, and which lines have hardly one.
+
+    Args:
+        h3: as `edges_go_on` has them, all three.
+        h4: likewise.
+        seen: likewise.
+    """
+    torn, even = np.zeros(len(seen), bool), np.zeros_like(seen)
+    some = np.flatnonzero(_alike(h3, seen) | _alike(h4, seen))
+    if len(some):
+        h3, h4, seen = h3[some], h4[some], seen[some]
+        edges, odd = edges_and_profiles(h3, h4, seen, seen)
+        torn[some] = ~odd & (edges.sum(1) > _MOST * seen.sum(1))
+        known = seen & np.isfinite(h3) & np.isfinite(h4)
+        n = np.maximum(_over(known.astype(np.float64), _HALF_WINDOWS[0]), 1)
+        shape = sum((_over(np.where(known, h, 0.0).astype(np.float64), _HALF_WINDOWS[0]) / n) ** 2 for h in (h3, h4))
+        shape = np.where(known, shape, np.inf)
+        last = np.ceil(_LEAST * known.sum(1, keepdims=True)).astype(int)
+        even[some] = known & (shape <= np.take_along_axis(np.sort(shape, axis=1), last, axis=1))
+    return torn, even
+
+
+def _alike(h: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames"]:
+    """Whether neighbours have more in common than lines that are far apart: told soon, and seldom so without edges."""
+    whole = h.shape[1] // _GRAIN * _GRAIN
+    known = (seen & np.isfinite(h))[:, :whole]
+    h = np.where(known, h[:, :whole], 0.0)
+    usual = np.abs(h).sum(1, keepdims=True) / np.maximum(known.sum(1, keepdims=True), 1)
+    h = np.clip(h, -_CLIP * usual, _CLIP * usual)
+    blocks, n = (x.reshape(len(h), -1, _GRAIN).sum(2) for x in (h, known))
+    between, all_ = (blocks**2 / np.maximum(n, 1)).sum(1), (h * h).sum(1)
+    freedom = (n > 0).sum(1)
+    return between * np.maximum(known.sum(1) - freedom, 1) > _ALIKE * freedom * np.maximum(all_ - between, 0.0)
 
 
 def _go_on(h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:

@@ -21,6 +21,7 @@ Cholesky factor, c being last, is 1 / σ_c with the other three unknown.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -41,6 +42,8 @@ REACH, REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
 LN_HEIGHT_SPREAD = 2.0
 # Squared contrast of speckle that makes a stripe ragged.
 ROUGH = 0.3**2
+# A step in c, of s, and in ln s, after which another one would lead nowhere.
+_ARRIVED = 0.01
 # The longest step: in c, of s; in the logarithms.
 _LONGEST = 0.7
 FWHM = 2.354820
@@ -211,7 +214,19 @@ def fit(
         steps = _STEPS_CENSORED if censored else _STEPS
     # The last step, of either kind, tells how well the profile is known.
     plain, grained = (steps, grain_steps - 1) if grain_steps else (steps - 1, 0)
-    profile = jax.lax.fori_loop(0, plain, lambda _, profile: step(profile, False).profile, start)
+
+    def moved(state: tuple[Array, Profile, Lines]) -> tuple[Array, Profile, Lines]:
+        taken, now, far = state
+        then = step(now, False).profile
+        by = jnp.maximum(jnp.abs(then.centre - now.centre) / jnp.exp(now.ln_s), jnp.abs(then.ln_s - now.ln_s))
+        # A line that has arrived stays, whatever the others that are looked at with it.
+        then = jax.tree.map(partial(jnp.where, far), then, now)
+        return taken + 1, then, far & ~(by < _ARRIVED)
+
+    everywhere = jnp.ones(start.centre.shape, bool)
+    _, profile, _ = jax.lax.while_loop(
+        lambda state: (state[0] < plain) & state[2].any(), moved, (jnp.asarray(0), start, everywhere)
+    )
     if grained:
         profile = jax.lax.fori_loop(0, grained, lambda _, profile: step(profile, True).profile, profile)
     return step(profile, grain_steps > 0)

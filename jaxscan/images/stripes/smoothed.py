@@ -45,6 +45,7 @@ _ROUNDING = 1 / 12
 _WIDTHS, _HEIGHTS, _PHASES = 5, 4, (0.0, 0.5)
 
 
+@cache
 def _projection(size: int, degree: int) -> Float[np.ndarray, "size size"]:
     """What takes a polynomial trend out of a stretch."""
     basis, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, size), degree + 1))
@@ -88,31 +89,31 @@ def noise_correlation(
     """
     if not settings.columns:
         image, dark = np.swapaxes(image, 0, 1), None if dark is None else np.swapaxes(dark, 0, 1)
-    begins = np.arange(0, len(image) - 2 * _BLOCK + 1, _BLOCK)
-    lines = min(len(peak), -(-_MOST_LOOKED_AT // max(len(begins), 1)))
-    some = np.linspace(0, len(peak) - 1, lines).astype(int)
-    begin, line = np.meshgrid(begins, some, indexing="ij")
-    away = np.abs(begin + _BLOCK - peak[line]) > _AWAY_PX + _BLOCK
-    begin, line = begin[away], line[away]
-    at = begin[:, None] + np.arange(2 * _BLOCK), line[:, None]
-    pixels = image[at]
+    rows = len(image) // _BLOCK * _BLOCK
+    begin = np.arange(0, rows - 2 * _BLOCK + 1, _BLOCK)[:, None]
+    some = np.linspace(0, len(peak) - 1, min(len(peak), -(-_MOST_LOOKED_AT // max(len(begin), 1)))).astype(int)
+    pixels = image[:rows, some]
     # What is cut off at either end of the scale has no noise.
-    shown = (pixels > 0) & (pixels < np.iinfo(pixels.dtype).max)
-    whole = shown.all(axis=tuple(range(1, pixels.ndim)))
-    if whole.sum() < _FEWEST:
+    cut = (pixels == 0) | (pixels == np.iinfo(pixels.dtype).max)
+    in_block = np.moveaxis(cut, 1, -1).reshape(rows // _BLOCK, -1, len(some)).any(axis=1)
+    away = np.abs(begin + _BLOCK - peak[some]) > _AWAY_PX + _BLOCK
+    read = away & ~(in_block[1:] | in_block[:-1])
+    if read.sum() < _FEWEST:
         return None
-    levels = pixels[whole].astype(np.float32)
-    rounding = _ROUNDING
+    levels, rounding = pixels.astype(np.float32), _ROUNDING
     if dark is not None:
-        levels -= dark[at][whole]
+        levels -= dark[:rows, some]
         rounding *= 2
     by = _channel_weights(settings.color, weights, image.ndim)
     r = levels if by is None else levels @ by
     rounding *= 1.0 if by is None else float(by @ by)
-    z = r @ _projection(2 * _BLOCK, _TREND).astype(np.float32)
+    # Two blocks of each line together, from every block on.
+    stretches = np.lib.stride_tricks.sliding_window_view(r, 2 * _BLOCK, axis=0)[::_BLOCK]
+    z = stretches[read] @ _projection(2 * _BLOCK, _TREND).astype(np.float32)
     squares = (z * z).sum(axis=1)
     quiet = z[squares <= _QUIET * np.quantile(squares, _QUIETEST)]
-    *seen, across = [(quiet[:, a] * quiet[:, b]).sum(axis=1).mean() for a, b in _SUMS]
+    products = quiet.T @ quiet / len(quiet)
+    *seen, across = [products[pair].sum() for pair in _SUMS]
     *equations, of_border = _equations()
     covariance = np.linalg.solve(equations, seen)
     if covariance[0] < _SEEN * rounding or covariance[1] < LEAST * covariance[0]:
