@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
+from jaxscan.images.stripes.along import with_grain
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
@@ -226,8 +227,8 @@ def _detect(
         order = np.argsort(np.concatenate([np.flatnonzero(slim), np.flatnonzero(~slim)]))
         return jax.tree.map(lambda *parts: np.concatenate(parts)[order], *each), slim
 
-    def looked_at(at: Places) -> Looked:
-        measured, slim = first_look(at)
+    def looked_at(at: Places, begun: tuple[Any, np.ndarray] | None = None) -> Looked:
+        measured, slim = first_look(at) if begun is None else begun
         # In noise a longer window has a lower lowest point, by which what is faint stands out.
         doubtful = measured.cramped & (measured.relief > least[at[0]]) | (measured.strength < _FAINT * least[at[0]])
         measured = look_again(measured, at, slim & doubtful, narrow, "plain")
@@ -237,20 +238,24 @@ def _detect(
         burnt = measured.burnt & strong & ~cramped
         if detector == "likelihood":
             grained, rough = (strong & each for each in _speckled(sensor, at[0], measured.relief))
-            begun, even = measured, ~(grained | rough)
+            plain, even = measured, ~(grained | rough)
             measured = look_again(measured, at, cramped & even, wide, "censored")
             measured = look_again(measured, at, burnt & even, narrow, "censored")
             measured = look_again(measured, at, cramped & ~even, wide, "grained and censored")
             measured = look_again(measured, at, (rough | grained & burnt) & ~cramped, narrow, "grained and censored")
             measured = look_again(measured, at, grained & ~(rough | burnt | cramped), narrow, "grained")
             # Whether there is an edge is asked of the plain fit.
-            measured = replace(measured, strained=begun.strained, h3=begun.h3, h4=begun.h4)
+            measured = replace(measured, strained=plain.strained, h3=plain.h3, h4=plain.h4)
         else:
             measured = look_again(measured, at, cramped, wide, "plain")
         return Looked(measured, strong, cramped, burnt)
 
     everywhere = tuple(index.ravel() for index in (*np.indices(peak.shape, np.int32), peak))
-    looked = jax.tree.map(lambda x: x.reshape(peak.shape), looked_at(everywhere))
+    begun = first_look(everywhere)
+    if detector == "likelihood" and not len(smoothed):
+        light, seen = begun[0].ln_light, begun[0].whole & ~begun[0].burnt & (begun[0].relief > least[everywhere[0]])
+        sensor = with_grain(sensor, light.reshape(peak.shape), seen.reshape(peak.shape))
+    looked = jax.tree.map(lambda x: x.reshape(peak.shape), looked_at(everywhere, begun))
 
     def of_colour() -> np.ndarray:
         # Without c neutral light cancels however bright it is, and a stripe that is burnt out white but for its flanks.

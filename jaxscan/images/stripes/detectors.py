@@ -66,6 +66,7 @@ class Measured(eqx.Module):
         h3: the third Gauss-Hermite coefficient of what the profile leaves, in parts of its height; 0 of other
             detectors.
         h4: the fourth.
+        ln_light: ln of its height times its standard deviation; 0 of other detectors.
     """
 
     position: Float[Array, "groups lines"]
@@ -79,6 +80,7 @@ class Measured(eqx.Module):
     strained: Bool[Array, "groups lines"]
     h3: Float[Array, "groups lines"]
     h4: Float[Array, "groups lines"]
+    ln_light: Float[Array, "groups lines"]
 
 
 @partial(jax.jit, static_argnames=("detector", "model"))
@@ -96,7 +98,7 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
     size = r.shape[1]
     around, here = outline(r), sensor.of(frame)
     zero = jnp.zeros_like(around.top)
-    misfit = Misfit(jnp.zeros_like(around.whole), zero, zero)
+    misfit = Misfit(jnp.zeros_like(around.whole), zero, zero, zero)
     if model == "torn":
         found = torn(windows, around, here)
     elif detector == "likelihood":
@@ -124,4 +126,5 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
         strained=misfit.strained[:, 0],
         h3=misfit.h3[:, 0],
         h4=misfit.h4[:, 0],
+        ln_light=misfit.ln_light[:, 0],
     )

@@ -104,11 +104,13 @@ class Misfit(NamedTuple):
         strained: whether it is off by more than noise.
         h3: the third Gauss-Hermite coefficient of the residual, in parts of the height.
         h4: the fourth.
+        ln_light: ln of A s: of all its light, but for a factor.
     """
 
     strained: Bool[Array, "groups 1 lines"]
     h3: Lines
     h4: Lines
+    ln_light: Lines
 
 
 def likelihood(
@@ -140,7 +142,7 @@ def likelihood(
     squares = (found.residual**2).sum(1, keepdims=True)
     strained = squares > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
     estimate = Estimate(profile.centre, sigma, FWHM * s, jnp.isfinite(sigma) & within)
-    return estimate, Misfit(strained, *_hermite(profile, found.residual))
+    return estimate, Misfit(strained, *_hermite(profile, found.residual), profile.ln_height + profile.ln_s)
 
 
 def _hermite(profile: Profile, residual: Pixels) -> tuple[Lines, Lines]:
