@@ -1,14 +1,14 @@
 """Speckle whose grains are as large as the stripe is wide: seen along the stripe, not across it.
 
-A grain that is wider than the stripe moves the whole of it, and a fit leaves nothing of it in its line. But it makes that
-line brighter or darker, and those beside it with it, as far as it goes: grains are round (J. Goodman 2007, chapter 4:
-their size is that of the lens's aperture, wavelength times f-number). With F the light of a line, and half the mean
-square of the difference of ln F between lines k apart (G. Matheron's variogram, 1963),
+A grain that is wider than the stripe moves the whole of it, and a fit leaves nothing of it in its line. But it makes
+that line brighter or darker, and those beside it with it, as far as it goes, for grains are round (J. Goodman 2007,
+chapter 4: their size is that of the lens's aperture, wavelength times f-number). With F the light of a line, half the
+mean square of the difference of ln F between lines k apart (G. Matheron's variogram, 1963) is
 
-    γ_k = n + V (1 − ρ^(k²)) + t k,      V = C² Σ_ij P_i P_j ρ^((i − j)²) / (Σ P_i)²
+    γ_k = n + V (1 − ρ^(k²)) + t k + t′ k²,      V = C² Σ_ij P_i P_j ρ^((i − j)²) / (Σ P_i)²
 
 n is what the sensor's noise makes of ln F, ρ the correlation of the speckle of neighbouring pixels, C its contrast, P
-the stripe's profile, and t what the surface's reflectance adds over longer distances.
+the stripe's profile; t and t′ are what the surface's reflectance adds over longer distances.
 """
 
 from dataclasses import replace
@@ -17,6 +17,7 @@ from typing import Final
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.optimize import nnls
 
 from jaxscan.images.stripes.likelihood import FWHM, REACH, REACH_PX
 from jaxscan.images.stripes.windows import Sensor
@@ -34,6 +35,9 @@ _LESS = 0.93
 _SCATTER, _SURE = 1.65, 3.0
 # The median of the square of a normal number is this part of its mean.
 _MEDIAN_OF_SQUARE = 0.455
+# Lines so far apart have no grain in common. Half the scatter of the breadth at half height is that of the best centre
+# times 1.25; where the noise tells less than half of it, the flanks are believed.
+_FAR_ENOUGH, _OF_BEST, _FAR_MORE = (4, 5, 6), 1.25, 2.0
 
 Lines = Float[np.ndarray, "frames lines"]
 
@@ -44,18 +48,57 @@ def with_grain(sensor: Sensor, ln_light: Lines, seen: Bool[np.ndarray, "frames l
     Args:
         sensor: as the survey gives it.
         ln_light: ln of A s of each line.
-        seen: which lines have a whole stripe that is not full.
+        seen: which lines have a whole stripe that is not burnt out.
     """
     speckle, grain = (np.array(x) for x in (sensor.speckle, sensor.grain))
     ln_light = np.where(seen, ln_light, 0.0)
     near, far = (_usual_difference(ln_light, seen, int(k)) for k in _DISTANCES[[0, -1]])
-    # Where it is seen across the stripe it is known better.
-    for frame in np.flatnonzero((near < _LESS * far) & (grain[: len(near)] == 0)):
-        usual = [float(np.asarray(x)[frame]) for x in (sensor.ln_s, sensor.read, sensor.shot)]
-        told = _told(ln_light[frame], seen[frame], *usual)
-        if told is not None:
-            speckle[frame], grain[frame] = told
+    for frame in np.flatnonzero(near < _LESS * far):
+        lines = seen[frame]
+        s, read, shot = (float(np.asarray(x)[frame]) for x in (np.exp(sensor.ln_s), sensor.read, sensor.shot))
+        noise = _noise_of_ln_light(s, np.exp(np.median(ln_light[frame, lines])) / s, read, shot)
+        told = _told(ln_light[frame], lines, noise)
+        if told is None:
+            continue
+        V, rho = told
+        C2 = V / _of_profile(s, rho)
+        # No speckle has more contrast than 1: that is a surface whose reflectance changes. And a grain that is seen
+        # across the stripe as well is known better from there.
+        if C2 < 1 and (speckle[frame] < C2 or not grain[frame]):
+            speckle[frame], grain[frame] = max(C2, speckle[frame]), rho
     return replace(sensor, speckle=jnp.asarray(speckle), grain=jnp.asarray(grain))
+
+
+def widened_by_flanks(
+    sigma: Lines, breadth: Lines, burnt: Bool[np.ndarray, "frames lines"], ln_s: Float[np.ndarray, "frames"]
+) -> Lines:
+    """σ of burnt-out stripes whose flanks scatter by far more than their noise tells.
+
+    Of a stripe that is burnt out its two flanks alone are seen. Speckle moves each by itself, so that the centre
+    scatters by half as much as the breadth does, whatever profile and halo are.
+
+    Args:
+        sigma: of each line's centre, px; NaN where there is none.
+        breadth: of what is seen of each line's stripe, full at half height, px.
+        burnt: which lines are burnt out.
+        ln_s: ln of the stripe's standard deviation, px. A narrow one's breadth is not told by its pixels.
+    """
+    sigma = sigma.copy()
+    burnt = burnt & np.isfinite(sigma)
+    for frame in np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & (ln_s > 0)):
+        used = burnt[frame]
+        squares = [_variogram(breadth[frame], used, int(k)) for k in _FAR_ENOUGH]
+        scatter = float(np.sqrt(np.mean(squares))) / 2 / _OF_BEST
+        usual = float(np.median(sigma[frame, used]))
+        if scatter * _OF_BEST > _FAR_MORE * usual:
+            sigma[frame, used] *= scatter / usual
+    return sigma
+
+
+def _variogram(values: Float[np.ndarray, "lines"], used: Bool[np.ndarray, "lines"], apart: int) -> float:
+    """Half the mean square of the difference of lines so far apart, by a median; NaN where there are few."""
+    d = (values[apart:] - values[:-apart])[used[apart:] & used[:-apart]]
+    return float(np.median(d * d)) / (2 * _MEDIAN_OF_SQUARE) if len(d) >= _FEWEST else np.nan
 
 
 def _usual_difference(
@@ -69,34 +112,26 @@ def _usual_difference(
 
 
 def _told(
-    ln_light: Float[np.ndarray, "lines"], seen: Bool[np.ndarray, "lines"], ln_s: float, read: float, shot: float
+    ln_light: Float[np.ndarray, "lines"], used: Bool[np.ndarray, "lines"], noise: float
 ) -> tuple[float, float] | None:
-    """C² and ρ of one frame; None where there is no such speckle."""
-    differences = [(ln_light[k:] - ln_light[:-k])[seen[k:] & seen[:-k]] for k in _DISTANCES]
-    gamma = np.array([np.median(d * d) / (2 * _MEDIAN_OF_SQUARE) for d in differences])
-    few = min(len(d) for d in differences)
-    if few < _FEWEST or not gamma.min() > 0:
-        return None
-    # Pairs that share lines are not independent: those of one distance tell about as much as half of them would.
+    """V and ρ of one frame; None where they are not needed to tell what is seen."""
+    gamma = np.array([_variogram(ln_light, used, int(k)) for k in _DISTANCES])
+    few = int((used[_DISTANCES[-1] :] & used[: -_DISTANCES[-1]]).sum())
     far = gamma[len(gamma) // 2 :].mean()
-    if far - gamma[0] < _SURE * _SCATTER / np.sqrt(few) * far:
+    if not gamma.min() > 0 or far - gamma[0] < _SURE * _SCATTER / np.sqrt(few) * far:
         return None
-    s = np.exp(ln_s)
-    height = np.exp(np.median(ln_light[seen])) / s
-    noise = _noise_of_ln_light(s, height, read, shot)
-    best = np.inf
-    found = None
+    k = _DISTANCES / _DISTANCES[-1]
+    surface = np.stack([k, k**2, np.ones_like(k)], axis=1) / gamma[:, None]
+    left = 1 - noise / gamma
+    # Speckle of single pixels is alike at all distances, as noise is.
+    without = nnls(surface, left)[1]
+    found = []
     for rho in _CORRELATIONS:
-        by = np.stack([1 - rho ** (_DISTANCES**2.0), _DISTANCES / len(_DISTANCES)], axis=1) / gamma[:, None]
-        left = (gamma - noise) / gamma
-        V, t = np.linalg.lstsq(by, left, rcond=None)[0]
-        if t < 0:
-            V, t = by[:, 0] @ left / (by[:, 0] @ by[:, 0]), 0.0
-        need = ((left - by @ [V, t]) ** 2).sum()
-        if V > 0 and need < best:
-            best, found = need, (V / _of_profile(s, rho), rho)
-    # No speckle has more contrast than 1: that is a surface whose reflectance changes.
-    return None if found is None or found[0] > 1 else (float(found[0]), float(found[1]))
+        by = (1 - rho ** (_DISTANCES**2.0)) / gamma
+        numbers, need = nnls(np.column_stack([by, surface[:, :2]]), left)
+        found.append((need, float(numbers[0]), float(rho)))
+    need, V, rho = min(found)
+    return (V, rho) if without**2 - need**2 > (_SURE * _SCATTER) ** 2 / few else None
 
 
 def _of_profile(s: float, rho: float) -> float:

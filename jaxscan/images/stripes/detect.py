@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
-from jaxscan.images.stripes.along import with_grain
+from jaxscan.images.stripes.along import widened_by_flanks, with_grain
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
@@ -252,9 +252,11 @@ def _detect(
 
     everywhere = tuple(index.ravel() for index in (*np.indices(peak.shape, np.int32), peak))
     begun = first_look(everywhere)
-    if detector == "likelihood" and not len(smoothed):
-        light, seen = begun[0].ln_light, begun[0].whole & ~begun[0].burnt & (begun[0].relief > least[everywhere[0]])
-        sensor = with_grain(sensor, light.reshape(peak.shape), seen.reshape(peak.shape))
+    plainly = jax.tree.map(lambda x: x.reshape(peak.shape), begun[0])
+    seen = plainly.whole & ~plainly.burnt & (plainly.relief > least[:, None]) & (correlation[: len(peak), :1] == 0)
+    along = plainly.ln_light, seen
+    if detector == "likelihood":
+        sensor = with_grain(sensor, *along)
     looked = jax.tree.map(lambda x: x.reshape(peak.shape), looked_at(everywhere, begun))
 
     def of_colour() -> np.ndarray:
@@ -274,7 +276,7 @@ def _detect(
         misled, even = mostly_torn(measured.h3, measured.h4, plain)
         if misled.any():
             stands[misled] = np.where(even, stands, np.iinfo(stands.dtype).min)[misled]
-            sensor = survey(*looking, correlation if len(smoothed) else None)
+            sensor = with_grain(survey(*looking, correlation if len(smoothed) else None), *along)
             again = looked_at(tuple(index[misled].ravel() for index in (*np.indices(peak.shape, np.int32), peak)))
             measured = jax.tree.map(
                 lambda old, new: _replaced(old, misled, new.reshape(-1, peak.shape[1])), measured, again.measured
@@ -289,6 +291,7 @@ def _detect(
     )
     for i in smoothed:
         sigma[i] *= widening(correlation[i], sensor, int(i), width[i], measured.relief[i])
+    sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, np.asarray(sensor.ln_s)[: len(valid)])
     around = _surroundings(_sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
     light = np.where(valid.any(axis=1, keepdims=True), light_of(sensor, color)[: len(valid)], np.float32(np.nan))
     return Stripe(

@@ -58,6 +58,7 @@ class Measured(eqx.Module):
         strength: its smoothed peak above the background, grey levels of the neutral response. Weights of a photograph
             without texture let neutral light through, and a shining rim would be a stripe.
         width: full width at half height, px.
+        breadth: of what is seen, full at half height, px: of a stripe that is burnt out, with its full pixels.
         relief: height of the peak above the lowest point of the window, whatever lies between.
         whole: whether both its flanks are on the image and in the window, and a centre was found between them.
         cramped: whether a wider window would tell more.
@@ -73,6 +74,7 @@ class Measured(eqx.Module):
     sigma: Float[Array, "groups lines"]
     strength: Float[Array, "groups lines"]
     width: Float[Array, "groups lines"]
+    breadth: Float[Array, "groups lines"]
     relief: Float[Array, "groups lines"]
     whole: Bool[Array, "groups lines"]
     cramped: Bool[Array, "groups lines"]
@@ -119,6 +121,7 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
         sigma=found.sigma[:, 0],
         strength=(seen.top - seen.floor)[:, 0],
         width=found.width[:, 0],
+        breadth=around.width[:, 0],
         relief=relief[:, 0],
         whole=whole[:, 0],
         cramped=cramped[:, 0],
