@@ -35,6 +35,8 @@ _LESS = 0.93
 _SCATTER, _SURE = 1.65, 3.0
 # The median of the square of a normal number is this part of its mean.
 _MEDIAN_OF_SQUARE = 0.455
+# ln of the standard deviation of the narrowest stripe whose breadth is told by its pixels, px.
+_NARROW: Final = float(np.log(0.9))
 # Lines so far apart have no grain in common. Half the scatter of the breadth at half height is that of the best centre
 # times 1.25; where the noise tells less than half of it, the flanks are believed.
 _FAR_ENOUGH, _OF_BEST, _FAR_MORE = (4, 5, 6), 1.25, 2.0
@@ -85,7 +87,7 @@ def widened_by_flanks(
     """
     sigma = sigma.copy()
     burnt = burnt & np.isfinite(sigma)
-    for frame in np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & (ln_s > 0)):
+    for frame in np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & (ln_s > _NARROW)):
         used = burnt[frame]
         squares = [_variogram(breadth[frame], used, int(k)) for k in _FAR_ENOUGH]
         scatter = float(np.sqrt(np.mean(squares))) / 2 / _OF_BEST

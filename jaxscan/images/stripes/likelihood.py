@@ -42,7 +42,7 @@ REACH, REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
 LN_HEIGHT_SPREAD = 2.0
 # Squared contrast of speckle that makes a stripe ragged.
 ROUGH = 0.3**2
-# A step in c, of s, and in ln s, after which another one would lead nowhere.
+# A step in c, of s, and in ln s and ln A, after which another one would lead nowhere.
 _ARRIVED = 0.01
 # The longest step: in c, of s; in the logarithms.
 _LONGEST = 0.7
@@ -220,7 +220,8 @@ def fit(
     def moved(state: tuple[Array, Profile, Lines]) -> tuple[Array, Profile, Lines]:
         taken, now, far = state
         then = step(now, False).profile
-        by = jnp.maximum(jnp.abs(then.centre - now.centre) / jnp.exp(now.ln_s), jnp.abs(then.ln_s - now.ln_s))
+        by = jnp.abs(then.centre - now.centre) / jnp.exp(now.ln_s)
+        by = jnp.maximum(by, jnp.maximum(jnp.abs(then.ln_s - now.ln_s), jnp.abs(then.ln_height - now.ln_height)))
         # A line that has arrived stays, whatever the others that are looked at with it.
         then = jax.tree.map(partial(jnp.where, far), then, now)
         return taken + 1, then, far & ~(by < _ARRIVED)
