@@ -275,7 +275,7 @@ def _detect(
         # What edges leave is taken for noise where most lines have one: it is read again off those that have least.
         misled, even = mostly_torn(measured.h3, measured.h4, plain)
         if misled.any():
-            stands[misled] = np.where(even, stands, np.iinfo(stands.dtype).min)[misled]
+            stands[misled[:, None] & ~even] = np.iinfo(stands.dtype).min
             sensor = with_grain(survey(*looking, correlation if len(smoothed) else None), *along)
             again = looked_at(tuple(index[misled].ravel() for index in (*np.indices(peak.shape, np.int32), peak)))
             measured = jax.tree.map(
