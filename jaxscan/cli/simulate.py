@@ -14,6 +14,7 @@ from jaxscan.extras import extra
 if TYPE_CHECKING:
     from jaxscan.simulation import Body, Scene, Sensor
     from jaxscan.simulation.folders import ScanTruth, SessionTruth
+    from jaxscan.simulation.hand import Hand
 
 HELP: Final = "photographs of a known world: a calibration session, a scan, and their truth"
 EXAMPLE: Final = "jaxscan simulate world --seed 3 --object cup"
@@ -89,6 +90,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "reflect it; its brightness in parts of the stripe's, 0 to 1 (default: 0)",
     )
     parser.add_argument(
+        "--laser-profile",
+        default="gaussian",
+        metavar="KIND",
+        help="cross-section of the laser's light, on boards and object alike: gaussian, a bell, as of one mode; "
+        "flat-top, as a Powell lens makes it; two-lobed, as of two modes; skewed; halo, a bell with a tenth of its "
+        "height four times as wide about it; side-lobe, with a lower bell beside it (default: gaussian)",
+    )
+    parser.add_argument(
+        "--sheet-mm",
+        type=finite,
+        default=0.25,
+        metavar="SIGMA",
+        help="how thick the sheet of light is, standard deviation of the bell, mm; the other profiles scale with it, "
+        "and the lens's blur hides the shape of a thin one (default: 0.25, half a pixel)",
+    )
+    parser.add_argument(
+        "--shake-mm",
+        type=finite,
+        default=0.0,
+        metavar="MM",
+        help="hold the boards by hand: while a photograph is exposed the board moves and turns by up to so many mm, in "
+        "a direction of its own in each, so that corners and stripe are smeared; with --stripes or --lasers 2 it moves "
+        "on from one photograph of a pose to the next. At 10 mm/s that is 0.1 in 1/100 s, 0.3 in 1/30 s; boards on "
+        "stage and turntable stay still (default: 0)",
+    )
+    parser.add_argument(
         "--lasers", type=int, choices=(1, 2), default=1, help="2: a second one, and a scan by each (default: 1)"
     )
     parser.add_argument(
@@ -121,6 +148,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         check_quality(args.quality, "--quality")
     bodies, name = _bodies(args)
     from jaxscan.simulation.folders import JPEG_QUALITY, scan_name
+    from jaxscan.simulation.hand import Hand
     from jaxscan.simulation.light import Sensor
     from jaxscan.simulation.rig_2003 import STEPS_PER_TURN
 
@@ -139,7 +167,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             "ambient_colour": tuple(args.ambient_colour),
             "highlight": args.highlight,
             "ghost": args.ghost,
+            "laser_profile": args.laser_profile,
+            "sheet_sigma_mm": args.sheet_mm,
         },
+        hand=Hand(args.shake_mm),
         turntable=args.turntable,
         separate_stripes=args.stripes,
         ending=".jpg" if args.jpeg or args.quality is not None else ".png",
@@ -172,6 +203,7 @@ def simulate_into(
     apart: int | None = None,
     sensor: "Sensor | None" = None,
     light: Mapping[str, Any],
+    hand: "Hand | None" = None,
     turntable: bool = False,
     separate_stripes: bool = False,
     ending: str = ".png",
@@ -191,6 +223,7 @@ def simulate_into(
     from jaxscan.cli.progress import progress
     from jaxscan.files.axes import STAGE
     from jaxscan.simulation import folders, rig_2003
+    from jaxscan.simulation.hand import STILL
 
     rig = rig_2003.simulated_rig(seed, lasers)
     rig = rig_2003.with_turntable(rig, seed) if turntable else rig
@@ -225,6 +258,7 @@ def simulate_into(
             seed,
             rig=rig,
             lighting=replace(rig_2003.BOARD_LIGHTING, **light),
+            hand=hand or STILL,
             separate_stripes=separate_stripes,
             advance=advance,
             **common,

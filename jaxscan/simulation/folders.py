@@ -32,6 +32,7 @@ from jaxscan.images import StripeSettings, write_image
 from jaxscan.images.jpeg import write_jpeg
 from jaxscan.rig import Rig
 from jaxscan.simulation import rig_2003
+from jaxscan.simulation.hand import STILL, Hand
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.profile import true_profile
 from jaxscan.simulation.render import render
@@ -57,7 +58,7 @@ class SessionTruth:
     Attributes:
         rig: the true rig.
         seed: of the rig, the poses and the noise.
-        boards: T_cam_board of every view, stacked.
+        boards: T_cam_board of every view, stacked; the mean over the exposure of the board where a hand shakes.
         stage: T_cam_board of the board on the stage at step 0.
         stage_steps: motor step count of every stage photograph.
         turntable: T_cam_board of the board on the turntable with stage and turntable at step 0; None without one.
@@ -100,6 +101,7 @@ def simulate_session(
     steps_apart: int = STEPS_APART,
     lighting: Lighting = rig_2003.BOARD_LIGHTING,
     sensor: Sensor = rig_2003.SENSOR,
+    hand: Hand = STILL,
     separate_stripes: bool = False,
     ending: str = ".png",
     quality: int = JPEG_QUALITY,
@@ -118,6 +120,7 @@ def simulate_session(
         steps_apart: motor steps from one of these to the next.
         lighting: of the boards with a stripe; the stage photographs have the same without the laser. Boards are matt.
         sensor: of all photographs.
+        hand: how still it holds the boards of the views; those on stage and turntable do not shake.
         separate_stripes: photograph every pose once without the laser and once with it, into `stripes/`.
         ending: format of the photographs.
         quality: of JPEG, whose colour has half the resolution (4:2:0).
@@ -140,7 +143,7 @@ def simulate_session(
     )
     (folder / SESSION_FILE).unlink(missing_ok=True)
 
-    def shoot(name: str, scene: Scene, kind: int, i: int, **how: Any) -> Path:
+    def shoot(name: str, scene: Scene | Sequence[Scene], kind: int, i: int, **how: Any) -> Path:
         image = render(rig, scene, lighting=lighting, sensor=sensor, seed=(2003, seed, kind, i), **how)
         path = folder / f"{name}{ending}"
         _write(path, image, quality)
@@ -150,11 +153,12 @@ def simulate_session(
     board_images: list[Path] = []
     stripe_images: dict[str, list[Path | None]] = {laser.name: [] for laser in rig.lights}
     for i in range(views):
-        scene = rig_2003.board_scene(np.asarray(boards.rotation[i]), np.asarray(boards.translation[i]))
-        board_images.append(shoot(f"boards/{i:02d}", scene, _BOARD_NOISE, i, laser=None if separate else 0))
+        pose = Pose(np.asarray(boards.rotation[i]), np.asarray(boards.translation[i]))
+        exposures = rig_2003.held(rig, hand, pose, (seed, i), 1 + (len(rig.lights) if separate else 0))
+        board_images.append(shoot(f"boards/{i:02d}", exposures[0], _BOARD_NOISE, i, laser=None if separate else 0))
         for n, laser in enumerate(rig.lights if separate else ()):
             name = f"stripes/{laser.name or 'stripe'}-{i:02d}"
-            stripe_images[laser.name].append(shoot(name, scene, _STRIPE_NOISE + n, i, laser=n))
+            stripe_images[laser.name].append(shoot(name, exposures[1 + n], _STRIPE_NOISE + n, i, laser=n))
     scene = rig_2003.board_scene(np.asarray(stage.rotation), np.asarray(stage.translation))
     stage_images = [shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, q={STAGE: n}) for i, n in enumerate(steps)]
     lying = rig_2003.turntable_pose(rig, seed) if "turntable" in rig.axes() else None

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.simulation.laser_profiles import bells
 
 # Grains of more pixels than this are no speckle.
 _LONGEST_PX = 50.0
@@ -25,7 +26,8 @@ class Lighting:
         highlight_deg: how far a glossy surface may be turned from a mirror of the lamp, standard deviation, degrees.
         laser_power: peak of the sheet on a surface that faces the laser, before any blur.
         laser_colour: red, green and blue of the laser, in parts of its power.
-        sheet_sigma_mm: standard deviation of the sheet's Gaussian thickness, mm.
+        sheet_sigma_mm: standard deviation of the sheet's Gaussian thickness, mm; other profiles scale with it.
+        laser_profile: the sheet's cross-section, one of `LASER_PROFILES`; its centre of gravity is in the plane.
         laser_source: where the sheet fans out from, camera frame, mm; None for `default_source`.
         speckle: contrast of the laser's light in the pixels of the photograph, 0 to 1 (standard deviation over mean).
         speckle_length_px: along the stripe and across it: distance at which the correlation of that light has fallen to
@@ -43,6 +45,7 @@ class Lighting:
     laser_power: float = 2000.0
     laser_colour: tuple[float, float, float] = (1.0, 0.006, 0.006)
     sheet_sigma_mm: float = 0.25
+    laser_profile: str = "gaussian"
     laser_source: tuple[float, float, float] | None = None
     speckle: float = 0.0
     speckle_length_px: tuple[float, float] = (0.0, 0.0)
@@ -52,7 +55,7 @@ class Lighting:
         """Refuse what no light can be.
 
         Raises:
-            InputError: a level, contrast or thickness that cannot be.
+            InputError: a level, contrast, thickness or profile that cannot be.
         """
         for name in ("ambient", "directional", "highlight", "laser_power"):
             if not 0 <= getattr(self, name) < math.inf:
@@ -65,6 +68,7 @@ class Lighting:
             raise InputError(f"highlight_deg = {self.highlight_deg}: give an angle above 0 and up to 90 degrees")
         if not 0 < self.sheet_sigma_mm < math.inf:
             raise InputError(f"sheet_sigma_mm = {self.sheet_sigma_mm}: give a positive number of millimetres")
+        bells(self.laser_profile)
         if not 0 <= self.speckle <= 1:
             raise InputError(f"speckle = {self.speckle}: give a contrast from 0 to 1")
         if not all(0 <= length <= _LONGEST_PX for length in self.speckle_length_px):

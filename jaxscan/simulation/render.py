@@ -21,6 +21,7 @@ from jaxscan.rig import Light as SheetOfLight
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import CHUNK, FINE, Light, Sheet
+from jaxscan.simulation.laser_profiles import bells
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.speckle import speckle
@@ -29,11 +30,13 @@ from jaxscan.simulation.speckle import speckle
 _CAMERAS_KEPT = 4
 # Rows of pixels whose light is gathered at once.
 _BAND = 48
+# Beyond so many standard deviations a sheet is dark: e^(−18) of 2000 grey levels.
+_SHEET_WIDTHS = 6.0
 
 
 def render(
     rig: Rig,
-    scene: Scene,
+    scene: Scene | Sequence[Scene],
     *,
     q: Positions | None = None,
     laser: int | None = None,
@@ -45,7 +48,8 @@ def render(
 
     Args:
         rig: the true one.
-        scene: as it stands with all axes at 0.
+        scene: as it stands with all axes at 0; several of one thing that moves, at even times of the exposure: the
+            photograph has the mean of their light.
         q: positions of the axes, motor steps; the bodies on the stage are where the rig's motion has carried them.
         laser: which of the rig's lasers is on (an index), or None for none.
         lighting: what lights the scene.
@@ -60,15 +64,17 @@ def render(
     """
     lighting, sensor = lighting or Lighting(), sensor or Sensor()
     random = np.random.default_rng(seed)
-    scene = carried(rig, scene, q or {}).cast(np.float32)
+    moments = [carried(rig, each, q or {}) for each in ([scene] if isinstance(scene, Scene) else scene)]
     light, sheet = _light(lighting), None if laser is None else sheet_of(rig, laser, lighting)
     grainy = sheet is not None and lighting.speckle > 0
     x, y = fine_rays(rig.camera)
-    fine, apart = _survey_and_refine(
-        scene, light, sheet, x, y, apart=grainy or (sheet is not None and lighting.ghost > 0)
-    )
+    apart = grainy or (sheet is not None and lighting.ghost > 0)
     weights = kernels.spread(sensor.blur_px)
-    level, laser_level = (None if part is None else _gather(part, weights) for part in (fine, apart))
+    level, laser_level = None, None
+    for each in moments:
+        fine, laser_fine = _survey_and_refine(each.cast(np.float32), light, sheet, x, y, apart=apart)
+        level, laser_level = _with_light(level, fine, weights), _with_light(laser_level, laser_fine, weights)
+    level, laser_level = (None if part is None else part / np.float32(len(moments)) for part in (level, laser_level))
     rows, columns = rig.camera.image_size[::-1]
     noise = sensor.noise * random.standard_normal((rows, columns, 3), np.float32)
     grain = None
@@ -106,7 +112,9 @@ def sheet_of(rig: Rig, laser: int, lighting: Lighting, dtype: type = np.float32)
         raise InputError(f"laser = {laser}: the rig has {len(rig.lights)} lasers, counted from 0")
     omega = plane_of(rig.lights[laser])
     power = lighting.laser_power * np.asarray(lighting.laser_colour)
-    values = (omega, lighting.source(omega), power, lighting.sheet_sigma_mm)
+    profile = bells(lighting.laser_profile) * [1.0, lighting.sheet_sigma_mm, lighting.sheet_sigma_mm]
+    reach = (np.abs(profile[:, 1]) + _SHEET_WIDTHS * profile[:, 2]).max()
+    values = (omega, lighting.source(omega), power, profile, reach)
     return Sheet(*(np.asarray(value, dtype) for value in values))
 
 
@@ -160,6 +168,14 @@ def _survey_and_refine(
                 laser = kernels.merge(laser, some, lit)
         fine = kernels.merge(fine, some, *parts)
     return fine, laser
+
+
+def _with_light(
+    before: Float[np.ndarray, "rows columns rgb"] | None, fine: Array | None, weights: Float[np.ndarray, "taps"]
+) -> Float[np.ndarray, "rows columns rgb"] | None:
+    """What fell on every pixel before, and what falls on it now; None where there is neither."""
+    now = None if fine is None else _gather(fine, weights)
+    return now if before is None or now is None else before + now
 
 
 def _gather(fine: Array, weights: Float[np.ndarray, "taps"]) -> Float[np.ndarray, "rows columns rgb"]:

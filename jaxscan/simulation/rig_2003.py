@@ -23,6 +23,7 @@ from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.images import Board
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, LightPlane, Linear, Rig, Rotary
+from jaxscan.simulation.hand import Hand
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.render import plane_of
 from jaxscan.simulation.scene import Body, Scene
@@ -227,6 +228,21 @@ def turned_on(rig: Rig, bodies: Sequence[Body], steps: float) -> tuple[Body, ...
 def board_scene(rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"]) -> Scene:
     """The board alone, in the pose T_cam_board, fixed on the stage where there is one."""
     return Scene((board_plate(BOARD).moved(vector_to_matrix(rotation), translation),))
+
+
+def held(rig: Rig, hand: Hand, pose: Pose, seed: tuple[int, int], exposures: int) -> list[list[Scene]]:
+    """The board alone, held in the pose T_cam_board: at even times of each of several exposures.
+
+    Args:
+        rig: the true one.
+        hand: how still it is.
+        pose: the mean one over the first exposure.
+        seed: of the session, and which view it is.
+        exposures: how many, right after each other.
+    """
+    px_per_mm = max(float(f) for f in rig.camera.focal) / float(pose.apply(BOARD.points())[:, 2].min())
+    moments = hand.held(pose, BOARD.points(), (2003, seed[0], 5, seed[1]), exposures, px_per_mm)
+    return [[board_scene(np.asarray(at.rotation), np.asarray(at.translation)) for at in each] for each in moments]
 
 
 def _sheet_point(rig: Rig, depth: float) -> Float[np.ndarray, "3"]:

@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
-from jaxscan.simulation import rig_2003
+from jaxscan.rig import Rig
+from jaxscan.simulation import Lighting, Scene, rig_2003
 from jaxscan.simulation.folders import read_scan_truth
 
 
@@ -60,6 +62,27 @@ def test_a_box_from_three_sides(few_photographs: None, tmp_path: Path, monkeypat
     assert "--turn 120" in simulate.describe(result)
 
 
+def test_boards_held_by_hand_and_a_laser_of_two_lobes(
+    few_photographs: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shot: list[tuple[int, str, float]] = []
+
+    def render(rig: Rig, scene: Any, *, lighting: Lighting, **how: Any) -> np.ndarray:
+        moments = 1 if isinstance(scene, Scene) else len(scene)
+        shot.append((moments, lighting.laser_profile, lighting.sheet_sigma_mm))
+        return np.zeros((480, 640, 3), np.uint8)
+
+    monkeypatch.setattr("jaxscan.simulation.folders.render", render)
+    words = "--stripes", "--shake-mm", "0.5", "--laser-profile", "two-lobed", "--sheet-mm", "0.6"
+    simulate.run(parse(str(tmp_path / "world"), *words))
+    assert {(kind, sigma) for _, kind, sigma in shot} == {("two-lobed", 0.6)}
+    # Two poses, each of board and stripe, are smeared; two photographs on the stage and two frames of the scan are not.
+    moments = [count for count, _, _ in shot]
+    assert len(moments) == 8
+    assert min(moments[:4]) > 1
+    assert moments[4:] == [1] * 4
+
+
 def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(InputError, match="no simulation"):
@@ -79,6 +102,10 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
         ("--ambient-colour", "1", "2", "0"),
         ("--highlight", "-5"),
         ("--ghost", "1.5"),
+        ("--laser-profile", "square"),
+        ("--sheet-mm", "0"),
+        ("--shake-mm", "-1"),
+        ("--shake-mm", "500"),
         ("--quality", "0"),
         ("--seed", "-1"),
         ("--mesh", "none.stl"),
