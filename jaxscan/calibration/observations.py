@@ -27,6 +27,7 @@ class StripePoints:
         half_width_px: how far the stripe's light reaches to either side; within it the board must have one colour.
         sigmas: σ of each as the detector predicts it, px, where there was one.
         brighter: the colour in which the stripe is far brighter than in that of its laser; None where there is none.
+        odd: whether its cross-section is no bell, all along it.
         light: read noise, gain, speckle contrast and saturation of the photograph, where there was a detector.
     """
 
@@ -36,6 +37,7 @@ class StripePoints:
     half_width_px: float = 3.0
     sigmas: Float[np.ndarray, "points"] | None = None
     brighter: str | None = None
+    odd: bool = False
     light: Float[np.ndarray, "4"] | None = None
 
 

@@ -26,6 +26,7 @@ from jaxscan.images import (
     shows_second_board,
 )
 from jaxscan.images.board import LEAST_POINTS
+from jaxscan.images.light import no_bell
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
@@ -114,7 +115,7 @@ def observe(
             f"a second board is in view in {', '.join(twice)}: which of the two was found is chance, so cover one "
             "of them and take these photographs again"
         )
-    notes += _across(session.lasers, views) + _miscoloured(session.lasers, views)
+    notes += [note for said in (_across, _miscoloured, _no_bell) for note in said(session.lasers, views)]
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts
         notes.append(
@@ -177,6 +178,17 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
         said = miscoloured(found, laser)
         if said is not None:
             notes.append(f"the {_stripe_of(laser)} {said}")
+    return notes
+
+
+def _no_bell(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
+    """Of which lasers the stripe's cross-section is no bell."""
+    notes = []
+    for i, laser in enumerate(lasers):
+        found = [stripe for view in views for stripe in view.stripes if stripe.laser == i]
+        said = no_bell([stripe.odd for stripe in found if np.isfinite(stripe.pixels).any()], "photographs")
+        if said is not None:
+            notes.append(f"the {_stripe_of(laser)}: its {said}")
     return notes
 
 
@@ -245,7 +257,7 @@ def stripe_points(
     half = 0.5 * float(np.median(width)) + _SMEAR_PX if width.size else _SMEAR_PX
     sigmas = np.asarray(stripe.sigma, np.float64).ravel()
     brighter = brighter_color(image, pixels, settings)
-    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter, stripe.light[0])
+    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter, bool(stripe.odd[0]), stripe.light[0])
 
 
 def _sequence(

@@ -16,6 +16,8 @@ from jaxtyping import Float32
 
 # What each photograph has, in this order.
 LIGHT: Final = ("read_noise", "gain", "speckle_contrast", "saturation")
+# What a stripe is, is said where at least this part of the photographs shows it.
+_MANY = 0.5
 
 
 @dataclass(frozen=True)
@@ -48,3 +50,21 @@ class Light:
         )
         speckle = f"speckle contrast {self.speckle_contrast:.2f}" if self.speckle_contrast else "no speckle seen"
         return f"read noise {self.read_noise:.3g} grey levels, {gain}, {speckle}, full from {self.saturation:.0f} on"
+
+
+def no_bell(odd: Sequence[bool], photographs: str) -> str | None:
+    """What is said of a stripe whose cross-section is no bell in at least half of the photographs.
+
+    Args:
+        odd: in which of those that have a stripe, as `Stripe` has it.
+        photographs: what they are called.
+    """
+    count = sum(odd)
+    if not count or count < _MANY * len(odd):
+        return None
+    return (
+        f"cross-section is not bell-shaped, all along it, in {count} of {len(odd)} {photographs}: its place may be "
+        "off, by the same amount everywhere, which a calibration with this laser takes up, and σ is not to be trusted: too "
+        "large, of a burnt-out stripe perhaps too small: focus the laser, clean lens and laser, dim a burnt-out line, "
+        "or use a laser of a single mode"
+    )

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.images import Stripe
+from jaxscan.images.light import no_bell
 
 # A note is worth it from these shares of the frames, and of a frame's pixels that are full.
 _MANY_FRAMES, _MANY_FULL = 0.5, 0.2
@@ -103,14 +104,8 @@ class LightWatch:
         ]
 
     def _profile(self) -> list[str]:
-        odd = sum(self._odd)
-        if not odd or odd < _MANY_FRAMES * len(self._odd):
-            return []
-        return [
-            f"the stripe's cross section is not bell-shaped, all along it, in {odd} of {len(self._odd)} frames: its "
-            "place may be off, by the same amount everywhere, which a calibration with this laser takes up, and σ is "
-            "too large: focus the laser, or use one of a single mode"
-        ]
+        said = no_bell(self._odd, "frames")
+        return [] if said is None else [f"the stripe's {said}"]
 
     def _overexposed(self) -> list[str]:
         full = np.array(self._full)

@@ -22,6 +22,9 @@ _ERRORS, _SHARE = 5.0, 0.25
 _BEND, _BEND_NOISE = 3.0, 4.0
 # A stripe that lies beside the plane by so many times its own noise and by so many times what the others do.
 _OFFSET_NOISE, _OFFSET_OTHERS = 4.0, 3.0
+# Stripes lie beside the plane as wholes, by this times as much as they are crooked: by noise alone 0.25 times. Of a few
+# stripes the plane takes up most.
+_WHOLES, _FEWEST_WHOLES = 1.0, 5
 # Of normal residuals 0.27 % lie beyond 3 σ.
 _BEYOND_3 = 0.015
 # Mean square of errors of stage or turntable in σ.
@@ -39,6 +42,7 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *_camera_model(calibration, diagnostics),
         *_sheets(calibration, lens),
         *_bent(diagnostics),
+        *_moved(diagnostics),
         *_stage(diagnostics),
         *_turntable(diagnostics),
         *_tails(calibration, diagnostics),
@@ -224,6 +228,33 @@ def _bent(diagnostics: Diagnostics) -> list[Box]:
                 "care",
                 f"The whole stripe lies beside the light plane on {names}.",
                 "The board moved between corners and stripe, is bent as a whole, or its squares are of another size.",
+            )
+        )
+    return boxes
+
+
+def _moved(diagnostics: Diagnostics) -> list[Box]:
+    """Boards that were not where their corners say when the stripe was photographed."""
+    boxes = []
+    for laser in dict.fromkeys(stripe.laser for stripe in diagnostics.stripes):
+        own = sorted((s for s in diagnostics.stripes if s.laser == laser), key=lambda s: -s.beside_mm)
+        beside, crooked = (
+            float(np.sqrt(np.mean(np.square(values))))
+            for values in ([s.beside_mm for s in own], [s.crooked_mm for s in own])
+        )
+        if len(own) < _FEWEST_WHOLES or beside < _WHOLES * crooked:
+            continue
+        which = f' of laser "{laser}"' if laser else ""
+        names = listed([f"{s.name} ({s.beside_mm:.2g} mm)" for s in own])
+        boxes.append(
+            Box(
+                "care",
+                f"The stripes{which} are straight and fit no plane: each as a whole lies beside the light plane, by "
+                f"{beside:.2g} mm RMS, {beside / crooked:.1f} times as far as they are crooked. The farthest are "
+                f"{names}. The boards were not where their corners say when the stripe was photographed.",
+                "Where corners and stripe have photographs of their own, the board moved between them: put it on a "
+                "stand and switch the laser without touching anything, or photograph both at once. Otherwise see "
+                "whether the plates are flat and whether the sheet of light is.",
             )
         )
     return boxes

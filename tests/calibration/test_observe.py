@@ -9,7 +9,7 @@ import pytest
 
 from jaxscan.calibration import View
 from jaxscan.calibration.observations import StripePoints
-from jaxscan.calibration.observe import _across, _miscoloured, _once, _Photograph, _radius, observe
+from jaxscan.calibration.observe import _across, _miscoloured, _no_bell, _once, _Photograph, _radius, observe
 from jaxscan.errors import InputError
 from jaxscan.files.session import read_session
 from jaxscan.images import Board, StripeSettings
@@ -125,6 +125,19 @@ def test_a_stripe_of_another_colour_is_pointed_out() -> None:
     assert notes("red", None, None) == notes() == []
     (note,) = notes("red", "red", None)
     assert 'set color = "red"' in note
+
+
+def test_a_stripe_that_is_no_bell_is_pointed_out() -> None:
+    lasers = [StripeSettings(name="upper"), StripeSettings(name="lower")]
+
+    def notes(*odd: bool) -> list[str]:
+        stripes = [StripePoints(np.zeros((1, 2)), laser=1, odd=one) for one in odd]
+        unseen = StripePoints(np.full((1, 2), np.nan), laser=1)
+        return _no_bell(lasers, [View("0", np.zeros((4, 2)), None, (s, unseen)) for s in stripes])
+
+    assert notes() == notes(False) == notes(True, False, False) == []
+    (note,) = notes(True, False, True)
+    assert note.startswith("the stripe of laser lower: its cross-section is not bell-shaped, all along it, in 2 of 3")
 
 
 def test_the_circles_radius_is_given_or_that_of_most_photographs():

@@ -305,3 +305,24 @@ def test_a_laser_that_is_no_bell_is_not_taken_for_edges(parts):
     # Before, 0.3 and 0.8 px.
     assert np.sqrt(np.nanmean(error**2)) < 0.1
     assert np.nanmean(np.abs(error) < 2 * stripe.sigma[0]) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("parts", "odd"),
+    [
+        ([(1, 0, 1.4)], False),
+        ([(1, 0, 1.4), (0.1, 0, 5.6)], True),
+        ([(1, 0, 1.4), (0.15, 4.5, 1.1)], True),
+        ([(1, 0, 1.1), (0.5, 1.3, 1.4)], True),
+    ],
+    ids=["bell", "halo", "side lobe", "skewed"],
+)
+def test_flanks_of_a_burnt_out_stripe_tell_whether_the_laser_is_a_bell(parts, odd):
+    middle = 100 + 5 * np.sin(np.arange(640) / 40)
+    v, random = np.arange(200)[:, None], np.random.default_rng(0)
+    light = sum(height * np.exp(-0.5 * ((v - middle - at) / s) ** 2) for height, at, s in parts)
+    speckle = random.gamma(25, 0.04, light.shape)
+    levels = 40 + 700 * light * speckle + 2 * random.standard_normal(light.shape)
+    stripe = detect_stripe(bytes_of(levels), GREY)
+    assert stripe.burnt.mean() > 0.95
+    assert stripe.odd.all() == odd

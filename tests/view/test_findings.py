@@ -39,6 +39,12 @@ def test_drawn_data_are_good_but_for_what_they_do_not_cover(calibration, diagnos
 
 
 BOWED = np.arange(400.0), 1e-5 * (np.arange(400) - 200.0) ** 2
+
+
+def level(offset: float) -> np.ndarray:
+    return offset + 0.02 * np.random.default_rng(0).standard_normal(400)
+
+
 SUSPECT = Suspect("07.png", False, 0.96, 0.5, 0.05, 0.06, 31.0, "mirrored left to right")
 
 
@@ -80,6 +86,10 @@ def better(ladder: Ladder, lens: str) -> Ladder:
             "care: The stripe is not straight on 1 of 1 boards: 03.png",
         ),
         (
+            lambda d: {"stripes": tuple(shape(f"{i}.png", "", BOWED[0], level(i / 10), 300.0) for i in range(-2, 4))},
+            r"care: The stripes are straight and fit no plane: .* by 0.18 mm RMS, .* are 3.png \(0.3 mm\), .* stand",
+        ),
+        (
             lambda d: {"coverage": replace(d.coverage, tilt_spread_deg=9.0)},
             "care: All boards are nearly parallel: .* 9°",
         ),
@@ -93,6 +103,17 @@ def test_what_is_wrong_is_said(calibration, diagnostics, change, expected):
     changed = replace(diagnostics, **change(diagnostics))
     assert re.search(expected, words(calibration, changed))
     assert not re.search(expected, words(calibration, diagnostics))
+
+
+def test_boards_that_moved_between_corners_and_stripe_are_said(calibration):
+    observed, moved = calibration.observations, []
+    for view, by in zip(calibration.observations.views, np.random.default_rng(3).normal(0, 0.4, 11), strict=True):
+        moved.append(
+            replace(view, stripes=tuple(replace(s, pixels=s.pixels + np.array([0, by])) for s in view.stripes))
+        )
+    shaken = calibrate(replace(observed, views=tuple(moved)))
+    said = words(shaken, diagnose(shaken, thorough=False))
+    assert re.search(r"care: The stripes are straight and fit no plane: .* farthest are view-\d+ \(0.\d+ mm\)", said)
 
 
 def test_the_worst_comes_first_and_makes_the_verdict(calibration, diagnostics, report):

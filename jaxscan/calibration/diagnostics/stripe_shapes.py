@@ -39,6 +39,7 @@ class StripeShape:
         tilt_mm: b, at the ends of the stripe.
         bend_mm: the running mean about the straight line, from peak to valley.
         bend_of_noise_mm: what noise alone gives it, expected.
+        crooked_mm: RMS of the running mean about the straight line.
         noise_mm: RMS about the running mean.
         tied_mm: RMS of what neighbours share: of the running mean, less what noise alone gives it.
         depth_mm: median distance of the points from the camera, along its axis.
@@ -54,9 +55,15 @@ class StripeShape:
     tilt_mm: float
     bend_mm: float
     bend_of_noise_mm: float
+    crooked_mm: float
     noise_mm: float
     tied_mm: float
     depth_mm: float
+
+    @property
+    def beside_mm(self) -> float:
+        """RMS distance of the straight line a + b t from the light plane."""
+        return float(np.hypot(self.offset_mm, self.tilt_mm / np.sqrt(3)))
 
 
 def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
@@ -108,6 +115,7 @@ def shape(
         # At the ends the mean is over half a window, and so noisier.
         bend_mm=float(np.ptp(whole[window // 2 : len(whole) - window // 2])),
         bend_of_noise_mm=_RANGE_OF_TEN * noise / np.sqrt(window),
+        crooked_mm=float(np.sqrt((whole**2).mean())),
         noise_mm=noise,
         tied_mm=float(np.sqrt(max(((A @ line + whole) ** 2).mean() - _LEFT_OF_NOISE * noise**2 / window, 0.0))),
         depth_mm=depth_mm,

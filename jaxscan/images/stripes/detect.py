@@ -52,6 +52,8 @@ _AMBIENT_QUANTILE = 0.97
 _SOME_PIXELS = 1200
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
+# Beyond this part of the lines with a stripe it is burnt out all along it.
+_ALL_BURNT = 0.75
 # Lines are measured in groups of so many, whatever the image: few sizes are compiled. Large ones cost less a line, by
 # what it takes two cores to begin together; those few that are looked at again would not fill them.
 _GROUPS: Final = (4, 128), (20, 512)
@@ -282,6 +284,9 @@ def _detect(
                 lambda old, new: _replaced(old, misled, new.reshape(-1, peak.shape[1])), measured, again.measured
             )
         strained, odd = edges_and_profiles(measured.h3, measured.h4, plain, plain & measured.strained)
+        # Of a stripe that is burnt out all along it the flanks tell.
+        mostly = (looked.burnt & looked.strong).sum(1) > _ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
+        odd |= mostly & ~np.asarray(sensor.apart)[: len(odd)]
         flat = jax.tree.map(np.ravel, measured)
         flat = look_again(flat, (*everywhere[:2], peak.ravel()), strained.ravel(), narrow, "torn")
         measured = jax.tree.map(lambda x: x.reshape(peak.shape), flat)

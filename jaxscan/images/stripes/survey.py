@@ -6,7 +6,6 @@ depend on what else is in the batch.
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -194,44 +193,37 @@ def survey_windows(
         noise /= _shown(correlation)
     read = jnp.maximum(noise, rounding)
     zero = jnp.zeros_like(one)
+    unknown, white = _UNKNOWN * one, jnp.ones(len(lit), bool)
     sensor = Sensor(
-        weights, ambient, full, span, ground, read, zero, zero, zero, zero, _UNKNOWN * one, _beside(r), zero, detail
+        weights, ambient, full, span, ground, read, zero, zero, zero, zero, unknown, _beside(r), zero, white, detail
     )
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
     # With no idea of the noise some lines will do.
     some, about = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
-    first = _look(some, about, _Seen(sensor, jnp.ones(len(lit), bool)), read, correlation, roughly=True)
+    first = _look(some, about, sensor, read, correlation, roughly=True)
 
-    def again(looked: Array, seen: _Seen) -> _Seen:
-        more = (looked == 0) | (seen.sensor.speckle > ROUGH)
-        return jax.tree.map(partial(jnp.where, more), _look(windows, around, seen, read, correlation), seen)
+    def again(looked: Array, known: Sensor) -> Sensor:
+        more = (looked == 0) | (known.speckle > ROUGH)
+        return jax.tree.map(partial(jnp.where, more), _look(windows, around, known, read, correlation), known)
 
     # The last looks are for those that speckle has made ragged; where there are none they are not taken.
-    def unfinished(state: tuple[Array, _Seen]) -> Array:
-        return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].sensor.speckle > ROUGH).any())
+    def unfinished(state: tuple[Array, Sensor]) -> Array:
+        return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].speckle > ROUGH).any())
 
     start = jnp.asarray(0), first
-    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1].sensor
-
-
-class _Seen(NamedTuple):
-    """What is known after a look, and in which frames the stripes have left nothing in common so far."""
-
-    sensor: Sensor
-    apart: Bool[Array, "frames"]
+    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1]
 
 
 def _look(
     windows: Windows,
     around: Outline,
-    seen: _Seen,
+    sensor: Sensor,
     read: Float[Array, "frames"],
     correlation: Float[Array, "frames distances"] | None,
     roughly: bool = False,
-) -> _Seen:
+) -> Sensor:
     """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
-    sensor = seen.sensor
     found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
     known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
     ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
@@ -239,8 +231,8 @@ def _look(
     spread = jnp.maximum(NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
-    light, apart = _chance(found, windows, around, shines, read, sensor.span, seen.apart, correlation, roughly)
-    sensor = replace(
+    light, apart = _chance(found, windows, around, shines, read, sensor.span, sensor.apart, correlation, roughly)
+    return replace(
         sensor,
         read=jnp.sqrt(light.read2),
         shot=light.shot,
@@ -249,8 +241,8 @@ def _look(
         even=light.even,
         ln_s=jnp.where(known.any(1), usual, 0.0),
         ln_s_spread=jnp.where(known.any(1), spread, _UNKNOWN),
+        apart=apart,
     )
-    return _Seen(sensor, apart)
 
 
 def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:

@@ -78,6 +78,8 @@ class Sensor(eqx.Module):
         beside: of neighbouring pixels at the ends of the windows, the mean product over the mean square, their means
             taken out: −0.2 where noise is white.
         even: of noise that is alike in neighbouring pixels beside the stripe, 1 if it is so on the stripe, 0 if not.
+        apart: whether what the plain profile leaves in the lines has nothing in common, as chance leaves it, or has a
+            shape: that of a laser that is no bell, of a halo, or of what a camera sharpens.
         detail: how far L, M and N gain by luma's detail; None where the colours of all frames are at full resolution.
     """
 
@@ -94,6 +96,7 @@ class Sensor(eqx.Module):
     ln_s_spread: Float[Array, "*of"]
     beside: Float[Array, "*of"]
     even: Float[Array, "*of"]
+    apart: Bool[Array, "*of"]
     detail: tuple[Float[Array, "*of"], ...] | None = None
 
     def of(self, frame: Places) -> "Sensor":

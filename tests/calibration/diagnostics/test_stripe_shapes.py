@@ -23,6 +23,9 @@ def test_a_bow_is_measured_from_peak_to_valley():
     t = 2 * along / 399 - 1
     found = shape("a", "", along, 0.1 + 0.05 * t - 0.4 * t**2, 300.0)
     assert found.tilt_mm == pytest.approx(0.05, abs=1e-3)
+    # The mean of 0.4 t² is 0.4 / 3; about it a parabola has an RMS of √(4/45) of its height.
+    assert found.beside_mm == pytest.approx(np.hypot(0.1 - 0.4 / 3, 0.05 / np.sqrt(3)), abs=1e-3)
+    assert found.crooked_mm == pytest.approx(0.4 * np.sqrt(4 / 45), rel=0.05)
     # The running mean is read where its window is whole: t from −0.9 to 0.9.
     assert found.bend_mm == pytest.approx(0.4 * 0.9**2, rel=0.03)
     assert (np.diff(found.along_px) > 0).all()
