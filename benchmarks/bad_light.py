@@ -1,8 +1,8 @@
-"""Light as users have it: smoothed noise, flicker, lamps, exposures, laser profiles: σ against the scatter, and notes.
+"""Photographs as users take them: smoothed noise, flicker, lamps, laser profiles, shaken boards: σ, and what is said.
 
 Stripes of σ 1, 1.5 and 2 px are drawn with exact pixel areas on an even ground, with noise of 3 and 6 grey levels and
 with a speckle of contrast 0.2, and then smoothed, enlarged or compressed. What is said of light that changes is asked
-of frames of a ball that passes before a wall.
+of frames of a ball that passes before a wall. Boards that a hand holds are those of the simulated rig of 2003.
 """
 
 from collections.abc import Callable
@@ -14,8 +14,10 @@ from jaxtyping import Float, UInt
 from scipy.special import ndtr
 
 from benchmarks.metric import Metric
+from benchmarks.shaken import moved, smeared
 from jaxscan.images import Stripe, StripeSettings, detect_stripe
 from jaxscan.reconstruction.light_watch import LightWatch
+from jaxscan.simulation.laser_profiles import LASER_PROFILES, bells
 
 _GREY, _RED = StripeSettings("grey"), StripeSettings("red")
 _ROWS, _COLUMNS, _GROUND, _HEIGHT = 192, 960, 40.0, 160.0
@@ -28,8 +30,9 @@ Levels = Float[np.ndarray, "rows columns"]
 
 
 def measure(quick: bool) -> list[Metric]:
-    """σ over the scatter under each filter; the same of each laser profile; what is said of light that changes."""
-    return smoothed(2 if quick else 8) + profiles(2 if quick else 8) + said()
+    """σ over the scatter under each filter, of each laser profile, of boards in a hand; what is said of all these."""
+    count = 2 if quick else 8
+    return smoothed(count) + profiles(count) + said() + smeared(quick) + moved(quick)
 
 
 def _jpeg(quality: int) -> Callable[[Image], Image]:
@@ -87,31 +90,38 @@ def smoothed(count: int) -> list[Metric]:
 
 
 def profiles(count: int) -> list[Metric]:
-    """Bias, scatter and σ of stripes whose cross section is no bell."""
-    print("  laser's profile: bias px, scatter px, predicted σ over the scatter; stripe of σ about 1.6 px, noise 3")
-    random, metrics = np.random.default_rng(6), []
-    for name, parts in _PROFILES.items():
-        light = np.sum([share * _profile(_centre(np.arange(_COLUMNS)) + at, s) for share, at, s in parts], axis=0)
-        middle = sum(share * s * at for share, at, s in parts) / sum(share * s for share, _, s in parts)
-        light *= _HEIGHT / light.max()
-        stripe = detect_stripe(np.stack([_photograph(light, 3.0, random) for _ in range(count)]), _GREY)
-        off = stripe.position - _centre(np.arange(_COLUMNS)) - middle
-        bias = float(np.nanmean(off))
-        scatter = float(np.nanstd(off))
-        ratio = float(np.sqrt(np.nanmean(stripe.sigma**2))) / scatter
-        print(f"    {name:14}{bias:8.3f}{scatter:8.3f}{ratio:8.2f}", flush=True)
-        metrics.append(Metric(f"bad_light.profile.{name}.sigma_over_scatter", ratio))
+    """Scatter, σ and what is said of stripes of each cross-section, by the default detector and by gravity."""
+    print("  laser's profile, σ about 1.6 px, noise 3: bias px, scatter px, σ over the scatter; frames said odd")
+    metrics, columns = [], np.arange(_COLUMNS)
+    for light, (height, contrast) in _LIGHTS.items():
+        for kind in LASER_PROFILES:
+            random = np.random.default_rng(6)
+            parts = bells(kind) * [1.0, _SHEET_PX, _SHEET_PX]
+            bright = np.sum([share * _profile(_centre(columns) + at, s) for share, at, s in parts], axis=0)
+            # The centre of gravity of each profile is at 0.
+            levels = [height * bright / bright.max() * _grain(bright.shape, contrast, random) for _ in range(count)]
+            photographs = np.stack([_photograph(each, 3.0, random) for each in levels])
+            cells = ""
+            for detector in ("likelihood", "gravity"):
+                stripe = detect_stripe(photographs, _GREY, detector=detector)
+                off = stripe.position - _centre(columns)
+                bias, scatter = float(np.nanmedian(off)), float(np.nanstd(off))
+                ratio = float(np.sqrt(np.nanmean(stripe.sigma**2))) / scatter
+                cells += f"{bias:9.3f}{scatter:8.3f}{ratio:7.2f}"
+                name = f"bad_light.profile.{light}.{kind}.{detector}"
+                metrics += [Metric(f"{name}.scatter", scatter, "px"), Metric(f"{name}.sigma_over_scatter", ratio)]
+                if detector == "likelihood":
+                    said = float(stripe.odd.mean())
+                    goal = ("lower", 0.0) if kind == "gaussian" else ("shown", None)
+                    metrics.append(Metric(f"{name}.said", said, "", *goal))
+                    cells += f"{said:6.2f}"
+            print(f"    {light:12}{kind:12}{cells}", flush=True)
     return metrics
 
 
-# Bells that make up a profile: height, place and σ in px.
-_PROFILES: Final = {
-    "gaussian": ((1.0, 0.0, 1.6),),
-    "flat": tuple((1.0, at, 0.8) for at in np.linspace(-2, 2, 9)),
-    "two_lobed": ((1.0, -1.5, 0.9), (1.0, 1.5, 0.9)),
-    "skewed": ((1.0, 0.0, 1.2), (0.5, 1.5, 1.6)),
-    "side_lobes": ((1.0, 0.0, 1.6), (0.08, -5.0, 1.2), (0.08, 5.0, 1.2)),
-}
+# σ of the sheet, px, and of each light the height in grey levels and the speckle's contrast.
+_SHEET_PX: Final = 1.6
+_LIGHTS: Final = {"even": (_HEIGHT, 0.0), "speckled": (_HEIGHT, 0.2), "burnt_out": (900.0, 0.2)}
 
 
 def said() -> list[Metric]:
@@ -158,7 +168,11 @@ def _profile(centre: Float[np.ndarray, "columns"], s: float) -> Levels:
 
 def _speckled(s: float, contrast: float, random: np.random.Generator) -> Levels:
     light = _HEIGHT * _profile(_centre(np.arange(_COLUMNS)), s)
-    return light * random.gamma(contrast**-2, contrast**2, light.shape) if contrast else light
+    return light * _grain(light.shape, contrast, random)
+
+
+def _grain(shape: tuple[int, ...], contrast: float, random: np.random.Generator) -> Levels | float:
+    return random.gamma(contrast**-2, contrast**2, shape) if contrast else 1.0
 
 
 def _photograph(light: Levels, noise: float, random: np.random.Generator) -> Image:
