@@ -279,7 +279,8 @@ def _detect(
         if misled.any():
             stands[misled[:, None] & ~even] = np.iinfo(stands.dtype).min
             sensor = with_grain(survey(*looking, correlation if len(smoothed) else None), *along)
-            again = looked_at(tuple(index[misled].ravel() for index in (*np.indices(peak.shape, np.int32), peak)))
+            which = np.repeat(misled, peak.shape[1])
+            again = looked_at(tuple(index[which] for index in (*everywhere[:2], peak.ravel())))
             measured = jax.tree.map(
                 lambda old, new: _replaced(old, misled, new.reshape(-1, peak.shape[1])), measured, again.measured
             )
