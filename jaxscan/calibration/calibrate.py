@@ -210,7 +210,7 @@ def _check_enough(observations: Observations) -> None:
     if len(views) < FEWEST_VIEWS:
         raise InputError(
             f"{len(views)} usable views of the board; at least {FEWEST_VIEWS} are needed: photograph the board in "
-            f"more poses, all of it in view and tilted in different directions"
+            f"more poses, all of it in view and tilted in different directions{_on_axes_alone(observations)}"
         )
     for i, name in enumerate(observations.lasers):
         striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in observations.photographs())
@@ -227,7 +227,7 @@ def _check_enough(observations: Observations) -> None:
             raise InputError(
                 f"{places} usable {sequence.axis} photographs at different step counts; at least {fewest} are needed"
             )
-    moving = {sequence.axis for sequence in observations.sequences}
+    moving = _moving(observations)
     for sequence in observations.sequences:
         for axis, steps in sequence.positions.items():
             if axis not in moving and np.any(steps):
@@ -235,6 +235,22 @@ def _check_enough(observations: Observations) -> None:
                     f"the {sequence.axis} was photographed away from the {axis}'s step 0, but no board on the {axis} "
                     f"tells how far that is: photograph one, or give {axis}_step = 0 under [{sequence.axis}]"
                 )
+
+
+def _on_axes_alone(observations: Observations) -> str:
+    """Why photographs of the board on the axes do not take the place of views, where there are any."""
+    count = sum(len(sequence.views) for sequence in observations.sequences)
+    if not count:
+        return ""
+    return (
+        f". The {count} photographs of it on the {' and the '.join(_moving(observations))} do not count: they show how "
+        "it is moved once the camera is known, and the camera is found from a board that is held in the hand"
+    )
+
+
+def _moving(observations: Observations) -> list[str]:
+    """The axes that have photographs, each once."""
+    return list(dict.fromkeys(sequence.axis for sequence in observations.sequences))
 
 
 def _stripe_points(view: View, laser: int) -> int:

@@ -134,6 +134,9 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     """
     table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", "stage", "turntable", "laser"))
     board, camera = _board(table), _camera(table)
+    if "views" not in table:
+        mend = "add it, with boards = the photographs of the board held in the hand, in three poses or more"
+        raise table.error("views", f"is missing: {mend}; the camera is found from them")
     views = table.table("views", "[views] ").only("boards", "stripes")
     boards = files_of(views, "boards")
     if not boards:

@@ -116,6 +116,14 @@ def test_the_pose_at_step_0_has_a_covariance_that_turns_with_it(with_turntable, 
     np.testing.assert_allclose(carried / np.outer(scale, scale), here.matrix / np.outer(scale, scale), atol=1e-4)
 
 
+def test_a_board_that_was_only_photographed_on_axes_is_refused_and_told_why(with_turntable):
+    text = "0 usable views of the board; .* The 13 photographs of it on the stage and the turntable do not count"
+    with pytest.raises(InputError, match=text):
+        calibrate(replace(with_turntable, views=()))
+    with pytest.raises(InputError, match=r"The 8 photographs of it on the turntable do not count.* held in the hand"):
+        calibrate(replace(with_turntable, views=(), sequences=with_turntable.sequences[1:]))
+
+
 def test_one_photograph_of_another_place_is_left_out(with_turntable, found):
     views = list(with_turntable.sequences[1].views)
     views[3] = replace(views[3], corners=views[3].corners + np.array([7.0, -4.0]))

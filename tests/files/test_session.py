@@ -201,7 +201,7 @@ TURN = '[turntable]\nimages = "stage/*.png"\n'
 
 BAD = {
     "no board": ([VIEWS], ["board", "is missing"]),
-    "no views": ([BOARD], ["views", "is missing"]),
+    "no views": ([BOARD], ["views", "is missing", "held in the hand", "three poses"]),
     "board is a number": (["board = 3", VIEWS], ["board = 3", "must be a table"]),
     "mistyped table": ([BOARD, VIEWS, "[lazer]"], ["lazer", 'did you mean "laser"?']),
     "mistyped key": ([BOARD.replace("square_mm", "squares_mm"), VIEWS], ["[board] squares_mm = 10.0", '"square_mm"?']),
