@@ -35,6 +35,7 @@ SUITES = {
     "headline": "the table of the README: four pipelines on the same photographs, with speckle and without",
     "speed": "reconstruction and calibration against the pipeline of 2003 in Octave",
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
+    "montecarlo_turning": "the same of a rig with a turntable, and of points scanned while it turns",
     "concurrency": "calibrations two at a time on 1 to 16 threads, boards of 12 to 600 corners: none hangs",
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",
     "starts": "whether a calibration ends in the same minimum wherever it starts",
@@ -125,7 +126,7 @@ def command_line() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description="Measure accuracy and speed.",
-        epilog="suites:\n" + "\n".join(f"  {name:12} {words}" for name, words in SUITES.items()),
+        epilog="suites:\n" + "\n".join(f"  {name:18} {words}" for name, words in SUITES.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--only", choices=SUITES, action="append", help="one suite; may be given more than once")

@@ -43,38 +43,42 @@ def exact_session(seed: int, lasers: int = 1) -> tuple[Rig, Observations]:
     )
 
 
-def exact_turn(rig: Rig, seed: int) -> BoardSequence:
-    """What is seen of the board on the turntable of a rig that has one, without any noise."""
-    points, turns = rig_2003.BOARD.points(), rig_2003.TURNS_APART * np.arange(rig_2003.TURNTABLE_VIEWS)
+def exact_turn(rig: Rig, seed: int, columns_apart: int | None = None) -> BoardSequence:
+    """What is seen of the board on the turntable of a rig that has one, without any noise.
+
+    Args:
+        rig: the rig.
+        seed: of where the board lies.
+        columns_apart: from one stripe point to the next; None for no stripes.
+    """
+    turns = rig_2003.TURNS_APART * np.arange(rig_2003.TURNTABLE_VIEWS)
     steps = np.full(len(turns), float(rig_2003.TURNTABLE_STAGE_STEP))
     boards = rig_2003.turned_boards(rig, rig_2003.turntable_pose(rig, seed), turns)
-    views = tuple(
-        View(
-            f"turntable-{i}",
-            _project(rig.camera, board.apply(points) + moved),
-        )
-        for i, (board, moved) in enumerate(zip(boards, rig_2003.stage_travel(rig, steps), strict=True))
-    )
+    rotations = np.stack([board.rotation for board in boards])
+    translations = np.stack([board.translation for board in boards]) + rig_2003.stage_travel(rig, steps)
+    views = exact_views(rig, Pose(rotations, translations), "turntable", columns_apart)
     return BoardSequence({"stage": steps, "turntable": turns.astype(float)}, views, "turntable", "rotary")
 
 
-def exact_views(rig: Rig, poses: Pose) -> tuple[View, ...]:
-    """What is seen of the board in some poses, stacked, with each laser on it."""
+def exact_views(rig: Rig, poses: Pose, stem: str = "view", columns_apart: int | None = 1) -> tuple[View, ...]:
+    """What is seen of the board in some poses, stacked, with each laser on it as in `exact_turn`."""
     points, views = rig_2003.BOARD.points(), []
     for i, (rotation, translation) in enumerate(
         zip(np.asarray(poses.rotation), np.asarray(poses.translation), strict=True)
     ):
         scene = rig_2003.board_scene(rotation, translation)
         X = Pose(rotation, translation).apply(points)
-        stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n) for n in range(len(rig.lights)))
-        views.append(View(f"view-{i}", _project(rig.camera, X), stripes=stripes))
+        lasers = range(len(rig.lights)) if columns_apart else ()
+        stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n, columns_apart) for n in lasers)
+        views.append(View(f"{stem}-{i}", _project(rig.camera, X), stripes=stripes))
     return tuple(views)
 
 
-def _stripe(position: Float[np.ndarray, "columns"], laser: int) -> StripePoints:
+def _stripe(position: Float[np.ndarray, "columns"], laser: int, columns_apart: int | None) -> StripePoints:
     columns = np.where(np.isfinite(position), np.arange(len(position)), np.nan)
     # No squares were drawn, so that their edges need not be kept away from.
-    return StripePoints(np.stack([columns, position], axis=-1), laser=laser, half_width_px=1e-6)
+    pixels = np.stack([columns, position], axis=-1)[::columns_apart]
+    return StripePoints(pixels, laser=laser, half_width_px=1e-6)
 
 
 def redrawn(exact: Observations, noise: Noise, random: np.random.Generator) -> Observations:
@@ -95,7 +99,10 @@ def redrawn(exact: Observations, noise: Noise, random: np.random.Generator) -> O
     return replace(
         exact,
         views=tuple(stripes(corners(view)) for view in exact.views),
-        sequences=tuple(replace(stage, views=tuple(map(corners, stage.views))) for stage in exact.sequences),
+        sequences=tuple(
+            replace(sequence, views=tuple(stripes(corners(view)) for view in sequence.views))
+            for sequence in exact.sequences
+        ),
     )
 
 
