@@ -106,7 +106,7 @@ def compared(session: Session, draws: int, quick: bool) -> list[Metric]:
     efficiency = ((np.stack([draw.values["parameters"] for draw in solved]) - truth) ** 2).mean(axis=0) / bound
 
     def figure(name: str, value: float, better: Literal["lower", "higher"], goal: float) -> Metric:
-        # A scatter is known to 1.6 % from 2000 draws, to 2.2 % from 1000; from a few it says nothing that a gate could
+        # A scatter is known to 1.6 % from 2000 draws, to 2.4 % from 900; from a few it says nothing that a gate could
         # stand on.
         return Metric(f"{session.stem}.{name}", value, "", "shown" if quick else better, goal, slack=0.02)
 

@@ -23,7 +23,7 @@ from benchmarks.montecarlo import DRAWS_QUICK, PIXELS, Session, compared, triang
 from jaxscan.rig import Rig, Rotary
 from jaxscan.simulation import rig_2003
 
-_DRAWS = 1000
+_DRAWS = 900
 _ANGLES = 8
 # Of the stripe on the turning board: with every column a draw takes three times as long.
 _COLUMNS_APART = 16
