@@ -31,8 +31,8 @@ _FEWEST = 100
 # Neighbours differ by less than this part of what lines far apart do, at first sight.
 _LESS = 0.93
 # The median of a normal number's square scatters by so much of itself over the root of how many there are; what is seen
-# is no chance from so many times that.
-_SCATTER, _SURE = 1.65, 3.0
+# is no chance from so many times that; a grain is needed beside what the surface may do from so many.
+_SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
 # The median of the square of a normal number is this part of its mean.
 _MEDIAN_OF_SQUARE = 0.455
 # ln of the standard deviation of the narrowest stripe whose breadth is told by its pixels, px.
@@ -133,7 +133,7 @@ def _told(
         numbers, need = nnls(np.column_stack([by, surface[:, :2]]), left)
         found.append((need, float(numbers[0]), float(rho)))
     need, V, rho = min(found)
-    return (V, rho) if without**2 - need**2 > (_SURE * _SCATTER) ** 2 / few else None
+    return (V, rho) if without**2 - need**2 > (_NEEDED * _SCATTER) ** 2 / few else None
 
 
 def _of_profile(s: float, rho: float) -> float:
