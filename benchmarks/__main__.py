@@ -59,6 +59,7 @@ NOT_QUICK = {
     "starts",
     "next_pose",
     "montecarlo",
+    "montecarlo_turning",
     "gauge",
     "lasers",
     "accuracy",
