@@ -57,7 +57,7 @@ def test_grains_are_weighed():
 def test_grains_of_a_stripe_that_is_burnt_out(core, s, grain):
     """Its flanks alone are seen."""
     _, ratio, _ = found(*photograph(s, 0.2, grain, burnt=np.exp((core / 2) ** 2 / (2 * s * s))))
-    assert 0.7 < ratio < 1.4
+    assert 0.7 < ratio < 1.5
 
 
 @pytest.mark.parametrize("contrast", [0.0, 0.2])
@@ -74,7 +74,7 @@ def test_flanks_widen_nothing_where_the_noise_tells_all(core, s, grain):
 
 
 def test_flanks_tell_the_scatter_of_a_real_stripe(data):
-    """Burnt out white, with a halo: 24 % of the points were within 1 σ."""
+    """Burnt out white, with a halo: of the points 24 % were within 1 σ."""
     frames = np.stack([read_image(path) for path in sorted((data / "stage-flat" / "frames").glob("*.jpg"))])
     stripe = detect_stripe(frames, StripeSettings("red", columns=False))
     within = []
@@ -82,4 +82,4 @@ def test_flanks_tell_the_scatter_of_a_real_stripe(data):
         row = np.flatnonzero(np.isfinite(position))
         off = position[row] - np.polyval(np.polyfit(row, position[row], 1), row)
         within.append((np.abs(off) < sigma[row]).mean())
-    assert np.median(within) > 0.45
+    assert np.median(within) > 0.5

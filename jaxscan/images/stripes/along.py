@@ -37,9 +37,6 @@ _SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
 _MEDIAN_OF_SQUARE = 0.455
 # ln of the standard deviation of the narrowest stripe whose breadth is told by its pixels, px.
 _NARROW: Final = float(np.log(0.9))
-# Lines so far apart have no grain in common. Half the scatter of the breadth at half height is that of the best centre
-# times 1.25; where the noise tells less than half of it, the flanks are believed.
-_FAR_ENOUGH, _OF_BEST, _FAR_MORE = (4, 5, 6), 1.25, 2.0
 
 Lines = Float[np.ndarray, "frames lines"]
 
@@ -71,29 +68,26 @@ def with_grain(sensor: Sensor, ln_light: Lines, seen: Bool[np.ndarray, "frames l
     return replace(sensor, speckle=jnp.asarray(speckle), grain=jnp.asarray(grain))
 
 
-def widened_by_flanks(
-    sigma: Lines, breadth: Lines, burnt: Bool[np.ndarray, "frames lines"], ln_s: Float[np.ndarray, "frames"]
-) -> Lines:
-    """σ of burnt-out stripes whose flanks scatter by far more than their noise tells.
+def widened_by_flanks(sigma: Lines, breadth: Lines, burnt: Bool[np.ndarray, "frames lines"], sensor: Sensor) -> Lines:
+    """σ of burnt-out stripes whose flanks are moved by grains that the survey has not seen.
 
     Of a stripe that is burnt out its two flanks alone are seen. Speckle moves each by itself, so that the centre
-    scatters by half as much as the breadth does, whatever profile and halo are.
+    scatters by half as much as the breadth does, whatever profile and halo are. Of the breadth's variogram the part of
+    single pixels is left out: a fit averages over more of them than an outline does, and σ has it.
 
     Args:
         sigma: of each line's centre, px; NaN where there is none.
         breadth: of what is seen of each line's stripe, full at half height, px.
         burnt: which lines are burnt out.
-        ln_s: ln of the stripe's standard deviation, px. A narrow one's breadth is not told by its pixels.
+        sensor: the noise.
     """
     sigma = sigma.copy()
     burnt = burnt & np.isfinite(sigma)
-    for frame in np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & (ln_s > _NARROW)):
-        used = burnt[frame]
-        squares = [_variogram(breadth[frame], used, int(k)) for k in _FAR_ENOUGH]
-        scatter = float(np.sqrt(np.mean(squares))) / 2 / _OF_BEST
-        usual = float(np.median(sigma[frame, used]))
-        if scatter * _OF_BEST > _FAR_MORE * usual:
-            sigma[frame, used] *= scatter / usual
+    wide, even = (np.asarray(x)[: len(sigma)] for x in (sensor.ln_s > _NARROW, sensor.grain == 0))
+    for frame in np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & wide & even):
+        told = _told(breadth[frame], burnt[frame], None)
+        if told is not None:
+            sigma[frame, burnt[frame]] = np.hypot(sigma[frame, burnt[frame]], np.float32(np.sqrt(told[0]) / 2))
     return sigma
 
 
@@ -114,23 +108,24 @@ def _usual_difference(
 
 
 def _told(
-    ln_light: Float[np.ndarray, "lines"], used: Bool[np.ndarray, "lines"], noise: float
+    values: Float[np.ndarray, "lines"], used: Bool[np.ndarray, "lines"], noise: float | None
 ) -> tuple[float, float] | None:
-    """V and ρ of one frame; None where they are not needed to tell what is seen."""
-    gamma = np.array([_variogram(ln_light, used, int(k)) for k in _DISTANCES])
+    """V and ρ of one frame, n given or not; None where they are not needed to tell what is seen."""
+    gamma = np.array([_variogram(values, used, int(k)) for k in _DISTANCES])
     few = int((used[_DISTANCES[-1] :] & used[: -_DISTANCES[-1]]).sum())
     far = gamma[len(gamma) // 2 :].mean()
     if not gamma.min() > 0 or far - gamma[0] < _SURE * _SCATTER / np.sqrt(few) * far:
         return None
     k = _DISTANCES / _DISTANCES[-1]
     surface = np.stack([k, k**2, np.ones_like(k)], axis=1) / gamma[:, None]
-    left = 1 - noise / gamma
+    left = 1 - (noise or 0.0) / gamma
     # Speckle of single pixels is alike at all distances, as noise is.
     without = nnls(surface, left)[1]
+    surface = surface if noise is None else surface[:, :2]
     found = []
     for rho in _CORRELATIONS:
         by = (1 - rho ** (_DISTANCES**2.0)) / gamma
-        numbers, need = nnls(np.column_stack([by, surface[:, :2]]), left)
+        numbers, need = nnls(np.column_stack([by, surface]), left)
         found.append((need, float(numbers[0]), float(rho)))
     need, V, rho = min(found)
     return (V, rho) if without**2 - need**2 > (_NEEDED * _SCATTER) ** 2 / few else None

@@ -297,7 +297,7 @@ def _detect(
     )
     for i in smoothed:
         sigma[i] *= widening(correlation[i], sensor, int(i), width[i], measured.relief[i])
-    sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, np.asarray(sensor.ln_s)[: len(valid)])
+    sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
     around = _surroundings(_sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
     light = np.where(valid.any(axis=1, keepdims=True), light_of(sensor, color)[: len(valid)], np.float32(np.nan))
     return Stripe(
