@@ -28,7 +28,7 @@ from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
 from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
-from jaxscan.images.stripes.likelihood import ROUGH
+from jaxscan.images.stripes.likelihood import FWHM, ROUGH
 from jaxscan.images.stripes.response import numbers
 from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
 from jaxscan.images.stripes.smoothed import DISTANCES, noise_correlation, widening
@@ -54,6 +54,8 @@ _SOME_PIXELS = 1200
 _MOSTLY_BURNT = 0.3
 # Beyond this part of the lines with a stripe it is burnt out all along it.
 _ALL_BURNT = 0.75
+# Of torn lines so many are narrower than the stripe is.
+_WHOLE = 0.9
 # Lines are measured in groups of so many, whatever the image: few sizes are compiled. Large ones cost less a line, by
 # what it takes two cores to begin together; those few that are looked at again would not fill them.
 _GROUPS: Final = (4, 128), (20, 512)
@@ -279,6 +281,7 @@ def _detect(
         if misled.any():
             stands[misled[:, None] & ~even] = np.iinfo(stands.dtype).min
             sensor = with_grain(survey(*looking, correlation if len(smoothed) else None), *along)
+            sensor = replace(sensor, ln_s=_whole_width(np.array(sensor.ln_s), measured.width, plain, misled))
             which = np.repeat(misled, peak.shape[1])
             again = looked_at(tuple(index[which] for index in (*everywhere[:2], peak.ravel())))
             measured = jax.tree.map(
@@ -331,6 +334,18 @@ def _correlations(
         if told is not None:
             found[i] = told
     return found
+
+
+def _whole_width(
+    ln_s: Float32[np.ndarray, "most"],
+    width: Float[np.ndarray, "frames lines"],
+    seen: Bool[np.ndarray, "frames lines"],
+    torn: Bool[np.ndarray, "frames"],
+) -> Float32[np.ndarray, "most"]:
+    """Where most lines of a frame are torn, ln of its stripe's standard deviation: an edge makes lines narrower."""
+    for frame in np.flatnonzero(torn):
+        ln_s[frame] = np.log(np.quantile(width[frame, seen[frame]], _WHOLE) / FWHM)
+    return ln_s
 
 
 def _speckled(
