@@ -3,7 +3,7 @@
 A grain that is wider than the stripe moves the whole of it, and a fit leaves nothing of it in its line. But it makes
 that line brighter or darker, and those beside it with it, as far as it goes, for grains are round (J. Goodman 2007,
 chapter 4: their size is that of the lens's aperture, wavelength times f-number). With F the light of a line, half the
-mean square of the difference of ln F between lines k apart (G. Matheron's variogram, 1963) is
+mean square of the difference of ln F between lines k apart (`variogram`) is
 
     γ_k = n + V (1 − ρ^(k²)) + t k + t′ k²,      V = C² Σ_ij P_i P_j ρ^((i − j)²) / (Σ P_i)²
 
@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
 from jaxscan.images.stripes.likelihood import FWHM, REACH, REACH_PX
+from jaxscan.images.stripes.variogram import variogram
 from jaxscan.images.stripes.windows import Sensor
 
 # Distances, in lines: the largest grain that the filter of `grain` holds is gone at the last.
@@ -33,8 +34,6 @@ _LESS = 0.93
 # The median of a normal number's square scatters by so much of itself over the root of how many there are; what is seen
 # is no chance from so many times that; a grain is needed beside what the surface may do from so many.
 _SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
-# The median of the square of a normal number is this part of its mean.
-_MEDIAN_OF_SQUARE = 0.455
 # ln of the standard deviation of the narrowest stripe whose breadth is told by its pixels, px.
 _NARROW: Final = float(np.log(0.9))
 
@@ -50,12 +49,14 @@ def with_grain(sensor: Sensor, ln_light: Lines, seen: Bool[np.ndarray, "frames l
         seen: which lines have a whole stripe that is not burnt out.
     """
     speckle, grain = (np.array(x) for x in (sensor.speckle, sensor.grain))
+    ln_s, read, shot = (np.asarray(x) for x in (sensor.ln_s, sensor.read, sensor.shot))
     ln_light = np.where(seen, ln_light, 0.0)
     near, far = (_usual_difference(ln_light, seen, int(k)) for k in _DISTANCES[[0, -1]])
     for frame in np.flatnonzero(near < _LESS * far):
         lines = seen[frame]
-        s, read, shot = (float(np.asarray(x)[frame]) for x in (np.exp(sensor.ln_s), sensor.read, sensor.shot))
-        noise = _noise_of_ln_light(s, np.exp(np.median(ln_light[frame, lines])) / s, read, shot)
+        s = float(np.exp(ln_s[frame]))
+        height = np.exp(np.median(ln_light[frame, lines])) / s
+        noise = _noise_of_ln_light(s, height, float(read[frame]), float(shot[frame]))
         told = _told(ln_light[frame], lines, noise)
         if told is None:
             continue
@@ -83,18 +84,12 @@ def widened_by_flanks(sigma: Lines, breadth: Lines, burnt: Bool[np.ndarray, "fra
     """
     sigma = sigma.copy()
     burnt = burnt & np.isfinite(sigma)
-    wide, even = (np.asarray(x)[: len(sigma)] for x in (sensor.ln_s > _NARROW, sensor.grain == 0))
-    for frame in np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & wide & even):
+    ln_s, grain = (np.asarray(x)[: len(sigma)] for x in (sensor.ln_s, sensor.grain))
+    for frame in np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & (ln_s > _NARROW) & (grain == 0)):
         told = _told(breadth[frame], burnt[frame], None)
         if told is not None:
             sigma[frame, burnt[frame]] = np.hypot(sigma[frame, burnt[frame]], np.float32(np.sqrt(told[0]) / 2))
     return sigma
-
-
-def _variogram(values: Float[np.ndarray, "lines"], used: Bool[np.ndarray, "lines"], apart: int) -> float:
-    """Half the mean square of the difference of lines so far apart, by a median; NaN where there are few."""
-    d = (values[apart:] - values[:-apart])[used[apart:] & used[:-apart]]
-    return float(np.median(d * d)) / (2 * _MEDIAN_OF_SQUARE) if len(d) >= _FEWEST else np.nan
 
 
 def _usual_difference(
@@ -111,7 +106,7 @@ def _told(
     values: Float[np.ndarray, "lines"], used: Bool[np.ndarray, "lines"], noise: float | None
 ) -> tuple[float, float] | None:
     """V and ρ of one frame, n given or not; None where they are not needed to tell what is seen."""
-    gamma = np.array([_variogram(values, used, int(k)) for k in _DISTANCES])
+    gamma = np.array([variogram(values, used, int(k), _FEWEST) for k in _DISTANCES])
     few = int((used[_DISTANCES[-1] :] & used[: -_DISTANCES[-1]]).sum())
     far = gamma[len(gamma) // 2 :].mean()
     if not gamma.min() > 0 or far - gamma[0] < _SURE * _SCATTER / np.sqrt(few) * far:

@@ -14,6 +14,8 @@ edge goes on and beyond which no grain of speckle does: γ_k = ½ ⟨(h_i − h_
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.images.stripes.variogram import variogram
+
 # No difference of two fits is as small; its inverse is a number in float32 too.
 _TINY = 1e-20
 # Half the lengths of the windows: an edge may run along a stripe for long or for a little.
@@ -149,17 +151,10 @@ def _chance(
     h: Lines, known: Bool[np.ndarray, "frames lines"]
 ) -> tuple[Float[np.ndarray, "frames 1"], Float[np.ndarray, "frames 1"]]:
     """τ and v of each frame, by medians, which the ends of edges do not move."""
-    gamma = []
-    for k in range(1, _GRAIN + 1):
-        squares, pairs = _differences(h, known, k)
-        each = [
-            np.median(row[there > 0]) if (there > 0).any() else 0.0 for row, there in zip(squares, pairs, strict=True)
-        ]
-        gamma.append(np.asarray(each)[:, None])
-    last = np.maximum(gamma[-1], _TINY)
-    tau = 1 + 2 * sum(np.clip(1 - each / last, 0.0, 1.0) for each in gamma[:-1])
-    # The median of the square of a normal number is 0.455 of its mean.
-    return np.asarray(tau), gamma[-1] / 0.455
+    each = [[variogram(*line, k) for line in zip(h, known, strict=True)] for k in range(1, _GRAIN + 1)]
+    *nearer, last = np.nan_to_num(each)[:, :, None]
+    tau = 1 + 2 * sum(np.clip(1 - one / np.maximum(last, _TINY), 0.0, 1.0) for one in nearer)
+    return np.asarray(tau), last
 
 
 def _over(values: Lines, half: int) -> Lines:

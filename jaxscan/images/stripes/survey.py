@@ -284,23 +284,27 @@ def _weights(
     half: Bool[Array, "frames"] | None,
     color: str,
 ) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
-    around = outline(r)
     k = jnp.arange(r.shape[1])[None, :, None]
     beside = (k < _FLANK) | (k >= r.shape[1] - _FLANK)
-    core = (k > around.start) & (k < around.end) & around.whole & ~burnt
-    stripe = jnp.where(core, r - around.floor, 0.0)
+    core, rise = _core(r, burnt)
+    stripe = jnp.where(core, rise, 0.0)
     return channel_weights(levels, stripe, jnp.broadcast_to(beside, r.shape), half, color)
+
+
+def _core(r: Pixels, burnt: Array) -> tuple[Bool[Array, "frames window lines"], Pixels]:
+    """The pixels of whole stripes above half their height that are not full, and how far each rises."""
+    around = outline(r)
+    k = jnp.arange(r.shape[1])[None, :, None]
+    return (k > around.start) & (k < around.end) & around.whole & ~burnt, r - around.floor
 
 
 def _part_of_luma(
     laser: Int[Array, "frames window lines"], r: Float[Array, "frames window lines"], burnt: Array
 ) -> Float[Array, "frames"]:
     """What the brightest channel of the laser's light counts for in luma: of red 0.3."""
-    around = outline(r)
-    k = jnp.arange(r.shape[1])[None, :, None]
-    core = (k > around.start) & (k < around.end) & around.whole & ~burnt
+    core, luma = _core(r, burnt)
     ends = jnp.concatenate([laser[:, :_FLANK], laser[:, -_FLANK:]], axis=1).astype(jnp.float32)
-    rise, luma = laser - ends.mean(1, keepdims=True), r - around.floor
+    rise = laser - ends.mean(1, keepdims=True)
     luma, rise = (jnp.where(core, x, 0.0).sum((1, 2)) for x in (luma, rise))
     return jnp.clip(luma / jnp.maximum(rise, _TINY), _LEAST_LUMA, 1.0)
 
