@@ -12,12 +12,12 @@ the stripe's profile; t and t′ are what the surface's reflectance adds over lo
 """
 
 from dataclasses import replace
+from itertools import product
 from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import nnls
 
 from jaxscan.images.stripes.likelihood import FWHM, REACH, REACH_PX
 from jaxscan.images.stripes.variogram import variogram
@@ -36,8 +36,10 @@ _LESS = 0.93
 _SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
 # ln of the standard deviation of the narrowest stripe whose breadth is told by its pixels, px.
 _NARROW: Final = float(np.log(0.9))
+_TINY = 1e-12
 
 Lines = Float[np.ndarray, "frames lines"]
+Frames = Float[np.ndarray, "frames"]
 
 
 def with_grain(sensor: Sensor, ln_light: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Sensor:
@@ -52,19 +54,15 @@ def with_grain(sensor: Sensor, ln_light: Lines, seen: Bool[np.ndarray, "frames l
     ln_s, read, shot = (np.asarray(x) for x in (sensor.ln_s, sensor.read, sensor.shot))
     ln_light = np.where(seen, ln_light, 0.0)
     near, far = (_usual_difference(ln_light, seen, int(k)) for k in _DISTANCES[[0, -1]])
-    for frame in np.flatnonzero(near < _LESS * far):
-        lines = seen[frame]
-        s = float(np.exp(ln_s[frame]))
-        height = np.exp(np.median(ln_light[frame, lines])) / s
-        noise = _noise_of_ln_light(s, height, float(read[frame]), float(shot[frame]))
-        told = _told(ln_light[frame], lines, noise)
-        if told is None:
-            continue
-        V, rho = told
-        C2 = V / _of_profile(s, rho)
+    some = np.flatnonzero(near < _LESS * far)
+    s = np.exp(ln_s[some].astype(np.float64))
+    height = [np.exp(np.median(ln_light[frame, seen[frame]])) for frame in some] / s
+    noise = [_noise_of_ln_light(*of) for of in zip(s, height, read[some], shot[some], strict=True)]
+    for frame, width, V, rho in zip(some, s, *_told(ln_light[some], seen[some], np.array(noise)), strict=True):
+        C2 = V / _of_profile(width, rho)
         # No speckle has more contrast than 1: that is a surface whose reflectance changes. And a grain that is seen
         # across the stripe as well is known better from there.
-        if C2 < 1 and (speckle[frame] < C2 or not grain[frame]):
+        if 0 < C2 < 1 and (speckle[frame] < C2 or not grain[frame]):
             speckle[frame], grain[frame] = max(C2, speckle[frame]), rho
     return replace(sensor, speckle=jnp.asarray(speckle), grain=jnp.asarray(grain))
 
@@ -85,10 +83,9 @@ def widened_by_flanks(sigma: Lines, breadth: Lines, burnt: Bool[np.ndarray, "fra
     sigma = sigma.copy()
     burnt = burnt & np.isfinite(sigma)
     ln_s, grain = (np.asarray(x)[: len(sigma)] for x in (sensor.ln_s, sensor.grain))
-    for frame in np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & (ln_s > _NARROW) & (grain == 0)):
-        told = _told(breadth[frame], burnt[frame], None)
-        if told is not None:
-            sigma[frame, burnt[frame]] = np.hypot(sigma[frame, burnt[frame]], np.float32(np.sqrt(told[0]) / 2))
+    some = np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & (ln_s > _NARROW) & (grain == 0))
+    V, _ = _told(breadth[some], burnt[some], None)
+    sigma[some] = np.where(burnt[some], np.hypot(sigma[some], np.float32(np.sqrt(V) / 2)[:, None]), sigma[some])
     return sigma
 
 
@@ -103,27 +100,51 @@ def _usual_difference(
 
 
 def _told(
-    values: Float[np.ndarray, "lines"], used: Bool[np.ndarray, "lines"], noise: float | None
-) -> tuple[float, float] | None:
-    """V and ρ of one frame, n given or not; None where they are not needed to tell what is seen."""
-    gamma = np.array([variogram(values, used, int(k), _FEWEST) for k in _DISTANCES])
-    few = int((used[_DISTANCES[-1] :] & used[: -_DISTANCES[-1]]).sum())
-    far = gamma[len(gamma) // 2 :].mean()
-    if not gamma.min() > 0 or far - gamma[0] < _SURE * _SCATTER / np.sqrt(few) * far:
-        return None
+    values: Lines, used: Bool[np.ndarray, "frames lines"], noise: Frames | None
+) -> tuple[Frames, Frames]:
+    """V and ρ of each frame, n given or not; V is 0 where it is not needed to tell what is seen."""
+    V, rho = np.zeros((2, len(values)))
+    gamma = np.array([[variogram(*of, int(k), _FEWEST) for k in _DISTANCES] for of in zip(values, used, strict=True)])
+    gamma = gamma.reshape(len(values), len(_DISTANCES))
+    few = np.maximum((used[:, _DISTANCES[-1] :] & used[:, : -_DISTANCES[-1]]).sum(axis=1), 1)
+    far = gamma[:, len(_DISTANCES) // 2 :].mean(axis=1)
+    sure = (gamma > 0).all(axis=1) & (far - gamma[:, 0] > _SURE * _SCATTER / np.sqrt(few) * far)
+    gamma, few = gamma[sure, :, None], few[sure]
     k = _DISTANCES / _DISTANCES[-1]
-    surface = np.stack([k, k**2, np.ones_like(k)], axis=1) / gamma[:, None]
-    left = 1 - (noise or 0.0) / gamma
+    surface = np.stack([k, k**2, np.ones_like(k)], axis=1) / gamma
+    left = 1 - (0.0 if noise is None else noise[sure, None, None]) / gamma
     # Speckle of single pixels is alike at all distances, as noise is.
-    without = nnls(surface, left)[1]
-    surface = surface if noise is None else surface[:, :2]
-    found = []
-    for rho in _CORRELATIONS:
-        by = (1 - rho ** (_DISTANCES**2.0)) / gamma
-        numbers, need = nnls(np.column_stack([by, surface]), left)
-        found.append((need, float(numbers[0]), float(rho)))
-    need, V, rho = min(found)
-    return (V, rho) if without**2 - need**2 > (_NEEDED * _SCATTER) ** 2 / few else None
+    _, without = _least_squares(surface, left, np.zeros_like(gamma))
+    by = (1 - _CORRELATIONS ** (_DISTANCES[:, None] ** 2.0)) / gamma
+    every, need = _least_squares(surface if noise is None else surface[..., :2], left, by)
+    best = need.argmin(axis=1, keepdims=True)
+    need, found = (np.take_along_axis(x, best, axis=1)[:, 0] for x in (need, every))
+    V[sure] = np.where(without[:, 0] - need > (_NEEDED * _SCATTER) ** 2 / few, found, 0.0)
+    rho[sure] = _CORRELATIONS[best[:, 0]]
+    return V, rho
+
+
+def _least_squares(
+    surface: Float[np.ndarray, "frames distances numbers"],
+    left: Float[np.ndarray, "frames distances 1"],
+    by: Float[np.ndarray, "frames distances grains"],
+) -> tuple[Float[np.ndarray, "frames grains"], Float[np.ndarray, "frames grains"]]:
+    """V of each grain and the sum of squares that stays, V and the surface's numbers none of them negative.
+
+    Of each set of the surface's numbers that are not zero the solution is written down; the least possible one counts.
+    """
+    best, need = np.zeros_like(by[:, 0]), np.full_like(by[:, 0], np.inf)
+    for chosen in product((False, True), repeat=surface.shape[-1]):
+        columns = surface[..., chosen]
+        turned = np.swapaxes(columns, 1, 2)
+        inverse = np.linalg.solve(turned @ columns, turned)
+        own, rest = (x - columns @ (inverse @ x) for x in (by, left))
+        V = np.maximum((own * rest).sum(axis=1), 0.0) / np.maximum((own**2).sum(axis=1), _TINY)
+        squares = ((rest - V[:, None] * own) ** 2).sum(axis=1)
+        possible = (inverse @ (left - V[:, None] * by) >= 0).all(axis=1)
+        better = possible & (squares < need)
+        best, need = np.where(better, V, best), np.where(better, squares, need)
+    return best, need
 
 
 def _of_profile(s: float, rho: float) -> float:

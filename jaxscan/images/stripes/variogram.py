@@ -18,5 +18,8 @@ def variogram(
         apart: how many lines.
         fewest: pairs.
     """
-    d = (values[apart:] - values[:-apart])[used[apart:] & used[:-apart]]
-    return float(np.median(d * d)) / (2 * _MEDIAN_OF_SQUARE) if len(d) >= fewest else np.nan
+    d = np.abs(values[apart:] - values[:-apart])[used[apart:] & used[:-apart]]
+    if len(d) < max(fewest, 1):
+        return np.nan
+    middle = len(d) // 2
+    return float(np.partition(d, middle)[middle]) ** 2 / (2 * _MEDIAN_OF_SQUARE)
