@@ -128,5 +128,6 @@ def test_a_few_points_hardly_brighter_than_noise_are_no_stripe(count, strength, 
     seen = np.zeros((1, COLUMNS), bool)
     seen[0, lines] = True
     at, bright, wide = (np.full((1, COLUMNS), x, np.float32) for x in (212.0, strength, 1.9))
-    found, _ = in_a_line(SimpleNamespace(position=at, strength=bright, width=wide), seen, np.array([20.3]))
+    measured = SimpleNamespace(position=at, strength=bright, width=wide, thickness=wide)
+    found, _ = in_a_line(measured, seen, np.array([20.3]))
     assert (found == (seen & kept)).all()

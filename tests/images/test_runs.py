@@ -10,7 +10,7 @@ LINES = np.arange(200)
 def points(*runs):
     """Of (lines, positions, strength, width) each, sorted by line; and which run each point is of."""
     parts = [
-        (line, np.broadcast_to(at, line.shape), np.broadcast_to(strength, line.shape), np.full(line.shape, width))
+        (line, *(np.broadcast_to(x, line.shape) for x in (at, strength, width, width)))
         for line, at, strength, width in runs
     ]
     line, *values = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -19,10 +19,16 @@ def points(*runs):
     return Points(line[order], *(np.asarray(v, np.float64)[order] for v in values)), of[order]
 
 
+def responses(seen, line, row):
+    """The greatest strength of a point no further than 3 px from each place."""
+    near = (seen.line == line[:, None]) & (np.abs(seen.at - row[:, None]) <= 3)
+    return np.where(near, seen.strength, 0.0).max(axis=1)
+
+
 def taken(*runs):
     """The part of each run that is taken."""
     seen, of = points(*runs)
-    chosen, _ = likeliest(seen)
+    chosen, _ = likeliest(seen, lambda line, row: responses(seen, line, row))
     assert np.unique(seen.line[chosen]).size == chosen.sum()
     return [chosen[of == i].mean() for i in range(len(runs))]
 
@@ -60,7 +66,7 @@ def test_the_faded_end_of_a_long_run_gives_way_to_a_brighter_short_one():
     shares = LINES[60:89]
     short, long = np.where(shares < 76, 65, 40), np.where(LINES[60:] < 76, 25, 100)
     seen, of = points((shares, 100.0, short, 3), (LINES[60:], 150.0, long, 3))
-    chosen, _ = likeliest(seen)
+    chosen, _ = likeliest(seen, lambda line, row: responses(seen, line, row))
     assert chosen[(of == 0) & (seen.line < 76)].all()
     assert chosen[(of == 1) & (seen.line >= 76)].all()
 

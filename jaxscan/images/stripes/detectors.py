@@ -7,6 +7,7 @@ from typing import Final, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.detectors import DETECTORS, Detector
@@ -34,6 +35,8 @@ _MARGIN = 5
 _ONE_SIDED = 0.5
 # Of a window that is fuller than this, the rest may be noise.
 _MOSTLY_FULL = 0.5
+# An outline tells a width to so much; what is beyond is a core.
+_THICKER = 1.25
 
 
 def register_detector(name: str, words: str, measure: Measure) -> None:
@@ -83,6 +86,11 @@ class Measured(eqx.Module):
     h3: Float[Array, "groups lines"]
     h4: Float[Array, "groups lines"]
     ln_light: Float[Array, "groups lines"]
+
+    @property
+    def thickness(self) -> Float[np.ndarray, "groups lines"]:
+        """How thick the stripe looks, px, of NumPy's arrays: its full width, or with its burnt-out core its breadth."""
+        return np.where(self.burnt & (self.breadth > _THICKER * self.width), self.breadth, self.width)
 
 
 @partial(jax.jit, static_argnames=("detector", "model"))

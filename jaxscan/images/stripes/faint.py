@@ -58,7 +58,7 @@ def faint_runs(
         rows: among how many a peak of noise may lie.
     """
     line = np.flatnonzero(seen)
-    run = linked(Points(line, at[line], strength[line], width[line]), _COMPANY_PX, _STEEPEST)
+    run = linked(Points(line, at[line], strength[line], width[line], width[line]), _COMPANY_PX, _STEEPEST)
     length = np.bincount(run)
     first, last = np.full(len(length), len(seen)), np.zeros(len(length), int)
     np.minimum.at(first, run, line)

@@ -13,10 +13,12 @@ of neighbouring lines that are each other's nearest, about as bright and about a
   fainter there, is a ghost or a mirror image, and is none where it is alone either.
 """
 
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
+from scipy.ndimage import median_filter
 
 from jaxscan.images.stripes.validity import COMPANY_PX, GAP, LN_WIDTHS, STEEPEST, longer_than_thick
 
@@ -28,19 +30,36 @@ _BY_LENGTH, _BY_WIDTH = 0.2, 1.0
 _FAINT, _BESIDE = 0.75, 0.5
 # Copies lie at the same distance within so much, over this part of the lines that have points.
 _SAME_PX, _COPIED = 3.0, 0.2
-# An end fades that is fainter than this part of its run, over no fewer lines.
-_FADED, _FEWEST_FADED = 0.5, 4
+# A run is a copy that is one in so many lines, and in most of those that it shares with another run.
+_FEWEST_COPIED, _MOSTLY_COPIED = 6, 0.4
+# A stripe is no fainter than this part of its copy.
+_SHOWN = 0.6
+# A part of a run is apart that is so many times as bright or as faint as most of it, over half as many lines at least.
+_APART, _FEWEST_APART = 2.0, 7
 # A course goes on across so many lines from the last so many points of a run, bending by so much for each line.
 _ACROSS, _STRAIGHT, _BENDS = 48, 24, 0.1
 
 
+# By line and row.
+Response = Callable[[Int[np.ndarray, "points"], Float[np.ndarray, "points"]], Num[np.ndarray, "points"]]
+
+
 class Points(NamedTuple):
-    """Points of one frame, several in a line, sorted by line."""
+    """Points of one frame, several in a line, sorted by line.
+
+    Attributes:
+        line: of each point.
+        at: its row (or column).
+        strength: grey levels.
+        width: of the profile, full at half height, px.
+        thickness: the same, but for a burnt-out core, which counts.
+    """
 
     line: Int[np.ndarray, "points"]
     at: Float[np.ndarray, "points"]
     strength: Float[np.ndarray, "points"]
     width: Float[np.ndarray, "points"]
+    thickness: Float[np.ndarray, "points"]
 
     def of(self, which: np.ndarray) -> "Points":
         """Some of them."""
@@ -75,36 +94,45 @@ def linked(points: Points, company_px: float = COMPANY_PX, steepest: float = STE
     return np.unique(first, return_inverse=True)[1]
 
 
-def likeliest(points: Points) -> tuple[Bool[np.ndarray, "points"], Bool[np.ndarray, "points"]]:
-    """Which points are of the stripe, one in a line at most; and which of the others lie in lines that are none."""
+def likeliest(points: Points, response: Response) -> tuple[Bool[np.ndarray, "points"], Bool[np.ndarray, "points"]]:
+    """Which points are of the stripe, one in a line at most; and which of the others lie in lines that are none.
+
+    Args:
+        points: what was measured.
+        response: how far places stand out in their lines, measured or not, by line and row.
+    """
     run = linked(points)
     order = np.lexsort((points.line, run))
     starts = np.searchsorted(run[order], np.arange(run.max(initial=-1) + 1))
     ordered = points.of(order)
-    long = longer_than_thick(ordered.line, ordered.strength.astype(np.float64), ordered.width, starts)
+    long = longer_than_thick(ordered.line, ordered.strength.astype(np.float64), ordered.thickness, starts)
     is_line = long[run]
     chosen = np.zeros(len(run), bool)
     if is_line.any():
         lines = points.of(is_line)
         chosen[is_line] = _winners(
-            lines, _with_faded_ends_apart(lines, np.unique(run[is_line], return_inverse=True)[1])
+            lines, _parts_apart(lines, np.unique(run[is_line], return_inverse=True)[1]), response
         )
     return chosen, is_line & ~chosen
 
 
-def _with_faded_ends_apart(points: Points, run: Int[np.ndarray, "points"]) -> Int[np.ndarray, "points"]:
-    """The same runs, and ends that have faded as runs of their own."""
+def _parts_apart(points: Points, run: Int[np.ndarray, "points"]) -> Int[np.ndarray, "points"]:
+    """The same runs, their parts that are twice as bright as most of them, or half as bright, as runs of their own.
+
+    A run that has faded at its end is one such, and a stripe that goes on where a ghost ends is another.
+    """
     run, added = run.copy(), int(run.max()) + 1
     for mine in np.split(np.argsort(run, kind="stable"), np.cumsum(np.bincount(run))[:-1]):
-        bright = np.flatnonzero(points.strength[mine] >= _FADED * np.median(points.strength[mine]))
-        for end in (mine[: bright[0]], mine[bright[-1] + 1 :]):
-            if len(end) >= _FEWEST_FADED:
-                run[end] = added
-                added += 1
+        level = np.log(points.strength[mine])
+        off = median_filter(level, _FEWEST_APART, mode="nearest") - np.median(level)
+        kind = np.sign(off) * (np.abs(off) > np.log(_APART))
+        for part in np.split(mine, 1 + np.flatnonzero(np.diff(kind)))[1:]:
+            run[part] = added
+            added += 1
     return run
 
 
-def _winners(points: Points, run: Int[np.ndarray, "points"]) -> Bool[np.ndarray, "points"]:
+def _winners(points: Points, run: Int[np.ndarray, "points"], response: Response) -> Bool[np.ndarray, "points"]:
     """Of runs that are lines, the points that stand."""
     runs = int(run.max()) + 1
     length = np.bincount(run, minlength=runs)
@@ -120,18 +148,23 @@ def _winners(points: Points, run: Int[np.ndarray, "points"]) -> Bool[np.ndarray,
     shared, ahead, brighter = (np.zeros((runs, runs)) for _ in range(3))
     of = run[one], run[other]
     np.add.at(shared, of, 1)
-    by_capped, by_copies = capped[one] - capped[other], _copies(points, one, other, ln_strength)
+    by_capped, (by_copies, sources) = capped[one] - capped[other], _copies(points, one, other, ln_strength)
     np.add.at(ahead, of, np.where(by_copies == 0, by_capped, by_copies))
     np.add.at(brighter, of, ln_strength[one] - ln_strength[other])
-    copied = sum(np.bincount(run[x], sign * by_copies < np.log(_FAINT), runs) for x, sign in ((one, 1), (other, -1)))
+    # What a copy is of shines where it must be, even where it could not be measured; here or there the copy may be as
+    # bright.
+    here = response(points.line, points.at)
+    shown = [_SHOWN * here < response(points.line, rows) for rows in sources]
+    copied = np.bincount(run, sum(shown, start=np.zeros(len(run))), runs)
     shared, ahead, brighter = shared + shared.T, ahead - ahead.T, brighter - brighter.T
     lead = ahead / np.maximum(shared, 1) + merit[:, None] - merit[None]
     beaten = (shared > 0) & (lead < 0)
     course = _courses(points, run, runs)
     lost, by = (np.bincount(course, np.where(beaten, x, 0.0).sum(axis=1), runs) for x in (shared, brighter))
     ghost = (lost > _BESIDE * np.bincount(course, length, runs)) & (by < np.log(_FAINT) * lost)
-    # A copy that is shown by the whole frame need not be seen beside its stripe for so long.
-    ghost[course[copied > _COPIED * length]] = True
+    # A copy that is shown by the whole frame need not be seen beside its stripe for long.
+    mostly = (copied >= _FEWEST_COPIED) & (copied > _MOSTLY_COPIED * shared.sum(axis=1))
+    ghost[course[mostly | (copied > _COPIED * length)]] = True
     # What is clearly the brighter one where it is not alone is no part of a ghost's course.
     clear = (brighter.sum(axis=1) > -np.log(_FAINT) * shared.sum(axis=1)) & (shared.sum(axis=1) > 0)
     standing = ~(ghost[course] & ~clear)[run]
@@ -143,16 +176,20 @@ def _winners(points: Points, run: Int[np.ndarray, "points"]) -> Bool[np.ndarray,
 
 def _copies(
     points: Points, one: Int[np.ndarray, "pairs"], other: Int[np.ndarray, "pairs"], ln_strength: np.ndarray
-) -> Float[np.ndarray, "pairs"]:
+) -> tuple[Float[np.ndarray, "pairs"], list[Float[np.ndarray, "points"]]]:
     """Of a stripe and its copy, by how much the first of each pair is brighter over the whole frame; 0 of other pairs.
 
     A copy is the stripe once more, moved or upside down: the difference of their places, or the sum, is the same
     wherever both are seen. Step by step of reflectance either may be the brighter.
+
+    Returns:
+        That, and for each kind of copy that the frame shows the row of what each point would be a copy of; NaN of what
+        can be none.
     """
     upper = np.where(points.at[one] < points.at[other], 1.0, -1.0)
     by = upper * (ln_strength[one] - ln_strength[other])
-    found = np.zeros(len(one))
-    for between in (np.abs(points.at[one] - points.at[other]), points.at[one] + points.at[other]):
+    found, sources = np.zeros(len(one)), []
+    for moved, between in enumerate((points.at[one] + points.at[other], np.abs(points.at[one] - points.at[other]))):
         place = np.floor(between / _SAME_PX).astype(int)
         count = np.bincount(place, minlength=3)
         # The three neighbouring places that hold most.
@@ -160,7 +197,11 @@ def _copies(
         same = np.abs(place - middle) <= 1
         if same.sum() > _COPIED * np.unique(points.line).size:
             found = np.where(same, upper * by[same].mean(), found)
-    return found
+            usual, down = np.median(between[same]), np.sign(by[same].mean())
+            # The upper one is the brighter of each two, or it is the lower one.
+            upside_down = np.where(down * (2 * points.at - usual) > 0, usual - points.at, np.nan)
+            sources.append(points.at - down * usual if moved else upside_down)
+    return found, sources
 
 
 def _courses(points: Points, run: Int[np.ndarray, "points"], runs: int) -> Int[np.ndarray, "runs"]:
@@ -170,11 +211,11 @@ def _courses(points: Points, run: Int[np.ndarray, "points"], runs: int) -> Int[n
     ends = np.empty((2, runs, 3))
     for i in range(runs):
         mine = order[bounds[i] : bounds[i + 1]]
-        for end, some in zip(ends, (mine[:_STRAIGHT], mine[-_STRAIGHT:]), strict=True):
+        for end, outermost, some in zip(ends, (0, -1), (mine[:_STRAIGHT], mine[-_STRAIGHT:]), strict=True):
             line, at = points.line[some].astype(float), points.at[some]
             off = line - line.mean()
-            slope = (off * at).sum() / (off**2).sum()
-            here = line[0] if end is ends[0] else line[-1]
+            slope = (off * at).sum() / max((off**2).sum(), 1.0)
+            here = line[outermost]
             end[i] = here, at.mean() + slope * (here - line.mean()), slope
     (first, begin, rise), (last, finish, fall) = (x.T for x in ends)
     gap = first[None] - last[:, None]

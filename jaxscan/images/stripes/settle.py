@@ -7,6 +7,7 @@ light is weak, faint points are that go on from one another.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from jaxscan.images.stripes.candidates import highest, rivals
+from jaxscan.images.stripes.coarse import level_of
 from jaxscan.images.stripes.faint import faint_runs, near_enough
 from jaxscan.images.stripes.runs import Points, likeliest
 from jaxscan.images.stripes.validity import Verdict, in_a_line
@@ -193,14 +195,25 @@ def _contest(
                 (own.position, found.position),
                 (own.strength, found.strength),
                 (own.width, found.width),
+                (own.thickness, found.thickness),
             )
         )
-        chosen, others = (x[np.argsort(order)] for x in likeliest(Points(line[order], *values)))
+        response = partial(_response, peaks[n], length=frames.length)
+        chosen, others = (x[np.argsort(order)] for x in likeliest(Points(line[order], *values), response))
         second[n, line[others]] = True
         standing[n] = False
         standing[n, line[chosen]] = True
         taken.append(mine[chosen[len(lines) :]])
     frames.take(at, looked, np.concatenate(taken))
+
+
+def _response(
+    peaks: Int[np.ndarray, "down lines"], line: Int[np.ndarray, "points"], row: Float[np.ndarray, "points"], length: int
+) -> Float[np.ndarray, "points"]:
+    """By how much the response about some places is above what is usual in their lines; 0 beyond the image."""
+    inside = (row >= 0) & (row < length)
+    found = highest(peaks, line, np.rint(np.where(inside, row, 0)).astype(np.int32), int(_NEAR_PX), length)
+    return np.where(inside, found - np.median(level_of(peaks), axis=0)[line], 0.0)
 
 
 def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]) -> None:

@@ -60,7 +60,8 @@ def in_a_line(
     if not place.size:
         return seen, np.zeros(frames, int)
     line = place % lines
-    at, weight, width = (np.asarray(x).ravel()[place] for x in (measured.position, measured.strength, measured.width))
+    fields = measured.position, measured.strength, measured.width, measured.thickness
+    at, weight, width, thickness = (np.asarray(x).ravel()[place] for x in fields)
     apart = np.diff(line)
     # The next frame's lines begin anew.
     joined = (np.diff(place) <= GAP) & (apart > 0) & (np.abs(np.diff(at)) <= COMPANY_PX + STEEPEST * apart)
@@ -69,7 +70,7 @@ def in_a_line(
     weight = weight.astype(np.float64)
     length = np.diff(starts, append=place.size)
     clear = np.add.reduceat(weight, starts) > _CLEAR * length * least[place[starts] // lines]
-    longer = longer_than_thick(line, weight, width, starts) & (clear | (length >= _FEW))
+    longer = longer_than_thick(line, weight, thickness, starts) & (clear | (length >= _FEW))
     ends = starts + length - 1
     kept = np.repeat(longer, length) & ~_spilt(weight, starts, ends) & ~_echoes(place, lines, at, weight, starts, ends)
     found = np.zeros_like(seen)
@@ -80,16 +81,16 @@ def in_a_line(
 def longer_than_thick(
     line: Int[np.ndarray, "points"],
     weight: Float[np.ndarray, "points"],
-    width: Float[np.ndarray, "points"],
+    thickness: Float[np.ndarray, "points"],
     starts: Int[np.ndarray, "runs"],
 ) -> Bool[np.ndarray, "runs"]:
-    """Which runs are lines; `starts` says where in the points each begins.
+    """Which runs are lines, `starts` says where in the points each begins.
 
     Along the lines the σ of a run, weighted by strength, is n / √12 of a stripe that is n lines long; of a round spot
     it is that of its profile across.
     """
     total, mean, square, thick = (
-        np.add.reduceat(x, starts) for x in (weight, weight * line, weight * line**2, weight * (width / FWHM) ** 2)
+        np.add.reduceat(x, starts) for x in (weight, weight * line, weight * line**2, weight * (thickness / FWHM) ** 2)
     )
     along2 = square / total - (mean / total) ** 2
     # Any two points are in a line.
