@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
-from jaxscan.images.stripes.detect import ambient_levels
+from jaxscan.images.stripes.surroundings import ambient_levels
 from jaxscan.images.stripes.windows import first_pixel, gather_pixels
 
 # Half the filter, half the rows in which its zero is looked for; the Gaussian's σ.

@@ -8,16 +8,20 @@ frame's ratio is 1 / (1.4826 median |error / σ|), over points that are no close
 from dataclasses import replace
 from typing import Final, Literal
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from benchmarks.conditions import SCENES, SHORT
 from benchmarks.metric import Metric
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.robust import NORMAL_MAD
 from jaxscan.simulation import rig_2003
+from jaxscan.simulation.light import Lighting
 from jaxscan.simulation.profile import true_profile
 from jaxscan.simulation.render import render
+from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.shapes import cup
 
 Color = Literal["red", "green", "blue", "grey"]
@@ -27,6 +31,8 @@ _LOW, _HIGH = 0.85, 1.18
 # Points whose true row jumps by more than this within so many columns are at an edge of depth.
 _JUMP_PX, _NEAR = 1.0, 4
 _FEWEST: Final = 100
+# What the squares printed on the floor reflect, in parts of the floor, and the level of the lamp's reflection.
+_INK, _HIGHLIGHT = 0.3, 900.0
 _CAMERAS: Final[dict[str, Color]] = {"colour": "red", "twelve_bits": "red", "grey_camera": "grey", "grey_laser": "grey"}
 
 Photographs = np.ndarray
@@ -47,14 +53,41 @@ def measure(quick: bool) -> list[Metric]:
                 Metric(f"{name}.most", found.max(), "", "lower", _HIGH, 0.1),
                 Metric(f"{name}.frames_within", float(inside), "", "higher", 1.0, floor=0.05),
             ]
-    return metrics
+    return metrics + whole(every=6 if quick else 1)
 
 
-def draw(speckle: float, every: int = 1) -> tuple[Photographs, Float[np.ndarray, "frames columns"]]:
-    """The photographs, 16 bits in colour, and the true row of the stripe in each column."""
+def whole(every: int) -> list[Metric]:
+    """Points within 1, 2 and 3 σ in all of a scan: speckle, a floor with printed squares, a burnt-out highlight.
+
+    Nothing is left out: points at edges of depth and reflectance count, and so does what is no stripe.
+    """
     rig = rig_2003.simulated_rig(0)
-    scene = rig_2003.scan_scene(rig, cup(rig_2003.OBJECT_Y))
-    lighting = replace(rig_2003.SCAN_LIGHTING, speckle=speckle)
+    scene = SCENES["bench"](rig, replace(SHORT, floor_ink=_INK))
+    scene = eqx.tree_at(lambda s: s.bodies, scene, tuple(replace(body, glossy=True) for body in scene.bodies))
+    lighting = replace(rig_2003.SCAN_LIGHTING, speckle=0.2, highlight=_HIGHLIGHT, direction=rig_2003.mirrored_lamp(rig))
+    photographs, truth = draw(0.2, every, scene, lighting)
+    stripe = detect_stripe(developed(photographs, "colour"), StripeSettings("red"))
+    valid = np.asarray(stripe.valid)
+    off = np.abs(np.asarray(stripe.position, np.float64) - truth)[valid] / np.asarray(stripe.sigma)[valid]
+    shares = [float((off < n).mean()) for n in (1, 2, 3)]
+    print(
+        f"  all of a scan, {valid.sum()} points: {', '.join(f'{100 * share:.1f}' for share in shares)} % within 1, 2, 3 σ"
+    )
+    return [
+        Metric("frame_sigma.scan.within_1", shares[0], "", "higher", 0.62, floor=0.02),
+        Metric("frame_sigma.scan.within_1_at_most", shares[0], "", "lower", 0.74, floor=0.02),
+        Metric("frame_sigma.scan.within_2", shares[1], "", "higher", 0.93, floor=0.01),
+        Metric("frame_sigma.scan.within_3", shares[2], "", "higher", 0.99, floor=0.005),
+    ]
+
+
+def draw(
+    speckle: float, every: int = 1, scene: Scene | None = None, lighting: Lighting | None = None
+) -> tuple[Photographs, Float[np.ndarray, "frames columns"]]:
+    """The photographs, 16 bits in colour, and the true row of the stripe in each column; of a cup by default."""
+    rig = rig_2003.simulated_rig(0)
+    scene = rig_2003.scan_scene(rig, cup(rig_2003.OBJECT_Y)) if scene is None else scene
+    lighting = replace(rig_2003.SCAN_LIGHTING, speckle=speckle) if lighting is None else lighting
     sensor = replace(rig_2003.SENSOR, bits=16)
     images, rows = [], []
     for i in range(0, rig_2003.SCAN_FRAMES, every):

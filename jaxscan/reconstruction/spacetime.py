@@ -51,8 +51,8 @@ from jaxscan.detectors import Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings, detect_stripe
-from jaxscan.images.stripes.detect import ambient_levels
 from jaxscan.images.stripes.detectors import Measured, measure
+from jaxscan.images.stripes.surroundings import ambient_levels
 from jaxscan.images.stripes.survey import LEAST_SIGNAL
 from jaxscan.images.stripes.tracks import Tracks, gather_passage, number_scale, passage_windows, survey_passage
 from jaxscan.reconstruction.frames import Frames

@@ -99,9 +99,7 @@ def _usual_difference(
     return np.where(count >= _FEWEST, total / np.maximum(count, 1), np.inf)
 
 
-def _told(
-    values: Lines, used: Bool[np.ndarray, "frames lines"], noise: Frames | None
-) -> tuple[Frames, Frames]:
+def _told(values: Lines, used: Bool[np.ndarray, "frames lines"], noise: Frames | None) -> tuple[Frames, Frames]:
     """V and ρ of each frame, n given or not; V is 0 where it is not needed to tell what is seen."""
     V, rho = np.zeros((2, len(values)))
     gamma = np.array([[variogram(*of, int(k), _FEWEST) for k in _DISTANCES] for of in zip(values, used, strict=True)])

@@ -12,26 +12,29 @@ There is a stripe where the peak stands above its background by so many times th
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import cycle
 from math import prod
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Float32, Int, Int8, UInt
+from jaxtyping import Array, Bool, Float, Float32, Int, Int8
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
-from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
+from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.along import widened_by_flanks, with_grain
+from jaxscan.images.stripes.between import widened_between
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
 from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
 from jaxscan.images.stripes.likelihood import FWHM, ROUGH
-from jaxscan.images.stripes.response import numbers
+from jaxscan.images.stripes.printed import widened_by_print
 from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
 from jaxscan.images.stripes.smoothed import DISTANCES, noise_correlation, widening
+from jaxscan.images.stripes.surroundings import ambient_levels, sample, surroundings
 from jaxscan.images.stripes.survey import LEAST_SIGNAL, light_of, survey
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.images.stripes.windows import Sensor, gather_windows
@@ -47,9 +50,6 @@ _FAINT = 2.0
 _LEAST_STRENGTH = 10.0
 # Neighbouring pixels beside the stripe are alike from this on, −0.2 being white: it is looked into.
 _BESIDE = -0.12
-# Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from about so many pixels.
-_AMBIENT_QUANTILE = 0.97
-_SOME_PIXELS = 1200
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
 # Beyond this part of the lines with a stripe it is burnt out all along it.
@@ -271,7 +271,7 @@ def _detect(
     batch = MeasuredFrames(looked, peak, least, ground, length, looked_at, band)
     verdict = settle(batch, peaks, columns, choice == "likeliest", None if color == "grey" else of_colour)
     looked, peak = batch.looked, batch.peak
-    measured, odd = looked.measured, np.zeros(len(peak), bool)
+    measured, odd, with_edge = looked.measured, np.zeros(len(peak), bool), np.zeros(peak.shape, bool)
     if detector == "likelihood":
         # The halo of a burnt-out stripe, and of lines nearly so beside it, strains the profile too, and is no edge.
         halo = looked.burnt | (looked.burnt.mean(axis=1, keepdims=True) > _MOSTLY_BURNT)
@@ -293,7 +293,8 @@ def _detect(
         odd |= mostly & ~np.asarray(sensor.apart)[: len(odd)]
         flat = jax.tree.map(np.ravel, measured)
         flat = look_again(flat, (*everywhere[:2], peak.ravel()), strained.ravel(), narrow, "torn")
-        measured = jax.tree.map(lambda x: x.reshape(peak.shape), flat)
+        flat = jax.tree.map(lambda x: x.reshape(peak.shape), flat)
+        measured, with_edge = flat, flat.position != measured.position
     valid = verdict == Verdict.STRIPE
     position, sigma, width = (
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
@@ -301,7 +302,10 @@ def _detect(
     for i in smoothed:
         sigma[i] *= widening(correlation[i], sensor, int(i), width[i], measured.relief[i])
     sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
-    around = _surroundings(_sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
+    of = images, background, sensor, settings, short
+    sigma = widened_between(sigma, position, width)
+    sigma = widened_by_print(sigma, position, width, ~with_edge, *of, partial(_groups, sizes=_GROUPS))
+    around = surroundings(sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
     light = np.where(valid.any(axis=1, keepdims=True), light_of(sensor, color)[: len(valid)], np.float32(np.nan))
     return Stripe(
         position,
@@ -358,43 +362,6 @@ def _speckled(
     speckle, grain, read = (np.asarray(x)[frame] for x in (sensor.speckle, sensor.grain, sensor.read))
     counts = speckle * relief**2 > read**2
     return counts & (grain > 0), counts & (speckle > ROUGH)
-
-
-def ambient_levels(
-    frames: np.ndarray | Array, dark: np.ndarray | Array | None, color: str
-) -> Int[np.ndarray, "frames"]:
-    """The level of the other two channels without laser, in each frame."""
-    if color == "grey":
-        return np.zeros(len(frames), np.int32)
-    _, first, second = CHANNELS[color]
-
-    def others_of(images: np.ndarray | Array) -> Int[np.ndarray, "frames rows columns"]:
-        some = _sample(images).astype(np.int32)
-        return some[..., first] + some[..., second]
-
-    others = others_of(frames) if dark is None else others_of(frames) - others_of(dark)
-    flat = np.reshape(others, (len(frames), -1))
-    rank = int(_AMBIENT_QUANTILE * (flat.shape[1] - 1))
-    return np.partition(flat, rank, axis=1)[:, rank].astype(np.int32)
-
-
-def _sample(images: np.ndarray | Array) -> UInt[np.ndarray, "frames rows columns *rgb"]:
-    """Some pixels of each image; of images on a device no more is fetched than that."""
-    every = max(1, int((images.shape[1] * images.shape[2] / _SOME_PIXELS) ** 0.5))
-    return np.asarray(images[:, ::every, ::every])
-
-
-def _surroundings(
-    some: UInt[np.ndarray, "frames rows columns *rgb"], full: Int[np.ndarray, "frames"], color: str
-) -> tuple[Float32[np.ndarray, "frames"], Float32[np.ndarray, "frames rows columns"]]:
-    """The share of full pixels, and the level without the laser."""
-    laser = np.asarray(numbers(cast(Any, some), color))
-    share = (laser >= full[:, None, None]).mean(axis=(1, 2), dtype=np.float32)
-    grey = np.float32(np.iinfo(some.dtype).max / 255)
-    if color == "grey":
-        return share, laser / grey
-    _, first, second = CHANNELS[color]
-    return share, (some[..., first].astype(np.float32) + some[..., second]) / (2 * grey)
 
 
 def _groups(

@@ -1,0 +1,145 @@
+"""What is printed under the stripe, as the light around it shows: by how much it may pull the stripe's centre.
+
+Where the surface's reflectance R changes across a stripe, its bright side pulls. A sheet of light whose cross-section
+is the Gaussian g of standard deviation s₀ is moved by
+
+    ∫ (v − c) g R / ∫ g R ≈ s₀² d ln R / dv
+
+A stripe narrower than a pixel or two is so blurred that its shape does not tell (`torn` measures wider ones). But the
+light of the room shows R in the same photograph, in the channels that are not the laser's; and a photograph with the
+laser off shows it in the laser's own. With the stripe's standard deviation s as it is seen, lens and pixel included,
+in place of s₀, the sum over the pixels gives the most that the centre can have been moved. How much of s is the
+sheet's own no photograph tells. So of the displacement d a part is taken for possible that lies anywhere from 0 to 1:
+its mean square, d² / 3, is added to σ².
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxscan.images.stripe_settings import StripeSettings
+from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.response import Backgrounds, Images, channels
+from jaxscan.images.stripes.windows import Pixels, Places, Sensor, first_pixel, gather_pixels, places
+
+# Lines of each frame that tell whether anything is printed; where it counts in this part of them, all are looked at.
+_LINES, _MANY = 64, 0.02
+# Rows at each end of the window that lie beside the stripe.
+_BESIDE = 3
+# A displacement is seen that is so many times what noise makes, and counts from this part of σ on.
+_SEEN, _COUNTS = 3.0, 0.5
+_PIXEL_VARIANCE = 1 / 12
+_TINY = 1e-6
+
+Lines = Float[np.ndarray, "frames lines"]
+Groups = Callable[..., Any]
+
+
+def widened_by_print(
+    sigma: Lines,
+    position: Lines,
+    width: Lines,
+    asked: Bool[np.ndarray, "frames lines"],
+    images: Images,
+    background: Backgrounds | None,
+    sensor: Sensor,
+    settings: StripeSettings,
+    half: int,
+    groups: Groups,
+) -> Lines:
+    """σ with what an edge of reflectance under the stripe may have moved its centre by.
+
+    Args:
+        sigma: of each line's centre, px; NaN where there is none.
+        position: the centre.
+        width: of the stripe, full at half height, px.
+        asked: which lines may be moved: an edge that is in the profile they were measured with has moved none.
+        images: the photographs.
+        background: the same with the laser off, one for all or one for each, or None.
+        sensor: the noise.
+        settings: the laser's colour, and which way lines run.
+        half: half the length of the windows that are looked at.
+        groups: gives indices of lines in groups of few sizes, and how many of each group count.
+    """
+    if background is None and settings.color == "grey":
+        return sigma
+    asked = asked & np.isfinite(sigma) & np.isfinite(position) & np.isfinite(width)
+    shown = partial(_displaced, images, background, sensor, color=settings.color, columns=settings.columns, half=half)
+
+    def look(which: Bool[np.ndarray, "frames lines"]) -> tuple[np.ndarray, ...]:
+        at = np.nonzero(which)
+        found = [np.zeros(0, np.float32)]
+        for group, count in groups(*at):
+            here = (jnp.asarray(x[tuple(group)]) for x in (position, width))
+            found.append(np.ravel(np.asarray(shown(*group, *here)))[:count])
+        moved = np.concatenate(found)
+        return (*at, np.where(np.abs(moved) > _COUNTS * sigma[at], moved, 0.0))
+
+    frame, _, moved = look(_some(asked))
+    count = np.bincount(frame, minlength=len(asked))
+    printed = np.bincount(frame, moved != 0, minlength=len(asked)) > _MANY * np.maximum(count, 1)
+    if not printed.any():
+        return sigma
+    *at, moved = look(asked & printed[:, None])
+    sigma = sigma.copy()
+    sigma[tuple(at)] = np.hypot(sigma[tuple(at)], np.float32(1 / np.sqrt(3)) * moved)
+    return sigma
+
+
+def _some(asked: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames lines"]:
+    """A few lines of each frame, evenly spread."""
+    rank = np.cumsum(asked, axis=1)
+    every = np.maximum(rank[:, -1:] // _LINES, 1)
+    return asked & (rank % every == 0)
+
+
+@partial(jax.jit, static_argnames=("color", "columns", "half"))
+def _displaced(
+    images: Images,
+    background: Backgrounds | None,
+    sensor: Sensor,
+    frame: Places,
+    line: Places,
+    position: Float[Array, "groups lines"],
+    width: Float[Array, "groups lines"],
+    *,
+    color: str,
+    columns: bool,
+    half: int,
+) -> Float[Array, "groups lines"]:
+    """The most that the reflectance beside and under each stripe may have moved it, px; 0 where noise may be all."""
+    peak = jnp.rint(position).astype(jnp.int32)
+    source = images if background is None else background
+    pixels = gather_pixels(source, frame, line, peak, columns, half)
+    levels = [level.astype(jnp.float32) for level in channels(pixels, None, color)]
+    here = sensor.of(frame)
+    m, n = here.weights
+    own = here.read / (jnp.sqrt(4 + m**2 + n**2) if color != "grey" else 1.0)
+    centre = (position - first_pixel(images, peak, columns, half))[:, None]
+    s2 = (width[:, None] / FWHM) ** 2 + _PIXEL_VARIANCE
+    z = places(2 * half + 1) - centre
+    g = jnp.exp(-0.5 * z * z / s2)
+    if background is not None:
+        light, noise = levels[0], own
+    else:
+        # What the other channels have of the laser is in the middle of the stripe, and is no print.
+        laser, light, noise = levels[0], levels[1] + levels[2], own * jnp.sqrt(2.0)
+        lit, leak = ((g * (x - _beside(x))).sum(1, keepdims=True) for x in (laser, light))
+        light = light - jnp.maximum(leak / jnp.maximum(lit, _TINY), 0.0) * jnp.maximum(laser - _beside(laser), 0.0)
+    light = jnp.maximum(light, 0.0)
+    total = jnp.maximum((g * light).sum(1), _TINY)
+    z = z - (g * z).sum(1, keepdims=True) / g.sum(1, keepdims=True)
+    moved = (g * z * light).sum(1) / total
+    by_chance = noise[:, 0] * jnp.sqrt((g * g * z * z).sum(1)) / total
+    longest = jnp.sqrt(s2[:, 0])
+    return jnp.where(jnp.abs(moved) > _SEEN * by_chance, jnp.clip(moved, -longest, longest), 0.0)
+
+
+def _beside(x: Pixels) -> Pixels:
+    """The mean of a window's two ends."""
+    return (x[:, :_BESIDE] + x[:, -_BESIDE:]).mean(1, keepdims=True) / 2
