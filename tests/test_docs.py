@@ -127,7 +127,8 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
     for folder in ("boards", "stage"):
         (tmp_path / folder).symlink_to(world / "session" / folder)
     (tmp_path / "stripes").symlink_to(world / "session" / "boards")
-    (tmp_path / "turntable").symlink_to(world / "session" / "stage")
+    # A photograph is of one pose: copies, not links.
+    shutil.copytree(world / "session" / "stage", tmp_path / "turntable")
     (tmp_path / "frames").symlink_to(world / "scan" / "frames")
     (tmp_path / "dark.png").symlink_to(world / "scan" / "frames" / "000.png")
     whole_session, _ = blocks(ROOT / "README.md", "toml")

@@ -99,9 +99,10 @@ def observe(
             what = "turntable" if isinstance(sequence, TurntableImages) else "stage"
             left_out += _not_found(session, moved[-1], f"{what} photograph")
     usual = _usual_sigma([p.found for p in (*photographs, *(p for each in moved for p in each)) if p.found is not None])
-    # Views and each sequence by itself: a photograph on the stage may serve as a view, too.
-    (photographs, *moved), repeated = zip(*map(_once, (photographs, *moved)), strict=True)
-    left_out += [line for lines in repeated for line in lines]
+    # Each sequence by itself: one may begin where another passes. A view that is a copy of one of theirs is left out.
+    moved, repeated = zip(*map(_once, moved), strict=True) if moved else ((), ())
+    photographs, of_views = _once(photographs, [photograph for each in moved for photograph in each])
+    left_out += [line for lines in (of_views, *repeated) for line in lines]
     staged = [photograph for each in moved for photograph in each]
     views = [_view(p, p.found, usual) for p in photographs if p.found is not None]
     for seen in (*views, *(_view(p, p.found, usual) for p in staged if p.found is not None)):
@@ -192,12 +193,14 @@ def _no_bell(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[st
     return notes
 
 
-def _once(photographs: Sequence[_Photograph]) -> tuple[list[_Photograph], list[str]]:
-    """The photographs, with nothing found in copies of others, and which these are.
+def _once(
+    photographs: Sequence[_Photograph], before: Sequence[_Photograph] = ()
+) -> tuple[list[_Photograph], list[str]]:
+    """The photographs, with nothing found in copies of others or of those before them, and which these are.
 
     To the last bit, corners do not fall alike.
     """
-    first: dict[bytes, str] = {}
+    first = {one.found.corners.tobytes(): one.name for one in before if one.found is not None}
     once, repeated = [], []
     for photograph in photographs:
         name = photograph.name

@@ -1,7 +1,7 @@
 """`session.toml`: the photographs of a calibration, and what is on them."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -144,6 +144,7 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     lasers, stripes = _lasers(table, views, len(boards))
     moved = _stage(table, lasers), _turntable(table, lasers)
     session = Session(table.path, board, Views(boards, stripes), camera, *moved, lasers)
+    _check_each_shows_one_pose(session)
     return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 
 
@@ -185,6 +186,40 @@ def write_session(session: Session) -> None:
     if lasers:
         values["laser"] = lasers[0] if len(lasers) == 1 else lasers
     write_toml(session.path, values)
+
+
+def _check_each_shows_one_pose(session: Session) -> None:
+    """Refuse a photograph that is listed for two poses: it would count twice, and σ would be too small."""
+    first: dict[str, tuple[str, tuple[str, int]]] = {}
+    for place, pose, path in _listed(session):
+        before, other = first.setdefault(os.path.realpath(path), (place, pose))
+        if pose != other:
+            name = show(relative_name(path, session.path.parent))
+            held = "view" in (pose[0], other[0]) and pose[0] != other[0]
+            mend = "leave it out of [views], which is for the board in the hand" if held else "name it for one of them"
+            where = f"twice under {place}" if place == before else f"under {before} and under {place}"
+            raise InputError(f"{session.path}: {name} stands {where}, for two poses, and would count twice: {mend}")
+
+
+def _listed(session: Session) -> Iterator[tuple[str, tuple[str, int], Path]]:
+    """Each photograph as often as it is listed: where, and of which pose of the board.
+
+    A board on a turntable at step 0 may be in a photograph along the stage too.
+    """
+    for i, board in enumerate(session.views.boards):
+        yield "[views] boards", ("view", i), board
+        for paths in (session.views.stripes or {}).values():
+            if (stripe := paths[i]) is not None:
+                yield "the stripes of [views]", ("view", i), stripe
+    for name, sequence in (("stage", session.stage), ("turntable", session.turntable)):
+        for i, (image, step) in enumerate(zip(sequence.images, sequence.steps, strict=True) if sequence else ()):
+            pose = (name, step)
+            if isinstance(sequence, TurntableImages) and step == 0:
+                pose = ("stage", sequence.stage_step)
+            yield f"[{name}] images", pose, image
+            for paths in sequence.stripes.values() if sequence else ():
+                if (stripe := paths[i]) is not None:
+                    yield f"[{name}] stripes", pose, stripe
 
 
 def _board(table: Table) -> Board:

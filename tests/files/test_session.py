@@ -107,6 +107,18 @@ def test_stripes_on_a_board_that_moves_there_and_back(folder):
         session(folder, BOARD, VIEWS, turn + 'stripes = "stage/*.png"')
 
 
+def test_one_photograph_of_one_pose_may_be_listed_for_all_that_it_shows(folder):
+    """Board and stripe of a view; the stripes of two lasers; the turntable's first, on the way of the stage."""
+    read = session(folder, BOARD, VIEWS + 'stripes = "boards/*.png"')
+    assert read.views.stripes == {"": read.views.boards}
+    session(folder, BOARD, VIEWS, LASERS.format("a", "b"))
+    turn = '[turntable]\nimages = ["stage/v2.png", "boards/../stripes/v1.png", "stripes/v2.png"]\nsteps = {}\n'
+    along = BOARD, VIEWS, '[stage]\nimages = "stage/*.png"\nsteps_per_image = 100'
+    assert session(folder, *along, turn.format("[0, 5, 9]") + "stage_step = 100").turntable is not None
+    for elsewhere in (turn.format("[0, 5, 9]"), turn.format("[1, 5, 9]") + "stage_step = 100"):
+        assert '"stage/v2.png" stands under [stage] images and under [turntable]' in refusal(folder, *along, elsewhere)
+
+
 def test_steps_per_image_count_from_zero(folder):
     stage = session(folder, BOARD, VIEWS, '[stage]\nimages = "stage/*.png"\nsteps_per_image = -2000').stage
     assert stage is not None
@@ -159,7 +171,7 @@ def test_what_is_written_reads_the_same(folder, names, own):
         board=Board.checkerboard((7, 6), 12.345678901234567),
         views=Views(boards, stripes or None),
         camera=CameraSettings("rational", "centre", ("camera.radial.5", "camera.tangential.0")),
-        stage=StageImages(boards[::-1], (5, -7)),
+        stage=StageImages(tuple(folder / "stage" / path.name for path in boards), (5, -7)),
         lasers=tuple(StripeSettings(color="blue", columns=False, name=name) for name in names),
         image_size=(32, 24),
     )
@@ -291,6 +303,26 @@ BAD = {
         ["[turntable] stage_step"],
     ),
     "turntable: a key": ([BOARD, VIEWS, TURN + "steps_per_image = 9\nstep = 5"], ["[turntable] step", "did you mean"]),
+    "on the stage and in the hand": (
+        [BOARD, VIEWS, '[stage]\nimages = ["stage/v1.png", "stage/../boards/v2.png"]\nsteps_per_image = 9'],
+        ["session.toml: ", '/boards/v2.png" stands under [views] boards and under [stage] images', "out of [views]"],
+    ),
+    "its stripe on the turntable, too": (
+        [
+            BOARD,
+            VIEWS + 'stripes = "stripes/*.png"',
+            TURN + 'steps_per_image = 9\nstripes = ["stripes/v1.png", "", ""]',
+        ],
+        ['"stripes/v1.png" stands under the stripes of [views] and under [turntable] stripes', "out of [views]"],
+    ),
+    "the stripe of another pose": (
+        [BOARD, VIEWS + 'stripes = ["boards/v2.png", "", ""]'],
+        ['"boards/v2.png" stands under the stripes of [views] and under [views] boards', "name it for one of them"],
+    ),
+    "on stage and turntable": (
+        [BOARD, VIEWS, STAGE + "steps_per_image = 100", TURN + "steps_per_image = 9"],
+        ['"stage/v2.png" stands under [stage] images and under [turntable] images', "name it for one of them"],
+    ),
     "a stage that stands": ([BOARD, VIEWS, STAGE + "steps_per_image = 0"], ["steps_per_image = 0", "does not move"]),
 }
 
