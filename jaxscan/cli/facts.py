@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jaxscan.errors import InputError
 from jaxscan.files.axes import StepRule
 from jaxscan.files.cameras import format_of, read_camera_file
-from jaxscan.files.cloud import cloud_of
+from jaxscan.files.cloud import Cloud, cloud_of
 from jaxscan.files.formats import FORMATS
 from jaxscan.files.listing import common_size
 from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
@@ -117,7 +117,7 @@ def ply_facts(path: Path) -> Facts:
     """Facts of a PLY file: of a mesh, of points, or of whatever elements it has."""
     content = read_ply_file(path)
     if has_faces(content):
-        return _mesh(path, mesh_of(path, content))
+        return _mesh(path, mesh_of(path, content), cloud_of(path, content))
     if not content.elements.get("vertex", Element(0)).count:
         elements = {name: [element.count, list(element.columns)] for name, element in content.elements.items()}
         return {"kind": "PLY", "path": str(path), "format": content.format, "elements": elements}
@@ -138,14 +138,15 @@ def mesh_facts(path: Path) -> Facts:
     return _mesh(path, read_mesh(path))
 
 
-def _mesh(path: Path, mesh: trimesh.Trimesh) -> Facts:
+def _mesh(path: Path, mesh: trimesh.Trimesh, vertices: Cloud | None = None) -> Facts:
     return {
         "kind": "mesh",
         "path": str(path),
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.faces),
         "box_mm": _box(np.asarray(mesh.vertices)),
-        "sigma_mm": None,
+        "sigma_mm": _median(vertices.sigma) if vertices else None,
+        "sigma_pixel_mm": _median(vertices.sigma_pixel) if vertices else None,
         "area_mm2": float(mesh.area),
         "consistent": bool(mesh.is_winding_consistent),
         "closed": bool(mesh.is_watertight),

@@ -283,13 +283,11 @@ def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") ->
     from jaxscan.files.mesh import write_mesh_ply, write_trimesh
 
     mesh, known = merged.mesh, merged.sides > 0
-    sigma = merged.sigma.astype(np.float32)
     if args.simplify is not None:
         mesh = simplified(mesh, args.simplify)
     for path in args.output:
         if path.suffix.lower() == ".ply":
-            whole = mesh is merged.mesh and bool(known.all())
-            cloud = Cloud(np.asarray(mesh.vertices, np.float32), sigma_pixel=sigma if whole else None)
+            cloud = merged.cloud() if mesh is merged.mesh else Cloud(np.asarray(mesh.vertices, np.float32))
             normals = np.asarray(mesh.vertex_normals, np.float32)
             write_mesh_ply(path, cloud, np.asarray(mesh.faces), normals=normals)
         else:
@@ -302,6 +300,7 @@ def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") ->
         floor = sides[0].floor
         up = floor.up if floor else dominant_plane(vertices).matrix()[:, 2]
         draw_mesh(args.png, vertices, np.asarray(mesh.faces), up, f"{len(mesh.faces)} triangles of {len(sides)} scans")
+    sigma = merged.sigma[known]
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.faces),
@@ -310,7 +309,8 @@ def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") ->
         "volume_mm3": float(mesh.volume) if mesh.is_watertight else None,
         "seen": float(known.mean()),
         "sides_in_the_mean": float(merged.sides[known].mean()),
-        "sigma_vertex_mm": float(np.median(merged.sigma[known])),
+        "sigma_vertex_mm": float(np.median(sigma)) if np.isfinite(sigma).all() else None,
+        "sigma_pixel_vertex_mm": float(np.median(merged.sigma_pixel[known])),
         "picture": str(args.png) if args.png else None,
     }
 
@@ -319,11 +319,13 @@ def describe(result: dict[str, Any]) -> str:
     """The result in words."""
     scans, pairs = result["scans"], result["pairs"]
     closed = f"closed, {result['volume_mm3']:.6g} mm³" if result["closed"] else "open"
+    noise, sigma = f"{result['sigma_pixel_vertex_mm']:.4f} mm", result["sigma_vertex_mm"]
+    sigma = f"σ of the noise {noise}" if sigma is None else f"σ {sigma:.4f} mm, of which noise {noise}"
     unseen = f"; {100 * (1 - result['seen']):.0f} % of it were not seen" if result["seen"] < 1 else ""
     lines = [
         f"{result['triangles']} triangles of {len(scans)} scans: {', '.join(result['path'])}",
         f"  surface    {result['area_mm2']:.6g} mm², {closed}; {result['sides_in_the_mean']:.1f} scans on each vertex, "
-        f"σ {result['sigma_vertex_mm']:.4f} mm{unseen}",
+        f"{sigma}{unseen}",
         f"  pairs      {len(pairs)} overlap; distances scatter by {result['residual_in_sigma']:.2f} σ, "
         f"{max(pair['rms_mm'] for pair in pairs):.3f} mm RMS at most",
         f"  closure    {result['closure_mm']:.3f} mm: the furthest that a pair alone would stand apart",

@@ -264,7 +264,7 @@ def _of_image(
 
         found = fused(image)
         result["seen_times"] = float(found.sides.mean())
-        return found.mesh, Cloud(found.mesh.vertices.astype(np.float32), None, found.sigma.astype(np.float32)), None
+        return found.mesh, found.cloud(), None
     if args.method in (None, "grid"):
         from jaxscan.surface.triangles import facing_away, grid_surface
 

@@ -109,8 +109,6 @@ def _intrinsics(camera: Facts) -> Iterator[Line]:
 def _cloud(facts: Facts) -> Iterator[Line]:
     yield "points", f"{facts['points']}{', coloured' if facts['colours'] else ''}"
     yield from _extent(facts)
-    if facts["sigma_pixel_mm"] is not None:
-        yield "", f"of which the pixel's part is {facts['sigma_pixel_mm']:.4f} mm"
 
 
 def _mesh(facts: Facts) -> Iterator[Line]:
@@ -193,6 +191,9 @@ def _extent(facts: Facts) -> Iterator[Line]:
             yield "", f"{across:.3g} mm across: if its numbers are metres, other commands take --units m"
     if facts["sigma_mm"] is not None:
         yield "sigma", f"{facts['sigma_mm']:.4f} mm in the median"
+    if facts.get("sigma_pixel_mm") is not None:
+        known = "" if facts["sigma_mm"] is None else "of which "
+        yield "" if known else "sigma", f"{known}the pixel's part is {facts['sigma_pixel_mm']:.4f} mm"
 
 
 def _size(size: list[int]) -> str:

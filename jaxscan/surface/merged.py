@@ -24,7 +24,9 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from jaxscan.errors import InputError
+from jaxscan.files.cloud import Cloud
 from jaxscan.geometry import Pose
+from jaxscan.surface.mean_sigma import mean_sigma
 from jaxscan.surface.scattered import poisson_surface
 from jaxscan.surface.side import Side
 
@@ -61,13 +63,22 @@ class Merged:
 
     Attributes:
         mesh: in the first side's frame, mm.
-        sigma: of each vertex along its normal, mm: of the points it comes of; NaN where nothing was seen.
+        sigma: of each vertex along its normal, of rig and pixel together, mm, by the points it comes of; NaN where
+            nothing was seen, or the rig's part is not known.
+        sigma_pixel: the pixel's part of it, mm; NaN where nothing was seen.
         sides: how many sides have points there.
     """
 
     mesh: trimesh.Trimesh
     sigma: Float[np.ndarray, "vertices"]
+    sigma_pixel: Float[np.ndarray, "vertices"]
     sides: Int[np.ndarray, "vertices"]
+
+    def cloud(self) -> Cloud:
+        """The vertices with the parts of σ that are known of all of them."""
+        parts = [part.astype(np.float32) for part in (self.sigma, self.sigma_pixel)]
+        known = (part if np.isfinite(part).all() else None for part in parts)
+        return Cloud(np.asarray(self.mesh.vertices, np.float32), *known)
 
 
 @dataclass(frozen=True)
@@ -78,6 +89,7 @@ class _At:
     normal: Float[np.ndarray, "places 3"]
     seen: Bool[np.ndarray, "places"]
     sigma: Float[np.ndarray, "places"]
+    sigma_pixel: Float[np.ndarray, "places"]
     sides: Int[np.ndarray, "places"]
 
 
@@ -88,6 +100,9 @@ class _Points:
         self.points = np.concatenate([T.apply(side.points) for side, T in zip(sides, poses, strict=True)])
         self.normals = np.concatenate([side.normals @ T.matrix().T for side, T in zip(sides, poses, strict=True)])
         self.sigma = np.concatenate([side.sigma for side in sides])
+        unknown = [np.full(len(side.points), np.nan) for side in sides]
+        rigs = [none if side.sigma_rig is None else side.sigma_rig for side, none in zip(sides, unknown, strict=True)]
+        self.sigma_rig = np.concatenate(rigs)
         self.side = np.repeat(np.arange(len(sides)), [len(side.points) for side in sides])
         self.spacing = float(np.median([side.spacing_mm for side in sides]))
         self.count = len(sides)
@@ -125,8 +140,8 @@ class _Points:
         seen = (total > 0) & (away[:, 0] <= self.spacing) & (_gap(offset, mean, there) < _LARGEST_GAP)
         present = np.zeros((len(x), self.count), bool)
         np.logical_or.at(present, (np.arange(len(x))[:, None], self.side[index]), there)
-        error = np.sqrt((weight**2 * sigma**2).sum(axis=1)) / safe
-        return _At(np.where(total > 0, f, np.nan), mean, seen, error, present.sum(axis=1))
+        error = mean_sigma(weight / safe[:, None], sigma, self.sigma_rig[index])
+        return _At(np.where(total > 0, f, np.nan), mean, seen, *error, present.sum(axis=1))
 
     def settled(self, places: Float[np.ndarray, "places 3"]) -> tuple[Float[np.ndarray, "places 3"], _At]:
         """Places moved along the normal to where f is zero; where nothing was seen they stay."""
@@ -161,7 +176,7 @@ def merge(sides: Sequence[Side], poses: Sequence[Pose], *, cube_mm: float | None
         raise InputError("no surface comes of these points: give a larger --cube")
     used, faces = np.unique(faces, return_inverse=True)
     mesh = trimesh.Trimesh(vertices[used], faces.reshape(-1, 3), process=False)
-    return Merged(mesh, found.sigma[used], found.sides[used])
+    return Merged(mesh, found.sigma[used], found.sigma_pixel[used], found.sides[used])
 
 
 def merge_closed(sides: Sequence[Side], poses: Sequence[Pose]) -> Merged:
@@ -183,7 +198,8 @@ def merge_closed(sides: Sequence[Side], poses: Sequence[Pose]) -> Merged:
     seen = found.seen & np.isfinite(found.f) & ((found.normal * mesh.vertex_normals).sum(axis=1) > _ALIKE)
     vertices = np.where(seen[:, None], vertices, mesh.vertices)
     mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
-    return Merged(mesh, np.where(seen, found.sigma, np.nan), np.where(seen, found.sides, 0))
+    sigma, pixel = (np.where(seen, part, np.nan) for part in (found.sigma, found.sigma_pixel))
+    return Merged(mesh, sigma, pixel, np.where(seen, found.sides, 0))
 
 
 def _underside(

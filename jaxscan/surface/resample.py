@@ -8,6 +8,7 @@ from jaxscan.files.axes import STAGE
 from jaxscan.geometry import Pose
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface.links import sampling
+from jaxscan.surface.mean_sigma import mean_sigma
 from jaxscan.surface.triangles import Surface, grid_layers
 
 _LARGEST = 1 << 26
@@ -102,7 +103,7 @@ def _mean_of_layers(
 ) -> Float[np.ndarray, "nodes values"]:
     """Height, strength and the two σ of the highest layer at each node and of those that are level with it.
 
-    They weigh by the pixel's σ where it is known; it is that of the mean, and the rig's part is common to all.
+    They weigh by the pixel's σ where it is known.
     """
     if len(layers) == 1:
         return layers[0]
@@ -116,9 +117,8 @@ def _mean_of_layers(
     def mean(values: Float[np.ndarray, "layers nodes"]) -> Float[np.ndarray, "nodes"]:
         return np.where(weight > 0, weight * values, 0.0).sum(axis=0)
 
-    own = np.sqrt(mean(weight * sigma_pixel**2))
-    rig = mean(sigma**2 - sigma_pixel**2)
-    result = np.stack([mean(height), mean(strength), np.sqrt(np.maximum(rig, 0) + own**2), own], axis=-1)
+    rig = np.sqrt(np.maximum(sigma**2 - sigma_pixel**2, 0.0))
+    result = np.stack([mean(height), mean(strength), *mean_sigma(weight.T, sigma_pixel.T, rig.T)], axis=-1)
     return np.where(weight.any(axis=0)[:, None], result, np.nan)
 
 

@@ -5,6 +5,9 @@ column (or row); with that line's direction e, the ray's d and the normal n, σ 
 
     σ |n · e| / |d · e|.
 
+The rig's part of σ is known along the ray alone. Errors of the rig move a point sideways about as far as along its ray,
+so that the part along the normal is taken to be the same.
+
 The sheet's normal at each point is that of the range image's light; range images of older files have none, and there
 ω is the plane through all points as the camera saw them. A column's plane contains the camera. Where the points lie on
 no such plane the error is taken to be along the ray.
@@ -53,6 +56,7 @@ class Side:
         rim: points with neighbours on one side alone.
         spacing_mm: from point to point, the larger of along and across.
         floor: what the object stood on, where it is known.
+        sigma_rig: σ of the same distance by the rig, mm, which all scans with one rig share; NaN where it is not known.
     """
 
     name: str
@@ -62,6 +66,7 @@ class Side:
     rim: Bool[np.ndarray, "points"]
     spacing_mm: float
     floor: Floor | None = None
+    sigma_rig: Float[np.ndarray, "points"] | None = None
 
     @cached_property
     def tree(self) -> KDTree:
@@ -88,8 +93,8 @@ def side_of_image(name: str, image: RangeImage, *, cleaned: bool = True, on_floo
     points = image.points[image.valid].astype(np.float64)
     to_camera = np.broadcast_to(image.cameras()[:, None], image.points.shape)[image.valid] - points
     e = error_direction(image)[image.valid]
-    sigma = _known_sigma(image, how)[image.valid]
-    return _side_of_points(name, points, to_camera, e, sigma, max(how.across_mm, how.along_mm), floor)
+    pixel, rig = (part[image.valid] for part in _parts_of_sigma(image, how))
+    return _side_of_points(name, points, to_camera, e, (pixel, rig), max(how.across_mm, how.along_mm), floor)
 
 
 def side_of_surface(name: str, image: RangeImage, surface: Surface, how: Sampling) -> Side:
@@ -117,8 +122,9 @@ def side_of_surface(name: str, image: RangeImage, surface: Surface, how: Samplin
 
     points = mean(image.points)
     to_camera = mean(np.broadcast_to(image.cameras()[:, None], image.points.shape)) - points
-    sigma = mean(_known_sigma(image, how)) * parts
-    return _side_of_points(name, points, to_camera, mean(error_direction(image)), sigma, spacing, None)
+    pixel, rig = (mean(part) for part in _parts_of_sigma(image, how))
+    e = mean(error_direction(image))
+    return _side_of_points(name, points, to_camera, e, (pixel * parts, rig), spacing, None)
 
 
 def side_of_cloud(name: str, cloud: Cloud) -> Side:
@@ -134,8 +140,11 @@ def side_of_cloud(name: str, cloud: Cloud) -> Side:
     known = cloud.sigma if cloud.sigma_pixel is None else cloud.sigma_pixel
     sigma = np.zeros(len(points)) if known is None else known.astype(np.float64)
     ray = points / np.linalg.norm(points, axis=1, keepdims=True)
-    sigma = sigma * np.maximum(np.abs((normals * ray).sum(axis=1)), _BEST)
-    return _side(name, points, normals, sigma, rim, rms, spacing, None)
+    along = np.maximum(np.abs((normals * ray).sum(axis=1)), _BEST)
+    rig = np.full(len(points), np.nan)
+    if cloud.sigma is not None and cloud.sigma_pixel is not None:
+        rig = _rig_part(cloud.sigma.astype(np.float64), sigma)
+    return _side(name, points, normals, (along * sigma, rig), rim, rms, spacing, None)
 
 
 def error_direction(image: RangeImage) -> Float[np.ndarray, "frames columns 3"]:
@@ -169,10 +178,17 @@ def _sheet_normal(
     return None if np.abs(seen[image.valid] @ normal - 1).max() > _OFF_SHEET else normal
 
 
-def _known_sigma(image: RangeImage, how: Sampling) -> Float[np.ndarray, "frames columns"]:
-    """The pixel's part of σ along the ray; where it is not known, the noise."""
-    sigma = image.sigma_pixel.astype(np.float64)
-    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, how.noise_mm)
+def _parts_of_sigma(
+    image: RangeImage, how: Sampling
+) -> tuple[Float[np.ndarray, "frames columns"], Float[np.ndarray, "frames columns"]]:
+    """The pixel's part of σ along the ray, by the noise where it is not known, and the rig's, NaN where it is not."""
+    pixel = image.sigma_pixel.astype(np.float64)
+    pixel = np.where(np.isfinite(pixel) & (pixel > 0), pixel, how.noise_mm)
+    return pixel, _rig_part(image.sigma.astype(np.float64), pixel)
+
+
+def _rig_part(sigma: Float[np.ndarray, "*points"], pixel: Float[np.ndarray, "*points"]) -> Float[np.ndarray, "*points"]:
+    return np.sqrt(np.maximum(sigma**2 - pixel**2, 0.0))
 
 
 def _side_of_points(
@@ -180,34 +196,39 @@ def _side_of_points(
     points: Float[np.ndarray, "points 3"],
     to_camera: Float[np.ndarray, "points 3"],
     e: Float[np.ndarray, "points 3"],
-    sigma: Float[np.ndarray, "points"],
+    sigma: tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]],
     spacing: float,
     floor: Floor | None,
 ) -> Side:
-    """With σ along the rays, and the directions in which an error of the stripe moves the points."""
+    """With σ of pixel and rig along the rays, and the directions in which an error of the stripe moves the points."""
     normals, rim, rms = _planes(name, points, to_camera, _AROUND * spacing)
     ray = -to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
     along = np.abs((normals * e).sum(axis=1)) / np.maximum(np.abs((ray * e).sum(axis=1)), 1e-3)
-    return _side(name, points, normals, sigma * np.maximum(along, _BEST), rim, rms, spacing, floor)
+    pixel, rig = sigma
+    return _side(name, points, normals, (pixel * np.maximum(along, _BEST), rig), rim, rms, spacing, floor)
 
 
 def _side(
     name: str,
     points: Float[np.ndarray, "points 3"],
     normals: Float[np.ndarray, "points 3"],
-    sigma: Float[np.ndarray, "points"],
+    sigma: tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]],
     rim: Bool[np.ndarray, "points"],
     rms: Float[np.ndarray, "points"],
     spacing: float,
     floor: Floor | None,
 ) -> Side:
-    """Without the points that have no normal; where σ is not known it is the scatter of the points around."""
+    """Without the points that have no normal; where the pixel's σ is not known it is the scatter of the points around.
+
+    σ is along the normal, of pixel and rig.
+    """
     known = np.isfinite(normals).all(axis=1)
     typical = float(np.median(rms[known])) if known.any() else 0.0
-    sigma = np.where(sigma > 0, sigma, max(typical, 1e-6))
+    pixel, rig = sigma
+    pixel = np.where(pixel > 0, pixel, max(typical, 1e-6))
     points = points[known]
     _check(name, points)
-    return Side(name, points, normals[known], sigma[known], rim[known], spacing, floor)
+    return Side(name, points, normals[known], pixel[known], rim[known], spacing, floor, rig[known])
 
 
 def _check(name: str, points: Float[np.ndarray, "points 3"]) -> None:

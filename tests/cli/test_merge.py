@@ -58,6 +58,9 @@ def test_by_angle_then_by_the_turntable_that_it_gave(folder, capsys):
     assert found["turntable"]["degrees_per_step"] == pytest.approx(90 / 500, abs=2e-4)
     vertex = read_ply_file(folder / "m.ply").elements["vertex"].columns
     assert {"sigma_pixel", "nx"} <= set(vertex)
+    # The rig's part of each scan's σ of 0.05 mm, which no number of scans makes smaller.
+    assert found["sigma_vertex_mm"] == pytest.approx(np.hypot(found["sigma_pixel_vertex_mm"], 0.0458), abs=1e-4)
+    assert np.median(np.asarray(vertex["sigma"])) == pytest.approx(found["sigma_vertex_mm"], rel=1e-4)
     x, y, z = (np.asarray(vertex[axis], float) for axis in "xyz")
     inner = np.hypot(x, y + 12) < 8
     assert np.sqrt(np.mean((300 - z - height(x, -(y + 12)))[inner] ** 2)) < 0.01

@@ -5,6 +5,7 @@ import pytest
 
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
+from jaxscan.surface.mean_sigma import mean_sigma
 from jaxscan.surface.merged import merge, merge_closed
 from jaxscan.surface.side import Side
 from tests.surface.hills import RADIUS, height, pose, scanned, side
@@ -56,7 +57,16 @@ def test_each_point_weighs_by_its_sigma():
     error = [np.std(np.linalg.norm(m.mesh.vertices, axis=1)) for m in (alone, both, worse)]
     assert error[1] < 1.05 * error[0]
     assert error[1] < 0.2 * error[2]
-    assert np.median(both.sigma) == pytest.approx(error[1], rel=0.3)
+    assert np.median(both.sigma_pixel) == pytest.approx(error[1], rel=0.3)
+    assert np.isnan(both.sigma).all()
+
+
+def test_what_one_rig_is_wrong_by_stays_in_the_mean_and_the_noise_becomes_less():
+    pixel, rig = np.array([[0.03, 0.03, 0.03, np.nan]]), np.array([[0.04, 0.05, 0.06, np.nan]])
+    both, own = mean_sigma(np.array([[1, 1, 1, 0]]) / 3, pixel, rig)
+    assert own == pytest.approx(0.03 / np.sqrt(3))
+    assert both == pytest.approx(np.sqrt(own**2 + np.mean(rig[0, :3] ** 2)))
+    assert np.isnan(mean_sigma(np.full((1, 4), 0.25), np.full((1, 4), 0.03), rig)[0]).all()
 
 
 def test_nothing_is_made_where_nothing_was_seen():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 import trimesh
@@ -11,10 +12,12 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import RangeImage, write_points
+from jaxscan.reconstruction.point_sigma import ray_jacobian
 from jaxscan.rig import Fixed, Rig, Rotary
+from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.distance import distance
-from jaxscan.simulation.drawn import drawn_scan
+from jaxscan.simulation.drawn import drawn_scan, noisy_scan
 from jaxscan.simulation.scene import Body, Scene
 from jaxscan.simulation.shapes import box, floor, grey
 from jaxscan.simulation.solids import Sphere
@@ -138,6 +141,29 @@ def test_a_full_turn_is_one_surface_up_to_its_axis(dome):
     assert len(doubled) == 2
 
 
+def test_sigma_of_a_fused_surface_has_what_the_rig_is_wrong_by(dome):
+    """Of a rig whose principal point is off by its σ each way; averages leave that, and the noise becomes less."""
+    image, scene, off_axis = dome
+    image = image.where(off_axis(image.points) < 9.0)
+    rig = rig_with_its_axis_in_the_sheet()
+    names = parameter_names(rig)
+    off = np.zeros(len(names))
+    off[names.index("camera.principal.0")], off[names.index("camera.principal.1")] = 0.2, -0.2
+    leaves, tree = jax.tree.flatten(rig)
+    wrong = as_numpy(jax.tree.unflatten(tree, list(np.array(leaves, float) + off)))
+    frame, column = np.nonzero(image.valid)
+    pixels = np.stack([column, image.pixels[image.valid]], axis=1).astype(np.float64)
+    each = {axis: np.asarray(steps)[frame] for axis, steps in image.positions.items()}
+    by_rig = np.zeros(image.valid.shape, np.float32)
+    by_rig[image.valid] = np.linalg.norm(ray_jacobian(rig, "", pixels, each, True)[0] * off, axis=1)
+    seen = noisy_scan(wrong, np.where(image.valid, image.pixels, np.nan), image.positions, 0.0)
+    sigma = {"sigma_pixel": image.sigma_pixel, "sigma": np.hypot(image.sigma_pixel, by_rig)}
+    found, ball = fused(clean(replace(seen, **sigma)).image), scene.bodies[0].shape
+    error = np.linalg.norm(found.mesh.vertices - ball.centre, axis=1) - ball.radius
+    assert 0.7 < rms(error / found.sigma) < 1.3
+    assert rms(error / found.sigma_pixel) > 3
+
+
 def test_the_commands_say_what_they_make_of_a_turn(dome, tmp_path, capsys):
     image, _, _ = dome
     write_points(tmp_path / "dome.npz", image)
@@ -155,7 +181,8 @@ def test_the_commands_say_what_they_make_of_a_turn(dome, tmp_path, capsys):
     assert code == 0
     assert "fused      of 2 passages through the light, 2.0 on each vertex" in said
     assert "folded" not in said
-    assert "sigma_pixel" in read_ply_file(tmp_path / "dome.ply").elements["vertex"].columns
+    assert {"sigma", "sigma_pixel"} <= set(read_ply_file(tmp_path / "dome.ply").elements["vertex"].columns)
+    assert "of which the pixel's part is 0.0" in run("inspect", "dome.ply")[1]
     code, said = run("mesh", "dome.npz", *keep, "--method", "grid", "--quads")
     assert code == 0
     assert "layers     2: the turn has shown the object as often" in said
