@@ -109,7 +109,7 @@ def of_a_seed(seed: int, contrast: float) -> dict[str, dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         taken = photograph(Path(folder), condition, seed, ("cup", "bench"))
         errors = of_photographs(taken, {name: PIPELINES[name] for name in ROWS})
-        steps = taken.scans["cup"].steps[::_FRAMES_APART]
+        steps = taken.scans["cup"].axes["stage"][::_FRAMES_APART]
         lighting = replace(rig_2003.SCAN_LIGHTING, speckle=contrast)
         bound = cloud_bound(taken.rig, taken.scenes["cup"], steps, lighting, condition.sensor)
     return {name: dict(each) for name, each in errors.items()} | {

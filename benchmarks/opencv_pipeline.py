@@ -79,7 +79,7 @@ def found(
     clouds = []
     for scan in scans:
         cloud = []
-        for frame, steps in zip(scan.frames, scan.steps, strict=True):
+        for frame, steps in zip(scan.frames, scan.axes["stage"], strict=True):
             x = _rays(stripe_rows(read_image(frame), careful), K, k)
             cloud.append(x / (x @ omega)[:, None] - steps * per_step)
         clouds.append(np.stack(cloud))

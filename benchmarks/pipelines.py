@@ -92,7 +92,9 @@ def matlab(quirks: Quirks | None = None, runner: ModuleType | None = None) -> Pi
 
     def pipeline(taken: Taken, scans: Sequence[Scan]) -> Found:
         spacings = {
-            int(n) for steps in (taken.own.sequences[0].steps, *(s.steps for s in scans)) for n in np.diff(steps)
+            int(n)
+            for steps in (taken.own.sequences[0].steps, *(s.axes["stage"] for s in scans))
+            for n in np.diff(steps)
         }
         if len(spacings) != 1:
             raise ValueError(f"the pipeline of 2003 moves each photograph by the same: steps apart are {spacings}")

@@ -189,7 +189,10 @@ def steps(world: _World, scan: Scan, far: Bool[np.ndarray, "frames"]) -> list[Me
     for every in (1, 2, 4, 6, 8):
         some = range(0, len(scan.frames), every)
         coarser = Scan(
-            scan.path, scan.laser, tuple(scan.frames[i] for i in some), axes={STAGE: tuple(scan.steps[i] for i in some)}
+            scan.path,
+            scan.laser,
+            tuple(scan.frames[i] for i in some),
+            axes={STAGE: tuple(scan.axes[STAGE][i] for i in some)},
         )
         try:
             image = reconstruct(world.rig, coarser, spacetime=True)

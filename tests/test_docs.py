@@ -138,7 +138,7 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
         text = whole_session + text if text.startswith("[turntable]") else text
         path.write_text(text)
         if "[scan]" in text:
-            assert len(jaxscan.read_scan(path).steps) == 5
+            assert jaxscan.read_scan(path).listed == 5
         elif "[board]" in text:
             assert len(jaxscan.read_session(path).views.boards) == 6
         else:
@@ -215,7 +215,9 @@ def test_the_board_that_is_drawn_is_the_one_that_is_configured():
 def test_snippets(page: Path, world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def camera():
         scan = jaxscan.read_scan(world / "scan")
-        return ((jaxscan.images.read_image(path), step) for path, step in zip(scan.frames, scan.steps, strict=True))
+        return (
+            (jaxscan.images.read_image(path), step) for path, step in zip(scan.frames, scan.axes["stage"], strict=True)
+        )
 
     monkeypatch.chdir(tmp_path)
     shutil.copy(world / "rig.json", tmp_path)

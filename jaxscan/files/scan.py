@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from jaxscan.files.axes import STAGE, Positions, Rules, axes_values, read_axes
+from jaxscan.files.axes import Positions, Rules, axes_values, read_axes
 from jaxscan.files.listing import files_of, name_some, natural_key, repeated_files_of
 from jaxscan.files.settings import (
     read_listing,
@@ -49,11 +49,6 @@ class Scan:
     backgrounds: tuple[Path, ...] = ()
     exposures_s: tuple[float, ...] | None = None
     name: str = ""
-
-    @property
-    def steps(self) -> tuple[int, ...]:
-        """The motor step count of the stage at each frame, 0 where it has no position; none for a video with rules."""
-        return self.axes.get(STAGE, (0,) * self.listed)
 
     @property
     def axis_names(self) -> tuple[str, ...]:

@@ -65,10 +65,10 @@ def test_one_background_or_one_for_each_frame(folder, background, count):
 def test_videos(folder):
     (folder / "scan.MP4").write_bytes(b"any")
     counted = scan(folder, '[scan]\nframes = "scan.MP4"\nsteps_per_frame = 5\nbackground = "dark.png"')
-    assert (counted.video, counted.frames, counted.steps) == (folder / "scan.MP4", (), ())
+    assert (counted.video, counted.frames, counted.axes) == (folder / "scan.MP4", (), {})
     assert counted.rules == {"stage": StepRule(0, 5)}
     listed = scan(folder, '[scan]\nframes = "scan.MP4"\nsteps = [0, 5]\nexposures_s = [1, 2]')
-    assert (listed.steps, listed.rules) == ((0, 5), {})
+    assert (listed.axes, listed.rules) == ({"stage": (0, 5)}, {})
     for read in (counted, listed):
         write_scan(read)
         assert read_scan(folder) == read
@@ -89,7 +89,6 @@ AXES = FRAMES + "[scan.axes]\n"
 def test_axes_by_their_names(folder, written, read):
     got = scan(folder, AXES, written)
     assert (dict(got.axes), list(got.axes), got.rules) == (read, list(read), {})
-    assert got.steps == read.get("stage", (0, 0, 0))
     write_scan(got)
     text = (folder / "scan.toml").read_text()
     # The stage alone has its short form.
@@ -117,7 +116,7 @@ def test_axes_of_videos(folder):
     video = '[scan]\nframes = "v.mp4"\n[scan.axes]\n'
     uncounted = scan(folder, video, "turntable = { start = 3, per_frame = 8 }\nstage = 20000")
     assert uncounted.rules == {"turntable": StepRule(3, 8), "stage": StepRule(20000, 0)}
-    assert (uncounted.axes, uncounted.steps) == ({}, ())
+    assert (uncounted.axes, uncounted.listed) == ({}, 0)
     # One list says how many frames there are.
     counted = scan(folder, video, "turntable = { per_frame = 8 }\nstage = [0, 0, 5, 5]")
     assert (counted.axes, counted.rules) == ({"turntable": (0, 8, 16, 24), "stage": (0, 0, 5, 5)}, {})
@@ -165,7 +164,7 @@ def test_frames_that_are_not_listed_are_said(folder, photographs):
 @pytest.mark.parametrize(("name", "count"), [("stage-pyramid", 65), ("stage-flat", 9)])
 def test_real_scans(data, name, count):
     read = read_scan(data / name)
-    assert len(read.frames) == len(read.steps) == count
+    assert len(read.frames) == read.listed == count
     assert read.name == name.removeprefix("stage-")
     assert read.laser == StripeSettings(color="red", columns=False)
 

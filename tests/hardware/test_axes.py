@@ -282,7 +282,7 @@ def test_a_scan_begun_before_axes_had_names_goes_on(tmp_path: Path):
     folder = ScanFolder.resume(tmp_path / "scan")
     assert folder.left == ({"stage": 2000},)
     take(folder, there)
-    assert read_scan(tmp_path / "scan").steps == (0, 1000, 2000)
+    assert read_scan(tmp_path / "scan").axes["stage"] == (0, 1000, 2000)
     folder.go_on_at([{"stage": 3000}], 0.0)
     assert ScanFolder.resume(tmp_path / "scan").left == ({"stage": 3000},)
     with pytest.raises(

@@ -72,7 +72,7 @@ def test_home_move_shoot_scan(scanner: Path, capsys: pytest.CaptureFixture[str])
     assert main(["scan", "cup", "--resume"]) == 0
     assert "next: jaxscan reconstruct cup" in capsys.readouterr().out
     scan = read_scan("cup")
-    assert (scan.steps, scan.name, scan.laser.color) == ((0, 2000, 4000), "cup", "green")
+    assert (scan.axes["stage"], scan.name, scan.laser.color) == ((0, 2000, 4000), "cup", "green")
     assert len(scan.backgrounds) == 3
 
 

@@ -68,12 +68,12 @@ def test_every_frame_is_on_the_disk_before_the_next_move(tmp_path: Path):
         scan = read_scan(tmp_path / "scan")
         counted.append(len(scan.frames))
         assert scan.frames[-1].name == path.name
-        assert there.axes["stage"].position() == frame.positions["stage"] == scan.steps[-1]
+        assert there.axes["stage"].position() == frame.positions["stage"] == scan.axes["stage"][-1]
 
     take(folder, there, taken=taken)
     assert counted == [1, 2, 3]
     scan = read_scan(tmp_path / "scan")
-    assert (scan.steps, scan.name, scan.exposures_s) == ((0, 5000, 3000), "cup", (0.02,) * 3)
+    assert (scan.axes["stage"], scan.name, scan.exposures_s) == ((0, 5000, 3000), "cup", (0.02,) * 3)
     assert levels(scan.frames) == [100, 105, 103]
     assert levels(scan.backgrounds) == [0, 5, 3]
     assert not there.laser.lit

@@ -128,7 +128,7 @@ def test_a_scan_of_another_length_compiles_nothing(rig, scan, frames, images):
     whole = (carried, spacetime._track, spacetime._points, gather_passage, passage_windows)
     before = [each._cache_size() for each in whole]
     count = FRAMES - 3
-    points = points_of(rig, GREY, frames[:count], scan.steps[:count], sigma)
+    points = points_of(rig, GREY, frames[:count], scan.axes["stage"][:count], sigma)
     assert [each._cache_size() for each in whole] == before
     np.testing.assert_array_equal(points[HALF : count - HALF], images[1].points[HALF : count - HALF])
 

@@ -41,7 +41,7 @@ def test_home_move_shoot_and_batch_into_one_project(served: Served, tmp_path: Pa
     archive = zipfile.ZipFile(io.BytesIO(client.get("/api/projects/cup/scan.zip").content))
     assert archive.testzip() is None
     archive.extractall(tmp_path / "fetched")
-    assert read_scan(tmp_path / "fetched" / "cup").steps == (300, 1000, 2000, 3000)
+    assert read_scan(tmp_path / "fetched" / "cup").axes["stage"] == (300, 1000, 2000, 3000)
     assert client.get("/api/projects/cup/frames/3").content.startswith(b"\x89PNG")
     assert not served.camera.laser.lit
     assert [job["work"]["kind"] for job in client.get("/api/jobs").json()] == ["scan", "shoot", "move", "home"]
@@ -98,7 +98,7 @@ def test_pause_resume_abort_and_go_on(slow: Served):
     assert 1 < job["taken"] < 5
     resumed = ended(client, client.post(f"/api/jobs/{number}/resume"))
     assert (resumed["state"], resumed["taken"]) == ("done", 5)
-    assert slow.lab.projects.scan("cup").steps == (0, 1000, 2000, 3000, 4000)
+    assert slow.lab.projects.scan("cup").axes["stage"] == (0, 1000, 2000, 3000, 4000)
 
 
 def test_stop_is_at_once(slow: Served):

@@ -111,7 +111,7 @@ def test_a_whole_scan(browser: Browser, lab: Served, tmp_path: Path):
         page.get_by_role("link", name="Scan (zip)").click()
     with zipfile.ZipFile(downloading.value.path()) as archive:
         archive.extractall(tmp_path / "fetched")
-    assert read_scan(tmp_path / "fetched" / "cup").steps == (300, *range(1000, 13000, 1000))
+    assert read_scan(tmp_path / "fetched" / "cup").axes["stage"] == (300, *range(1000, 13000, 1000))
     page.get_by_role("button", name="Sign out").click()
     expect(page.get_by_label("Password")).to_be_visible()
     expect(watcher.locator("#operator")).to_have_text("The scanner is free")
