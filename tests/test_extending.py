@@ -24,7 +24,9 @@ from jaxscan.reconstruction import Kernel, Scanner, triangulate
 from jaxscan.reconstruction.triangulate import FramePoses
 from jaxscan.rig import Rig, motion_of
 from jaxscan.rig.rig import parameter_names
+from jaxscan.view.calibration_report import calibration_report
 from tests.calibration import synthetic
+from tests.view.test_report import check
 
 PAGE = Path(__file__).parents[1] / "docs" / "extending.md"
 EXAMPLES = dict(re.findall(r"```python\n# (\w+)\.py\n(.*?)```", PAGE.read_text(), re.DOTALL))
@@ -184,6 +186,22 @@ def test_a_fisheye_is_found_written_and_triangulated(example, tmp_path):
     diagnostics = diagnose(found, thorough=False)
     assert (diagnostics.ladder, diagnostics.missing_terms) == (None, None)
     assert climb(found) is None
+
+
+@pytest.mark.long
+def test_the_report_of_a_fisheye(example):
+    """As of any lens, without the comparison with other lenses, which are OpenCV's."""
+    pytest.importorskip("matplotlib", reason="the extra plots is not installed")
+    example("fisheye")
+    found = calibrate(fisheye_session(1), lens="fisheye")
+    report, judged = calibration_report(found)
+    check(report)
+    assert (judged.level, judged.warnings) == ("good", ())
+    figures = {figure.name for section in report.sections for figure in section.figures}
+    assert figures >= {"working-volume", "scene", "residual-vectors", "radius", "agreement-0", "coverage"}
+    assert "ladder" not in figures
+    (parameters,) = (table for s in report.sections for table in s.tables if table.columns[0] == "parameter")
+    assert [row[0] for row in parameters.rows[4:8]] == [f"camera.angular.{i}" for i in range(4)]
 
 
 def test_held_terms_of_a_fisheye_are_missed(example):

@@ -8,8 +8,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from jaxscan.calibration import calibrate
 from jaxscan.errors import InputError
 from jaxscan.view import report as reports
+from jaxscan.view.calibration_report import calibration_report
 from jaxscan.view.report import Box, Figure, Report, Section, Table
 
 SMALL = Report(
@@ -90,6 +92,25 @@ def test_the_report_of_a_calibration_is_the_same_twice(report):
     kinds = ("working-volume", "photographs", "scene", "residual-vectors", "histograms", "radius", "stripes", "stage")
     assert len(set(figures)) == len(figures)
     assert set(figures) >= {*kinds, "next-photographs", "agreement-0", "ladder", "coverage"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("lens", "hold"), [("brown", ()), ("rational", tuple(f"camera.radial.{i}" for i in (3, 4, 5)))]
+)
+def test_the_report_of_a_lens_with_more_terms_than_the_photographs_support(session, lens, hold):
+    pytest.importorskip("matplotlib", reason="the extra plots is not installed")
+    report, judged = calibration_report(calibrate(session, lens=lens, hold=hold))
+    check(report)
+    assert any(f'The lens "{lens}" is richer than the photographs support' in box.statement for box in judged.warnings)
+    parameters, lenses = (
+        next(table for s in report.sections for table in s.tables if table.columns[0] == column)
+        for column in ("parameter", "lens")
+    )
+    held = tuple(row[0] for row in parameters.rows if row[2] == "held")
+    assert [row[0] for row in parameters.rows[4:7]] == [f"camera.radial.{i}" for i in range(3)]
+    assert held == hold
+    assert {row[0] for row in lenses.rows} >= {"none", "radial1", lens}
 
 
 def test_the_json_has_the_pose_of_each_board_with_its_covariance(report, calibration):
