@@ -34,6 +34,23 @@ def skew(w: Float[A, "*stack 3"]) -> Float[A, "*stack 3 3"]:
 
 def vector_to_matrix(w: Float[A, "*stack 3"]) -> Float[A, "*stack 3 3"]:
     """Rotation vector (radians) to matrix; smooth everywhere, exact derivative at w = 0."""
+    return _differentiable(w) if isinstance(w, jax.Array) else _rodrigues(w)
+
+
+def _rodrigues(w: Float[A, "*stack 3"]) -> Float[A, "*stack 3 3"]:
+    xp, (a, b, _) = namespace(w), _factors(w)
+    x, y, z = w[..., 0], w[..., 1], w[..., 2]
+    ax, ay, az = a * x, a * y, a * z
+    bx, by, bz = b * x, b * y, b * z
+    xy, yz, zx = bx * y, by * z, bz * x
+    # Written out, with [w]×² = w wᵀ − θ² I: XLA fuses sums with what surrounds them, but not small matrix products.
+    c = 1 - b * xp.vecdot(w, w)
+    R = [c + bx * x, xy - az, zx + ay, xy + az, c + by * y, yz - ax, zx - ay, yz + ax, c + bz * z]
+    return xp.stack(R, axis=-1).reshape(*w.shape, 3)
+
+
+def _factors(w: Float[A, "*stack 3"]) -> tuple[Float[A, "*stack"], Float[A, "*stack"], Float[A, "*stack"]]:
+    """Sin θ / θ, (1 − cos θ) / θ² and (θ − sin θ) / θ³."""
     xp = namespace(w)
     t = xp.vecdot(w, w)
     near = t < _SERIES_ANGLE
@@ -42,14 +59,28 @@ def vector_to_matrix(w: Float[A, "*stack 3"]) -> Float[A, "*stack 3 3"]:
     a = xp.where(near, 1 - t / 6 * (1 - t / 20 * (1 - t / 42)), xp.sin(angle) / angle)
     # 2 sin²(θ/2) = 1 − cos θ, without its cancellation.
     b = xp.where(near, 0.5 - t / 24 * (1 - t / 30 * (1 - t / 56)), 2 * xp.sin(angle / 2) ** 2 / safe)
-    x, y, z = w[..., 0], w[..., 1], w[..., 2]
-    ax, ay, az = a * x, a * y, a * z
-    bx, by, bz = b * x, b * y, b * z
-    xy, yz, zx = bx * y, by * z, bz * x
-    # Written out, with [w]×² = w wᵀ − θ² I: XLA fuses sums with what surrounds them, but not small matrix products.
-    c = 1 - b * t
-    R = [c + bx * x, xy - az, zx + ay, xy + az, c + by * y, yz - ax, zx - ay, yz + ax, c + bz * z]
-    return xp.stack(R, axis=-1).reshape(*w.shape, 3)
+    c = xp.where(near, 1 / 6 - t / 120 * (1 - t / 42 * (1 - t / 72)), (1 - a) / safe)
+    return a, b, c
+
+
+@jax.custom_jvp
+def _differentiable(w: Float[Array, "*stack 3"]) -> Float[Array, "*stack 3 3"]:
+    return _rodrigues(w)
+
+
+@_differentiable.defjvp
+def _turned(
+    at: tuple[Float[Array, "*stack 3"]], along: tuple[Float[Array, "*stack 3"]]
+) -> tuple[Float[Array, "*stack 3 3"], Float[Array, "*stack 3 3"]]:
+    """Ṙ = ω × R, column by column, with the turn ω = ẇ + b w × ẇ + c w × (w × ẇ), c = (θ − sin θ) / θ³.
+
+    Derived from the nine numbers one by one, each would bring sines and cosines of its own to be compiled.
+    """
+    (w,), (w_dot,) = at, along
+    R, (_, b, c) = _differentiable(w), _factors(w)
+    aside = jnp.cross(w, w_dot)
+    turn = w_dot + b[..., None] * aside + c[..., None] * jnp.cross(w, aside)
+    return R, jnp.cross(turn[..., None], R, axis=-2)
 
 
 def matrix_to_vector(R: Float[A, "*stack 3 3"]) -> Float[A, "*stack 3"]:

@@ -66,7 +66,7 @@ class Linear(eqx.Module):
         steps = q.get(self.axis, 0.0)
         xp = namespace(steps, *self.per_step)
         shift = xp.tensordot(xp.asarray(steps), xp.stack([xp.asarray(leaf) for leaf in self.per_step]), axes=0)
-        return Pose(0.0 * shift, shift)
+        return Pose(xp.zeros_like(shift), shift)
 
     def idle(self) -> Float[np.ndarray, "0 3"]:
         """None."""

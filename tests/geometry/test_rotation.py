@@ -51,3 +51,19 @@ def test_float32_stays_float32():
     back = jax.jit(lambda w: matrix_to_vector(vector_to_matrix(w)))(jnp.array([0.1, 0.2, 0.3], jnp.float32))
     assert back.dtype == jnp.float32
     np.testing.assert_allclose(back, [0.1, 0.2, 0.3], atol=1e-6)
+
+
+def test_second_derivatives_of_matrix(x64):
+    w, h = jnp.asarray(VECTORS), 1e-6
+    slope = jax.jit(jax.vmap(jax.jacfwd(vector_to_matrix)))
+    second = jax.jit(jax.vmap(jax.jacfwd(jax.jacrev(vector_to_matrix))))(w)
+    numeric = np.stack([(slope(w + h * e[None]) - slope(w - h * e[None])) / (2 * h) for e in jnp.eye(3)], -1)
+    np.testing.assert_allclose(second, numeric, atol=1e-8)
+
+
+def test_derivative_compiles_few_sines(x64):
+    """The nine numbers share them: each would otherwise have its own, which took longer to compile than all else."""
+    compiled = jax.jit(jax.vmap(jax.jacfwd(vector_to_matrix))).lower(jnp.asarray(VECTORS)).compile()
+    text = compiled.as_text() or ""
+    assert " sine(" in text
+    assert text.count(" sine(") + text.count(" cosine(") <= 4
