@@ -191,6 +191,18 @@ def jacobian_columns(product: Callable[[Arrow], Arrow], like: Arrow) -> Jacobian
         product: the Jacobian-vector product.
         like: the unknowns, for their shapes.
     """
+    return _columns(jax.vmap(product, out_axes=-1)(_directions(like)), like)
+
+
+def linearise(residual: Callable[[Arrow], Arrow], y: Arrow) -> tuple[Arrow, Jacobian]:
+    """Residual and Jacobian at y."""
+    both = jax.vmap(lambda along: jax.jvp(residual, (y,), (along,)), out_axes=(None, -1))
+    value, columns = both(_directions(y))
+    return value, _columns(columns, y)
+
+
+def _directions(like: Arrow) -> Arrow:
+    """One direction for each shared unknown, then one for each unknown of a block, of all blocks at once."""
     n = like.shared.size
     size = max((block.shape[1] for block in like.blocks), default=0)
     shared = jnp.eye(n, n + size, dtype=like.shared.dtype).T
@@ -204,16 +216,15 @@ def jacobian_columns(product: Callable[[Arrow], Arrow], like: Arrow) -> Jacobian
         )
         for block in like.blocks
     )
-    columns: Arrow = jax.vmap(product, out_axes=-1)(Arrow(shared, blocks))
+    return Arrow(shared, blocks)
+
+
+def _columns(products: Arrow, like: Arrow) -> Jacobian:
+    """The products with all directions, without those that belong to larger blocks."""
+    n = like.shared.size
     return Jacobian(
-        shared=columns.shared[..., :n],
+        shared=products.shared[..., :n],
         blocks=tuple(
-            column[..., : n + block.shape[1]] for column, block in zip(columns.blocks, like.blocks, strict=True)
+            column[..., : n + block.shape[1]] for column, block in zip(products.blocks, like.blocks, strict=True)
         ),
     )
-
-
-def linearise(residual: Callable[[Arrow], Arrow], y: Arrow) -> tuple[Arrow, Jacobian]:
-    """Residual and Jacobian at y."""
-    value, product = jax.linearize(residual, y)
-    return value, jacobian_columns(product, y)

@@ -25,8 +25,7 @@ def turning_point(height: Height, widest: float, dtype: Any) -> tuple[Float[Arra
         dtype: of the numbers.
     """
     r, h = samples(height, widest, dtype)
-    growing = jnp.cumprod(h[1:] > h[:-1])
-    last = growing.sum()
+    last = jnp.argmin(jnp.append(h[1:] > h[:-1], False))
     # The true turn lies within one sample of the last growing one; a parabola through three samples gives its height.
     i = jnp.clip(last, 1, _SAMPLES - 2)
     turns = last < _SAMPLES - 1
