@@ -77,7 +77,7 @@ def timed_step(session: Observations, found: Calibration) -> Callable[[], float]
         poses = as_float64(found.system.boards).as_vector()
         padded = jnp.pad(poses, ((0, len(groups[0].corners) - len(poses)), (0, 0)), constant_values=1.0)
         free = jnp.ones(len(jax.tree.leaves(rig)), bool)
-        noise = Noise(jnp.asarray(found.corner_sigma_px), jnp.ones(()), jnp.zeros(()))
+        noise = Noise.create(found.corner_sigma_px)
 
     def seconds() -> float:
         with float64():

@@ -210,6 +210,6 @@ def cramer_rao(session: Session) -> Covariance:
         padded[: len(views)] = views
         moved = np.stack([np.concatenate([pose.rotation, pose.translation]) for pose in at_mean])
         system = System(as_float64(rig), (jnp.asarray(padded), jnp.asarray(moved)))
-        sigma = residuals.Noise(jnp.asarray(NOISE.corner), jnp.asarray(NOISE.stripe), jnp.zeros(()))
+        sigma = residuals.Noise.create(NOISE.corner, NOISE.stripe)
         matrix = np.asarray(precision(system, jnp.asarray(free), groups, sigma).covariance)
     return Covariance(tuple(names), with_normal_numbers(matrix, rig, free))

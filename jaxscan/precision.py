@@ -8,7 +8,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Float64
 
 from jaxscan.errors import InputError
 
@@ -48,6 +48,14 @@ def as_float64(tree: Any) -> Any:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), tree)
 
 
+def as_jax(tree: Any) -> Any:
+    """The same pytree with JAX leaves, of arrays that nobody writes to later: they may share their memory.
+
+    `jnp.asarray` would compile a copy for every shape.
+    """
+    return jax.device_put(tree)
+
+
 def as_numpy(tree: Any) -> Any:
     """The same pytree with NumPy leaves, which keep their precision outside of `float64`."""
     return jax.tree.map(np.asarray, tree)
@@ -55,11 +63,8 @@ def as_numpy(tree: Any) -> Any:
 
 def batches_of(
     values: Float[np.ndarray, "values numbers"], size: int = AT_ONCE
-) -> Float[Array, "batches size numbers"]:
-    """Padded with zeros to batches of one size, at least one, so that any number of them shares one compiled function.
-
-    Inside a `float64` block.
-    """
+) -> Float64[np.ndarray, "batches size numbers"]:
+    """Padded with zeros to batches of one size, at least one: any number of them shares one compiled function."""
     padded = np.zeros((max(-(-len(values) // size), 1) * size, values.shape[1]))
     padded[: len(values)] = values
-    return jnp.asarray(padded.reshape(-1, size, values.shape[1]))
+    return padded.reshape(-1, size, values.shape[1])

@@ -5,10 +5,8 @@ at; which observations are outliers is fixed, and so are weights and σ unless t
 """
 
 from dataclasses import replace
-from functools import partial
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -18,7 +16,8 @@ from jaxscan.calibration.bundle import Factor, solve
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
-from jaxscan.precision import as_float64
+from jaxscan.geometry.rotation import A
+from jaxscan.precision import as_float64, as_jax
 from jaxscan.rig import Motion, Positions, System
 
 
@@ -60,20 +59,14 @@ class Adjustment(eqx.Module):
         poses = (system.poses[0][:views],)
         if sequences:
             moved = self.groups[1]
-            poses = (*poses, _poses_at_0(system.rig.motion, system.poses[1], moved.reference)[:sequences])
-        return System(system.rig.normal(), poses, system.warp)
+            at_0 = pose_at_0(system.rig.motion, system.poses[1], moved.reference)
+            poses = (*poses, at_0[:sequences])
+        return System(system.rig.normal(), as_jax(poses), system.warp)
 
 
-def pose_at_0(motion: Motion, pose: Float[Array, "6"], reference: Positions) -> Float[Array, "6"]:
-    """The pose with all axes at 0 of a board that stands at a pose at positions of reference."""
+def pose_at_0(motion: Motion, pose: Float[A, "*stack 6"], reference: Positions) -> Float[A, "*stack 6"]:
+    """The pose with all axes at 0 of a board that stands at a pose at positions of reference, or of a stack of them."""
     return (motion.pose(reference).inverse() @ Pose.from_vector(pose)).as_vector()
-
-
-@jax.jit
-def _poses_at_0(
-    motion: Motion, poses: Float[Array, "blocks 6"], reference: dict[str, Float[Array, "blocks"]]
-) -> Float[Array, "blocks 6"]:
-    return jax.vmap(partial(pose_at_0, motion))(poses, reference)
 
 
 def refit(adjustment: Adjustment) -> System:
@@ -99,4 +92,5 @@ def refit(adjustment: Adjustment) -> System:
     groups = (*adjustment.groups, *adjustment.factors)
     outcome = solve(adjustment.start, adjustment.free, groups, adjustment.noise)
     failed = outcome.result != optx.RESULTS.successful
-    return adjustment.finished(eqx.error_if(outcome.system, failed, "the adjustment did not reach a minimum"))
+    system = eqx.error_if(outcome.system, failed, "the adjustment did not reach a minimum")
+    return eqx.filter_jit(adjustment.finished)(system)

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.observations import BoardSequence, Observations, View
 from jaxscan.calibration.residuals import Blocks
+from jaxscan.precision import as_jax
 
 # So many boards are solved in milliseconds and compiled for in seconds.
 _LEAST = 12
@@ -83,18 +83,19 @@ def _pack(
     for b, sequence in enumerate(observations.sequences if q else ()):
         for axis, step in reference_positions(sequence).items():
             reference[axis][b] = step
-    return Blocks(
-        points=jnp.asarray(np.broadcast_to(points, (n_blocks, *points.shape))),
-        relative=jnp.asarray(np.broadcast_to(relative, (n_blocks, *relative.shape))),
-        q={axis: jnp.asarray(steps) for axis, steps in q.items()},
-        reference={axis: jnp.asarray(step) for axis, step in reference.items()},
-        corners=jnp.asarray(corners),
-        weights=jnp.asarray(weights),
-        corner_used=jnp.asarray(weights > 0),
-        stripe=jnp.asarray(stripe),
-        stripe_weights=jnp.ones(striped),
-        stripe_used=jnp.asarray(np.isfinite(stripe).all(axis=-1)),
-        stripe_columns=jnp.asarray(columns),
-        stripe_light=jnp.asarray(light),
-        radius=jnp.full((n_blocks, len(points)), observations.radius_mm) if observations.radius_mm else None,
-    )
+    arrays = {
+        "points": np.broadcast_to(points, (n_blocks, *points.shape)),
+        "relative": np.broadcast_to(relative, (n_blocks, *relative.shape)),
+        "q": q,
+        "reference": reference,
+        "corners": corners,
+        "weights": weights,
+        "corner_used": weights > 0,
+        "stripe": stripe,
+        "stripe_weights": np.ones(striped),
+        "stripe_used": np.isfinite(stripe).all(axis=-1),
+        "stripe_columns": columns,
+        "stripe_light": light,
+        "radius": np.full((n_blocks, len(points)), observations.radius_mm) if observations.radius_mm else None,
+    }
+    return Blocks(**as_jax(arrays))

@@ -31,7 +31,7 @@ from jaxscan.calibration.second_poses import better_poses
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.geometry import Pose
 from jaxscan.images import Board
-from jaxscan.precision import as_float64, float64
+from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import LIGHTS, MOTIONS, BoardWarp, Camera, Light, Rig, System
 
 _FEWEST_CORNERS = 6
@@ -104,8 +104,6 @@ def calibrate(
             )
         camera = as_float64(start) if start else first_camera(usable, lens)
         warp = BoardWarp(jnp.zeros(()), jnp.zeros(())) if board_warp else None
-        unit = jnp.ones(())
-        noise = Noise(unit, unit, jnp.zeros(()))
 
         # The camera first, from the views' corners alone: lights and motion are there already, but held, and what they
         # would be found from is masked, so that both solves are one compiled function.
@@ -118,7 +116,7 @@ def calibrate(
         corners = _corners_of_views(groups)
         rounds = partial(refine, reject=judge, weigh=not plain)
         of_camera = partial(rounds, begins=lambda solve: advance(f"camera, round {solve}"))
-        refined = of_camera(replace(system, poses=poses), free, corners, noise)
+        refined = of_camera(replace(system, poses=poses), free, corners, Noise.create())
         if judge and (elsewhere := better_poses(refined.system, corners, refined.noise)) is not None:
             refined = of_camera(elsewhere, free, corners, refined.noise)
         _check(refined, usable, free)
@@ -273,14 +271,15 @@ def _first_lights(observations: Observations, camera: Camera, poses: Pose[np.nda
 
 def _corners_of_views(groups: tuple[Blocks, ...]) -> tuple[Blocks, ...]:
     """The same arrays with everything but the views' corners masked."""
-    no_stripes = [replace(group, stripe_used=jnp.zeros_like(group.stripe_used)) for group in groups]
+    no_stripes = [replace(group, stripe_used=as_jax(np.zeros(group.stripe_used.shape, bool))) for group in groups]
     views, *moved = no_stripes
-    return views, *(replace(group, corner_used=jnp.zeros_like(group.corner_used)) for group in moved)
+    return views, *(replace(group, corner_used=as_jax(np.zeros(group.corner_used.shape, bool))) for group in moved)
 
 
 def _free(system: System, held: set[str], parts: tuple[str, ...]) -> Bool[Array, "shared"]:
     """Which shared parameters are refined: those of some parts of the rig that are not held, and the board's warp."""
-    return jnp.asarray([name.startswith((*parts, "warp")) and name not in held for name in system.shared_names()])
+    names = system.shared_names()
+    return as_jax(np.array([name.startswith((*parts, "warp")) and name not in held for name in names]))
 
 
 def _check(refined: Refined, observations: Observations, free: Bool[Array, "shared"]) -> None:

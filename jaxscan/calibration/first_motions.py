@@ -2,7 +2,6 @@
 
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -11,7 +10,7 @@ from jaxscan.calibration.blocks import reference_positions
 from jaxscan.calibration.observations import BoardSequence, Observations
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
-from jaxscan.precision import as_float64, as_numpy
+from jaxscan.precision import as_float64, as_jax, as_numpy
 from jaxscan.rig import MOTIONS, AxisMotion, Motion, motion_of
 
 
@@ -50,7 +49,7 @@ def first_motions(
         _at_reference(motion, sequence, poses, middle)
         for sequence, poses in zip(observations.sequences, photographs, strict=True)
     ]
-    return as_float64(motion), (jnp.asarray(np.stack(first)),)
+    return as_float64(motion), (as_jax(np.stack(first)),)
 
 
 def _by_axis(observations: Observations) -> dict[str, list[BoardSequence]]:

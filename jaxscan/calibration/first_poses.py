@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -11,6 +10,7 @@ from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.residuals import Blocks, far_away
 from jaxscan.geometry import Pose
+from jaxscan.precision import as_jax
 from jaxscan.rig import Camera
 from jaxscan.rig.projection import pixel_rays
 
@@ -24,7 +24,7 @@ def first_poses(camera: Camera, blocks: Blocks) -> Float[Array, "blocks 6"]:
     t = np.zeros((len(used), 3))
     points = np.asarray(blocks.points)[0, :, :2]
     R[real], t[real] = initial.board_poses(points, rays[real], used[real])
-    return jnp.where(real[:, None], jnp.asarray(Pose.from_matrix(R, t).as_vector()), far_away(len(used)))
+    return as_jax(np.where(real[:, None], Pose.from_matrix(R, t).as_vector(), far_away(len(used))))
 
 
 def poses_of_photographs(

@@ -179,7 +179,7 @@ def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequen
     mean = jnp.asarray([float(leaf) for leaf in jax.tree.leaves(rig)])
     believed = Prior(mean, jnp.asarray(np.concatenate([roughly, told])))
     if isinstance(known, RigFile):
-        unit = Noise(jnp.ones(()), jnp.ones(()), jnp.zeros(()))
+        unit = Noise.create()
         return _Boards(System(rig, ()), jnp.asarray(free), (), unit, believed, believed)
     adjustment = jax.tree.map(jnp.asarray, known.adjustment)
     pushed = jnp.asarray([i in lit for i in range(len(rig.lights))])
@@ -192,7 +192,7 @@ def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequen
         for group in adjustment.groups
     )
     corner, stripe = known.corner_sigma_px, (known.stripe_sigma_px or 1.0) * (known.stripe_correlation or 1.0) ** 0.5
-    noise = Noise(jnp.asarray(corner), jnp.asarray(stripe), jnp.zeros(()))
+    noise = Noise.create(corner, stripe)
     if "stage" in doubt:
         # Where the stage stood tells where the others did: of none a photograph is read, and they stay.
         others = [n.startswith("motion.") and not n.startswith("motion.stage.") for n in parameter_names(rig)]

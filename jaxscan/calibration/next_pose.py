@@ -338,7 +338,7 @@ def _scene(calibration: Calibration) -> Scene:
     return Scene(
         rig=as_float64(rig),
         free=jnp.asarray([name in calibration.covariance.names for name in parameter_names(rig)]),
-        noise=Noise(jnp.asarray(corner), jnp.asarray(stripe), jnp.zeros(())),
+        noise=Noise.create(corner, stripe),
         points=jnp.asarray(observations.board.points()),
         outline=jnp.asarray(outline_of(observations.board)),
         columns=jnp.asarray(columns, bool),

@@ -18,8 +18,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.geometry import Pose, dual_plane_of
+from jaxscan.precision import as_jax
 from jaxscan.rig import Light, Rig, System
 from jaxscan.rig.motion import carried
+
+# R and t (mm) of a board in each of its photographs.
+Stands = tuple[Float[Array, "photographs 3 3"], Float[Array, "photographs 3"]]
 
 
 class Blocks(eqx.Module):
@@ -65,12 +69,13 @@ class Blocks(eqx.Module):
 
         Where no stripe takes part none is computed: their rays cost more than all else.
         """
-        corner = jax.vmap(partial(corner_errors, system))(poses, self)
+        stands = jax.vmap(partial(photograph_poses, system.rig))(poses, self)
+        corner = jax.vmap(partial(corner_errors, system))(stands, self)
         corner = corner * (self.weights / noise.corner)[..., None]
         corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[..., None]
 
         def stripe_residuals() -> Float[Array, "blocks photographs stripe"]:
-            stripe = jax.vmap(partial(stripe_errors, system.rig))(poses, self) * (self.stripe_weights / noise.stripe)
+            stripe = jax.vmap(partial(stripe_errors, system.rig))(stands, self) * (self.stripe_weights / noise.stripe)
             return stripe * _tamed(noise.robustness**2 * stripe**2)
 
         stripe = jnp.zeros(self.stripe_used.shape, corner.dtype)
@@ -87,7 +92,7 @@ class Blocks(eqx.Module):
 
 def far_away(blocks: int) -> Float[Array, "blocks 6"]:
     """Poses for boards that nothing is known of yet: in front of the camera, one metre away."""
-    return jnp.tile(jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0]), (blocks, 1))
+    return as_jax(np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0], (blocks, 1)))
 
 
 class Noise(eqx.Module):
@@ -103,13 +108,18 @@ class Noise(eqx.Module):
     stripe: Float[Array, ""]
     robustness: Float[Array, ""]
 
+    @staticmethod
+    def create(corner: float = 1.0, stripe: float = 1.0, robustness: float = 0.0) -> "Noise":
+        """From plain numbers; inside a `float64` block."""
+        return Noise(*as_jax([np.asarray(number, np.float64) for number in (corner, stripe, robustness)]))
 
-def corner_errors(system: System, pose: Float[Array, "6"], block: Blocks) -> Float[Array, "photographs corners 2"]:
+
+def corner_errors(system: System, stands: Stands, block: Blocks) -> Float[Array, "photographs corners 2"]:
     """Predicted minus seen position of each board point, or of the circle about it, pixels; zero where masked."""
     points, camera = block.points, system.rig.camera
     if system.warp is not None:
         points = points + jnp.array([0.0, 0.0, 1.0])[None] * system.warp.height(block.relative)[:, None]
-    R, t = photograph_poses(system.rig, pose, block)
+    R, t = stands
     seen = jnp.where(block.corner_used[..., None], block.corners, 0.0)
 
     def error(
@@ -132,9 +142,7 @@ def corner_errors(system: System, pose: Float[Array, "6"], block: Blocks) -> Flo
     return jnp.where(block.corner_used[..., None], errors, 0.0)
 
 
-def photograph_poses(
-    rig: Rig, pose: Float[Array, "6"], block: Blocks
-) -> tuple[Float[Array, "photographs 3 3"], Float[Array, "photographs 3"]]:
+def photograph_poses(rig: Rig, pose: Float[Array, "6"], block: Blocks) -> Stands:
     """Where the board of a block stands in each of its photographs: R and t (mm)."""
     R, t = carried(rig.motion, block.q, block.reference, Pose.from_vector(pose))
     return (R, t) if block.q else (R[None], t[None])
@@ -182,15 +190,16 @@ def block_errors(
     system: System, pose: Float[Array, "6"], block: Blocks
 ) -> tuple[Float[Array, "photographs corners 2"], Float[Array, "photographs stripe"]]:
     """All errors of one block in pixels; zero where masked, whatever stands there."""
-    corner = corner_errors(system, pose, block)
+    stands = photograph_poses(system.rig, pose, block)
+    corner = corner_errors(system, stands, block)
     if not system.rig.lights or not block.stripe_used.size:
         return corner, jnp.zeros(block.stripe_used.shape, corner.dtype)
-    return corner, stripe_errors(system.rig, pose, block)
+    return corner, stripe_errors(system.rig, stands, block)
 
 
-def stripe_errors(rig: Rig, pose: Float[Array, "6"], block: Blocks) -> Float[Array, "photographs stripe"]:
+def stripe_errors(rig: Rig, stands: Stands, block: Blocks) -> Float[Array, "photographs stripe"]:
     """The stripe's errors of one block in pixels; zero where masked. The rig has a light, the block a stripe."""
-    R, t = photograph_poses(rig, pose, block)
+    R, t = stands
     beta = dual_plane_of(R, t)
     pixel = jnp.where(block.stripe_used[..., None], block.stripe, jnp.stack(rig.camera.principal))
     axis = jnp.where(block.stripe_columns[..., None], jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))

@@ -174,7 +174,8 @@ def assemble(
         noise=refined.solved_with,
         counts=(len(observations.views), len(observations.sequences)),
     )
-    system = adjustment.finished(refined.system)
+    adjustment = as_numpy(adjustment)
+    system = as_numpy(adjustment.finished(adjustment.start))
     rig, (n_views, n_sequences) = system.rig, adjustment.counts
     names = parameter_names(rig)
     at = [i for i, name in enumerate(names) if name not in held]
@@ -186,8 +187,8 @@ def assemble(
     corners = np.concatenate([fit.corner_errors[fit.corner_kept] for fit in (*fits, *moved_fits)])
     stripe = np.concatenate([fit.stripe_errors[fit.stripe_kept] for fit in (*fits, *moved_fits)])
     return Calibration(
-        rig=as_numpy(rig),
-        system=as_numpy(system),
+        rig=rig,
+        system=system,
         observations=observations,
         covariance=Covariance(tuple(names[i] for i in at), covariance),
         board_covariances=_with_poses(joint[0][:n_views], names, at),
@@ -206,7 +207,7 @@ def assemble(
         notes=observations.notes,
         warnings=(),
         kept=_kept(observations, refined),
-        adjustment=as_numpy(adjustment),
+        adjustment=adjustment,
         solves=refined.solves,
         settled=refined.settled,
         steps=int(refined.outcome.steps),

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
@@ -24,7 +23,7 @@ from jaxscan.calibration.bundle import Factor, Outcome, solve
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.residuals import Blocks, Noise, block_errors
 from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, arrow_precision
-from jaxscan.precision import as_numpy
+from jaxscan.precision import as_jax, as_numpy
 from jaxscan.rig import System
 from jaxscan.robust import NORMAL_MAD
 
@@ -110,7 +109,7 @@ def refine(
     solves = futile = 0
     if reject:
         begins(1)
-        first = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
+        first = Noise.create(float(noise.corner), float(noise.stripe), robustness=1.0)
         outcome = solve(system, free, (*groups, *factors), first)
         system, futile = outcome.system, int(outcome.result != optx.RESULTS.successful)
         errors = as_numpy(group_errors(system, candidates))
@@ -128,33 +127,32 @@ def refine(
         believed = _believed(candidates, groups, errors) if weigh else candidates
         single, photographs = _variance_components(believed, groups, errors, known.leverage, noise)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
-        settled = Noise(single.corner, single.stripe * tau**0.5, single.robustness)
+        settled = Noise.create(float(single.corner), float(single.stripe) * tau**0.5)
         kept = _weighted(believed, photographs, single, tau) if weigh else candidates
         if reject:
             kept = _keep(kept, errors, _at_least(single, _median_noise(groups, errors, single)))
         # Only the ratio of the two σ moves the solution; their common scale is in the covariance alone.
-        ratio = float((settled.stripe / settled.corner) / (noise.stripe / noise.corner))
+        ratio = float(settled.stripe) / float(settled.corner) / (float(noise.stripe) / float(noise.corner))
         calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
         open_ended = outcome.result != optx.RESULTS.successful or known.eigenvalues[0] < UNDETERMINED
         futile = futile + 1 if open_ended else 0
         if calm or futile >= _MAX_FUTILE or solves >= _MAX_SOLVES:
-            groups = jax.tree.map(jnp.asarray, groups)
             spread = arrow_precision(*_restated(outcome, groups, noise, settled))
             return Refined(
-                system, settled, noise, float(single.stripe), tau, groups, errors, spread, outcome, solves, calm
+                system, settled, noise, float(single.stripe), tau, as_jax(groups), errors, spread, outcome, solves, calm
             )
         noise, groups = settled, kept
 
 
 def _restated(outcome: Outcome, groups: tuple[Blocks, ...], old: Noise, new: Noise) -> tuple[Arrow, Jacobian]:
     """Residuals and Jacobian of a solve with other σ than it was solved with."""
-    corner, stripe = float(old.corner / new.corner), float(old.stripe / new.stripe)
+    corner, stripe = float(old.corner) / float(new.corner), float(old.stripe) / float(new.stripe)
     scales = [
         np.repeat([corner, stripe], [2 * group.weights[0].size, group.stripe_weights[0].size]) for group in groups
     ]
     scales += [np.ones(1)] * (len(outcome.value.blocks) - len(groups))
     value, blocks = (
-        tuple(jnp.asarray(s[:, *axes] * np.asarray(rows)) for s, rows in zip(scales, parts.blocks, strict=True))
+        as_jax(tuple(s[:, *axes] * np.asarray(rows) for s, rows in zip(scales, parts.blocks, strict=True)))
         for parts, axes in ((outcome.value, ()), (outcome.jacobian, (None,)))
     )
     return replace(outcome.value, blocks=value), replace(outcome.jacobian, blocks=blocks)
@@ -213,16 +211,16 @@ def _median_noise(groups: tuple[Blocks, ...], errors: tuple, noise: Noise) -> No
     )
     stripe = np.concatenate([(s * g.stripe_weights)[g.stripe_used] for g, (_, s) in zip(groups, errors, strict=True)])
 
-    def sigma(values: np.ndarray, otherwise: Float[Array, ""]) -> Float[Array, ""]:
+    def sigma(values: np.ndarray, otherwise: Float[Array, ""]) -> float:
         if values.size == 0:
-            return otherwise
-        return jnp.asarray(max(NORMAL_MAD * float(np.nanmedian(np.abs(values))), _SMALLEST_SIGMA), jnp.float64)
+            return float(otherwise)
+        return max(NORMAL_MAD * float(np.nanmedian(np.abs(values))), _SMALLEST_SIGMA)
 
-    return Noise(sigma(corner, noise.corner), sigma(stripe, noise.stripe), jnp.zeros_like(noise.robustness))
+    return Noise.create(sigma(corner, noise.corner), sigma(stripe, noise.stripe))
 
 
 def _at_least(a: Noise, b: Noise) -> Noise:
-    return Noise(jnp.maximum(a.corner, b.corner), jnp.maximum(a.stripe, b.stripe), a.robustness)
+    return Noise.create(max(float(a.corner), float(b.corner)), max(float(a.stripe), float(b.stripe)))
 
 
 @dataclass(frozen=True)
@@ -257,10 +255,10 @@ def _variance_components(
             )
         )
 
-    def sigma(squares: float, redundancy: float, otherwise: Float[Array, ""]) -> Float[Array, ""]:
+    def sigma(squares: float, redundancy: float, otherwise: Float[Array, ""]) -> float:
         if redundancy <= 0:
-            return otherwise
-        return jnp.asarray(max(np.sqrt(squares / redundancy), _SMALLEST_SIGMA), jnp.float64)
+            return float(otherwise)
+        return max(float(np.sqrt(squares / redundancy)), _SMALLEST_SIGMA)
 
     corner_sums = [
         sum(float(x.sum()) for x in xs)
@@ -270,10 +268,8 @@ def _variance_components(
         sum(float(x.sum()) for x in xs)
         for xs in zip(*((s.stripe_squares, s.stripe_redundancy) for s in sums), strict=True)
     ]
-    overall = Noise(
-        sigma(corner_sums[0], corner_sums[1], noise.corner),
-        sigma(stripe_sums[0], stripe_sums[1], noise.stripe),
-        jnp.zeros_like(noise.robustness),
+    overall = Noise.create(
+        sigma(corner_sums[0], corner_sums[1], noise.corner), sigma(stripe_sums[0], stripe_sums[1], noise.stripe)
     )
     return overall, tuple(sums)
 

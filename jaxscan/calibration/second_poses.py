@@ -46,8 +46,8 @@ def better_poses(system: System, groups: tuple[Blocks, ...], noise: Noise) -> Sy
         return replace(system, poses=(poses, *system.poses[1:]))
 
     def squares(at: System) -> Float[np.ndarray, "views corners"]:
-        corner = group_errors(at, groups)[0][0]
-        square = np.asarray((corner**2).sum(-1) * (views.weights / noise.corner) ** 2)[:, 0]
+        corner = np.asarray(group_errors(at, groups)[0][0])
+        square = ((corner**2).sum(-1) * (np.asarray(views.weights) / float(noise.corner)) ** 2)[:, 0]
         return np.where(used, np.minimum(square, CORNER_LIMIT**2), 0.0)
 
     now = squares(system)
@@ -57,7 +57,7 @@ def better_poses(system: System, groups: tuple[Blocks, ...], noise: Noise) -> Sy
         return None
     closed = first_poses(system.rig.camera, views)
     held = jnp.zeros(len(jax.tree.leaves(system.shared)), bool)
-    robust = Noise(noise.corner, noise.stripe, jnp.ones_like(noise.robustness))
+    robust = Noise.create(float(noise.corner), float(noise.stripe), robustness=1.0)
     cost, best = now.sum(1), np.asarray(poses)
     for start in (closed, _mirrored(closed, views), _mirrored(poses, views)):
         tried = solve(with_poses(jnp.where(doubtful[:, None], start, poses)), held, groups, robust).system

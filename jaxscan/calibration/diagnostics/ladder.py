@@ -114,7 +114,7 @@ def climb(calibration: Calibration) -> Ladder | None:
         def free(lens: str) -> Bool[Array, "shared"]:
             return jnp.pad(_free(lens, held), (0, shape))
 
-        noise = Noise(jnp.asarray(calibration.corner_sigma_px, jnp.float64), jnp.ones(()), jnp.zeros(()))
+        noise = Noise.create(calibration.corner_sigma_px)
         judge = not calibration.plain
         best = refine(system, free(reference), (group,), noise, reject=judge, weigh=judge)
         n = len(calibration.observations.views)

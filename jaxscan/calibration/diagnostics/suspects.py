@@ -157,8 +157,7 @@ def _placed(calibration: Calibration, index: int, view: View) -> tuple[float, fl
         )
         start = replace(system, poses=(first_poses(system.rig.camera, corners), *system.poses[1:]))
         # Robust, so that a few wild corners do not place the board.
-        one = jnp.ones((), jnp.float64)
-        noise = Noise(one * calibration.corner_sigma_px, one, one)
+        noise = Noise.create(calibration.corner_sigma_px, robustness=1.0)
         free = jnp.zeros_like(jnp.asarray(calibration.adjustment.free))
         placed = solve(start, free, (corners, *others), noise).system
         seen = replace(group, stripe_used=group.stripe_used & only)
