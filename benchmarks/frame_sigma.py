@@ -70,9 +70,8 @@ def whole(every: int) -> list[Metric]:
     valid = np.asarray(stripe.valid)
     off = np.abs(np.asarray(stripe.position, np.float64) - truth)[valid] / np.asarray(stripe.sigma)[valid]
     shares = [float((off < n).mean()) for n in (1, 2, 3)]
-    print(
-        f"  all of a scan, {valid.sum()} points: {', '.join(f'{100 * share:.1f}' for share in shares)} % within 1, 2, 3 σ"
-    )
+    text = ", ".join(f"{100 * share:.1f}" for share in shares)
+    print(f"  all of a scan, {valid.sum()} points: {text} % within 1, 2, 3 σ")
     return [
         Metric("frame_sigma.scan.within_1", shares[0], "", "higher", 0.62, floor=0.02),
         Metric("frame_sigma.scan.within_1_at_most", shares[0], "", "lower", 0.74, floor=0.02),

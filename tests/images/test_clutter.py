@@ -1,11 +1,13 @@
 """Photographs with more in them than a stripe, and stripes in weak light: what is taken, what is left, and why."""
 
+from dataclasses import fields
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images.stripes.detectors import Measured
 from jaxscan.images.stripes.validity import Verdict, in_a_line
 
 ROWS, COLUMNS = 480, 640
@@ -56,6 +58,17 @@ def test_clutter_is_no_stripe_and_the_stripe_is_kept(name):
     kept = (found.valid[0] & (off < 3))[~GAP & ~over]
     assert strays.sum() <= 0.002 * COLUMNS, np.flatnonzero(strays)
     assert kept.mean() > 0.975
+
+
+def test_a_lamp_is_as_thick_as_it_looks():
+    """A disc of 33 px was taken for a stripe: its steep flanks told a width of 7."""
+    line = np.arange(COLUMNS)
+    disc = np.abs(line - 112) <= 16
+    chord = np.where(disc, 2 * np.sqrt(np.maximum(16.5**2 - (line - 112.0) ** 2, 1.0)), 2.0)
+    values = {"position": 344.0, "strength": 345.0, "width": np.where(disc, 7.0, 2.0), "breadth": chord, "burnt": disc}
+    each = {f.name: np.broadcast_to(np.float32(values.get(f.name, 0)), (1, COLUMNS)) for f in fields(Measured)}
+    measured = Measured(**{**each, "burnt": disc[None]})
+    assert not in_a_line(measured, disc[None], np.array([20.0]))[0].any()
 
 
 def test_why_a_line_has_no_point_is_told():

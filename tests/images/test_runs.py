@@ -1,5 +1,7 @@
 """Runs of points: which hang together, and which are the stripe."""
 
+from functools import partial
+
 import numpy as np
 
 from jaxscan.images.stripes.runs import Points, likeliest, linked
@@ -28,7 +30,7 @@ def responses(seen, line, row):
 def taken(*runs):
     """The part of each run that is taken."""
     seen, of = points(*runs)
-    chosen, _ = likeliest(seen, lambda line, row: responses(seen, line, row))
+    chosen, _ = likeliest(seen, partial(responses, seen))
     assert np.unique(seen.line[chosen]).size == chosen.sum()
     return [chosen[of == i].mean() for i in range(len(runs))]
 
@@ -66,10 +68,44 @@ def test_the_faded_end_of_a_long_run_gives_way_to_a_brighter_short_one():
     shares = LINES[60:89]
     short, long = np.where(shares < 76, 65, 40), np.where(LINES[60:] < 76, 25, 100)
     seen, of = points((shares, 100.0, short, 3), (LINES[60:], 150.0, long, 3))
-    chosen, _ = likeliest(seen, lambda line, row: responses(seen, line, row))
+    chosen, _ = likeliest(seen, partial(responses, seen))
     assert chosen[(of == 0) & (seen.line < 76)].all()
     assert chosen[(of == 1) & (seen.line >= 76)].all()
 
 
 def test_what_is_thicker_than_long_is_no_line():
     assert taken((LINES, 100.0, 100, 3), (LINES[60:80], 150.0, 100, 20)) == [1.0, 0.0]
+
+
+def test_a_ghost_goes_on_beyond_a_gap():
+    """Where a run begins was read off the end of its first points, so that gaps seemed longer than they are."""
+    stripe, ghost = LINES[(LINES < 90) | (LINES >= 130)], LINES[LINES < 90]
+    alone = LINES[(LINES >= 93) & (LINES < 127)]
+    on, its, rest = taken((stripe, 100.0, 100, 3), (ghost, 150.0, 35, 3), (alone, 150.0, 35, 3))
+    assert (on, its, rest) == (1, 0, 0)
+
+
+def test_a_stripe_where_a_ghost_goes_straight_on_is_kept():
+    """Of a step as high as the ghost lies above the stripe one run was made, and left as one."""
+    step = (LINES >= 80) & (LINES < 120)
+    at, above = np.where(step, 50.0, 100.0), np.where(step, 0.0, 50.0)
+    strength = np.where(step, 100.0, 35.0)
+    kept, one, _ = taken(
+        (LINES[~step], at[~step], 100, 3),
+        (LINES, np.full(LINES.shape, 50.0), strength, 3),
+        (LINES[step], above[step], 35, 3),
+    )
+    assert kept == 1
+    assert abs(one - step.mean()) < 0.03
+
+
+def test_a_copy_is_none_where_what_it_copies_cannot_be_measured():
+    """Beside a lamp the stripe was not measured, and its ghost was taken there."""
+    near, far = LINES[LINES < 150], LINES[LINES >= 160]
+    seen, of = points((near, 100.0, 100, 3), (near, 150.0, 35, 3), (far, 120.0, 35, 3))
+
+    def shows(line, row):
+        return np.maximum(responses(seen, line, row), np.where((line >= 160) & (np.abs(row - 70) <= 3), 100.0, 0.0))
+
+    assert [likeliest(seen, shows)[0][of == i].mean() for i in range(3)] == [1, 0, 0]
+    assert [likeliest(seen, partial(responses, seen))[0][of == i].mean() for i in range(3)] == [1, 0, 1]

@@ -54,6 +54,8 @@ _BESIDE = -0.12
 _MOSTLY_BURNT = 0.3
 # Beyond this part of the lines with a stripe it is burnt out all along it.
 _ALL_BURNT = 0.75
+# ln of the standard deviation of the narrowest stripe in which an edge is measured, px.
+_NARROWEST_TORN = float(np.log(0.9))
 # Of torn lines so many are narrower than the stripe is.
 _WHOLE = 0.9
 # Lines are measured in groups of so many, whatever the image: few sizes are compiled. Large ones cost less a line, by
@@ -278,6 +280,9 @@ def _detect(
         plain = looked.strong & ~looked.cramped & ~halo
         # What edges leave is taken for noise where most lines have one: it is read again off those that have least.
         misled, even = mostly_torn(measured.h3, measured.h4, plain)
+        # What blurs a narrower stripe hides the shape that an edge leaves in it; a JPEG leaves such shapes of its own.
+        broad = np.asarray(sensor.ln_s)[: len(peak)] > _NARROWEST_TORN
+        misled &= broad
         if misled.any():
             stands[misled[:, None] & ~even] = np.iinfo(stands.dtype).min
             sensor = with_grain(survey(*looking, correlation if len(smoothed) else None), *along)
@@ -288,6 +293,7 @@ def _detect(
                 lambda old, new: _replaced(old, misled, new.reshape(-1, peak.shape[1])), measured, again.measured
             )
         strained, odd = edges_and_profiles(measured.h3, measured.h4, plain, plain & measured.strained)
+        strained &= broad[:, None]
         # Of a stripe that is burnt out all along it the flanks tell.
         mostly = (looked.burnt & looked.strong).sum(1) > _ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
         odd |= mostly & ~np.asarray(sensor.apart)[: len(odd)]
