@@ -85,7 +85,9 @@ def widened_by_flanks(sigma: Lines, breadth: Lines, burnt: Bool[np.ndarray, "fra
     ln_s, grain = (np.asarray(x)[: len(sigma)] for x in (sensor.ln_s, sensor.grain))
     some = np.flatnonzero((burnt.sum(axis=1) >= _FEWEST) & (ln_s > _NARROW) & (grain == 0))
     V, _ = _told(breadth[some], burnt[some], None)
-    sigma[some] = np.where(burnt[some], np.hypot(sigma[some], np.float32(np.sqrt(V) / 2)[:, None]), sigma[some])
+    sigma[some] = np.where(
+        burnt[some], np.hypot(sigma[some], (np.sqrt(V) / 2).astype(np.float32)[:, None]), sigma[some]
+    )
     return sigma
 
 
