@@ -48,6 +48,7 @@ def widened_by_print(
     images: Images,
     background: Backgrounds | None,
     sensor: Sensor,
+    correlation: Float[np.ndarray, "most distances"],
     settings: StripeSettings,
     half: int,
     groups: Groups,
@@ -62,6 +63,7 @@ def widened_by_print(
         images: the photographs.
         background: the same with the laser off, one for all or one for each, or None.
         sensor: the noise.
+        correlation: of each frame's noise of pixels 1, 2, … apart; 0 where it is white.
         settings: the laser's colour, and which way lines run.
         half: half the length of the windows that are looked at.
         groups: gives indices of lines in groups of few sizes, and how many of each group count.
@@ -69,7 +71,10 @@ def widened_by_print(
     if background is None and settings.color == "grey":
         return sigma
     asked = asked & np.isfinite(sigma) & np.isfinite(position) & np.isfinite(width)
-    shown = partial(_displaced, images, background, sensor, color=settings.color, columns=settings.columns, half=half)
+    # What sums over several pixels make of smoothed noise is larger by so much.
+    larger = jnp.asarray(np.sqrt(np.maximum(1 + 2 * correlation.sum(axis=1), 1)), jnp.float32)
+    how = {"color": settings.color, "columns": settings.columns, "half": half}
+    shown = partial(_displaced, images, background, sensor, larger, **how)
 
     def look(which: Bool[np.ndarray, "frames lines"]) -> tuple[np.ndarray, ...]:
         at = np.nonzero(which)
@@ -103,6 +108,7 @@ def _displaced(
     images: Images,
     background: Backgrounds | None,
     sensor: Sensor,
+    larger: Float[Array, "frames"],
     frame: Places,
     line: Places,
     position: Float[Array, "groups lines"],
@@ -119,7 +125,7 @@ def _displaced(
     levels = [level.astype(jnp.float32) for level in channels(pixels, None, color)]
     here = sensor.of(frame)
     m, n = here.weights
-    own = here.read / (jnp.sqrt(4 + m**2 + n**2) if color != "grey" else 1.0)
+    own = here.read * larger[frame][:, None] / (jnp.sqrt(4 + m**2 + n**2) if color != "grey" else 1.0)
     centre = (position - first_pixel(images, peak, columns, half))[:, None]
     s2 = (width[:, None] / FWHM) ** 2 + _PIXEL_VARIANCE
     z = places(2 * half + 1) - centre
