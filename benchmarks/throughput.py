@@ -31,7 +31,7 @@ from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, Scanner
 from jaxscan.reconstruction.frames import aligned
 from jaxscan.reconstruction.triangulate import FramePoses, triangulate_into
-from jaxscan.rig import Camera, Covariance, LightPlane, Linear, Rig
+from jaxscan.rig import Camera, Chain, Covariance, LightPlane, Linear, Motion, Rig, Rotary
 from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation.render import plane_of
 
@@ -48,7 +48,7 @@ _LINES = 1000
 
 def measure(quick: bool) -> list[Metric]:
     """All figures; in the short form one size of each, and no memory."""
-    metrics = kernel(quick)
+    metrics = kernel(quick) + ([] if quick else turning())
     for rows, columns in ((480, 640),) if quick else ((480, 640), (_ROWS, _COLUMNS)):
         metrics += detection(rows, columns, OF_A_READ if quick else tuple(DETECTORS), repeats=7 if quick else 15)
     with tempfile.TemporaryDirectory() as folder:
@@ -56,13 +56,13 @@ def measure(quick: bool) -> list[Metric]:
     return metrics if quick else metrics + memory()
 
 
-def rig(columns: int, rows: int, lens: str = "radial1") -> Rig:
-    """The rig of 2003, its image scaled."""
+def rig(columns: int, rows: int, lens: str = "radial1", motion: Motion | None = None) -> Rig:
+    """The rig of 2003, its image scaled, with another motion than its stage if one is given."""
     scale = columns / 640
     with float64():
         focal, principal = (697.7 * scale, 690.4 * scale), ((columns - 1) / 2, (rows - 1) / 2)
         camera = Camera.create((columns, rows), focal, principal, lens, *_LENSES[lens])
-        stage = Linear.create([0.0, 9e-4, -4e-4])
+        stage = Linear.create([0.0, 9e-4, -4e-4]) if motion is None else motion
         return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.00494, 0.00303]),), stage))
 
 
@@ -92,18 +92,42 @@ def kernel(quick: bool) -> list[Metric]:
     return metrics
 
 
+def turning() -> list[Metric]:
+    """The rate of the kernel where the load turns, and turns on a stage, over that where a stage moves it."""
+    with float64():
+        table = Rotary.create([0.0, 2e-3, 1e-4], [3.0, 4.0, 300.0])
+        motions = {"rotary": table, "chain": Chain((Linear.create([0.0, 9e-4, -4e-4]), table))}
+    metrics = []
+    for name, motion in motions.items():
+        for count in (10**6, 10**7):
+            pixels = random_pixels(count, "float32")
+            once, other = triangulation(pixels, "radial1"), triangulation(pixels, "radial1", motion)
+            once()
+            other()
+            linear, took = side_by_side(once, other, 41 if count < 10**7 else 15)
+            figure = f"throughput.kernel.{name}.{power_of_ten(count)}"
+            print(f"  {figure}: {took / count * 1e9:.2f} ns a point; a stage {linear / count * 1e9:.2f}", flush=True)
+            metrics.append(
+                Metric(figure, linear / took, "of a stage's", "higher", 0.95, slack=1.0, target_suffices=True)
+            )
+    return metrics
+
+
 def random_pixels(count: int, dtype: str) -> list[Float[np.ndarray, "frames lines"]]:
     """U and v of stripe points anywhere in photographs of a thousand lines."""
     random = np.random.default_rng(0)
     return [random.uniform(0, top, (count // _LINES, _LINES)).astype(dtype) for top in (639, 479)]
 
 
-def triangulation(pixels: Sequence[Float[np.ndarray, "frames lines"]], lens: str) -> Callable[[], jax.Array]:
+def triangulation(
+    pixels: Sequence[Float[np.ndarray, "frames lines"]], lens: str, motion: Motion | None = None
+) -> Callable[[], jax.Array]:
     """What triangulates pixels that are on the device, into a buffer there that is used again and again."""
     dtype = pixels[0].dtype.name
-    whole, n_frames = rig(640, 480, lens), len(pixels[0])
+    whole, n_frames = rig(640, 480, lens, motion), len(pixels[0])
     ready, inputs = Kernel.create(whole, dtype=dtype), [jnp.asarray(x) for x in pixels]
-    frames = FramePoses.create(whole.motion, {"stage": np.linspace(0, 7e4, n_frames)}, n_frames, dtype)
+    positions = {axis: np.linspace(0, 7e4, n_frames) for axis in whole.axes()}
+    frames = FramePoses.create(whole.motion, positions, n_frames, dtype)
     points = jnp.zeros((*pixels[0].shape, 3), dtype)
 
     def once() -> jax.Array:
