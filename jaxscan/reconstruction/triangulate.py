@@ -11,6 +11,7 @@ coordinates share would be a pass of its own. The inverse of the lens is a polyn
 no iteration.
 """
 
+from collections.abc import Sequence
 from functools import partial
 
 import equinox as eqx
@@ -19,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscan.precision import float64
+from jaxscan.precision import Leaf, float64
 from jaxscan.reconstruction.lens_inverse import FittedInverse, lens_inverse
 from jaxscan.reconstruction.opencv_inverse import LensInverse
 from jaxscan.rig import Light, Motion, Positions, Rig
@@ -33,7 +34,7 @@ class Kernel(eqx.Module):
         principal: u₀, v₀, pixels.
         inverse_focal: 1 / f_u, 1 / f_v.
         lens: the inverse of the lens; pixels beyond its reach give NaN.
-        light: with each of its numbers three times, once for each coordinate.
+        light: with each of its numbers three times, once for each coordinate; of a light that moves, so for each frame.
     """
 
     principal: Float[Array, "2"]
@@ -57,10 +58,22 @@ class Kernel(eqx.Module):
         )
         return Kernel(*jax.tree.map(lambda array: jnp.asarray(array, dtype), arrays))
 
+    def with_lights(self, lights: Sequence[Light]) -> "Kernel":
+        """The same camera, and a light that stands elsewhere in each frame.
+
+        Args:
+            lights: one for each frame, all of one kind.
+        """
+
+        def of_frames(*leaves: Leaf) -> Float[Array, "frames 3"]:
+            return jnp.asarray(np.repeat(np.stack(leaves)[:, None], 3, axis=1), self.principal.dtype)
+
+        return eqx.tree_at(lambda kernel: kernel.light, self, jax.tree.map(of_frames, *map(nameless, lights)))
+
     def point(
-        self, u: Float[Array, ""], v: Float[Array, ""], A: Float[Array, "3 3"], b: Float[Array, "3"]
+        self, light: Light, u: Float[Array, ""], v: Float[Array, ""], A: Float[Array, "3 3"], b: Float[Array, "3"]
     ) -> Float[Array, "3"]:
-        """One stripe pixel to its point (mm, object frame); NaN where it sees no sheet."""
+        """One stripe pixel, where the light stood so, to its point (mm, object frame); NaN where it sees no sheet."""
         xd = (u - self.principal[0]) * self.inverse_focal[0]
         yd = (v - self.principal[1]) * self.inverse_focal[1]
         x, y = self.lens(xd, yd)
@@ -74,7 +87,7 @@ class Kernel(eqx.Module):
             # times as long.
             return jnp.where(inverse_depth > 0, found, jnp.nan)
 
-        return jax.vmap(coordinate)(self.light, A, b)
+        return jax.vmap(coordinate)(light, A, b)
 
 
 class FramePoses(eqx.Module):
@@ -103,8 +116,9 @@ def triangulate(
     kernel: Kernel, frames: FramePoses, u: Float[Array, "frames lines"], v: Float[Array, "frames lines"]
 ) -> Float[Array, "frames lines 3"]:
     """Stripe pixels to points of the object frame (mm), in the kernel's precision."""
-    of_frame = jax.vmap(kernel.point, in_axes=(0, 0, None, None))
-    return jax.vmap(of_frame)(u, v, frames.A, frames.b)
+    of_frame = jax.vmap(kernel.point, in_axes=(None, 0, 0, None, None))
+    moves = jax.tree.map(lambda leaf: 0 if leaf.ndim == 2 else None, kernel.light)
+    return jax.vmap(of_frame, in_axes=(moves, 0, 0, 0, 0))(kernel.light, u, v, frames.A, frames.b)
 
 
 @partial(jax.jit, donate_argnames="out", keep_unused=True)

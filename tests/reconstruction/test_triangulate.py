@@ -159,14 +159,21 @@ def test_another_rig_does_not_compile_again():
 TURNED = Rotary.create([0.0, 2e-3, 1e-4], [3.0, 4.0, 300.0])
 
 
-@pytest.mark.parametrize("motion", ["stage", "turntable", "both"])
+def swept(count: int) -> list[LightPlane]:
+    """A plane that a mirror turns, one for each frame."""
+    return [LightPlane.create([1e-5 * c, -0.00494, c]) for c in np.linspace(0.0025, 0.0035, count)]
+
+
+@pytest.mark.parametrize("motion", ["stage", "turntable", "both", "light"])
 @pytest.mark.parametrize(("dtype", "lens"), [("float32", "radial1"), ("float64", "radial1"), ("float32", "brown")])
 def test_the_kernel_is_one_pass_into_memory_that_is_handed_in(dtype, lens, motion):
     with jax.enable_x64(dtype == "float64"):
         rig = rig_with(lens)
-        if motion != "stage":
+        if motion in ("turntable", "both"):
             rig = as_numpy(rig.with_axis(TURNED) if motion == "both" else Rig(rig.camera, rig.lights, TURNED))
         kernel = Kernel.create(rig, dtype=dtype)
+        if motion == "light":
+            kernel = kernel.with_lights(swept(32))
         random = np.random.default_rng(0)
         q = {"stage": random.uniform(0, 7e4, 32), "turntable": random.uniform(0, 3e3, 32)}
         frames = FramePoses.create(rig.motion, q, 32, dtype)
@@ -202,3 +209,20 @@ def rig_points(rig: Rig, pixels: np.ndarray, q: dict) -> np.ndarray:
     """Of frames and lines, as the rig itself says."""
     along = jax.vmap(jax.vmap(rig.triangulate, in_axes=(0, None)))
     return np.asarray(jax.jit(along)(jnp.asarray(pixels), {axis: jnp.asarray(steps) for axis, steps in q.items()}))
+
+
+def test_a_light_that_moves_stands_elsewhere_in_each_frame():
+    rig, lights = rig_with("radial1"), swept(20)
+    random = np.random.default_rng(2)
+    q = {"stage": random.uniform(0, 7e4, 20)}
+    u, v = random.uniform(0, 639, (20, 30)), random.uniform(0, 300, (20, 30))
+    frames = FramePoses.create(rig.motion, q, 20)
+    found = np.asarray(triangulate(Kernel.create(rig).with_lights(lights), frames, jnp.asarray(u), jnp.asarray(v)))
+    for i, light in enumerate(lights):
+        one = Kernel.create(replace(rig, lights=(light,)))
+        alone = triangulate(
+            one,
+            FramePoses.create(rig.motion, {"stage": q["stage"][i]}, 1),
+            *map(jnp.asarray, (u[i : i + 1], v[i : i + 1])),
+        )
+        np.testing.assert_allclose(found[i], alone[0], rtol=1e-5, atol=1e-3)
