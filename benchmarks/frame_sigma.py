@@ -16,6 +16,7 @@ from benchmarks.conditions import SCENES, SHORT
 from benchmarks.metric import Metric
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
+from jaxscan.rig import Rig
 from jaxscan.robust import NORMAL_MAD
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.light import Lighting
@@ -40,9 +41,10 @@ Photographs = np.ndarray
 
 def measure(quick: bool) -> list[Metric]:
     """Every frame, or every sixth."""
-    metrics = []
+    rig, every, metrics = rig_2003.simulated_rig(0), 6 if quick else 1, []
+    scene = rig_2003.scan_scene(rig, cup(rig_2003.OBJECT_Y))
     for speckle in _SPECKLES:
-        photographs, truth = draw(speckle, every=6 if quick else 1)
+        photographs, truth = draw(rig, scene, replace(rig_2003.SCAN_LIGHTING, speckle=speckle), every)
         for camera, color in _CAMERAS.items():
             found = ratios(developed(photographs, camera), color, truth)
             print(f"  {camera}, speckle {speckle:g}: " + " ".join(f"{ratio:.2f}" for ratio in found), flush=True)
@@ -53,19 +55,18 @@ def measure(quick: bool) -> list[Metric]:
                 Metric(f"{name}.most", found.max(), "", "lower", _HIGH, 0.1),
                 Metric(f"{name}.frames_within", float(inside), "", "higher", 1.0, floor=0.05),
             ]
-    return metrics + whole(every=6 if quick else 1)
+    return metrics + whole(rig, every)
 
 
-def whole(every: int) -> list[Metric]:
+def whole(rig: Rig, every: int) -> list[Metric]:
     """Points within 1, 2 and 3 σ in all of a scan: speckle, a floor with printed squares, a burnt-out highlight.
 
     Nothing is left out: points at edges of depth and reflectance count, and so does what is no stripe.
     """
-    rig = rig_2003.simulated_rig(0)
     scene = SCENES["bench"](rig, replace(SHORT, floor_ink=_INK))
     scene = eqx.tree_at(lambda s: s.bodies, scene, tuple(replace(body, glossy=True) for body in scene.bodies))
     lighting = replace(rig_2003.SCAN_LIGHTING, speckle=0.2, highlight=_HIGHLIGHT, direction=rig_2003.mirrored_lamp(rig))
-    photographs, truth = draw(0.2, every, scene, lighting)
+    photographs, truth = draw(rig, scene, lighting, every)
     stripe = detect_stripe(developed(photographs, "colour"), StripeSettings("red"))
     valid = np.asarray(stripe.valid)
     off = np.abs(np.asarray(stripe.position, np.float64) - truth)[valid] / np.asarray(stripe.sigma)[valid]
@@ -81,12 +82,9 @@ def whole(every: int) -> list[Metric]:
 
 
 def draw(
-    speckle: float, every: int = 1, scene: Scene | None = None, lighting: Lighting | None = None
+    rig: Rig, scene: Scene, lighting: Lighting, every: int
 ) -> tuple[Photographs, Float[np.ndarray, "frames columns"]]:
-    """The photographs, 16 bits in colour, and the true row of the stripe in each column; of a cup by default."""
-    rig = rig_2003.simulated_rig(0)
-    scene = rig_2003.scan_scene(rig, cup(rig_2003.OBJECT_Y)) if scene is None else scene
-    lighting = replace(rig_2003.SCAN_LIGHTING, speckle=speckle) if lighting is None else lighting
+    """The photographs, 16 bits in colour, and the true row of the stripe in each column."""
     sensor = replace(rig_2003.SENSOR, bits=16)
     images, rows = [], []
     for i in range(0, rig_2003.SCAN_FRAMES, every):

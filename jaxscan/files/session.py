@@ -212,12 +212,14 @@ def _listed(session: Session) -> Iterator[tuple[str, tuple[str, int], Path]]:
             if (stripe := paths[i]) is not None:
                 yield "the stripes of [views]", ("view", i), stripe
     for name, sequence in (("stage", session.stage), ("turntable", session.turntable)):
-        for i, (image, step) in enumerate(zip(sequence.images, sequence.steps, strict=True) if sequence else ()):
+        if sequence is None:
+            continue
+        for i, (image, step) in enumerate(zip(sequence.images, sequence.steps, strict=True)):
             pose = (name, step)
             if isinstance(sequence, TurntableImages) and step == 0:
                 pose = ("stage", sequence.stage_step)
             yield f"[{name}] images", pose, image
-            for paths in sequence.stripes.values() if sequence else ():
+            for paths in sequence.stripes.values():
                 if (stripe := paths[i]) is not None:
                     yield f"[{name}] stripes", pose, stripe
 

@@ -102,6 +102,11 @@ def sigma_of(
     return np.sqrt(variance + pixel**2), pixel
 
 
+def rig_part(sigma: Float[np.ndarray, "*points"], pixel: Float[np.ndarray, "*points"]) -> Float[np.ndarray, "*points"]:
+    """What is left of σ without the pixel's part."""
+    return np.sqrt(np.maximum(sigma**2 - pixel**2, 0.0))
+
+
 def ray_jacobian(
     rig: Rig,
     laser: str,

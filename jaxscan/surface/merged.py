@@ -100,9 +100,9 @@ class _Points:
         self.points = np.concatenate([T.apply(side.points) for side, T in zip(sides, poses, strict=True)])
         self.normals = np.concatenate([side.normals @ T.matrix().T for side, T in zip(sides, poses, strict=True)])
         self.sigma = np.concatenate([side.sigma for side in sides])
-        unknown = [np.full(len(side.points), np.nan) for side in sides]
-        rigs = [none if side.sigma_rig is None else side.sigma_rig for side, none in zip(sides, unknown, strict=True)]
-        self.sigma_rig = np.concatenate(rigs)
+        self.sigma_rig = np.concatenate(
+            [np.full(len(side.points), np.nan) if side.sigma_rig is None else side.sigma_rig for side in sides]
+        )
         self.side = np.repeat(np.arange(len(sides)), [len(side.points) for side in sides])
         self.spacing = float(np.median([side.spacing_mm for side in sides]))
         self.count = len(sides)

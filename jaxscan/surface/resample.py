@@ -7,6 +7,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 from jaxscan.geometry import Pose
 from jaxscan.reconstruction import RangeImage
+from jaxscan.reconstruction.point_sigma import rig_part
 from jaxscan.surface.links import sampling
 from jaxscan.surface.mean_sigma import mean_sigma
 from jaxscan.surface.triangles import Surface, grid_layers
@@ -117,7 +118,7 @@ def _mean_of_layers(
     def mean(values: Float[np.ndarray, "layers nodes"]) -> Float[np.ndarray, "nodes"]:
         return np.where(weight > 0, weight * values, 0.0).sum(axis=0)
 
-    rig = np.sqrt(np.maximum(sigma**2 - sigma_pixel**2, 0.0))
+    rig = rig_part(sigma, sigma_pixel)
     result = np.stack([mean(height), mean(strength), *mean_sigma(weight.T, sigma_pixel.T, rig.T)], axis=-1)
     return np.where(weight.any(axis=0)[:, None], result, np.nan)
 

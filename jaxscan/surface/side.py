@@ -24,6 +24,7 @@ from scipy.spatial import KDTree
 from jaxscan.errors import InputError
 from jaxscan.files.cloud import Cloud
 from jaxscan.reconstruction import RangeImage
+from jaxscan.reconstruction.point_sigma import rig_part
 from jaxscan.surface.clean import clean
 from jaxscan.surface.floor import Floor, find_floor, stands_on
 from jaxscan.surface.links import Sampling, sampling
@@ -143,7 +144,7 @@ def side_of_cloud(name: str, cloud: Cloud) -> Side:
     along = np.maximum(np.abs((normals * ray).sum(axis=1)), _BEST)
     rig = np.full(len(points), np.nan)
     if cloud.sigma is not None and cloud.sigma_pixel is not None:
-        rig = _rig_part(cloud.sigma.astype(np.float64), sigma)
+        rig = rig_part(cloud.sigma.astype(np.float64), sigma)
     return _side(name, points, normals, (along * sigma, rig), rim, rms, spacing, None)
 
 
@@ -184,11 +185,7 @@ def _parts_of_sigma(
     """The pixel's part of σ along the ray, by the noise where it is not known, and the rig's, NaN where it is not."""
     pixel = image.sigma_pixel.astype(np.float64)
     pixel = np.where(np.isfinite(pixel) & (pixel > 0), pixel, how.noise_mm)
-    return pixel, _rig_part(image.sigma.astype(np.float64), pixel)
-
-
-def _rig_part(sigma: Float[np.ndarray, "*points"], pixel: Float[np.ndarray, "*points"]) -> Float[np.ndarray, "*points"]:
-    return np.sqrt(np.maximum(sigma**2 - pixel**2, 0.0))
+    return pixel, rig_part(image.sigma.astype(np.float64), pixel)
 
 
 def _side_of_points(

@@ -18,6 +18,7 @@ from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
 from jaxscan.calibration.next_pose import NextPose
 from jaxscan.calibration.on_board import pose_of
+from jaxscan.reconstruction.point_sigma import rig_part
 from jaxscan.reconstruction.working_volume import WorkingVolume
 from jaxscan.rig import Light
 from jaxscan.rig.light import section, sheet_axes
@@ -223,7 +224,7 @@ def volume(each: WorkingVolume) -> Any:
     figure.colorbar(shown, ax=left, label=f"σ of a point / {unit}")
     left.set(xlabel="along the sheet / mm", ylabel="depth / mm")
     left.invert_yaxis()
-    rig = np.sqrt(np.maximum(sigma**2 - pixel**2, 0))
+    rig = rig_part(sigma, pixel)
     for values, name, colour in ((sigma, "together", "black"), (rig, "rig", BLUE), (pixel, "pixel", RED)):
         right.plot(np.nanmedian(values, axis=1), each.depths_mm, color=colour, label=name)
     right.set(xlabel=f"median σ / {unit}", ylabel="depth / mm", xlim=(0, None))

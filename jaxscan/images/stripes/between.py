@@ -9,18 +9,16 @@ nearer one by its whole distance, which is added to σ.
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jaxscan.robust import NORMAL_MAD
 
-# Neighbours of one side, in lines: the next one may see both surfaces too.
-_NEIGHBOURS: Final = np.arange(2, 5)
-# So many show whether that side is even.
-_FURTHER: Final = np.arange(2, 8)
-# Of the straight line through them, at the line itself.
+# Neighbours of one side, in lines: the next one may see both surfaces too. All show whether that side is even.
+_DISTANCES: Final = np.arange(2, 8)
+# Of the straight line through the nearest of them, at the line itself.
+_NEAREST: Final = _DISTANCES[:3]
 _EXTRAPOLATE: Final = (
-    1 / len(_NEIGHBOURS)
-    - _NEIGHBOURS.mean() * (_NEIGHBOURS - _NEIGHBOURS.mean()) / ((_NEIGHBOURS - _NEIGHBOURS.mean()) ** 2).sum()
+    1 / len(_NEAREST) - _NEAREST.mean() * (_NEAREST - _NEAREST.mean()) / ((_NEAREST - _NEAREST.mean()) ** 2).sum()
 )
 # A step is so many standard deviations high.
 _STEP = 3.0
@@ -38,27 +36,23 @@ def widened_between(sigma: Lines, position: Lines, width: Lines) -> Lines:
         position: the centre.
         width: of the stripe, full at half height, px.
     """
-    reach = int(_NEIGHBOURS[-1])
+    reach = int(_NEAREST[-1])
     if position.shape[1] <= 2 * reach:
         return sigma
     lines = np.arange(position.shape[1])
     # On a rough surface each line has its own place.
     scatter = np.maximum(sigma, _own_scatter(position)[:, None])
 
-    def told_by(side: int) -> Lines:
-        neighbours = position[:, np.clip(lines + side * _NEIGHBOURS[:, None], 0, len(lines) - 1)]
-        return np.einsum("n,fnl->fl", _EXTRAPOLATE, neighbours).astype(position.dtype)
-
-    def even(side: int) -> Bool[np.ndarray, "frames lines"]:
-        """Whether further neighbours bend by no more than noise does, or are none."""
-        at = position[:, np.clip(lines + side * _FURTHER[:, None], 0, len(lines) - 1)]
-        return ~(np.abs(np.diff(at, 2, axis=1)) > _STEP * np.sqrt(6) * scatter[:, None]).any(axis=1)
-
-    off = np.stack([position - told_by(side) for side in (-1, 1)])
+    off, even = [], np.ones(position.shape, bool)
+    for side in (-1, 1):
+        beside = position[:, np.clip(lines + side * _DISTANCES[:, None], 0, len(lines) - 1)]
+        # A side whose neighbours bend by more than noise does has no straight line; those that are missing do not bend.
+        even &= ~(np.abs(np.diff(beside, 2, axis=1)) > _STEP * np.sqrt(6) * scatter[:, None]).any(axis=1)
+        off.append(position - np.einsum("n,fnl->fl", _EXTRAPOLATE, beside[:, : len(_NEAREST)]).astype(position.dtype))
     step = np.abs(off).sum(axis=0)
     with np.errstate(invalid="ignore"):
         between = (off[0] * off[1] < 0) & (step > _STEP * scatter * np.sqrt(2 * (_EXTRAPOLATE**2).sum()))
-        between &= (step < _TOGETHER * width) & even(-1) & even(1)
+        between &= (step < _TOGETHER * width) & even
     between[:, :reach] = between[:, -reach:] = False
     return np.where(between, np.hypot(sigma, np.abs(off).min(axis=0)), sigma)
 

@@ -308,9 +308,9 @@ def _detect(
     for i in smoothed:
         sigma[i] *= widening(correlation[i], sensor, int(i), width[i], measured.relief[i])
     sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
-    of = images, background, sensor, correlation, settings, short
     sigma = widened_between(sigma, position, width)
-    sigma = widened_by_print(sigma, position, width, ~with_edge, *of, partial(_groups, sizes=_GROUPS))
+    seen_in = images, background, sensor, correlation, settings, short
+    sigma = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(_groups, sizes=_GROUPS))
     around = surroundings(sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
     light = np.where(valid.any(axis=1, keepdims=True), light_of(sensor, color)[: len(valid)], np.float32(np.nan))
     return Stripe(

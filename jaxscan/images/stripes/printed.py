@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.likelihood import FWHM
-from jaxscan.images.stripes.response import Backgrounds, Images, channels
+from jaxscan.images.stripes.response import Backgrounds, Images, channels, noise_gain
 from jaxscan.images.stripes.windows import Pixels, Places, Sensor, first_pixel, gather_pixels, places
 
 # Lines of each frame that tell whether anything is printed; where it counts in this part of them, all are looked at.
@@ -124,19 +124,19 @@ def _displaced(
     pixels = gather_pixels(source, frame, line, peak, columns, half)
     levels = [level.astype(jnp.float32) for level in channels(pixels, None, color)]
     here = sensor.of(frame)
-    m, n = here.weights
-    own = here.read * larger[frame][:, None] / (jnp.sqrt(4 + m**2 + n**2) if color != "grey" else 1.0)
+    noise = here.read * larger[frame][:, None] / noise_gain(here.weights, color)
     centre = (position - first_pixel(images, peak, columns, half))[:, None]
     s2 = (width[:, None] / FWHM) ** 2 + _PIXEL_VARIANCE
     z = places(2 * half + 1) - centre
     g = jnp.exp(-0.5 * z * z / s2)
     if background is not None:
-        light, noise = levels[0], own
+        light = levels[0]
     else:
+        light, noise = levels[1] + levels[2], noise * jnp.sqrt(2.0)
         # What the other channels have of the laser is in the middle of the stripe, and is no print.
-        laser, light, noise = levels[0], levels[1] + levels[2], own * jnp.sqrt(2.0)
-        lit, leak = ((g * (x - _beside(x))).sum(1, keepdims=True) for x in (laser, light))
-        light = light - jnp.maximum(leak / jnp.maximum(lit, _TINY), 0.0) * jnp.maximum(laser - _beside(laser), 0.0)
+        rise, leak = (x - _beside(x) for x in (levels[0], light))
+        share = (g * leak).sum(1, keepdims=True) / jnp.maximum((g * rise).sum(1, keepdims=True), _TINY)
+        light = light - jnp.maximum(share, 0.0) * jnp.maximum(rise, 0.0)
     light = jnp.maximum(light, 0.0)
     total = jnp.maximum((g * light).sum(1), _TINY)
     z = z - (g * z).sum(1, keepdims=True) / g.sum(1, keepdims=True)

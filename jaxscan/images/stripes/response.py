@@ -33,6 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
+from jaxscan.geometry.rotation import A, namespace
 from jaxscan.images.stripe_settings import CHANNELS
 
 Images = UInt[Array, "frames rows columns *rgb"]
@@ -118,6 +119,18 @@ def response(
     m, n = weights
     cap = jnp.where(m + n > 0, ambient.astype(jnp.float32) * (m + n) / 2, jnp.inf)
     return 2 * laser - jnp.minimum(m * others[0] + n * others[1], cap)
+
+
+def noise_gain(weights: tuple[A, A], color: str) -> A:
+    """σ of the noise of the response over that of one channel, with weights m and n.
+
+    Args:
+        weights: m and n.
+        color: of the laser; of a grey one the response is the intensity.
+    """
+    m, n = weights
+    xp = namespace(m)
+    return xp.ones_like(m) if color == "grey" else xp.sqrt(4 + m**2 + n**2)
 
 
 def channel_weights(

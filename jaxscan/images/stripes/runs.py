@@ -40,7 +40,7 @@ _APART, _FEWEST_APART = 2.0, 7
 _ACROSS, _STRAIGHT, _BENDS = 48, 24, 0.1
 
 
-# By line and row.
+# How far places stand out in their lines, by line and row.
 Response = Callable[[Int[np.ndarray, "points"], Float[np.ndarray, "points"]], Num[np.ndarray, "points"]]
 
 
@@ -151,11 +151,13 @@ def _winners(points: Points, run: Int[np.ndarray, "points"], response: Response)
     by_capped, (by_copies, sources) = capped[one] - capped[other], _copies(points, one, other, ln_strength)
     np.add.at(ahead, of, np.where(by_copies == 0, by_capped, by_copies))
     np.add.at(brighter, of, ln_strength[one] - ln_strength[other])
-    # What a copy is of shines where it must be, even where it could not be measured; here or there the copy may be as
-    # bright.
-    here = response(points.line, points.at)
-    shown = [_SHOWN * here < response(points.line, rows) for rows in sources]
-    copied = np.bincount(run, sum(shown, start=np.zeros(len(run))), runs)
+    copied = np.zeros(runs)
+    if sources:
+        # What a copy is of shines where it must be, even where it could not be measured; here or there the copy may be
+        # as bright.
+        here = response(points.line, points.at)
+        for rows in sources:
+            copied += np.bincount(run, _SHOWN * here < response(points.line, rows), runs)
     shared, ahead, brighter = shared + shared.T, ahead - ahead.T, brighter - brighter.T
     lead = ahead / np.maximum(shared, 1) + merit[:, None] - merit[None]
     beaten = (shared > 0) & (lead < 0)
@@ -189,7 +191,8 @@ def _copies(
     upper = np.where(points.at[one] < points.at[other], 1.0, -1.0)
     by = upper * (ln_strength[one] - ln_strength[other])
     found, sources = np.zeros(len(one)), []
-    for moved, between in enumerate((points.at[one] + points.at[other], np.abs(points.at[one] - points.at[other]))):
+    apart, total = np.abs(points.at[one] - points.at[other]), points.at[one] + points.at[other]
+    for between in (total, apart):
         place = np.floor(between / _SAME_PX).astype(int)
         count = np.bincount(place, minlength=3)
         # The three neighbouring places that hold most.
@@ -200,7 +203,7 @@ def _copies(
             usual, down = np.median(between[same]), np.sign(by[same].mean())
             # The upper one is the brighter of each two, or it is the lower one.
             upside_down = np.where(down * (2 * points.at - usual) > 0, usual - points.at, np.nan)
-            sources.append(points.at - down * usual if moved else upside_down)
+            sources.append(upside_down if between is total else points.at - down * usual)
     return found, sources
 
 

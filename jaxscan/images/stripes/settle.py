@@ -7,7 +7,7 @@ light is weak, faint points are that go on from one another.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -198,7 +198,7 @@ def _contest(
                 (own.thickness, found.thickness),
             )
         )
-        response = partial(_response, peaks[n], length=frames.length)
+        response = _Responses(peaks[n], frames.length)
         chosen, others = (x[np.argsort(order)] for x in likeliest(Points(line[order], *values), response))
         second[n, line[others]] = True
         standing[n] = False
@@ -207,13 +207,28 @@ def _contest(
     frames.take(at, looked, np.concatenate(taken))
 
 
-def _response(
-    peaks: Int[np.ndarray, "down lines"], line: Int[np.ndarray, "points"], row: Float[np.ndarray, "points"], length: int
-) -> Float[np.ndarray, "points"]:
-    """By how much the response about some places is above what is usual in their lines; 0 beyond the image."""
-    inside = (row >= 0) & (row < length)
-    found = highest(peaks, line, np.rint(np.where(inside, row, 0)).astype(np.int32), int(_NEAR_PX), length)
-    return np.where(inside, found - np.median(level_of(peaks), axis=0)[line], 0.0)
+@dataclass(frozen=True)
+class _Responses:
+    """By how much the response about places of a frame is above what is usual in their lines; 0 beyond the image.
+
+    Attributes:
+        peaks: of each block, packed.
+        length: rows of the image.
+    """
+
+    peaks: Int[np.ndarray, "down lines"]
+    length: int
+
+    @cached_property
+    def _usual(self) -> Float[np.ndarray, "lines"]:
+        return np.median(level_of(self.peaks), axis=0)
+
+    def __call__(
+        self, line: Int[np.ndarray, "points"], row: Float[np.ndarray, "points"]
+    ) -> Float[np.ndarray, "points"]:
+        inside = (row >= 0) & (row < self.length)
+        at = np.rint(np.where(inside, row, 0)).astype(np.int32)
+        return np.where(inside, highest(self.peaks, line, at, int(_NEAR_PX), self.length) - self._usual[line], 0.0)
 
 
 def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]) -> None:

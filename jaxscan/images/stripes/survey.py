@@ -26,6 +26,7 @@ from jaxscan.images.stripes.response import (
     detailed,
     has_half_chroma,
     luma_error,
+    noise_gain,
     numbers,
     response,
 )
@@ -184,7 +185,7 @@ def survey_windows(
     # Of a colour its own light counts twice; in luma a channel's light counts for its part of it.
     in_luma = color == "grey" and levels[0].ndim < lit.ndim
     span = full.astype(jnp.float32) * (_part_of_luma(laser, r, burnt) if in_luma else 1 if color == "grey" else 2)
-    rounding = _ROUNDING * (one if color == "grey" else jnp.sqrt(4 + weights[0] ** 2 + weights[1] ** 2))
+    rounding = _ROUNDING * noise_gain(weights, color)
     ground = _ground(plain, burnt, gain)
     if half is not None and detail is not None:
         rounding = jnp.hypot(rounding, luma_error(detail, half, weights))
@@ -252,9 +253,7 @@ def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
     colours are at half resolution, they are luma's.
     """
     m, n = (np.asarray(w) for w in sensor.weights)
-    by_light, by_noise = (
-        (np.ones(m.shape),) * 2 if color == "grey" else (np.full(m.shape, 2.0), np.sqrt(4 + m**2 + n**2))
-    )
+    by_light, by_noise = np.full(m.shape, 1.0 if color == "grey" else 2.0), noise_gain((m, n), color)
     if sensor.detail is not None:
         laser, first, second = (1 + np.asarray(by) for by in sensor.detail)
         by_luma = 2 * laser - m * first - n * second

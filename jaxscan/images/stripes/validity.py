@@ -84,7 +84,7 @@ def longer_than_thick(
     thickness: Float[np.ndarray, "points"],
     starts: Int[np.ndarray, "runs"],
 ) -> Bool[np.ndarray, "runs"]:
-    """Which runs are lines, `starts` says where in the points each begins.
+    """Which runs are lines; `starts` says where in the points each begins.
 
     Along the lines the σ of a run, weighted by strength, is n / √12 of a stripe that is n lines long; of a round spot
     it is that of its profile across.
