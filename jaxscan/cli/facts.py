@@ -162,6 +162,7 @@ def range_facts(path: Path) -> Facts:
         "path": str(path),
         "frames": len(image.valid),
         "axes": {axis: _steps(np.asarray(steps).tolist()) for axis, steps in image.positions.items()},
+        "sweeps": len(image.sweeps()),
         "full_turn": len(image.gaps()) == len(image.valid),
         "columns": image.valid.shape[1],
         "points": int(image.valid.sum()),

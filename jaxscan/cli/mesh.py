@@ -181,8 +181,9 @@ def _prepared(
     if args.every:
         image = image[:: args.every[0], :: args.every[1]]
     result["points_read"] = int(image.valid.sum())
-    whole = image.full_turn
-    result["degrees_apart"] = float(np.median(np.abs(image.gaps()))) * 360 / whole if whole else None
+    turns = [(sweep, whole) for sweep in image.sweeps() if len(sweep.valid) > 1 and (whole := sweep.full_turn)]
+    apart = [float(np.median(np.abs(sweep.gaps()))) * 360 / whole for sweep, whole in turns]
+    result["degrees_apart"] = max(apart, default=None)
     if not args.raw:
         cleaned = clean(image, sampling(image))
         result["removed"] = cleaned.counts()
@@ -251,12 +252,12 @@ def _of_image(
     result["passages"] = times = len(passages(image))
     if times > 1 and args.quads and args.method is None:
         raise InputError(
-            f"--quads: the turn has shown the object {times} times, and one surface of all has no quadrilaterals: "
+            f"--quads: the scan has shown the object {times} times, and one surface of all has no quadrilaterals: "
             "leave --quads out, or give --method grid for a layer of each"
         )
     if times > 1 and args.method == "delaunay":
         raise InputError(
-            f"--method delaunay: the turn has shown the object {times} times, from all around: leave it out, or give "
+            f"--method delaunay: the scan has shown the object {times} times, from all around: leave it out, or give "
             "--method grid or poisson"
         )
     if args.method == "fused" or (args.method is None and times > 1):
@@ -357,7 +358,7 @@ def describe(result: dict[str, Any]) -> str:
             "vertex"
         )
     elif result.get("passages", 1) > 1:
-        lines.append(f"  layers     {result['passages']}: the turn has shown the object as often")
+        lines.append(f"  layers     {result['passages']}: the scan has shown the object as often")
     if result.get("facing_away", 0.0) > _FOLDED:
         lines.append(
             f"  folded     {100 * result['facing_away']:.0f} % of the surface face away from the camera, as when the "

@@ -129,6 +129,8 @@ def _range_image(facts: Facts) -> Iterator[Line]:
     yield "frames", str(facts["frames"])
     for axis, steps in facts["axes"].items():
         yield axis, _positions(steps)
+    if facts["sweeps"] > 1:
+        yield "sweeps", f"{facts['sweeps']}: in each the same axes move from frame to frame"
     if facts["full_turn"]:
         yield "turn", "once all around, or more: the last frame is beside the first"
     yield "lines", f"{facts['columns']}: columns of the photographs, or rows"
@@ -212,6 +214,8 @@ def _travel(steps: Facts) -> str:
     if steps["count"] == 0:
         return "no steps"
     spacing = f", {steps['spacing']} apart" if steps["spacing"] is not None else ""
+    if not spacing and steps["first_step"] == steps["last_step"]:
+        return f"from step {steps['first_step']} and back to it"
     return f"steps {steps['first_step']} to {steps['last_step']}{spacing}"
 
 

@@ -23,6 +23,8 @@ from jaxscan.rig import LENSES
 from jaxscan.rig.camera import camera_parameters
 
 SESSION_FILE: Final = "session.toml"
+# Axes of which it can have photographs of the board, each a table.
+SEQUENCES: Final = ("stage", "turntable")
 
 _BOARD_KEYS: Final = {
     "checkerboard": ("inner_corners", "square_mm"),
@@ -132,7 +134,7 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     Raises:
         InputError: whatever is wrong: file, key, value and the mend.
     """
-    table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", "stage", "turntable", "laser"))
+    table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", *SEQUENCES, "laser"))
     board, camera = _board(table), _camera(table)
     if "views" not in table:
         mend = "add it, with boards = the photographs of the board held in the hand, in three poses or more"

@@ -165,6 +165,8 @@ def _text_hint(value: Any) -> str:
 
 
 def _float_hint(value: Any) -> str:
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f" of at most {_LARGEST_WHOLE} either way"
     if isinstance(value, float) and value.is_integer() and abs(value) <= _LARGEST_WHOLE:
         return f": write {int(value)}"
     return " (no fraction, no quotes)"

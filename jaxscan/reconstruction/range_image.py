@@ -16,7 +16,7 @@ from jaxscan.files.range_npz import RangeArrays, read_range_npz, writing_range_n
 from jaxscan.files.range_scanner import read_scanner, scanner_arrays
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
-from jaxscan.reconstruction.turns import full_turn, gaps_between
+from jaxscan.reconstruction.turns import full_turn, gaps_between, sweeps_of
 from jaxscan.rig import Fixed, Light, Motion
 
 _STILL: Final = Fixed()
@@ -60,14 +60,26 @@ class RangeImage:
         return tuple(axis for axis, steps in self.positions.items() if len(set(np.asarray(steps).tolist())) > 1)
 
     @property
+    def leading(self) -> str:
+        """The axis by which frames are told apart: of those that move the one that turns, or the first."""
+        turning = [axis for axis in self.moving if full_turn(self.motion, [axis]) is not None]
+        return next(iter(turning or self.moving or self.positions))
+
+    @property
     def full_turn(self) -> int | None:
-        """Motor steps of a full turn, to the nearest, where one axis alone moves and turns the object; else None."""
-        return full_turn(self.motion, self.moving)
+        """Motor steps of a full turn, to the nearest, where the leading axis turns the object; else None."""
+        return full_turn(self.motion, [self.leading]) if self.moving else None
 
     @property
     def steps(self) -> Int[np.ndarray, "frames"]:
-        """Motor steps of the first axis that moves."""
-        return np.asarray(self.positions[next(iter(self.moving or self.positions))])
+        """Motor steps of the leading axis."""
+        return np.asarray(self.positions[self.leading])
+
+    def sweeps(self) -> list["RangeImage"]:
+        """The scan in pieces along which the same axes move; itself where it is one."""
+        if len(self.moving) < 2:
+            return [self]
+        return [self[some, :] for some in sweeps_of(self.positions)]
 
     @classmethod
     def of(cls, path: str | os.PathLike[str], arrays: RangeArrays) -> "RangeImage":
@@ -146,10 +158,11 @@ class RangeImage:
     def gaps(self) -> Int[np.ndarray, "gaps"]:
         """Motor steps from each frame to the next, full turns left out.
 
-        There is one fewer than frames; as many where the object was turned all around: the last is from the last frame
-        to the first.
+        There is one fewer than frames; as many where one axis alone turned the object all around: the last is from the
+        last frame to the first.
         """
-        return gaps_between(self.steps, self.full_turn)
+        gaps = gaps_between(self.steps, self.full_turn)
+        return gaps if len(self.moving) < 2 else gaps[: len(self.valid) - 1]
 
     def closed(self) -> "RangeImage":
         """With the first frame again behind the last, where the object was turned all around; else as it is."""

@@ -3,17 +3,22 @@
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxscan.errors import InputError
 from jaxscan.files.listing import common_size
 from jaxscan.files.scan import Scan
+from jaxscan.files.session import SEQUENCES
 from jaxscan.reconstruction.frames import wrong_size
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.range_image import WIDE_APART_DEG
+from jaxscan.reconstruction.turns import sweeps_of
 from jaxscan.rig import Rig
 
 # More full turns than these are a mistake.
 _MOST_TURNS: Final = 5
+# Points further from the origin, mm, are not told apart by 0.01 mm as float32.
+_FARTHEST_MM: Final = 1e5
 
 
 def check_scan(rig: Rig, scan: Scan) -> None:
@@ -30,11 +35,14 @@ def check_scan(rig: Rig, scan: Scan) -> None:
     for axis in scan.moving:
         if axis not in axes:
             has = f"it has {', '.join(axes)}" if axes else "it has none"
+            mends = [f"calibrate with a [{axis}] sequence"] if axis in SEQUENCES else []
+            mends += ["name the axis as the rig does"] if axes else []
             raise InputError(
-                f"{scan.path}: the {axis} moves between frames, but the rig has no such axis, {has}: calibrate with a "
-                f"[{axis}] sequence, or name the axis as the rig does"
+                f"{scan.path}: the {axis} moves between frames, but the rig has no such axis, {has}: "
+                f"{', or '.join(mends) or 'use a rig that has it'}"
             )
     _check_named(rig, scan)
+    _check_near(rig, scan)
     step_groups(scan)
 
 
@@ -55,6 +63,18 @@ def _check_named(rig: Rig, scan: Scan) -> None:
             )
 
 
+def _check_near(rig: Rig, scan: Scan) -> None:
+    """Refuse places so far away that points there mean nothing."""
+    for part in rig.motion.parts():
+        farthest = max(scan.axes.get(part.axis, (0,)), key=abs, default=0)
+        amount, unit = part.amount(float(farthest))
+        if unit == "mm" and amount > _FARTHEST_MM:
+            raise InputError(
+                f"{scan.path}: [scan] at step {farthest} the {part.axis} is {amount / 1000:.3g} m from its step 0: are "
+                "these the steps of another axis? Count them from where the object is"
+            )
+
+
 def _place(scan: Scan) -> str:
     return ", ".join(f"{axis} {steps[0]}" for axis, steps in scan.axes.items())
 
@@ -72,19 +92,17 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
             "them, or there is no surface"
         )
     for axis in scan.moving:
-        each = np.asarray(scan.axes.get(axis, ()), np.float64)
-        if len(each) < 2:
-            continue
-        whole, unit = rig.axis(axis).amount(float(np.ptp(each)))
-        step, _ = rig.axis(axis).amount(1.0)
+        step, unit = rig.axis(axis).amount(1.0)
         if unit != "degrees":
             continue
+        whole = step * float(np.ptp(scan.axes.get(axis, (0,))))
+        gaps = step * _gaps(scan, axis)
         # Full turns left out: positions may start again at 0.
-        apart = float(np.abs((step * np.diff(each) + 180) % 360 - 180).max())
+        apart = float(np.abs((gaps + 180) % 360 - 180).max(initial=0.0))
         if whole > _MOST_TURNS * 360:
             raise InputError(
-                f"{scan.path}: [scan] the {axis} turns by {whole:.0f} degrees, {whole / 360:.1f} full turns: are these "
-                f"the steps of another axis? A full turn is {360 / rig.axis(axis).amount(1.0)[0]:.0f} steps"
+                f"{scan.path}: [scan.axes] {axis} turns by {whole:.0f} degrees, {whole / 360:.1f} full turns: are "
+                f"these the steps of another axis? A full turn is {360 / step:.0f} steps"
             )
         if whole > 360 + apart:
             notes.append(
@@ -94,6 +112,14 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
         if apart > WIDE_APART_DEG:
             notes.append(
                 f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other make "
-                f"points, and no surface; take at least {int(np.ceil(whole / WIDE_APART_DEG))} frames"
+                f"points, and no surface; take one every {int(WIDE_APART_DEG / step)} steps or fewer"
             )
     return notes
+
+
+def _gaps(scan: Scan, axis: str) -> Float[np.ndarray, "gaps"]:
+    """Motor steps of an axis from frame to frame of each sweep; of a video with a rule, the rule's."""
+    if scan.rules:
+        return np.array([float(scan.rules[axis].per_frame)])
+    positions = {name: np.asarray(steps) for name, steps in scan.axes.items()}
+    return np.concatenate([np.diff(positions[axis][some].astype(np.float64)) for some in sweeps_of(positions)])

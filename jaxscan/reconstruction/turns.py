@@ -1,6 +1,10 @@
-"""Full turns: whether a scan closes, and what stands before its first frame and behind its last where it does."""
+"""What a scan is made of: sweeps, along which the same axes move; and turns, of which some close.
 
-from collections.abc import Sequence
+Where one closes, its last frames stand before its first, and its first behind its last.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -13,6 +17,31 @@ from jaxscan.rig import Motion
 
 # The last frame of a turn is no further from the first than so many times the way between frames.
 _LAST_GAP: Final = 1.5
+
+
+def sweeps_of(positions: Mapping[str, Int[np.ndarray, "frames"]]) -> list[slice]:
+    """The sweeps of a scan: its longest pieces in which from frame to frame the same axes move.
+
+    A scan that turns, is shifted and turns again has two. Where two pieces meet, the frame between them is of the one
+    whose axes move the more often. Frames that stand still go with what is before them.
+
+    Args:
+        positions: motor steps of each axis at each frame.
+    """
+    frames = len(next(iter(positions.values()), ()))
+    moved = np.stack([np.diff(steps) != 0 for steps in positions.values()], axis=1)
+    which = [frozenset(np.flatnonzero(row).tolist()) for row in moved]
+    often = Counter(which)
+    starts, last = [0], frozenset[int]()
+    for gap, axes in enumerate(which):
+        if not axes:
+            continue
+        rarer = bool(last) and often[axes] < often[last]
+        if last not in (axes, frozenset()):
+            # The gap behind this frame is between two sweeps, or the one before it.
+            starts.append(gap + 1 if rarer else gap)
+        last = frozenset() if rarer else axes
+    return [slice(a, b) for a, b in zip(starts, [*starts[1:], frames], strict=True)]
 
 
 def full_turn(motion: Motion, moving: Sequence[str]) -> int | None:

@@ -38,7 +38,11 @@ class Rig(eqx.Module):
         chosen = [light for light in self.lights if light.name == name] if name else list(self.lights)
         if len(chosen) != 1:
             names = ", ".join(f'"{light.name}"' for light in self.lights)
-            raise InputError(f'the rig has the lasers {names}; "{name}" names {len(chosen)} of them: name one')
+            if not name:
+                raise InputError(f"the rig has the lasers {names}, and none is named: name one, in [laser] of a scan")
+            if len(self.lights) == 1 and not self.lights[0].name:
+                raise InputError(f'the rig has no laser "{name}", its only one has no name: leave the name out')
+            raise InputError(f'the rig has no laser "{name}", it has {names}: name one of them')
         return chosen[0]
 
     def axes(self) -> dict[str, AxisMotion]:

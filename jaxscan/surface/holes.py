@@ -25,6 +25,8 @@ def fill_holes(image: RangeImage, largest_mm: float) -> RangeImage:
     """
     if not largest_mm > 0:
         raise InputError(f"holes of up to {largest_mm:g} mm: give a size that is more than 0")
+    if len(sweeps := image.sweeps()) > 1:
+        return RangeImage.joined([fill_holes(sweep, largest_mm) for sweep in sweeps])
     # Where a turn closes, the frames stand there twice, so that what goes over its ends is in one piece in the middle.
     once, frames = image, len(image.valid)
     if len(image.gaps()) == frames:

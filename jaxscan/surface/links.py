@@ -11,7 +11,8 @@ too, where the surface between them rises by no more than 45°, for that is as m
 where it rises by more than `STEEPEST`. Frames of unequal steps are compared for equal steps.
 """
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import astuple, dataclass
 from typing import Final
 
 import numpy as np
@@ -57,7 +58,8 @@ class Links:
 
     Attributes:
         across: point (f, c) with (f, c + 1).
-        along: point (f, c) with (f + 1, c); where a turn closes, the last frame's with the first's too.
+        along: point (f, c) with (f + 1, c), none from one sweep to the next; where a scan of one sweep is a turn that
+            closes, the last frame's with the first's too.
     """
 
     across: Bool[np.ndarray, "frames columns-1"]
@@ -74,12 +76,14 @@ def sampling(image: RangeImage) -> Sampling:
         InputError: there are no two frames, nothing moved between them, or there are no neighbours.
     """
     if len(image.steps) < 2:
-        raise InputError("a surface takes at least two frames, and there is one: scan with the stage moving")
+        raise InputError("a surface takes at least two frames, and there is one: scan while an axis moves")
     if not image.moving:
         raise InputError(
             f"all {len(image.steps)} frames are of one place, {_place(image)}, so that none is beside another: give "
             "the motor steps of what moved between them in scan.toml, and reconstruct again"
         )
+    if len(sweeps := image.sweeps()) > 1:
+        return _of_sweeps(sweeps)
     # Every so many-th frame with the one after it; there are as many columns as it takes. In a turn that closes these
     # are the same ones whichever frame comes first.
     gaps, frames = image.gaps(), len(image.steps)
@@ -104,6 +108,20 @@ def sampling(image: RangeImage) -> Sampling:
     return Sampling(across_mm, along_mm, noise, float(np.median(np.abs(gaps))))
 
 
+def _of_sweeps(sweeps: list[RangeImage]) -> Sampling:
+    """The median of those that have frames and neighbours."""
+    each = []
+    for sweep in sweeps:
+        with suppress(InputError):
+            each.append(astuple(sampling(sweep)))
+    if not each:
+        raise InputError(
+            "no point has neighbours in its frame and in the next: from frame to frame move now these axes, now those; "
+            "scan in sweeps along which the same axes move"
+        )
+    return Sampling(*(float(x) for x in np.median(each, axis=0)))
+
+
 def _place(image: RangeImage) -> str:
     return ", ".join(f"{axis} {int(np.asarray(steps)[0])}" for axis, steps in image.positions.items())
 
@@ -115,9 +133,13 @@ def links(image: RangeImage, how: Sampling | None = None) -> Links:
         InputError: as `sampling`.
     """
     how = how or sampling(image)
+    if len(sweeps := image.sweeps()) > 1:
+        return _joined([links(sweep, how) for sweep in sweeps])
     gap = image.gaps().astype(np.float32)
-    near = (gap != 0) & (np.abs(gap) <= _LARGEST_GAP * how.step)
-    relative = np.where(near, gap / (how.step or 1.0), 1.0).astype(np.float32)
+    # Its own: other sweeps may go along other axes.
+    step = float(np.median(np.abs(gap))) if len(gap) else 0.0
+    near = (gap != 0) & (np.abs(gap) <= _LARGEST_GAP * step)
+    relative = np.where(near, gap / (step or 1.0), 1.0).astype(np.float32)
     frames, columns = image.valid.shape
     across, along = np.empty((frames, columns - 1), bool), np.empty((len(gap), columns), bool)
     for start in range(0, frames, _FRAMES_AT_ONCE):
@@ -135,6 +157,18 @@ def links(image: RangeImage, how: Sampling | None = None) -> Links:
             pairs = valid[1:] & valid[:-1] & near[some[:-1], None]
             along[start:stop] = _along_axis(0, xyz, pairs, how, how.along_mm, relative[some[:-1]])[own]
     return Links(across, along)
+
+
+def _joined(sweeps: list[Links]) -> Links:
+    """Of several sweeps, one behind the other; they are not linked to each other, and none with its own beginning."""
+    across = np.concatenate([linked.across for linked in sweeps])
+    along = np.zeros((len(across), across.shape[1] + 1), bool)
+    first = 0
+    for linked in sweeps:
+        frames = len(linked.across)
+        along[first : first + frames - 1] = linked.along[: frames - 1]
+        first += frames
+    return Links(across, along[:-1])
 
 
 def next_frame(values: Shaped[np.ndarray, "frames *each"], gaps: int) -> Shaped[np.ndarray, "gaps *each"]:

@@ -113,8 +113,9 @@ def plateaus(image: RangeImage, floor: Floor, least_mm2: float = 20.0) -> tuple[
 
 def _spacing(image: RangeImage, floor: Floor) -> tuple[float, float]:
     """From one column, and one frame, to the next, as seen from above the floor, in the median, mm."""
-    flat = floor.frame.inverse().apply(image.closed().points)[..., :2]
-    across, along = (float(np.nanmedian(np.linalg.norm(np.diff(flat, axis=axis), axis=-1))) for axis in (1, 0))
+    flat = [floor.frame.inverse().apply(sweep.closed().points)[..., :2] for sweep in image.sweeps()]
+    apart = [[np.linalg.norm(np.diff(one, axis=axis), axis=-1).ravel() for one in flat] for axis in (1, 0)]
+    across, along = (float(np.nanmedian(np.concatenate(each))) for each in apart)
     return across, along
 
 
@@ -126,12 +127,10 @@ def _areas(image: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns
     """
     across, along = _spacing(image, floor)
     areas = np.full(image.valid.shape, across * along)
-    if image.full_turn is None:
+    sweeps = image.sweeps()
+    if len(sweeps) == 1 and image.full_turn is None:
         return areas
-    flat = floor.frame.inverse().apply(image.points.astype(np.float64))[..., :2]
-    down = _way_on(flat, len(image.gaps()))
-    right = _way_on(flat.swapaxes(0, 1), flat.shape[1] - 1).swapaxes(0, 1)
-    own = np.abs(down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0])
+    own = np.concatenate([_own_areas(sweep, floor) for sweep in sweeps])
     areas = np.where(np.isfinite(own), own, areas)
     parts = passages(image)
     trees = [KDTree(image.points[part]) for part in parts]
@@ -139,6 +138,14 @@ def _areas(image: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns
         away = [tree.query(image.points[part])[0] for tree in trees]
         areas[part] /= (np.array(away) <= max(across, along)).sum(axis=0)
     return areas
+
+
+def _own_areas(sweep: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns"]:
+    """Of each point's cell, as seen from above the floor, mm²; NaN where it has none."""
+    flat = floor.frame.inverse().apply(sweep.points.astype(np.float64))[..., :2]
+    down = _way_on(flat, len(sweep.gaps()))
+    right = _way_on(flat.swapaxes(0, 1), flat.shape[1] - 1).swapaxes(0, 1)
+    return np.abs(down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0])
 
 
 def _way_on(flat: Float[np.ndarray, "lines items 2"], gaps: int) -> Float[np.ndarray, "lines items 2"]:

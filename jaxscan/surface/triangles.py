@@ -6,7 +6,7 @@ triangles, the shorter one is taken. All triangles turn the same way round, for 
 and the camera see have the same order everywhere; which way faces the camera is seen from all of them together.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -58,7 +58,7 @@ class Surface:
 
 
 def grid_surface(image: RangeImage, how: Sampling | None = None) -> Surface:
-    """The triangles of a range image; of one that was turned once all around, the last frame is joined to the first.
+    """The triangles of a range image; of a sweep that is a full turn, the last frame is joined to the first.
 
     What was seen at several passages (`jaxscan.surface.passages`) has as many layers, which are not joined.
 
@@ -88,7 +88,12 @@ def grid_layers(image: RangeImage, how: Sampling | None = None) -> list[Surface]
         InputError: as `grid_surface`.
     """
     how = how or sampling(image)
-    layers = [layer for part in passages(image) if (layer := _layer(image.where(part), how)) is not None]
+    layers, first = [], 0
+    for sweep in image.sweeps():
+        if len(sweep.valid) > 1:
+            found = [_layer(sweep.where(part), how) for part in passages(sweep)]
+            layers += [replace(layer, place=layer.place + first) for layer in found if layer is not None]
+        first += sweep.valid.size
     joined, points = sum(len(layer.place) for layer in layers), int(image.valid.sum())
     if not layers or joined < _LEAST_JOINED * points:
         raise InputError(

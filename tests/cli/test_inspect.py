@@ -213,7 +213,11 @@ def test_a_scan_on_several_axes(scan, capsys):
         "lift": {"count": 3, "first_step": 0, "last_step": 0, "spacing": None},
     }
     said = words(capsys, scan)
-    for line in ("turntable    steps 4 to 20, 8 apart\n", "stage        step 20000\n", "lift         steps 0 to 0\n"):
+    for line in (
+        "turntable    steps 4 to 20, 8 apart\n",
+        "stage        step 20000\n",
+        "lift         from step 0 and back to it\n",
+    ):
         assert line in said
     (scan / "v.mp4").write_bytes(b"any")
     write("v.mp4", "turntable = { start = 4, per_frame = 8 }", "stage = 20000")

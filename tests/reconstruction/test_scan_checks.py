@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from jaxscan.errors import InputError
+from jaxscan.files.axes import StepRule
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings
 from jaxscan.reconstruction.scan_checks import check_scan, way_notes
@@ -54,3 +55,40 @@ def test_profiles_far_apart_are_remarked_upon_but_not_those_beyond_zero(rig):
     (note,) = way_notes(rig, scan(turntable=tuple(range(0, TURN, 400))))
     assert "up to 45.0 degrees of the turntable apart" in note
     assert way_notes(rig, scan(turntable=(*range(1600, TURN, 20), *range(0, 1600, 20)))) == []
+
+
+def test_so_many_steps_as_are_said_are_few_enough(rig):
+    """As many frames as were advised before were still too few."""
+    turns = tuple(range(0, TURN, 400))
+    (note,) = way_notes(rig, scan(turntable=turns))
+    every = int(note.split("every ")[1].split()[0])
+    assert way_notes(rig, scan(turntable=tuple(range(0, TURN, every)))) == []
+    assert way_notes(rig, scan(turntable=tuple(range(0, TURN, every + 1)))) != []
+
+
+def test_a_turn_between_two_sweeps_along_a_line_is_not_frames_apart(rig):
+    there = {"stage": (*ALONG, *ALONG), "turntable": (0,) * len(ALONG) + (1600,) * len(ALONG)}
+    assert way_notes(rig, scan(**there)) == []
+    turns = tuple(range(0, TURN, 40))
+    twice = {"stage": (0,) * len(turns) + (9000,) * len(turns), "turntable": (*turns, *(n + 1600 for n in turns))}
+    assert not any("apart" in note for note in way_notes(rig, scan(**twice)))
+
+
+def test_a_video_whose_frames_are_far_apart(rig):
+    rules = {"stage": StepRule(37000, 0), "turntable": StepRule(0, 400)}
+    video = Scan(Path("scan.toml"), StripeSettings(), video=Path("scan.mp4"), rules=rules)
+    (note,) = way_notes(rig, video)
+    assert "up to 45.0 degrees of the turntable apart" in note
+
+
+def test_a_place_beyond_all_measure_is_refused(rig):
+    check_scan(rig, scan(stage=tuple(n + 10**7 for n in ALONG)))
+    with pytest.raises(InputError, match=r"scan.toml: \[scan\] at step 9007199254740992 the stage is 9.01e\+09 m from"):
+        check_scan(rig, scan(stage=(2**53,) * 4, turntable=(0, 20, 40, 60)))
+
+
+def test_a_sequence_that_no_session_can_have_is_not_advised(rig):
+    with pytest.raises(InputError, match=r"the lift moves.*it has stage, turntable: name the axis as the rig does$"):
+        check_scan(rig, scan(lift=ALONG))
+    with pytest.raises(InputError, match=r"calibrate with a \[turntable\] sequence, or name the axis as"):
+        check_scan(rig_2003.simulated_rig(0), scan(turntable=ALONG))

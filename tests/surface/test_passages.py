@@ -185,10 +185,10 @@ def test_the_commands_say_what_they_make_of_a_turn(dome, tmp_path, capsys):
     assert "of which the pixel's part is 0.0" in run("inspect", "dome.ply")[1]
     code, said = run("mesh", "dome.npz", *keep, "--method", "grid", "--quads")
     assert code == 0
-    assert "layers     2: the turn has shown the object as often" in said
+    assert "layers     2: the scan has shown the object as often" in said
     for words, says in (
-        (("--quads",), "dome.npz: --quads: the turn has shown the object 2 times"),
-        (("--method", "delaunay"), "dome.npz: --method delaunay: the turn has shown the object 2 times"),
+        (("--quads",), "dome.npz: --quads: the scan has shown the object 2 times"),
+        (("--method", "delaunay"), "dome.npz: --method delaunay: the scan has shown the object 2 times"),
     ):
         code, said = run("mesh", "dome.npz", *keep, *words)
         assert code == 2
