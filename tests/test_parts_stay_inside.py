@@ -1,6 +1,7 @@
 """What a lens, a light plane, a stage and a turntable are made of is known to rig, files and simulation alone."""
 
 import ast
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -9,7 +10,22 @@ NUMBERS = {"omega", "per_step"}
 # OpenCV's lens terms, and who has their inverse for the kernel.
 TERMS = {"radial", "tangential"}
 FAST_INVERSE = "jaxscan/reconstruction/opencv_inverse.py"
-PARTS = {"light", "lights", "motion", "axis", "sheet"}
+PARTS = {"light", "lights", "motion", "axis", "sheet", "sheets", "link", "part", "lens"}
+KINDS = {"Light", "Lens", "Motion", "AxisMotion", "LightPlane", "Linear", "Rotary", "Chain", "Fixed"}
+# Called as a part, and none: the light of a photograph, the move that a comparison finds, the name of an axis or of a
+# lens that was asked for.
+OTHERS = {
+    "image.light",
+    "self.light",
+    "stripe.light",
+    "found.motion",
+    "work.axis",
+    "self._axis",
+    "args.axis",
+    "args.lens",
+    "jaxscan/cli/facts.py: light",
+    "jaxscan/surface/compare.py: motion",
+}
 
 
 def outside():
@@ -44,15 +60,47 @@ def test_one_module_outside_names_the_terms_of_opencvs_lenses():
     assert found == {FAST_INVERSE}
 
 
-def test_no_module_outside_asks_whether_the_rig_has_a_part():
+def test_no_module_outside_reads_where_an_axis_is():
+    """Other things have a centre: of a part it would be read by way of its axis."""
+    found = [
+        f"{path}:{node.lineno}"
+        for path, tree in outside()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and node.attr in ("centre", "plane", "stage", "turntable")
+        and PARTS & set(re.findall(r"\w+", ast.unparse(node.value)))
+        | {"rig"} & set(re.findall(r"\w+", ast.unparse(node.value)))
+    ]
+    print(f"modules outside that read a part's place: {len(found)}")
+    assert found == []
+
+
+def is_none(node):
+    return isinstance(node, ast.Constant) and node.value is None
+
+
+def test_no_module_outside_asks_whether_there_is_a_part():
     found = []
     for path, tree in outside():
         for node in ast.walk(tree):
-            if isinstance(node, ast.Compare) and any(
-                isinstance(x, ast.Constant) and x.value is None for x in node.comparators
-            ):
-                part = node.left
-                if isinstance(part, ast.Attribute) and part.attr in PARTS and "rig" in ast.unparse(part.value):
-                    found.append(f"{path}:{node.lineno}")
-    print(f"tests of a part of the rig for None: {len(found)}")
+            if not isinstance(node, ast.Compare) or not any(map(is_none, (node.left, *node.comparators))):
+                continue
+            for part in (node.left, *node.comparators):
+                last = part.attr if isinstance(part, ast.Attribute) else getattr(part, "id", "")
+                asked = ast.unparse(part)
+                if last.strip("_") in PARTS and not {asked, f"{path.as_posix()}: {asked}"} & OTHERS:
+                    found.append(f"{path}:{node.lineno}: {asked}")
+    print(f"tests of a part for None: {len(found)}")
+    assert found == []
+
+
+def test_no_module_outside_lets_a_part_be_none():
+    found = []
+    for path, tree in outside():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr) and is_none(node.right):
+                kinds = {x.id for x in ast.walk(node.left) if isinstance(x, ast.Name)} & KINDS
+                if kinds and not isinstance(node.left, ast.Subscript):
+                    found.append(f"{path}:{node.lineno}: {ast.unparse(node)}")
+    print(f"parts that may be None: {len(found)}")
     assert found == []

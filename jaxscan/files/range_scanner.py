@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Int, Int64, UInt8
 
 from jaxscan.errors import InputError
-from jaxscan.files.axes import STAGE
+from jaxscan.files.axes import STAGE, is_axis_name
 from jaxscan.files.range_npz import RangeArrays
 from jaxscan.files.rig_parts import lights_values, motion_values, part_tables, read_lights, read_motion
 from jaxscan.files.table import Table
@@ -23,15 +23,14 @@ class RangeScanner(NamedTuple):
 
     positions: dict[str, Int[np.ndarray, "frames"]]
     motion: Motion
-    sheet: Light | None
+    sheets: tuple[Light, ...]
 
 
 def scanner_arrays(
-    positions: Mapping[str, Int[np.ndarray, "frames"]], motion: Motion, sheet: Light | None
+    positions: Mapping[str, Int[np.ndarray, "frames"]], motion: Motion, sheets: tuple[Light, ...]
 ) -> tuple[Int64[np.ndarray, "frames axes"], UInt8[np.ndarray, "bytes"]]:
     """As `RangeArrays` has them: positions, and all else as JSON."""
-    lights = () if sheet is None else (sheet,)
-    values = {"axes": list(positions), "lights": lights_values(lights), "motion": motion_values(motion)}
+    values = {"axes": list(positions), "lights": lights_values(sheets), "motion": motion_values(motion)}
     encoded = np.frombuffer(json.dumps(values, ensure_ascii=False).encode(), np.uint8)
     return np.stack([np.asarray(steps, np.int64) for steps in positions.values()], axis=-1), encoded
 
@@ -46,10 +45,10 @@ def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScan
         raise InputError(f'{path}: has one of "scanner" and "positions" without the other: reconstruct again')
     if arrays.scanner is None or arrays.positions is None:
         if arrays.per_step is None or not arrays.per_step.any():
-            return RangeScanner({STAGE: arrays.steps}, Fixed(), None)
+            return RangeScanner({STAGE: arrays.steps}, Fixed(), ())
         with float64():
             stage = Linear.create(arrays.per_step)
-        return RangeScanner({STAGE: arrays.steps}, as_numpy(stage), None)
+        return RangeScanner({STAGE: arrays.steps}, as_numpy(stage), ())
     try:
         values = json.loads(arrays.scanner.tobytes())
     except (ValueError, RecursionError) as error:
@@ -58,12 +57,22 @@ def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScan
         raise InputError(f'{path}: "scanner" is no object: reconstruct again')
     table = Table(Path(path), "scanner.", values)
     axes = table.sequence("axes", "names of axes")
-    if len({str(axis) for axis in axes}) < len(axes):
+    if not all(isinstance(axis, str) and is_axis_name(axis) for axis in axes):
+        raise table.error("axes", "must be names of letters, digits, _ and - alone: reconstruct again")
+    if len(set(axes)) < len(axes):
         raise table.error("axes", "name an axis twice: reconstruct again")
     if len(axes) != arrays.positions.shape[1]:
         raise table.error("axes", f"{len(axes)} names for {arrays.positions.shape[1]} positions: reconstruct again")
     with float64():
         lights = read_lights(part_tables(table, "lights", "lights"), [])
+        if len(lights) > 1:
+            raise table.error("lights", f"holds {len(lights)} lights, a scan is taken in one: reconstruct again")
         motion = read_motion(part_tables(table, "motion", "axes"), [])
-    positions = {str(axis): arrays.positions[:, i] for i, axis in enumerate(axes)}
-    return RangeScanner(positions, as_numpy(motion), as_numpy(lights[0]) if lights else None)
+    positions = {axis: arrays.positions[:, i] for i, axis in enumerate(axes)}
+    known = [part.axis for part in motion.parts()]
+    for axis, steps in positions.items():
+        if known and axis not in known and len(steps) and np.ptp(steps):
+            raise table.error(
+                "axes", f"the {axis} moves, but the motion is that of {', '.join(known)}: reconstruct with the scan's rig"
+            )
+    return RangeScanner(positions, as_numpy(motion), as_numpy(lights))

@@ -39,7 +39,7 @@ class RangeImage:
         valid: where there is a point.
         positions: motor steps of each axis at each frame.
         motion: what carried the object, by these positions; `Fixed` where it is not known.
-        sheet: the light in which the object was seen, where it is known.
+        sheets: the light in which the object was seen; none where it is not known.
         light: read noise, gain, speckle contrast and saturation of each frame (`images.light`), where they are known.
     """
 
@@ -51,7 +51,7 @@ class RangeImage:
     valid: Bool[np.ndarray, "frames columns"]
     positions: Mapping[str, Int[np.ndarray, "frames"]]
     motion: Motion = _STILL
-    sheet: Light | None = None
+    sheets: tuple[Light, ...] = ()
     light: Float[np.ndarray, "frames 4"] | None = None
 
     @property
@@ -99,7 +99,7 @@ class RangeImage:
             valid=arrays.valid,
             positions=scanner.positions,
             motion=scanner.motion,
-            sheet=scanner.sheet,
+            sheets=scanner.sheets,
             light=arrays.light,
         )
 
@@ -197,7 +197,7 @@ class RangeImage:
 
     def arrays(self) -> RangeArrays:
         """As the file format has it."""
-        positions, scanner = scanner_arrays(self.positions, self.motion, self.sheet)
+        positions, scanner = scanner_arrays(self.positions, self.motion, self.sheets)
         return RangeArrays(
             points=self.points,
             strength=self.strength,

@@ -278,8 +278,8 @@ class _Laser:
             own, moved = self._ratio * stripe_sigma, MovedFrames.create(self._rig, q, len(position))
             sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, moved, position, points, own))
         points = np.where(valid[..., None], points, np.float32(np.nan))
-        sheet = self._rig.light(self._laser.name)
-        return RangeImage(points, position, strength, sigma, sigma_pixel, valid, q, self._rig.motion, sheet)
+        sheets = (self._rig.light(self._laser.name),)
+        return RangeImage(points, position, strength, sigma, sigma_pixel, valid, q, self._rig.motion, sheets)
 
 
 def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> list[str]:

@@ -84,5 +84,5 @@ def noisy_scan(
         valid=valid,
         positions={axis: np.asarray(steps, np.int64) for axis, steps in q.items()},
         motion=rig.motion,
-        sheet=rig.light(),
+        sheets=(rig.light(),),
     )

@@ -40,7 +40,7 @@ def passages(image: RangeImage) -> tuple[Bool[np.ndarray, "frames columns"], ...
 
 def _of_sweep(image: RangeImage) -> tuple[Bool[np.ndarray, "frames columns"], ...]:
     whole = image.full_turn
-    if whole is None or image.sheet is None:
+    if whole is None or not image.sheets:
         return (image.valid,)
     gaps = image.gaps()
     way = np.abs(np.concatenate([[0], np.cumsum(gaps[: len(image.valid) - 1])]))
@@ -76,5 +76,5 @@ def _rate(image: RangeImage) -> Float[np.ndarray, "frames columns"]:
         return as_numpy(image.motion.pose(q)).apply(np.asarray(image.points, np.float64))
 
     before, after = seen(-1.0), seen(1.0)
-    assert image.sheet is not None
-    return (np.asarray(image.sheet.gradient(image.seen())) * (after - before)).sum(axis=-1) / 2
+    (sheet,) = image.sheets
+    return (np.asarray(sheet.gradient(image.seen())) * (after - before)).sum(axis=-1) / 2

@@ -173,8 +173,8 @@ def _sheet_normal(
 
     Range images of older files do not have their light: there it is the plane through all points.
     """
-    if image.sheet is not None:
-        return np.asarray(image.sheet.gradient(seen))
+    for sheet in image.sheets:
+        return np.asarray(sheet.gradient(seen))
     normal = np.linalg.lstsq(seen[image.valid], np.ones(int(image.valid.sum())), rcond=None)[0]
     return None if np.abs(seen[image.valid] @ normal - 1).max() > _OFF_SHEET else normal
 

@@ -112,7 +112,7 @@ def _of_image(image: RangeImage, rig: Rig | None) -> Exhibit:
     some = np.append(np.arange(0, len(image.valid) - 1, every), len(image.valid) - 1)
     seen = image.seen()[image.valid]
     return Exhibit(
-        points, up, values, None, _setup(seen, Pose(at.rotation[some], at.translation[some]), rig, image.sheet)
+        points, up, values, None, _setup(seen, Pose(at.rotation[some], at.translation[some]), rig, image.sheets)
     )
 
 
@@ -133,7 +133,7 @@ def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray,
 
 
 def _setup(
-    seen: Float[np.ndarray, "points 3"], at: Pose[np.ndarray], rig: Rig | None, light: Light | None = None
+    seen: Float[np.ndarray, "points 3"], at: Pose[np.ndarray], rig: Rig | None, sheets: tuple[Light, ...] = ()
 ) -> Setup | None:
     """From the points in the frame of the camera that saw them, in the light that lit them or the rig's first."""
     if rig is None:
@@ -142,9 +142,7 @@ def _setup(
     focal = [float(f) for f in rig.camera.focal]
     half = 0.5 * np.array([columns, rows]) / focal
     sheet = np.zeros((0, 3))
-    if light is None and rig.lights:
-        light = rig.lights[0]
-    if light is not None:
+    for light in (sheets or rig.lights)[:1]:
         near, far = _BEFORE * float(seen[:, 2].min()), _BEYOND * float(seen[:, 2].max())
         along = seen @ sheet_axes(light)[0]
         ends = _WIDER * np.array([along.min(), along.max()])

@@ -36,7 +36,7 @@ def whole(frames: int = 4) -> RangeArrays:
     rng, bare = np.random.default_rng(3), image(frames)
     pixels, sigma_pixel = rng.random((2, *bare.valid.shape), dtype=np.float32)
     light = rng.random((frames, 4), dtype=np.float32)
-    positions, scanner = scanner_arrays({"turntable": np.arange(frames), "stage": bare.steps}, MOTION, SHEET)
+    positions, scanner = scanner_arrays({"turntable": np.arange(frames), "stage": bare.steps}, MOTION, (SHEET,))
     known = {"pixels": pixels, "sigma_pixel": sigma_pixel, "per_step": rng.random(3), "light": light}
     return dataclasses.replace(bare, positions=positions, scanner=scanner, **known)
 
@@ -66,8 +66,8 @@ def test_what_is_not_known_is_left_out(tmp_path):
 def test_the_scanner_survives_the_file(tmp_path):
     arrays, positions = image(), {"turntable": np.array([0, 8, 16, 24]), "stage": np.full(4, 20000)}
     bare = RangeImage.of("a.npz", arrays)
-    for motion, sheet in ((MOTION, SHEET), (MOTION.links[1], None), (Fixed(), SHEET), (Fixed(), None)):
-        write_points(tmp_path / "a.npz", dataclasses.replace(bare, positions=positions, motion=motion, sheet=sheet))
+    for motion, sheets in ((MOTION, (SHEET,)), (MOTION.links[1], ()), (Fixed(), (SHEET,)), (Fixed(), ())):
+        write_points(tmp_path / "a.npz", dataclasses.replace(bare, positions=positions, motion=motion, sheets=sheets))
         read = read_range_image(tmp_path / "a.npz")
         assert list(read.positions) == ["turntable", "stage"]
         for axis in positions:
@@ -75,8 +75,8 @@ def test_the_scanner_survives_the_file(tmp_path):
         # Of the axis that moves.
         np.testing.assert_array_equal(read.steps, positions["turntable"])
         # To the last bit.
-        assert jax.tree.structure((read.motion, read.sheet)) == jax.tree.structure((motion, sheet))
-        assert jax.tree.leaves((read.motion, read.sheet)) == jax.tree.leaves((motion, sheet))
+        assert jax.tree.structure((read.motion, read.sheets)) == jax.tree.structure((motion, sheets))
+        assert jax.tree.leaves((read.motion, read.sheets)) == jax.tree.leaves((motion, sheets))
 
 
 def test_older_files_have_a_stage(tmp_path):
@@ -87,7 +87,7 @@ def test_older_files_have_a_stage(tmp_path):
     np.testing.assert_array_equal(read.positions["stage"], image().steps)
     assert isinstance(read.motion, Linear)
     assert [float(x) for x in read.motion.per_step] == per_step.tolist()
-    assert read.sheet is None
+    assert read.sheets == ()
     np.testing.assert_allclose(read.cameras(), -image().steps[:, None] * per_step, rtol=1e-12)
     for still in (image(), dataclasses.replace(image(), per_step=np.zeros(3))):
         write_range_npz(tmp_path / "a.npz", still)
@@ -97,7 +97,7 @@ def test_older_files_have_a_stage(tmp_path):
 def test_a_broken_scanner_is_refused_by_name(tmp_path):
     good = whole()
     values = json.loads(good.scanner.tobytes())
-    axis = values["motion"][0]
+    axis, light = values["motion"][0], values["lights"][0]
 
     def said(**changes: object) -> bytes:
         return json.dumps({**values, **changes}).encode()
@@ -109,6 +109,10 @@ def test_a_broken_scanner_is_refused_by_name(tmp_path):
         b"[]": '"scanner" is no object',
         said(axes=["stage"]): r"scanner\.axes.* 1 names for 2",
         said(axes=["stage", "stage"]): r"scanner\.axes.* twice",
+        said(axes=["stage", "täble"]): r"scanner\.axes.* letters, digits",
+        said(axes=["stage", 1]): r"scanner\.axes.* letters, digits",
+        said(axes=[a if a == "stage" else "spin" for a in values["axes"]]): r"the spin moves, but the motion is that of",
+        said(lights=[{**light, "name": name} for name in "ab"]): r"scanner\.lights.* 2 lights",
         said(axes=2): r"scanner\.axes = 2: .*list",
         said(motion=[{**axis, "kind": "robot"}]): r'scanner\.motion\.0\.kind = "robot"',
         said(motion=[{**axis, "per_step": [0, np.nan, 0]}]): r"scanner\.motion\.0\.per_step.*finite",

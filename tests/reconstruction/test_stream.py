@@ -132,7 +132,7 @@ def test_files_are_written_as_frames_are_read(rig, photographs, whole, tmp_path,
     assert (done.frames, done.empty, done.points) == (7, 0, whole.valid.sum())
     assert_same(read_range_image(outputs[0]), whole)
     back = read_range_image(outputs[0])
-    assert jax.tree.leaves((whole.motion, whole.sheet)) == jax.tree.leaves((back.motion, back.sheet))
+    assert jax.tree.leaves((whole.motion, whole.sheets)) == jax.tree.leaves((back.motion, back.sheets))
     from jaxscan.files.cloud import read_ply
 
     cloud = read_ply(outputs[1])

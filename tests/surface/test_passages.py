@@ -94,7 +94,7 @@ def test_each_point_is_of_one_passage(dome):
     assert len(passages(image[:60, :])) == 2
     further = {"turntable": image.positions["turntable"] + TURN}
     assert len(passages(RangeImage.joined([image, replace(image, positions=further)]))) == 4
-    assert len(passages(replace(image, sheet=None))) == len(passages(replace(image, motion=Fixed()))) == 1
+    assert len(passages(replace(image, sheets=()))) == len(passages(replace(image, motion=Fixed()))) == 1
 
 
 def test_layers_of_the_grid_are_not_joined_and_face_the_camera(dome):

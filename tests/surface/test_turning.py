@@ -59,7 +59,7 @@ def test_a_stripes_error_moves_a_point_within_the_sheet_as_it_stood(turning):
     at = image.from_camera()
     frame = np.nonzero(image.valid)[0]
     seen = np.einsum("pji,pj->pi", at.matrix()[frame], e)
-    normal = np.array([float(x) for x in image.sheet.plane])
+    normal = np.array([float(x) for x in image.sheets[0].plane])
     assert np.abs(seen @ normal).max() < 1e-6 * np.linalg.norm(normal) * 1e3
     np.testing.assert_allclose(np.linalg.norm(e, axis=1), 1)
 
