@@ -73,6 +73,7 @@ def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScan
     for axis, steps in positions.items():
         if known and axis not in known and len(steps) and np.ptp(steps):
             raise table.error(
-                "axes", f"the {axis} moves, but the motion is that of {', '.join(known)}: reconstruct with the scan's rig"
+                "axes",
+                f"the {axis} moves, but the motion is that of {', '.join(known)}: reconstruct with the scan's rig",
             )
     return RangeScanner(positions, as_numpy(motion), as_numpy(lights))

@@ -261,6 +261,6 @@ def _positions(scan: Scan, first: int, count: int) -> Int[np.ndarray, "frames ax
     if first + count > scan.listed:
         raise InputError(
             f"{scan.path}: [scan] {scan.listed} positions of the axes, the video goes on to frame {first + count}: "
-            "give one for each frame, or steps_per_frame"
+            "give one for each frame, or steps_per_frame (of an axis in [scan.axes] start and per_frame)"
         )
     return np.asarray([steps[first : first + count] for steps in scan.axes.values()], np.int64).T

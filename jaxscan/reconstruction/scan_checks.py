@@ -17,6 +17,8 @@ from jaxscan.rig import Rig
 
 # More full turns than these are a mistake.
 _MOST_TURNS: Final = 5
+# Of so many gaps more than half are no mistake in one of them.
+_FEWEST_GAPS: Final = 3
 # Points further from the origin, mm, are not told apart by 0.01 mm as float32.
 _FARTHEST_MM: Final = 1e5
 
@@ -76,7 +78,9 @@ def _check_near(rig: Rig, scan: Scan) -> None:
 
 
 def _place(scan: Scan) -> str:
-    return ", ".join(f"{axis} {steps[0]}" for axis, steps in scan.axes.items())
+    first = {axis: rule.start for axis, rule in scan.rules.items()}
+    first |= {axis: steps[0] for axis, steps in scan.axes.items()}
+    return ", ".join(f"{axis} {step}" for axis, step in first.items())
 
 
 def way_notes(rig: Rig, scan: Scan) -> list[str]:
@@ -86,10 +90,10 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
         InputError: an axis turns so far that its steps must be those of another.
     """
     notes = []
-    if scan.listed > 1 and not scan.moving:
+    if not scan.moving and (scan.rules or scan.listed > 1):
         notes.append(
-            f"all {scan.listed} frames are of one place, {_place(scan)}: give the motor steps of what moved between "
-            "them, or there is no surface"
+            f"all {scan.listed or 'its'} frames are of one place, {_place(scan)}: give the motor steps of what moved "
+            "between them, or there is no surface"
         )
     for axis in scan.moving:
         step, unit = rig.axis(axis).amount(1.0)
@@ -99,10 +103,12 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
         gaps = step * _gaps(scan, axis)
         # Full turns left out: positions may start again at 0.
         apart = float(np.abs((gaps + 180) % 360 - 180).max(initial=0.0))
-        if whole > _MOST_TURNS * 360:
+        each = float(np.median(np.abs(gaps))) if scan.rules or len(gaps) >= _FEWEST_GAPS else 0.0
+        if whole > _MOST_TURNS * 360 or each > 180:
+            said = f"{whole:.0f} degrees, {whole / 360:.1f} full turns" if whole else f"{each:.0f} degrees a frame"
             raise InputError(
-                f"{scan.path}: [scan.axes] {axis} turns by {whole:.0f} degrees, {whole / 360:.1f} full turns: are "
-                f"these the steps of another axis? A full turn is {360 / step:.0f} steps"
+                f"{scan.path}: [scan.axes] {axis} turns by {said}: are these the steps of another axis? A full turn is "
+                f"{360 / step:.0f} steps"
             )
         if whole > 360 + apart:
             notes.append(

@@ -111,7 +111,9 @@ def test_a_broken_scanner_is_refused_by_name(tmp_path):
         said(axes=["stage", "stage"]): r"scanner\.axes.* twice",
         said(axes=["stage", "täble"]): r"scanner\.axes.* letters, digits",
         said(axes=["stage", 1]): r"scanner\.axes.* letters, digits",
-        said(axes=[a if a == "stage" else "spin" for a in values["axes"]]): r"the spin moves, but the motion is that of",
+        said(
+            axes=[a if a == "stage" else "spin" for a in values["axes"]]
+        ): r"the spin moves, but the motion is that of",
         said(lights=[{**light, "name": name} for name in "ab"]): r"scanner\.lights.* 2 lights",
         said(axes=2): r"scanner\.axes = 2: .*list",
         said(motion=[{**axis, "kind": "robot"}]): r'scanner\.motion\.0\.kind = "robot"',

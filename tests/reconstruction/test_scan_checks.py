@@ -1,5 +1,6 @@
 """Positions of axes that do not go with the rig are refused or remarked upon before any photograph is read."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,12 @@ def test_a_video_whose_frames_are_far_apart(rig):
     video = Scan(Path("scan.toml"), StripeSettings(), video=Path("scan.mp4"), rules=rules)
     (note,) = way_notes(rig, video)
     assert "up to 45.0 degrees of the turntable apart" in note
+    (note,) = way_notes(rig, replace(video, rules={"stage": StepRule(37000, 0), "turntable": StepRule(8, 0)}))
+    assert "all its frames are of one place, stage 37000, turntable 8" in note
+    with pytest.raises(InputError, match=r"scan.toml: \[scan.axes\] turntable turns by 225 degrees a frame: are these"):
+        way_notes(rig, replace(video, rules={"stage": StepRule(37000, 0), "turntable": StepRule(0, 2000)}))
+    with pytest.raises(InputError, match=r"turntable turns by 675 degrees, 1.9 full turns: are these"):
+        way_notes(rig, scan(turntable=(0, 2000, 4000, 6000)))
 
 
 def test_a_place_beyond_all_measure_is_refused(rig):
