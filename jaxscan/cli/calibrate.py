@@ -168,7 +168,7 @@ def solve_sessions(
     from jaxscan.calibration.observe import observe, photograph_count, unseen
     from jaxscan.cli.progress import progress
     from jaxscan.files.cameras import read_camera_file
-    from jaxscan.files.session import CameraSettings, Session, read_session
+    from jaxscan.files.session import CameraSettings, Session, check_stage_known, read_session
     from jaxscan.rig import Rig
     from jaxscan.rig.rig import parameter_names
 
@@ -191,6 +191,7 @@ def solve_sessions(
     left, notes = _once(paths, contents)
     paths, contents, each = [paths[i] for i in left], list(left.values()), [each[i] for i in left]
     _check_poses(paths, contents, sum(len(given.views) for given in each))
+    check_stage_known([content for content in contents if isinstance(content, Session)])
     if needs_laser and not joined.lasers:
         raise InputError(
             f"{paths[0]}: has no [laser], and --f-number, --wavelength-nm and --pixel-um are for the stripe of one: "

@@ -150,6 +150,21 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 
 
+def check_stage_known(sessions: Sequence[Session]) -> None:
+    """Refuse sessions of one rig whose turntable stood away from step 0 of a stage that none of them shows.
+
+    Raises:
+        InputError: there is one.
+    """
+    for session in sessions:
+        table = session.turntable
+        if table is not None and table.stage_step and not any(other.stage for other in sessions):
+            raise InputError(
+                f"{session.path}: [turntable] stage_step = {table.stage_step}: no [stage] tells how far that is: "
+                "photograph the board along the stage too, or leave stage_step out"
+            )
+
+
 def write_session(session: Session) -> None:
     """Write `session.path`, whole or not at all, with its photographs listed by name.
 

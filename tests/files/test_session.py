@@ -408,6 +408,14 @@ def test_too_few_poses_are_refused_before_they_are_looked_at(folder, capsys):
     assert "finding boards" not in capsys.readouterr().err
 
 
+def test_a_turntable_away_from_a_stage_that_nobody_shows(folder, capsys):
+    """It was said after the photographs had been looked at, and without the file."""
+    session(folder, BOARD, VIEWS, TURN + "steps = [0, 1, 5]\nstage_step = 1800")
+    with pytest.raises(InputError, match=r"session.toml: \[turntable\] stage_step = 1800: no \[stage\] tells how far"):
+        solve_sessions([folder])
+    assert "finding boards" not in capsys.readouterr().err
+
+
 def test_the_limit_of_speckle_needs_a_laser(folder):
     session(folder, BOARD, VIEWS)
     with pytest.raises(InputError, match=r"has no \[laser\], and --f-number, --wavelength-nm and --pixel-um are for"):
