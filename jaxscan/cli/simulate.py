@@ -142,6 +142,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"--sides {args.sides}: give 1 to {_MOST_SIDES}")
     if args.apart is not None and args.apart < 1:
         raise InputError(f"--apart {args.apart}: give 1 or more")
+    _check_apart(args)
     if args.quality is not None:
         from jaxscan.images.jpeg import check_quality
 
@@ -312,6 +313,17 @@ def check_folder(out: Path, seed: int) -> None:
         raise InputError(f"{out}: is a file: name a folder that is new or empty")
     if out.is_dir() and any(out.iterdir()) and not (out / "truth" / "rig.json").is_file():
         raise InputError(f"{out}: holds something that is no simulation: name a folder that is new or empty")
+
+
+def _check_apart(args: argparse.Namespace) -> None:
+    """Refuse a way from frame to frame that leaves a scan with one frame."""
+    from jaxscan.simulation import rig_2003
+
+    turns = args.turntable and args.sides == 1
+    most = rig_2003.STEPS_PER_TURN - 1 if turns else (rig_2003.SCAN_FRAMES - 1) * rig_2003.STEPS_APART
+    if args.apart is not None and args.apart > most:
+        way = "a turn" if turns else "a scan"
+        raise InputError(f"--apart {args.apart}: {way} of {most + turns} steps would have one frame: give 1 to {most}")
 
 
 def _bodies(args: argparse.Namespace) -> tuple[Any, str]:

@@ -112,6 +112,9 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
         ("--sides", "0"),
         ("--sides", "1000"),
         ("--apart", "0"),
+        # One frame alone.
+        ("--apart", "72001"),
+        ("--apart", "3200", "--turntable"),
     ],
 )
 def test_bad_options_write_nothing(words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
