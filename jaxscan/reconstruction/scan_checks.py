@@ -118,7 +118,8 @@ def way_notes(rig: Rig, scan: Scan) -> list[str]:
         if apart > WIDE_APART_DEG:
             notes.append(
                 f"the frames are up to {apart:.1f} degrees of the {axis} apart: profiles so far from each other make "
-                f"points, and no surface; take one every {int(WIDE_APART_DEG / step)} steps or fewer"
+                f"points, and no surface; take one every {WIDE_APART_DEG:g} degrees"
+                + (f", {int(WIDE_APART_DEG / step)} steps, or fewer" if step <= WIDE_APART_DEG else " or fewer")
             )
     return notes
 

@@ -10,6 +10,7 @@ from jaxscan.files.axes import StepRule
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings
 from jaxscan.reconstruction.scan_checks import check_scan, way_notes
+from jaxscan.rig import Rotary
 from jaxscan.simulation import rig_2003
 
 TURN = rig_2003.STEPS_PER_TURN
@@ -62,7 +63,8 @@ def test_so_many_steps_as_are_said_are_few_enough(rig):
     """As many frames as were advised before were still too few."""
     turns = tuple(range(0, TURN, 400))
     (note,) = way_notes(rig, scan(turntable=turns))
-    every = int(note.split("every ")[1].split()[0])
+    assert note.endswith("take one every 10 degrees, 88 steps, or fewer")
+    every = 88
     assert way_notes(rig, scan(turntable=tuple(range(0, TURN, every)))) == []
     assert way_notes(rig, scan(turntable=tuple(range(0, TURN, every + 1)))) != []
 
@@ -99,3 +101,9 @@ def test_a_sequence_that_no_session_can_have_is_not_advised(rig):
         check_scan(rig, scan(lift=ALONG))
     with pytest.raises(InputError, match=r"calibrate with a \[turntable\] sequence, or name the axis as"):
         check_scan(rig_2003.simulated_rig(0), scan(turntable=ALONG))
+
+
+def test_a_table_whose_steps_are_wide(rig):
+    coarse = replace(rig, motion=Rotary.create([0, 0, 0.3], [0, 0, 300.0]))
+    (note,) = way_notes(coarse, scan(turntable=tuple(range(20))))
+    assert note.endswith("take one every 10 degrees or fewer")
