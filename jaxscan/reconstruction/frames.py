@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from itertools import islice
+from operator import index
 from pathlib import Path
 from typing import Final
 
@@ -80,20 +81,35 @@ def frames_of(
     """Photographs as they come, with the positions of the axes, so many at a time; and the axes' names.
 
     Raises:
-        InputError: one is unlike the first, or of another size than the rig's camera.
+        InputError: one is unlike the first, or of another size than the rig's camera, or has not whole motor steps of
+            the same axes.
     """
     dark = None if background is None else background[None]
-    source, form, count = iter(images), None, 0
+    source, form, axes, count = iter(images), None, (), 0
     while some := list(islice(source, batch)):
         form = form or _Form(some[0][0], size, "frame 0")
+        axes = axes or tuple(some[0][1])
         slot = form.buffer(batch)
-        for k, (image, _) in enumerate(some):
+        positions = np.zeros((len(some), len(axes)), np.int64)
+        for k, (image, q) in enumerate(some):
             form.check(image, f"frame {count + k}")
-            slot[k] = image
+            slot[k], positions[k] = image, _whole_steps(q, axes, f"frame {count + k}")
         count += len(some)
-        axes = tuple(some[0][1])
-        positions = np.asarray([[q[axis] for axis in axes] for _, q in some], np.int64).reshape(len(some), len(axes))
         yield Frames(slot, dark, positions), axes
+
+
+def _whole_steps(q: Positions, axes: tuple[str, ...], frame: str) -> list[int]:
+    """The positions of the axes that the first frame named."""
+    if set(q) != set(axes):
+        raise InputError(
+            f"{frame}: has positions of {', '.join(q) or 'no axis'}, the first frame of {', '.join(axes)}: give those "
+            "of the same axes with each"
+        )
+    try:
+        return [index(q[axis]) for axis in axes]
+    except TypeError as error:
+        given = ", ".join(f"{axis} {q[axis]}" for axis in axes)
+        raise InputError(f"{frame}: stands at {given}: give whole motor steps") from error
 
 
 def aligned(shape: tuple[int, ...], dtype: np.dtype | type[np.generic]) -> Shaped[np.ndarray, "..."]:

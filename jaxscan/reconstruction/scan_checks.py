@@ -1,11 +1,13 @@
 """Whether a scan fits a rig: what is refused before any photograph is read, and what is said of its positions."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import common_size
 from jaxscan.files.scan import Scan
 from jaxscan.files.session import SEQUENCES
@@ -33,34 +35,43 @@ def check_scan(rig: Rig, scan: Scan) -> None:
         size = common_size(photographs)
         if size != rig.camera.image_size:
             raise InputError(wrong_size(photographs[0], size, rig.camera.image_size))
+    key = "[scan] steps:" if scan.axis_names == (STAGE,) else "[scan.axes]"
+    check_axes(rig, scan.moving, scan.axis_names, f"{scan.path}: {key}")
+    _check_near(rig, scan)
+    step_groups(scan)
+
+
+def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str) -> None:
+    """Refuse positions by which the rig cannot tell where the object stands.
+
+    Args:
+        rig: the rig.
+        moving: the axes that move from frame to frame.
+        named: those whose positions are known.
+        where: what is at fault, for errors.
+
+    Raises:
+        InputError: one moves that the rig lacks, or it is not said where one stands that carries one that moves.
+    """
     axes = rig.axes()
-    for axis in scan.moving:
+    for axis in moving:
         if axis not in axes:
             has = f"it has {', '.join(axes)}" if axes else "it has none"
             mends = [f"calibrate with a [{axis}] sequence"] if axis in SEQUENCES else []
             mends += ["name the axis as the rig does"] if axes else []
             raise InputError(
-                f"{scan.path}: the {axis} moves between frames, but the rig has no such axis, {has}: "
+                f"{where} the {axis} moves between frames, but the rig has no such axis, {has}: "
                 f"{', or '.join(mends) or 'use a rig that has it'}"
             )
-    _check_named(rig, scan)
-    _check_near(rig, scan)
-    step_groups(scan)
-
-
-def _check_named(rig: Rig, scan: Scan) -> None:
-    """Refuse a scan that does not say where an axis stands that carries one that moves: points depend on it.
-
-    What moves along a line is carried alike wherever another stage stands; a turn is not.
-    """
+    # What moves along a line is carried alike wherever another stage stands; a turn is not.
     parts = rig.motion.parts()
     units = [part.amount(1.0)[1] for part in parts]
     for i, part in enumerate(parts):
         turned = [p for p, unit in zip(parts[i + 1 :], units[i + 1 :], strict=True) if "degrees" in (units[i], unit)]
-        carried = [p.axis for p in turned if p.axis in scan.moving]
-        if carried and part.axis not in scan.axis_names:
+        carried = [p.axis for p in turned if p.axis in moving]
+        if carried and part.axis not in named:
             raise InputError(
-                f"{scan.path}: [scan.axes] the {carried[0]} moves, and it is not said where the "
+                f"{where} the {carried[0]} moves, and it is not said where the "
                 f"{part.axis} stands that carries it: add {part.axis} = its motor steps, 0 if it stood at 0"
             )
 

@@ -28,7 +28,7 @@ from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.range_image import RangeImage
-from jaxscan.reconstruction.scan_checks import check_scan, way_notes
+from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
 from jaxscan.reconstruction.scan_notes import REASONS, left_out_notes
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
@@ -141,11 +141,16 @@ class Scanner:
             batch: how many photographs are waited for before they are looked at; the points do not depend on it.
 
         Raises:
-            InputError: a photograph is not of the rig's size, or unlike the first.
+            InputError: a photograph is not of the rig's size, or unlike the first, or its positions are not those of
+                the rig's axes.
         """
         ready = self._laser(laser or StripeSettings())
         named = ((image, q if isinstance(q, Mapping) else {STAGE: q}) for image, q in frames)
+        first: Int[np.ndarray, axes] | None = None
         for some, axes in frames_of(named, background, self._content.rig.camera.image_size, batch):
+            first = some.positions[0] if first is None else first
+            moving = [axis for axis, moved in zip(axes, (some.positions != first).any(axis=0), strict=True) if moved]
+            check_axes(self._content.rig, moving, axes, "frames:")
             yield ready.range_image(some, axes)[0]
 
     def _images(

@@ -104,6 +104,6 @@ def test_a_sequence_that_no_session_can_have_is_not_advised(rig):
 
 
 def test_a_table_whose_steps_are_wide(rig):
-    coarse = replace(rig, motion=Rotary.create([0, 0, 0.3], [0, 0, 300.0]))
+    coarse = replace(rig, motion=Rotary.create([0.0, 0.0, 0.3], [0.0, 0.0, 300.0]))
     (note,) = way_notes(coarse, scan(turntable=tuple(range(20))))
     assert note.endswith("take one every 10 degrees or fewer")

@@ -166,6 +166,27 @@ def test_an_axis_that_the_rig_lacks_is_refused(rig, photographs, tmp_path):
         reconstruct(rig, replace(scan, axes={**scan.axes, "turntable": tuple(range(COUNT))}))
 
 
+@pytest.mark.parametrize(
+    ("positions", "says"),
+    [
+        ([{"turntable": 0}, {"turntable": 5}], "frames: the turntable moves between frames, but the rig has no such"),
+        (
+            [{"stage": 0}, {"stage": 5, "turntable": 5}],
+            "frame 1: has positions of stage, turntable, the first frame of",
+        ),
+        ([{"stage": 0, "turntable": 0}, {"stage": 5}], "frame 1: has positions of stage, the first frame of stage, t"),
+        ([{"stage": 0}, {}], "frame 1: has positions of no axis"),
+        ([{"stage": 0}, {"stage": 0.5}], "frame 1: stands at stage 0.5: give whole motor steps"),
+        ([0, float("nan")], "frame 1: stands at stage nan: give whole"),
+        ([0, "8"], "frame 1: stands at stage 8: give whole"),
+    ],
+)
+@pytest.mark.parametrize("batch", [1, 2])
+def test_frames_as_they_come_stand_where_the_rig_knows(rig, photographs, positions, says, batch):
+    with pytest.raises(InputError, match=says):
+        list(Scanner(rig, "gravity").frames(zip(photographs[:2], positions, strict=True), GREY, batch=batch))
+
+
 def test_the_sigma_of_a_pixel_is_the_detectors_scaled_by_what_boards_have_shown(rig, photographs):
     calibrated, plain = (
         next(Scanner(r, "gravity").frames([(photographs[0], 0)], GREY))
