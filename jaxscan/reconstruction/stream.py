@@ -146,7 +146,7 @@ class Scanner:
         """
         ready = self._laser(laser or StripeSettings())
         named = ((image, q if isinstance(q, Mapping) else {STAGE: q}) for image, q in frames)
-        first: Int[np.ndarray, axes] | None = None
+        first: np.ndarray | None = None
         for some, axes in frames_of(named, background, self._content.rig.camera.image_size, batch):
             first = some.positions[0] if first is None else first
             moving = [axis for axis, moved in zip(axes, (some.positions != first).any(axis=0), strict=True) if moved]
