@@ -21,7 +21,7 @@ from jaxscan.calibration.first_camera import first_camera
 from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
 from jaxscan.calibration.held import held_parameters
-from jaxscan.calibration.observability import cause_and_mend, undetermined
+from jaxscan.calibration.observability import cause_and_mend, undetermined, undetermined_shape
 from jaxscan.calibration.observations import Kept, Observations, Unused, View
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.calibration.residuals import Blocks, Noise, far_away
@@ -29,10 +29,11 @@ from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import Refined, refine
 from jaxscan.calibration.second_poses import better_poses
 from jaxscan.errors import InputError, ObservabilityError, SolveError
+from jaxscan.files.rig_checks import image_rays
 from jaxscan.geometry import Pose
 from jaxscan.images import Board
 from jaxscan.precision import as_float64, as_jax, float64
-from jaxscan.rig import LIGHTS, MOTIONS, BoardWarp, Camera, Light, Rig, System
+from jaxscan.rig import LIGHTS, MOTIONS, BoardWarp, Camera, Light, LightPlane, Rig, System
 
 _FEWEST_CORNERS = 6
 FEWEST_VIEWS = 3
@@ -51,7 +52,7 @@ def calibrate(
     board_warp: bool = False,
     plain: bool = False,
     keep: Sequence[Kept] | None = None,
-    light: str = "plane",
+    light: str | Sequence[str] = LightPlane.kind,
     factors: Sequence[Factor] = (),
     advance: Callable[[str], object] = lambda doing: None,
 ) -> Calibration:
@@ -74,7 +75,8 @@ def calibrate(
         keep: which observations take part, as the `kept` of a finished calibration says it. None of them is then
             rejected, and nothing else is read, neither for the start nor later; σ and the photographs' weights are
             estimated as ever.
-        light: the kind of the lasers' light, one of `rig.LIGHTS`.
+        light: the kind of the lasers' light, one of `rig.LIGHTS`: "plane", "bowed", or one that was registered; or one
+            for each laser.
         factors: what else is known of the rig, besides boards and stripes; each with residuals in units of its σ.
         advance: called as each solve begins, with what it is, in words.
 
@@ -83,8 +85,11 @@ def calibrate(
         ObservabilityError: the photographs do not determine the rig.
         SolveError: no minimum was reached.
     """
-    if light not in LIGHTS:
-        raise InputError(f'light = "{light}": this version knows {", ".join(LIGHTS)}; register the kind before')
+    kinds = [light] * len(observations.lasers) if isinstance(light, str) else list(light)
+    if unknown := {light if isinstance(light, str) else LightPlane.kind, *kinds} - set(LIGHTS):
+        raise InputError(f'light = "{min(unknown)}": this version knows {", ".join(LIGHTS)}; register the kind before')
+    if len(kinds) != len(observations.lasers):
+        raise InputError(f"light names {len(kinds)} kinds for {len(observations.lasers)} lasers: give one for each")
     held = held_parameters(hold, start.lens.kind if start else lens, principal_point, has_start=start is not None)
     _refuse_tracers(observations)
     if keep is not None:
@@ -107,7 +112,7 @@ def calibrate(
 
         # The camera first, from the views' corners alone: lights and motion are there already, but held, and what they
         # would be found from is masked, so that both solves are one compiled function.
-        lights = tuple(LIGHTS[light].somewhere(name) for name in usable.lasers)
+        lights = tuple(LIGHTS[kind].somewhere(name) for kind, name in zip(kinds, usable.lasers, strict=True))
         system = System(Rig(camera, lights, no_motion_yet(usable)), (), warp)
         views = view_blocks(usable)
         groups = (views, sequence_blocks(usable)) if usable.sequences else (views,)
@@ -129,7 +134,7 @@ def calibrate(
                 unused = unused.and_then(off_board)
                 known.append(replace(usable, left_out=unused.left_out))
             motion, moved_poses = first_motions(usable, stood)
-            rig = Rig(camera, _first_lights(usable, camera, stood, light), motion)
+            rig = Rig(camera, _first_lights(usable, camera, stood, kinds), motion)
             groups = (view_blocks(usable), sequence_blocks(usable)) if usable.sequences else (view_blocks(usable),)
             system = System(rig, (view_poses, *moved_poses), refined.system.warp)
             system = replace(system, poses=(*system.poses, *(factor.start(system) for factor in factors)))
@@ -255,9 +260,11 @@ def _stripe_points(view: View, laser: int) -> int:
     return sum(int(np.isfinite(s.pixels).all(axis=1).sum()) for s in view.stripes if s.laser == laser)
 
 
-def _first_lights(observations: Observations, camera: Camera, poses: Pose[np.ndarray], kind: str) -> tuple[Light, ...]:
+def _first_lights(
+    observations: Observations, camera: Camera, poses: Pose[np.ndarray], kinds: Sequence[str]
+) -> tuple[Light, ...]:
     lights = []
-    for i, name in enumerate(observations.lasers):
+    for i, (kind, name) in enumerate(zip(kinds, observations.lasers, strict=True)):
         points, view = stripe_points_in_space(observations, camera, poses, i)
         if len(np.unique(view)) < _FEWEST_STRIPES:
             which = f'laser "{name}": ' if name else ""
@@ -294,6 +301,12 @@ def _check(refined: Refined, observations: Observations, free: Bool[Array, "shar
     if np.isfinite(values).all() and np.isfinite(spread).all():
         eigenvalues = np.asarray(refined.precision.eigenvalues)
         open_question = undetermined(names[at].tolist(), values[at], eigenvalues, directions, spread, noise_px)
+        for i, light in enumerate(rig.lights if open_question is None else ()):
+            own = [k for k, name in enumerate(names[at]) if name.startswith(f"lights.{i}.")]
+            if own and open_question is None:
+                covariance = spread[np.ix_(own, own)]
+                rays = image_rays(rig.camera)
+                open_question = undetermined_shape(light, names[at][own].tolist(), covariance, rays, noise_px)
     if open_question:
         with_rig = rig if any(name.startswith("lights") for name in names[at]) else Rig(rig.camera)
         coverage = measure_coverage(

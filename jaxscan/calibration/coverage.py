@@ -28,6 +28,7 @@ class StripeCoverage:
         points: how many stripe points lie on boards.
         depths_mm: from the nearest to the farthest of them, along the optical axis.
         across_mm: how far the stripes are spread across their own direction, within the sheet.
+        along_mm: and along it.
     """
 
     laser: str
@@ -35,6 +36,7 @@ class StripeCoverage:
     points: int
     depths_mm: tuple[float, float]
     across_mm: float
+    along_mm: float
 
 
 @dataclass(frozen=True)
@@ -121,11 +123,12 @@ def _stripes(observations: Observations, rig: Rig, poses: Pose[np.ndarray], lase
     X, view = stripe_points_in_space(observations, rig.camera, poses, laser)
     light = rig.lights[laser]
     if not len(X):
-        return StripeCoverage(light.name, 0, 0, (np.nan, np.nan), 0.0)
+        return StripeCoverage(light.name, 0, 0, (np.nan, np.nan), 0.0, 0.0)
     return StripeCoverage(
         laser=light.name,
         views=len(np.unique(view)),
         points=len(X),
         depths_mm=(float(X[:, 2].min()), float(X[:, 2].max())),
         across_mm=float(np.ptp(X @ sheet_axes(light)[1])),
+        along_mm=float(np.ptp(X @ sheet_axes(light)[0])),
     )

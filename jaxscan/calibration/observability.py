@@ -7,7 +7,9 @@ from jaxtyping import Float
 
 from jaxscan.calibration.coverage import Coverage
 from jaxscan.calibration.uncertainty import UNDETERMINED
+from jaxscan.rig import Light
 from jaxscan.rig.camera import lens_numbers
+from jaxscan.rig.light import inverse_depths
 from jaxscan.rig.rig import is_place
 
 # Focal length, light plane, travel or turn known no better than this share of itself is not a measurement.
@@ -21,7 +23,6 @@ _SMALLEST_TILT_SPREAD_DEG = 20.0
 _IN_WORDS = {
     "camera.focal": "the focal length",
     "camera.principal": "the principal point",
-    "lights": "the light plane",
     "warp": "the board's bulge",
 }
 
@@ -73,7 +74,7 @@ def undetermined(
                 (name,),
             )
     stems = dict.fromkeys(name.rsplit(".", 1)[0] for name in names if name.startswith(_VECTORS))
-    for stem in (stem for stem in stems if not is_place(stem)):
+    for stem in (stem for stem in stems if not is_place(stem) and not _is_shape(stem)):
         at = [i for i, name in enumerate(names) if name.startswith(stem)]
         # In the worst direction of the vector: of ω its length is the sheet's place, its direction the sheet's tilt.
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(at, at)])[-1]))
@@ -85,12 +86,50 @@ def undetermined(
     return None
 
 
+def undetermined_shape(
+    light: Light,
+    names: list[str],
+    covariance: Float[np.ndarray, "n n"],
+    rays: Float[np.ndarray, "rays 3"],
+    noise_px: float,
+) -> OpenQuestion | None:
+    """What is open of a light that is no plane: where its depth, over the nearer half of the image, is not measured.
+
+    Args:
+        light: where the solve ended.
+        names: of its numbers, in their order.
+        covariance: of these.
+        rays: of the whole image, (x, y, 1).
+        noise_px: as for `undetermined`.
+    """
+    if not any(map(_is_shape, names)):
+        return None
+    w, _, J = inverse_depths(light, rays[np.isfinite(rays).all(axis=1)])
+    seen = w > 0
+    near = seen & (w >= np.median(w[seen])) if seen.any() else seen
+    relative = np.sqrt(np.einsum("ri,ij,rj->r", J[near], covariance, J[near])) / w[near] / max(noise_px, 1.0)
+    worst = float(relative.max(initial=0.0))
+    if worst <= _LARGEST_RELATIVE_SIGMA:
+        return None
+    shape = tuple(name for name in names if _is_shape(name))
+    share = f"to {100 * worst:.0f} %" if worst < 1 else "not at all"
+    return OpenQuestion(
+        f"{_words(shape[0])} is not determined: at the edges of the image the sheet's depth is known {share}", shape
+    )
+
+
 def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
     """Why the direction is open, from what the photographs cover, and which photographs would close it."""
     name = question.names[0]
     if name.startswith("lights"):
         stripes = coverage.stripes[int(name.split(".")[1])]
         near, far = stripes.depths_mm
+        if _is_shape(name):
+            return (
+                f"the stripes on the boards of {stripes.views} views are {stripes.along_mm:.0f} mm long in all, "
+                f"{near:.1f} to {far:.1f} mm from the camera. Let the stripe cross a board at both of its ends, near "
+                "the edges of the image, and at distances that differ by a third and more; or take the sheet as flat"
+            )
         return (
             f"the stripes on the boards of {stripes.views} views lie between {near:.1f} and {far:.1f} mm from the "
             f"camera and spread by {stripes.across_mm:.1f} mm across themselves. Hold the board at distances that "
@@ -123,7 +162,14 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
     )
 
 
+def _is_shape(name: str) -> bool:
+    """Whether a parameter says how a light differs from a plane: it may be 0, so a share of it means nothing."""
+    return name.startswith("lights.") and ".plane." not in name
+
+
 def _words(name: str) -> str:
+    if name.startswith("lights."):
+        return f"the {name.split('.')[2]} of the sheet of light" if _is_shape(name) else "the light plane"
     if name.startswith("motion."):
         return f"the motion of the {name.split('.')[1]}"
     if numbers := lens_numbers(name):

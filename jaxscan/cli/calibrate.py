@@ -188,6 +188,7 @@ def solve_sessions(
     ]
     # These for their errors, so that they come before the long work.
     joined = join(_names(paths), each)
+    sheets = _sheets(paths, contents, estimate)
     left, notes = _once(paths, contents)
     paths, contents, each = [paths[i] for i in left], list(left.values()), [each[i] for i in left]
     _check_poses(paths, contents, sum(len(given.views) for given in each))
@@ -197,6 +198,8 @@ def solve_sessions(
             f"{paths[0]}: has no [laser], and --f-number, --wavelength-nm and --pixel-um are for the stripe of one: "
             "add [laser] to session.toml, or leave out these options"
         )
+    if estimate.sheet and not joined.lasers:
+        raise InputError(f"{paths[0]}: has no [laser], and --sheet speaks of one's light: add [laser], or leave it out")
     start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
     asked, lens = settings[0], start.lens.kind if start else settings[0].lens
     held_parameters(asked.hold, lens, asked.principal_point, has_start=start is not None)
@@ -223,8 +226,32 @@ def solve_sessions(
             hold=held,
             advance=advance.says,
             plain=estimate.plain,
+            light=sheets,
         )
     return calibration
+
+
+def _sheets(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], estimate: Estimate) -> tuple[str, ...]:
+    """The kind of each laser's sheet, the same in all sessions.
+
+    Raises:
+        InputError: they differ.
+    """
+    from jaxscan.files.session import Session
+
+    asked = {
+        path: estimate.sheets(content)
+        for path, content in zip(paths, contents, strict=True)
+        if isinstance(content, Session)
+    }
+    (first, sheets), *others = asked.items() or [(paths[0], ())]
+    for path, own in others:
+        if own != sheets:
+            raise InputError(
+                f"{path}: its [laser] sheet is {', '.join(own)}, that of {first} is {', '.join(sheets)}: sessions of "
+                "one rig have one laser, so give all the same"
+            )
+    return sheets
 
 
 def _once(

@@ -1,4 +1,4 @@
-"""What `jaxscan calibrate` is to find of the camera, and how it weighs what was seen."""
+"""What `jaxscan calibrate` is to find of camera and light, and how it weighs what was seen."""
 
 import argparse
 from collections.abc import Sequence
@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, Final
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
-    from jaxscan.files.session import CameraSettings
+    from jaxscan.files.session import CameraSettings, Session
     from jaxscan.rig import Camera
+
+
+# `rig.LightPlane.kind`, which to import takes as long as JAX.
+PLANE: Final = "plane"
 
 
 @dataclass(frozen=True)
@@ -22,17 +26,24 @@ class Estimate:
         hold: parameters that are held in addition.
         free: lens terms that are sought although the start camera has them as 0, and the session may hold them.
         plain: plain least squares, every corner with the same weight.
+        sheet: the kind of all lasers' sheets, in place of the session's.
     """
 
     lens: str | None = None
     hold: tuple[str, ...] = ()
     free: tuple[str, ...] = ()
     plain: bool = False
+    sheet: str | None = None
 
     def of(self, settings: "CameraSettings") -> "CameraSettings":
         """A session's settings with what was asked for."""
         hold = tuple(sorted({*settings.hold, *self.hold} - set(self.free)))
         return replace(settings, lens=self.lens or settings.lens, hold=hold)
+
+    def sheets(self, session: "Session") -> tuple[str, ...]:
+        """The kind of each laser's sheet."""
+        own = session.sheets or (PLANE,) * len(session.lasers)
+        return (self.sheet,) * len(own) if self.sheet else own
 
     def zeros(self, path: Path, start: "Camera") -> tuple[str, ...]:
         """The lens terms of a file's camera that are 0 and not to be sought.
@@ -54,7 +65,7 @@ AS_THE_SESSION: Final = Estimate()
 
 
 def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare --lens, --hold, --free and --plain."""
+    """Declare --lens, --hold, --free, --sheet and --plain."""
     parser.add_argument(
         "--lens",
         metavar="LENS",
@@ -83,6 +94,12 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         "holds it; without this it stays 0",
     )
     parser.add_argument(
+        "--sheet",
+        metavar="KIND",
+        help="what the laser makes, in place of the session's: plane, or bowed, a sheet that is curved across its fan "
+        "by one more number, as a line lens makes it that is not quite square to its beam (default: plane)",
+    )
+    parser.add_argument(
         "--plain",
         action="store_true",
         help="plain least squares over all corners, the estimate that OpenCV and Bouguet's toolbox make, to compare "
@@ -106,7 +123,12 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
         lens_of_kind(args.lens)
         if args.camera is not None:
             raise InputError("--lens and --camera: the camera of a file brings its own lens, so leave out one of them")
-    return Estimate(args.lens, hold, free, args.plain)
+    if args.sheet is not None:
+        from jaxscan.rig.kinds import LIGHTS
+
+        if args.sheet not in LIGHTS:
+            raise InputError(f"--sheet {args.sheet}: this version knows {', '.join(LIGHTS)}")
+    return Estimate(args.lens, hold, free, args.plain, args.sheet)
 
 
 def _names(text: str) -> Sequence[str]:

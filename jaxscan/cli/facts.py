@@ -51,7 +51,10 @@ def session_facts(path: Path) -> Facts:
         "hold": list(session.camera.hold),
         "views": len(session.views.boards),
         "stripes": stripes and {name: sum(p is not None for p in paths) for name, paths in stripes.items()},
-        "lasers": [_laser_settings(laser) for laser in session.lasers],
+        "lasers": [
+            {**_laser_settings(laser), "sheet": sheet}
+            for laser, sheet in zip(session.lasers, session.sheets or ["plane"] * len(session.lasers), strict=True)
+        ],
         "stage": session.stage and _steps(session.stage.steps),
         "turntable": session.turntable
         and {**_steps(session.turntable.steps), "stage_step": session.turntable.stage_step},

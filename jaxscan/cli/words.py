@@ -27,7 +27,8 @@ def _session(facts: Facts) -> Iterator[Line]:
         where = "in the photographs of the board"
         if facts["stripes"]:
             where = f"in {facts['stripes'][laser['name']]} photographs of its own"
-        yield _called("laser", laser), f"{_stripe(laser)}, {where}"
+        sheet = "" if laser["sheet"] == "plane" else f", sheet {laser['sheet']}"
+        yield _called("laser", laser), f"{_stripe(laser)}, {where}{sheet}"
     if not facts["lasers"]:
         yield "laser", "none: the rig will have none"
     stage = facts["stage"]
@@ -69,6 +70,9 @@ def _rig(facts: Facts) -> Iterator[Line]:
             f"ω = {_values(light['plane'], '1/mm')}" if "plane" in light else "",
         )
         yield "", f"{light['distance_mm']:.1f} mm from the camera, {light['angle_to_axis_deg']:.1f}° to its axis"
+        if "curved_mm" in light:
+            error = "" if light["curved_mm_sigma"] is None else f" ± {light['curved_mm_sigma']:.2g}"
+            yield "", f"curved by {light['curved_mm']:.3f}{error} mm over 200 mm in the middle of the image"
         if light["triangulation_angle_deg"] is not None:
             yield "", f"in the middle of the image {light['depth_in_the_middle_mm']:.1f} mm away"
         if light["triangulation_angles_deg"]:

@@ -19,7 +19,7 @@ from jaxscan.files.settings import (
 )
 from jaxscan.files.table import Table, show
 from jaxscan.images import Board, StripeSettings
-from jaxscan.rig import LENSES
+from jaxscan.rig import LENSES, LIGHTS, LightPlane
 from jaxscan.rig.camera import camera_parameters
 
 SESSION_FILE: Final = "session.toml"
@@ -101,6 +101,7 @@ class Session:
         stage: the board on the stage, where the rig has one.
         turntable: the board on the turntable, where the rig has one.
         lasers: how to look for the stripe of each laser; none for a rig without a laser.
+        sheets: the kind of each laser's sheet of light, in their order; empty where all are planes.
         image_size: columns and rows of all its photographs.
     """
 
@@ -111,6 +112,7 @@ class Session:
     stage: StageImages | None = None
     turntable: TurntableImages | None = None
     lasers: tuple[StripeSettings, ...] = ()
+    sheets: tuple[str, ...] = field(default=(), kw_only=True)
     image_size: tuple[int, int] = (0, 0)
 
     def photographs(self) -> list[Path]:
@@ -143,9 +145,9 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     boards = files_of(views, "boards")
     if not boards:
         raise views.error("boards", "names no photograph: name those of the board")
-    lasers, stripes = _lasers(table, views, len(boards))
+    lasers, sheets, stripes = _lasers(table, views, len(boards))
     moved = _stage(table, lasers), _turntable(table, lasers)
-    session = Session(table.path, board, Views(boards, stripes), camera, *moved, lasers)
+    session = Session(table.path, board, Views(boards, stripes), camera, *moved, lasers, sheets=sheets)
     _check_each_shows_one_pose(session)
     return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 
@@ -178,6 +180,8 @@ def write_session(session: Session) -> None:
     values["camera"] |= {"hold": list(asked.hold)} if asked.hold else {}
     values["views"] = {"boards": [relative_name(path, folder) for path in session.views.boards]}
     lasers = [stripe_values(laser) for laser in session.lasers]
+    for laser, sheet in zip(lasers, session.sheets, strict=False):
+        laser["sheet"] = sheet
     if session.views.stripes is not None:
         names = {
             laser: [relative_name(path, folder) if path else "" for path in paths]
@@ -301,6 +305,7 @@ def _turntable(table: Table, lasers: Sequence[StripeSettings]) -> TurntableImage
     return TurntableImages(images, steps, stood, stripes=stripes)
 
 
+_LASER_KEYS: Final = ("name", "color", "columns", "stripes", "sheet")
 _SEQUENCE_KEYS: Final = ("images", "steps", "steps_per_image", "stripes")
 _Stripes = Mapping[str, tuple[Path | None, ...]]
 
@@ -329,36 +334,39 @@ def _sequence(
 
 def _lasers(
     table: Table, views: Table, n_boards: int
-) -> tuple[tuple[StripeSettings, ...], dict[str, tuple[Path | None, ...]] | None]:
-    """The lasers, and the photographs of each one's stripe."""
+) -> tuple[tuple[StripeSettings, ...], tuple[str, ...], dict[str, tuple[Path | None, ...]] | None]:
+    """The lasers, the kind of each one's sheet, and the photographs of each one's stripe."""
     tables = _laser_tables(table)
     lasers = tuple(read_stripe_settings(laser) for laser in tables)
+    sheets = tuple(laser.string("sheet", LightPlane.kind, tuple(LIGHTS)) for laser in tables)
+    sheets = sheets if set(sheets) - {LightPlane.kind} else ()
     if len(lasers) > 1:
         _check_names(table, lasers)
         if "stripes" in views:
             raise views.error("stripes", "there are several lasers: give each [[laser]] its own stripes instead")
-        return lasers, {laser.name: _stripes(inner, n_boards) for laser, inner in zip(lasers, tables, strict=True)}
+        return (
+            lasers,
+            sheets,
+            {laser.name: _stripes(inner, n_boards) for laser, inner in zip(lasers, tables, strict=True)},
+        )
     own = [inner for inner in tables if "stripes" in inner]
     if own and "stripes" in views:
         raise views.error("stripes", f"{own[0].prefix}stripes is given too: keep one of them")
     if not own and "stripes" not in views:
-        return lasers, None
+        return lasers, sheets, None
     # Photographs of a stripe mean a laser, even if there is nothing to say about it.
     lasers = lasers or (StripeSettings(),)
-    return lasers, {lasers[0].name: _stripes(own[0] if own else views, n_boards)}
+    return lasers, sheets, {lasers[0].name: _stripes(own[0] if own else views, n_boards)}
 
 
 def _laser_tables(table: Table) -> list[Table]:
     """One table for each laser, from `[laser]` or from several `[[laser]]`."""
     value = table.values.get("laser", [])
     if isinstance(value, dict):
-        return [table.table("laser", "[laser] ").only("name", "color", "columns", "stripes")]
+        return [table.table("laser", "[laser] ").only(*_LASER_KEYS)]
     if not isinstance(value, list) or not all(isinstance(inner, dict) for inner in value):
         raise table.error("laser", "must be a table, [laser], or several, each under [[laser]]")
-    return [
-        Table(table.path, f"[[laser]] {i + 1}: ", inner).only("name", "color", "columns", "stripes")
-        for i, inner in enumerate(value)
-    ]
+    return [Table(table.path, f"[[laser]] {i + 1}: ", inner).only(*_LASER_KEYS) for i, inner in enumerate(value)]
 
 
 def _check_names(table: Table, lasers: tuple[StripeSettings, ...]) -> None:

@@ -1,5 +1,6 @@
 """The rig as one pytree: camera, lights, motion, and the poses that calibration refines with them."""
 
+from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.covariance import Covariance
 from jaxscan.rig.kinds import LENSES, LIGHTS, MOTIONS, register_lens, register_light, register_motion
@@ -18,6 +19,7 @@ __all__ = [
     "MOTIONS",
     "AxisMotion",
     "BoardWarp",
+    "BowedSheet",
     "Camera",
     "Chain",
     "Covariance",

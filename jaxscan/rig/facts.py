@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.covariance import Covariance
 from jaxscan.rig.light import Light, inverse_depths, sheet_axes
 from jaxscan.rig.light import distance as distance_from
@@ -17,6 +18,9 @@ from jaxscan.rig.rotary import Rotary
 from jaxscan.rig.turn_facts import turn_facts
 
 Facts = dict[str, Any]
+
+# The width of a sheet over which its curve is said is twice this, mm.
+HALF_WIDTH_MM: Final = 100.0
 
 
 def light_facts(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> list[Facts]:
@@ -35,6 +39,7 @@ def light_facts(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray,
             "kind": light.kind,
             **_numbers(f"lights.{i}", light, covariance),
             **_sheet(light, rays),
+            **_of_light_kind(f"lights.{i}", light, covariance, rays),
         }
         for i, light in enumerate(rig.lights)
     ]
@@ -55,6 +60,20 @@ def axis_facts(rig: Rig, covariance: Covariance | None) -> list[Facts]:
         }
         for part in rig.motion.parts()
     ]
+
+
+def _of_light_kind(stem: str, light: Light, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> Facts:
+    """Of a bowed sheet how far it is off its plane at the ends of 200 mm, where it is seen in the middle."""
+    w, _, _ = inverse_depths(light, rays[len(rays) // 2][None])
+    if not isinstance(light, BowedSheet) or not w[0] > 0:
+        return {}
+    depth = float(1 / w[0])
+    # Linear in the bow, whose σ that of the plane adds nothing to.
+    sigma = covariance.sigma(f"{stem}.bow.0") if covariance else None
+    return {
+        "curved_mm": light.sag(HALF_WIDTH_MM, depth),
+        "curved_mm_sigma": None if sigma is None else light.of_bow(HALF_WIDTH_MM, depth) * sigma,
+    }
 
 
 def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> Facts:

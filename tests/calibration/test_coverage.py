@@ -45,7 +45,7 @@ COVERAGE = Coverage(
     corners_in_cells=np.zeros((6, 8), int),
     image_share=0.3,
     reach=0.4,
-    stripes=(StripeCoverage("", 2, 300, (340.0, 341.0), 2.5),),
+    stripes=(StripeCoverage("", 2, 300, (340.0, 341.0), 2.5, 180.0),),
     axes={"stage": AxisCoverage(3, 0.25, "mm"), "turntable": AxisCoverage(4, 6.5, "degrees")},
 )
 

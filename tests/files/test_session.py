@@ -269,6 +269,7 @@ BAD = {
         ["[views] stripes", "[laser] stripes is given too"],
     ),
     "whose stripes": ([BOARD, VIEWS + 'stripes = "stripes/*.png"', LASERS.format("a", "b")], ["each [[laser]]"]),
+    "a sheet that is none": ([BOARD, VIEWS, '[laser]\nsheet = "round"'], ["[laser] sheet", "plane", "bowed"]),
     "lasers of one name": ([BOARD, VIEWS, LASERS.format("a", "a")], ["[[laser]] name", '["a", "a"]']),
     "laser without stripes": (
         [BOARD, VIEWS, LASERS.format("a", "b").removesuffix('stripes = "stripes/*.png"')],
@@ -425,3 +426,22 @@ def test_the_limit_of_speckle_needs_a_laser(folder):
 def test_a_folder_that_is_not_there(tmp_path):
     with pytest.raises(InputError, match=r"gone: there is no such file or folder"):
         read_session(tmp_path / "gone")
+
+
+def test_the_sheet_of_each_laser_is_said_and_written(folder):
+    assert session(folder, BOARD, VIEWS, "[laser]").sheets == ()
+    assert session(folder, BOARD, VIEWS, '[laser]\nsheet = "plane"').sheets == ()
+    lasers = LASERS.format("a", "b").replace('name = "b"', 'name = "b"\nsheet = "bowed"')
+    read = session(folder, BOARD, VIEWS, lasers)
+    assert read.sheets == ("plane", "bowed")
+    write_session(read)
+    assert read_session(folder) == read
+
+
+def test_sessions_of_one_rig_have_one_sheet(folder, tmp_path, photographs):
+    other = tmp_path / "other"
+    photographs(other / "boards", ["v10.png", "v2.png", "v1.png"])
+    (folder / "session.toml").write_text("\n".join([BOARD, VIEWS, "[laser]"]))
+    (other / "session.toml").write_text("\n".join([BOARD, VIEWS, '[laser]\nsheet = "bowed"']))
+    with pytest.raises(InputError, match=r"other: its .laser. sheet is bowed, that of .* is plane: sessions"):
+        solve_sessions([folder, other])
