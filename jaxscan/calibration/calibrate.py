@@ -16,6 +16,7 @@ from jaxscan.calibration.blocks import sequence_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Factor
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
+from jaxscan.calibration.diagnostics.sheet_curves import sheet_curves
 from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
 from jaxscan.calibration.first_camera import first_camera
 from jaxscan.calibration.first_motions import first_motions, no_motion_yet
@@ -144,6 +145,7 @@ def calibrate(
             _check(refined, usable, free)
         advance("uncertainty")
         result = assemble(refined, free, usable, held, unused, tuple(factors))
+        curves = sheet_curves(refined)
     kept = iter(result.kept)
     return replace(
         result,
@@ -152,7 +154,8 @@ def calibrate(
         ),
         plain=plain,
         notes=(*result.notes, _PLAIN) if plain else result.notes,
-        warnings=light_plane_doubts(stripe_shapes(result)),
+        warnings=light_plane_doubts(stripe_shapes(result), curves),
+        sheet_curves=curves,
     )
 
 

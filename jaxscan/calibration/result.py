@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.adjustment import Adjustment, pose_at_0
 from jaxscan.calibration.bundle import Factor
+from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.observations import Kept, Observations, Unused, View
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.calibration.rounds import Refined
@@ -83,6 +84,7 @@ class Calibration:
             error.
         steps: evaluations of the last solve.
         plain: whether every observation took part with the same weight.
+        sheet_curves: of sheets of light that were taken as flat and are clearly curved.
     """
 
     rig: Rig
@@ -110,6 +112,7 @@ class Calibration:
     settled: bool
     steps: int
     plain: bool = False
+    sheet_curves: tuple[SheetCurve, ...] = ()
 
     def rig_file(self) -> RigFile:
         """What `write_rig` writes."""

@@ -21,6 +21,8 @@ EXAMPLE: Final = "jaxscan simulate world --seed 3 --object cup"
 
 _OBJECTS: Final = ("cup", "sphere", "box", "stair", "figure")
 _MOST_SIDES: Final = 36
+# A line laser's sheet is not off its plane by more at 100 mm to either side.
+_MOST_BOW_MM: Final = 5.0
 # What is added to the seed from side to side: their noise has nothing in common.
 _SIDES_APART: Final = 1_000_000
 
@@ -106,6 +108,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and the lens's blur hides the shape of a thin one (default: 0.25, half a pixel)",
     )
     parser.add_argument(
+        "--sheet-bow-mm",
+        type=finite,
+        default=0.0,
+        metavar="MM",
+        help="curve the sheet of light, as a line lens does that is not square to its beam: off its plane by so many "
+        "mm at 100 mm to either side, 350 mm away, and more in proportion further away (default: 0, flat)",
+    )
+    parser.add_argument(
         "--shake-mm",
         type=finite,
         default=0.0,
@@ -147,6 +157,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         from jaxscan.images.jpeg import check_quality
 
         check_quality(args.quality, "--quality")
+    if abs(args.sheet_bow_mm) > _MOST_BOW_MM:
+        raise InputError(f"--sheet-bow-mm {args.sheet_bow_mm:g}: give {-_MOST_BOW_MM:g} to {_MOST_BOW_MM:g}")
     bodies, name = _bodies(args)
     from jaxscan.simulation.folders import JPEG_QUALITY, scan_name
     from jaxscan.simulation.hand import Hand
@@ -172,6 +184,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             "sheet_sigma_mm": args.sheet_mm,
         },
         hand=Hand(args.shake_mm),
+        bow_mm=args.sheet_bow_mm,
         turntable=args.turntable,
         separate_stripes=args.stripes,
         ending=".jpg" if args.jpeg or args.quality is not None else ".png",
@@ -205,6 +218,7 @@ def simulate_into(
     sensor: "Sensor | None" = None,
     light: Mapping[str, Any],
     hand: "Hand | None" = None,
+    bow_mm: float = 0.0,
     turntable: bool = False,
     separate_stripes: bool = False,
     ending: str = ".png",
@@ -226,7 +240,7 @@ def simulate_into(
     from jaxscan.simulation import folders, rig_2003
     from jaxscan.simulation.hand import STILL
 
-    rig = rig_2003.simulated_rig(seed, lasers)
+    rig = rig_2003.simulated_rig(seed, lasers, bow_mm)
     rig = rig_2003.with_turntable(rig, seed) if turntable else rig
     if light.get("highlight"):
         bodies = tuple(replace(body, glossy=True) for body in bodies)

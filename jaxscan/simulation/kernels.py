@@ -30,6 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxscan.rig import Light as SheetOfLight
 from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.vector import Rays, Vec, dot, scale, subtract, vec
 
@@ -69,11 +70,12 @@ class Sheet(NamedTuple):
     """One laser that is on.
 
     Attributes:
-        omega: dual plane, 1/mm.
+        omega: dual plane, 1/mm; of a sheet that is not flat the one that touches it.
         source: mm.
         power: red, green, blue in grey levels.
         bells: of its profile: height, place in mm, standard deviation in mm.
         reach: beyond so many mm it is dark.
+        surface: of a sheet that is not flat.
     """
 
     omega: Any
@@ -81,6 +83,7 @@ class Sheet(NamedTuple):
     power: Any
     bells: Any
     reach: Any
+    surface: SheetOfLight | None = None
 
 
 @jax.jit
@@ -230,7 +233,11 @@ def merge(
 def sheet_distance(sheet: Sheet, x: Any, y: Any, depth: Any) -> Any:
     """Distance of a point of a ray from the sheet (mm, signed)."""
     omega = vec(sheet.omega)
-    return (depth * (omega.x * x + omega.y * y + omega.z) - 1) / jnp.sqrt(dot(omega, omega))
+    if sheet.surface is None:
+        inverse_depth = omega.x * x + omega.y * y + omega.z
+    else:
+        inverse_depth = sheet.surface.inverse_depth(jnp.stack([x, y, jnp.ones_like(x)], axis=-1))
+    return (depth * inverse_depth - 1) / jnp.sqrt(dot(omega, omega))
 
 
 def camera_rays(x: Any, y: Any) -> Rays:

@@ -18,6 +18,7 @@ from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.precision import as_numpy
 from jaxscan.rig import Camera, LightPlane, Positions, Rig
 from jaxscan.rig import Light as SheetOfLight
+from jaxscan.rig.light import nameless
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import CHUNK, FINE, Light, Sheet
@@ -110,12 +111,16 @@ def sheet_of(rig: Rig, laser: int, lighting: Lighting, dtype: type = np.float32)
     """
     if not 0 <= laser < len(rig.lights):
         raise InputError(f"laser = {laser}: the rig has {len(rig.lights)} lasers, counted from 0")
-    omega = plane_of(rig.lights[laser])
+    light = rig.lights[laser]
+    omega = plane_of(light)
     power = lighting.laser_power * np.asarray(lighting.laser_colour)
     profile = bells(lighting.laser_profile) * [1.0, lighting.sheet_sigma_mm, lighting.sheet_sigma_mm]
     reach = (np.abs(profile[:, 1]) + _SHEET_WIDTHS * profile[:, 2]).max()
     values = (omega, lighting.source(omega), power, profile, reach)
-    return Sheet(*(np.asarray(value, dtype) for value in values))
+    surface = None
+    if not isinstance(light, LightPlane):
+        surface = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), nameless(light))
+    return Sheet(*(np.asarray(value, dtype) for value in values), surface=surface)
 
 
 def fine_rays(camera: Camera) -> tuple[Float[Array, "rows columns"], Float[Array, "rows columns"]]:
@@ -215,11 +220,6 @@ def trace(scene: Scene, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def plane_of(light: SheetOfLight) -> Float[np.ndarray, "3"]:
-    """ω of a flat sheet, the only one that is drawn, 1/mm.
-
-    Raises:
-        InputError: the light is no plane.
-    """
-    if not isinstance(light, LightPlane):
-        raise InputError(f"a light of the kind {light.kind} cannot be simulated: use a plane")
-    return np.asarray([np.float64(c) for c in light.plane])
+    """ω of a flat sheet, 1/mm; of another that of the plane which touches it where it is nearest to the camera."""
+    origin = np.zeros(3)
+    return np.asarray(light.gradient(origin), np.float64) / -np.float64(light.level(origin))

@@ -22,7 +22,7 @@ from jaxscan.errors import InputError
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.images import Board
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Camera, LightPlane, Linear, Rig, Rotary
+from jaxscan.rig import BowedSheet, Camera, Light, LightPlane, Linear, Rig, Rotary
 from jaxscan.simulation.hand import Hand
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.render import plane_of
@@ -76,26 +76,33 @@ OBJECT_Y: Final = 37.0
 _PLATFORM_DEPTH = 350.0
 
 
-def simulated_rig(seed: int, lasers: int = 1) -> Rig:
+def simulated_rig(seed: int, lasers: int = 1, bow_mm: float = 0.0) -> Rig:
     """The true rig: leaves NumPy float64.
 
     Args:
         seed: of the directions of sheet and travel.
         lasers: 1, or 2: "upper", the one, and "lower", from the other side onto the same line of the platform.
+        bow_mm: how far the sheets are off their planes, towards the camera, at ± 100 mm across the fan on the platform.
     """
     random = np.random.default_rng([2003, seed])
     omega, travel = _turned(_OMEGA, random), _turned(_TRAVEL / np.linalg.norm(_TRAVEL), random)
     with float64():
         camera = Camera.create(IMAGE_SIZE, np.asarray(_FOCAL), np.asarray(_PRINCIPAL), "radial1", np.asarray([_K1]))
-        rig = as_numpy(Rig(camera, (LightPlane.create(omega),), Linear.create(_MM_PER_STEP * travel)))
+        rig = as_numpy(Rig(camera, (_sheet(omega, bow_mm),), Linear.create(_MM_PER_STEP * travel)))
         if lasers == 1:
             return rig
         R, origin = platform(rig)
         beta = R[:, 2] / (R[:, 2] @ origin)
         # The planes through the line where ω and β meet are a ω + (1 - a) β.
         lower = beta + _BEYOND_PLATFORM * (beta - omega)
-        sheets = (LightPlane.create(omega, "upper"), LightPlane.create(lower, "lower"))
+        sheets = (_sheet(omega, bow_mm, "upper"), _sheet(lower, bow_mm, "lower"))
         return as_numpy(Rig(camera, sheets, rig.motion))
+
+
+def _sheet(omega: Float[np.ndarray, "3"], bow_mm: float, name: str = "") -> Light:
+    if bow_mm:
+        return BowedSheet.curved(omega, bow_mm, 100.0, _PLATFORM_DEPTH, name)
+    return LightPlane.create(omega, name)
 
 
 def board_poses(rig: Rig, seed: int, views: int = BOARD_VIEWS) -> Pose:

@@ -41,7 +41,7 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *lens,
         *_camera_model(calibration, diagnostics),
         *_sheets(calibration, lens),
-        *_bent(diagnostics),
+        *_bent(calibration, diagnostics),
         *_moved(diagnostics),
         *_stage(diagnostics),
         *_turntable(diagnostics),
@@ -182,7 +182,17 @@ def _sheets(calibration: Calibration, lens: list[Box]) -> list[Box]:
         "The line is thicker than half a square, a reflection or another light was taken for it, or the plates are "
         "bent: focus the laser, see by jaxscan inspect --png what was found, check [laser] color and columns."
     )
-    boxes = [Box("stop", f"{doubt}.", lens[0].advice if lens else advice) for doubt in calibration.warnings]
+    curved = [curve.in_words for curve in calibration.sheet_curves]
+    of_lens = (
+        "The line lens is not square to its beam, or the mirror before it is bent. In session.toml it is "
+        'sheet = "bowed" under [laser]; see whether the two halves then agree better.'
+    )
+    boxes = [
+        Box("care", f"{doubt}.", lens[0].advice if lens else of_lens)
+        if doubt in curved
+        else Box("stop", f"{doubt}.", lens[0].advice if lens else advice)
+        for doubt in calibration.warnings
+    ]
     sigma = calibration.stripe_sigma_px
     if sigma is not None and sigma > _ROUGH_PX:
         boxes.append(
@@ -196,13 +206,14 @@ def _sheets(calibration: Calibration, lens: list[Box]) -> list[Box]:
     return boxes
 
 
-def _bent(diagnostics: Diagnostics) -> list[Box]:
-    boxes = []
+def _bent(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
+    """Stripes that are not straight, where the sheet is not named as the reason."""
+    boxes, curved = [], {curve.laser for curve in calibration.sheet_curves}
     usual = float(np.median([s.noise_mm for s in diagnostics.stripes] or [0.0]))
     bent = [
         s
         for s in diagnostics.stripes
-        if s.bend_mm > max(_BEND * s.bend_of_noise_mm, _BEND_NOISE * max(s.noise_mm, usual))
+        if s.laser not in curved and s.bend_mm > max(_BEND * s.bend_of_noise_mm, _BEND_NOISE * max(s.noise_mm, usual))
     ]
     if bent:
         names = listed([f"{s.name} ({s.bend_mm:.2f} mm from peak to valley)" for s in bent])

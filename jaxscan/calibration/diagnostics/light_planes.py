@@ -9,16 +9,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape
 
 # 1.5 mm in a metre. Good rigs have 0.05, one with plates bent by 0.3 mm at 250 mm has 0.7, a line 60 px thick 3 to 5.
 _DOUBTFUL = 0.0015
 
 
-def light_plane_doubts(shapes: Sequence[StripeShape]) -> tuple[str, ...]:
-    """In words, which light planes do not fit their own stripes; of each laser at most one sentence."""
-    doubts = []
-    for laser in dict.fromkeys(shape.laser for shape in shapes):
+def light_plane_doubts(shapes: Sequence[StripeShape], curves: Sequence[SheetCurve] = ()) -> tuple[str, ...]:
+    """In words, which light planes do not fit their own stripes; of each laser at most one sentence.
+
+    Args:
+        shapes: of the stripes.
+        curves: of sheets that were taken as flat and are not.
+    """
+    doubts = [curve.in_words for curve in curves]
+    named = {curve.laser for curve in curves}
+    for laser in dict.fromkeys(shape.laser for shape in shapes if shape.laser not in named):
         own = [shape for shape in shapes if shape.laser == laser]
         count = np.array([len(shape.distance_mm) for shape in own], float)
         tied = float(np.sqrt(np.average([shape.tied_mm**2 for shape in own], weights=count)))

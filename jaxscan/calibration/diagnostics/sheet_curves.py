@@ -1,0 +1,228 @@
+"""Is a sheet of light curved that was taken as flat? Told from the last step of the solve, without another one.
+
+At the solution the residuals r, in σ, have the derivatives J by what was sought. A bow of a sheet, whose numbers are
+held at zero, moves each of its stripe points by its column E of derivatives, and so does each way in which the board
+may bend, with corners and stripes. With the poses projected out, the step that all of them take together would lower
+χ² most: the Lagrange multiplier test (C. R. Rao 1948), as in `missing_terms`. A bent board curves its stripes too, but
+on the board, not in the sheet, and it moves corners: sought beside the bow, it takes what is its own.
+
+σ of the bow is the larger of two: as the solve has it, and by how the photographs contradict each other (the sandwich
+of H. White 1980, photograph by photograph), which holds for errors that neighbours on a stripe share.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.calibration.residuals import Blocks
+from jaxscan.calibration.rounds import Refined
+from jaxscan.geometry import Pose, dual_plane_of
+from jaxscan.precision import as_numpy
+from jaxscan.rig import BowedSheet, LightPlane, Motion
+from jaxscan.rig.light import sheet_axes
+from jaxscan.rig.rig import parameter_names
+
+# A bow of so many of its σ is one: noise shows it once in 2000 calibrations.
+_CLEAR = 3.5
+# A curve of less than this share of the distance is not worth a word: 0.02 mm over 200 mm at 400 mm.
+_WORTH = 5e-5
+# A round width is one of these times a power of ten.
+_ROUND = np.array([1.0, 2.0, 5.0, 10.0])
+# Singular values of the columns below this share of the largest.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class SheetCurve:
+    """How a sheet that was taken as flat is curved.
+
+    Attributes:
+        laser: its name, "" for the only one.
+        curve_mm: how far it is off its plane in the middle, about the ends of `width_mm`; positive away from the
+            camera.
+        sigma_mm: of that.
+        width_mm: a round number near the length of the stripes.
+        depth_mm: where: the mean depth of the stripes.
+    """
+
+    laser: str
+    curve_mm: float
+    sigma_mm: float
+    width_mm: float
+    depth_mm: float
+
+    @property
+    def in_words(self) -> str:
+        """The finding, a sentence without its full stop."""
+        which = f' of laser "{self.laser}"' if self.laser else ""
+        return (
+            f"The sheet of light{which} is curved by {abs(self.curve_mm):.2g} ± {self.sigma_mm:.1g} mm over "
+            f"{self.width_mm:g} mm, and was taken as flat: points will be off by up to as much. --sheet bowed mends it"
+        )
+
+
+def sheet_curves(refined: Refined) -> tuple[SheetCurve, ...]:
+    """Of each flat sheet that is clearly curved, by how much."""
+    rig, last = as_numpy(refined.system.rig), refined.outcome
+    flat = {i: light for i, light in enumerate(rig.lights) if isinstance(light, LightPlane)}
+    if not flat or not any(np.asarray(group.stripe_used).any() for group in refined.groups):
+        return ()
+    names = parameter_names(rig)
+    parts = []
+    for group, poses, J, r in zip(
+        refined.groups, refined.system.poses, last.jacobian.blocks, last.value.blocks, strict=False
+    ):
+        J, r = np.asarray(J), np.asarray(r)
+        stripes = _Stripes.create(group, rig.motion, flat, names, Pose.from_vector(np.asarray(poses)), J)
+        parts.append((group, stripes, _beside_the_poses(group, stripes, J, r)))
+    bows, sigmas = _bows([(group, columns) for group, _, columns in parts], len(flat))
+    found = []
+    for k, (i, light) in enumerate(flat.items()):
+        X = np.concatenate(
+            [stripes.points[stripes.used & (np.asarray(group.stripe_light) == i)] for group, stripes, _ in parts]
+        )
+        if not len(X) or not 0 < sigmas[k] < np.inf:
+            continue
+        depth, length = float(X[:, 2].mean()), float(np.ptp(X @ sheet_axes(light)[0]))
+        width = _round(length)
+        to_mm = BowedSheet(light.plane, (np.zeros(()),)).of_bow(width / 2, depth)
+        curve = float(bows[k] * to_mm)
+        if abs(bows[k]) > _CLEAR * sigmas[k] and abs(curve) * (length / width) ** 2 > _WORTH * depth:
+            found.append(SheetCurve(light.name, curve, float(sigmas[k] * to_mm), width, depth))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Stripes:
+    """Of the stripe points of a group.
+
+    Attributes:
+        bow: derivative of each residual by the bow of each flat sheet.
+        points: where they lie on their boards, camera frame, mm.
+        relative: the same in 0 … 1 along the board's columns and rows.
+        used: which take part.
+        normals: of each block's board at its positions of reference.
+    """
+
+    bow: Float[np.ndarray, "blocks photographs stripe flat"]
+    points: Float[np.ndarray, "blocks photographs stripe 3"]
+    relative: Float[np.ndarray, "blocks photographs stripe 2"]
+    used: Bool[np.ndarray, "blocks photographs stripe"]
+    normals: Float[np.ndarray, "blocks 3"]
+
+    @staticmethod
+    def create(
+        group: Blocks,
+        motion: Motion,
+        flat: Mapping[int, LightPlane],
+        names: Sequence[str],
+        poses: Pose[np.ndarray],
+        J: Float[np.ndarray, "blocks residuals columns"],
+    ) -> "_Stripes":
+        """From the Jacobian, whose columns by ω are in proportion to the ray (x, y, 1): −x / (∂h/∂v) by ω₁."""
+        shape = group.stripe_used.shape
+        J = J[:, J.shape[1] - shape[1] * shape[2] :].reshape(*shape, J.shape[2])
+        light = np.asarray(group.stripe_light)
+        by_plane, bow = np.zeros((*shape, 3)), np.zeros((*shape, len(flat)))
+        for k, (i, sheet) in enumerate(flat.items()):
+            own = (light == i)[..., None]
+            by_plane = np.where(own, J[..., [names.index(f"lights.{i}.plane.{n}") for n in range(3)]], by_plane)
+            a, b, _ = (float(leaf) for leaf in sheet.plane)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                column = (b * by_plane[..., 0] - a * by_plane[..., 1]) ** 2 / by_plane[..., 2]
+            bow[..., k] = np.where(own[..., 0], column, 0.0)
+        used = np.asarray(group.stripe_used) & (by_plane[..., 2] != 0) & np.isfinite(bow).all(axis=-1)
+        ray = np.where(used[..., None], by_plane, 1.0)
+        ray = ray / ray[..., 2:]
+        R, t = _stands(group, motion, poses)
+        X = ray / np.einsum("bpsi,bpi->bps", ray, dual_plane_of(R, t))[..., None]
+        on_board = np.einsum("bpsi,bpij->bpsj", X - t[:, :, None], R)[..., :2]
+        points = np.asarray(group.points)[:, :, :2]
+        low, high = points.min(axis=1), points.max(axis=1)
+        extent = np.where(high > low, high - low, 1.0)
+        relative = (on_board - low[:, None, None]) / extent[:, None, None]
+        return _Stripes(np.where(used[..., None], bow, 0.0), X, relative, used, poses.matrix()[..., 2])
+
+
+def _stands(
+    group: Blocks, motion: Motion, poses: Pose[np.ndarray]
+) -> tuple[Float[np.ndarray, "blocks photographs 3 3"], Float[np.ndarray, "blocks photographs 3"]]:
+    """T_cam_board of each photograph, as R and t."""
+    if not group.q:
+        return poses.matrix()[:, None], poses.translation[:, None]
+    stood = []
+    for b in range(len(poses.rotation)):
+        q = {axis: np.asarray(steps)[b] for axis, steps in group.q.items()}
+        at_0 = motion.pose({axis: np.asarray(steps)[b] for axis, steps in group.reference.items()}).inverse()
+        moved = motion.pose(q) @ (at_0 @ Pose(poses.rotation[b], poses.translation[b]))
+        stood.append((moved.matrix(), moved.translation))
+    return np.stack([R for R, _ in stood]), np.stack([t for _, t in stood])
+
+
+def _beside_the_poses(
+    group: Blocks,
+    stripes: _Stripes,
+    J: Float[np.ndarray, "blocks residuals columns"],
+    r: Float[np.ndarray, "blocks residuals"],
+) -> Float[np.ndarray, "blocks residuals all"]:
+    """The columns of all that is shared, of the bows and of the board's bends, and r; poses projected out.
+
+    A board that bends away by h at a point moves what is seen there as if all of it had moved by h along its normal.
+    """
+    n_pose = 6
+    shared, own = J[..., :-n_pose], J[..., -n_pose:]
+    away = np.einsum("bmi,bi->bm", own[..., 3:], stripes.normals)
+    shots, striped = stripes.used.shape[1], stripes.used[0].size
+    at_corners = np.repeat(np.asarray(group.relative)[:, None], shots, axis=1).reshape(len(J), -1, 2)
+    at = np.concatenate([np.repeat(at_corners, 2, axis=1), stripes.relative.reshape(len(J), striped, 2)], axis=1)
+    bulge = 4 * at * (1 - at)
+    bends = away[..., None] * np.concatenate([bulge, np.prod(2 * at - 1, axis=-1, keepdims=True)], axis=-1)
+    bows = np.concatenate(
+        [
+            np.zeros((len(J), J.shape[1] - striped, stripes.bow.shape[-1])),
+            stripes.bow.reshape(len(J), striped, stripes.bow.shape[-1]),
+        ],
+        axis=1,
+    )
+    columns = np.concatenate([shared, bends, bows, r[..., None]], axis=-1)
+    Q = np.linalg.qr(own)[0]
+    return columns - Q @ (np.swapaxes(Q, 1, 2) @ columns)
+
+
+def _bows(
+    parts: Sequence[tuple[Blocks, Float[np.ndarray, "_ _ all"]]], count: int
+) -> tuple[Float[np.ndarray, "flat"], Float[np.ndarray, "flat"]]:
+    """The bow of each sheet and its σ, mm."""
+    A = np.concatenate([columns.reshape(-1, columns.shape[-1]) for _, columns in parts])
+    A, r = A[:, :-1], A[:, -1]
+    scale = np.linalg.norm(A, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    inverse = np.linalg.pinv((A / scale).T @ (A / scale), _ROUNDING, hermitian=True) / np.outer(scale, scale)
+    step = -inverse @ (A.T @ r)
+    left = r + A @ step
+    # What each residual adds to each bow, summed over each photograph.
+    pull = (A @ inverse[:, -count:]) * left[:, None]
+    each, first = [], 0
+    for group, columns in parts:
+        blocks, shots, _ = group.stripe_used.shape
+        rows = pull[first : first + blocks * columns.shape[1]].reshape(blocks, columns.shape[1], count)
+        first += blocks * columns.shape[1]
+        striped = group.stripe_used[0].size
+        corners, stripe = rows[:, : columns.shape[1] - striped], rows[:, columns.shape[1] - striped :]
+        of_photographs = [
+            part.reshape(blocks, shots, part.shape[1] // shots, count).sum(2) for part in (corners, stripe)
+        ]
+        each.append((of_photographs[0] + of_photographs[1])[np.asarray(group.stripe_used).any(axis=2)])
+    photographs = np.concatenate(each)
+    n = len(photographs)
+    by_photographs = np.sqrt((photographs**2).sum(axis=0) * n / max(n - 1, 1))
+    by_solve = np.sqrt(np.diagonal(inverse)[-count:])
+    return step[-count:], np.maximum(by_solve, by_photographs)
+
+
+def _round(length_mm: float) -> float:
+    """The round number of mm that is nearest to a length."""
+    power = 10.0 ** np.floor(np.log10(length_mm))
+    return float(power * _ROUND[np.argmin(np.abs(np.log(_ROUND * power / length_mm)))])

@@ -1,0 +1,42 @@
+"""A sheet that was taken as flat and is not is named, a bent board is not called one."""
+
+import pytest
+
+from jaxscan.calibration import calibrate
+from jaxscan.calibration.diagnostics import diagnose
+from jaxscan.files.rig_file import read_rig, write_rig
+from jaxscan.view.model_findings import model_findings
+from tests.calibration import sheets, synthetic
+
+
+@pytest.mark.parametrize("sag", [0.05, 0.3, -2.0])
+def test_a_curved_sheet_is_named_with_its_millimetres(sag, tmp_path):
+    result = calibrate(sheets.session(0, sheets.cone(sag)))
+    (curve,) = result.sheet_curves
+    assert curve.width_mm == 200
+    # At the stripes' own depth, where a given width is a little narrower or wider in the fan.
+    assert abs(curve.curve_mm - sag * sheets.DEPTH / curve.depth_mm) < 3 * curve.sigma_mm
+    (warning,) = result.warnings
+    assert warning.startswith(f"The sheet of light is curved by {abs(curve.curve_mm):.2g} ± ")
+    assert "mm over 200 mm" in warning
+    assert "--sheet bowed mends it" in warning
+    write_rig(tmp_path / "rig.json", result.rig_file())
+    assert read_rig(tmp_path / "rig.json").warnings == (warning,)
+    boxes = model_findings(result, diagnose(result, thorough=False))
+    assert [box.level for box in boxes if "is curved by" in box.statement] == ["care"]
+    assert not [box for box in boxes if "the plates are bent" in box.statement]
+
+
+def test_what_was_named_is_mended():
+    result = calibrate(sheets.session(0, sheets.cone(0.3)), light="bowed")
+    assert (result.sheet_curves, result.warnings) == ((), ())
+
+
+@pytest.mark.parametrize("bend", [(0.0, 0.0), (0.3, 0.0), (0.1, -0.2)])
+def test_a_flat_sheet_on_a_flat_or_a_bent_board_is_not_called_curved(bend):
+    for seed in range(3):
+        assert calibrate(sheets.session(seed, sheets.cone(0.0), board_mm=bend)).sheet_curves == ()
+
+
+def test_stripes_on_boards_that_move_count():
+    assert calibrate(synthetic.observations(0, n_stage=8, stripes_on_stage=True)).sheet_curves == ()
