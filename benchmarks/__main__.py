@@ -47,6 +47,7 @@ SUITES = {
     "lab": "the lab server: 200 watchers and one operator, and what watching costs the scan",
     "surface": "cleaning, floor, mesh and PLY: accuracy and speed (a real pyramid with JAXSCAN_DATA)",
     "merge": "eight views of a figure joined: poses, loop, merged surface, against pairs that are chained",
+    "sheets": "sheets of light that are not flat: points over a flat sheet's, what is named, kernel and step",
     "turntable": "a turntable from photographs of the board: axis, angle and place against their σ; scans posed by it",
     "turning": "scans of a figure while it turns: against the true rig and the makers' recipe, the seam, σ",
     "demo": "time and memory of the whole demo",

@@ -31,7 +31,7 @@ from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, Scanner
 from jaxscan.reconstruction.frames import aligned
 from jaxscan.reconstruction.triangulate import FramePoses, triangulate_into
-from jaxscan.rig import Camera, Chain, Covariance, LightPlane, Linear, Motion, Rig, Rotary
+from jaxscan.rig import Camera, Chain, Covariance, Light, LightPlane, Linear, Motion, Rig, Rotary
 from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation.render import plane_of
 
@@ -121,14 +121,20 @@ def random_pixels(count: int, dtype: str) -> list[Float[np.ndarray, "frames line
 
 
 def triangulation(
-    pixels: Sequence[Float[np.ndarray, "frames lines"]], lens: str, motion: Motion | None = None, swept: bool = False
+    pixels: Sequence[Float[np.ndarray, "frames lines"]],
+    lens: str,
+    motion: Motion | None = None,
+    swept: bool = False,
+    light: Light | None = None,
 ) -> Callable[[], jax.Array]:
     """What triangulates pixels that are on the device, into a buffer there that is used again and again.
 
-    With a light that is swept, each frame has a plane of its own.
+    With a light that is swept, each frame has a plane of its own; another light takes the place of the rig's.
     """
     dtype = pixels[0].dtype.name
     whole, n_frames = rig(640, 480, lens, motion), len(pixels[0])
+    if light is not None:
+        whole = Rig(whole.camera, (as_numpy(light),), whole.motion)
     ready, inputs = Kernel.create(whole, dtype=dtype), [jnp.asarray(x) for x in pixels]
     if swept:
         ready = ready.with_lights(

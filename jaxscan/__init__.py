@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from jaxscan.images import Board
     from jaxscan.reconstruction import RangeImage, Scanner, read_range_image, reconstruct, write_points, write_stream
     from jaxscan.reconstruction.next_photographs import next_photographs
-    from jaxscan.rig import Camera, Chain, Covariance, Fixed, LightPlane, Linear, Rig, Rotary, System
+    from jaxscan.rig import BowedSheet, Camera, Chain, Covariance, Fixed, LightPlane, Linear, Rig, Rotary, System
     from jaxscan.surface.clean import clean
     from jaxscan.surface.coarse import arrange
     from jaxscan.surface.floor import find_floor, stands_on

@@ -15,7 +15,7 @@ along the stripe, and the inverse depth is a polynomial of the ray. What an apex
 but for a few hundredths of the bow (docs/decisions/0026).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -51,12 +51,14 @@ class BowedSheet(eqx.Module):
     name: str = eqx.field(static=True, default="")
 
     @staticmethod
-    def create(omega: ArrayLike, bow: ArrayLike, name: str = "") -> "BowedSheet":
+    def create(omega: ArrayLike | Sequence[float], bow: ArrayLike, name: str = "") -> "BowedSheet":
         """From the plane's three numbers (1/mm) and b (mm)."""
         return BowedSheet(LightPlane.create(omega).plane, (jnp.asarray(bow, dtype=float),), name)
 
     @staticmethod
-    def curved(omega: ArrayLike, sag_mm: float, half_width_mm: float, depth_mm: float, name: str = "") -> "BowedSheet":
+    def curved(
+        omega: ArrayLike | Sequence[float], sag_mm: float, half_width_mm: float, depth_mm: float, name: str = ""
+    ) -> "BowedSheet":
         """By the millimetres that it leaves its plane, towards the camera, at ± so many along the stripe at a depth."""
         unbowed = BowedSheet.create(omega, 0.0, name)
         return BowedSheet.create(omega, sag_mm / unbowed.of_bow(half_width_mm, depth_mm), name)

@@ -8,33 +8,38 @@ import pytest
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction.point_sigma import point_sigma
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
-from jaxscan.rig import Camera, Covariance, LightPlane, Linear, Rig, Rotary
+from jaxscan.rig import BowedSheet, Camera, Covariance, LightPlane, Linear, Rig, Rotary
 from jaxscan.rig.rig import parameter_names
 
 LENSES = {"radial1": ([-0.134], []), "rational": ([-0.1, 0.05, 0.0, 0.05, 0.02, 0.0], [1e-3, 1e-3])}
 
 
 @pytest.mark.parametrize(
-    ("lens", "columns", "turned"),
+    ("lens", "columns", "turned", "bow"),
     [
-        ("radial1", True, False),
-        ("radial1", True, True),
-        pytest.param("rational", False, False, marks=pytest.mark.long),
-        pytest.param("rational", False, True, marks=pytest.mark.long),
+        ("radial1", True, False, None),
+        ("radial1", True, True, None),
+        ("radial1", True, False, 16.0),
+        pytest.param("rational", False, False, None, marks=pytest.mark.long),
+        pytest.param("rational", False, True, None, marks=pytest.mark.long),
     ],
 )
-def test_sigma_is_that_of_the_exact_derivatives(lens, columns, turned):
+def test_sigma_is_that_of_the_exact_derivatives(lens, columns, turned, bow):
     plane = [0.0, -0.00494, 0.00303] if columns else [-0.004, 0.0005, 0.0024]
     with float64():
         camera = Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], lens, *LENSES[lens])
-        rig = as_numpy(Rig(camera, (LightPlane.create(plane),), Linear.create([0.0, 1e-3, -4e-4])))
+        light = LightPlane.create(plane) if bow is None else BowedSheet.create(plane, bow)
+        rig = as_numpy(Rig(camera, (light,), Linear.create([0.0, 1e-3, -4e-4])))
         if turned:
             rig = as_numpy(rig.with_axis(Rotary.create([1e-4, 1.5e-3, 2e-4], [3.0, 4.0, 340.0])))
     names = tuple(parameter_names(rig))
     random = np.random.default_rng(0)
     scale = np.array([1e-3 if "radial" in n or "tangential" in n else 0.3 for n in names])
     motion = next(i for i, n in enumerate(names) if n.startswith("motion"))
-    scale[motion - 3 : motion + 3] = [1e-6, 2e-6, 2e-6, 4e-6, 4e-6, 4e-6]
+    plane_at = names.index("lights.0.plane.0")
+    scale[plane_at : plane_at + 3], scale[motion : motion + 3] = [1e-6, 2e-6, 2e-6], 4e-6
+    if bow is not None:
+        scale[names.index("lights.0.bow.0")] = 0.1
     if turned:
         scale[-6:] = [2e-6, 2e-6, 2e-6, 0.02, 0.02, 0.02]
     root = scale[:, None] * (np.eye(len(names)) + 0.3 * random.normal(size=(len(names), len(names))))

@@ -134,12 +134,12 @@ def compare(a: PartialRig, b: PartialRig) -> Agreement:
     inverse = _inverse(both)
     chi2 = float(difference @ inverse @ difference)
     # Where b's millimetres are longer by ε, its planes 1/mm are shorter and its travel is longer by ε. What turns,
-    # whose axis moves too, but by no share of numbers one of which is held, has no say.
+    # whose axis moves too, but by no share of numbers one of which is held, has no say; nor has a light's number of
+    # which it is not known how it grows.
     turns = tuple({".".join(name.split(".")[:2]) + "." for name in names if is_place(name)})
-    at = [i for i, name in enumerate(names) if not (turns and name.startswith(turns))]
+    at = [i for i, name in enumerate(names) if not (turns and name.startswith(turns)) and _power(name) is not None]
     middle = (a.values + b.values)[at] / 2
-    sign = np.array([-1.0 if n.startswith("lights") else 1.0 if n.startswith("motion") else 0.0 for n in names])[at]
-    direction = sign * middle
+    direction = np.array([_power(names[i]) for i in at]) * middle
     along = direction @ _inverse(both[np.ix_(at, at)])
     weight = float(along @ direction)
     with float64():
@@ -155,6 +155,13 @@ def compare(a: PartialRig, b: PartialRig) -> Agreement:
         scale=float(along @ difference[at]) / weight if weight > 0 else None,
         scale_sigma=weight**-0.5 if weight > 0 else None,
     )
+
+
+def _power(name: str) -> float | None:
+    """With which power of a length a parameter grows; None where that is not known."""
+    if name.startswith("lights."):
+        return {"plane": -1.0, "bow": 1.0}.get(name.split(".")[2])
+    return 1.0 if name.startswith("motion.") else 0.0
 
 
 def _inverse(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

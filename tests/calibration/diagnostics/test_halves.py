@@ -49,17 +49,18 @@ def test_halves_disagree_when_a_view_is_of_another_camera(session, monkeypatch):
 
 
 def test_the_comparison_is_numpys():
-    names = ("camera.focal.0", "lights.0.plane.0", "lights.0.plane.1", "motion.stage.per_step.0")
-    A, B = (np.diag([4.0, 1e-10, 1e-10, 1e-10]) * s for s in (1.0, 2.0))
-    a = np.array([700.0, -0.005, 0.003, 0.001])
-    # b's millimetres are 4 % longer.
-    b = a * [1, 1 / 1.04, 1 / 1.04, 1.04] + [1.0, 0, 0, 0]
+    shape = ("lights.0.bow.0", "lights.1.round.0")
+    names = ("camera.focal.0", "lights.0.plane.0", "lights.0.plane.1", *shape, "motion.stage.per_step.0")
+    A, B = (np.diag([4.0, 1e-10, 1e-10, 1e-4, 1.0, 1e-10]) * s for s in (1.0, 2.0))
+    a = np.array([700.0, -0.005, 0.003, 2.4, 7.0, 0.001])
+    # b's millimetres are 4 % longer; how a light's own number grows with them is not known.
+    b = a * [1, 1 / 1.04, 1 / 1.04, 1.04, 1.0, 1.04] + [1.0, 0, 0, 0, 3.0, 0]
     views = np.ones(3, bool)
     parts = [PartialRig(Part(n, views, views), x, Covariance(names, C)) for n, x, C in (("a", a, A), ("b", b, B))]
     found = compare(*parts)
     chi2 = (b - a) @ np.linalg.inv(A + B) @ (b - a)
-    assert found.chi2_per_parameter == pytest.approx(chi2 / 4)
-    assert found.p == pytest.approx(stats.chi2.sf(chi2, 4), rel=1e-6)
+    assert found.chi2_per_parameter == pytest.approx(chi2 / 6)
+    assert found.p == pytest.approx(stats.chi2.sf(chi2, 6), rel=1e-6)
     assert found.scale == pytest.approx(0.04, rel=0.05)
 
 
