@@ -1,5 +1,6 @@
 """Calibration sessions: what the format allows, and every mistake with its mend."""
 
+import argparse
 import dataclasses
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxscan.cli.calibrate import solve_sessions
+from jaxscan.cli.estimate_options import Estimate, add_estimate_arguments, estimate_asked
 from jaxscan.errors import InputError
 from jaxscan.files.session import CameraSettings, Session, StageImages, Views, read_session, write_session
 from jaxscan.images import Board, StripeSettings
@@ -445,3 +447,18 @@ def test_sessions_of_one_rig_have_one_sheet(folder, tmp_path, photographs):
     (other / "session.toml").write_text("\n".join([BOARD, VIEWS, '[laser]\nsheet = "bowed"']))
     with pytest.raises(InputError, match=r"other: its .laser. sheet is bowed, that of .* is plane: sessions"):
         solve_sessions([folder, other])
+
+
+def test_a_sheet_of_the_command_line_takes_the_place_of_the_sessions(folder):
+    read = session(folder, BOARD, VIEWS, LASERS.format("a", "b"))
+    assert Estimate().sheets(read) == ("plane", "plane")
+    assert Estimate(sheet="bowed").sheets(read) == ("bowed", "bowed")
+    assert Estimate(sheet="plane").sheets(dataclasses.replace(read, sheets=("plane", "bowed"))) == ("plane", "plane")
+    without = session(folder, BOARD, VIEWS)
+    with pytest.raises(InputError, match=r"has no \[laser\], and --sheet speaks of one's light"):
+        solve_sessions([without.path], estimate=Estimate(sheet="bowed"))
+    parser = argparse.ArgumentParser()
+    add_estimate_arguments(parser)
+    parser.add_argument("--camera")
+    with pytest.raises(InputError, match="--sheet round: this version knows plane, bowed"):
+        estimate_asked(parser.parse_args(["--sheet", "round"]))
