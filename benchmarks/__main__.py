@@ -77,6 +77,7 @@ NOT_QUICK = {
     "merge",
     "turntable",
     "turning",
+    "sheets",
     "batch",
     "lab",
     "growth",
