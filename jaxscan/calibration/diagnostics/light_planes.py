@@ -17,15 +17,14 @@ _DOUBTFUL = 0.0015
 
 
 def light_plane_doubts(shapes: Sequence[StripeShape], curves: Sequence[SheetCurve] = ()) -> tuple[str, ...]:
-    """In words, which light planes do not fit their own stripes; of each laser at most one sentence.
+    """In words, which sheets are curved, and which planes do not fit their own stripes; of each laser one sentence each.
 
     Args:
         shapes: of the stripes.
         curves: of sheets that were taken as flat and are not.
     """
     doubts = [curve.in_words for curve in curves]
-    named = {curve.laser for curve in curves}
-    for laser in dict.fromkeys(shape.laser for shape in shapes if shape.laser not in named):
+    for laser in dict.fromkeys(shape.laser for shape in shapes):
         own = [shape for shape in shapes if shape.laser == laser]
         count = np.array([len(shape.distance_mm) for shape in own], float)
         tied = float(np.sqrt(np.average([shape.tied_mm**2 for shape in own], weights=count)))

@@ -16,12 +16,15 @@ def test_a_curved_sheet_is_named_with_its_millimetres(sag, tmp_path):
     assert curve.width_mm == 200
     # At the stripes' own depth, where a given width is a little narrower or wider in the fan.
     assert abs(curve.curve_mm - sag * sheets.DEPTH / curve.depth_mm) < 3 * curve.sigma_mm
-    (warning,) = result.warnings
+    # Two millimetres are a doubt of the whole plane besides.
+    warning, *doubts = result.warnings
+    assert all("does not fit the stripes" in doubt for doubt in doubts)
+    assert not doubts or abs(sag) > 1
     assert warning.startswith(f"The sheet of light is curved by {abs(curve.curve_mm):.2g} ± ")
     assert "mm over 200 mm" in warning
     assert "--sheet bowed mends it" in warning
     write_rig(tmp_path / "rig.json", result.rig_file())
-    assert read_rig(tmp_path / "rig.json").warnings == (warning,)
+    assert read_rig(tmp_path / "rig.json").warnings == result.warnings
     boxes = model_findings(result, diagnose(result, thorough=False))
     assert [box.level for box in boxes if "is curved by" in box.statement] == ["care"]
     assert not [box for box in boxes if "the plates are bent" in box.statement]
