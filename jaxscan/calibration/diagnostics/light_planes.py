@@ -17,7 +17,7 @@ _DOUBTFUL = 0.0015
 
 
 def light_plane_doubts(shapes: Sequence[StripeShape], curves: Sequence[SheetCurve] = ()) -> tuple[str, ...]:
-    """In words, which sheets are curved, and which planes do not fit their own stripes; of each laser one sentence each.
+    """In words, which sheets are curved, which planes do not fit their own stripes; one sentence on each.
 
     Args:
         shapes: of the stripes.
