@@ -17,6 +17,7 @@ BASELINE = HERE / "baseline.json"
 SUITES = {
     "growth": "time of a calibration over the number of views, against OpenCV's",
     "real": "real photographs and published answers (needs JAXSCAN_DATA)",
+    "board_shape": "boards that are not flat: error of the rig over that of flat ones, what is named, time of a step",
     "corners": "corners of checkerboards: accuracy, σ and speed, beside OpenCV's, and what a calibration gains",
     "stripes": "stripe detectors against the Cramér-Rao bound, at a step of reflectance, among spots, on a real bed",
     "speckle": "stripe detectors under speckle: bound, best detector, σ, edges of reflectance, by contrast and grain",
@@ -54,6 +55,7 @@ SUITES = {
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
 NOT_QUICK = {
+    "board_shape",
     "concurrency",
     "device",
     "derivatives",

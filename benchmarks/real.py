@@ -195,7 +195,7 @@ def figueroa(data: Path) -> list[Metric]:
     views = tuple(View(f"{i}", x[:, :2], w) for i, (x, w) in enumerate(zip(seen, weights, strict=True)))
     start = Camera.create(size, [2000.0, 2000.0], [(size[0] - 1) / 2, (size[1] - 1) / 2], "rational")
     result = calibrate(
-        Observations(size, Board.checkerboard([10, 10], 77.0), views), start=start, board_warp=True, plain=True
+        Observations(size, Board.checkerboard([10, 10], 77.0), views), start=start, board_shape="bulge", plain=True
     )
     errors = [(fit.corner_errors * w[:, None])[fit.corner_kept] for fit, w in zip(result.fits, weights, strict=True)]
     weighted = np.concatenate(errors)

@@ -59,9 +59,9 @@ class Adjustment(eqx.Module):
         poses = (system.poses[0][:views],)
         if sequences:
             moved = self.groups[1]
-            at_0 = pose_at_0(system.rig.motion, system.poses[1], moved.reference)
-            poses = (*poses, at_0[:sequences])
-        return System(system.rig.normal(), as_jax(poses), system.warp)
+            at_0 = pose_at_0(system.rig.motion, system.poses[1][:, :6], moved.reference)
+            poses = (*poses, jnp.concatenate([at_0, system.poses[1][:, 6:]], axis=1)[:sequences])
+        return System(system.rig.normal(), as_jax(poses), system.shape)
 
 
 def pose_at_0(motion: Motion, pose: Float[A, "*stack 6"], reference: Positions) -> Float[A, "*stack 6"]:

@@ -57,8 +57,6 @@ def _pack(
 ) -> Blocks:
     """Blocks for so many boards, each for so many photographs of it."""
     points = observations.board.points()
-    extent = np.ptp(points[:, :2], axis=0)
-    relative = (points[:, :2] - points[:, :2].min(axis=0)) / np.where(extent > 0, extent, 1.0)
     stripes = [
         [np.concatenate([s.pixels for s in view.stripes] or [np.zeros((0, 2))]) for view in views] for views in boards
     ]
@@ -85,7 +83,6 @@ def _pack(
             reference[axis][b] = step
     arrays = {
         "points": np.broadcast_to(points, (n_blocks, *points.shape)),
-        "relative": np.broadcast_to(relative, (n_blocks, *relative.shape)),
         "q": q,
         "reference": reference,
         "corners": corners,

@@ -25,7 +25,7 @@ class Factor(Protocol):
     """Observations of one group of like blocks: boards, gauges, or whatever else tells of a system. A pytree."""
 
     def residuals(
-        self, system: System, poses: Float[Array, "blocks 6"], noise: Noise
+        self, system: System, poses: Float[Array, "blocks size"], noise: Noise
     ) -> Float[Array, "blocks residuals"]:
         """The residuals of each block, in units of their σ, by the system's shared part and the poses of these blocks.
 
@@ -89,8 +89,8 @@ def as_arrow(
     start, unravel = ravel_pytree(system.shared)
 
     def back(y: Arrow) -> System:
-        rig, warp = unravel(jnp.where(free, y.shared, start))
-        return System(rig, y.blocks, warp)
+        rig, shape = unravel(jnp.where(free, y.shared, start))
+        return System(rig, y.blocks, shape)
 
     def residual(y: Arrow) -> Arrow:
         now = back(y)

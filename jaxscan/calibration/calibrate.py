@@ -10,11 +10,12 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.blocks import sequence_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Factor
 from jaxscan.calibration.coverage import measure_coverage
+from jaxscan.calibration.diagnostics.board_flatness import board_flatness
 from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
 from jaxscan.calibration.diagnostics.sheet_curves import sheet_curves
 from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
@@ -34,10 +35,21 @@ from jaxscan.files.rig_checks import image_rays
 from jaxscan.geometry import Pose
 from jaxscan.images import Board
 from jaxscan.precision import as_float64, as_jax, float64
-from jaxscan.rig import LIGHTS, MOTIONS, BoardWarp, Camera, Light, LightPlane, Rig, System
+from jaxscan.rig import LIGHTS, MOTIONS, BoardShape, Camera, Light, LightPlane, Rig, System
+from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES, bent_by
 
 _FEWEST_CORNERS = 6
 FEWEST_VIEWS = 3
+# Below these the shape of the board and the camera are one and the same, or the scatter of a few bends is chance.
+_FEWEST_VIEWS_OF = {"flat": FEWEST_VIEWS, "bulge": 4, "warp": 5, "bend": 6}
+_OF_SHAPE = {
+    "bulge": "the board's bulges along columns and rows",
+    "warp": "the board's twist, and what its edges bend more or less than its middle,",
+    "bend": "how much the board bends from view to view",
+}
+# σ of the bends to begin with, as a share of the board; and the range of a shape that is no board's any more.
+_FIRST_BEND = 5e-4
+_RUN_AWAY = 0.1
 _FEWEST_STRIPES = 2
 _FEWEST_STRIPE_POINTS = 10
 _PLAIN = "plain least squares: every corner took part with the same weight, also where it does not fit the others"
@@ -50,7 +62,7 @@ def calibrate(
     principal_point: str = "free",
     start: Camera | None = None,
     hold: Sequence[str] = (),
-    board_warp: bool = False,
+    board_shape: str = "flat",
     plain: bool = False,
     keep: Sequence[Kept] | None = None,
     light: str | Sequence[str] = LightPlane.kind,
@@ -69,7 +81,9 @@ def calibrate(
         hold: names of the camera's parameters, as in `rig.json`, that keep the value of `start`; without a start lens
             terms can be held, at 0: `lens="brown", hold=["camera.radial.2"]` is k1 k2 p1 p2 with k3 = 0. Zeros of a
             camera that was read from a file were mostly held there: `hold=start.zero_terms()` holds them here.
-        board_warp: whether the board's bulge, the same in all photographs, is estimated too; not with a laser.
+        board_shape: what of the board's shape is found too. "flat": nothing. "bulge": how far it bulges along columns
+            and rows, the same in all photographs. "warp": its twist, and by how much one edge bends more than the
+            other, besides. "bend": how far it bulges in each photograph, and on each axis, besides.
         plain: plain least squares, the estimate that OpenCV and Bouguet's toolbox make: every corner takes part with
             the same weight. What it gives up: outliers are not left out, a blurred photograph counts like a sharp
             one, and what the detector knows of each corner is not used.
@@ -91,6 +105,8 @@ def calibrate(
         raise InputError(f'light = "{min(unknown)}": this version knows {", ".join(LIGHTS)}; register the kind before')
     if len(kinds) != len(observations.lasers):
         raise InputError(f"light names {len(kinds)} kinds for {len(observations.lasers)} lasers: give one for each")
+    if board_shape not in BOARD_SHAPES:
+        raise InputError(f'board_shape = "{board_shape}": there are {", ".join(BOARD_SHAPES)}')
     held = held_parameters(hold, start.lens.kind if start else lens, principal_point, has_start=start is not None)
     _refuse_tracers(observations)
     if keep is not None:
@@ -104,40 +120,40 @@ def calibrate(
     with float64(), _with_remarks(known):
         _check_enough(usable)
         unused = Unused(usable.left_out)
-        if board_warp and usable.lasers:
-            raise InputError(
-                "board_warp does not go with a laser, whose stripe is compared with a flat board: leave the stripes out"
-            )
+        _check_views_for(board_shape, usable)
         camera = as_float64(start) if start else first_camera(usable, lens)
-        warp = BoardWarp(jnp.zeros(()), jnp.zeros(())) if board_warp else None
+        terms, bends = BOARD_SHAPES[board_shape]
+        shape = BoardShape.of(jnp.zeros(terms)) if terms else None
 
         # The camera first, from the views' corners alone: lights and motion are there already, but held, and what they
         # would be found from is masked, so that both solves are one compiled function.
         lights = tuple(LIGHTS[kind].somewhere(name) for kind, name in zip(kinds, usable.lasers, strict=True))
-        system = System(Rig(camera, lights, no_motion_yet(usable)), (), warp)
+        system = System(Rig(camera, lights, no_motion_yet(usable)), (), shape)
         views = view_blocks(usable)
         groups = (views, sequence_blocks(usable)) if usable.sequences else (views,)
         free = _free(system, held, ("camera",))
         poses = (first_poses(camera, views), *(far_away(len(group.points)) for group in groups[1:]))
+        poses = tuple(_with_bends(each, bends) for each in poses)
         corners = _corners_of_views(groups)
         rounds = partial(refine, reject=judge, weigh=not plain)
         of_camera = partial(rounds, begins=lambda solve: advance(f"camera, round {solve}"))
-        refined = of_camera(replace(system, poses=poses), free, corners, Noise.create())
+        refined = of_camera(replace(system, poses=poses), free, corners, _first_noise(usable, bends))
         if judge and (elsewhere := better_poses(refined.system, corners, refined.noise)) is not None:
             refined = of_camera(elsewhere, free, corners, refined.noise)
         _check(refined, usable, free)
 
         if usable.lasers or usable.sequences:
             camera, view_poses = refined.system.rig.camera, refined.system.poses[0]
-            stood = poses_of_photographs(usable, camera, view_poses)
+            stood = poses_of_photographs(usable, camera, view_poses[:, :6])
             if keep is None:
                 usable, off_board = stripe_on_board(usable, camera, stood)
                 unused = unused.and_then(off_board)
                 known.append(replace(usable, left_out=unused.left_out))
             motion, moved_poses = first_motions(usable, stood)
+            moved_poses = tuple(_with_bends(each, bends) for each in moved_poses)
             rig = Rig(camera, _first_lights(usable, camera, stood, kinds), motion)
             groups = (view_blocks(usable), sequence_blocks(usable)) if usable.sequences else (view_blocks(usable),)
-            system = System(rig, (view_poses, *moved_poses), refined.system.warp)
+            system = System(rig, (view_poses, *moved_poses), refined.system.shape)
             system = replace(system, poses=(*system.poses, *(factor.start(system) for factor in factors)))
             free = _free(system, held | rig.surplus(), ("camera", "lights", "motion"))
             of_rig = partial(rounds, begins=lambda solve: advance(f"whole rig, round {solve}"))
@@ -146,6 +162,7 @@ def calibrate(
         advance("uncertainty")
         result = assemble(refined, free, usable, held, unused, tuple(factors))
         curves = sheet_curves(refined)
+        flatness = board_flatness(refined, result)
     kept = iter(result.kept)
     return replace(
         result,
@@ -154,7 +171,11 @@ def calibrate(
         ),
         plain=plain,
         notes=(*result.notes, _PLAIN) if plain else result.notes,
-        warnings=light_plane_doubts(stripe_shapes(result), curves),
+        warnings=(
+            *(f"{what}. {mend}".removesuffix(".") for what, mend in flatness.statements),
+            *light_plane_doubts(stripe_shapes(result), curves),
+        ),
+        flatness=flatness,
         sheet_curves=curves,
     )
 
@@ -287,9 +308,32 @@ def _corners_of_views(groups: tuple[Blocks, ...]) -> tuple[Blocks, ...]:
 
 
 def _free(system: System, held: set[str], parts: tuple[str, ...]) -> Bool[Array, "shared"]:
-    """Which shared parameters are refined: those of some parts of the rig that are not held, and the board's warp."""
+    """Which shared parameters are refined: those of some parts of the rig that are not held, and the board's shape."""
     names = system.shared_names()
-    return as_jax(np.array([name.startswith((*parts, "warp")) and name not in held for name in names]))
+    return as_jax(np.array([name.startswith((*parts, "shape")) and name not in held for name in names]))
+
+
+def _with_bends(poses: Float[Array, "blocks 6"], bends: bool) -> Float[Array, "blocks size"]:
+    """Poses with bulges of zero behind them, where each board may have its own."""
+    return jnp.pad(poses, ((0, 0), (0, BENDS if bends else 0)))
+
+
+def _first_noise(observations: Observations, bends: bool) -> Noise:
+    """What the first rounds begin with."""
+    extent = float(np.ptp(observations.board.points()[:, :2], axis=0).max())
+    return Noise.create(bend=_FIRST_BEND * extent if bends else None)
+
+
+def _check_views_for(board_shape: str, observations: Observations) -> None:
+    """Refuse views that are too few for the shape that is asked for."""
+    views, fewest = len(observations.views), _FEWEST_VIEWS_OF[board_shape]
+    if views < fewest:
+        simpler = [name for name, count in _FEWEST_VIEWS_OF.items() if count <= views]
+        raise InputError(
+            f'{views} usable views of the board; board_shape = "{board_shape}" needs {fewest}, to tell '
+            f"{_OF_SHAPE[board_shape]} from the camera: photograph it in more poses, tilted in different directions, "
+            f'or ask for board_shape = "{simpler[-1]}"'
+        )
 
 
 def _check(refined: Refined, observations: Observations, free: Bool[Array, "shared"]) -> None:
@@ -313,15 +357,31 @@ def _check(refined: Refined, observations: Observations, free: Bool[Array, "shar
     if open_question:
         with_rig = rig if any(name.startswith("lights") for name in names[at]) else Rig(rig.camera)
         coverage = measure_coverage(
-            observations, with_rig, poses_of_photographs(observations, rig.camera, refined.system.poses[0])
+            observations, with_rig, poses_of_photographs(observations, rig.camera, refined.system.poses[0][:, :6])
         )
         raise ObservabilityError(
             f"from these {len(observations.views)} views {open_question.words}: "
             f"{cause_and_mend(open_question, coverage)}"
         )
+    _refuse_what_ran_away(refined, observations)
     # Last, since what is not determined is mostly not reached either.
     if refined.outcome.result != optx.RESULTS.successful:
         raise SolveError(
             f"the solve did not reach a minimum within {MAX_STEPS} steps ({refined.solves} rounds): the photographs "
             "may not belong to one camera, or the lens may need a simpler model"
+        )
+
+
+def _refuse_what_ran_away(refined: Refined, observations: Observations) -> None:
+    """A board bent by a tenth of itself is none: its shape took up what something else is at fault for."""
+    shape, board = refined.system.shape, observations.board
+    if shape is None:
+        return
+    size = float(np.linalg.norm(np.ptp(board.points()[:, :2], axis=0)))
+    range_mm = bent_by(np.array([float(term) for term in jax.tree.leaves(shape)]))[0]
+    if not range_mm <= _RUN_AWAY * size:
+        raise SolveError(
+            f"the board's shape ran away: it came out bent by {range_mm:.3g} mm, over {size:.0f} mm. Something else "
+            'does not fit, and the shape took it up: calibrate with board_shape = "flat" and see which photographs '
+            "do not fit, whether all show one board, and whether the lens needs more terms"
         )

@@ -124,12 +124,13 @@ def refine_by_gauge(
         rig = boards.system.rig
         seen = stripe_points(gauges, rig)
         seen = _laid_in(gauges, rig, seen)
-        first = System(rig, (*boards.system.poses, seen.laid), boards.system.warp)
+        first = System(rig, (*boards.system.poses, seen.laid), boards.system.shape)
         # The gauges are laid in first, with the rig as it is.
         laid = _fit(gauges, seen, first, boards, jnp.zeros_like(boards.free))
         fitted = _fit(gauges, seen, laid.system, boards, boards.free)
         refined = fitted.system.rig
-        names, known_of = parameter_names(rig), np.array(boards.free)
+        names = parameter_names(rig)
+        known_of = np.array(boards.free)[: len(names)]
         for way in idle_ways(rig):
             # A number that says nothing of its own is known as soon as the others of its way are.
             known_of[way != 0] |= known_of[way != 0].any()
@@ -192,14 +193,18 @@ def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequen
         for group in adjustment.groups
     )
     corner, stripe = known.corner_sigma_px, (known.stripe_sigma_px or 1.0) * (known.stripe_correlation or 1.0) ** 0.5
-    noise = Noise.create(corner, stripe)
+    noise = adjustment.noise.of(corner, stripe)
     if "stage" in doubt:
         # Where the stage stood tells where the others did: of none a photograph is read, and they stay.
         others = [n.startswith("motion.") and not n.startswith("motion.stage.") for n in parameter_names(rig)]
         free[np.array(others)] = False
     # The calibration's own solution, but for the numbers of the rig that say nothing of their own.
-    system = System(rig, adjustment.start.poses)
-    return _Boards(system, jnp.asarray(free), groups, noise, Prior(mean, jnp.asarray(roughly)), believed)
+    system = System(rig, adjustment.start.poses, adjustment.start.shape)
+    # Of the board's shape, which stands behind the rig, the photographs tell.
+    terms = len(jax.tree.leaves(system.shape))
+    prior = Prior(jnp.pad(mean, (0, terms)), jnp.pad(jnp.asarray(roughly), ((0, 0), (0, terms))))
+    free = np.pad(free, (0, terms), constant_values=True)
+    return _Boards(system, jnp.asarray(free), groups, noise, prior, believed)
 
 
 def _roughly(rig: Rig, stems: Sequence[str]) -> tuple[Float[np.ndarray, "rows leaves"], Bool[np.ndarray, "leaves"]]:

@@ -100,7 +100,6 @@ class Scene(eqx.Module):
         pixels, weights = self.stripes(pose)
         return Blocks(
             points=self.points,
-            relative=jnp.zeros((count, 2)),
             q={},
             reference={},
             corners=jnp.zeros((1, count, 2)),

@@ -23,7 +23,10 @@ _SMALLEST_TILT_SPREAD_DEG = 20.0
 _IN_WORDS = {
     "camera.focal": "the focal length",
     "camera.principal": "the principal point",
-    "warp": "the board's bulge",
+    "shape.bulge.0": "the board's bulge along its columns",
+    "shape.bulge.1": "the board's bulge along its rows",
+    "shape.twist": "the board's twist",
+    "shape.edge": "by how much one edge of the board bends more than the other",
 }
 
 

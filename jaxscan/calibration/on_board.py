@@ -6,7 +6,7 @@ the robust solve. Where the reflectance changes within the stripe's own width, a
 the stripe, its centre is pulled to the bright side: such points are left out too.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from jaxscan.calibration.observations import Observations, StripePoints, Unused
 from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.images import Board
 from jaxscan.rig import Camera
+from jaxscan.rig.board_shape import BentBoard
 from jaxscan.rig.projection import pixel_rays
 
 # How far beyond the outermost points the board is taken to reach, in pitches: the outer squares and their quiet zone.
@@ -55,7 +56,11 @@ def stripe_on_board(observations: Observations, camera: Camera, poses: Pose[np.n
 
 
 def stripe_points_in_space(
-    observations: Observations, camera: Camera, poses: Pose[np.ndarray], laser: int
+    observations: Observations,
+    camera: Camera,
+    poses: Pose[np.ndarray],
+    laser: int,
+    bent: Sequence[BentBoard] | None = None,
 ) -> tuple[Float[np.ndarray, "points 3"], Int[np.ndarray, "points"]]:
     """Where the stripes of one laser lie in the camera frame (mm), by their boards, and the photograph of each.
 
@@ -64,12 +69,13 @@ def stripe_points_in_space(
         camera: the camera.
         poses: T_cam_board of each photograph, in their order.
         laser: which of the observations' lasers.
+        bent: the board of each photograph, where it is not flat.
     """
     points, photograph = [np.zeros((0, 3))], [np.zeros(0, int)]
     for i, each in enumerate(observations.photographs()):
         for stripe in each.stripes:
             if stripe.laser == laser:
-                X, _ = meet_board(camera, pose_of(poses, i), stripe.pixels)
+                X, _ = meet_board(camera, pose_of(poses, i), stripe.pixels, bent[i] if bent else None)
                 X = X[np.isfinite(X).all(axis=1) & (X[:, 2] > 0)]
                 points.append(X)
                 photograph.append(np.full(len(X), i))
@@ -91,12 +97,12 @@ def _board_positions(
 
 
 def meet_board(
-    camera: Camera, pose: Pose[np.ndarray], pixels: Float[np.ndarray, "points 2"]
+    camera: Camera, pose: Pose[np.ndarray], pixels: Float[np.ndarray, "points 2"], bent: BentBoard | None = None
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
-    """Where pixels' rays meet the board: in the camera frame and in the board frame (mm)."""
+    """Where pixels' rays meet the board, flat or bent: in the camera frame and in the board frame (mm)."""
     x, R, t = pixel_rays(camera, pixels), pose.matrix(), pose.translation
     with np.errstate(divide="ignore", invalid="ignore"):
-        X = x / (x @ dual_plane_of(R, t))[:, None]
+        X = x / (x @ dual_plane_of(R, t) if bent is None else bent.inverse_depth(x))[:, None]
     return X, (X - t) @ R
 
 

@@ -3,7 +3,8 @@
 Corner: reprojection, predicted minus seen; a circle is predicted as the centre of gravity of its image. Stripe on a
 board: with x the pixel's ray and β the board's plane in dual space, the ray meets the board at x / (β · x), and
 the light's level there times the inverse depth, h = level(x, β · x), vanishes where the light does: of a flat sheet ω
-it is (ω − β) · x. −h / (∂h/∂v) is the distance in rows from the seen stripe to the predicted one (∂h/∂u, in columns,
+it is (ω − β) · x. On a board that is not flat its surface's inverse depth along the ray takes the place of β · x.
+−h / (∂h/∂v) is the distance in rows from the seen stripe to the predicted one (∂h/∂u, in columns,
 for a stripe found row by row). It is differentiated whole, denominator too: holding the denominator still would bias
 and spoil the estimate.
 """
@@ -20,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.precision import as_jax
 from jaxscan.rig import Light, Rig, System
+from jaxscan.rig.board_shape import BentBoard, BoardShape, middle_and_half
 from jaxscan.rig.motion import carried
 
 # R and t (mm) of a board in each of its photographs.
@@ -34,7 +36,6 @@ class Blocks(eqx.Module):
 
     Attributes:
         points: board points, mm.
-        relative: the same in 0 … 1 along columns and rows, for the board's warp.
         q: motor steps of each axis at each photograph; empty for boards that no axis moves.
         reference: motor steps of each axis at which the block's pose stands.
         corners: where the points were seen, pixels.
@@ -49,7 +50,6 @@ class Blocks(eqx.Module):
     """
 
     points: Float[Array, "*blocks corners 3"]
-    relative: Float[Array, "*blocks corners 2"]
     q: dict[str, Float[Array, "*blocks photographs"]]
     reference: dict[str, Float[Array, "*blocks"]]
     corners: Float[Array, "*blocks photographs corners 2"]
@@ -63,26 +63,29 @@ class Blocks(eqx.Module):
     radius: Float[Array, "*blocks corners"] | None = None
 
     def residuals(
-        self, system: System, poses: Float[Array, "blocks 6"], noise: "Noise"
+        self, system: System, poses: Float[Array, "blocks size"], noise: "Noise"
     ) -> Float[Array, "blocks residuals"]:
-        """The residuals of all blocks, dimensionless: of each the corners (u, v in turn), then stripe.
+        """The residuals of all blocks, dimensionless: of each the corners (u, v in turn), the stripe, then its bends.
 
         Where no stripe takes part none is computed: their rays cost more than all else.
         """
-        stands = jax.vmap(partial(photograph_poses, system.rig))(poses, self)
-        corner = jax.vmap(partial(corner_errors, system))(stands, self)
+        stands = jax.vmap(partial(photograph_poses, system.rig))(poses[:, :6], self)
+        corner = jax.vmap(partial(corner_errors, system))(poses, stands, self)
         corner = corner * (self.weights / noise.corner)[..., None]
         corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[..., None]
 
         def stripe_residuals() -> Float[Array, "blocks photographs stripe"]:
-            stripe = jax.vmap(partial(stripe_errors, system.rig))(stands, self) * (self.stripe_weights / noise.stripe)
+            stripe = jax.vmap(partial(stripe_errors, system))(poses, stands, self)
+            stripe = stripe * (self.stripe_weights / noise.stripe)
             return stripe * _tamed(noise.robustness**2 * stripe**2)
 
         stripe = jnp.zeros(self.stripe_used.shape, corner.dtype)
         if system.rig.lights and stripe.size:
             stripe = jax.lax.cond(self.stripe_used.any(), stripe_residuals, lambda: stripe)
         n = len(corner)
-        return jnp.concatenate([corner.reshape(n, -1), stripe.reshape(n, -1)], axis=1)
+        # What is known of the bends beforehand: they are small.
+        bends = [] if noise.bend is None else [poses[:, 6:] / noise.bend]
+        return jnp.concatenate([corner.reshape(n, -1), stripe.reshape(n, -1), *bends], axis=1)
 
     def start(self, system: System) -> Float[Array, "blocks 6"]:
         """Far away: the poses of boards are found in closed form (`first_poses`)."""
@@ -90,9 +93,9 @@ class Blocks(eqx.Module):
         return far_away(len(self.points))
 
 
-def far_away(blocks: int) -> Float[Array, "blocks 6"]:
-    """Poses for boards that nothing is known of yet: in front of the camera, one metre away."""
-    return as_jax(np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0], (blocks, 1)))
+def far_away(blocks: int, size: int = 6) -> Float[Array, "blocks size"]:
+    """Poses for boards that nothing is known of yet, in front of the camera, one metre away; what else, is 0."""
+    return as_jax(np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 1000.0, *np.zeros(size - 6)], (blocks, 1)))
 
 
 class Noise(eqx.Module):
@@ -102,23 +105,42 @@ class Noise(eqx.Module):
         corner: σ of a corner of weight 1 along each axis, pixels.
         stripe: σ of a stripe point of weight 1, pixels.
         robustness: 1 / c of the pseudo-Huber loss (P. Charbonnier et al. 1994), c in σ; 0 is least squares.
+        bend: σ of the bulges that each board has besides the shape of all, mm; None where it has none.
     """
 
     corner: Float[Array, ""]
     stripe: Float[Array, ""]
     robustness: Float[Array, ""]
+    bend: Float[Array, ""] | None = None
 
     @staticmethod
-    def create(corner: float = 1.0, stripe: float = 1.0, robustness: float = 0.0) -> "Noise":
+    def create(corner: float = 1.0, stripe: float = 1.0, robustness: float = 0.0, bend: float | None = None) -> "Noise":
         """From plain numbers; inside a `float64` block."""
-        return Noise(*as_jax([np.asarray(number, np.float64) for number in (corner, stripe, robustness)]))
+        numbers = (corner, stripe, robustness) + (() if bend is None else (bend,))
+        return Noise(*as_jax([np.asarray(number, np.float64) for number in numbers]))
+
+    def of(self, corner: float, stripe: float, robustness: float = 0.0) -> "Noise":
+        """With other σ of corners and stripe points, and the same of the bends."""
+        return Noise.create(corner, stripe, robustness, None if self.bend is None else float(self.bend))
+
+    def robust(self, robustness: float = 1.0) -> "Noise":
+        """The same σ with a loss that trusts large residuals less."""
+        return self.of(float(self.corner), float(self.stripe), robustness)
 
 
-def corner_errors(system: System, stands: Stands, block: Blocks) -> Float[Array, "photographs corners 2"]:
+def shape_of_block(system: System, pose: Float[Array, "size"]) -> BoardShape | None:
+    """The shape of one block's board, its own bends with it; None for a flat one."""
+    if system.shape is None or pose.shape[0] == 6:
+        return system.shape
+    return system.shape.bent(pose[6:])
+
+
+def corner_errors(
+    system: System, pose: Float[Array, "size"], stands: Stands, block: Blocks
+) -> Float[Array, "photographs corners 2"]:
     """Predicted minus seen position of each board point, or of the circle about it, pixels; zero where masked."""
-    points, camera = block.points, system.rig.camera
-    if system.warp is not None:
-        points = points + jnp.array([0.0, 0.0, 1.0])[None] * system.warp.height(block.relative)[:, None]
+    points, camera, shape = block.points, system.rig.camera, shape_of_block(system, pose)
+    extent = middle_and_half(points)
     R, t = stands
     seen = jnp.where(block.corner_used[..., None], block.corners, 0.0)
 
@@ -130,10 +152,12 @@ def corner_errors(system: System, stands: Stands, block: Blocks) -> Float[Array,
         radius: Float[Array, ""] | None,
     ) -> Float[Array, "2"]:
         def pixel(at: Float[Array, "2"]) -> Float[Array, "2"]:
+            z = point[2]
+            if shape is not None:
+                middle, half = extent
+                z = z + shape.height((at[0] - middle[0]) / half[0], (at[1] - middle[1]) / half[1])
             # Written out, here and below: XLA fuses sums with what surrounds them, but not small matrix products.
-            return camera.project(
-                jnp.stack([R[i, 0] * at[0] + R[i, 1] * at[1] + R[i, 2] * point[2] + t[i] for i in range(3)])
-            )
+            return camera.project(jnp.stack([R[i, 0] * at[0] + R[i, 1] * at[1] + R[i, 2] * z + t[i] for i in range(3)]))
 
         return (pixel(point[:2]) if radius is None else _centre_of_gravity(pixel, point, radius)) - corner
 
@@ -167,46 +191,54 @@ def _centre_of_gravity(
 
 
 def stripe_error(
-    light: Light, beta: Float[Array, "3"], x: Float[Array, "3"], dx: Float[Array, "3"]
+    light: Light, board: Float[Array, "3"] | BentBoard, x: Float[Array, "3"], dx: Float[Array, "3"]
 ) -> Float[Array, ""]:
     """Predicted minus seen position of the stripe along the axis in which it was found, pixels.
 
     Args:
         light: the light.
-        beta: the board's plane in dual space, 1/mm.
+        board: where it is bent; a flat one's plane in dual space, 1/mm.
         x: the ray of the seen pixel.
         dx: how it changes for each pixel along that axis.
     """
 
     def height(x: Float[Array, "3"]) -> Float[Array, ""]:
         # Of the light above the board along the ray, times the inverse depth: without it the minimum moves.
-        return light.level(x, beta[0] * x[0] + beta[1] * x[1] + beta[2] * x[2])
+        if isinstance(board, BentBoard):
+            return light.level(x, board.inverse_depth(x))
+        return light.level(x, board[0] * x[0] + board[1] * x[1] + board[2] * x[2])
 
     h, dh = jax.jvp(height, (x,), (dx,))
     return -h / dh
 
 
 def block_errors(
-    system: System, pose: Float[Array, "6"], block: Blocks
+    system: System, pose: Float[Array, "size"], block: Blocks
 ) -> tuple[Float[Array, "photographs corners 2"], Float[Array, "photographs stripe"]]:
     """All errors of one block in pixels; zero where masked, whatever stands there."""
-    stands = photograph_poses(system.rig, pose, block)
-    corner = corner_errors(system, stands, block)
+    stands = photograph_poses(system.rig, pose[:6], block)
+    corner = corner_errors(system, pose, stands, block)
     if not system.rig.lights or not block.stripe_used.size:
         return corner, jnp.zeros(block.stripe_used.shape, corner.dtype)
-    return corner, stripe_errors(system.rig, stands, block)
+    return corner, stripe_errors(system, pose, stands, block)
 
 
-def stripe_errors(rig: Rig, stands: Stands, block: Blocks) -> Float[Array, "photographs stripe"]:
+def stripe_errors(
+    system: System, pose: Float[Array, "size"], stands: Stands, block: Blocks
+) -> Float[Array, "photographs stripe"]:
     """The stripe's errors of one block in pixels; zero where masked. The rig has a light, the block a stripe."""
-    R, t = stands
-    beta = dual_plane_of(R, t)
+    rig, shape, (R, t) = system.rig, shape_of_block(system, pose), stands
+    if shape is None:
+        board = dual_plane_of(R, t)
+    else:
+        extent = middle_and_half(block.points)
+        board = jax.vmap(lambda R, t: BentBoard.create(shape, R, t, *extent))(R, t)
     pixel = jnp.where(block.stripe_used[..., None], block.stripe, jnp.stack(rig.camera.principal))
     axis = jnp.where(block.stripe_columns[..., None], jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0]))
     x, dx = jax.vmap(jax.vmap(rig.camera.ray_and_change))(pixel, axis)
 
     def errors(light: Light) -> Float[Array, "photographs stripe"]:
-        return jax.vmap(jax.vmap(partial(stripe_error, light), in_axes=(None, 0, 0)))(beta, x, dx)
+        return jax.vmap(jax.vmap(partial(stripe_error, light), in_axes=(None, 0, 0)))(board, x, dx)
 
     found = errors(rig.lights[0])
     for i, light in enumerate(rig.lights[1:], 1):

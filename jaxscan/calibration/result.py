@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxscan.calibration.adjustment import Adjustment, pose_at_0
 from jaxscan.calibration.bundle import Factor
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
+from jaxscan.calibration.flatness import BoardFlatness
 from jaxscan.calibration.observations import Kept, Observations, Unused, View
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.calibration.rounds import Refined
@@ -19,6 +20,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.rig import Covariance, Motion, Rig, System
+from jaxscan.rig.board_shape import BOARD_SHAPES, BentBoard, bent_by, middle_and_half
 from jaxscan.rig.light import distance
 from jaxscan.rig.rig import parameter_names, with_normal_numbers
 from jaxscan.robust import NORMAL_MAD
@@ -63,7 +65,9 @@ class Calibration:
         covariance: of the rig's parameters; one that was held is not among them.
         board_covariances: view by view, of the rig's parameters and that board's pose together.
         moved_covariances: the same of the pose of each sequence's board with all axes at 0.
-        warp_covariance: of the board's bulge, `warp.x` and `warp.y` (mm); None where the board was taken to be flat.
+        shape_covariance: of the board's shape, `shape.bulge.0` … (mm); None where the board was taken to be flat.
+        bend_sigma_mm: σ of the bulges that each board has besides that shape, from the photographs; None where it was
+            taken to have none.
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
         stripe_correlation: how many neighbouring stripe points are worth one, by the correlation of their errors.
@@ -83,6 +87,7 @@ class Calibration:
         settled: whether they did; otherwise the rounds ended by their number. A solve that reached no minimum is an
             error.
         steps: evaluations of the last solve.
+        flatness: what the residuals say of the board's shape beyond what was followed.
         plain: whether every observation took part with the same weight.
         sheet_curves: of sheets of light that were taken as flat and are clearly curved.
     """
@@ -93,7 +98,8 @@ class Calibration:
     covariance: Covariance
     board_covariances: tuple[Covariance, ...]
     moved_covariances: tuple[Covariance, ...]
-    warp_covariance: Covariance | None
+    shape_covariance: Covariance | None
+    bend_sigma_mm: float | None
     corner_sigma_px: float
     stripe_sigma_px: float | None
     stripe_correlation: float | None
@@ -111,6 +117,7 @@ class Calibration:
     solves: int
     settled: bool
     steps: int
+    flatness: BoardFlatness | None = None
     plain: bool = False
     sheet_curves: tuple[SheetCurve, ...] = ()
 
@@ -135,13 +142,15 @@ class Calibration:
             fit["stripe_depths_mm"] = depths
         if self.stripe_sigma_ratio is not None:
             fit["stripe_sigma_ratio"] = self.stripe_sigma_ratio
+        fit |= self.shape_facts()
         if self.warnings:
             fit["warnings"] = list(self.warnings)
         return RigFile(self.rig, self.covariance, fit)
 
     def stripe_points(self, laser: int) -> Float[np.ndarray, "points 3"]:
         """Where a laser's stripes lie on the boards, camera frame, mm; without those that are far from its light."""
-        X, _ = stripe_points_in_space(self.observations, self.rig.camera, self.photograph_poses(), laser)
+        poses, bent = self.photograph_poses(), self.bent_boards()
+        X, _ = stripe_points_in_space(self.observations, self.rig.camera, poses, laser, bent)
         off = np.abs(distance(self.rig.lights[laser], X))
         return X[off <= _FAR_OFF * NORMAL_MAD * np.median(off)] if len(X) else X
 
@@ -151,6 +160,46 @@ class Calibration:
         for sequence, pose in zip(self.observations.sequences, np.asarray(self.system.moved.as_vector()), strict=True):
             boards.append((self.rig.pose(sequence.positions) @ Pose.from_vector(pose)).as_vector())
         return Pose.from_vector(np.concatenate(boards))
+
+    @property
+    def board_shape(self) -> str:
+        """What was found of the board's shape, as it was asked for."""
+        asked = len(jax.tree.leaves(self.system.shape)), self.bend_sigma_mm is not None
+        return next(name for name, each in BOARD_SHAPES.items() if each == asked)
+
+    def board_bent_by(self) -> tuple[float, float]:
+        """From the lowest to the highest point of the board as all photographs have it, mm, and its σ; 0 if flat."""
+        if self.shape_covariance is None:
+            return 0.0, 0.0
+        return bent_by(np.array([float(x) for x in jax.tree.leaves(self.system.shape)]), self.shape_covariance.matrix)
+
+    def bent_boards(self) -> list[BentBoard] | None:
+        """The board where it stood in each photograph, in the order of `Observations.photographs`; None if flat."""
+        shape = as_numpy(self.system.shape)
+        if shape is None:
+            return None
+        extent = middle_and_half(self.observations.board.points())
+        blocks = [(0, i) for i in range(len(self.observations.views))]
+        blocks += [(1, i) for i, each in enumerate(self.observations.sequences) for _ in each.views]
+        poses, boards = self.photograph_poses(), []
+        for i, (group, block) in enumerate(blocks):
+            bends = self.system.bends(group)
+            own = shape if bends is None else shape.bent(np.asarray(bends)[block])
+            boards.append(BentBoard.create(own, poses.matrix()[i], poses.translation[i], *extent))
+        return boards
+
+    def shape_facts(self) -> dict[str, object]:
+        """What a rig file has of the board's shape; nothing of a flat one."""
+        if self.shape_covariance is None:
+            return {}
+        bent, sigma = self.board_bent_by()
+        facts: dict[str, object] = {
+            "board_shape": self.board_shape,
+            "board_bent_mm": bent,
+            "board_bent_sigma_mm": sigma,
+        }
+        facts["board_terms_mm"] = [float(term) for term in jax.tree.leaves(self.system.shape)]
+        return facts | ({} if self.bend_sigma_mm is None else {"board_bends_sigma_mm": self.bend_sigma_mm})
 
     def _stripe_depths(self) -> list[float] | None:
         """The nearest and the farthest depth of a stripe on a board, along the optical axis, mm."""
@@ -183,6 +232,8 @@ def assemble(
     names = parameter_names(rig)
     at = [i for i, name in enumerate(names) if name not in held]
     joint = tuple(_at_0(refined, group, solved, free) for group in range(len(refined.groups)))
+    # Without the boards' own bends.
+    joint = tuple(matrix[:, : len(free) + len(_POSE), : len(free) + len(_POSE)] for matrix in joint)
     covariance = with_normal_numbers(np.asarray(refined.precision.covariance), solved, free)[np.ix_(at, at)]
     fits = _photograph_fits(observations, refined)
     fits, moved_fits = fits[:n_views], fits[n_views:]
@@ -196,7 +247,8 @@ def assemble(
         covariance=Covariance(tuple(names[i] for i in at), covariance),
         board_covariances=_with_poses(joint[0][:n_views], names, at),
         moved_covariances=_with_poses(joint[1][:n_sequences], names, at) if n_sequences else (),
-        warp_covariance=_of_warp(refined, len(names)),
+        shape_covariance=_of_shape(refined, len(names)),
+        bend_sigma_mm=None if refined.noise.bend is None else float(refined.noise.bend),
         corner_sigma_px=float(refined.noise.corner),
         stripe_sigma_px=refined.stripe_sigma if stripe.size else None,
         stripe_correlation=refined.stripe_correlation if stripe.size else None,
@@ -217,8 +269,8 @@ def assemble(
     )
 
 
-def _of_warp(refined: Refined, leaves: int) -> Covariance | None:
-    """The covariance of the board's bulge, which stands behind that of so many leaves of the rig."""
+def _of_shape(refined: Refined, leaves: int) -> Covariance | None:
+    """The covariance of the board's shape, which stands behind that of so many leaves of the rig."""
     names = tuple(refined.system.shared_names()[leaves:])
     return Covariance(names, np.asarray(refined.precision.covariance)[leaves:, leaves:]) if names else None
 
@@ -237,12 +289,13 @@ def _at_0(refined: Refined, group: int, rig: Rig, free: Bool[Array, "shared"]) -
     blocks, joint = refined.groups[group], np.asarray(refined.precision.blocks[group])
     if blocks.q:
         # By the rig as it was solved, whose surplus numbers were held: their rows are no covariance yet.
-        known = np.concatenate([np.asarray(free, float), np.ones(len(_POSE))])
+        known = np.concatenate([np.asarray(free, float), np.ones(joint.shape[-1] - len(free))])
         joint = joint * known[:, None] * known
         J = np.broadcast_to(np.eye(joint.shape[-1]), joint.shape).copy()
         motion = [i for i, name in enumerate(parameter_names(rig)) if name.startswith("motion.")]
-        moved = np.asarray(_moved_back(rig.motion, refined.system.poses[group], blocks.reference))
-        J[:, -len(_POSE) :, [*motion, *range(-len(_POSE), 0)]] = moved
+        moved = np.asarray(_moved_back(rig.motion, refined.system.poses[group][:, :6], blocks.reference))
+        pose = slice(len(free), len(free) + len(_POSE))
+        J[:, pose, [*motion, *range(pose.start, pose.stop)]] = moved
         joint = J @ joint @ J.swapaxes(-1, -2)
     return with_normal_numbers(joint, rig, free)
 
@@ -259,7 +312,7 @@ def _moved_back(motion: Motion, poses: Float[Array, "blocks 6"], reference: dict
     return jax.vmap(each)(poses, reference)
 
 
-def _photographs(observations: Observations) -> Iterator[tuple[View, int, int, int]]:
+def photographs_in_blocks(observations: Observations) -> Iterator[tuple[View, int, int, int]]:
     """Each photograph with the group, the block and the place in it where it stands."""
     for i, view in enumerate(observations.views):
         yield view, 0, i, 0
@@ -272,7 +325,7 @@ def _kept(observations: Observations, refined: Refined) -> tuple[Kept, ...]:
     """What took part in the last solve, photograph by photograph."""
     masks = [(np.asarray(group.corner_used), np.asarray(group.stripe_used)) for group in refined.groups]
     kept = []
-    for view, group, i, k in _photographs(observations):
+    for view, group, i, k in photographs_in_blocks(observations):
         corners, stripe = (mask[i, k] for mask in masks[group])
         ends = np.cumsum([len(seen.pixels) for seen in view.stripes])
         kept.append(Kept(corners, tuple(np.split(stripe[: ends[-1]], ends[:-1])) if view.stripes else ()))
@@ -287,7 +340,7 @@ def _photograph_fits(observations: Observations, refined: Refined) -> tuple[Phot
         kept = np.asarray(blocks.corner_used), np.asarray(blocks.stripe_used)
         arrays.append((np.asarray(corner), corner_sigmas, kept[0], np.asarray(stripe), stripe_sigmas, kept[1]))
     fits = []
-    for view, group, i, k in _photographs(observations):
+    for view, group, i, k in photographs_in_blocks(observations):
         corner, corner_sigmas, corner_kept, stripe, stripe_sigmas, stripe_kept = (x[i, k] for x in arrays[group])
         pixels = np.concatenate([s.pixels for s in view.stripes]) if view.stripes else np.zeros((0, 2))
         candidate = np.isfinite(pixels).all(axis=1)

@@ -4,7 +4,8 @@ The first solve tames large residuals by a robust loss. From then on each round 
 lies beyond a fixed number of them, readmits what no longer does, and solves plain least squares on the rest, until
 neither the set nor the σ change, or it shows that the data do not determine what is asked. The σ are variance
 components: squared residuals over redundancy. Photographs differ in their light, their sharpness and how flat the board
-was held, so each has a σ of its own, drawn towards that of all by about a photograph's worth. Weights that corners were
+was held, so each has a σ of its own, drawn towards that of all by about a photograph's worth. Where boards may bend by
+themselves the σ of their bends comes out of each round too (`bends`). Weights that corners were
 given are believed as far as the residuals bear them out. A stripe point is weighted less than its σ alone says, by the
 correlation of errors along the stripe.
 """
@@ -18,6 +19,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.calibration.bends import likeliest_bend, reduced
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.calibration.bundle import Factor, Outcome, solve
 from jaxscan.calibration.correlation import integrated_correlation
@@ -25,6 +27,7 @@ from jaxscan.calibration.residuals import Blocks, Noise, block_errors
 from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, arrow_precision
 from jaxscan.precision import as_jax, as_numpy
 from jaxscan.rig import System
+from jaxscan.rig.board_shape import BENDS
 from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
@@ -51,7 +54,7 @@ class Refined:
 
     Attributes:
         system: the parameters.
-        noise: σ in pixels, from the residuals: of a corner, and of a stripe point times √τ.
+        noise: σ in pixels, from the residuals: of a corner, and of a stripe point times √τ; of the bends, mm.
         solved_with: what the last solve divided residuals by; but for a common factor the same, within 1 %.
         stripe_sigma: σ of a stripe point by itself, pixels.
         stripe_correlation: τ, how many neighbouring stripe points are worth one.
@@ -59,6 +62,7 @@ class Refined:
         errors: for each group, corner (blocks, photographs, corners, 2) and stripe (blocks, photographs, stripe) errors
             in pixels, of all candidates, kept or not.
         precision: covariance and leverages there.
+        last: residuals and Jacobian there, in units of `noise`; NumPy leaves.
         outcome: the last solve.
         solves: how many solves it took.
         settled: whether σ, weights and outliers had come to rest; otherwise the rounds ended by their number, or
@@ -73,6 +77,7 @@ class Refined:
     groups: tuple[Blocks, ...]
     errors: tuple[tuple[Float[np.ndarray, "_ _ _ 2"], Float[np.ndarray, "_ _ _"]], ...]
     precision: Precision
+    last: tuple[Arrow, Jacobian]
     outcome: Outcome
     solves: int
     settled: bool
@@ -109,8 +114,7 @@ def refine(
     solves = futile = 0
     if reject:
         begins(1)
-        first = Noise.create(float(noise.corner), float(noise.stripe), robustness=1.0)
-        outcome = solve(system, free, (*groups, *factors), first)
+        outcome = solve(system, free, (*groups, *factors), noise.robust())
         system, futile = outcome.system, int(outcome.result != optx.RESULTS.successful)
         errors = as_numpy(group_errors(system, candidates))
         noise = _median_noise(groups, errors, noise)
@@ -127,35 +131,61 @@ def refine(
         believed = _believed(candidates, groups, errors) if weigh else candidates
         single, photographs = _variance_components(believed, groups, errors, known.leverage, noise)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
-        settled = Noise.create(float(single.corner), float(single.stripe) * tau**0.5)
+        settled = single.of(float(single.corner), float(single.stripe) * tau**0.5)
+        if noise.bend is not None:
+            settled = replace(settled, bend=as_jax(np.asarray(_bend(outcome, candidates, float(noise.bend)))))
         kept = _weighted(believed, photographs, single, tau) if weigh else candidates
         if reject:
             kept = _keep(kept, errors, _at_least(single, _median_noise(groups, errors, single)))
         # Only the ratio of the two σ moves the solution; their common scale is in the covariance alone.
         ratio = float(settled.stripe) / float(settled.corner) / (float(noise.stripe) / float(noise.corner))
         calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
+        if noise.bend is not None and settled.bend is not None:
+            calm = calm and abs(float(settled.bend) / float(noise.bend) - 1) < _SCALES_SETTLED
         open_ended = outcome.result != optx.RESULTS.successful or known.eigenvalues[0] < UNDETERMINED
         futile = futile + 1 if open_ended else 0
         if calm or futile >= _MAX_FUTILE or solves >= _MAX_SOLVES:
-            spread = arrow_precision(*_restated(outcome, groups, noise, settled))
+            last = _restated(outcome, groups, noise, settled)
             return Refined(
-                system, settled, noise, float(single.stripe), tau, as_jax(groups), errors, spread, outcome, solves, calm
+                system=system,
+                noise=settled,
+                solved_with=noise,
+                stripe_sigma=float(single.stripe),
+                stripe_correlation=tau,
+                groups=as_jax(groups),
+                errors=errors,
+                precision=arrow_precision(*as_jax(last)),
+                last=last,
+                outcome=outcome,
+                solves=solves,
+                settled=calm,
             )
         noise, groups = settled, kept
 
 
 def _restated(outcome: Outcome, groups: tuple[Blocks, ...], old: Noise, new: Noise) -> tuple[Arrow, Jacobian]:
     """Residuals and Jacobian of a solve with other σ than it was solved with."""
-    corner, stripe = float(old.corner) / float(new.corner), float(old.stripe) / float(new.stripe)
+    ratios = [float(old.corner) / float(new.corner), float(old.stripe) / float(new.stripe)]
+    bends = 0
+    if old.bend is not None and new.bend is not None:
+        ratios, bends = [*ratios, float(old.bend) / float(new.bend)], BENDS
     scales = [
-        np.repeat([corner, stripe], [2 * group.weights[0].size, group.stripe_weights[0].size]) for group in groups
+        np.repeat(ratios, [2 * group.weights[0].size, group.stripe_weights[0].size, bends][: len(ratios)])
+        for group in groups
     ]
     scales += [np.ones(1)] * (len(outcome.value.blocks) - len(groups))
     value, blocks = (
         as_jax(tuple(s[:, *axes] * np.asarray(rows) for s, rows in zip(scales, parts.blocks, strict=True)))
         for parts, axes in ((outcome.value, ()), (outcome.jacobian, (None,)))
     )
-    return replace(outcome.value, blocks=value), replace(outcome.jacobian, blocks=blocks)
+    return as_numpy((replace(outcome.value, blocks=value), replace(outcome.jacobian, blocks=blocks)))
+
+
+def _bend(outcome: Outcome, candidates: tuple[Blocks, ...], sigma: float) -> float:
+    """The σ of the bends by a solve with another, mm."""
+    value, jacobian = as_numpy((outcome.value, outcome.jacobian))
+    half_diagonal = float(np.linalg.norm(np.ptp(candidates[0].points[0, :, :2], axis=0))) / 2
+    return likeliest_bend(reduced(value, jacobian, len(candidates), sigma), half_diagonal)
 
 
 def _same(old: tuple[Blocks, ...], new: tuple[Blocks, ...]) -> bool:
@@ -216,11 +246,11 @@ def _median_noise(groups: tuple[Blocks, ...], errors: tuple, noise: Noise) -> No
             return float(otherwise)
         return max(NORMAL_MAD * float(np.nanmedian(np.abs(values))), _SMALLEST_SIGMA)
 
-    return Noise.create(sigma(corner, noise.corner), sigma(stripe, noise.stripe))
+    return noise.of(sigma(corner, noise.corner), sigma(stripe, noise.stripe))
 
 
 def _at_least(a: Noise, b: Noise) -> Noise:
-    return Noise.create(max(float(a.corner), float(b.corner)), max(float(a.stripe), float(b.stripe)))
+    return a.of(max(float(a.corner), float(b.corner)), max(float(a.stripe), float(b.stripe)))
 
 
 @dataclass(frozen=True)
@@ -251,7 +281,7 @@ def _variance_components(
                 (np.where(used, corner * candidate.weights[..., None], 0.0) ** 2).sum((2, 3)),
                 np.where(used, 1 - h[:, :n].reshape(corner.shape), 0.0).sum((2, 3)),
                 (np.where(striped, stripe, 0.0) ** 2).sum(2),
-                np.where(striped, 1 - h[:, n:].reshape(stripe.shape), 0.0).sum(2),
+                np.where(striped, 1 - h[:, n : n + stripe[0].size].reshape(stripe.shape), 0.0).sum(2),
             )
         )
 
@@ -268,7 +298,7 @@ def _variance_components(
         sum(float(x.sum()) for x in xs)
         for xs in zip(*((s.stripe_squares, s.stripe_redundancy) for s in sums), strict=True)
     ]
-    overall = Noise.create(
+    overall = noise.of(
         sigma(corner_sums[0], corner_sums[1], noise.corner), sigma(stripe_sums[0], stripe_sums[1], noise.stripe)
     )
     return overall, tuple(sums)

@@ -56,11 +56,12 @@ def better_poses(system: System, groups: tuple[Blocks, ...], noise: Noise) -> Sy
     if not doubtful.any():
         return None
     closed = first_poses(system.rig.camera, views)
+    bends = poses[:, 6:]
     held = jnp.zeros(len(jax.tree.leaves(system.shared)), bool)
-    robust = Noise.create(float(noise.corner), float(noise.stripe), robustness=1.0)
     cost, best = now.sum(1), np.asarray(poses)
-    for start in (closed, _mirrored(closed, views), _mirrored(poses, views)):
-        tried = solve(with_poses(jnp.where(doubtful[:, None], start, poses)), held, groups, robust).system
+    for start in (closed, _mirrored(closed, views), _mirrored(poses[:, :6], views)):
+        moved = jnp.concatenate([start, jnp.zeros_like(bends)], axis=1)
+        tried = solve(with_poses(jnp.where(doubtful[:, None], moved, poses)), held, groups, noise.robust()).system
         tried_cost = squares(tried).sum(1)
         better = doubtful & (tried_cost < cost - _BETTER)
         cost = np.where(better, tried_cost, cost)

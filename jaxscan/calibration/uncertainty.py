@@ -27,7 +27,7 @@ class Precision(eqx.Module):
         covariance: of the shared parameters, in their units; a held one stands there with 1 and tied to none.
         eigenvalues: of the Schur complement scaled to a unit diagonal, smallest first.
         directions: its eigenvectors, in columns, in units of each parameter's σ if it were the only one.
-        blocks: for each group (blocks, shared + 6, shared + 6): covariance of shared parameters and pose together.
+        blocks: for each group (blocks, shared + size, shared + size): covariance of shared parameters and the block's.
         leverage: for each group (blocks, residuals): h of each residual.
     """
 
@@ -47,7 +47,7 @@ def precision(
     prior: Prior | None = None,
 ) -> Precision:
     """The covariance at a solution, for least squares (whatever robustness `noise` carries)."""
-    noise = Noise(noise.corner, noise.stripe, jnp.zeros_like(noise.robustness))
+    noise = Noise(noise.corner, noise.stripe, jnp.zeros_like(noise.robustness), noise.bend)
     y, _, residual = as_arrow(system, free, groups, noise, prior)
     return arrow_precision(*linearise(residual, y))
 

@@ -155,7 +155,7 @@ def solve_sessions(
         name: which camera of that file.
         hold: whether that camera is kept as it is.
         detector: how the stripe's centre is measured.
-        estimate: lens, held parameters and weights, as far as they are not the sessions'.
+        estimate: lens, held parameters, board's shape and weights, as far as they are not the sessions'.
         needs_laser: whether the limit of speckle is asked for, which only a laser's stripe tells.
     """
     from jaxscan.cli.compiled import keep_compiled
@@ -172,11 +172,17 @@ def solve_sessions(
     from jaxscan.rig import Rig
     from jaxscan.rig.rig import parameter_names
 
-    contents, settings = [], []
+    contents, settings, shapes = [], [], []
     for path in paths:
         mat = path.suffix.lower() == ".mat"
         contents.append(read_camera_file(path) if mat else read_session(path))
         settings.append(estimate.of(CameraSettings() if mat else contents[-1].camera))
+        shapes.append(estimate.board_shape or ("flat" if mat else contents[-1].board_shape))
+        if shapes[-1] != shapes[0]:
+            raise InputError(
+                f'{path}: its board has shape = "{shapes[-1]}", that of {paths[0]} "{shapes[0]}": sessions that are '
+                "solved together show one board, so give all the same [board], or choose with --board-shape"
+            )
         if settings[-1] != settings[0]:
             raise InputError(
                 f"{path}: its {_in_words(settings[-1])}; those of {paths[0]}: {_in_words(settings[0])}: sessions "
@@ -224,6 +230,7 @@ def solve_sessions(
             principal_point=settings[0].principal_point,
             start=start,
             hold=held,
+            board_shape=shapes[0],
             advance=advance.says,
             plain=estimate.plain,
             light=sheets,

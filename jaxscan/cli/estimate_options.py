@@ -1,4 +1,4 @@
-"""What `jaxscan calibrate` is to find of camera and light, and how it weighs what was seen."""
+"""What `jaxscan calibrate` is to find of camera, light and board, and how it weighs what was seen."""
 
 import argparse
 from collections.abc import Sequence
@@ -27,6 +27,7 @@ class Estimate:
         free: lens terms that are sought although the start camera has them as 0, and the session may hold them.
         plain: plain least squares, every corner with the same weight.
         sheet: the kind of all lasers' sheets, in place of the session's.
+        board_shape: in place of the session's.
     """
 
     lens: str | None = None
@@ -34,6 +35,7 @@ class Estimate:
     free: tuple[str, ...] = ()
     plain: bool = False
     sheet: str | None = None
+    board_shape: str | None = None
 
     def of(self, settings: "CameraSettings") -> "CameraSettings":
         """A session's settings with what was asked for."""
@@ -65,7 +67,7 @@ AS_THE_SESSION: Final = Estimate()
 
 
 def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare --lens, --hold, --free, --sheet and --plain."""
+    """Declare --lens, --hold, --free, --sheet, --board-shape and --plain."""
     parser.add_argument(
         "--lens",
         metavar="LENS",
@@ -100,6 +102,12 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         "by one more number, as a line lens makes it that is not quite square to its beam (default: plane)",
     )
     parser.add_argument(
+        "--board-shape",
+        metavar="SHAPE",
+        help="what of the board's shape is found too, in place of the session's: flat, nothing (the default); bulge, "
+        "along columns and rows; warp, also twist and edges; bend, also its bulges in each photograph",
+    )
+    parser.add_argument(
         "--plain",
         action="store_true",
         help="plain least squares over all corners, the estimate that OpenCV and Bouguet's toolbox make, to compare "
@@ -128,7 +136,12 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
 
         if args.sheet not in LIGHTS:
             raise InputError(f"--sheet {args.sheet}: this version knows {', '.join(LIGHTS)}")
-    return Estimate(args.lens, hold, free, args.plain, args.sheet)
+    if args.board_shape is not None:
+        from jaxscan.rig.board_shape import BOARD_SHAPES
+
+        if args.board_shape not in BOARD_SHAPES:
+            raise InputError(f"--board-shape {args.board_shape}: there are {', '.join(BOARD_SHAPES)}")
+    return Estimate(args.lens, hold, free, args.plain, args.sheet, args.board_shape)
 
 
 def _names(text: str) -> Sequence[str]:

@@ -44,7 +44,12 @@ def session_facts(path: Path) -> Facts:
     return {
         "kind": "session",
         "path": str(session.path),
-        "board": {"kind": board.kind, "points": list(board.counts), "pitch_mm": board.pitch_mm},
+        "board": {
+            "kind": board.kind,
+            "points": list(board.counts),
+            "pitch_mm": board.pitch_mm,
+            "shape": session.board_shape,
+        },
         "image_size": list(session.image_size),
         "lens": session.camera.lens,
         "principal_point": session.camera.principal_point,

@@ -21,7 +21,8 @@ def _session(facts: Facts) -> Iterator[Line]:
     board = facts["board"]
     points = "centres of circles" if board["kind"] == "circles" else "inner corners"
     columns, rows = board["points"]
-    yield "board", f"{board['kind']}, {columns} × {rows} {points}, {board['pitch_mm']:g} mm apart"
+    shape = "" if board["shape"] == "flat" else f", whose shape is found too ({board['shape']})"
+    yield "board", f"{board['kind']}, {columns} × {rows} {points}, {board['pitch_mm']:g} mm apart{shape}"
     yield "views", f"{facts['views']} photographs of {_size(facts['image_size'])}"
     for laser in facts["lasers"]:
         where = "in the photographs of the board"
@@ -84,7 +85,13 @@ def _rig(facts: Facts) -> Iterator[Line]:
         yield from _axis(axis)
     if not facts["motion"]:
         yield "motion", "none"
+    from jaxscan.rig.board_shape import shape_in_words
+
+    if shape := shape_in_words(facts["fit"]):
+        yield "board", shape
     for name, value in facts["fit"].items():
+        if name.startswith("board_"):
+            continue
         yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
     for warning in facts["warnings"]:
         yield "warning", f"{warning}."

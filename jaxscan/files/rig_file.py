@@ -38,6 +38,8 @@ from jaxscan.rig import Camera, Covariance, Light, Rig
 from jaxscan.rig.rig import parameter_names
 
 FORMAT: Final = "jaxscan-rig/2"
+# What words about the board's shape are made of.
+_OF_SHAPE: Final = ("board_bent_mm", "board_bent_sigma_mm")
 # Its square is still a float32.
 _LARGEST: Final = 1e18
 
@@ -177,6 +179,9 @@ def _fit(table: Table) -> dict[str, Any]:
     fit = table.table("fit", "fit.")
     for key in _STRIPE_ERRORS:
         if key in fit and fit.number(key) < 0:
+            raise fit.error(key, "must be a number that is not negative: calibrate again")
+    for key in _OF_SHAPE if "board_shape" in fit else ():
+        if fit.number(key) < 0:
             raise fit.error(key, "must be a number that is not negative: calibrate again")
     if "stripe_depths_mm" in fit and not 0 < (depths := fit.numbers("stripe_depths_mm", 2))[0] <= depths[1]:
         raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")

@@ -20,6 +20,7 @@ from jaxscan.files.settings import (
 from jaxscan.files.table import Table, show
 from jaxscan.images import Board, StripeSettings
 from jaxscan.rig import LENSES, LIGHTS, LightPlane
+from jaxscan.rig.board_shape import BOARD_SHAPES
 from jaxscan.rig.camera import camera_parameters
 
 SESSION_FILE: Final = "session.toml"
@@ -103,6 +104,7 @@ class Session:
         lasers: how to look for the stripe of each laser; none for a rig without a laser.
         sheets: the kind of each laser's sheet of light, in their order; empty where all are planes.
         image_size: columns and rows of all its photographs.
+        board_shape: what of the board's shape is to be found, one of `BOARD_SHAPES`.
     """
 
     path: Path
@@ -114,6 +116,7 @@ class Session:
     lasers: tuple[StripeSettings, ...] = ()
     sheets: tuple[str, ...] = field(default=(), kw_only=True)
     image_size: tuple[int, int] = (0, 0)
+    board_shape: str = "flat"
 
     def photographs(self) -> list[Path]:
         """All its photographs: of the board, on stage and turntable, of the stripes."""
@@ -137,7 +140,7 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
         InputError: whatever is wrong: file, key, value and the mend.
     """
     table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", *SEQUENCES, "laser"))
-    board, camera = _board(table), _camera(table)
+    (board, shape), camera = _board(table), _camera(table)
     if "views" not in table:
         mend = "add it, with boards = the photographs of the board held in the hand, in three poses or more"
         raise table.error("views", f"is missing: {mend}; the camera is found from them")
@@ -147,7 +150,7 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
         raise views.error("boards", "names no photograph: name those of the board")
     lasers, sheets, stripes = _lasers(table, views, len(boards))
     moved = _stage(table, lasers), _turntable(table, lasers)
-    session = Session(table.path, board, Views(boards, stripes), camera, *moved, lasers, sheets=sheets)
+    session = Session(table.path, board, Views(boards, stripes), camera, *moved, lasers, sheets=sheets, board_shape=shape)
     _check_each_shows_one_pose(session)
     return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 
@@ -175,6 +178,7 @@ def write_session(session: Session) -> None:
     """
     folder = session.path.parent
     values: dict[str, Any] = {"board": _board_values(session.board)}
+    values["board"] |= {"shape": session.board_shape} if session.board_shape != "flat" else {}
     asked = session.camera
     values["camera"] = {"lens": asked.lens, "principal_point": asked.principal_point}
     values["camera"] |= {"hold": list(asked.hold)} if asked.hold else {}
@@ -245,10 +249,12 @@ def _listed(session: Session) -> Iterator[tuple[str, tuple[str, int], Path]]:
                     yield f"[{name}] stripes", pose, stripe
 
 
-def _board(table: Table) -> Board:
+def _board(table: Table) -> tuple[Board, str]:
+    """The board, and what of its shape is to be found."""
     board = table.table("board", "[board] ")
     kind = board.string("kind", "checkerboard", tuple(_BOARD_KEYS))
-    board.only("kind", *_BOARD_KEYS[kind])
+    board.only("kind", "shape", *_BOARD_KEYS[kind])
+    shape = board.string("shape", "flat", tuple(BOARD_SHAPES))
     if kind == "circles":
         diameter = board.number("diameter_mm") if "diameter_mm" in board else None
         make = partial(Board.circles, board.size("circles"), board.number("pitch_mm"), diameter)
@@ -258,7 +264,7 @@ def _board(table: Table) -> Board:
     else:
         make = partial(Board.checkerboard, board.size("inner_corners"), board.number("square_mm"))
     try:
-        return make()
+        return make(), shape
     except InputError as error:
         raise InputError(f"{table.path}: [board] {error}") from error
 

@@ -1,5 +1,6 @@
 """The rig as one pytree: camera, lights, motion, and the poses that calibration refines with them."""
 
+from jaxscan.rig.board_shape import BoardShape
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.covariance import Covariance
@@ -11,14 +12,14 @@ from jaxscan.rig.linear import Linear
 from jaxscan.rig.motion import AxisMotion, Chain, Fixed, Motion, Positions, motion_of
 from jaxscan.rig.rig import Rig
 from jaxscan.rig.rotary import Rotary
-from jaxscan.rig.system import BoardWarp, System
+from jaxscan.rig.system import System
 
 __all__ = [
     "LENSES",
     "LIGHTS",
     "MOTIONS",
     "AxisMotion",
-    "BoardWarp",
+    "BoardShape",
     "BowedSheet",
     "Camera",
     "Chain",

@@ -1,33 +1,19 @@
 """The system: the rig together with everything else that its calibration has to find."""
 
+from typing import Final
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.geometry import Pose
-from jaxscan.precision import Leaf
+from jaxscan.rig.board_shape import BoardShape
 from jaxscan.rig.rig import Rig, parameter_names
 
-
-class BoardWarp(eqx.Module):
-    """How far a printed board bulges out of its plane (mrcal's model).
-
-    A board point with relative coordinates a, b in 0 … 1 along columns and rows stands at
-    z = 4 · x · a (1 − a) + 4 · y · b (1 − b).
-
-    Attributes:
-        x: bulge along the columns, mm.
-        y: bulge along the rows, mm.
-    """
-
-    x: Leaf
-    y: Leaf
-
-    def height(self, relative: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
-        """Z at relative board coordinates (mm)."""
-        bulge = 4 * relative * (1 - relative)
-        return bulge @ jnp.stack([self.x, self.y])
+# The names of the terms of a board's shape, in the order of its leaves.
+SHAPE_TERMS: Final = ("shape.bulge.0", "shape.bulge.1", "shape.twist.0", "shape.edge.0", "shape.edge.1")
 
 
 class System(eqx.Module):
@@ -37,31 +23,36 @@ class System(eqx.Module):
         rig: camera, lights, motion: shared by all photographs.
         poses: for each group of blocks (blocks, 6), rotation vector and translation: T_cam_board of each view; then of
             each board that was moved by an axis, at its positions of reference; then of each gauge, T_object_gauge.
-        warp: the board's shape, shared as well, or None for a flat one.
+            Behind the pose of a board that bends by itself stand its two bulges, mm.
+        shape: the board's, shared as well, or None for a flat one.
     """
 
     rig: Rig
     poses: tuple[Float[Array, "_ _"], ...]
-    warp: BoardWarp | None = None
+    shape: BoardShape | None = None
 
     @property
-    def shared(self) -> tuple[Rig, BoardWarp | None]:
+    def shared(self) -> tuple[Rig, BoardShape | None]:
         """What all residuals depend on, in the order of its leaves."""
-        return self.rig, self.warp
+        return self.rig, self.shape
 
     @property
     def boards(self) -> Pose:
         """T_cam_board of each view, stacked (views, 3)."""
-        return Pose.from_vector(self.poses[0])
+        return Pose.from_vector(self.poses[0][:, :6])
 
     @property
     def moved(self) -> Pose:
         """T_cam_board of each board that an axis moved, stacked; of a finished calibration with all axes at 0."""
-        return Pose.from_vector(self.poses[1] if len(self.poses) > 1 else jnp.zeros((0, 6)))
+        return Pose.from_vector(self.poses[1][:, :6] if len(self.poses) > 1 else jnp.zeros((0, 6)))
+
+    def bends(self, group: int) -> Float[Array | np.ndarray, "blocks 2"] | None:
+        """The bulges (mm) that each board of a group has besides the shape of all; None where it has none."""
+        return self.poses[group][:, 6:] if self.poses[group].shape[1] > 6 else None
 
     def shared_names(self) -> list[str]:
         """The names of what is shared, in the order of its leaves."""
-        return [*parameter_names(self.rig), *(("warp.x", "warp.y") if self.warp is not None else ())]
+        return [*parameter_names(self.rig), *SHAPE_TERMS[: len(jax.tree.leaves(self.shape))]]
 
     def values(self) -> list[float]:
         """Of what is shared."""

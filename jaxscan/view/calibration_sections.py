@@ -8,6 +8,7 @@ from jaxscan.calibration.diagnostics import Diagnostics, Ladder
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.images.light import Light
 from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays
+from jaxscan.rig.board_shape import shape_in_words
 from jaxscan.rig.facts import axis_facts
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.speckle_limit import Optics, limit_of
@@ -39,12 +40,13 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         )
         + f"; its last round reached the minimum in {calibration.steps} steps."
     )
+    shape = shape_in_words(calibration.shape_facts())
     title = "Parameters (px, 1/mm, mm per step" + (
         "; of what turns: radians per step, mm)" if diagnostics.turntables else ")"
     )
     return Section(
         "The rig",
-        paragraphs=(paragraph,),
+        paragraphs=(paragraph, *([f"The board is {shape}."] if shape else [])),
         tables=(Table(title, columns, tuple(rows)),),
     )
 
@@ -386,9 +388,9 @@ def left_out(calibration: Calibration) -> Section:
 
 
 def _points_in_space(calibration: Calibration) -> list[np.ndarray]:
-    camera, poses = calibration.rig.camera, calibration.photograph_poses()
+    camera, poses, bent = calibration.rig.camera, calibration.photograph_poses(), calibration.bent_boards()
     return [
-        stripe_points_in_space(calibration.observations, camera, poses, i)[0]
+        stripe_points_in_space(calibration.observations, camera, poses, i, bent)[0]
         for i in range(len(calibration.rig.lights))
     ]
 

@@ -4,10 +4,11 @@ import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics
+from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
 from jaxscan.calibration.diagnostics.missing_terms import MissingTerms
 from jaxscan.rig.camera import camera_parameters, lens_parameters
 from jaxscan.rig.opencv_lens import LADDER
-from jaxscan.view.report import Box
+from jaxscan.view.report import Box, Level
 
 # A richer lens is worth a word when held-out corners are nearer by this share.
 _LENS_GAIN = 0.025
@@ -25,6 +26,8 @@ _OFFSET_NOISE, _OFFSET_OTHERS = 4.0, 3.0
 # Stripes lie beside the plane as wholes, by this times as much as they are crooked: by noise alone 0.25 times. Of a few
 # stripes the plane takes up most.
 _WHOLES, _FEWEST_WHOLES = 1.0, 5
+# A board of another shape than it was taken to have moves the rig by so many σ: these are not to be believed.
+_MOVES_FAR = 4.0
 # Of normal residuals 0.27 % lie beyond 3 σ.
 _BEYOND_3 = 0.015
 # Mean square of errors of stage or turntable in σ.
@@ -40,7 +43,8 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
     return [
         *lens,
         *_camera_model(calibration, diagnostics),
-        *_sheets(calibration, lens),
+        *_board(calibration),
+        *_sheets(calibration, diagnostics, lens),
         *_bent(calibration, diagnostics),
         *_moved(diagnostics),
         *_stage(diagnostics),
@@ -176,7 +180,16 @@ def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Bo
     return boxes
 
 
-def _sheets(calibration: Calibration, lens: list[Box]) -> list[Box]:
+def _board(calibration: Calibration) -> list[Box]:
+    """Boards of another shape than they were taken to have."""
+    found = calibration.flatness
+    if found is None:
+        return []
+    level: Level = "stop" if found.session or found.shift_in_sigma > _MOVES_FAR else "care"
+    return [Box(level, f"{what}.", mend) for what, mend in found.statements]
+
+
+def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box]) -> list[Box]:
     """Light planes that do not fit their stripes, be it by the lens, and stripes that are hardly lines."""
     advice = (
         "The line is thicker than half a square, a reflection or another light was taken for it, or the plates are "
@@ -191,7 +204,7 @@ def _sheets(calibration: Calibration, lens: list[Box]) -> list[Box]:
         Box("care", f"{doubt}.", lens[0].advice if lens else of_lens)
         if doubt in curved
         else Box("stop", f"{doubt}.", lens[0].advice if lens else advice)
-        for doubt in calibration.warnings
+        for doubt in light_plane_doubts(diagnostics.stripes, calibration.sheet_curves)
     ]
     sigma = calibration.stripe_sigma_px
     if sigma is not None and sigma > _ROUGH_PX:

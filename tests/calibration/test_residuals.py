@@ -91,9 +91,9 @@ def test_robust_loss_is_square_then_straight(x64):
 def test_a_stripe_that_takes_no_part_is_not_computed(x64, monkeypatch):
     computed, real = [], residuals.stripe_errors
 
-    def stripe_errors(rig, pose, block):
+    def stripe_errors(system, pose, stands, block):
         jax.debug.callback(lambda: computed.append(1))
-        return real(rig, pose, block)
+        return real(system, pose, stands, block)
 
     monkeypatch.setattr(residuals, "stripe_errors", stripe_errors)
     views = view_blocks(synthetic.observations(seed=1, n_views=3, n_stage=0))

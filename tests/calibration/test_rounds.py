@@ -23,7 +23,6 @@ def test_weights_are_drawn_towards_equal_ones_as_far_as_the_errors_ask(common):
         none, off = jnp.zeros((1, 1, 0)), jnp.zeros((1, 1, 0), bool)
         group = Blocks(
             points=jnp.zeros((1, n, 3)),
-            relative=jnp.zeros((1, n, 2)),
             q={},
             reference={},
             corners=jnp.zeros((1, 1, n, 2)),

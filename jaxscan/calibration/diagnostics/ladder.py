@@ -109,12 +109,12 @@ def climb(calibration: Calibration) -> Ladder | None:
         }
         names = _distinct(chosen, held)
         reference = max(_REFERENCE, chosen, key=list(LADDER).index)
-        shape = len(jax.tree.leaves(system.warp))
+        shape = len(jax.tree.leaves(system.shape))
 
         def free(lens: str) -> Bool[Array, "shared"]:
             return jnp.pad(_free(lens, held), (0, shape))
 
-        noise = Noise.create(calibration.corner_sigma_px)
+        noise = calibration.adjustment.noise.of(calibration.corner_sigma_px, 1.0)
         judge = not calibration.plain
         best = refine(system, free(reference), (group,), noise, reject=judge, weigh=judge)
         n = len(calibration.observations.views)
@@ -148,14 +148,14 @@ def f_test(chi2_poor: float, chi2_rich: float, terms: int, dof: float) -> float:
 
 
 def _corners_alone(calibration: Calibration) -> tuple[System, Blocks]:
-    """The views' corners, and the calibration's camera as a rational lens; the board bulges as it was found to."""
+    """The views' corners, and the calibration's camera as a rational lens; boards have the shape that was found."""
     observations = calibration.observations
     views = tuple(replace(view, stripes=()) for view in observations.views)
     group = view_blocks(replace(observations, views=views, sequences=(), lasers=()))
     camera = with_richest_lens(as_float64(calibration.rig.camera))
-    poses = np.asarray(as_float64(calibration.system.boards).as_vector())
-    padded = far_away(bucket(len(poses))).at[: len(poses)].set(poses)
-    return System(Rig(camera), (padded,), as_float64(calibration.system.warp)), group
+    poses = np.asarray(calibration.system.poses[0], np.float64)
+    padded = far_away(bucket(len(poses)), poses.shape[1]).at[: len(poses)].set(poses)
+    return System(Rig(camera), (padded,), as_float64(calibration.system.shape)), group
 
 
 def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:

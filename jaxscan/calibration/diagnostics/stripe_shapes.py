@@ -70,6 +70,7 @@ def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
     """Every stripe that has enough points, the most bent first."""
     observations, shapes = calibration.observations, []
     poses, fits = calibration.photograph_poses(), (*calibration.fits, *calibration.moved_fits)
+    bent = calibration.bent_boards()
     for i, (view, fit) in enumerate(zip(observations.photographs(), fits, strict=True)):
         at = 0
         for stripe in view.stripes:
@@ -79,7 +80,7 @@ def stripe_shapes(calibration: Calibration) -> tuple[StripeShape, ...]:
             if len(kept) < _FEWEST_POINTS:
                 continue
             pixels = stripe.pixels[kept]
-            X = meet_board(calibration.rig.camera, pose_of(poses, i), pixels)[0]
+            X = meet_board(calibration.rig.camera, pose_of(poses, i), pixels, bent[i] if bent else None)[0]
             light = calibration.rig.lights[stripe.laser]
             along = pixels[:, 0 if stripe.columns else 1]
             shapes.append(shape(view.name, light.name, along, distance(light, X), float(np.median(X[:, 2]))))

@@ -17,7 +17,6 @@ from jaxscan.calibration.bundle import solve
 from jaxscan.calibration.diagnostics.resolve import problem
 from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.observations import View
-from jaxscan.calibration.residuals import Noise
 from jaxscan.calibration.result import Calibration, PhotographFit
 from jaxscan.calibration.rounds import group_errors
 from jaxscan.images import Board
@@ -155,9 +154,11 @@ def _placed(calibration: Calibration, index: int, view: View) -> tuple[float, fl
             replace(g, corner_used=jnp.zeros_like(g.corner_used), stripe_used=jnp.zeros_like(g.stripe_used))
             for g in groups[1:]
         )
-        start = replace(system, poses=(first_poses(system.rig.camera, corners), *system.poses[1:]))
+        first = first_poses(system.rig.camera, corners)
+        first = jnp.concatenate([first, jnp.zeros_like(system.poses[0][:, 6:])], axis=1)
+        start = replace(system, poses=(first, *system.poses[1:]))
         # Robust, so that a few wild corners do not place the board.
-        noise = Noise.create(calibration.corner_sigma_px, robustness=1.0)
+        noise = calibration.adjustment.noise.of(calibration.corner_sigma_px, 1.0, robustness=1.0)
         free = jnp.zeros_like(jnp.asarray(calibration.adjustment.free))
         placed = solve(start, free, (corners, *others), noise).system
         seen = replace(group, stripe_used=group.stripe_used & only)

@@ -1,0 +1,122 @@
+"""How far boards bend from photograph to photograph: σ of their own bulges, a variance component like those of noise.
+
+The bulges b of a board are unknowns beside its pose, normal about zero with a σ that is to be found. The bulges that a
+solve finds are drawn towards zero, so their own scatter is too small a σ. What is maximised is the restricted
+likelihood (H. D. Patterson and R. Thompson 1971): that of what the data say of the bulges once camera, poses and all
+else that was sought is taken out. With Q the normal equations of [shared, bulges, residual], poses eliminated, and
+K = (Q_bb + I / σ²)⁻¹ of each board,
+
+    −2 log L = Σ log |I + σ² Q_bb| + log |S| + Q_rr − Σ Q_rb K Q_br − gᵀ S⁻¹ g
+    S = Σ (Q_ss − Q_sb K Q_bs)        g = Σ (Q_sr − Q_sb K Q_br)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.block_arrow import Arrow, Jacobian
+from jaxscan.rig.board_shape import BENDS
+
+# A board flatter than this (mm) is flat.
+LEAST_BEND_MM = 1e-4
+# σ is sought up to this share of the board's half diagonal, first in so many steps.
+_MOST_BEND = 0.05
+_STEPS = 33
+_NARROWINGS = 4
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Normal equations of a group of blocks, their poses eliminated.
+
+    Attributes:
+        Q: of each block, of [shared, bulges, residual].
+        bulges: how many of the columns are bulges.
+    """
+
+    Q: Float[np.ndarray, "blocks columns columns"]
+    bulges: int
+
+
+def without_poses(
+    poses: Float[np.ndarray, "blocks rows 6"], columns: Float[np.ndarray, "blocks rows columns"]
+) -> Float[np.ndarray, "blocks columns columns"]:
+    """Columnsᵀ (1 − P Pᵀ) columns of each block, P an orthonormal basis of its poses' columns."""
+    V, W, U = poses.mT @ poses, poses.mT @ columns, columns.mT @ columns
+    diagonal = np.diagonal(V, axis1=-2, axis2=-1)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    gaps = np.where(diagonal > 0, 0.0, 1.0)[..., None] * np.eye(V.shape[-1])
+    W = scale[..., None] * W
+    return U - W.mT @ np.linalg.solve(scale[..., None] * V * scale[..., None, :] + gaps, W)
+
+
+def reduced(value: Arrow, jacobian: Jacobian, boards: int, sigma: float) -> list[Reduced]:
+    """Of a solve, as it came out with bends of this σ.
+
+    Args:
+        value: its residuals, NumPy leaves.
+        jacobian: its Jacobian, NumPy leaves.
+        boards: how many of the groups, the first ones, have boards that bend.
+        sigma: of the bends, mm.
+    """
+    groups = []
+    for i, (r, J) in enumerate(zip(map(np.asarray, value.blocks), map(np.asarray, jacobian.blocks), strict=True)):
+        n = jacobian.shared.shape[1]
+        shared, poses, r = J[..., :n], J[..., n:], r[..., None]
+        if i >= boards:
+            groups.append(Reduced(without_poses(poses, np.concatenate([shared, r], axis=-1)), 0))
+            continue
+        # The last rows are what was known of the bends; without it and from bends of zero.
+        bends, data = sigma * r[:, -BENDS:], slice(None, -BENDS)
+        own = J[:, data, n + 6 :]
+        columns = np.concatenate([shared[:, data], own, r[:, data] - own @ bends], axis=-1)
+        groups.append(Reduced(without_poses(poses[:, data, :6], columns), BENDS))
+    return groups
+
+
+def marginal(groups: Sequence[Reduced], sigma: float) -> Float[np.ndarray, "columns columns"]:
+    """The normal equations of [shared, residual] for bends of a σ: S, g and Q_rr − Σ Q_rb K Q_br."""
+    total = np.zeros(())
+    for group in groups:
+        Q, k = group.Q, group.bulges
+        n = Q.shape[-1] - 1 - k
+        rest = np.r_[:n, n + k]
+        cross = Q[:, n : n + k][:, :, rest]
+        taken = sigma**2 * cross.mT @ np.linalg.solve(_of_bends(group, sigma), cross)
+        total = total + (Q[:, rest][:, :, rest] - taken).sum(axis=0)
+    return total
+
+
+def _of_bends(group: Reduced, sigma: float) -> Float[np.ndarray, "blocks bulges bulges"]:
+    n = group.Q.shape[-1] - 1 - group.bulges
+    return np.eye(group.bulges) + sigma**2 * group.Q[:, n:-1, n:-1]
+
+
+def deviance(groups: Sequence[Reduced], sigma: float) -> float:
+    """−2 log of the restricted likelihood of a σ of the bends, but for a constant."""
+    penalty = sum(float(np.linalg.slogdet(_of_bends(group, sigma))[1].sum()) for group in groups)
+    total = marginal(groups, sigma)
+    S, g = total[:-1, :-1], total[:-1, -1]
+    known = np.diagonal(S) > 0
+    scale = 1 / np.sqrt(np.diagonal(S)[known])
+    S, g = scale[:, None] * S[np.ix_(known, known)] * scale, scale * g[known]
+    size = np.linalg.slogdet(S)[1] - 2 * np.log(scale).sum()
+    return float(penalty + size + total[-1, -1] - g @ np.linalg.solve(S, g))
+
+
+def likeliest_bend(groups: Sequence[Reduced], half_diagonal: float) -> float:
+    """The likeliest σ of the bends, mm; `LEAST_BEND_MM` of boards that do not bend.
+
+    Args:
+        groups: the normal equations.
+        half_diagonal: of the board, mm.
+    """
+    tried = np.linspace(np.log(LEAST_BEND_MM), np.log(_MOST_BEND * half_diagonal), _STEPS)
+    best = 0
+    for _ in range(_NARROWINGS):
+        best = int(np.argmin([deviance(groups, float(np.exp(each))) for each in tried]))
+        around = tried[max(best - 1, 0)], tried[best], tried[min(best + 1, len(tried) - 1)]
+        tried, best = np.concatenate([np.linspace(*around[:2], 5), np.linspace(*around[1:], 5)[1:]]), 4
+    return float(np.exp(tried[best]))

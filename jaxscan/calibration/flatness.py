@@ -1,0 +1,64 @@
+"""A shape of the board that a calibration did not follow, in numbers and in words."""
+
+from dataclasses import dataclass
+
+# So seldom would chance alone show a shape; and by so many of its σ must it move something of the rig.
+BY_CHANCE = 1e-4
+_MOVES = 1.0
+
+
+@dataclass(frozen=True)
+class BoardFlatness:
+    """A shape of the board that the solve did not follow.
+
+    Attributes:
+        taken: what the board was taken for, one of `BOARD_SHAPES`.
+        bent_mm: from the lowest to the highest point of what all photographs share.
+        bent_sigma_mm: its σ.
+        bends_mm: σ of the bulges that each photograph has besides.
+        p: how often noise alone would show as much.
+        parameter: what of the rig it moves most, in σ.
+        shift_in_sigma: by how much.
+        session: the one whose board differs most from that of the first, "" where none does.
+        differs_mm: by how much it does, from the lowest to the highest point.
+    """
+
+    taken: str
+    bent_mm: float
+    bent_sigma_mm: float
+    bends_mm: float
+    p: float
+    parameter: str
+    shift_in_sigma: float
+    session: str = ""
+    differs_mm: float = 0.0
+
+    @property
+    def bent(self) -> bool:
+        """Whether there is such a shape, and it matters."""
+        return self.p < BY_CHANCE and self.shift_in_sigma > _MOVES
+
+    @property
+    def statements(self) -> tuple[tuple[str, str], ...]:
+        """What is the case and what to do, for each of what was found."""
+        said: list[tuple[str, str]] = []
+        if self.bent:
+            followed = "flat" if self.taken == "flat" else f'as board_shape = "{self.taken}" has it'
+            by = f"{_mm(self.bent_mm)} (± {self.bent_sigma_mm:.1g}) from its lowest to its highest point"
+            by += f", and from photograph to photograph its bulges differ by {_mm(self.bends_mm)} (σ)"
+            what = (
+                f"The board is not {followed}: it is bent by {by}. Taken so, it moves {self.parameter} by "
+                f"{self.shift_in_sigma:.1f} of its σ"
+            )
+            said.append((what, "Calibrate with --board-shape bend, or glue the pattern to something stiff and flat."))
+        if self.session:
+            what = (
+                f"The board of the session {self.session} has another shape than that of the first session: they "
+                f"differ by {_mm(self.differs_mm)} from the lowest to the highest point"
+            )
+            said.append((what, "If they are two boards, calibrate the sessions apart."))
+        return tuple(said)
+
+
+def _mm(value: float) -> str:
+    return f"{value:.2f} mm" if value >= 0.1 else f"{value:.1g} mm"
