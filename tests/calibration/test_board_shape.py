@@ -186,6 +186,7 @@ def test_the_rig_file_says_how_far_it_is_bent():
     assert "board_shape" not in solved(2, 0.0, "flat", False).rig_file().fit
 
 
+@pytest.mark.long
 def test_refit_finds_the_minimum_again_and_is_differentiated():
     result = solved(0, EACH, "bend")
     with float64():

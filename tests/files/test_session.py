@@ -163,6 +163,15 @@ def test_boards_there_and_back(folder, text, board):
     assert read_session(folder) == read
 
 
+def test_the_shape_of_the_board_there_and_back(folder):
+    read = session(folder, BOARD, 'shape = "bend"', VIEWS)
+    assert read.board_shape == "bend"
+    write_session(read)
+    assert read_session(folder) == read
+    assert '[board] shape = "curly"' in refusal(folder, BOARD, 'shape = "curly"', VIEWS)
+    assert session(folder, BOARD, VIEWS).board_shape == "flat"
+
+
 @pytest.mark.parametrize("names", [(), ("",), ("left",), ("left", "right")])
 @pytest.mark.parametrize("own", [False, True])
 def test_what_is_written_reads_the_same(folder, names, own):
@@ -400,6 +409,14 @@ def test_sessions_of_one_rig_hold_the_same(folder):
     other = folder / "other.toml"
     other.write_text(f'{BOARD}{VIEWS}[camera]\nhold = ["camera.radial.0"]', encoding="utf-8")
     with pytest.raises(InputError, match=r"other.toml: its lens radial1, .*, camera.radial.0 held; those of"):
+        solve_sessions([folder / "session.toml", other])
+
+
+def test_sessions_of_one_rig_show_a_board_of_one_shape(folder):
+    session(folder, BOARD, VIEWS)
+    other = folder / "other.toml"
+    other.write_text(f'{BOARD}shape = "warp"\n{VIEWS}', encoding="utf-8")
+    with pytest.raises(InputError, match=r'other.toml: its board has shape = "warp", that of .* "flat"'):
         solve_sessions([folder / "session.toml", other])
 
 
