@@ -150,7 +150,9 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
         raise views.error("boards", "names no photograph: name those of the board")
     lasers, sheets, stripes = _lasers(table, views, len(boards))
     moved = _stage(table, lasers), _turntable(table, lasers)
-    session = Session(table.path, board, Views(boards, stripes), camera, *moved, lasers, sheets=sheets, board_shape=shape)
+    session = Session(
+        table.path, board, Views(boards, stripes), camera, *moved, lasers, sheets=sheets, board_shape=shape
+    )
     _check_each_shows_one_pose(session)
     return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 

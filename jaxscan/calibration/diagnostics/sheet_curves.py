@@ -65,18 +65,18 @@ class SheetCurve:
 
 def sheet_curves(refined: Refined) -> tuple[SheetCurve, ...]:
     """Of each flat sheet that is clearly curved, by how much."""
-    rig, last = as_numpy(refined.system.rig), refined.outcome
+    rig, (value, jacobian) = as_numpy(refined.system.rig), refined.last
     flat = {i: light for i, light in enumerate(rig.lights) if isinstance(light, LightPlane)}
     if not flat or not any(np.asarray(group.stripe_used).any() for group in refined.groups):
         return ()
-    names = parameter_names(rig)
+    names, shared = parameter_names(rig), jacobian.shared.shape[1]
     parts = []
-    for group, poses, J, r in zip(
-        refined.groups, refined.system.poses, last.jacobian.blocks, last.value.blocks, strict=False
-    ):
-        J, r = np.asarray(J), np.asarray(r)
-        stripes = _Stripes.create(group, rig.motion, flat, names, Pose.from_vector(np.asarray(poses)), J)
-        parts.append((group, stripes, _beside_the_poses(group, stripes, J, r)))
+    for group, unknowns, J, r in zip(refined.groups, refined.system.poses, jacobian.blocks, value.blocks, strict=False):
+        # Behind corners and stripe stands what is known of the boards' bends.
+        rows = group.corners[0].size + group.stripe_used[0].size
+        J, r = np.asarray(J)[:, :rows], np.asarray(r)[:, :rows]
+        stripes = _Stripes.create(group, rig.motion, flat, names, Pose.from_vector(np.asarray(unknowns)[:, :6]), J)
+        parts.append((group, stripes, _beside_the_blocks(group, stripes, J, r, shared)))
     bows, sigmas = _bows([(group, columns) for group, _, columns in parts], len(flat))
     found = []
     for k, (i, light) in enumerate(flat.items()):
@@ -161,19 +161,20 @@ def _stands(
     return np.stack([R for R, _ in stood]), np.stack([t for _, t in stood])
 
 
-def _beside_the_poses(
+def _beside_the_blocks(
     group: Blocks,
     stripes: _Stripes,
     J: Float[np.ndarray, "blocks residuals columns"],
     r: Float[np.ndarray, "blocks residuals"],
+    shared: int,
 ) -> Float[np.ndarray, "blocks residuals all"]:
-    """The columns of all that is shared, of the bows and of the board's bends, and r; poses projected out.
+    """The columns of all that is shared, of the bows and of the board's bends, and r; what each block has of its own
+    projected out.
 
     A board that bends away by h at a point moves what is seen there as if all of it had moved by h along its normal.
     """
-    n_pose = 6
-    shared, own = J[..., :-n_pose], J[..., -n_pose:]
-    away = np.einsum("bmi,bi->bm", own[..., 3:], stripes.normals)
+    own = J[..., shared:]
+    away = np.einsum("bmi,bi->bm", own[..., 3:6], stripes.normals)
     shots, striped = stripes.used.shape[1], stripes.used[0].size
     at_corners = np.repeat(np.asarray(group.relative)[:, None], shots, axis=1).reshape(len(J), -1, 2)
     at = np.concatenate([np.repeat(at_corners, 2, axis=1), stripes.relative.reshape(len(J), striped, 2)], axis=1)
@@ -186,7 +187,7 @@ def _beside_the_poses(
         ],
         axis=1,
     )
-    columns = np.concatenate([shared, bends, bows, r[..., None]], axis=-1)
+    columns = np.concatenate([J[..., :shared], bends, bows, r[..., None]], axis=-1)
     Q = np.linalg.qr(own)[0]
     return columns - Q @ (np.swapaxes(Q, 1, 2) @ columns)
 
