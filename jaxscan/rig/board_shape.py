@@ -24,6 +24,8 @@ from jaxscan.precision import Leaf
 
 # What a board may be taken for: how many terms of shape all photographs share, and whether each bends by itself too.
 BOARD_SHAPES: Final = {"flat": (0, False), "bulge": (2, False), "warp": (5, False), "bend": (5, True)}
+# As many as there are.
+N_TERMS: Final = 5
 # Of each block's own: the two bulges.
 BENDS: Final = 2
 # A shape's range is that on so many points each way.

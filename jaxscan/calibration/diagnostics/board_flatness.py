@@ -27,10 +27,9 @@ from jaxscan.calibration.on_board import meet_board, pose_of
 from jaxscan.calibration.result import Calibration, photographs_in_blocks
 from jaxscan.calibration.rounds import Refined
 from jaxscan.geometry import vector_to_matrix
-from jaxscan.rig.board_shape import BENDS, basis, bent_by, middle_and_half, places_on_board
+from jaxscan.rig.board_shape import BENDS, N_TERMS, basis, bent_by, middle_and_half, places_on_board
 from jaxscan.rig.rig import parameter_names
 
-_TERMS = 5
 # σ and correlation are found anew so many times.
 _TIMES_ANEW = 3
 # Eigenvalues of the scaled normal equations below this share of the largest.
@@ -59,7 +58,7 @@ def _judged(refined: Refined, calibration: Calibration, lens: list[Float[np.ndar
     groups = _columns(refined, calibration, lens)
     known = len(jax.tree.leaves(refined.system.shape))
     shared = groups[0].shared
-    extra = list(range(shared, shared + _TERMS - known))
+    extra = list(range(shared, shared + N_TERMS - known))
     half_diagonal = float(np.linalg.norm(np.ptp(calibration.observations.board.points()[:, :2], axis=0))) / 2
     count, scales = shared + len(extra), np.ones(2)
 
@@ -145,7 +144,7 @@ def _columns(refined: Refined, calibration: Calibration, lens: list[Float[np.nda
     groups = []
     for i, (r, J) in enumerate(zip(map(np.asarray, value.blocks), map(np.asarray, jacobian.blocks), strict=True)):
         if i >= len(refined.groups):
-            none = np.zeros((*r.shape, of_lens + _TERMS - known + _TERMS * len(others)))
+            none = np.zeros((*r.shape, of_lens + N_TERMS - known + N_TERMS * len(others)))
             columns = np.concatenate([J[..., :shared], none, r[..., None]], axis=-1)
             groups.append(_Group(J[..., shared:], columns, shared + of_lens, 0, None))
             continue
@@ -170,17 +169,17 @@ def _heights(refined: Refined, calibration: Calibration) -> list[Float[np.ndarra
     points = observations.board.points()
     middle, half = middle_and_half(points)
     s, t = places_on_board(points)
-    at_corners = np.repeat(basis(s, t, _TERMS), 2, axis=1)
+    at_corners = np.repeat(basis(s, t, N_TERMS), 2, axis=1)
     corners = [
-        np.zeros((_TERMS, *g.corners.shape[:2], 2 * len(points))) + at_corners[:, None, None] for g in refined.groups
+        np.zeros((N_TERMS, *g.corners.shape[:2], 2 * len(points))) + at_corners[:, None, None] for g in refined.groups
     ]
-    stripes = [np.full((_TERMS, *g.stripe.shape[:3]), np.nan) for g in refined.groups]
+    stripes = [np.full((N_TERMS, *g.stripe.shape[:3]), np.nan) for g in refined.groups]
     for i, (_, group, block, k) in enumerate(photographs_in_blocks(observations)):
         pixels = np.asarray(refined.groups[group].stripe[block, k])
         if len(pixels):
             on = meet_board(calibration.rig.camera, pose_of(poses, i), pixels)[1][:, :2]
             s, t = ((on - middle) / half).T
-            stripes[group][:, block, k] = basis(s, t, _TERMS)
+            stripes[group][:, block, k] = basis(s, t, N_TERMS)
     return [
         np.concatenate([c.reshape(*c.shape[:2], -1), s.reshape(*s.shape[:2], -1)], axis=2)
         for c, s in zip(corners, stripes, strict=True)
@@ -250,12 +249,12 @@ def _other_session(
     others = _sessions(calibration)[1:]
     if not others:
         return "", 0.0
-    first = groups[0].shared + _TERMS - len(jax.tree.leaves(calibration.system.shape))
-    whole = [each.only(first + _TERMS * len(others), q) for each, q in zip(groups, Q, strict=True)]
+    first = groups[0].shared + N_TERMS - len(jax.tree.leaves(calibration.system.shape))
+    whole = [each.only(first + N_TERMS * len(others), q) for each, q in zip(groups, Q, strict=True)]
     moved, least, _ = _solution(whole, bends)
-    count = _TERMS * len(others)
+    count = N_TERMS * len(others)
     if gammaincc(count / 2, max(cost - least, 0.0) / 2) > BY_CHANCE:
         return "", 0.0
-    ranges = [bent_by(each)[0] for each in moved[first:].reshape(len(others), _TERMS)]
+    ranges = [bent_by(each)[0] for each in moved[first:].reshape(len(others), N_TERMS)]
     worst = int(np.argmax(ranges))
     return others[worst], ranges[worst]

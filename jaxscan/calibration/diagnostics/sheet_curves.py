@@ -21,6 +21,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.precision import as_numpy
 from jaxscan.rig import BowedSheet, LightPlane, Motion
+from jaxscan.rig.board_shape import N_TERMS, basis, middle_and_half, places_on_board
 from jaxscan.rig.light import sheet_axes
 from jaxscan.rig.rig import parameter_names
 
@@ -101,14 +102,14 @@ class _Stripes:
     Attributes:
         bow: derivative of each residual by the bow of each flat sheet.
         points: where they lie on their boards, camera frame, mm.
-        relative: the same in 0 … 1 along the board's columns and rows.
+        places: the same as s and t of `rig.board_shape`.
         used: which take part.
         normals: of each block's board at its positions of reference.
     """
 
     bow: Float[np.ndarray, "blocks photographs stripe flat"]
     points: Float[np.ndarray, "blocks photographs stripe 3"]
-    relative: Float[np.ndarray, "blocks photographs stripe 2"]
+    places: Float[np.ndarray, "blocks photographs stripe 2"]
     used: Bool[np.ndarray, "blocks photographs stripe"]
     normals: Float[np.ndarray, "blocks 3"]
 
@@ -139,11 +140,9 @@ class _Stripes:
         R, t = _stands(group, motion, poses)
         X = ray / np.einsum("bpsi,bpi->bps", ray, dual_plane_of(R, t))[..., None]
         on_board = np.einsum("bpsi,bpij->bpsj", X - t[:, :, None], R)[..., :2]
-        points = np.asarray(group.points)[:, :, :2]
-        low, high = points.min(axis=1), points.max(axis=1)
-        extent = np.where(high > low, high - low, 1.0)
-        relative = (on_board - low[:, None, None]) / extent[:, None, None]
-        return _Stripes(np.where(used[..., None], bow, 0.0), X, relative, used, poses.matrix()[..., 2])
+        middle, half = middle_and_half(np.asarray(group.points)[0])
+        places = (on_board - middle) / half
+        return _Stripes(np.where(used[..., None], bow, 0.0), X, places, used, poses.matrix()[..., 2])
 
 
 def _stands(
@@ -168,18 +167,19 @@ def _beside_the_blocks(
     r: Float[np.ndarray, "blocks residuals"],
     shared: int,
 ) -> Float[np.ndarray, "blocks residuals all"]:
-    """The columns of all that is shared, of the bows and of the board's bends, and r; what each block has of its own
-    projected out.
+    """The columns of all that is shared, of the bows and of the board's shape, and r, without what blocks can take.
 
     A board that bends away by h at a point moves what is seen there as if all of it had moved by h along its normal.
     """
     own = J[..., shared:]
     away = np.einsum("bmi,bi->bm", own[..., 3:6], stripes.normals)
     shots, striped = stripes.used.shape[1], stripes.used[0].size
-    at_corners = np.repeat(np.asarray(group.relative)[:, None], shots, axis=1).reshape(len(J), -1, 2)
-    at = np.concatenate([np.repeat(at_corners, 2, axis=1), stripes.relative.reshape(len(J), striped, 2)], axis=1)
-    bulge = 4 * at * (1 - at)
-    bends = away[..., None] * np.concatenate([bulge, np.prod(2 * at - 1, axis=-1, keepdims=True)], axis=-1)
+    corners = np.stack(places_on_board(np.asarray(group.points)[0]), axis=-1)
+    at_corners = np.broadcast_to(
+        np.tile(np.repeat(corners, 2, axis=0), (shots, 1)), (len(J), 2 * shots * len(corners), 2)
+    )
+    at = np.concatenate([at_corners, stripes.places.reshape(len(J), striped, 2)], axis=1)
+    bends = away[..., None] * np.moveaxis(basis(at[..., 0], at[..., 1], N_TERMS), 0, -1)
     bows = np.concatenate(
         [
             np.zeros((len(J), J.shape[1] - striped, stripes.bow.shape[-1])),
