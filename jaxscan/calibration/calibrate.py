@@ -162,7 +162,7 @@ def calibrate(
         advance("uncertainty")
         result = assemble(refined, free, usable, held, unused, tuple(factors))
         curves = sheet_curves(refined)
-        flatness = board_flatness(refined, result)
+        flatness = board_flatness(refined, result, curves)
     kept = iter(result.kept)
     return replace(
         result,

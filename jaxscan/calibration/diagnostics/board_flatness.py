@@ -22,6 +22,7 @@ from scipy.special import gammaincc
 from jaxscan.calibration.bends import LEAST_BEND_MM, Reduced, deviance, likeliest_bend, marginal, without_poses
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.diagnostics.lens_rows import lens_rows, unsought_terms
+from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve, bow_rows
 from jaxscan.calibration.flatness import BY_CHANCE, BoardFlatness
 from jaxscan.calibration.on_board import meet_board, pose_of
 from jaxscan.calibration.result import Calibration, photographs_in_blocks
@@ -36,7 +37,7 @@ _TIMES_ANEW = 3
 _ROUNDING = 1e-11
 
 
-def board_flatness(refined: Refined, calibration: Calibration) -> BoardFlatness:
+def board_flatness(refined: Refined, calibration: Calibration, curves: Sequence[SheetCurve] = ()) -> BoardFlatness:
     """What the residuals say of the board's shape.
 
     Where they say anything, it is asked again beside the terms of the lens that were not sought, which look alike.
@@ -44,18 +45,21 @@ def board_flatness(refined: Refined, calibration: Calibration) -> BoardFlatness:
     Args:
         refined: where the rounds ended.
         calibration: the same, assembled.
+        curves: the sheets that were found to be curved: beside their bows it is asked.
     """
-    found = _judged(refined, calibration, None)
+    bows = bow_rows(refined, [curve.laser for curve in curves])
+    found = _judged(refined, calibration, bows)
     if (found.bent or found.session) and unsought_terms(calibration).any():
-        again = _judged(refined, calibration, lens_rows(refined, calibration))
+        both = zip(lens_rows(refined, calibration), bows, strict=True)
+        again = _judged(refined, calibration, [np.concatenate(each, axis=-1) for each in both])
         if again.shift_in_sigma > found.shift_in_sigma:
             return replace(again, parameter=found.parameter, shift_in_sigma=found.shift_in_sigma)
         return again
     return found
 
 
-def _judged(refined: Refined, calibration: Calibration, lens: list[Float[np.ndarray, "_ _ _"]] | None) -> BoardFlatness:
-    groups = _columns(refined, calibration, lens)
+def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.ndarray, "_ _ _"]]) -> BoardFlatness:
+    groups = _columns(refined, calibration, beside)
     known = len(jax.tree.leaves(refined.system.shape))
     shared = groups[0].shared
     extra = list(range(shared, shared + N_TERMS - known))
@@ -80,8 +84,8 @@ def _judged(refined: Refined, calibration: Calibration, lens: list[Float[np.ndar
     p_bends = 1.0 if own else 0.5 * float(gammaincc(0.5, max(rise, 0.0) / 2))
     names = parameter_names(refined.system.rig)
     sigma = np.sqrt(np.diagonal(np.asarray(refined.precision.covariance)))[: len(names)]
-    # Where the lens is free too: from where that brings the rig.
-    before = _solution(without, LEAST_BEND_MM)[0] if lens is not None else np.zeros_like(moved)
+    # From where all that is free beside it brings the rig.
+    before = _solution(without, LEAST_BEND_MM)[0] if beside[0].shape[-1] else np.zeros_like(moved)
     shift = np.abs(moved[: len(names)] - before[: len(names)]) / np.where(sigma > 0, sigma, np.inf)
     shift = np.where([name in calibration.covariance.names for name in names], shift, 0.0)
     worst = int(np.argmax(shift))
@@ -101,8 +105,8 @@ class _Group:
 
     Attributes:
         poses: derivatives by the poses of the blocks.
-        columns: by what is shared, the lens's further terms at its end; then by the shape's terms that were not sought,
-            those of each further session, the bulges of each block (where there are any); and the residual.
+        columns: by what is shared, what is free beside the shape at its end; then by the shape's terms that were not
+            sought, those of each further session, the bulges of each block (where there are any); and the residual.
         shared: how many of the columns are what is shared.
         bulges: how many are the bulges'.
         corners: how many rows are corners'; the rest are the stripe's. None for what is no board.
@@ -133,10 +137,10 @@ class _Group:
         return Reduced(Q[:, kept][:, :, kept], self.bulges)
 
 
-def _columns(refined: Refined, calibration: Calibration, lens: list[Float[np.ndarray, "_ _ _"]] | None) -> list[_Group]:
+def _columns(refined: Refined, calibration: Calibration, beside: list[Float[np.ndarray, "_ _ _"]]) -> list[_Group]:
     value, jacobian = refined.last
     shared = jacobian.shared.shape[1]
-    of_lens = 0 if lens is None else lens[0].shape[-1]
+    free = beside[0].shape[-1]
     known = len(jax.tree.leaves(refined.system.shape))
     heights = _heights(refined, calibration)
     others = _sessions(calibration)[1:]
@@ -144,9 +148,9 @@ def _columns(refined: Refined, calibration: Calibration, lens: list[Float[np.nda
     groups = []
     for i, (r, J) in enumerate(zip(map(np.asarray, value.blocks), map(np.asarray, jacobian.blocks), strict=True)):
         if i >= len(refined.groups):
-            none = np.zeros((*r.shape, of_lens + N_TERMS - known + N_TERMS * len(others)))
+            none = np.zeros((*r.shape, free + N_TERMS - known + N_TERMS * len(others)))
             columns = np.concatenate([J[..., :shared], none, r[..., None]], axis=-1)
-            groups.append(_Group(J[..., shared:], columns, shared + of_lens, 0, None))
+            groups.append(_Group(J[..., shared:], columns, shared + free, 0, None))
             continue
         poses, block = np.asarray(refined.system.poses[i]), refined.groups[i]
         rows = slice(0, heights[i].shape[2])
@@ -156,10 +160,10 @@ def _columns(refined: Refined, calibration: Calibration, lens: list[Float[np.nda
         up = np.einsum("bri,bi->br", J[..., shared + 3 : shared + 6], vector_to_matrix(poses[:, :3])[:, :, 2])
         shape = np.moveaxis(np.where(up != 0, up * heights[i], 0.0), 0, -1)
         each = [shape * np.array([own == other for own in of_block[i]])[:, None, None] for other in others]
-        terms = (*([] if lens is None else [lens[i]]), shape[..., known:], *each, shape[..., :BENDS])
+        terms = (beside[i], shape[..., known:], *each, shape[..., :BENDS])
         columns = np.concatenate([J[..., :shared], *terms, r[..., None]], axis=-1)
         corners = 2 * block.weights[0].size
-        groups.append(_Group(J[..., shared : shared + 6], columns, shared + of_lens, BENDS, corners))
+        groups.append(_Group(J[..., shared : shared + 6], columns, shared + free, BENDS, corners))
     return groups
 
 

@@ -66,18 +66,14 @@ class SheetCurve:
 
 def sheet_curves(refined: Refined) -> tuple[SheetCurve, ...]:
     """Of each flat sheet that is clearly curved, by how much."""
-    rig, (value, jacobian) = as_numpy(refined.system.rig), refined.last
-    flat = {i: light for i, light in enumerate(rig.lights) if isinstance(light, LightPlane)}
+    flat = _flat_sheets(refined)
     if not flat or not any(np.asarray(group.stripe_used).any() for group in refined.groups):
         return ()
-    names, shared = parameter_names(rig), jacobian.shared.shape[1]
-    parts = []
-    for group, unknowns, J, r in zip(refined.groups, refined.system.poses, jacobian.blocks, value.blocks, strict=False):
-        # Behind corners and stripe stands what is known of the boards' bends.
-        rows = group.corners[0].size + group.stripe_used[0].size
-        J, r = np.asarray(J)[:, :rows], np.asarray(r)[:, :rows]
-        stripes = _Stripes.create(group, rig.motion, flat, names, Pose.from_vector(np.asarray(unknowns)[:, :6]), J)
-        parts.append((group, stripes, _beside_the_blocks(group, stripes, J, r, shared)))
+    shared = refined.last[1].shared.shape[1]
+    parts = [
+        (group, stripes, _beside_the_blocks(group, stripes, J, r, shared))
+        for group, stripes, J, r in _rows(refined, flat)
+    ]
     bows, sigmas = _bows([(group, columns) for group, _, columns in parts], len(flat))
     found = []
     for k, (i, light) in enumerate(flat.items()):
@@ -93,6 +89,37 @@ def sheet_curves(refined: Refined) -> tuple[SheetCurve, ...]:
         if abs(bows[k]) > _CLEAR * sigmas[k] and abs(curve) * (length / width) ** 2 > _WORTH * depth:
             found.append(SheetCurve(light.name, curve, float(sigmas[k] * to_mm), width, depth))
     return tuple(found)
+
+
+def bow_rows(refined: Refined, lasers: Sequence[str]) -> list[Float[np.ndarray, "blocks residuals bows"]]:
+    """Of each group of boards, the derivatives of its residuals, in units of their σ, by the bows of some flat sheets.
+
+    Args:
+        refined: where the rounds ended.
+        lasers: the names of the sheets.
+    """
+    flat = {i: light for i, light in _flat_sheets(refined).items() if light.name in lasers}
+    return [stripes.rows(J.shape[1]) for _, stripes, J, _ in _rows(refined, flat)]
+
+
+def _flat_sheets(refined: Refined) -> dict[int, LightPlane]:
+    lights = enumerate(as_numpy(refined.system.rig).lights)
+    return {i: light for i, light in lights if isinstance(light, LightPlane)}
+
+
+def _rows(
+    refined: Refined, flat: Mapping[int, LightPlane]
+) -> list[tuple[Blocks, "_Stripes", Float[np.ndarray, "_ _ _"], Float[np.ndarray, "_ _"]]]:
+    """Each group of boards, its stripes, and the derivatives and residuals of its corners and stripe points."""
+    rig, (value, jacobian) = as_numpy(refined.system.rig), refined.last
+    names, found = parameter_names(rig), []
+    for group, unknowns, J, r in zip(refined.groups, refined.system.poses, jacobian.blocks, value.blocks, strict=False):
+        # Behind corners and stripe stands what is known of the boards' bends.
+        rows = group.corners[0].size + group.stripe_used[0].size
+        J, r = np.asarray(J)[:, :rows], np.asarray(r)[:, :rows]
+        poses = Pose.from_vector(np.asarray(unknowns)[:, :6])
+        found.append((group, _Stripes.create(group, rig.motion, flat, names, poses, J), J, r))
+    return found
 
 
 @dataclass(frozen=True)
@@ -112,6 +139,12 @@ class _Stripes:
     places: Float[np.ndarray, "blocks photographs stripe 2"]
     used: Bool[np.ndarray, "blocks photographs stripe"]
     normals: Float[np.ndarray, "blocks 3"]
+
+    def rows(self, residuals: int) -> Float[np.ndarray, "blocks residuals flat"]:
+        """The derivatives by the bows of all residuals of each block: those of corners, which come first, are 0."""
+        blocks, photographs, stripe, flat = self.bow.shape
+        bow = self.bow.reshape(blocks, photographs * stripe, flat)
+        return np.pad(bow, ((0, 0), (residuals - bow.shape[1], 0), (0, 0)))
 
     @staticmethod
     def create(
@@ -180,14 +213,7 @@ def _beside_the_blocks(
     )
     at = np.concatenate([at_corners, stripes.places.reshape(len(J), striped, 2)], axis=1)
     bends = away[..., None] * np.moveaxis(basis(at[..., 0], at[..., 1], N_TERMS), 0, -1)
-    bows = np.concatenate(
-        [
-            np.zeros((len(J), J.shape[1] - striped, stripes.bow.shape[-1])),
-            stripes.bow.reshape(len(J), striped, stripes.bow.shape[-1]),
-        ],
-        axis=1,
-    )
-    columns = np.concatenate([J[..., :shared], bends, bows, r[..., None]], axis=-1)
+    columns = np.concatenate([J[..., :shared], bends, stripes.rows(J.shape[1]), r[..., None]], axis=-1)
     Q = np.linalg.qr(own)[0]
     return columns - Q @ (np.swapaxes(Q, 1, 2) @ columns)
 
