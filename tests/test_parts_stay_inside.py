@@ -12,8 +12,8 @@ TERMS = {"radial", "tangential"}
 FAST_INVERSE = "jaxscan/reconstruction/opencv_inverse.py"
 PARTS = {"light", "lights", "motion", "axis", "sheet", "sheets", "link", "part", "lens"}
 KINDS = {"Light", "Lens", "Motion", "AxisMotion", "LightPlane", "Linear", "Rotary", "Chain", "Fixed"}
-# Called as a part, and none: the light of a photograph, the move that a comparison finds, the name of an axis or of a
-# lens that was asked for.
+# Called as a part, and none: the light of a photograph, the move that a comparison finds, the name of an axis, a lens
+# or a kind of sheet that was asked for.
 OTHERS = {
     "image.light",
     "self.light",
@@ -23,6 +23,7 @@ OTHERS = {
     "self._axis",
     "args.axis",
     "args.lens",
+    "args.sheet",
     "jaxscan/cli/facts.py: light",
     "jaxscan/surface/compare.py: motion",
 }

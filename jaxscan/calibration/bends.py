@@ -41,9 +41,9 @@ class Reduced:
 
 
 def without_poses(
-    poses: Float[np.ndarray, "blocks rows 6"], columns: Float[np.ndarray, "blocks rows columns"]
+    poses: Float[np.ndarray, "blocks rows own"], columns: Float[np.ndarray, "blocks rows columns"]
 ) -> Float[np.ndarray, "blocks columns columns"]:
-    """Columnsᵀ (1 − P Pᵀ) columns of each block, P an orthonormal basis of its poses' columns."""
+    """Columnsᵀ (1 − P Pᵀ) columns of each block, P an orthonormal basis of the columns of its pose, or of none."""
     V, W, U = poses.mT @ poses, poses.mT @ columns, columns.mT @ columns
     diagonal = np.diagonal(V, axis1=-2, axis2=-1)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

@@ -56,6 +56,11 @@ class BowedSheet(eqx.Module):
         return BowedSheet(LightPlane.create(omega).plane, (jnp.asarray(bow, dtype=float),), name)
 
     @staticmethod
+    def unbowed(sheet: LightPlane) -> "BowedSheet":
+        """The same sheet as one whose bow is 0."""
+        return BowedSheet(sheet.plane, (jnp.zeros(()),), sheet.name)
+
+    @staticmethod
     def curved(
         omega: ArrayLike | Sequence[float], sag_mm: float, half_width_mm: float, depth_mm: float, name: str = ""
     ) -> "BowedSheet":
@@ -72,12 +77,12 @@ class BowedSheet(eqx.Module):
         Raises:
             ObservabilityError: the points lie on one line, or on a plane through the camera's centre.
         """
-        return cls(LightPlane.fitted(points, view, name).plane, (jnp.zeros(()),), name)
+        return cls.unbowed(LightPlane.fitted(points, view, name))
 
     @classmethod
     def somewhere(cls, name: str = "") -> "BowedSheet":
         """Across the view, half a metre away."""
-        return cls(LightPlane.somewhere(name).plane, (jnp.zeros(()),), name)
+        return cls.unbowed(LightPlane.somewhere(name))
 
     def sag(self, half_width_mm: float, depth_mm: float) -> float:
         """How far it leaves its plane at ± so many mm along the stripe at a depth, mm; positive towards the camera."""
@@ -100,10 +105,14 @@ class BowedSheet(eqx.Module):
 
     def inverse_depth(self, ray: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
         """ω · x + b (ω₂ x − ω₁ y)²."""
-        along = self._along(ray)
         return namespace(ray, self.bow[0]).asarray(
-            LightPlane(self.plane).inverse_depth(ray) + self.bow[0] * (along * along)
+            LightPlane(self.plane).inverse_depth(ray) + self.bow[0] * self.by_bow(ray)
         )
+
+    def by_bow(self, ray: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
+        """The derivative of the inverse depth by b, 1/mm²: (ω₂ x − ω₁ y)²."""
+        along = self._along(ray)
+        return along * along
 
     def fault(self, rays: Float[np.ndarray, "rays 3"]) -> tuple[str, str] | None:
         """A plane through the camera, one that no pixel sees, or a bow that no laser has."""

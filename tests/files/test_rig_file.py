@@ -283,8 +283,8 @@ STAGE = SAME_2["motion"][0]
 BAD_2 = {
     "a light of no kind": ({"lights": [{"plane": [0, 0, 1]}]}, ["lights.0.kind", "missing"]),
     "a light of another kind": (
-        {"lights": [LIGHT, {"kind": "bowed", "name": "b"}]},
-        ['lights.1.kind = "bowed"', "knows plane"],
+        {"lights": [LIGHT, {"kind": "curtain", "name": "b"}]},
+        ['lights.1.kind = "curtain"', "knows plane, bowed"],
     ),
     "a kind that is no text": ({"lights__0__kind": ["plane"]}, ["lights.0.kind", "text in quotes"]),
     "lights as an object": ({"lights": {"plane": [0, 0, 1]}}, ["lights = ", "list of lights"]),

@@ -160,7 +160,9 @@ def _columns(refined: Refined, calibration: Calibration, beside: list[Float[np.n
         up = np.einsum("bri,bi->br", J[..., shared + 3 : shared + 6], vector_to_matrix(poses[:, :3])[:, :, 2])
         shape = np.moveaxis(np.where(up != 0, up * heights[i], 0.0), 0, -1)
         each = [shape * np.array([own == other for own in of_block[i]])[:, None, None] for other in others]
-        terms = (beside[i], shape[..., known:], *each, shape[..., :BENDS])
+        # Of the same kind as those of the common shape: bulges that all boards have and lose again must be nothing.
+        bulges = J[..., shared - known : shared - known + BENDS] if known else shape[..., :BENDS]
+        terms = (beside[i], shape[..., known:], *each, bulges)
         columns = np.concatenate([J[..., :shared], *terms, r[..., None]], axis=-1)
         corners = 2 * block.weights[0].size
         groups.append(_Group(J[..., shared : shared + 6], columns, shared + free, BENDS, corners))

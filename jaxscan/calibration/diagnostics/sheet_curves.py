@@ -84,7 +84,7 @@ def sheet_curves(refined: Refined) -> tuple[SheetCurve, ...]:
             continue
         depth, length = float(X[:, 2].mean()), float(np.ptp(X @ sheet_axes(light)[0]))
         width = _round(length)
-        to_mm = BowedSheet(light.plane, (np.zeros(()),)).of_bow(width / 2, depth)
+        to_mm = BowedSheet.unbowed(light).of_bow(width / 2, depth)
         curve = float(bows[k] * to_mm)
         if abs(bows[k]) > _CLEAR * sigmas[k] and abs(curve) * (length / width) ** 2 > _WORTH * depth:
             found.append(SheetCurve(light.name, curve, float(sigmas[k] * to_mm), width, depth))
@@ -163,9 +163,8 @@ class _Stripes:
         for k, (i, sheet) in enumerate(flat.items()):
             own = (light == i)[..., None]
             by_plane = np.where(own, J[..., [names.index(f"lights.{i}.plane.{n}") for n in range(3)]], by_plane)
-            a, b, _ = (float(leaf) for leaf in sheet.plane)
             with np.errstate(divide="ignore", invalid="ignore"):
-                column = (b * by_plane[..., 0] - a * by_plane[..., 1]) ** 2 / by_plane[..., 2]
+                column = by_plane[..., 2] * as_numpy(BowedSheet.unbowed(sheet)).by_bow(by_plane / by_plane[..., 2:])
             bow[..., k] = np.where(own[..., 0], column, 0.0)
         used = np.asarray(group.stripe_used) & (by_plane[..., 2] != 0) & np.isfinite(bow).all(axis=-1)
         ray = np.where(used[..., None], by_plane, 1.0)

@@ -43,3 +43,24 @@ def test_a_flat_sheet_on_a_flat_or_a_bent_board_is_not_called_curved(bend):
 
 def test_stripes_on_boards_that_move_count():
     assert calibrate(synthetic.observations(0, n_stage=8, stripes_on_stage=True)).sheet_curves == ()
+
+
+@pytest.mark.parametrize("sag", [0.05, 0.3])
+@pytest.mark.parametrize("bulge", [0.0, 0.2])
+@pytest.mark.parametrize("taken", [{}, {"light": "bowed"}, {"board_shape": "bend"}])
+def test_a_curved_sheet_and_a_bent_board_are_told_apart(sag, bulge, taken):
+    result = calibrate(sheets.session(1, sheets.cone(sag), board_mm=(bulge, 0.0)), **taken)
+    assert result.flatness is not None
+    assert result.flatness.bent == (bulge > 0 and "board_shape" not in taken)
+    if result.flatness.bent:
+        assert abs(result.flatness.bent_mm - bulge) < 0.1 * bulge + 3 * result.flatness.bent_sigma_mm
+    # Beside a board bent by more than the sheet is curved, what is left of the board in the residuals hides the sheet.
+    if bulge <= sag or "board_shape" in taken:
+        assert len(result.sheet_curves) == ("light" not in taken)
+
+
+def test_a_bowed_sheet_on_boards_that_bend_is_found_with_both():
+    result = calibrate(sheets.session(2, sheets.cone(0.3), board_mm=(0.3, -0.2)), light="bowed", board_shape="bend")
+    assert result.warnings == ()
+    assert result.flatness is not None
+    assert abs(result.flatness.bent_mm - 0.5) < 0.03
