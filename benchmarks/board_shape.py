@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from benchmarks.drawn import Noise, redrawn
-from benchmarks.drawn_bent import ON_STAGE, Height, Heights, bent_session, flat
+from benchmarks.drawn_bent import ON_STAGE, Height, Heights, bent_session, clean_session, flat
 from benchmarks.metric import Metric, ratio
 from benchmarks.montecarlo import triangulated
 from jaxscan.calibration import Adjustment, Calibration, Observations, calibrate
@@ -44,10 +44,10 @@ def measure(quick: bool) -> list[Metric]:
     seeds = range(_SEEDS_QUICK if quick else _SEEDS)
     plain = [_solved(_seen(seed, lambda _: flat), "flat") for seed in seeds]
     metrics = _beside(
-        "warp_0.5_bends_0.1", plain, [_solved(_seen(s, _warped(s, 0.5, 0.1)), "bend") for s in seeds], 1.15
+        "warp_0.5_bends_0.1", plain, [_solved(_seen(s, warped(s, 0.5, 0.1)), "bend") for s in seeds], 1.15
     )
     for mm in (0.3, 0.05):
-        bent = [_seen(s, _warped(s, mm, 0.0)) for s in seeds]
+        bent = [_seen(s, warped(s, mm, 0.0)) for s in seeds]
         metrics += _beside(f"bent_{mm:g}", plain, [_solved(each, "bend") for each in bent], 1.2)
         metrics += _named(f"bent_{mm:g}", mm, plain, [_solved(each, "flat") for each in bent])
     metrics += _beside("flat", plain, [_solved(_seen(s, lambda _: flat), "bend") for s in seeds], 1.03)
@@ -124,7 +124,7 @@ def _by_rig(rig: Rig, pixels: Float[Array, "m 2"], q: dict[str, Float[Array, "m"
     return jax.jacfwd(points)(jnp.stack(leaves))
 
 
-def _warped(seed: int, common: float, each: float) -> Heights:
+def warped(seed: int, common: float, each: float) -> Heights:
     """A common bulge of so many mm, shared out between all five terms, and bulges of each board of so many mm (σ)."""
     random = np.random.default_rng([seed, 18])
     shares = random.normal(size=5) * [1.0, 0.5, 0.3, 0.2, 0.2]
@@ -186,19 +186,14 @@ def _named(name: str, mm: float, plain: list[_Solved], taken_flat: list[_Solved]
 
 
 def _alarm(seed: int) -> bool:
-    """Whether flat boards are said to be bent: of a session of another size, number of views and noise by the seed."""
-    random = np.random.default_rng([seed, 40])
-    board = Board.checkerboard((int(random.integers(5, 13)), int(random.integers(4, 9))), float(random.uniform(9, 15)))
-    views, stage = int(random.integers(5, 25)), int(random.integers(0, 3)) * 8
-    _, exact = bent_session(seed, lambda _: flat, board=board, views=views, stage_views=stage, columns_apart=3)
-    noise = Noise(float(random.uniform(0.01, 0.15)), float(random.uniform(0.03, 0.3)))
-    calibration = calibrate(redrawn(exact, noise, random))
+    """Whether flat boards are said to be bent."""
+    calibration = calibrate(clean_session(seed))
     return bool(calibration.flatness and calibration.flatness.statements)
 
 
 def _times() -> list[Metric]:
     """A step of the solve of 40 views with each shape over one of flat boards, taken in turn."""
-    seen = _seen(0, _warped(0, 0.5, 0.1), views=40)[1]
+    seen = _seen(0, warped(0, 0.5, 0.1), views=40)[1]
     with float64():
         own = {
             shape: as_jax(calibrate(seen, board_shape=shape).adjustment) for shape in ("flat", "bulge", "warp", "bend")
@@ -245,11 +240,11 @@ def _odd(seeds: range, plain: list[_Solved]) -> list[Metric]:
     }
     for name, how in kinds.items():
         straight = [_solved(_seen(s, lambda _: flat, **how), "flat") for s in seeds]
-        bent = [_seen(s, _warped(s, 0.3, 0.0), **how) for s in seeds]
+        bent = [_seen(s, warped(s, 0.3, 0.0), **how) for s in seeds]
         metrics += _beside(name, straight, [_solved(each, "bend") for each in bent], 1.2)
         metrics += _named(name, 0.3, straight, [_solved(each, "flat") for each in bent])
     half = [_half_seen(_seen(s, lambda _: flat), s) for s in seeds]
-    bent = [_half_seen(_seen(s, _warped(s, 0.3, 0.0)), s) for s in seeds]
+    bent = [_half_seen(_seen(s, warped(s, 0.3, 0.0)), s) for s in seeds]
     straight = [_solved(each, "flat") for each in half]
     metrics += _beside("partial_views_bent_0.3", straight, [_solved(each, "bend") for each in bent], 1.2)
     return metrics

@@ -31,7 +31,7 @@ def exact_session(seed: int, lasers: int = 1) -> tuple[Rig, Observations]:
     steps = rig_2003.STEPS_APART * np.arange(rig_2003.STAGE_VIEWS, dtype=float)
     first = stage.apply(points)
     along = tuple(
-        View(f"stage-{i}", _project(rig.camera, first + moved))
+        View(f"stage-{i}", project(rig.camera, first + moved))
         for i, moved in enumerate(rig_2003.stage_travel(rig, steps))
     )
     return rig, Observations(
@@ -70,7 +70,7 @@ def exact_views(rig: Rig, poses: Pose, stem: str = "view", columns_apart: int | 
         X = Pose(rotation, translation).apply(points)
         lasers = range(len(rig.lights)) if columns_apart else ()
         stripes = tuple(_stripe(true_profile(rig, scene, laser=n).position, n, columns_apart) for n in lasers)
-        views.append(View(f"{stem}-{i}", _project(rig.camera, X), stripes=stripes))
+        views.append(View(f"{stem}-{i}", project(rig.camera, X), stripes=stripes))
     return tuple(views)
 
 
@@ -106,7 +106,8 @@ def redrawn(exact: Observations, noise: Noise, random: np.random.Generator) -> O
     )
 
 
-def _project(camera: Camera, X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
+def project(camera: Camera, X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
+    """Where points (camera frame, mm) are seen."""
     with float64():
         return np.asarray(_projected(as_float64(camera), jnp.asarray(X)))
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
+from benchmarks.drawn import Noise, redrawn
 from jaxscan.calibration import BoardSequence, Observations, StripePoints, View
 from jaxscan.images import Board
 from jaxscan.rig import LightPlane, Rig
@@ -88,6 +89,16 @@ def bent_session(
         sequences = (BoardSequence({"stage": steps}, along),)
     lasers = ("",) if stripes else ()
     return rig, Observations(rig_2003.IMAGE_SIZE, board, shown, sequences, lasers, radius_mm=radius_mm)
+
+
+def clean_session(seed: int) -> Observations:
+    """A session with flat boards of another size, number of views and noise by the seed."""
+    random = np.random.default_rng([seed, 40])
+    board = Board.checkerboard((int(random.integers(5, 13)), int(random.integers(4, 9))), float(random.uniform(9, 15)))
+    views, stage = int(random.integers(5, 25)), int(random.integers(0, 3)) * 8
+    _, exact = bent_session(seed, lambda _: flat, board=board, views=views, stage_views=stage, columns_apart=3)
+    noise = Noise(float(random.uniform(0.01, 0.15)), float(random.uniform(0.03, 0.3)))
+    return redrawn(exact, noise, random)
 
 
 def _project(rig: Rig, X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:

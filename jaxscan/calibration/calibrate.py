@@ -16,6 +16,7 @@ from jaxscan.calibration.blocks import sequence_blocks, view_blocks
 from jaxscan.calibration.bundle import MAX_STEPS, Factor
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.diagnostics.board_flatness import board_flatness
+from jaxscan.calibration.diagnostics.changes import find_change
 from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
 from jaxscan.calibration.diagnostics.sheet_curves import sheet_curves
 from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
@@ -163,6 +164,7 @@ def calibrate(
         result = assemble(refined, free, usable, held, unused, tuple(factors))
         curves = sheet_curves(refined)
         flatness = board_flatness(refined, result, curves)
+        change = find_change(refined, result)
     kept = iter(result.kept)
     return replace(
         result,
@@ -174,9 +176,11 @@ def calibrate(
         warnings=(
             *(f"{what}. {mend}".removesuffix(".") for what, mend in flatness.statements),
             *light_plane_doubts(stripe_shapes(result), curves),
+            *([] if change is None else [f"{change.statement[0]}. {change.statement[1]}".removesuffix(".")]),
         ),
         flatness=flatness,
         sheet_curves=curves,
+        change=change,
     )
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.adjustment import Adjustment, pose_at_0
 from jaxscan.calibration.bundle import Factor
+from jaxscan.calibration.changed import Change
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.flatness import BoardFlatness
 from jaxscan.calibration.observations import Kept, Observations, Unused, View
@@ -90,6 +91,7 @@ class Calibration:
         flatness: what the residuals say of the board's shape beyond what was followed.
         plain: whether every observation took part with the same weight.
         sheet_curves: of sheets of light that were taken as flat and are clearly curved.
+        change: what is another before and behind one of the photographs.
     """
 
     rig: Rig
@@ -120,6 +122,7 @@ class Calibration:
     flatness: BoardFlatness | None = None
     plain: bool = False
     sheet_curves: tuple[SheetCurve, ...] = ()
+    change: Change | None = None
 
     def rig_file(self) -> RigFile:
         """What `write_rig` writes."""

@@ -114,6 +114,28 @@ def section(
     return X
 
 
+def turned_and_moved(
+    light: Light,
+    first: Float[np.ndarray, "numbers"],
+    last: Float[np.ndarray, "numbers"],
+    points: Float[np.ndarray, "points 3"],
+) -> tuple[float, float]:
+    """How far a sheet goes when its numbers change, where points (camera frame, mm) are: degrees, and mm (RMS).
+
+    Args:
+        light: the sheet.
+        first: added to its numbers, where it was.
+        last: added to its numbers, where it is now.
+        points: near it.
+    """
+    numbers, unravel = ravel_pytree(as_numpy(light))
+    was, now = (as_numpy(unravel(jnp.asarray(numbers + by))) for by in (first, last))
+    normals = [np.mean(each.gradient(points), axis=0) for each in (was, now)]
+    a, b = (normal / np.linalg.norm(normal) for normal in normals)
+    turn = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+    return float(turn), float(np.sqrt(np.mean((distance(was, points) - distance(now, points)) ** 2)))
+
+
 def nameless(light: Light) -> Light:
     """The same light without its name, so that lights of several names share what was compiled for one."""
     return type(light)(**{**vars(light), "name": ""})
