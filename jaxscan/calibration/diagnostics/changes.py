@@ -68,7 +68,9 @@ def find_change(refined: Refined, calibration: Calibration) -> Change | None:
         return None
     names = parameter_names(refined.system.rig)
     sigma = np.sqrt(np.diagonal(equations.inverse))[: len(names)]
-    shift = np.abs(best.moved[: len(names)]) / np.where(sigma > 0, sigma, np.inf)
+    # From the rig of all to that of the first photographs, and to that of the last ones.
+    both = best.moved, best.moved + best.kind.D @ best.delta
+    shift = np.max([np.abs(moved[: len(names)]) for moved in both], axis=0) / np.where(sigma > 0, sigma, np.inf)
     shift = np.where([name in calibration.covariance.names for name in names], shift, 0.0)
     worst = int(np.argmax(shift))
     if shift[worst] < _MOVES:
