@@ -104,13 +104,13 @@ def changed_session(seed: int, name: str, times: float = 1.0) -> tuple[Observati
 
 
 def _refocused(rig: Rig, times: float) -> Rig:
-    focal = tuple(float(f) * (1 + _FOCUS * times) for f in rig.camera.focal)
-    return replace(rig, camera=replace(rig.camera, focal=focal))
+    fu, fv = (np.asarray(f) * (1 + _FOCUS * times) for f in rig.camera.focal)
+    return replace(rig, camera=replace(rig.camera, focal=(np.asarray(fu), np.asarray(fv))))
 
 
 def _lens_pushed(rig: Rig, times: float) -> Rig:
-    u, v = (float(c) for c in rig.camera.principal)
-    return replace(rig, camera=replace(rig.camera, principal=(u, v + _PX * times)))
+    u, v = rig.camera.principal
+    return replace(rig, camera=replace(rig.camera, principal=(u, np.asarray(v + _PX * times))))
 
 
 def _laser_turned(rig: Rig, times: float) -> Rig:
@@ -125,9 +125,9 @@ def _camera_turned(rig: Rig, times: float) -> Rig:
     R = np.asarray(vector_to_matrix(np.array([_PX * times / float(rig.camera.focal[1]), 0.0, 0.0])))
     light, motion = rig.lights[0], rig.motion
     assert isinstance(motion, Linear)
-    per_step = R @ np.array([float(x) for x in motion.per_step])
+    x, y, z = (np.asarray(each) for each in R @ np.array([float(x) for x in motion.per_step]))
     turned = LightPlane.create(R @ plane_of(light), light.name)
-    return replace(rig, lights=(turned,), motion=replace(motion, per_step=tuple(per_step)))
+    return replace(rig, lights=(turned,), motion=replace(motion, per_step=(x, y, z)))
 
 
 _CHANGES: Final[dict[str, Callable[[Rig, float], Rig]]] = {

@@ -214,6 +214,41 @@ class Observations:
             ]
         )
 
+    def in_order(self) -> list[int]:
+        """Places in `photographs` as they were taken: session by session, the views, then along the axes."""
+        sessions = list(dict.fromkeys(view.session for view in self.photographs()))
+        at = [sessions.index(view.session) for view in self.photographs()]
+        return sorted(range(len(at)), key=at.__getitem__)
+
+    def since(self, name: str) -> "Observations":
+        """Without the photographs before the one of this name: what was seen after something was changed."""
+        before = self._before(name)
+        views = tuple(view for view in self.views if view.name not in before)
+        sequences = [
+            sequence.only([i for i, view in enumerate(sequence.views) if view.name not in before])
+            for sequence in self.sequences
+        ]
+        kept = tuple(sequence for sequence in sequences if sequence.views)
+        left_out = (*self.left_out, *(f"{each}: before {name}" for each in before))
+        return replace(self, views=views, sequences=kept, left_out=left_out)
+
+    def stripes_since(self, name: str) -> "Observations":
+        """Without the stripes before the photograph of this name, whose corners still tell of the camera."""
+        before = self._before(name)
+        photographs = [replace(view, stripes=()) if view.name in before else view for view in self.photographs()]
+        had = [view.name for view in self.photographs() if view.name in before and view.stripes]
+        left_out = (*self.left_out, *(f"the stripe of {each}: before {name}" for each in had))
+        return replace(self.with_photographs(photographs), left_out=left_out)
+
+    def _before(self, name: str) -> list[str]:
+        """The names of the photographs before this one."""
+        photographs = self.photographs()
+        names = [photographs[i].name for i in self.in_order()]
+        if name not in names:
+            known = ", ".join(names[:_NAMED]) + (" …" if len(names) > _NAMED else "")
+            raise InputError(f'there is no photograph "{name}": those with a board are {known}')
+        return names[: names.index(name)]
+
     def remarks(self) -> str:
         """Notes and what was left out, a line each, to follow an error's text."""
         more = len(self.left_out) - _NAMED

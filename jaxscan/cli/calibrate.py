@@ -215,7 +215,7 @@ def solve_sessions(
             observe(content, advance, detector) if isinstance(content, Session) else given
             for content, given in zip(contents, each, strict=True)
         ]
-    observations = join(_names(paths), each) if len(each) > 1 else each[0]
+    observations = estimate.taken(join(_names(paths), each) if len(each) > 1 else each[0])
     observations = replace(observations, notes=(*notes, *observations.notes))
     held = settings[0].hold
     if start is not None and camera is not None:

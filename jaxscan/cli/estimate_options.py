@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
+    from jaxscan.calibration import Observations
     from jaxscan.files.session import CameraSettings, Session
     from jaxscan.rig import Camera
 
@@ -28,6 +29,8 @@ class Estimate:
         plain: plain least squares, every corner with the same weight.
         sheet: the kind of all lasers' sheets, in place of the session's.
         board_shape: in place of the session's.
+        since: the first photograph that takes part.
+        laser_since: the first photograph whose stripes do.
     """
 
     lens: str | None = None
@@ -36,6 +39,8 @@ class Estimate:
     plain: bool = False
     sheet: str | None = None
     board_shape: str | None = None
+    since: str | None = None
+    laser_since: str | None = None
 
     def of(self, settings: "CameraSettings") -> "CameraSettings":
         """A session's settings with what was asked for."""
@@ -46,6 +51,23 @@ class Estimate:
         """The kind of each laser's sheet."""
         own = session.sheets or (PLANE,) * len(session.lasers)
         return (self.sheet,) * len(own) if self.sheet else own
+
+    def taken(self, observations: "Observations") -> "Observations":
+        """Of what was seen, what takes part.
+
+        Raises:
+            InputError: there is no such photograph.
+        """
+        for option, name, of in (
+            ("--since", self.since, observations.since),
+            ("--laser-since", self.laser_since, observations.stripes_since),
+        ):
+            if name is not None:
+                try:
+                    observations = of(name)
+                except InputError as error:
+                    raise InputError(f"{option}: {error}") from None
+        return observations
 
     def zeros(self, path: Path, start: "Camera") -> tuple[str, ...]:
         """The lens terms of a file's camera that are 0 and not to be sought.
@@ -67,7 +89,7 @@ AS_THE_SESSION: Final = Estimate()
 
 
 def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare --lens, --hold, --free, --sheet, --board-shape and --plain."""
+    """Declare --lens, --hold, --free, --sheet, --board-shape, --since, --laser-since and --plain."""
     parser.add_argument(
         "--lens",
         metavar="LENS",
@@ -108,6 +130,18 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         "along columns and rows; warp, also twist and edges; bend, also its bulges in each photograph",
     )
     parser.add_argument(
+        "--since",
+        metavar="PHOTOGRAPH",
+        help="leave out the photographs before this one, named as the results name it, where something was moved or "
+        "refocused before it",
+    )
+    parser.add_argument(
+        "--laser-since",
+        metavar="PHOTOGRAPH",
+        help="leave out only the stripes of the photographs before this one, where the laser was moved before it: "
+        "their corners still tell of the camera",
+    )
+    parser.add_argument(
         "--plain",
         action="store_true",
         help="plain least squares over all corners, the estimate that OpenCV and Bouguet's toolbox make, to compare "
@@ -141,7 +175,7 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
 
         if args.board_shape not in BOARD_SHAPES:
             raise InputError(f"--board-shape {args.board_shape}: there are {', '.join(BOARD_SHAPES)}")
-    return Estimate(args.lens, hold, free, args.plain, args.sheet, args.board_shape)
+    return Estimate(args.lens, hold, free, args.plain, args.sheet, args.board_shape, args.since, args.laser_since)
 
 
 def _names(text: str) -> Sequence[str]:

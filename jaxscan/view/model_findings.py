@@ -46,6 +46,7 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *_board(calibration),
         *_sheets(calibration, diagnostics, lens),
         *_bent(calibration, diagnostics),
+        *_changed(calibration),
         *_moved(diagnostics),
         *_stage(diagnostics),
         *_turntable(diagnostics),
@@ -255,6 +256,14 @@ def _bent(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
             )
         )
     return boxes
+
+
+def _changed(calibration: Calibration) -> list[Box]:
+    """What is another before and behind one of the photographs."""
+    if calibration.change is None:
+        return []
+    what, mend = calibration.change.statement
+    return [Box("stop", f"{what}.", mend)]
 
 
 def _moved(diagnostics: Diagnostics) -> list[Box]:

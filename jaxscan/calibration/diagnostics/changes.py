@@ -50,7 +50,7 @@ _POSE = 6
 def find_change(refined: Refined, calibration: Calibration) -> Change | None:
     """The clearest change between two photographs; None where there is none.
 
-    Photographs are taken to be in their order: of each session the views, then the sequences along its axes.
+    Photographs are taken to be in the order of `Observations.in_order`.
 
     Args:
         refined: where the rounds ended.
@@ -161,8 +161,8 @@ class _Equations:
         blocks = [(np.asarray(J), np.asarray(r)) for J, r in zip(jacobian.blocks, value.blocks, strict=True)]
         each = blocks[1][0].shape[-1] - n if observations.sequences else 0
         own = tuple(range(n + each * b, n + each * (b + 1)) for b in range(len(observations.sequences)))
-        sessions = list(dict.fromkeys(view.session for view in observations.photographs()))
-        order = sorted(photographs_in_blocks(observations), key=lambda at: sessions.index(at[0].session))
+        photographs = list(photographs_in_blocks(observations))
+        order = [photographs[i] for i in observations.in_order()]
         count = n + each * len(own)
         N, g = np.zeros((len(order), count, count)), np.zeros((len(order), count))
         for i, (_, group, b, k) in enumerate(order):
@@ -214,7 +214,7 @@ class _Equations:
         """Whether a step found in fewer unknowns is none of chance here."""
         kind = replace(step.kind, D=np.pad(step.kind.D, ((0, len(self.total) - len(step.kind.D)), (0, 0))))
         found = self.step(kind, step.k)
-        return found is not None and found.log_p < np.log(_BY_CHANCE) - np.log(len(kind.where))
+        return found is not None and bool(found.log_p < np.log(_BY_CHANCE) - np.log(len(kind.where)))
 
     def gains(self, kind: _Kind) -> dict[int, float]:
         """The gain of a step behind the first k photographs, for all k where there is anything to tell."""
