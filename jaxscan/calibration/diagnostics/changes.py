@@ -42,6 +42,8 @@ _UNSEEN = 1e-7
 _LEAST_SCATTER = 1e-9
 # So many photographs must stand on either side.
 _FEWEST = 2
+# Beside a step of its own there is no other that lowers χ² by this share as much.
+_OTHERS = 0.25
 # σ and correlation are found anew so many times.
 _TIMES_ANEW = 3
 _POSE = 6
@@ -63,8 +65,7 @@ def find_change(refined: Refined, calibration: Calibration) -> Change | None:
             return None
         equations = _Equations.create(refined, calibration, _scales(refined, equations, best))
         best = _clearest(refined.system, equations, lambda step: step.gain)
-    # What goes on from photograph to photograph, as the misfit of a model does when the board comes nearer, is no step.
-    if best is None or not equations.beside_a_trend(best.kind).shows(best):
+    if best is None or not equations.stands_out(best):
         return None
     names = parameter_names(refined.system.rig)
     sigma = np.sqrt(np.diagonal(equations.inverse))[: len(names)]
@@ -197,24 +198,39 @@ class _Equations:
             views, at, N, g, first, pull, T, _inverse(T, _ROUNDING)[0], g.sum(axis=0) + pull_of_others, own
         )
 
-    def beside_a_trend(self, kind: _Kind) -> "_Equations":
-        """The same where what may change may also go on with the photographs' order, and with its square."""
+    def stands_out(self, step: _Step) -> bool:
+        """Whether a step is one of its own.
+
+        What goes on from photograph to photograph, as the misfit of a model does when the board comes nearer, is none:
+        it must show beside a line and a parabola in their order. And where neighbours err alike, as with a lens that is
+        not followed and a board that wanders over the image, beside this step there are others nearly as large.
+        """
+        kind = step.kind
         t = np.interp(np.arange(len(self.views)), kind.seen, np.linspace(-1, 1, len(kind.seen)))
-        n, d = kind.D.shape
-        E = np.broadcast_to(np.eye(n, n + 2 * d), (len(t), n, n + 2 * d)).copy()
-        for power in range(2):
-            E[:, :, n + power * d : n + (power + 1) * d] = kind.D * t[:, None, None] ** (power + 1)
+        trend = self.beside(kind.D, np.stack([t, t * t]))
+        alone = trend.step(trend.widened(kind), step.k)
+        if alone is None or alone.log_p > np.log(_BY_CHANCE) - np.log(len(kind.where)):
+            return False
+        beside = self.beside(kind.D, np.stack([t, t * t, np.arange(len(t)) >= step.k]))
+        others = beside.gains(beside.widened(kind))
+        return max(others.values(), default=0.0) < _OTHERS * alone.gain
+
+    def widened(self, kind: _Kind) -> _Kind:
+        """A kind in these unknowns, of which there are more."""
+        return replace(kind, D=np.pad(kind.D, ((0, len(self.total) - len(kind.D)), (0, 0))))
+
+    def beside(self, D: Float[np.ndarray, "unknowns d"], courses: Float[np.ndarray, "n photographs"]) -> "_Equations":
+        """The same where some numbers may also go along some courses from photograph to photograph."""
+        n, d = D.shape
+        more = d * len(courses)
+        E = np.broadcast_to(np.eye(n, n + more), (len(self.views), n, n + more)).copy()
+        for i, course in enumerate(courses):
+            E[:, :, n + i * d : n + (i + 1) * d] = D * course[:, None, None]
         N, g = E.mT @ self.N @ E, (E.mT @ self.g[..., None])[..., 0]
         rest = self.T - self.N.sum(axis=0), self.total - self.g.sum(axis=0)
         return _Equations.of(
-            self.views, self.at, N, g, np.pad(rest[0], (0, 2 * d)), np.pad(rest[1], (0, 2 * d)), self.own
+            self.views, self.at, N, g, np.pad(rest[0], (0, more)), np.pad(rest[1], (0, more)), self.own
         )
-
-    def shows(self, step: _Step) -> bool:
-        """Whether a step found in fewer unknowns is none of chance here."""
-        kind = replace(step.kind, D=np.pad(step.kind.D, ((0, len(self.total) - len(step.kind.D)), (0, 0))))
-        found = self.step(kind, step.k)
-        return found is not None and bool(found.log_p < np.log(_BY_CHANCE) - np.log(len(kind.where)))
 
     def gains(self, kind: _Kind) -> dict[int, float]:
         """The gain of a step behind the first k photographs, for all k where there is anything to tell."""
