@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -126,13 +127,16 @@ def triangulation(
     motion: Motion | None = None,
     swept: bool = False,
     light: Light | None = None,
+    tilt: tuple[float, ...] = (),
 ) -> Callable[[], jax.Array]:
     """What triangulates pixels that are on the device, into a buffer there that is used again and again.
 
-    With a light that is swept, each frame has a plane of its own; another light takes the place of the rig's.
+    With a light that is swept, each frame has a plane of its own; another light takes the place of the rig's. The
+    sensor may be tilted, rad.
     """
     dtype = pixels[0].dtype.name
     whole, n_frames = rig(640, 480, lens, motion), len(pixels[0])
+    whole = replace(whole, camera=replace(whole.camera, tilt=tilt))
     if light is not None:
         whole = Rig(whole.camera, (as_numpy(light),), whole.motion)
     ready, inputs = Kernel.create(whole, dtype=dtype), [jnp.asarray(x) for x in pixels]

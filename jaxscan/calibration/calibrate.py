@@ -38,6 +38,7 @@ from jaxscan.images import Board
 from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import LIGHTS, MOTIONS, BoardShape, Camera, Light, LightPlane, Rig, System
 from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES, bent_by
+from jaxscan.rig.kinds import lens_of_kind
 
 _FEWEST_CORNERS = 6
 FEWEST_VIEWS = 3
@@ -63,6 +64,7 @@ def calibrate(
     principal_point: str = "free",
     start: Camera | None = None,
     hold: Sequence[str] = (),
+    tilted: bool = False,
     board_shape: str = "flat",
     plain: bool = False,
     keep: Sequence[Kept] | None = None,
@@ -82,6 +84,7 @@ def calibrate(
         hold: names of the camera's parameters, as in `rig.json`, that keep the value of `start`; without a start lens
             terms can be held, at 0: `lens="brown", hold=["camera.radial.2"]` is k1 k2 p1 p2 with k3 = 0. Zeros of a
             camera that was read from a file were mostly held there: `hold=start.zero_terms()` holds them here.
+        tilted: whether the sensor's tilt against the lens is found too, from that of `start`, or from none.
         board_shape: what of the board's shape is found too. "flat": nothing. "bulge": how far it bulges along columns
             and rows, the same in all photographs. "warp": its twist, and by how much one edge bends more than the
             other, besides. "bend": how far it bulges in each photograph, and on each axis, besides.
@@ -108,7 +111,15 @@ def calibrate(
         raise InputError(f"light names {len(kinds)} kinds for {len(observations.lasers)} lasers: give one for each")
     if board_shape not in BOARD_SHAPES:
         raise InputError(f'board_shape = "{board_shape}": there are {", ".join(BOARD_SHAPES)}')
-    held = held_parameters(hold, start.lens.kind if start else lens, principal_point, has_start=start is not None)
+    tilted = tilted or bool(start and start.tilt)
+    if tilted and not any(lens_of_kind(start.lens.kind if start else lens).numbers.values()):
+        raise InputError(
+            "a lens without distortion does not show where its axis is, so the tilt of the sensor cannot be told from "
+            'the principal point: ask for lens = "radial1" or a richer one, or leave out the tilt'
+        )
+    held = held_parameters(
+        hold, start.lens.kind if start else lens, principal_point, has_start=start is not None, tilted=tilted
+    )
     _refuse_tracers(observations)
     if keep is not None:
         observations = observations.only(keep)
@@ -123,6 +134,8 @@ def calibrate(
         unused = Unused(usable.left_out)
         _check_views_for(board_shape, usable)
         camera = as_float64(start) if start else first_camera(usable, lens)
+        if tilted and not camera.tilt:
+            camera = replace(camera, tilt=(jnp.zeros(()), jnp.zeros(())))
         terms, bends = BOARD_SHAPES[board_shape]
         shape = BoardShape.of(jnp.zeros(terms)) if terms else None
 

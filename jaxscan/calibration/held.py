@@ -8,7 +8,9 @@ from jaxscan.rig.camera import camera_parameters
 _PRINCIPAL = ("camera.principal.0", "camera.principal.1")
 
 
-def held_parameters(hold: Sequence[str], lens: str, principal_point: str, *, has_start: bool) -> set[str]:
+def held_parameters(
+    hold: Sequence[str], lens: str, principal_point: str, *, has_start: bool, tilted: bool = False
+) -> set[str]:
     """The names of the parameters that are not refined.
 
     Args:
@@ -16,13 +18,14 @@ def held_parameters(hold: Sequence[str], lens: str, principal_point: str, *, has
         lens: the camera's.
         principal_point: "free" or "centre".
         has_start: whether there is a camera whose values they can keep. Without one a lens term is held at 0.
+        tilted: whether the tilt of its sensor is among its parameters.
 
     Raises:
         InputError: a name that the camera does not have, or whose value is not known.
     """
     if principal_point not in ("free", "centre"):
         raise InputError(f'principal_point is "{principal_point}": use "free" or "centre"')
-    known = camera_parameters(lens)
+    known = camera_parameters(lens, tilted=tilted)
     if unknown := [name for name in hold if name not in known]:
         beyond = "" if unknown[0].startswith("camera.") else "only the camera can be held; "
         raise InputError(

@@ -14,6 +14,8 @@ from jaxscan.rig.rig import is_place
 
 # Focal length, light plane, travel or turn known no better than this share of itself is not a measurement.
 _LARGEST_RELATIVE_SIGMA = 0.02
+# The tilt of a sensor known no better than this, radians, is none: the linear σ does not hold over so wide a range.
+_LARGEST_TILT_SIGMA = 0.1
 _VECTORS = ("lights", "motion")
 # Shares of a direction below this are not worth a word.
 _WORTH_NAMING = 0.3
@@ -23,6 +25,7 @@ _SMALLEST_TILT_SPREAD_DEG = 20.0
 _IN_WORDS = {
     "camera.focal": "the focal length",
     "camera.principal": "the principal point",
+    "camera.tilt": "the tilt of the sensor",
     "shape.bulge.0": "the board's bulge along its columns",
     "shape.bulge.1": "the board's bulge along its rows",
     "shape.twist": "the board's twist",
@@ -68,8 +71,17 @@ def undetermined(
         words = list(dict.fromkeys(_words(name) for name in parts))
         what = " and ".join(words) + " cannot be told apart" if len(words) > 1 else f"{words[0]} cannot be found"
         return OpenQuestion(what, tuple(parts))
-    for i, name in enumerate(names):
-        sigma = float(np.sqrt(covariance[i, i]))
+    sigmas = np.sqrt(np.diagonal(covariance)).tolist()
+    # Before the focal length, with which a tilt that is not known is mixed up too.
+    tilts = [i for i, name in enumerate(names) if name.startswith("camera.tilt")]
+    for i in sorted(tilts, key=lambda i: -sigmas[i])[:1]:
+        if sigmas[i] > _LARGEST_TILT_SIGMA:
+            return OpenQuestion(
+                "the tilt of the sensor and the principal point cannot be told apart, it came out as "
+                f"{np.degrees(values[i]):.1f}° ± {np.degrees(sigmas[i]):.1f}°",
+                (names[i],),
+            )
+    for i, (name, sigma) in enumerate(zip(names, sigmas, strict=True)):
         if name.startswith("camera.focal") and sigma > _LARGEST_RELATIVE_SIGMA * abs(values[i]):
             return OpenQuestion(
                 f"the focal length and the boards' distance cannot be told apart, it came out as {values[i]:.0f} ± "
@@ -151,6 +163,12 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
         return (
             f"the boards are nearly parallel, their normals lie within {coverage.tilt_spread_deg:.1f}° of each other. "
             "Tilt the board by 30° or more, in different directions from view to view"
+        )
+    if name.startswith("camera.tilt"):
+        return (
+            f"only the lens's distortion tells where its axis is, and corners cover {100 * coverage.image_share:.0f} % "
+            f"of the image and reach {100 * coverage.reach:.0f} % of the way from its centre to its corners. Hold the "
+            "board into the corners of the image, choose a lens with fewer terms, or calibrate without the tilt"
         )
     if lens_numbers(name) is not None:
         return (

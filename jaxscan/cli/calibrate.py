@@ -208,7 +208,8 @@ def solve_sessions(
         raise InputError(f"{paths[0]}: has no [laser], and --sheet speaks of one's light: add [laser], or leave it out")
     start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
     asked, lens = settings[0], start.lens.kind if start else settings[0].lens
-    held_parameters(asked.hold, lens, asked.principal_point, has_start=start is not None)
+    tilted = asked.tilt or bool(start and start.tilt)
+    held_parameters(asked.hold, lens, asked.principal_point, has_start=start is not None, tilted=tilted)
     photographs = sum(photograph_count(content) for content in contents if isinstance(content, Session))
     with progress("finding boards and stripes", photographs) as advance:
         each = [
@@ -230,6 +231,7 @@ def solve_sessions(
             principal_point=settings[0].principal_point,
             start=start,
             hold=held,
+            tilted=settings[0].tilt,
             board_shape=shapes[0],
             advance=advance.says,
             plain=estimate.plain,
@@ -309,7 +311,8 @@ def _check_poses(paths: Sequence[Path], contents: Sequence["Session | CameraFile
 
 def _in_words(settings: "CameraSettings") -> str:
     held = f", {', '.join(settings.hold)} held" if settings.hold else ""
-    return f"lens {settings.lens}, principal point {settings.principal_point}{held}"
+    tilt = ", sensor tilted" if settings.tilt else ""
+    return f"lens {settings.lens}, principal point {settings.principal_point}{held}{tilt}"
 
 
 def _kept_at_zero(path: Path, zeros: Sequence[str]) -> str:

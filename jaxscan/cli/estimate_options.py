@@ -31,6 +31,7 @@ class Estimate:
         board_shape: in place of the session's.
         since: the first photograph that takes part.
         laser_since: the first photograph whose stripes do.
+        tilt: the tilt of the sensor is sought, whatever the session says.
     """
 
     lens: str | None = None
@@ -41,11 +42,12 @@ class Estimate:
     board_shape: str | None = None
     since: str | None = None
     laser_since: str | None = None
+    tilt: bool = False
 
     def of(self, settings: "CameraSettings") -> "CameraSettings":
         """A session's settings with what was asked for."""
         hold = tuple(sorted({*settings.hold, *self.hold} - set(self.free)))
-        return replace(settings, lens=self.lens or settings.lens, hold=hold)
+        return replace(settings, lens=self.lens or settings.lens, hold=hold, tilt=self.tilt or settings.tilt)
 
     def sheets(self, session: "Session") -> tuple[str, ...]:
         """The kind of each laser's sheet."""
@@ -89,7 +91,7 @@ AS_THE_SESSION: Final = Estimate()
 
 
 def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare --lens, --hold, --free, --sheet, --board-shape, --since, --laser-since and --plain."""
+    """Declare --lens, --hold, --free, --tilt, --sheet, --board-shape, --since, --laser-since and --plain."""
     parser.add_argument(
         "--lens",
         metavar="LENS",
@@ -116,6 +118,12 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[,NAME]",
         help="seek a lens term although it is 0 in the file of --camera, where it was mostly held, or the session "
         "holds it; without this it stays 0",
+    )
+    parser.add_argument(
+        "--tilt",
+        action="store_true",
+        help="find the tilt of the sensor against the lens too, of a Scheimpflug camera: two angles more, which only "
+        "the lens's distortion tells from the principal point",
     )
     parser.add_argument(
         "--sheet",
@@ -175,7 +183,9 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
 
         if args.board_shape not in BOARD_SHAPES:
             raise InputError(f"--board-shape {args.board_shape}: there are {', '.join(BOARD_SHAPES)}")
-    return Estimate(args.lens, hold, free, args.plain, args.sheet, args.board_shape, args.since, args.laser_since)
+    return Estimate(
+        args.lens, hold, free, args.plain, args.sheet, args.board_shape, args.since, args.laser_since, args.tilt
+    )
 
 
 def _names(text: str) -> Sequence[str]:

@@ -54,6 +54,7 @@ def session_facts(path: Path) -> Facts:
         "lens": session.camera.lens,
         "principal_point": session.camera.principal_point,
         "hold": list(session.camera.hold),
+        "tilt": session.camera.tilt,
         "views": len(session.views.boards),
         "stripes": stripes and {name: sum(p is not None for p in paths) for name, paths in stripes.items()},
         "lasers": [
@@ -205,6 +206,7 @@ def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Fact
         "lens": camera.lens.kind,
         **{part: _values(f"camera.{part}", getattr(camera, part), sigma) for part in ("focal", "principal")},
         **{name: _values(f"camera.{name}", getattr(camera.lens, name), sigma) for name in camera.lens.numbers},
+        **({"tilt": _values("camera.tilt", camera.tilt, sigma)} if camera.tilt else {}),
     }
 
 

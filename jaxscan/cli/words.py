@@ -7,7 +7,7 @@ Facts = dict[str, Any]
 Line = tuple[str, str]
 
 # What is said of a camera besides its lens's terms.
-_PINHOLE = ("image_size", "lens", "focal", "principal")
+_PINHOLE = ("image_size", "lens", "focal", "principal", "tilt")
 
 
 def in_words(facts: Facts) -> str:
@@ -38,7 +38,8 @@ def _session(facts: Facts) -> Iterator[Line]:
         yield "turntable", f"{turntable['count']} photographs, {_travel(turntable)}, at step {turntable['stage_step']}"
     held = "found" if facts["principal_point"] == "free" else "held at the centre of the image"
     also = f", {', '.join(facts['hold'])} held" if facts["hold"] else ""
-    yield "camera", f"lens {facts['lens']}, principal point {held}{also}"
+    tilt = ", tilt of the sensor found" if facts["tilt"] else ""
+    yield "camera", f"lens {facts['lens']}, principal point {held}{also}{tilt}"
 
 
 def _scan(facts: Facts) -> Iterator[Line]:
@@ -112,6 +113,8 @@ def _intrinsics(camera: Facts) -> Iterator[Line]:
     yield "camera", f"{_size(camera['image_size'])}, lens {camera['lens']}"
     yield "focal length", _values(camera["focal"], "px")
     yield "principal point", _values(camera["principal"], "px")
+    if "tilt" in camera:
+        yield "tilt of the sensor", _values(camera["tilt"], "rad")
     for name, terms in camera.items():
         if name not in _PINHOLE and terms["value"]:
             yield f"{name} terms", _values(terms)

@@ -1,7 +1,8 @@
 """What a file of some other program says of a camera, and how its lens terms and ours go together.
 
 All the formats count pixels as we do, (0, 0) the *centre* of the top left pixel; each module names its source. All take
-OpenCV's lens terms, in OpenCV's order (`calib3d`): k1 k2 p1 p2 k3 k4 k5 k6, then s1 … s4 and τx, τy, which we have not.
+OpenCV's lens terms, in OpenCV's order (`calib3d`): k1 k2 p1 p2 k3 k4 k5 k6, then s1 … s4, which we have not, and
+τx, τy, the tilt of the sensor.
 """
 
 import warnings
@@ -21,7 +22,7 @@ from jaxscan.rig import Camera
 from jaxscan.rig.opencv_lens import LADDER, OpenCVLens
 
 TERMS: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_BEYOND: Final = ("s1", "s2", "s3", "s4", "tauX", "tauY")
+_THIN_PRISM: Final = ("s1", "s2", "s3", "s4")
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,12 @@ class CameraFile:
 
 
 def camera_from_terms(
-    table: Table, focal_key: str, size: tuple[int, int], pinhole: Sequence[float], terms: Sequence[float]
+    table: Table,
+    focal_key: str,
+    size: tuple[int, int],
+    pinhole: Sequence[float],
+    terms: Sequence[float],
+    tilt: Sequence[float] = (),
 ) -> Camera:
     """A camera with the leanest lens of the ladder that has all the terms that are not zero.
 
@@ -87,6 +93,7 @@ def camera_from_terms(
         size: columns and rows.
         pinhole: f_u, f_v, u₀, v₀, in pixels.
         terms: as many of `TERMS` as there are; the others are zero.
+        tilt: τx, τy, if there are; zeros are a sensor that is not tilted.
 
     Raises:
         InputError: a focal length that is not positive.
@@ -104,7 +111,7 @@ def camera_from_terms(
     with float64():
         f_u, f_v, u0, v0 = _leaves(pinhole)
         lens = kind(_leaves(radial[:n_radial]), _leaves(tangential[:n_tangential]))
-        return as_numpy(Camera((f_u, f_v), (u0, v0), lens, size))
+        return as_numpy(Camera((f_u, f_v), (u0, v0), lens, size, _leaves(tilt) if any(tilt) else ()))
 
 
 def _leaves(values: Sequence[float]) -> tuple[Float[Array, ""], ...]:
@@ -116,12 +123,19 @@ def pinhole_of(camera: Camera) -> list[float]:
     return [float(leaf) for leaf in (*camera.focal, *camera.principal)]
 
 
-def terms_for(path: Path, camera: Camera, count: int, title: str) -> list[float]:
-    """The first `count` of the camera's `TERMS`.
+def terms_for(path: Path, camera: Camera, count: int, title: str, *, tilts: bool = False) -> list[float]:
+    """The first `count` of the camera's `TERMS`, for a format that has a place for tilted sensors or not.
 
     Raises:
-        InputError: a term beyond them is not zero; it is named. Or the lens has terms of its own.
+        InputError: a term beyond them is not zero; it is named. Or the lens has terms of its own, or the sensor
+            is tilted and the format has no place for it.
     """
+    if camera.tilt and not tilts:
+        angles = " and ".join(f"{float(angle):.6g}" for angle in camera.tilt)
+        raise InputError(
+            f"{path}: the sensor is tilted by {angles} rad, which has no counterpart in {title}: write a rig.json or "
+            "OpenCV's format"
+        )
     if not isinstance(camera.lens, OpenCVLens):
         raise InputError(
             f'{path}: the lens "{camera.lens.kind}" has no counterpart in {title}, which has OpenCV\'s terms: write a '
@@ -139,21 +153,23 @@ def terms_for(path: Path, camera: Camera, count: int, title: str) -> list[float]
     return terms[:count]
 
 
-def terms_from(table: Table, key: str, values: Sequence[float], counts: Sequence[int]) -> Sequence[float]:
-    """Coefficients in OpenCV's order, cut to the terms that we have.
+def terms_from(
+    table: Table, key: str, values: Sequence[float], counts: Sequence[int]
+) -> tuple[Sequence[float], Sequence[float]]:
+    """Of coefficients in OpenCV's order the terms that we have, and the tilt of the sensor, empty where there is none.
 
     Raises:
-        InputError: their number is none of `counts`, or one beyond k6 is not zero; it is named.
+        InputError: their number is none of `counts`, or one of s1 … s4 is not zero; it is named.
     """
     if len(values) not in counts:
         wanted = " or ".join(map(str, counts))
         raise table.error(key, f"must hold {wanted} coefficients, it holds {len(values)}: write the file again")
-    for name, value in zip(_BEYOND, values[len(TERMS) :], strict=False):
+    for name, value in zip(_THIN_PRISM, values[len(TERMS) :], strict=False):
         if value != 0:
             raise table.error(
                 key, f"the lens term {name} = {value:.6g} has no counterpart in jaxscan: calibrate without it"
             )
-    return values[: len(TERMS)]
+    return values[: len(TERMS)], values[len(TERMS) + len(_THIN_PRISM) :]
 
 
 def pinhole_from_matrix(table: Table, key: str, matrix: Sequence[float]) -> tuple[float, float, float, float]:

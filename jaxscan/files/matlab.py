@@ -64,7 +64,7 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
     if skew != 0:
         raise skewed(table, "alpha_c", skew)
     terms = terms_from(table, "kc", table.numbers("kc"), (4, 5))
-    camera = camera_from_terms(table, "fc", size, (*table.numbers("fc", 2), *table.numbers("cc", 2)), terms)
+    camera = camera_from_terms(table, "fc", size, (*table.numbers("fc", 2), *table.numbers("cc", 2)), *terms)
     return CameraFile(size, camera, _sigmas(arrays), views, unseen)
 
 

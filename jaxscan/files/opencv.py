@@ -64,7 +64,7 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
     size = size_of(table, (key(_WIDTH, "image_width"), key(_HEIGHT, "image_height")), image_size)
     K, D = key(_MATRIX, "camera_matrix"), key(_COEFFICIENTS, "distortion_coefficients")
     pinhole = pinhole_from_matrix(table, K, matrix_numbers(table, K))
-    camera = camera_from_terms(table, K, size, pinhole, terms_from(table, D, matrix_numbers(table, D), _COUNTS))
+    camera = camera_from_terms(table, K, size, pinhole, *terms_from(table, D, matrix_numbers(table, D), _COUNTS))
     pass_over(path, [keys[name] for name in _POSES if name in keys])
     return CameraFile(size, camera)
 
@@ -72,7 +72,9 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
 def write(path: Path, content: CameraFile) -> None:
     """YAML, or XML where the file ends in .xml, with the names of OpenCV's own samples."""
     camera = content.the_camera(path)
-    terms = terms_for(path, camera, 8, "OpenCV's rational model")
+    terms = terms_for(path, camera, 8, "OpenCV's rational model", tilts=True)
+    if camera.tilt:
+        terms += [0.0] * 4 + [float(angle) for angle in camera.tilt]
     kind = cv2.FILE_STORAGE_FORMAT_XML if path.suffix.lower() == ".xml" else cv2.FILE_STORAGE_FORMAT_YAML
     storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | kind)
     storage.write("image_width", content.image_size[0])

@@ -135,6 +135,7 @@ def _check_finite(table: Table) -> None:
 # What reconstruction takes a pixel's σ from.
 _STRIPE_ERRORS: Final = ("stripe_rms_px", "stripe_sigma_px", "stripe_sigma_ratio")
 _CAMERA_KEYS: Final = ("image_size", "focal", "principal", "tilt")
+_STEEPEST_TILT: Final = math.pi / 2
 
 
 def _camera(table: Table, unknown: list[str]) -> Camera:
@@ -142,13 +143,15 @@ def _camera(table: Table, unknown: list[str]) -> Camera:
     focal = table.numbers("focal", 2)
     if min(focal) <= 0:
         raise table.error("focal", "must be two positive numbers of pixels")
-    if "tilt" in table and any(table.numbers("tilt", 2)):
-        raise table.error("tilt", "this version of jaxscan knows no tilted sensor: use the version that wrote the file")
+    tilt = table.numbers("tilt", 2) if "tilt" in table else ()
+    if any(abs(angle) >= _STEEPEST_TILT for angle in tilt):
+        raise table.error("tilt", "must be two angles in radians, each below a quarter turn: calibrate again")
     return Camera(
         focal=_pair(focal),
         principal=_pair(table.numbers("principal", 2)),
         lens=lens,
         image_size=table.size("image_size"),
+        tilt=leaves(tilt) if any(tilt) else (),
     )
 
 
@@ -207,6 +210,7 @@ def _encode(content: RigFile) -> dict[str, Any]:
             "principal": _floats(camera.principal),
             "lens": camera.lens.kind,
             **part_numbers(camera.lens),
+            **({"tilt": _floats(camera.tilt)} if camera.tilt else {}),
         },
     }
     values |= {"lights": lights_values(rig.lights), "motion": motion_values(rig.motion)}

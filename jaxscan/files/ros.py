@@ -58,8 +58,7 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
     K, D = _key(table, _K), _key(table, _D)
     pinhole = pinhole_from_matrix(table, K, matrix_numbers(table, K))
     coefficients = matrix_numbers(table, D) if D in table or model != "none" else ()
-    terms = terms_from(table, D, coefficients, _MODELS[model])
-    camera = camera_from_terms(table, K, size, pinhole, terms)
+    camera = camera_from_terms(table, K, size, pinhole, *terms_from(table, D, coefficients, _MODELS[model]))
     pass_over(path, _pair_geometry(table))
     return CameraFile(size, camera)
 

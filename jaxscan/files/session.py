@@ -42,11 +42,13 @@ class CameraSettings:
         lens: a rung of the lens ladder.
         principal_point: found, or held at the centre of the image.
         hold: further parameters that are not sought, by their names in `rig.json`, in the order of these.
+        tilt: whether the tilt of the sensor is sought.
     """
 
     lens: str = "radial1"
     principal_point: Literal["free", "centre"] = "free"
     hold: tuple[str, ...] = ()
+    tilt: bool = False
 
 
 @dataclass(frozen=True)
@@ -184,6 +186,7 @@ def write_session(session: Session) -> None:
     asked = session.camera
     values["camera"] = {"lens": asked.lens, "principal_point": asked.principal_point}
     values["camera"] |= {"hold": list(asked.hold)} if asked.hold else {}
+    values["camera"] |= {"tilt": True} if asked.tilt else {}
     values["views"] = {"boards": [relative_name(path, folder) for path in session.views.boards]}
     lasers = [stripe_values(laser) for laser in session.lasers]
     for laser, sheet in zip(lasers, session.sheets, strict=False):
@@ -285,15 +288,16 @@ def _board_values(board: Board) -> dict[str, Any]:
 def _camera(table: Table) -> CameraSettings:
     if "camera" not in table:
         return CameraSettings()
-    camera = table.table("camera", "[camera] ").only("lens", "principal_point", "hold")
+    camera = table.table("camera", "[camera] ").only("lens", "principal_point", "hold", "tilt")
     principal_point = camera.string("principal_point", "free", ("free", "centre"))
     lens = camera.string("lens", "radial1", tuple(LENSES))
-    names = camera_parameters(lens)
+    tilt = camera.boolean("tilt", default=False)
+    names = camera_parameters(lens, tilted=tilt)
     hold = camera.values.get("hold", [])
     if not isinstance(hold, list) or not all(name in names for name in hold):
         raise camera.error("hold", f'must be a list of parameters of the lens "{lens}": {", ".join(names)}')
     held = tuple(name for name in names if name in hold)
-    return CameraSettings(lens, cast(Literal["free", "centre"], principal_point), held)
+    return CameraSettings(lens, cast(Literal["free", "centre"], principal_point), held, tilt)
 
 
 def _stage(table: Table, lasers: Sequence[StripeSettings]) -> StageImages | None:

@@ -1,4 +1,4 @@
-"""The inverse of a lens without iterations: what takes a distorted ray to the undistorted one, as polynomials.
+"""The inverse of a lens and a sensor without iterations: what takes a distorted ray to the undistorted one.
 
 OpenCV's lens terms have theirs (`opencv_inverse`). Of any other lens the exact inverse is computed at pixels all over
 the image, and followed, by least squares, by
@@ -7,6 +7,9 @@ the image, and followed, by least squares, by
 
 S as there. P is for what is not symmetric about the axis: a polynomial in both coordinates, of the lowest degree that
 is good enough. A lens that is symmetric needs none, and has the compiled kernel of OpenCV's radial lenses.
+
+A tilted sensor comes before: a projective map whose divisor is linear in both coordinates. Its reciprocal is a
+polynomial too, for XLA's division takes longer than all of the lens.
 """
 
 from collections.abc import Sequence
@@ -20,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.errors import InputError
-from jaxscan.precision import as_float64, float64
+from jaxscan.precision import Leaf, as_float64, float64
 from jaxscan.reconstruction.opencv_inverse import (
     FIT_GOAL_PX,
     FIT_LIMIT_PX,
@@ -33,6 +36,7 @@ from jaxscan.reconstruction.opencv_inverse import (
 )
 from jaxscan.rig import Camera, Lens
 from jaxscan.rig.opencv_lens import OpenCVLens
+from jaxscan.rig.tilted_sensor import off_sensor
 
 # Pixels along each side of the image at which the inverse is compared with the exact one.
 _GRID = 100
@@ -40,6 +44,10 @@ _GRID = 100
 _EVERY = 3
 # Degrees of S and of P that are tried: without P first, up to the fold or a little before it.
 _SYMMETRIC = tuple((degree, None) for degree in range(LOWEST_DEGREE, HIGHEST_DEGREE + 1, 2))
+# Of the reciprocal of a tilted sensor: what 10° ask for, so that most have one compiled kernel.
+_LOWEST_OF_TILT = 5
+# By how much its divisor is taken to differ over the image, where it differs by nothing.
+_LEAST_HALF = 1e-9
 _WITH_REST = tuple((HIGHEST_DEGREE, rest) for rest in (3, 5, 7, 9))
 
 
@@ -62,26 +70,74 @@ class FittedInverse(eqx.Module):
         return x + of_x, y + of_y
 
 
-def lens_inverse(camera: Camera) -> LensInverse | FittedInverse:
-    """The inverse of a camera's lens over its image, in float64.
+class TiltedInverse(eqx.Module):
+    """The inverse of a lens behind which the sensor is tilted.
+
+    Attributes:
+        along: m of x_d = m₀ x_t / w, y_d = (m₁ x_t + m₂ y_t) / w.
+        across: n of the place t = n₀ + n₁ x_t + n₂ y_t, between −1 and 1 over the image.
+        reciprocal: coefficients c_i of 1 / w = Σ c_i t^i.
+        lens: that of the lens.
+    """
+
+    along: Float[Array, "3"]
+    across: Float[Array, "3"]
+    reciprocal: Float[Array, "coefficients"]
+    lens: LensInverse | FittedInverse
+
+    def __call__(self, xt: Float[Array, ""], yt: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Undistorted coordinates; NaN beyond the reach of the lens, where nothing holds."""
+        i = polynomial(self.across[0] + self.across[1] * xt + self.across[2] * yt, self.reciprocal)
+        return self.lens(self.along[0] * xt * i, (self.along[1] * xt + self.along[2] * yt) * i)
+
+
+def lens_inverse(camera: Camera) -> LensInverse | FittedInverse | TiltedInverse:
+    """The inverse of a camera's lens and sensor over its image, in float64.
 
     Raises:
-        InputError: the inverse is not met to a thousandth of a pixel.
+        InputError: the inverse is not met to a thousandth of a pixel, or a part of the tilted sensor sees nothing.
     """
     columns, rows = camera.image_size
     sides = (np.linspace(-0.5, size - 0.5, _GRID) for size in (columns, rows))
     pixels = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
-    xd = (pixels - np.stack(camera.principal)) / np.stack(camera.focal)
+    xt = (pixels - np.stack(camera.principal)) / np.stack(camera.focal)
     focal = float(np.max(np.stack(camera.focal)))
     with float64():
-        lens = as_float64(camera.lens)
+        lens, tilt = as_float64((camera.lens, camera.tilt))
+        xd = np.asarray(jax.vmap(lambda xt: off_sensor(tilt, xt))(jnp.asarray(xt)))
+        if not np.isfinite(xd).all():
+            angles = " and ".join(f"{np.degrees(float(angle)):.1f}°" for angle in tilt)
+            raise InputError(
+                f"the sensor is tilted by {angles}, so far that a part of it sees nothing: calibrate again"
+            )
         found = opencv_inverse(lens, xd, focal) if isinstance(lens, OpenCVLens) else _fitted(lens, xd, focal)
-    if found is not None:
-        return found
+        if found is not None:
+            return _tilted(found, tilt, xt, focal) if tilt else found
     values = " and ".join(f"{name} {[float(leaf) for leaf in getattr(lens, name)]}" for name in lens.numbers)
     raise InputError(
         f"the inverse of the lens {lens.kind} with {values} is not smooth over the image, no polynomial follows it: "
         "calibrate with a simpler lens"
+    )
+
+
+def _tilted(
+    lens: LensInverse | FittedInverse, tilt: Sequence[Leaf], xt: Float[np.ndarray, "n 2"], focal: float
+) -> TiltedInverse:
+    """With the way from the sensor to the lens before it; 1 / w to the last degree that its pixels ask for."""
+    (cx, sx), (cy, sy) = ((np.cos(float(angle)), np.sin(float(angle))) for angle in tilt)
+    divisor = np.array([1.0, -cx * sy, sx])
+    w = divisor[0] + xt @ divisor[1:]
+    middle, half = (w.max() + w.min()) / 2, max(np.ptp(w) / 2, _LEAST_HALF)
+    # Of 1 / (middle + half t) each further Chebyshev term is smaller by this factor.
+    ratio = half / (middle + np.sqrt(middle**2 - half**2))
+    largest = focal * float(np.abs(xt).max()) / np.sqrt(middle**2 - half**2)
+    degree = max(_LOWEST_OF_TILT, int(np.ceil(np.log(FIT_GOAL_PX / largest) / np.log(ratio))))
+    fit = np.polynomial.Chebyshev.interpolate(lambda t: 1 / (middle + half * t), degree)
+    return TiltedInverse(
+        jnp.asarray([cy, sx * sy, cx]),
+        jnp.asarray((divisor - [middle, 0, 0]) / half),
+        jnp.asarray(fit.convert(kind=np.polynomial.Polynomial).coef),
+        lens,
     )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.precision import Leaf, float64
-from jaxscan.reconstruction.lens_inverse import FittedInverse, lens_inverse
+from jaxscan.reconstruction.lens_inverse import FittedInverse, TiltedInverse, lens_inverse
 from jaxscan.reconstruction.opencv_inverse import LensInverse
 from jaxscan.rig import Light, Motion, Positions, Rig
 from jaxscan.rig.light import nameless
@@ -33,13 +33,13 @@ class Kernel(eqx.Module):
     Attributes:
         principal: u₀, v₀, pixels.
         inverse_focal: 1 / f_u, 1 / f_v.
-        lens: the inverse of the lens; pixels beyond its reach give NaN.
+        lens: the inverse of lens and sensor; pixels beyond its reach give NaN.
         light: with each of its numbers three times, once for each coordinate; of a light that moves, so for each frame.
     """
 
     principal: Float[Array, "2"]
     inverse_focal: Float[Array, "2"]
-    lens: LensInverse | FittedInverse
+    lens: LensInverse | FittedInverse | TiltedInverse
     light: Light
 
     @staticmethod

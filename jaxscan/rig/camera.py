@@ -1,4 +1,4 @@
-"""The camera: a pinhole with a lens, from points to pixels and from pixels to rays."""
+"""The camera: a pinhole with a lens and a sensor, from points to pixels and from pixels to rays."""
 
 from collections.abc import Sequence
 
@@ -10,8 +10,10 @@ from jaxscan.errors import InputError
 from jaxscan.precision import Leaf
 from jaxscan.rig.kinds import LENSES, lens_of_kind
 from jaxscan.rig.lens import Lens, undistort, undistorted_change
+from jaxscan.rig.tilted_sensor import change_off_sensor, off_sensor, onto_sensor
 
 _PINHOLE = {"focal": 2, "principal": 2}
+_TILT = {"tilt": 2}
 
 
 class Camera(eqx.Module):
@@ -22,12 +24,14 @@ class Camera(eqx.Module):
         principal: u₀, v₀ in pixels; (0, 0) is the centre of the top left pixel.
         lens: what it does to rays; its numbers are parameters of the camera: `camera.radial.0`.
         image_size: columns and rows.
+        tilt: τ_x, τ_y of the sensor against the lens, radians (`rig.tilted_sensor`); empty where it is not tilted.
     """
 
     focal: tuple[Leaf, Leaf]
     principal: tuple[Leaf, Leaf]
     lens: Lens
     image_size: tuple[int, int] = eqx.field(static=True)
+    tilt: tuple[Leaf, ...] = ()
 
     @staticmethod
     def create(
@@ -36,6 +40,7 @@ class Camera(eqx.Module):
         principal: ArrayLike | Sequence[float],
         lens: str = "none",
         *numbers: ArrayLike | Sequence[float],
+        tilt: ArrayLike | Sequence[float] = (),
         **named: ArrayLike | Sequence[float],
     ) -> "Camera":
         """A camera from plain numbers, in JAX's present default precision.
@@ -47,15 +52,18 @@ class Camera(eqx.Module):
             lens: a kind of lens: one of `rig.LENSES`.
             numbers: those of the lens, in their order: for "brown" [k1, k2, k3], [p1, p2]. What is not given is as in
                 the kind's nominal lens: 0.
+            tilt: τ_x, τ_y of a tilted sensor, radians.
             named: or by their names: radial=[k1, k2, k3], tangential=[p1, p2].
 
         Raises:
-            InputError: an unknown lens, or more coefficients than it has.
+            InputError: an unknown lens, more coefficients than it has, or a tilt that is not two angles.
         """
         kind = lens_of_kind(lens)
-        f, c = (jnp.ravel(jnp.asarray(x, dtype=float)) for x in (focal, principal))
+        f, c, angles = (jnp.ravel(jnp.asarray(x, dtype=float)) for x in (focal, principal, tilt))
         if f.size != 2 or c.size != 2:
             raise InputError(f"focal and principal take two numbers each; they have {f.size} and {c.size}")
+        if angles.size not in (0, 2):
+            raise InputError(f"tilt takes two angles, or none for a sensor that is not tilted; it has {angles.size}")
         if len(numbers) > len(kind.numbers) or not named.keys() <= {*list(kind.numbers)[len(numbers) :]}:
             by_name = f" and {', '.join(named)}" if named else ""
             raise InputError(
@@ -72,7 +80,7 @@ class Camera(eqx.Module):
             )
         nominal = kind.nominal()
         leaves = {name: (*k, *getattr(nominal, name)[k.size :]) for name, k in arrays.items()}
-        return Camera((f[0], f[1]), (c[0], c[1]), kind(**leaves), image_size)
+        return Camera((f[0], f[1]), (c[0], c[1]), kind(**leaves), image_size, tuple(angles))
 
     def zero_terms(self) -> tuple[str, ...]:
         """The names of those lens terms that are zero: in a file mostly terms that were held there, so also here."""
@@ -84,7 +92,7 @@ class Camera(eqx.Module):
         """A point of the camera frame (mm) to its pixel (u, v); NaN for a point that is not in front of the camera."""
         in_front = point[2] > 0
         depth = jnp.where(in_front, point[2], 1.0)
-        x = self.lens.distort(point[:2] / depth)
+        x = onto_sensor(self.tilt, self.lens.distort(point[:2] / depth))
         pixel = jnp.stack(self.focal) * x + jnp.stack(self.principal)
         return jnp.where(in_front, pixel, jnp.nan)
 
@@ -93,8 +101,7 @@ class Camera(eqx.Module):
 
         The inverse is converged, and its derivative with respect to pixel and lens is exact.
         """
-        xd = (pixel - jnp.stack(self.principal)) / jnp.stack(self.focal)
-        x = undistort(self.lens, xd)
+        x = undistort(self.lens, off_sensor(self.tilt, self._on_sensor(pixel)))
         return jnp.concatenate([x, jnp.ones_like(x[:1])])
 
     def ray_and_change(
@@ -102,20 +109,26 @@ class Camera(eqx.Module):
     ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
         """The ray of a pixel, and how it changes for each pixel in the direction `along`."""
         x = self.ray(pixel)
-        dx = undistorted_change(self.lens, x[:2], along / jnp.stack(self.focal))
+        xd_dot = change_off_sensor(self.tilt, self._on_sensor(pixel), along / jnp.stack(self.focal))
+        dx = undistorted_change(self.lens, x[:2], xd_dot)
         return x, jnp.concatenate([dx, jnp.zeros_like(dx[:1])])
 
+    def _on_sensor(self, pixel: Float[Array, "2"]) -> Float[Array, "2"]:
+        """Normalised coordinates of a pixel."""
+        return (pixel - jnp.stack(self.principal)) / jnp.stack(self.focal)
 
-def camera_parameters(lens: str) -> tuple[str, ...]:
+
+def camera_parameters(lens: str, *, tilted: bool = False) -> tuple[str, ...]:
     """The names of a camera's parameters, in the order of its leaves: `camera.focal.0` … `camera.tangential.1`.
 
     Args:
         lens: a kind of lens.
+        tilted: whether its sensor is tilted: `camera.tilt.0`, `camera.tilt.1` come last.
 
     Raises:
         InputError: there is no such lens.
     """
-    counts = {**_PINHOLE, **lens_of_kind(lens).numbers}
+    counts = {**_PINHOLE, **lens_of_kind(lens).numbers, **(_TILT if tilted else {})}
     return tuple(f"camera.{part}.{i}" for part, count in counts.items() for i in range(count))
 
 
@@ -128,4 +141,4 @@ def lens_numbers(parameter: str) -> str | None:
     """To which of its lens's numbers a camera's parameter belongs, `radial` for `camera.radial.0`; None for others."""
     part, _, name = parameter.partition(".")
     name = name.split(".")[0]
-    return name if part == "camera" and name not in _PINHOLE else None
+    return name if part == "camera" and name not in {*_PINHOLE, *_TILT} else None

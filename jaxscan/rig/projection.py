@@ -42,16 +42,16 @@ class Projection:
     by_camera: Float64[np.ndarray, "points 2 leaves"]
 
 
-def lens_leaves(lens: str) -> Bool[np.ndarray, "leaves"]:
-    """Which leaves of a camera with the richest lens of its kind one with this lens has."""
+def lens_leaves(lens: str, *, tilted: bool = False) -> Bool[np.ndarray, "leaves"]:
+    """Which leaves of a camera with the richest lens of its kind one with this lens has; its sensor tilted or not."""
     richest = Rational.kind if lens in LADDER else lens
-    return np.isin(camera_parameters(richest), camera_parameters(lens))
+    return np.isin(camera_parameters(richest, tilted=tilted), camera_parameters(lens, tilted=tilted))
 
 
 def with_richest_lens(camera: Camera) -> Camera:
     """The same camera with all terms of the richest lens of its kind, those that it lacks zero."""
     lens = camera.lens.rational() if isinstance(camera.lens, OpenCVLens) else camera.lens
-    return Camera(camera.focal, camera.principal, lens, camera.image_size)
+    return Camera(camera.focal, camera.principal, lens, camera.image_size, camera.tilt)
 
 
 def project_points(camera: Camera, points: Float[np.ndarray, "points 3"], *, richest: bool = False) -> Projection:
@@ -67,7 +67,8 @@ def project_points(camera: Camera, points: Float[np.ndarray, "points 3"], *, ric
     pixels, by_ray, by_camera = _by_ray(camera, x)
     # x = (X, Y) / Z
     by_point = np.concatenate([by_ray, -by_ray @ x[:, :, None]], axis=2) / depth[:, None, None]
-    return Projection(pixels, by_point, by_ray, by_camera if richest else by_camera[..., lens_leaves(camera.lens.kind)])
+    own = lens_leaves(camera.lens.kind, tilted=bool(camera.tilt))
+    return Projection(pixels, by_point, by_ray, by_camera if richest else by_camera[..., own])
 
 
 def pixel_rays(camera: Camera, pixels: Float[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 3"]:
@@ -85,7 +86,7 @@ def within_fold(camera: Camera, points: Float[np.ndarray, "points 3"]) -> Bool[n
     along = np.linspace(0, 1, _ON_THE_WAY + 1)[1:]
     x = (along[:, None, None] * (points[:, :2] / points[:, 2:])).reshape(-1, 2)
     by_ray = _by_ray(camera, x)[1]
-    # Symmetric but for the two focal lengths: positive definite where its trace and its determinant are positive.
+    # Symmetric but for focal lengths and a tilt: positive definite where its trace and its determinant are positive.
     with np.errstate(invalid="ignore"):
         grows = (np.trace(by_ray, axis1=1, axis2=2) > 0) & (np.linalg.det(by_ray) > 0)
     return grows.reshape(_ON_THE_WAY, -1).all(axis=0) & (points[:, 2] > 0)

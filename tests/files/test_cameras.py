@@ -287,6 +287,26 @@ def test_opencvs_names_and_numbers_of_coefficients(tmp_path, k_name, d_name, cou
         read_camera(tmp_path / "a.yml")
 
 
+@pytest.mark.parametrize("lens", ["radial1", "rational"])
+@pytest.mark.parametrize("ending", ["yml", "xml"])
+def test_a_tilted_sensor_is_opencvs(tmp_path, lens, ending):
+    flat = camera(lens)
+    tilt = (np.array(0.1745), np.array(-0.0512))
+    tilted = Camera(flat.focal, flat.principal, flat.lens, flat.image_size, tilt)
+    write_camera(tmp_path / f"a.{ending}", tilted, format="opencv")
+    found = read_camera(tmp_path / f"a.{ending}")
+    assert jax.tree.structure(found) == jax.tree.structure(tilted)
+    assert jax.tree.leaves(found) == jax.tree.leaves(tilted)
+    storage = cv2.FileStorage(str(tmp_path / f"a.{ending}"), cv2.FILE_STORAGE_READ)
+    k = storage.getNode("distortion_coefficients").mat().ravel()
+    np.testing.assert_array_equal(k[8:], [0, 0, 0, 0, 0.1745, -0.0512])
+    for form in set(FORMATS) - {"rig", "opencv"}:
+        name = "a.mat" if form == "bouguet" else "a.cameramodel" if form == "mrcal" else "a.yaml"
+        if form != "kalibr":
+            with pytest.raises(InputError, match=r"tilted by 0\.1745 and -0\.0512 rad, which has no counterpart"):
+                write_camera(tmp_path / name, tilted, format=form)
+
+
 def test_formats_are_known_by_ending_and_refused_by_name(tmp_path):
     flat = camera("none")
     with pytest.raises(InputError, match=r"a\.yaml: several formats .* give the format, opencv or ros or kalibr"):

@@ -142,6 +142,14 @@ def test_the_format_is_the_documented_one(tmp_path):
     assert json.loads((tmp_path / "again.json").read_text()) == without_tilt
 
 
+def test_a_tilted_sensor_is_kept(tmp_path):
+    tilted = {**GOOD_2, "camera": {**GOOD["camera"], "tilt": [0.1745, -0.05]}}
+    content = read_rig(written(tmp_path, tilted))
+    assert content.rig.camera.tilt == (0.1745, -0.05)
+    write_rig(tmp_path / "again.json", content)
+    assert json.loads((tmp_path / "again.json").read_text()) == tilted
+
+
 def test_the_example_of_the_documentation_is_read(tmp_path):
     page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```json\n(.*?)^```$", page, flags=re.M | re.S)
@@ -316,7 +324,11 @@ BAD_2 = {
         ['"laser.plane.2"', "lights.0.plane.2"],
     ),
     "an infinite centre": ({"motion__1__centre": [0.0, math.inf, 0.0]}, ["motion.1.centre.1 is inf"]),
-    "a tilted sensor": ({"camera__tilt": [0.01, 0.0]}, ["camera.tilt", "tilted sensor"]),
+    "a sensor tilted by a quarter turn": (
+        {"camera__tilt": [1.6, 0.0]},
+        ["camera.tilt = [1.6, 0.0]", "below a quarter"],
+    ),
+    "a tilt of one angle": ({"camera__tilt": [0.1]}, ["camera.tilt", "2"]),
 }
 
 

@@ -71,6 +71,7 @@ def test_everything_that_the_format_has(folder):
         '[laser]\ncolor = "green"\ncolumns = false',
     )
     assert read.camera == CameraSettings("brown", "centre", ("camera.focal.0", "camera.radial.2"))
+    assert not read.camera.tilt
     assert read.views.stripes == {"": (folder / "stripes/v1.png", None, folder / "stripes/v10.png")}
     assert read.stage is not None
     assert read.stage.steps == (-100_000, 0, 2000)
@@ -181,7 +182,9 @@ def test_what_is_written_reads_the_same(folder, names, own):
         path=folder / "session.toml",
         board=Board.checkerboard((7, 6), 12.345678901234567),
         views=Views(boards, stripes or None),
-        camera=CameraSettings("rational", "centre", ("camera.radial.5", "camera.tangential.0")),
+        camera=CameraSettings(
+            "rational", "centre", ("camera.radial.5", "camera.tangential.0", "camera.tilt.0"), tilt=True
+        ),
         stage=StageImages(tuple(folder / "stage" / path.name for path in boards), (5, -7)),
         lasers=tuple(StripeSettings(color="blue", columns=False, name=name) for name in names),
         image_size=(32, 24),

@@ -107,12 +107,13 @@ def climb(calibration: Calibration) -> Ladder | None:
         held = {
             name for name in parameter_names(Rig(calibration.rig.camera)) if name not in calibration.covariance.names
         }
+        tilted = bool(calibration.rig.camera.tilt)
         names = _distinct(chosen, held)
         reference = max(_REFERENCE, chosen, key=list(LADDER).index)
         shape = len(jax.tree.leaves(system.shape))
 
         def free(lens: str) -> Bool[Array, "shared"]:
-            return jnp.pad(_free(lens, held), (0, shape))
+            return jnp.pad(_free(lens, held, tilted), (0, shape))
 
         noise = calibration.adjustment.noise.of(calibration.corner_sigma_px, 1.0)
         judge = not calibration.plain
@@ -129,7 +130,7 @@ def climb(calibration: Calibration) -> Ladder | None:
             rungs.append(_rung(lens, _sought(lens, held), own, None, None, None, supported=True))
             continue
         terms = _sought(lens, held) - _sought(top, held)
-        dof = observations - 6 * n - float(_free(lens, held).sum())
+        dof = observations - 6 * n - float(_free(lens, held, tilted).sum())
         p = f_test(below.chi2, own.chi2, terms, dof)
         gain, error = _gain(below, own)
         supported = bool(np.isfinite(own.chi2) and p < _P and gain > max(_WORTH, _STANDARD_ERRORS * error))
@@ -158,10 +159,10 @@ def _corners_alone(calibration: Calibration) -> tuple[System, Blocks]:
     return System(Rig(camera), (padded,), as_float64(calibration.system.shape)), group
 
 
-def _free(lens: str, held: set[str]) -> Bool[Array, "shared"]:
-    """Which leaves of the rational camera are sought with a lens."""
-    own = set(camera_parameters(lens)) - held
-    return jnp.asarray([name in own for name in camera_parameters(Rational.kind)])
+def _free(lens: str, held: set[str], tilted: bool) -> Bool[Array, "shared"]:
+    """Which leaves of the rational camera are sought with a lens; with a tilted sensor or not."""
+    own = set(camera_parameters(lens, tilted=tilted)) - held
+    return jnp.asarray([name in own for name in camera_parameters(Rational.kind, tilted=tilted)])
 
 
 def _sought(lens: str, held: set[str]) -> int:
@@ -205,8 +206,9 @@ def _solve_rung(system: System, free: Bool[Array, "shared"], group: Blocks, nois
 def _without(system: System, lens: str, held: set[str]) -> System:
     """The system with those lens terms at zero that the lens does not have and that are not held."""
     leaves, structure = jax.tree.flatten(system.rig.camera)
-    kept, zero = {*camera_parameters(lens), *held}, jnp.zeros(())
-    names = camera_parameters(Rational.kind)
+    tilted = bool(system.rig.camera.tilt)
+    kept, zero = {*camera_parameters(lens, tilted=tilted), *held}, jnp.zeros(())
+    names = camera_parameters(Rational.kind, tilted=tilted)
     own = [leaf if name in kept else zero for name, leaf in zip(names, leaves, strict=True)]
     return replace(system, rig=Rig(jax.tree.unflatten(structure, own)))
 

@@ -25,7 +25,8 @@ def unsought_terms(calibration: Calibration) -> Bool[np.ndarray, "leaves"]:
     if calibration.rig.camera.lens.kind not in LADDER:
         return np.zeros(0, bool)
     tried = set(camera_parameters(Brown.kind)) - set(calibration.covariance.names)
-    return np.array([name in tried and lens_numbers(name) is not None for name in camera_parameters(Rational.kind)])
+    names = camera_parameters(Rational.kind, tilted=bool(calibration.rig.camera.tilt))
+    return np.array([name in tried and lens_numbers(name) is not None for name in names])
 
 
 def lens_rows(refined: Refined, calibration: Calibration) -> list[Float[np.ndarray, "_ _ _"]]:

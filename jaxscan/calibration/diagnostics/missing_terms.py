@@ -7,6 +7,7 @@ Lagrange multiplier test (C. R. Rao 1948). The ladder solves the same question, 
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -51,9 +52,10 @@ def missing_terms(calibration: Calibration) -> MissingTerms | None:
     A lens that is none of OpenCV's has no richer one.
     """
     lens_now = calibration.rig.camera.lens.kind
-    own_leaves = lens_leaves(lens_now)
-    richer = [lens for lens in _TRIED if (lens_leaves(lens) & ~own_leaves).any()] if lens_now in LADDER else []
-    richer = [lens for lens in richer if lens_leaves(lens)[own_leaves].all()]
+    leaves_of = partial(lens_leaves, tilted=bool(calibration.rig.camera.tilt))
+    own_leaves = leaves_of(lens_now)
+    richer = [lens for lens in _TRIED if (leaves_of(lens) & ~own_leaves).any()] if lens_now in LADDER else []
+    richer = [lens for lens in richer if leaves_of(lens)[own_leaves].all()]
     names = [name for name in parameter_names(calibration.rig) if name.startswith("camera.")]
     held = np.array([name not in calibration.covariance.names for name in names])
     freed = tuple(name for name, is_held in zip(names, held, strict=True) if is_held and not name.startswith(_PINHOLE))
@@ -68,7 +70,7 @@ def missing_terms(calibration: Calibration) -> MissingTerms | None:
     free = [name for name, is_held in zip(names, held, strict=True) if not is_held and name.startswith(_PINHOLE)]
     # The held ones first: of two that noise does equally never it is the lens that was asked for.
     tried = [(lens_now, freed, of_lens[[name in freed for name in names]])] if freed else []
-    tried += [(lens, (), np.flatnonzero(lens_leaves(lens) & ~own_leaves)) for lens in richer]
+    tried += [(lens, (), np.flatnonzero(leaves_of(lens) & ~own_leaves)) for lens in richer]
     found = []
     for lens, own, further in tried:
         more = np.concatenate([at, further])
