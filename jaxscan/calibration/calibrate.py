@@ -78,7 +78,8 @@ def calibrate(
 
     Args:
         observations: corners and stripes.
-        lens: a kind of lens: none, radial1, radial2, radial3, brown, rational, or one that was registered.
+        lens: a kind of lens: none, radial1, radial2, radial3, brown, rational, fisheye, or one
+            that was registered.
         principal_point: "free", or "centre" to hold it at the image centre.
         start: a camera to start from; its lens takes the place of `lens`. Without it a closed-form start is used.
         hold: names of the camera's parameters, as in `rig.json`, that keep the value of `start`; without a start lens

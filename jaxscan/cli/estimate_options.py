@@ -95,8 +95,8 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lens",
         metavar="LENS",
-        help="none, radial1, radial2, radial3, brown or rational, in place of the session's (default: radial1); "
-        "--camera brings its own",
+        help="none, radial1, radial2, radial3, brown, rational or fisheye, in place of the session's (default: "
+        "radial1); --camera brings its own",
     )
     parser.add_argument(
         "--hold",

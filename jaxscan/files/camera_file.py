@@ -19,6 +19,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.table import PassedOverWarning, Table, show
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera
+from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER, OpenCVLens
 
 TERMS: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -114,6 +115,51 @@ def camera_from_terms(
         return as_numpy(Camera((f_u, f_v), (u0, v0), lens, size, _leaves(tilt) if any(tilt) else ()))
 
 
+def fisheye_from_terms(
+    table: Table, focal_key: str, size: tuple[int, int], pinhole: Sequence[float], terms: Sequence[float]
+) -> Camera:
+    """A camera with a fisheye, as OpenCV's `fisheye` has it, and ROS and Kalibr under the name of equidistant.
+
+    Args:
+        table: where the numbers are from, for errors.
+        focal_key: the key there that holds the focal length.
+        size: columns and rows.
+        pinhole: f_u, f_v, u₀, v₀, in pixels.
+        terms: k1 … k4.
+
+    Raises:
+        InputError: a focal length that is not positive, or not four terms.
+    """
+    if min(pinhole[:2]) <= 0:
+        raise table.error(focal_key, "the focal lengths must be two positive numbers of pixels: calibrate again")
+    if len(terms) != Fisheye.numbers["angular"]:
+        raise InputError(f"{table.path}: a fisheye has 4 coefficients, here are {len(terms)}: write the file again")
+    with float64():
+        f_u, f_v, u0, v0 = _leaves(pinhole)
+        return as_numpy(Camera((f_u, f_v), (u0, v0), Fisheye(_leaves(terms)), size))
+
+
+def fisheye_terms(path: Path, camera: Camera, title: str) -> list[float] | None:
+    """k1 … k4 of a fisheye; None of a camera with another lens.
+
+    Raises:
+        InputError: the sensor is tilted.
+    """
+    if not isinstance(camera.lens, Fisheye):
+        return None
+    if camera.tilt:
+        raise _tilted(path, camera, title)
+    return [float(term) for term in camera.lens.angular]
+
+
+def _tilted(path: Path, camera: Camera, title: str) -> InputError:
+    angles = " and ".join(f"{float(angle):.6g}" for angle in camera.tilt)
+    return InputError(
+        f"{path}: the sensor is tilted by {angles} rad, which has no counterpart in {title}: write a rig.json or "
+        "OpenCV's format"
+    )
+
+
 def _leaves(values: Sequence[float]) -> tuple[Float[Array, ""], ...]:
     return tuple(jnp.asarray(value, jnp.float64) for value in values)
 
@@ -131,11 +177,7 @@ def terms_for(path: Path, camera: Camera, count: int, title: str, *, tilts: bool
             is tilted and the format has no place for it.
     """
     if camera.tilt and not tilts:
-        angles = " and ".join(f"{float(angle):.6g}" for angle in camera.tilt)
-        raise InputError(
-            f"{path}: the sensor is tilted by {angles} rad, which has no counterpart in {title}: write a rig.json or "
-            "OpenCV's format"
-        )
+        raise _tilted(path, camera, title)
     if not isinstance(camera.lens, OpenCVLens):
         raise InputError(
             f'{path}: the lens "{camera.lens.kind}" has no counterpart in {title}, which has OpenCV\'s terms: write a '

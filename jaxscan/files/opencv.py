@@ -2,7 +2,8 @@
 
 Names differ from program to program, in case, underlines and length: camera_matrix, cameraMatrix, Camera_Matrix;
 distortion_coefficients, distCoeffs, dist_coeffs. There are 4, 5, 8, 12 or 14 coefficients: k1 k2 p1 p2 k3 k4 k5 k6 s1
-s2 s3 s4 τx τy. Pixel (0, 0) is the centre of the top left pixel. The size of the image is not always there.
+s2 s3 s4 τx τy; or, where `fisheye_model` is 1, k1 k2 k3 k4 of its fisheye. Pixel (0, 0) is
+the centre of the top left pixel. The size of the image is not always there.
 
 OpenCV writes these files here but does not read them: on damaged YAML its reader ends the process.
 
@@ -21,6 +22,8 @@ from jaxscan.atomic import replacing
 from jaxscan.files.camera_file import (
     CameraFile,
     camera_from_terms,
+    fisheye_from_terms,
+    fisheye_terms,
     matrix_numbers,
     matrix_of,
     one_camera,
@@ -59,12 +62,14 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
         return next((keys[name] for name in names if name in keys), usual)
 
     fisheye = key(_FISHEYE, "")
-    if fisheye and table.values[fisheye]:
-        raise table.error(fisheye, "jaxscan has no fisheye lens: calibrate without it")
     size = size_of(table, (key(_WIDTH, "image_width"), key(_HEIGHT, "image_height")), image_size)
     K, D = key(_MATRIX, "camera_matrix"), key(_COEFFICIENTS, "distortion_coefficients")
     pinhole = pinhole_from_matrix(table, K, matrix_numbers(table, K))
-    camera = camera_from_terms(table, K, size, pinhole, *terms_from(table, D, matrix_numbers(table, D), _COUNTS))
+    coefficients = matrix_numbers(table, D)
+    if fisheye and table.values[fisheye]:
+        camera = fisheye_from_terms(table, K, size, pinhole, coefficients)
+    else:
+        camera = camera_from_terms(table, K, size, pinhole, *terms_from(table, D, coefficients, _COUNTS))
     pass_over(path, [keys[name] for name in _POSES if name in keys])
     return CameraFile(size, camera)
 
@@ -72,13 +77,16 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
 def write(path: Path, content: CameraFile) -> None:
     """YAML, or XML where the file ends in .xml, with the names of OpenCV's own samples."""
     camera = content.the_camera(path)
-    terms = terms_for(path, camera, 8, "OpenCV's rational model", tilts=True)
+    angular = fisheye_terms(path, camera, "OpenCV's fisheye")
+    terms = terms_for(path, camera, 8, "OpenCV's rational model", tilts=True) if angular is None else angular
     if camera.tilt:
         terms += [0.0] * 4 + [float(angle) for angle in camera.tilt]
     kind = cv2.FILE_STORAGE_FORMAT_XML if path.suffix.lower() == ".xml" else cv2.FILE_STORAGE_FORMAT_YAML
     storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | kind)
     storage.write("image_width", content.image_size[0])
     storage.write("image_height", content.image_size[1])
+    if angular is not None:
+        storage.write("fisheye_model", 1)
     storage.write("camera_matrix", np.array(matrix_of(camera)))
     storage.write("distortion_coefficients", np.array(terms if any(terms[5:]) else terms[:5])[:, None])
     text = storage.releaseAndGetString()

@@ -1,9 +1,10 @@
 """ROS's `camera_info`: the YAML file of `camera_info_manager`, or the message as `rostopic echo` prints it.
 
 K and D describe the raw photographs, D with OpenCV's terms: `plumb_bob` k1 k2 p1 p2 k3, `rational_polynomial` on
-to k6. R and P describe rectified photographs, which jaxscan does not take; a pair's geometry in them is passed over
-with a warning. Binning and a region of interest change which pixels there are, so they are refused. Pixel (0, 0) is
-the centre of the top left pixel, as `camera_calibration` calls OpenCV.
+to k6; of `equidistant` k1 k2 k3 k4 of its fisheye. R and P describe rectified photographs,
+which jaxscan does not take; a pair's geometry in them is passed over with a warning. Binning and a region of interest
+change which pixels there are, so they are refused. Pixel (0, 0) is the centre of
+the top left pixel, as `camera_calibration` calls OpenCV.
 
 Source: ROS's `sensor_msgs/CameraInfo` and REP 104; `camera_calibration_parsers`.
 """
@@ -15,6 +16,8 @@ from jaxscan.atomic import replacing
 from jaxscan.files.camera_file import (
     CameraFile,
     camera_from_terms,
+    fisheye_from_terms,
+    fisheye_terms,
     matrix_numbers,
     matrix_of,
     one_camera,
@@ -29,6 +32,7 @@ from jaxscan.files.yaml_text import dump_yaml, read_yaml
 
 # How many coefficients each of the distortion models that we have may hold: OpenCV pads with zeros.
 _MODELS: Final = {"plumb_bob": (0, 4, 5), "rational_polynomial": (8, 12, 14), "none": (0,), "": (0, 4, 5)}
+_FISHEYE: Final = "equidistant"
 _IDENTITY: Final = [1, 0, 0, 0, 1, 0, 0, 0, 1]
 # The same quantity in the YAML file, in the message of ROS 1 and in that of ROS 2.
 _WIDTH: Final = ("image_width", "width")
@@ -51,14 +55,18 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
     _whole_sensor(table)
     size = size_of(table, (_key(table, _WIDTH), _key(table, _HEIGHT)), image_size)
     model = table.values.get("distortion_model", "plumb_bob")  # older files have none and mean this
-    if not isinstance(model, str) or model not in _MODELS:
+    if not isinstance(model, str) or model not in (*_MODELS, _FISHEYE):
         raise table.error(
-            "distortion_model", "jaxscan has no such lens: calibrate with plumb_bob or rational_polynomial"
+            "distortion_model",
+            "jaxscan has no such lens: calibrate with plumb_bob, rational_polynomial or equidistant",
         )
     K, D = _key(table, _K), _key(table, _D)
     pinhole = pinhole_from_matrix(table, K, matrix_numbers(table, K))
     coefficients = matrix_numbers(table, D) if D in table or model != "none" else ()
-    camera = camera_from_terms(table, K, size, pinhole, *terms_from(table, D, coefficients, _MODELS[model]))
+    if model == _FISHEYE:
+        camera = fisheye_from_terms(table, K, size, pinhole, coefficients)
+    else:
+        camera = camera_from_terms(table, K, size, pinhole, *terms_from(table, D, coefficients, _MODELS[model]))
     pass_over(path, _pair_geometry(table))
     return CameraFile(size, camera)
 
@@ -66,8 +74,10 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
 def write(path: Path, content: CameraFile) -> None:
     """The YAML file of `camera_info_manager`, of a camera that stands alone: R is the identity, P is K."""
     camera = content.the_camera(path)
-    terms = terms_for(path, camera, 8, "ROS's rational_polynomial")
+    angular = fisheye_terms(path, camera, "ROS's equidistant")
+    terms = terms_for(path, camera, 8, "ROS's rational_polynomial") if angular is None else angular
     rational = any(terms[5:])
+    model = "rational_polynomial" if rational else "plumb_bob"
     D = terms if rational else terms[:5]
     K = matrix_of(camera)
     values = {
@@ -75,7 +85,7 @@ def write(path: Path, content: CameraFile) -> None:
         "image_height": content.image_size[1],
         "camera_name": "camera",
         "camera_matrix": _rows(K),
-        "distortion_model": "rational_polynomial" if rational else "plumb_bob",
+        "distortion_model": model if angular is None else _FISHEYE,
         "distortion_coefficients": _rows([D]),
         "rectification_matrix": _rows([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
         "projection_matrix": _rows([[*row, 0.0] for row in K]),

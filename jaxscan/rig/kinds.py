@@ -4,6 +4,7 @@ from typing import Any, Final, TypeVar
 
 from jaxscan.errors import InputError
 from jaxscan.rig.bowed_sheet import BowedSheet
+from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.lens import Lens
 from jaxscan.rig.light import Light
 from jaxscan.rig.light_plane import LightPlane
@@ -12,7 +13,7 @@ from jaxscan.rig.motion import AxisMotion
 from jaxscan.rig.opencv_lens import LADDER
 from jaxscan.rig.rotary import Rotary
 
-LENSES: Final[dict[str, type[Lens]]] = {**LADDER}
+LENSES: Final[dict[str, type[Lens]]] = {**LADDER, Fisheye.kind: Fisheye}
 LIGHTS: Final[dict[str, type[Light]]] = {kind.kind: kind for kind in (LightPlane, BowedSheet)}
 MOTIONS: Final[dict[str, type[AxisMotion]]] = {kind.kind: kind for kind in (Linear, Rotary)}
 

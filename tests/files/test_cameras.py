@@ -287,6 +287,26 @@ def test_opencvs_names_and_numbers_of_coefficients(tmp_path, k_name, d_name, cou
         read_camera(tmp_path / "a.yml")
 
 
+@pytest.mark.parametrize(
+    ("form", "name"), [("opencv", "a.yml"), ("opencv", "a.xml"), ("ros", "a.yaml"), ("kalibr", "b.yaml")]
+)
+def test_a_fisheye_comes_back(tmp_path, form, name):
+    with float64():
+        own = Camera.create((640, 480), [322.1, 318.3], [312.3, 244.8], "fisheye", [-0.031, 0.012, 0.0, 1e-3 / 3])
+        written = as_numpy(own)
+    write_camera(tmp_path / name, written, format=form)
+    found = read_camera(tmp_path / name)
+    assert jax.tree.structure(found) == jax.tree.structure(written)
+    assert jax.tree.leaves(found) == jax.tree.leaves(written)
+
+
+def test_a_fisheye_is_refused_where_there_is_none(tmp_path):
+    own = as_numpy(Camera.create((640, 480), [322.0, 318.0], [312.0, 244.0], "fisheye"))
+    for name in ("a.mat", "a.cameramodel"):
+        with pytest.raises(InputError, match='the lens "fisheye" has no counterpart'):
+            write_camera(tmp_path / name, own)
+
+
 @pytest.mark.parametrize("lens", ["radial1", "rational"])
 @pytest.mark.parametrize("ending", ["yml", "xml"])
 def test_a_tilted_sensor_is_opencvs(tmp_path, lens, ending):
