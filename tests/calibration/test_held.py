@@ -160,6 +160,24 @@ def test_the_toolboxs_default_on_the_command_line(saved, seen, tmp_path, capsys)
     assert "brings its own lens" in capsys.readouterr().err
 
 
+def test_the_tilt_on_the_command_line(saved, tmp_path, capsys):
+    rig = tmp_path / "rig.json"
+    argv = ["calibrate", str(saved), "-o", str(rig), "--lens", "radial3", "--tilt"]
+    assert main(argv) == 0
+    content = read_rig(rig)
+    assert len(content.rig.camera.tilt) == 2
+    assert {"camera.tilt.0", "camera.tilt.1"} < set(content.covariance.names)
+    capsys.readouterr()
+    assert main(["inspect", str(rig)]) == 0
+    out = capsys.readouterr().out
+    assert "tilt of the sensor" in out
+    assert "±" in next(line for line in out.splitlines() if "tilt of the sensor" in line)
+    assert main([*argv, "--hold", "camera.tilt.0,camera.tilt.1"]) == 0
+    assert read_rig(rig).rig.camera.tilt == ()
+    assert main([*argv[:-1], "--hold", "camera.tilt.0"]) == 2
+    assert "hold names camera.tilt.0" in capsys.readouterr().err
+
+
 def test_a_lens_of_another_kind_on_the_command_line(saved, tmp_path, capsys):
     rig = tmp_path / "rig.json"
     argv = ["calibrate", str(saved), "-o", str(rig), "--lens", "division"]
