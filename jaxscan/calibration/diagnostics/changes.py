@@ -235,7 +235,7 @@ class _Equations:
     def gains(self, kind: _Kind) -> dict[int, float]:
         """The gain of a step behind the first k photographs, for all k where there is anything to tell."""
         scores = {k: self._score(kind, k) for k in kind.where}
-        return {k: self._gain(s @ inverse @ s, d) for k, (s, inverse, d) in scores.items() if d}
+        return {k: self._gain(float(s @ inverse @ s), d) for k, (s, inverse, d) in scores.items() if d}
 
     def _gain(self, chi2: float, d: int) -> float:
         return float(chi2 - d * np.log(len(self.views)))
