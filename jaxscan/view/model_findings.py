@@ -47,7 +47,7 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *_sheets(calibration, diagnostics, lens),
         *_bent(calibration, diagnostics),
         *_changed(calibration),
-        *_moved(diagnostics),
+        *_moved(calibration, diagnostics),
         *_stage(diagnostics),
         *_turntable(diagnostics),
         *_tails(calibration, diagnostics),
@@ -222,7 +222,7 @@ def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box])
 
 def _bent(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     """Stripes that are not straight, where the sheet is not named as the reason."""
-    boxes, curved = [], {curve.laser for curve in calibration.sheet_curves}
+    boxes, curved = [], _curved(calibration)
     usual = float(np.median([s.noise_mm for s in diagnostics.stripes] or [0.0]))
     bent = [
         s
@@ -244,7 +244,8 @@ def _bent(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     beside = [
         s
         for s in sorted(diagnostics.stripes, key=lambda s: -abs(s.offset_mm))
-        if abs(s.offset_mm) > max(_OFFSET_NOISE * s.noise_mm, _OFFSET_OTHERS * float(np.median(size)))
+        if abs(s.offset_mm)
+        > max(_OFFSET_NOISE * s.noise_mm, _OFFSET_OTHERS * float(np.median(size)), curved.get(s.laser, 0.0))
     ]
     if beside:
         names = listed([f"{s.name} ({s.offset_mm:+.2f} mm)" for s in beside])
@@ -266,16 +267,21 @@ def _changed(calibration: Calibration) -> list[Box]:
     return [Box("stop", f"{what}.", mend)]
 
 
-def _moved(diagnostics: Diagnostics) -> list[Box]:
+def _curved(calibration: Calibration) -> dict[str, float]:
+    """Of each laser whose sheet is curved and was taken as flat, by how much: so far its stripes may lie beside it."""
+    return {curve.laser: abs(curve.curve_mm) for curve in calibration.sheet_curves}
+
+
+def _moved(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     """Boards that were not where their corners say when the stripe was photographed."""
-    boxes = []
+    boxes, curved = [], _curved(calibration)
     for laser in dict.fromkeys(stripe.laser for stripe in diagnostics.stripes):
         own = sorted((s for s in diagnostics.stripes if s.laser == laser), key=lambda s: -s.beside_mm)
         beside, crooked = (
             float(np.sqrt(np.mean(np.square(values))))
             for values in ([s.beside_mm for s in own], [s.crooked_mm for s in own])
         )
-        if len(own) < _FEWEST_WHOLES or beside < _WHOLES * crooked:
+        if len(own) < _FEWEST_WHOLES or beside < max(_WHOLES * crooked, curved.get(laser, 0.0)):
             continue
         which = f' of laser "{laser}"' if laser else ""
         names = listed([f"{s.name} ({s.beside_mm:.2g} mm)" for s in own])

@@ -10,6 +10,7 @@ import pytest
 from jaxscan.calibration import calibrate
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder, diagnose
 from jaxscan.calibration.diagnostics.halves import Agreement
+from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.diagnostics.stripe_shapes import shape
 from jaxscan.calibration.diagnostics.suspects import Suspect
 from jaxscan.view.calibration_report import compose
@@ -103,6 +104,18 @@ def test_what_is_wrong_is_said(calibration, diagnostics, change, expected):
     changed = replace(diagnostics, **change(diagnostics))
     assert re.search(expected, words(calibration, changed))
     assert not re.search(expected, words(calibration, diagnostics))
+
+
+def test_what_a_curved_sheet_explains_is_not_laid_on_the_boards(calibration, diagnostics):
+    """A curved sheet that was taken as flat puts stripes beside its plane as wholes, by less than it is curved."""
+    stripes = tuple(shape(f"{i}.png", "", BOWED[0], level(0.05 * i), 300.0) for i in (-1, 1, -1, 1, -1, 1, 4))
+    changed = replace(diagnostics, stripes=stripes)
+    on_boards = "fit no plane|lies beside the light plane on 4.png"
+    assert len(re.findall(on_boards, words(calibration, changed))) == 2
+    curved = replace(calibration, sheet_curves=(SheetCurve("", -0.3, 0.03, 200.0, 345.0),))
+    assert not re.search(on_boards, words(curved, changed))
+    slightly = replace(calibration, sheet_curves=(SheetCurve("", 0.03, 0.003, 200.0, 345.0),))
+    assert len(re.findall(on_boards, words(slightly, changed))) == 2
 
 
 def test_boards_that_moved_between_corners_and_stripe_are_said(calibration):
