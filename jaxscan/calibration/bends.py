@@ -17,10 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
-from jaxscan.rig.board_shape import BENDS
+from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM
 
-# A board flatter than this (mm) is flat.
-LEAST_BEND_MM = 1e-4
 # σ is sought up to this share of the board's half diagonal, first in so many steps.
 _MOST_BEND = 0.05
 _STEPS = 33

@@ -37,13 +37,12 @@ from jaxscan.geometry import Pose
 from jaxscan.images import Board
 from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import LIGHTS, MOTIONS, BoardShape, Camera, Light, LightPlane, Rig, System
-from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES, bent_by
+from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES, FEWEST_VIEWS_FOR, bent_by
 from jaxscan.rig.kinds import lens_of_kind
 
 _FEWEST_CORNERS = 6
 FEWEST_VIEWS = 3
-# Below these the shape of the board and the camera are one and the same, or the scatter of a few bends is chance.
-_FEWEST_VIEWS_OF = {"flat": FEWEST_VIEWS, "bulge": 4, "warp": 5, "bend": 6}
+_FEWEST_VIEWS_OF = {"flat": FEWEST_VIEWS, **FEWEST_VIEWS_FOR}
 _OF_SHAPE = {
     "bulge": "the board's bulges along columns and rows",
     "warp": "the board's twist, and what its edges bend more or less than its middle,",

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bulges_in_words, rounded_mm
+
 # So seldom would chance alone show a shape; and by so many of its σ must it move something of the rig.
 BY_CHANCE = 1e-4
 _MOVES = 1.0
@@ -21,6 +23,7 @@ class BoardFlatness:
         shift_in_sigma: by how much.
         session: the one whose board differs most from that of the first, "" where none does.
         differs_mm: by how much it does, from the lowest to the highest point.
+        views: of how many views of the board it is told.
     """
 
     taken: str
@@ -30,6 +33,7 @@ class BoardFlatness:
     p: float
     parameter: str
     shift_in_sigma: float
+    views: int
     session: str = ""
     differs_mm: float = 0.0
 
@@ -40,25 +44,30 @@ class BoardFlatness:
 
     @property
     def statements(self) -> tuple[tuple[str, str], ...]:
-        """What is the case and what to do, for each of what was found."""
+        """What is the case and what to do, for each of what was found.
+
+        The shape of two boards taken for one is that of neither, so it is not said beside the session that differs.
+        """
         said: list[tuple[str, str]] = []
-        if self.bent:
+        if self.bent and not self.session:
             followed = "flat" if self.taken == "flat" else f'as board_shape = "{self.taken}" has it'
-            by = f"{_mm(self.bent_mm)} (± {self.bent_sigma_mm:.1g}) from its lowest to its highest point"
-            by += f", and from photograph to photograph its bulges differ by {_mm(self.bends_mm)} (σ)"
+            by = f"{rounded_mm(self.bent_mm)} (± {self.bent_sigma_mm:.1g}) from its lowest to its highest point"
+            by += f", and {bulges_in_words(self.bends_mm)}"
             what = (
                 f"The board is not {followed}: it is bent by {by}. Taken so, it moves {self.parameter} by "
                 f"{self.shift_in_sigma:.1f} of its σ"
             )
-            said.append((what, "Calibrate with --board-shape bend, or glue the pattern to something stiff and flat."))
+            lacking = FEWEST_VIEWS_FOR["bend"] - self.views
+            more = (
+                f"Take {lacking} more view{'s' if lacking > 1 else ''} of the board and calibrate"
+                if lacking > 0
+                else "Calibrate"
+            )
+            said.append((what, f"{more} with --board-shape bend, or glue the pattern to something stiff and flat."))
         if self.session:
             what = (
                 f"The board of the session {self.session} has another shape than that of the first session: they "
-                f"differ by {_mm(self.differs_mm)} from the lowest to the highest point"
+                f"differ by {rounded_mm(self.differs_mm)} from the lowest to the highest point"
             )
             said.append((what, "If they are two boards, calibrate the sessions apart."))
         return tuple(said)
-
-
-def _mm(value: float) -> str:
-    return f"{value:.2f} mm" if value >= 0.1 else f"{value:.1g} mm"

@@ -24,10 +24,14 @@ from jaxscan.precision import Leaf
 
 # What a board may be taken for: how many terms of shape all photographs share, and whether each bends by itself too.
 BOARD_SHAPES: Final = {"flat": (0, False), "bulge": (2, False), "warp": (5, False), "bend": (5, True)}
+# Of fewer views of the board such a shape and the camera are one and the same, or the scatter of a few bends is chance.
+FEWEST_VIEWS_FOR: Final = {"bulge": 4, "warp": 5, "bend": 6}
 # As many as there are.
 N_TERMS: Final = 5
 # Of each block's own: the two bulges.
 BENDS: Final = 2
+# Bulges of less than this (mm) are none.
+LEAST_BEND_MM: Final = 1e-4
 # A shape's range is that on so many points each way.
 _GRID = 21
 
@@ -165,5 +169,17 @@ def shape_in_words(fit: Mapping[str, Any]) -> str | None:
     by, sigma = fit["board_bent_mm"], fit["board_bent_sigma_mm"]
     words = f"bent by {by:.2g} ± {sigma:.1g} mm from its lowest to its highest point"
     if "board_bends_sigma_mm" in fit:
-        words += f", and from photograph to photograph its bulges differ by {fit['board_bends_sigma_mm']:.1g} mm (σ)"
+        words += f", and {bulges_in_words(fit['board_bends_sigma_mm'])}"
     return words
+
+
+def bulges_in_words(sigma_mm: float) -> str:
+    """What the σ of the bulges that each photograph has besides means."""
+    if sigma_mm < 2 * LEAST_BEND_MM:
+        return "alike in all photographs"
+    return f"from photograph to photograph its bulges differ by {rounded_mm(sigma_mm)} (σ)"
+
+
+def rounded_mm(value: float) -> str:
+    """A length that is known to a tenth of itself or so, or to a hundredth of a millimetre."""
+    return f"{value:.2f} mm" if value >= 0.1 else f"{value:.1g} mm"

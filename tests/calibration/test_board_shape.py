@@ -14,12 +14,13 @@ from benchmarks.drawn import Noise, redrawn
 from benchmarks.drawn_bent import Heights, bent_session, flat
 from jaxscan.calibration import Calibration, Observations, calibrate, refit
 from jaxscan.calibration.diagnostics import climb
+from jaxscan.calibration.flatness import BoardFlatness
 from jaxscan.calibration.observations import join
 from jaxscan.errors import InputError, SolveError
 from jaxscan.geometry import vector_to_matrix
 from jaxscan.precision import float64
 from jaxscan.rig import BoardShape, Rig
-from jaxscan.rig.board_shape import BentBoard, basis, bent_by, places_on_board
+from jaxscan.rig.board_shape import LEAST_BEND_MM, BentBoard, basis, bent_by, places_on_board, shape_in_words
 from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation import rig_2003
 
@@ -149,6 +150,37 @@ def test_a_bent_board_taken_as_flat_is_named_with_its_millimetres():
     assert f"{what}. {mend}".removesuffix(".") in result.warnings
     assert "The board is not flat: it is bent by 0." in what
     assert "--board-shape bend" in mend
+
+
+def found_bent(**but: object) -> BoardFlatness:
+    found = BoardFlatness("flat", 0.35, 0.06, 0.17, 1e-9, "camera.focal.0", 4.0, 12)
+    return replace(found, **but)
+
+
+def test_what_is_advised_can_be_done_with_the_views_that_there_are():
+    for views, words in ((6, "Calibrate with"), (5, "Take 1 more view of the"), (3, "Take 3 more views of the")):
+        ((_, mend),) = found_bent(views=views).statements
+        assert mend.startswith(words)
+        assert "--board-shape bend" in mend
+
+
+def test_the_mean_of_two_boards_is_not_named_beside_them():
+    """Of a flat board and of one bent by 0.8 mm it would be that "the board is bent by 0.35 mm"."""
+    ((what, mend),) = found_bent(session="tuesday", differs_mm=0.81).statements
+    assert "session tuesday has another shape" in what
+    assert "apart" in mend
+
+
+def test_bulges_that_are_alike_are_said_to_be():
+    """Their σ is not 0 but the least that is tried."""
+    ((what, _),) = found_bent(bends_mm=LEAST_BEND_MM).statements
+    assert "highest point, and alike in all photographs. Taken so" in what
+    fit = {"board_shape": "bend", "board_bent_mm": 0.3, "board_bent_sigma_mm": 0.01}
+    alike = shape_in_words(fit | {"board_bends_sigma_mm": LEAST_BEND_MM})
+    assert alike == "bent by 0.3 ± 0.01 mm from its lowest to its highest point, and alike in all photographs"
+    differ = shape_in_words(fit | {"board_bends_sigma_mm": 0.1234})
+    assert differ is not None
+    assert differ.endswith("its bulges differ by 0.12 mm (σ)")
 
 
 @pytest.mark.parametrize("shape", ["flat", "bend"])

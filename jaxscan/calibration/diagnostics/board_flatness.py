@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaincc
 
-from jaxscan.calibration.bends import LEAST_BEND_MM, Reduced, deviance, likeliest_bend, marginal, without_poses
+from jaxscan.calibration.bends import Reduced, deviance, likeliest_bend, marginal, without_poses
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.diagnostics.lens_rows import lens_rows, unsought_terms
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve, bow_rows
@@ -28,7 +28,7 @@ from jaxscan.calibration.on_board import meet_board, pose_of
 from jaxscan.calibration.result import Calibration, photographs_in_blocks
 from jaxscan.calibration.rounds import Refined
 from jaxscan.geometry import vector_to_matrix
-from jaxscan.rig.board_shape import BENDS, N_TERMS, basis, bent_by, middle_and_half, places_on_board
+from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by, middle_and_half, places_on_board
 from jaxscan.rig.rig import parameter_names
 
 # σ and correlation are found anew so many times.
@@ -95,7 +95,16 @@ def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.nd
     session, differs = _other_session(groups, Q, calibration, bends, cost)
     p = min(1.0, 2 * min(p_terms, p_bends))
     return BoardFlatness(
-        calibration.board_shape, bent, bent_sigma, bends, p, names[worst], float(shift[worst]), session, differs
+        taken=calibration.board_shape,
+        bent_mm=bent,
+        bent_sigma_mm=bent_sigma,
+        bends_mm=bends,
+        p=p,
+        parameter=names[worst],
+        shift_in_sigma=float(shift[worst]),
+        views=len(calibration.observations.views),
+        session=session,
+        differs_mm=differs,
     )
 
 
