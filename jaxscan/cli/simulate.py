@@ -113,7 +113,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=0.0,
         metavar="MM",
         help="curve the sheet of light, as a line lens does that is not square to its beam: off its plane by so many "
-        "mm at 100 mm to either side, 350 mm away, and more in proportion further away (default: 0, flat)",
+        "mm at 100 mm to either side, 350 mm away, and along each of its rays in proportion to the distance from "
+        "the laser (default: 0, flat)",
     )
     parser.add_argument(
         "--shake-mm",

@@ -84,6 +84,9 @@ def compose(
         ),
         numbers={
             "boards": board_poses(calibration),
+            "board_shape": calibration.shape_facts(),
+            "board_flatness": calibration.flatness,
+            "sheet_curves": calibration.sheet_curves,
             "diagnostics": diagnostics,
             "working_volumes": volumes,
             "next_photographs": planned,
@@ -101,6 +104,7 @@ class BoardPose:
         staged: whether it stood on stage or turntable; its pose is then that at motor step 0.
         rotation: vector of T_cam_board, radians.
         translation_mm: of T_cam_board.
+        bulges_mm: along columns and rows, which this board has besides the shape of all; None where it has none.
         covariance: of the rig's parameters and this pose together.
     """
 
@@ -108,11 +112,12 @@ class BoardPose:
     staged: bool
     rotation: Float[np.ndarray, "3"]
     translation_mm: Float[np.ndarray, "3"]
+    bulges_mm: Float[np.ndarray, "2"] | None
     covariance: Covariance
 
 
 def board_poses(calibration: Calibration) -> tuple[BoardPose, ...]:
-    """Every board with its pose and the covariance of it: the views, then the sequences on stage and turntable."""
+    """Every board: the views, then the sequences on stage and turntable."""
     names = [fit.name for fit in calibration.fits]
     staged = [sequence.views[0].name for sequence in calibration.observations.sequences]
     poses = []
@@ -121,8 +126,11 @@ def board_poses(calibration: Calibration) -> tuple[BoardPose, ...]:
         (True, staged, calibration.system.moved, calibration.moved_covariances),
     ):
         rotations, translations = np.asarray(pose.rotation), np.asarray(pose.translation)
+        # Without photographs on an axis there is no group of theirs.
+        bends = calibration.system.bends(int(on_stage)) if called else None
+        own = [None] * len(called) if bends is None else np.asarray(bends)
         poses += [
-            BoardPose(name, on_stage, rotations[i], translations[i], covariance)
+            BoardPose(name, on_stage, rotations[i], translations[i], own[i], covariance)
             for i, (name, covariance) in enumerate(zip(called, covariances, strict=True))
         ]
     return tuple(poses)

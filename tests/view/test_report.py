@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import calibrate
+from jaxscan.calibration.diagnostics import diagnose
 from jaxscan.errors import InputError
 from jaxscan.view import report as reports
-from jaxscan.view.calibration_report import calibration_report
+from jaxscan.view.calibration_report import calibration_report, compose
 from jaxscan.view.report import Box, Figure, Report, Section, Table
+from tests.calibration import sheets
 
 SMALL = Report(
     kind="test",
@@ -122,6 +124,23 @@ def test_the_json_has_the_pose_of_each_board_with_its_covariance(report, calibra
         sigma = np.sqrt(np.diagonal(covariance["matrix"]))[covariance["names"].index("board.translation.2")]
         assert sigma == calibration.board_covariances[i].sigma("board.translation.2")
         assert 200 < board["translation_mm"][2] < 600
+
+
+def test_the_json_has_the_shapes_of_boards_and_what_speaks_for_others(report):
+    """Of a session whose boards bulge, and whose sheet is curved and was taken as flat."""
+    seen = sheets.session(2, sheets.cone(0.3), board_mm=(0.3, -0.2))
+    result = calibrate(seen, board_shape="bend")
+    composed = compose(result, diagnose(result, thorough=False), (), report.numbers["next_photographs"])[0]
+    numbers = reports.plain(composed.numbers)
+    assert numbers["board_shape"]["board_shape"] == "bend"
+    assert numbers["board_shape"]["board_bent_mm"] == result.board_bent_by()[0]
+    assert numbers["board_flatness"]["bent_mm"] == pytest.approx(0.5, abs=0.05)
+    (curve,) = numbers["sheet_curves"]
+    assert abs(curve["curve_mm"]) == pytest.approx(0.3, abs=5 * curve["sigma_mm"])
+    own = np.array([board["bulges_mm"] for board in numbers["boards"]])
+    np.testing.assert_array_equal(own, np.asarray(result.system.bends(0)))
+    assert report.numbers["board_shape"] == {}
+    assert {board.bulges_mm for board in report.numbers["boards"]} == {None}
 
 
 def test_files_are_whole_or_not_there(tmp_path: Path):
