@@ -107,6 +107,8 @@ def calibrate(
     kinds = [light] * len(observations.lasers) if isinstance(light, str) else list(light)
     if unknown := {light if isinstance(light, str) else LightPlane.kind, *kinds} - set(LIGHTS):
         raise InputError(f'light = "{min(unknown)}": this version knows {", ".join(LIGHTS)}; register the kind before')
+    if isinstance(light, str) and light != LightPlane.kind and not kinds:
+        raise InputError(f'light = "{light}": no laser was observed whose light that could be: leave it out')
     if len(kinds) != len(observations.lasers):
         raise InputError(f"light names {len(kinds)} kinds for {len(observations.lasers)} lasers: give one for each")
     if board_shape not in BOARD_SHAPES:

@@ -70,6 +70,9 @@ def test_each_laser_has_a_kind_of_its_own():
     session = sheets.session(1, sheets.cone(0.3))
     found = calibrate(session, light=["bowed"])
     assert found.rig.lights[0].kind == "bowed"
+    dark = replace(session, views=tuple(replace(view, stripes=()) for view in session.views), lasers=())
+    with pytest.raises(InputError, match='light = "bowed": no laser was observed'):
+        calibrate(dark, light="bowed")
     with pytest.raises(InputError, match="light names 2 kinds for 1 lasers"):
         calibrate(session, light=["bowed", "plane"])
     with pytest.raises(InputError, match='light = "wavy": this version knows plane, bowed'):
