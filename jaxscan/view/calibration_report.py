@@ -87,6 +87,7 @@ def compose(
             "board_shape": calibration.shape_facts(),
             "board_flatness": calibration.flatness,
             "sheet_curves": calibration.sheet_curves,
+            "change": calibration.change,
             "diagnostics": diagnostics,
             "working_volumes": volumes,
             "next_photographs": planned,
