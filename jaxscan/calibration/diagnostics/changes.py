@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import stats
 
 from jaxscan.calibration.bends import without_poses
@@ -234,35 +234,39 @@ class _Equations:
 
     def gains(self, kind: _Kind) -> dict[int, float]:
         """The gain of a step behind the first k photographs, for all k where there is anything to tell."""
-        scores = {k: self._score(kind, k) for k in kind.where}
-        return {k: self._gain(float(s @ inverse @ s), d) for k, (s, inverse, d) in scores.items() if d}
+        s, inverse, d = self._scores(kind, kind.where)
+        gains = self._gain(np.einsum("ki,kij,kj->k", s, inverse, s), d)
+        return {k: float(gain) for k, gain, told in zip(kind.where, gains, d > 0, strict=True) if told}
 
-    def _gain(self, chi2: float, d: int) -> float:
-        return float(chi2 - d * np.log(len(self.views)))
+    def _gain(self, chi2: Float[np.ndarray, "steps"], d: Int[np.ndarray, "steps"]) -> Float[np.ndarray, "steps"]:
+        return chi2 - d * np.log(len(self.views))
 
     def step(self, kind: _Kind, k: int) -> _Step | None:
         """One step, held against how photographs scatter about it; None where too few are left to tell."""
-        s, inverse, d = self._score(kind, k)
-        delta = -inverse @ s
+        s, inverse, d = self._scores(kind, [k])
+        delta = -inverse[0] @ s[0]
         behind = kind.D @ delta
         moved = -self.inverse @ (self.total + (self.first[-1] - self.first[k]) @ behind)
-        left, degrees = 0.0, -2 * d
-        for i in kind.seen:
-            u = kind.D.T @ (self.g[i] + self.N[i] @ (moved + (behind if i >= k else 0.0)))
-            own, rank = _inverse(kind.D.T @ self.N[i] @ kind.D, _UNSEEN)
-            left += float(u @ own @ u)
-            degrees += rank
+        seen = np.asarray(kind.seen)
+        by = moved + np.where(seen[:, None] >= k, behind, 0.0)
+        u = (self.g[seen] + np.einsum("pij,pj->pi", self.N[seen], by)) @ kind.D
+        own, ranks = _inverse(kind.D.T @ self.N[seen] @ kind.D, _UNSEEN)
+        degrees = int(ranks.sum() - 2 * d[0])
         if degrees < 1:
             return None
-        chi2 = float(s @ inverse @ s)
-        F = chi2 / (d * max(left / degrees, _LEAST_SCATTER))
-        return _Step(kind, k, delta, self._gain(chi2, d), float(stats.f.logsf(F, d, degrees)), moved)
+        chi2 = np.einsum("ki,kij,kj->k", s, inverse, s)
+        scatter = float(np.einsum("pi,pij,pj->", u, own, u)) / degrees
+        F = float(chi2[0]) / (d[0] * max(scatter, _LEAST_SCATTER))
+        return _Step(kind, k, delta, float(self._gain(chi2, d)[0]), float(stats.f.logsf(F, d[0], degrees)), moved)
 
-    def _score(self, kind: _Kind, k: int) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"], int]:
-        """The score of a step behind the first k photographs, its inverse information, and how many numbers it has."""
-        D, B = kind.D, self.first[-1] - self.first[k]
-        s = D.T @ (self.pull[-1] - self.pull[k] - B @ (self.inverse @ self.total))
-        known = np.minimum(*(np.diagonal(D.T @ part @ D) for part in (B, self.first[k])))
+    def _scores(
+        self, kind: _Kind, ks: Sequence[int]
+    ) -> tuple[Float[np.ndarray, "steps d"], Float[np.ndarray, "steps d d"], Int[np.ndarray, "steps"]]:
+        """The scores of steps behind the first k photographs, inverse information, and how many numbers each has."""
+        D, first = kind.D, self.first[ks]
+        B = self.first[-1] - first
+        s = (self.pull[-1] - self.pull[ks] - B @ (self.inverse @ self.total)) @ D
+        known = np.minimum(*(np.diagonal(D.T @ part @ D, axis1=-2, axis2=-1) for part in (B, first)))
         return s, *_inverse(D.T @ (B - B @ self.inverse @ B) @ D, _UNSEEN, known)
 
 
@@ -359,8 +363,8 @@ def _size(step: _Step, calibration: Calibration) -> tuple[tuple[float, float], s
 
 
 def _inverse(
-    M: Float[np.ndarray, "n n"], least: float, scale: Float[np.ndarray, "n"] | None = None
-) -> tuple[Float[np.ndarray, "n n"], int]:
+    M: Float[np.ndarray, "*each n n"], least: float, scale: Float[np.ndarray, "*each n"] | None = None
+) -> tuple[Float[np.ndarray, "*each n n"], Int[np.ndarray, "*each"]]:
     """The inverse in the directions that there are, and how many.
 
     Args:
@@ -368,8 +372,9 @@ def _inverse(
         least: the least eigenvalue, with the diagonal scaled to 1.
         scale: in place of the diagonal.
     """
-    diagonal = np.diagonal(M) if scale is None else scale
+    diagonal = np.diagonal(M, axis1=-2, axis2=-1) if scale is None else scale
     e = np.sqrt(np.where(diagonal > 0, 1 / np.where(diagonal > 0, diagonal, 1.0), 0.0))
-    size, V = np.linalg.eigh(M * e * e[:, None])
-    V = e[:, None] * V[:, size > least]
-    return V / size[size > least] @ V.T, V.shape[1]
+    size, V = np.linalg.eigh(M * e[..., None, :] * e[..., None])
+    there = size > least
+    V = e[..., None] * V * np.where(there, 1 / np.sqrt(np.where(there, size, 1.0)), 0.0)[..., None, :]
+    return V @ V.mT, np.asarray(there.sum(axis=-1))
