@@ -24,11 +24,11 @@ from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.diagnostics.lens_rows import lens_rows, unsought_terms
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve, bow_rows
 from jaxscan.calibration.flatness import BY_CHANCE, BoardFlatness
-from jaxscan.calibration.on_board import meet_board, pose_of
 from jaxscan.calibration.result import Calibration, photographs_in_blocks
 from jaxscan.calibration.rounds import Refined
-from jaxscan.geometry import vector_to_matrix
+from jaxscan.geometry import dual_plane_of, vector_to_matrix
 from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by, middle_and_half, places_on_board
+from jaxscan.rig.projection import pixel_rays
 from jaxscan.rig.rig import parameter_names
 
 # σ and correlation are found anew so many times.
@@ -188,13 +188,19 @@ def _heights(refined: Refined, calibration: Calibration) -> list[Float[np.ndarra
     corners = [
         np.zeros((N_TERMS, *g.corners.shape[:2], 2 * len(points))) + at_corners[:, None, None] for g in refined.groups
     ]
-    stripes = [np.full((N_TERMS, *g.stripe.shape[:3]), np.nan) for g in refined.groups]
+    # Padding stands with the first photograph; its pixels are NaN.
+    at = [np.zeros(g.stripe.shape[:2], int) for g in refined.groups]
     for i, (_, group, block, k) in enumerate(photographs_in_blocks(observations)):
-        pixels = np.asarray(refined.groups[group].stripe[block, k])
-        if len(pixels):
-            on = meet_board(calibration.rig.camera, pose_of(poses, i), pixels)[1][:, :2]
-            s, t = ((on - middle) / half).T
-            stripes[group][:, block, k] = basis(s, t, N_TERMS)
+        at[group][block, k] = i
+    stripes = []
+    for group, i in zip(refined.groups, at, strict=True):
+        R, t = poses.matrix()[i], poses.translation[i]
+        pixels = np.asarray(group.stripe)
+        x = pixel_rays(calibration.rig.camera, pixels.reshape(-1, 2)).reshape(*pixels.shape[:3], 3)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            X = x / np.einsum("bpsi,bpi->bps", x, dual_plane_of(R, t))[..., None]
+        places = ((X - t[:, :, None]) @ R)[..., :2]
+        stripes.append(basis(*np.moveaxis((places - middle) / half, -1, 0), N_TERMS))
     return [
         np.concatenate([c.reshape(*c.shape[:2], -1), s.reshape(*s.shape[:2], -1)], axis=2)
         for c, s in zip(corners, stripes, strict=True)
