@@ -23,6 +23,8 @@ from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM
 _MOST_BEND = 0.05
 _STEPS = 33
 _NARROWINGS = 4
+# Eigenvalues of a pose's scaled normal equations below this share of the largest.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,18 @@ def without_poses(
     poses: Float[np.ndarray, "blocks rows own"], columns: Float[np.ndarray, "blocks rows columns"]
 ) -> Float[np.ndarray, "blocks columns columns"]:
     """Columnsᵀ (1 − P Pᵀ) columns of each block, P an orthonormal basis of the columns of its pose, or of none."""
-    V, W, U = poses.mT @ poses, poses.mT @ columns, columns.mT @ columns
+    return columns.mT @ (columns - poses @ by_pose(poses, columns))
+
+
+def by_pose(
+    poses: Float[np.ndarray, "blocks rows own"], columns: Float[np.ndarray, "blocks rows columns"]
+) -> Float[np.ndarray, "blocks own columns"]:
+    """The steps of each block's pose that come nearest to columns; what too few corners leave open stays."""
+    V = poses.mT @ poses
     diagonal = np.diagonal(V, axis1=-2, axis2=-1)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    gaps = np.where(diagonal > 0, 0.0, 1.0)[..., None] * np.eye(V.shape[-1])
-    W = scale[..., None] * W
-    return U - W.mT @ np.linalg.solve(scale[..., None] * V * scale[..., None, :] + gaps, W)
+    scale = (1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))[..., None]
+    inverse = np.linalg.pinv(scale * V * scale.mT, _ROUNDING, hermitian=True) if V.shape[-1] else V
+    return scale * (inverse @ (scale * (poses.mT @ columns)))
 
 
 def reduced(value: Arrow, jacobian: Jacobian, boards: int, sigma: float) -> list[Reduced]:

@@ -13,6 +13,7 @@ import pytest
 from benchmarks.drawn import Noise, redrawn
 from benchmarks.drawn_bent import Heights, bent_session, flat
 from jaxscan.calibration import Calibration, Observations, calibrate, refit
+from jaxscan.calibration.bends import without_poses
 from jaxscan.calibration.diagnostics import climb
 from jaxscan.calibration.flatness import BoardFlatness
 from jaxscan.calibration.observations import join
@@ -266,3 +267,12 @@ def test_a_range_has_the_sigma_of_its_ends():
     sagitta, sigma = bent_by(np.array([0.3, 0.0]), np.diag([0.01, 1.0]) ** 2)
     assert sagitta == pytest.approx(0.3)
     assert sigma == pytest.approx(0.01)
+
+
+def test_a_pose_that_too_few_points_tell_takes_what_it_can():
+    rng = np.random.default_rng(0)
+    poses, columns = rng.normal(size=(1, 4, 6)), rng.normal(size=(1, 4, 3))
+    assert np.abs(without_poses(poses, columns)).max() < 1e-9
+    twice = np.concatenate([poses[..., :3], poses[..., :3]], axis=-1)
+    left = columns[0] - twice[0] @ np.linalg.lstsq(twice[0], columns[0])[0]
+    np.testing.assert_allclose(without_poses(twice, columns)[0], columns[0].T @ left, atol=1e-9)

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaincc
 
-from jaxscan.calibration.bends import Reduced, deviance, likeliest_bend, marginal, without_poses
+from jaxscan.calibration.bends import Reduced, by_pose, deviance, likeliest_bend, marginal, without_poses
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.diagnostics.lens_rows import lens_rows, unsought_terms
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve, bow_rows
@@ -249,9 +249,7 @@ def _scales(
         columns = group.columns
         left = (columns[..., :first] @ moved)[..., None] + columns[..., own] @ bulges + columns[..., last:]
         P = group.poses
-        V = P.mT @ P
-        V = V + np.where(np.diagonal(V, axis1=-2, axis2=-1) > 0, 0.0, 1.0)[..., None] * np.eye(V.shape[-1])
-        left = (left - P @ np.linalg.solve(V, P.mT @ left))[..., 0]
+        left = (left - P @ by_pose(P, left))[..., 0]
         n = group.corners
         squares += [(left[:, :n] ** 2).sum(), (left[:, n:] ** 2).sum()]
         before += [(columns[:, :n, last] ** 2).sum(), (columns[:, n:, last] ** 2).sum()]
