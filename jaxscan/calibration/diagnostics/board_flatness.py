@@ -200,7 +200,8 @@ def _heights(refined: Refined, calibration: Calibration) -> list[Float[np.ndarra
         with np.errstate(divide="ignore", invalid="ignore"):
             X = x / np.einsum("bpsi,bpi->bps", x, dual_plane_of(R, t))[..., None]
         places = ((X - t[:, :, None]) @ R)[..., :2]
-        stripes.append(basis(*np.moveaxis((places - middle) / half, -1, 0), N_TERMS))
+        along, across = np.moveaxis((places - middle) / half, -1, 0)
+        stripes.append(basis(along, across, N_TERMS))
     return [
         np.concatenate([c.reshape(*c.shape[:2], -1), s.reshape(*s.shape[:2], -1)], axis=2)
         for c, s in zip(corners, stripes, strict=True)
