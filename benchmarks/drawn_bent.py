@@ -101,14 +101,15 @@ def clean_session(seed: int) -> Observations:
     return redrawn(exact, noise, random)
 
 
-def _project(rig: Rig, X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
+def projected_by_opencv(rig: Rig, X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
+    """Where points (camera frame, mm) are seen, by OpenCV."""
     camera = rig.camera
     (fu, fv), (cu, cv) = camera.focal, camera.principal
     K = np.array([[float(fu), 0, float(cu)], [0, float(fv), float(cv)], [0, 0, 1.0]])
     assert isinstance(camera.lens, Radial1)
     (k1,) = camera.lens.radial
-    seen = cv2.projectPoints(X.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), K, np.array([float(k1), 0, 0, 0]))[0]
-    return seen.reshape(-1, 2)
+    k = np.array([float(k1), *[0.0] * 11, *map(float, camera.tilt or (0.0, 0.0))])
+    return cv2.projectPoints(X.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), K, k)[0].reshape(-1, 2)
 
 
 def _corners(
@@ -116,10 +117,10 @@ def _corners(
 ) -> Float[np.ndarray, "points 2"]:
     x, y = points[:, 0], points[:, 1]
     if not radius:
-        return _project(rig, np.stack([x, y, height(x, y)], axis=-1) @ R.T + t)
+        return projected_by_opencv(rig, np.stack([x, y, height(x, y)], axis=-1) @ R.T + t)
     around = np.linspace(0, 2 * np.pi, _OUTLINE, endpoint=False)
     x, y = (p[:, None] + radius * f(around) for p, f in ((x, np.cos), (y, np.sin)))
-    ring = _project(rig, (np.stack([x, y, height(x, y)], axis=-1) @ R.T + t).reshape(-1, 3))
+    ring = projected_by_opencv(rig, (np.stack([x, y, height(x, y)], axis=-1) @ R.T + t).reshape(-1, 3))
     u, v = np.moveaxis(ring.reshape(*x.shape, 2), -1, 0)
     # The centroid of each polygon.
     un, vn = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1)
@@ -156,7 +157,7 @@ def _stripe(
         f_other = at(other)[1] @ omega - 1
     xy, X = at(other)
     good = (X[:, 2] > 0) & np.isfinite(X).all(axis=1)
-    seen = _project(rig, X[good])
+    seen = projected_by_opencv(rig, X[good])
     xy = xy[good]
     order = np.argsort(seen[:, 0])
     seen, xy = seen[order], xy[order]

@@ -12,17 +12,15 @@ rotation about the camera's centre taken out that fits them best to the true one
 from dataclasses import dataclass, replace
 from typing import Final
 
-import cv2
 import jax
 import numpy as np
 from jaxtyping import Float
 
+from benchmarks.drawn_bent import projected_by_opencv
 from benchmarks.metric import Metric
-from benchmarks.throughput import power_of_ten, random_pixels, triangulation
-from benchmarks.timing import side_by_side
+from benchmarks.throughput import kernel_beside_the_plain
 from jaxscan.calibration import Calibration, Observations, StripePoints, View, calibrate
 from jaxscan.rig import Rig
-from jaxscan.rig.opencv_lens import Radial1
 from jaxscan.rig.projection import pixel_rays, project_points
 from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation import rig_2003
@@ -73,7 +71,7 @@ def measure(quick: bool) -> list[Metric]:
             as_upright = [_judged(rig, calibrate(seen), seed) for seed, (rig, seen) in zip(seeds, drawn, strict=True)]
             metrics.append(Metric(f"sensors.{name}.taken_as_upright", _rms(as_upright)[1] / shape))
         print(f"  {name}: {', '.join(f'{m.value:.4g}' for m in metrics[-4:])}", flush=True)
-    return metrics + _kernel(quick)
+    return metrics + kernel_beside_the_plain("sensors.kernel", "an upright one's", 0.7, quick, tilt=(0.12, -0.12))
 
 
 def _rms(found: list[_Found]) -> tuple[float, float]:
@@ -98,24 +96,13 @@ def _rig(seed: int, degrees: float) -> Rig:
     return replace(rig, camera=replace(rig.camera, tilt=tuple(tilt)))
 
 
-def _projected(rig: Rig, X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
-    """By OpenCV."""
-    camera = rig.camera
-    (fu, fv), (cu, cv) = camera.focal, camera.principal
-    K = np.array([[float(fu), 0, float(cu)], [0, float(fv), float(cv)], [0, 0, 1.0]])
-    assert isinstance(camera.lens, Radial1)
-    (k1,) = camera.lens.radial
-    k = np.array([float(k1), *[0.0] * 11, *map(float, camera.tilt or (0.0, 0.0))])
-    return cv2.projectPoints(X.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), K, k)[0].reshape(-1, 2)
-
-
 def _agreement() -> float:
     """The largest distance from OpenCV's pixels, px."""
     worst = 0.0
     for seed in range(_FEW):
         rig = _rig(seed, 10.0)
         X = np.random.default_rng(seed).uniform([-100, -80, 300], [100, 80, 400], (1000, 3))
-        worst = max(worst, float(np.abs(project_points(rig.camera, X).pixels - _projected(rig, X)).max()))
+        worst = max(worst, float(np.abs(project_points(rig.camera, X).pixels - projected_by_opencv(rig, X)).max()))
     return worst
 
 
@@ -124,7 +111,7 @@ def _session(seed: int, degrees: float) -> tuple[Rig, Observations]:
     poses = rig_2003.board_poses(rig, seed, _VIEWS)
     for i, (R, t) in enumerate(zip(poses.matrix(), poses.translation, strict=True)):
         pixels, _ = _stripe(rig, R, np.asarray(t), random)
-        corners = _projected(rig, rig_2003.BOARD.points() @ R.T + t)
+        corners = projected_by_opencv(rig, rig_2003.BOARD.points() @ R.T + t)
         corners = corners + _CORNER_PX * random.normal(size=corners.shape)
         views.append(View(f"{i:02d}", corners, stripes=(StripePoints(pixels, half_width_px=1e-6),)))
     return rig, Observations(rig.camera.image_size, rig_2003.BOARD, tuple(views), (), ("",))
@@ -148,7 +135,7 @@ def _stripe(
     xy = start + s[:, None] * along
     xy = xy[((xy > low) & (xy < high)).all(axis=1)]
     X = xy @ R[:, :2].T + t
-    seen = _projected(rig, X)
+    seen = projected_by_opencv(rig, X)
     order, columns = np.argsort(seen[:, 0]), np.arange(float(size[0]))
     rows, *truth = (
         np.interp(columns, seen[order, 0], part[order], left=np.nan, right=np.nan) for part in (seen[:, 1], *X.T)
@@ -179,18 +166,3 @@ def _judged(rig: Rig, found: Calibration, seed: int) -> _Found:
 
 def _values(rig: Rig) -> dict[str, float]:
     return dict(zip(parameter_names(rig), map(float, jax.tree.leaves(rig)), strict=True))
-
-
-def _kernel(quick: bool) -> list[Metric]:
-    """The kernel's rate with a tilted sensor over that with an upright one."""
-    metrics = []
-    for count in (10**6,) if quick else (10**6, 10**7):
-        pixels = random_pixels(count, "float32")
-        once, other = triangulation(pixels, "radial1"), triangulation(pixels, "radial1", tilt=(0.12, -0.12))
-        once()
-        other()
-        upright, took = side_by_side(once, other, 41 if count < 10**7 else 15)
-        figure = f"sensors.kernel.{power_of_ten(count)}"
-        print(f"  {figure}: {took / count * 1e9:.2f} ns a point; upright {upright / count * 1e9:.2f}", flush=True)
-        metrics.append(Metric(figure, upright / took, "of upright", "higher", 0.7, slack=1.0, target_suffices=True))
-    return metrics

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from benchmarks.metric import Metric, ratio
-from benchmarks.throughput import power_of_ten, random_pixels, triangulation
+from benchmarks.throughput import kernel_beside_the_plain
 from benchmarks.timing import side_by_side
 from jaxscan.calibration import Calibration, Observations, StripePoints, View, calibrate
 from jaxscan.calibration.block_arrow import NormalEquations, linearise
@@ -170,17 +170,7 @@ def _kernel(quick: bool) -> list[Metric]:
     omega = np.array([0.0, -0.00494, 0.00303])
     with float64():
         bowed = BowedSheet.curved(omega, 0.3, _HALF, _DEPTH)
-    metrics = []
-    for count in (10**6,) if quick else (10**6, 10**7):
-        pixels = random_pixels(count, "float32")
-        once, other = triangulation(pixels, "radial1"), triangulation(pixels, "radial1", light=bowed)
-        once()
-        other()
-        flat, took = side_by_side(once, other, 41 if count < 10**7 else 15)
-        figure = f"sheets.kernel.{power_of_ten(count)}"
-        print(f"  {figure}: {took / count * 1e9:.2f} ns a point; a plane {flat / count * 1e9:.2f}", flush=True)
-        metrics.append(Metric(figure, flat / took, "of flat", "higher", 0.7, slack=1.0, target_suffices=True))
-    return metrics
+    return kernel_beside_the_plain("sheets.kernel", "a plane's", 0.7, quick, light=bowed)
 
 
 def _step() -> list[Metric]:
