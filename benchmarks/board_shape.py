@@ -29,7 +29,7 @@ from jaxscan.rig import LightPlane, Rig
 from jaxscan.rig.rig import parameter_names
 
 _BOARD: Final = Board.checkerboard((9, 6), 24.0)
-_HALF: Final = (np.array([9, 6]) - 1) * 24.0 / 2
+HALF: Final = (np.array([9, 6]) - 1) * 24.0 / 2
 _NOISE: Final = Noise()
 _STAGE_VIEWS, _APART = 11, 4
 _SEEDS, _SEEDS_QUICK, _ALARMS = 40, 3, 40
@@ -42,15 +42,15 @@ _TRAVEL: Final = (0.0, 60000.0)
 def measure(quick: bool) -> list[Metric]:
     """Everything; in the short form few sessions, and no odd shapes."""
     seeds = range(_SEEDS_QUICK if quick else _SEEDS)
-    plain = [_solved(_seen(seed, lambda _: flat), "flat") for seed in seeds]
+    plain = [_solved(seen_by(seed, lambda _: flat), "flat") for seed in seeds]
     metrics = _beside(
-        "warp_0.5_bends_0.1", plain, [_solved(_seen(s, warped(s, 0.5, 0.1)), "bend") for s in seeds], 1.15
+        "warp_0.5_bends_0.1", plain, [_solved(seen_by(s, warped(s, 0.5, 0.1)), "bend") for s in seeds], 1.15
     )
     for mm in (0.3, 0.05):
-        bent = [_seen(s, warped(s, mm, 0.0)) for s in seeds]
+        bent = [seen_by(s, warped(s, mm, 0.0)) for s in seeds]
         metrics += _beside(f"bent_{mm:g}", plain, [_solved(each, "bend") for each in bent], 1.2)
         metrics += _named(f"bent_{mm:g}", mm, plain, [_solved(each, "flat") for each in bent])
-    metrics += _beside("flat", plain, [_solved(_seen(s, lambda _: flat), "bend") for s in seeds], 1.03)
+    metrics += _beside("flat", plain, [_solved(seen_by(s, lambda _: flat), "bend") for s in seeds], 1.03)
     alarms = [bool(each.calibration.flatness and each.calibration.flatness.statements) for each in plain]
     if not quick:
         alarms = [_alarm(seed) for seed in range(_ALARMS)]
@@ -80,7 +80,7 @@ class _Solved:
     points_z: Float[np.ndarray, "_"]
 
 
-def _seen(seed: int, heights: Heights, **how: object) -> tuple[Rig, Observations]:
+def seen_by(seed: int, heights: Heights, **how: object) -> tuple[Rig, Observations]:
     arguments = {"board": _BOARD, "stage_views": _STAGE_VIEWS, "columns_apart": _APART} | how
     rig, exact = bent_session(seed, heights, **arguments)  # pyright: ignore[reportArgumentType]
     return rig, redrawn(exact, _NOISE, np.random.default_rng([2003, seed]))
@@ -136,7 +136,7 @@ def warped(seed: int, common: float, each: float) -> Heights:
 
     def of(board: int) -> Height:
         both = terms + np.pad(own[board], (0, 3))
-        return lambda x, y: _height(both, x / _HALF[0] - 1, y / _HALF[1] - 1)
+        return lambda x, y: _height(both, x / HALF[0] - 1, y / HALF[1] - 1)
 
     return of
 
@@ -193,7 +193,7 @@ def _alarm(seed: int) -> bool:
 
 def _times() -> list[Metric]:
     """A step of the solve of 40 views with each shape over one of flat boards, taken in turn."""
-    seen = _seen(0, warped(0, 0.5, 0.1), views=40)[1]
+    seen = seen_by(0, warped(0, 0.5, 0.1), views=40)[1]
     with float64():
         own = {
             shape: as_jax(calibrate(seen, board_shape=shape).adjustment) for shape in ("flat", "bulge", "warp", "bend")
@@ -227,7 +227,7 @@ def _odd(seeds: range, plain: list[_Solved]) -> list[Metric]:
     }
     metrics = []
     for name, z in shapes.items():
-        seen = [_seen(s, lambda _, z=z: lambda x, y: z(x / _HALF[0] - 1, y / _HALF[1] - 1)) for s in seeds]
+        seen = [seen_by(s, lambda _, z=z: lambda x, y: z(x / HALF[0] - 1, y / HALF[1] - 1)) for s in seeds]
         metrics += [
             replace(m, better="shown") for m in _beside(name, plain, [_solved(each, "bend") for each in seen], 1.2)
         ]
@@ -239,12 +239,12 @@ def _odd(seeds: range, plain: list[_Solved]) -> list[Metric]:
         "charuco_bent_0.3": {"board": Board.charuco((10, 7), 24.0, 17.0, "DICT_5X5_50")},
     }
     for name, how in kinds.items():
-        straight = [_solved(_seen(s, lambda _: flat, **how), "flat") for s in seeds]
-        bent = [_seen(s, warped(s, 0.3, 0.0), **how) for s in seeds]
+        straight = [_solved(seen_by(s, lambda _: flat, **how), "flat") for s in seeds]
+        bent = [seen_by(s, warped(s, 0.3, 0.0), **how) for s in seeds]
         metrics += _beside(name, straight, [_solved(each, "bend") for each in bent], 1.2)
         metrics += _named(name, 0.3, straight, [_solved(each, "flat") for each in bent])
-    half = [_half_seen(_seen(s, lambda _: flat), s) for s in seeds]
-    bent = [_half_seen(_seen(s, warped(s, 0.3, 0.0)), s) for s in seeds]
+    half = [_half_seen(seen_by(s, lambda _: flat), s) for s in seeds]
+    bent = [_half_seen(seen_by(s, warped(s, 0.3, 0.0)), s) for s in seeds]
     straight = [_solved(each, "flat") for each in half]
     metrics += _beside("partial_views_bent_0.3", straight, [_solved(each, "bend") for each in bent], 1.2)
     return metrics

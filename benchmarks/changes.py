@@ -110,8 +110,9 @@ def changed_session(seed: int, name: str, times: float = 1.0) -> tuple[Observati
     return redrawn(exact, Noise(), random), behind
 
 
-def _refocused(rig: Rig, times: float) -> Rig:
-    fu, fv = (np.asarray(f) * (1 + _FOCUS * times) for f in rig.camera.focal)
+def refocused(rig: Rig, by: float) -> Rig:
+    """The rig with focal lengths that are longer by a share."""
+    fu, fv = (np.asarray(f) * (1 + by) for f in rig.camera.focal)
     return replace(rig, camera=replace(rig.camera, focal=(np.asarray(fu), np.asarray(fv))))
 
 
@@ -138,7 +139,7 @@ def _camera_turned(rig: Rig, times: float) -> Rig:
 
 
 _CHANGES: Final[dict[str, Callable[[Rig, float], Rig]]] = {
-    "refocus": _refocused,
+    "refocus": lambda rig, times: refocused(rig, _FOCUS * times),
     "lens_pushed": _lens_pushed,
     "laser_turned": _laser_turned,
     "camera_turned": _camera_turned,

@@ -141,7 +141,7 @@ def _columns(solved: list[Draw]) -> tuple[list[Kinds], list[Kinds]]:
 
 def solve(session: Session, random: np.random.Generator) -> Draw:
     """Calibrate one drawing of the observations; triangulate pixels that are drawn too."""
-    calibration = calibrate(redrawn(session.exact, NOISE, random))
+    calibration = calibrate(redrawn(session.exact, NOISE, random), lens=session.rig.camera.lens.kind)
     rig, covariance, system = calibration.rig, calibration.covariance, calibration.system
     theta, truth = (np.array([float(leaf) for leaf in jax.tree.leaves(each)]) for each in (rig, session.rig))
     pixels, steps = session.pixels, session.positions
@@ -149,7 +149,7 @@ def solve(session: Session, random: np.random.Generator) -> Draw:
     with float64():
         q = jax.tree.map(jnp.asarray, dict(steps))
         rig64 = as_float64(rig)
-        projected = _projected(rig64, jnp.asarray(_POINTS))
+        seen = projected(rig64, jnp.asarray(_POINTS))
         points = triangulated(rig64, jnp.asarray(drawn), q)
         asked = {kind: np.asarray(function(rig64)) for kind, function in session.asked.items()}
     of_points = point_covariance(rig, "", covariance, calibration.stripe_sigma_px or 0.0, pixels, steps, True)
@@ -165,7 +165,7 @@ def solve(session: Session, random: np.random.Generator) -> Draw:
         places[sequence.axis] = (moved[i], calibration.moved_covariances[i])
     for name, (pose, joint) in places.items():
         add(f"{name}_pose", np.asarray(pose, np.float64), np.diagonal(joint.matrix)[-6:])
-    add("projected", projected, _variances(covariance.of_projected(rig, _POINTS)))
+    add("projected", seen, _variances(covariance.of_projected(rig, _POINTS)))
     add("triangulated", points, _variances(of_points.total))
     for kind, value in asked.items():
         add(kind, value, np.diagonal(covariance.of(rig, session.asked[kind])))
@@ -183,8 +183,14 @@ def _variances(matrices: Float[np.ndarray, "points n n"]) -> Float[np.ndarray, "
     return np.diagonal(matrices, axis1=1, axis2=2).ravel()
 
 
+def leaves(part: object) -> Float[Array, "_"]:
+    """The numbers of a part of the rig."""
+    return jnp.stack([jnp.asarray(leaf) for leaf in jax.tree.leaves(part)])
+
+
 @jax.jit
-def _projected(rig: Rig, X: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+def projected(rig: Rig, X: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    """Where points (camera frame, mm) are seen, px."""
     return jax.vmap(rig.camera.project)(X)
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from benchmarks.drawn import exact_session, exact_turn
 from benchmarks.metric import Metric
-from benchmarks.montecarlo import DRAWS_QUICK, PIXELS, Session, compared, triangulated
+from benchmarks.montecarlo import DRAWS_QUICK, PIXELS, Session, compared, leaves, triangulated
 from jaxscan.rig import Rig, Rotary
 from jaxscan.simulation import rig_2003
 
@@ -47,11 +47,11 @@ def measure(quick: bool) -> list[Metric]:
         _PIXELS,
         _POSITIONS,
         {
-            "focal": lambda rig: _leaves(rig.camera.focal),
-            "principal_point": lambda rig: _leaves(rig.camera.principal),
-            "lens": lambda rig: _leaves(rig.camera.lens),
-            "light_plane": lambda rig: _leaves(rig.lights),
-            "stage": lambda rig: _leaves(rig.axis("stage")),
+            "focal": lambda rig: leaves(rig.camera.focal),
+            "principal_point": lambda rig: leaves(rig.camera.principal),
+            "lens": lambda rig: leaves(rig.camera.lens),
+            "light_plane": lambda rig: leaves(rig.lights),
+            "stage": lambda rig: leaves(rig.axis("stage")),
             "axis_direction": lambda rig: _axis(rig)[:2],
             "axis_place": lambda rig: _axis(rig)[2:4],
             "axis_step": lambda rig: _axis(rig)[4:],
@@ -62,16 +62,12 @@ def measure(quick: bool) -> list[Metric]:
     return compared(session, DRAWS_QUICK if quick else _DRAWS, quick)
 
 
-def _leaves(part: object) -> Float[Array, "_"]:
-    return jnp.stack([jnp.asarray(leaf) for leaf in jax.tree.leaves(part)])
-
-
 @jax.jit
 def _axis(rig: Rig) -> Float[Array, "5"]:
     """Direction of the axis across the platform's upright, its place on the platform (mm), the angle of a step."""
     turntable = rig.axis("turntable")
     assert isinstance(turntable, Rotary)
-    w, centre = _leaves(turntable.per_step), _leaves(turntable.centre)
+    w, centre = leaves(turntable.per_step), leaves(turntable.centre)
     step = jnp.linalg.norm(w)
     R, origin = _PLATFORM
     direction, from_origin = R.T @ (w / step), R.T @ (centre - origin)

@@ -157,9 +157,9 @@ def _difference(a: Calibration, b: Calibration) -> list[Metric]:
     each = np.abs(difference) / np.sqrt(np.diagonal(both))
     chi2 = float(difference @ np.linalg.solve(both, difference))
     return [
-        Metric("real.etna.two_fits_median_difference_in_sigma", float(np.median(each))),
-        Metric("real.etna.two_fits_largest_difference_in_sigma", float(each.max())),
-        Metric("real.etna.two_fits_chi2_for_each_parameter", chi2 / len(difference)),
+        Metric("real.etna.two_fits_median_difference_in_sigma", float(np.median(each)), "", "lower", 1.0, slack=0.1),
+        Metric("real.etna.two_fits_largest_difference_in_sigma", float(each.max()), "", "lower", 3.0, slack=0.1),
+        Metric("real.etna.two_fits_chi2_for_each_parameter", chi2 / len(difference), "", "lower", 3.0, slack=0.1),
     ]
 
 

@@ -14,12 +14,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
+from benchmarks.drawn_sheets import CORNER_PX, DEPTH, HALF, STRIPE_PX, Level, cone, plane, triangulated, unseen, view
 from benchmarks.metric import Metric, ratio
 from benchmarks.throughput import kernel_beside_the_plain
 from benchmarks.timing import side_by_side
-from jaxscan.calibration import Calibration, Observations, StripePoints, View, calibrate
+from jaxscan.calibration import Calibration, Observations, calibrate
 from jaxscan.calibration.block_arrow import NormalEquations, linearise
 from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.bundle import as_arrow
@@ -27,36 +28,32 @@ from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.residuals import Noise
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import BowedSheet, Light, LightPlane, Rig, System
-from jaxscan.rig.projection import pixel_rays, project_points
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.render import plane_of
 
-# Of points in the camera frame, mm: 0 on the sheet.
-Level = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
-
-_CORNER_PX, _STRIPE_PX, _VIEWS = 0.03, 0.1, 12
-# The sheets are curved by so many mm at ± 100 mm at this depth.
-_DEPTH, _HALF = 345.0, 100.0
+_VIEWS = 12
 _SEEDS, _FEW = 16, 3
+_RIG = rig_2003.simulated_rig(0)
+_PLANE = plane(_RIG)
 
 
 def measure(quick: bool) -> list[Metric]:
     """All shapes, sixteen seeds of those that have goals and three of the others; or the former and three."""
     seeds = range(_FEW if quick else _SEEDS)
-    flat = [_session(seed, _plane) for seed in seeds]
+    flat = [_session(seed, _PLANE) for seed in seeds]
     as_plane = [calibrate(session) for session in flat]
-    base = _rms(as_plane, _plane)
+    base = _rms(as_plane, _PLANE)
     metrics = [
         Metric("sheets.flat.error_mm", base, "mm"),
         Metric("sheets.flat.called_curved", _named(as_plane), "", "lower", 0),
-        _over("flat_as_bowed", [calibrate(session, light="bowed") for session in flat], _plane, base, 1.03),
+        _over("flat_as_bowed", [calibrate(session, light="bowed") for session in flat], _PLANE, base, 1.03),
     ]
-    for name, level in (("0.3", _cone(0.3)), ("0.05", _cone(0.05)), *(() if quick else _others())):
+    for name, level in (("0.3", cone(_RIG, 0.3)), ("0.05", cone(_RIG, 0.05)), *(() if quick else _others())):
         goal = 1.1 if name in ("0.3", "0.05") else None
         sessions = [_session(seed, level) for seed in (seeds if goal else range(_FEW))]
         plain = [calibrate(session) for session in sessions]
         bowed = [calibrate(session, light="bowed") for session in sessions]
-        base = _rms(as_plane[: len(sessions)], _plane)
+        base = _rms(as_plane[: len(sessions)], _PLANE)
         metrics += [
             Metric(f"sheets.{name}.taken_as_flat_over_flat", _rms(plain, level) / base),
             _over(name, bowed, level, base, goal),
@@ -82,86 +79,30 @@ def _others() -> tuple[tuple[str, Level], ...]:
     """Shapes beside the one that is fitted: as large, 0.3 mm at ± 100 mm."""
 
     def bent(shape: Callable[[np.ndarray], np.ndarray]) -> Level:
-        return lambda X: _plane(X) + 0.3 * shape(X[:, 0] / _HALF)
+        return lambda X: _PLANE(X) + 0.3 * shape(X[:, 0] / HALF)
 
     return (
-        ("laser_150_mm_behind", _cone(0.3, (0.0, 0.0, -150.0))),
-        ("laser_60_mm_aside", _cone(0.3, (60.0, 0.0, 0.0))),
-        ("2.0", _cone(2.0)),
+        ("laser_150_mm_behind", cone(_RIG, 0.3, (0.0, 0.0, -150.0))),
+        ("laser_60_mm_aside", cone(_RIG, 0.3, (60.0, 0.0, 0.0))),
+        ("2.0", cone(_RIG, 2.0)),
         ("cylinder", bent(lambda f: f**2)),
         ("S", bent(lambda f: f**3)),
         ("kink", bent(np.abs)),
     )
 
 
-def _plane(X: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points"]:
-    """Mm beyond the plane of the rig of 2003."""
-    omega = plane_of(rig_2003.simulated_rig(0).lights[0])
-    return (X @ omega - 1) / np.linalg.norm(omega)
-
-
-def _cone(sag: float, beside: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Level:
-    """About a normal of the plane, its apex where the plane crosses the camera's v axis, or so many mm from there."""
-    omega = plane_of(rig_2003.simulated_rig(0).lights[0])
-    normal = omega / np.linalg.norm(omega)
-    apex = np.array([0.0, 1 / omega[1], 0.0]) + np.asarray(beside)
-    apex -= normal * (normal @ apex - 1 / np.linalg.norm(omega))
-    away = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
-    away /= np.linalg.norm(away)
-    middle = (_DEPTH - apex[2]) / away[2]
-    slope = sag / (np.hypot(middle, _HALF) - middle)
-
-    def level(X: np.ndarray) -> np.ndarray:
-        P = X - apex
-        high = P @ normal
-        return high + slope * (np.linalg.norm(P - high[:, None] * normal, axis=1) - P @ away)
-
-    return level
-
-
 def _session(seed: int, level: Level) -> Observations:
-    rig, random, views = rig_2003.simulated_rig(0), np.random.default_rng([18, seed]), []
+    rig, random, views = _RIG, np.random.default_rng([18, seed]), []
     poses = rig_2003.board_poses(rig, seed, _VIEWS)
     for i, (R, t) in enumerate(zip(poses.matrix(), poses.translation, strict=True)):
-        pixels, _ = _stripe(rig, R, t, level, random)
-        corners = project_points(rig.camera, rig_2003.BOARD.points() @ R.T + t).pixels
-        corners = corners + _CORNER_PX * random.normal(size=corners.shape)
-        views.append(View(f"{i:02d}", corners, stripes=(StripePoints(pixels, half_width_px=1e-6),)))
+        views.append(view(f"{i:02d}", rig, R, np.asarray(t), level, random))
     return Observations(rig.camera.image_size, rig_2003.BOARD, tuple(views), (), ("",))
-
-
-def _stripe(
-    rig: Rig, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"], level: Level, random: np.random.Generator
-) -> tuple[Float[np.ndarray, "columns 2"], Float[np.ndarray, "columns 3"]]:
-    """Where the stripe on a board is seen, with errors, and the true points; NaN where it is not."""
-    board, size = rig_2003.BOARD, rig.camera.image_size
-    furthest, columns = board.points().max(axis=0)[:2], np.arange(float(size[0]))
-    x = np.linspace(-board.pitch_mm, furthest[0] + board.pitch_mm, 2000)
-    on, y = (x[:, None] * R[:, 0]) + t, np.zeros_like(x)
-    for _ in range(20):
-        X = on + y[:, None] * R[:, 1]
-        y -= level(X) * 1e-3 / (level(X + 1e-3 * R[:, 1]) - level(X))
-    within = (y > -board.pitch_mm) & (y < furthest[1] + board.pitch_mm)
-    X = (on + y[:, None] * R[:, 1])[within]
-    seen = project_points(rig.camera, X).pixels
-    order = np.argsort(seen[:, 0])
-    u = seen[order, 0]
-    rows, *truth = (np.interp(columns, u, part[order], left=np.nan, right=np.nan) for part in (seen[:, 1], *X.T))
-    rows = np.where((rows < 0) | (rows > size[1] - 1), np.nan, rows) + _STRIPE_PX * random.normal(size=size[0])
-    return np.stack([columns, rows], axis=1), np.stack(truth, axis=1)
 
 
 def _rms(found: list[Calibration], level: Level) -> float:
     """Of the points that rigs make of the stripe on boards that they have not seen, from the true ones, mm."""
-    rig, random = rig_2003.simulated_rig(0), np.random.default_rng(81)
-    poses = rig_2003.board_poses(rig, 1000, 2 * _VIEWS)
-    stripes = [_stripe(rig, R, t, level, random) for R, t in zip(poses.matrix(), poses.translation, strict=True)]
-    pixels, truth = (np.concatenate(parts) for parts in zip(*stripes, strict=True))
-    there, squares = np.isfinite(pixels).all(axis=1), []
-    for each in found:
-        seen = pixel_rays(each.rig.camera, pixels[there])
-        points = seen / each.rig.lights[0].inverse_depth(seen)[:, None]
-        squares.append(((points - truth[there]) ** 2).sum(axis=1).mean())
+    pixels, truth = unseen(_RIG, 0, 2 * _VIEWS, level)
+    squares = [((triangulated(each.rig, pixels) - truth) ** 2).sum(axis=1).mean() for each in found]
     return float(np.sqrt(np.mean(squares)))
 
 
@@ -169,17 +110,17 @@ def _kernel(quick: bool) -> list[Metric]:
     """The kernel's rate with a bowed sheet over that with a flat one."""
     omega = np.array([0.0, -0.00494, 0.00303])
     with float64():
-        bowed = BowedSheet.curved(omega, 0.3, _HALF, _DEPTH)
+        bowed = BowedSheet.curved(omega, 0.3, HALF, DEPTH)
     return kernel_beside_the_plain("sheets.kernel", "a plane's", 0.7, quick, light=bowed)
 
 
 def _step() -> list[Metric]:
     """A step of the solve, residuals, derivatives and elimination, with a bowed sheet over one with a flat one."""
-    session = _session(0, _plane)
+    session = _session(0, _PLANE)
     session = replace(session, views=session.views * 12)
     with float64():
-        group, rig = view_blocks(session), as_float64(rig_2003.simulated_rig(0))
-        poses, noise = first_poses(rig.camera, group), Noise.create(_CORNER_PX, _STRIPE_PX)
+        group, rig = view_blocks(session), as_float64(_RIG)
+        poses, noise = first_poses(rig.camera, group), Noise.create(CORNER_PX, STRIPE_PX)
         omega = plane_of(rig.lights[0])
         flat, bowed = (
             _one_step(rig, light, poses, group, noise)

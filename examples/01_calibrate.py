@@ -3,7 +3,8 @@
 A session is a folder of photographs: the board in many poses with the laser on, and the board riding on the stage.
 `observe` finds corners and stripes in them, with OpenCV and NumPy; `calibrate` puts all of them into one least-squares
 problem in JAX, in which lens, light plane, stage and the pose of every board move together. So the result has *one*
-covariance, and that of anything computed from the rig follows from it (example 3).
+covariance, and that of anything computed from the rig follows from it (example 3). `calibrate_by_evidence` does that,
+and adds terms, of a lens or of a board that bends, where the photographs ask for them.
 """
 
 import jax
@@ -15,8 +16,8 @@ import jaxscan
 session = jaxscan.read_session(photographs.world() / "session")
 observations = jaxscan.observe(session)
 camera = session.camera  # what session.toml says of it: which lens terms, and whether the principal point is free
-calibration = jaxscan.calibrate(
-    observations, lens=camera.lens, principal_point=camera.principal_point, hold=camera.hold
+calibration = jaxscan.calibrate_by_evidence(
+    observations, jaxscan.Model(camera.lens), principal_point=camera.principal_point, hold=camera.hold
 )
 
 # Each residual is divided by its own σ, and both σ come out of the fit: nobody has to tell them.

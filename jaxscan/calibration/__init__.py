@@ -2,6 +2,8 @@
 
 from jaxscan.calibration.adjustment import Adjustment, refit
 from jaxscan.calibration.calibrate import calibrate
+from jaxscan.calibration.choose import calibrate_by_evidence
+from jaxscan.calibration.model import Choice, Model
 from jaxscan.calibration.observations import BoardSequence, Kept, Observations, StripePoints, View
 from jaxscan.calibration.result import Calibration, PhotographFit
 
@@ -9,11 +11,14 @@ __all__ = [
     "Adjustment",
     "BoardSequence",
     "Calibration",
+    "Choice",
     "Kept",
+    "Model",
     "Observations",
     "PhotographFit",
     "StripePoints",
     "View",
     "calibrate",
+    "calibrate_by_evidence",
     "refit",
 ]

@@ -1,6 +1,6 @@
 """From observations, photograph by photograph, to padded arrays of one shape: what the solve compiles for."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -96,3 +96,12 @@ def _pack(
         "radius": np.full((n_blocks, len(points)), observations.radius_mm) if observations.radius_mm else None,
     }
     return Blocks(**as_jax(arrays))
+
+
+def photographs_in_blocks(observations: Observations) -> Iterator[tuple[View, int, int, int]]:
+    """Each photograph with the group, the block and the place in it where it stands."""
+    for i, view in enumerate(observations.views):
+        yield view, 0, i, 0
+    for i, sequence in enumerate(observations.sequences):
+        for k, view in enumerate(sequence.views):
+            yield view, 1, i, k

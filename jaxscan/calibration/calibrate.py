@@ -1,58 +1,53 @@
 """`calibrate`: from observations to a rig with its covariance."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.blocks import sequence_blocks, view_blocks
-from jaxscan.calibration.bundle import MAX_STEPS, Factor
-from jaxscan.calibration.coverage import measure_coverage
+from jaxscan.calibration.bundle import Factor
+from jaxscan.calibration.by_photograph import ByPhotograph
 from jaxscan.calibration.diagnostics.board_flatness import board_flatness
 from jaxscan.calibration.diagnostics.changes import find_change
 from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
-from jaxscan.calibration.diagnostics.sheet_curves import sheet_curves
+from jaxscan.calibration.diagnostics.sheet_curves import sheet_curves, unclear_bows
+from jaxscan.calibration.diagnostics.stage_shapes import rows_of_shapes, stage_shapes
 from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
 from jaxscan.calibration.first_camera import first_camera
 from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
+from jaxscan.calibration.foretold import foretold
 from jaxscan.calibration.held import held_parameters
-from jaxscan.calibration.observability import cause_and_mend, undetermined, undetermined_shape
-from jaxscan.calibration.observations import Kept, Observations, Unused, View
+from jaxscan.calibration.observations import Kept, Observations, Unused
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
+from jaxscan.calibration.refusals import (
+    FEWEST_STRIPES,
+    check_enough,
+    check_solved,
+    check_views_for,
+    lacking,
+    refuse_tracers,
+    with_enough_corners,
+    with_remarks,
+)
 from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration, assemble
-from jaxscan.calibration.rounds import Refined, refine
+from jaxscan.calibration.rounds import refine
 from jaxscan.calibration.second_poses import better_poses
-from jaxscan.errors import InputError, ObservabilityError, SolveError
-from jaxscan.files.rig_checks import image_rays
+from jaxscan.calibration.stage_kinds import begun, shape_parameters, with_kinds
+from jaxscan.calibration.widening import widened
+from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
-from jaxscan.images import Board
 from jaxscan.precision import as_float64, as_jax, float64
-from jaxscan.rig import LIGHTS, MOTIONS, BoardShape, Camera, Light, LightPlane, Rig, System
-from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES, FEWEST_VIEWS_FOR, bent_by
-from jaxscan.rig.kinds import lens_of_kind
+from jaxscan.rig import LIGHTS, BoardShape, Camera, Light, LightPlane, Rig, System
+from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES
 
-_FEWEST_CORNERS = 6
-FEWEST_VIEWS = 3
-_FEWEST_VIEWS_OF = {"flat": FEWEST_VIEWS, **FEWEST_VIEWS_FOR}
-_OF_SHAPE = {
-    "bulge": "the board's bulges along columns and rows",
-    "warp": "the board's twist, and what its edges bend more or less than its middle,",
-    "bend": "how much the board bends from view to view",
-}
-# σ of the bends to begin with, as a share of the board; and the range of a shape that is no board's any more.
+# σ of the bends to begin with, as a share of the board.
 _FIRST_BEND = 5e-4
-_RUN_AWAY = 0.1
-_FEWEST_STRIPES = 2
-_FEWEST_STRIPE_POINTS = 10
 _PLAIN = "plain least squares: every corner took part with the same weight, also where it does not fit the others"
 
 
@@ -68,6 +63,8 @@ def calibrate(
     plain: bool = False,
     keep: Sequence[Kept] | None = None,
     light: str | Sequence[str] = LightPlane.kind,
+    motion: Mapping[str, str] | None = None,
+    periods: Mapping[str, float] | None = None,
     factors: Sequence[Factor] = (),
     advance: Callable[[str], object] = lambda doing: None,
 ) -> Calibration:
@@ -96,6 +93,10 @@ def calibrate(
             estimated as ever.
         light: the kind of the lasers' light, one of `rig.LIGHTS`: "plane", "bowed", or one that was registered; or one
             for each laser.
+        motion: the kind of motion of an axis, by its name, one of `rig.MOTIONS`: "linear", a line; "guide", a bowed
+            one; "screw", whose screw has a period; "screw_on_guide", both; or one that was registered. Of an axis that
+            is not named it is the kind of its photographs.
+        periods: steps of one turn of an axis's screw, by its name, where they are known; else they are found.
         factors: what else is known of the rig, besides boards and stripes; each with residuals in units of its σ.
         advance: called as each solve begins, with what it is, in words.
 
@@ -114,27 +115,24 @@ def calibrate(
     if board_shape not in BOARD_SHAPES:
         raise InputError(f'board_shape = "{board_shape}": there are {", ".join(BOARD_SHAPES)}')
     tilted = tilted or bool(start and start.tilt)
-    if tilted and not any(lens_of_kind(start.lens.kind if start else lens).numbers.values()):
-        raise InputError(
-            "a lens without distortion does not show where its axis is, so the tilt of the sensor cannot be told from "
-            'the principal point: ask for lens = "radial1" or a richer one, or leave out the tilt'
-        )
     held = held_parameters(
         hold, start.lens.kind if start else lens, principal_point, has_start=start is not None, tilted=tilted
     )
-    _refuse_tracers(observations)
+    refuse_tracers(observations)
     if keep is not None:
         observations = observations.only(keep)
     if plain:
         observations = observations.unweighted()
+    observations = with_kinds(observations, motion or {}, periods or {})
     judge = keep is None and not plain
-    usable = _with_enough_corners(observations)
+    usable = with_enough_corners(observations)
     # What is known so far of photographs and stripes that cannot be used.
-    known = [usable]
-    with float64(), _with_remarks(known):
-        _check_enough(usable)
+    known: list[Observations] = [usable]
+    aliases: list[str] = []
+    with float64(), with_remarks(known):
+        check_enough(usable)
         unused = Unused(usable.left_out)
-        _check_views_for(board_shape, usable)
+        check_views_for(board_shape, len(usable.views))
         camera = as_float64(start) if start else first_camera(usable, lens)
         if tilted and not camera.tilt:
             camera = replace(camera, tilt=(jnp.zeros(()), jnp.zeros(())))
@@ -156,7 +154,7 @@ def calibrate(
         refined = of_camera(replace(system, poses=poses), free, corners, _first_noise(usable, bends))
         if judge and (elsewhere := better_poses(refined.system, corners, refined.noise)) is not None:
             refined = of_camera(elsewhere, free, corners, refined.noise)
-        _check(refined, usable, free)
+        check_solved(refined, usable, free)
 
         if usable.lasers or usable.sequences:
             camera, view_poses = refined.system.rig.camera, refined.system.poses[0]
@@ -165,142 +163,71 @@ def calibrate(
                 usable, off_board = stripe_on_board(usable, camera, stood)
                 unused = unused.and_then(off_board)
                 known.append(replace(usable, left_out=unused.left_out))
-            motion, moved_poses = first_motions(usable, stood)
+            first, moved_poses = first_motions(usable, stood)
             moved_poses = tuple(_with_bends(each, bends) for each in moved_poses)
-            rig = Rig(camera, _first_lights(usable, camera, stood, kinds), motion)
+            rig = Rig(camera, _first_lights(usable, camera, stood, kinds), first)
             groups = (view_blocks(usable), sequence_blocks(usable)) if usable.sequences else (view_blocks(usable),)
             system = System(rig, (view_poses, *moved_poses), refined.system.shape)
             system = replace(system, poses=(*system.poses, *(factor.start(system) for factor in factors)))
-            free = _free(system, held | rig.surplus(), ("camera", "lights", "motion"))
             of_rig = partial(rounds, begins=lambda solve: advance(f"whole rig, round {solve}"))
+            held = held | rig.given()
+            solved_for, shapes = ("camera", "lights", "motion"), shape_parameters(rig)
+            free = _free(system, held | rig.surplus() | shapes, solved_for)
             refined = of_rig(system, free, groups, refined.noise, tuple(factors))
-            _check(refined, usable, free)
+            check_solved(refined, usable, free)
+            if shapes:
+                as_lines = assemble(refined, free, usable, held, unused, tuple(factors))
+                system, no_wave, aliases = begun(refined.system, as_lines, periods or {})
+                held = held | no_wave
+                free = _free(system, held | rig.surplus(), solved_for)
+                refined = of_rig(system, free, groups, refined.noise, tuple(factors))
+                check_solved(refined, usable, free)
         advance("uncertainty")
         result = assemble(refined, free, usable, held, unused, tuple(factors))
-        curves = sheet_curves(refined)
-        flatness = board_flatness(refined, result, curves)
-        change = find_change(refined, result)
+        stages = stage_shapes(refined, result)
+        paths = rows_of_shapes(refined, result, stages) if stages else None
+        curves = sheet_curves(refined, paths)
+        flatness = board_flatness(refined, result, curves, paths)
+        each = ByPhotograph.create(refined, usable, np.ones(2))
+        change = find_change(refined, result, each, [stage.axis for stage in stages])
+        formal = result.covariance
+        named = bool(stages or curves or flatness.statements)
+        off_grid = drift = None
+        if not plain:
+            wider, off_grid, drift = widened(refined, result, each, drifts=change is None and not named)
+            result = result if wider is refined else assemble(wider, free, usable, held, unused, tuple(factors))
     kept = iter(result.kept)
+    # What a term is named for is said once.
+    off_grid = None if off_grid is None else replace(off_grid, said=named)
+    left = () if off_grid is None else off_grid.statements
     return replace(
         result,
         kept=tuple(
-            Kept.none(view) if _lacking(view, observations.board) else next(kept) for view in observations.photographs()
+            Kept.none(view) if lacking(view, observations.board) else next(kept) for view in observations.photographs()
         ),
         plain=plain,
-        notes=(*result.notes, _PLAIN) if plain else result.notes,
+        notes=(*result.notes, *unclear_bows(result.rig, result.covariance), *((_PLAIN,) if plain else ())),
         warnings=(
-            *(f"{what}. {mend}".removesuffix(".") for what, mend in flatness.statements),
+            *aliases,
+            *_sentences((*(each for found in (*stages, flatness) for each in found.statements), *left)),
             *light_plane_doubts(stripe_shapes(result), curves),
-            *([] if change is None else [f"{change.statement[0]}. {change.statement[1]}".removesuffix(".")]),
+            *_sentences(each.statement for each in (change, drift) if each is not None),
         ),
         flatness=flatness,
         sheet_curves=curves,
         change=change,
+        untold_periods=tuple(aliases),
+        stage_shapes=stages,
+        off_grid=off_grid,
+        drift=drift,
+        formal_covariance=formal,
+        foretold=foretold(refined, each),
     )
 
 
-@contextmanager
-def _with_remarks(known: list[Observations]) -> Iterator[None]:
-    """Let a refusal say what was seen amiss in the photographs (the last of what is known): often it is the reason."""
-    try:
-        yield
-    except (InputError, ObservabilityError, SolveError) as error:
-        if remarks := known[-1].remarks():
-            raise type(error)(f"{error}{remarks}") from error
-        raise
-
-
-def _refuse_tracers(observations: Observations) -> None:
-    values = [jnp.zeros(()), *(view.corners for view in observations.photographs())]
-    values += [stripe.pixels for view in observations.photographs() for stripe in view.stripes]
-    if any(isinstance(value, jax.core.Tracer) for value in values):
-        raise InputError(
-            "calibrate decides by values what it leaves out, so jit, grad and vmap cannot go through it: put "
-            'jax.config.update("jax_enable_x64", True) before anything else, calibrate outside of them, and '
-            "differentiate jaxscan.refit(calibration.adjustment)"
-        )
-
-
-def _lacking(view: View, board: Board) -> str:
-    """What a photograph lacks of corners enough for its pose, in words; empty where it lacks nothing."""
-    used = view.used()
-    if used.sum() < _FEWEST_CORNERS:
-        return f"{int(used.sum())} corners, fewer than {_FEWEST_CORNERS}"
-    points = board.points()[used, :2]
-    # Where all but one lie on a line, two of any three do.
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        (x, y), offset = points[j] - points[i], points - points[i]
-        if (np.abs(offset[:, 1] * x - offset[:, 0] * y) > 1e-6 * board.pitch_mm**2).sum() < 2:
-            return f"its {int(used.sum())} corners lie on one line of the board, or all but one do"
-    return ""
-
-
-def _with_enough_corners(observations: Observations) -> Observations:
-    """Without the photographs that have too few corners for a pose; they are among what was left out."""
-    board = observations.board
-    few = [f"{view.name}: {lacks}" for view in observations.photographs() if (lacks := _lacking(view, board))]
-    return replace(
-        observations,
-        views=tuple(view for view in observations.views if not _lacking(view, board)),
-        sequences=tuple(
-            sequence.only([i for i, view in enumerate(sequence.views) if not _lacking(view, board)])
-            for sequence in observations.sequences
-        ),
-        left_out=(*observations.left_out, *few),
-    )
-
-
-def _check_enough(observations: Observations) -> None:
-    """Refuse observations that are too few, and say what is missing."""
-    views = observations.views
-    if len(views) < FEWEST_VIEWS:
-        raise InputError(
-            f"{len(views)} usable views of the board; at least {FEWEST_VIEWS} are needed: photograph the board in "
-            f"more poses, all of it in view and tilted in different directions{_on_axes_alone(observations)}"
-        )
-    for i, name in enumerate(observations.lasers):
-        striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in observations.photographs())
-        if striped < _FEWEST_STRIPES:
-            which = f'of laser "{name}" ' if name else ""
-            raise InputError(
-                f"{striped} usable stripes {which}on the board; at least {_FEWEST_STRIPES} are needed, at different "
-                f"distances: check [laser] color and columns, that the stripe crosses the board, and, where it has "
-                f"photographs of its own, that boards and stripes are not exchanged"
-            )
-    for sequence in observations.sequences:
-        places, fewest = len(np.unique(sequence.steps)), MOTIONS[sequence.kind].fewest
-        if places < fewest:
-            raise InputError(
-                f"{places} usable {sequence.axis} photographs at different step counts; at least {fewest} are needed"
-            )
-    moving = _moving(observations)
-    for sequence in observations.sequences:
-        for axis, steps in sequence.positions.items():
-            if axis not in moving and np.any(steps):
-                raise InputError(
-                    f"the {sequence.axis} was photographed away from the {axis}'s step 0, but no board on the {axis} "
-                    f"tells how far that is: photograph one, or give {axis}_step = 0 under [{sequence.axis}]"
-                )
-
-
-def _on_axes_alone(observations: Observations) -> str:
-    """Why photographs of the board on the axes do not take the place of views, where there are any."""
-    count = sum(len(sequence.views) for sequence in observations.sequences)
-    if not count:
-        return ""
-    return (
-        f". The {count} photographs of it on the {' and the '.join(_moving(observations))} do not count: they show how "
-        "it is moved once the camera is known, and the camera is found from a board that is held in the hand"
-    )
-
-
-def _moving(observations: Observations) -> list[str]:
-    """The axes that have photographs, each once."""
-    return list(dict.fromkeys(sequence.axis for sequence in observations.sequences))
-
-
-def _stripe_points(view: View, laser: int) -> int:
-    return sum(int(np.isfinite(s.pixels).all(axis=1).sum()) for s in view.stripes if s.laser == laser)
+def _sentences(statements: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """What is the case and what to do, without the last full stop, as warnings are."""
+    return (f"{what}. {mend}".removesuffix(".") for what, mend in statements)
 
 
 def _first_lights(
@@ -309,10 +236,10 @@ def _first_lights(
     lights = []
     for i, (kind, name) in enumerate(zip(kinds, observations.lasers, strict=True)):
         points, view = stripe_points_in_space(observations, camera, poses, i)
-        if len(np.unique(view)) < _FEWEST_STRIPES:
+        if len(np.unique(view)) < FEWEST_STRIPES:
             which = f'laser "{name}": ' if name else ""
             raise InputError(
-                f"{which}the stripe lies on the board in {len(np.unique(view))} views; at least {_FEWEST_STRIPES} are "
+                f"{which}the stripe lies on the board in {len(np.unique(view))} views; at least {FEWEST_STRIPES} are "
                 "needed: check [laser] color and columns, and that the stripe crosses the board"
             )
         lights.append(LIGHTS[kind].fitted(points, view, name))
@@ -341,66 +268,3 @@ def _first_noise(observations: Observations, bends: bool) -> Noise:
     """What the first rounds begin with."""
     extent = float(np.ptp(observations.board.points()[:, :2], axis=0).max())
     return Noise.create(bend=_FIRST_BEND * extent if bends else None)
-
-
-def _check_views_for(board_shape: str, observations: Observations) -> None:
-    """Refuse views that are too few for the shape that is asked for."""
-    views, fewest = len(observations.views), _FEWEST_VIEWS_OF[board_shape]
-    if views < fewest:
-        simpler = [name for name, count in _FEWEST_VIEWS_OF.items() if count <= views]
-        raise InputError(
-            f'{views} usable views of the board; board_shape = "{board_shape}" needs {fewest}, to tell '
-            f"{_OF_SHAPE[board_shape]} from the camera: photograph it in more poses, tilted in different directions, "
-            f'or ask for board_shape = "{simpler[-1]}"'
-        )
-
-
-def _check(refined: Refined, observations: Observations, free: Bool[Array, "shared"]) -> None:
-    """Refuse what is no calibration."""
-    rig, names = refined.system.rig, np.array(refined.system.shared_names())
-    at = np.flatnonzero(free)
-    values = np.array(refined.system.values())
-    spread = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
-    directions = np.asarray(refined.precision.directions)[at]
-    noise_px = max(float(refined.noise.corner), float(refined.noise.stripe))
-    open_question = None
-    if np.isfinite(values).all() and np.isfinite(spread).all():
-        eigenvalues = np.asarray(refined.precision.eigenvalues)
-        open_question = undetermined(names[at].tolist(), values[at], eigenvalues, directions, spread, noise_px)
-        for i, light in enumerate(rig.lights if open_question is None else ()):
-            own = [k for k, name in enumerate(names[at]) if name.startswith(f"lights.{i}.")]
-            if own and open_question is None:
-                covariance = spread[np.ix_(own, own)]
-                rays = image_rays(rig.camera)
-                open_question = undetermined_shape(light, names[at][own].tolist(), covariance, rays, noise_px)
-    if open_question:
-        with_rig = rig if any(name.startswith("lights") for name in names[at]) else Rig(rig.camera)
-        coverage = measure_coverage(
-            observations, with_rig, poses_of_photographs(observations, rig.camera, refined.system.poses[0][:, :6])
-        )
-        raise ObservabilityError(
-            f"from these {len(observations.views)} views {open_question.words}: "
-            f"{cause_and_mend(open_question, coverage)}"
-        )
-    _refuse_what_ran_away(refined, observations)
-    # Last, since what is not determined is mostly not reached either.
-    if refined.outcome.result != optx.RESULTS.successful:
-        raise SolveError(
-            f"the solve did not reach a minimum within {MAX_STEPS} steps ({refined.solves} rounds): the photographs "
-            "may not belong to one camera, or the lens may need a simpler model"
-        )
-
-
-def _refuse_what_ran_away(refined: Refined, observations: Observations) -> None:
-    """A board bent by a tenth of itself is none: its shape took up what something else is at fault for."""
-    shape, board = refined.system.shape, observations.board
-    if shape is None:
-        return
-    size = float(np.linalg.norm(np.ptp(board.points()[:, :2], axis=0)))
-    range_mm = bent_by(np.array([float(term) for term in jax.tree.leaves(shape)]))[0]
-    if not range_mm <= _RUN_AWAY * size:
-        raise SolveError(
-            f"the board's shape ran away: it came out bent by {range_mm:.3g} mm, over {size:.0f} mm. Something else "
-            'does not fit, and the shape took it up: calibrate with board_shape = "flat" and see which photographs '
-            "do not fit, whether all show one board, and whether the lens needs more terms"
-        )

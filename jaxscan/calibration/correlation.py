@@ -39,3 +39,25 @@ def integrated_correlation(errors: Sequence[Float[np.ndarray, "_"]], kept: Seque
     tau = 2 * np.cumsum(covariance / covariance[0]) - 1
     ends = np.flatnonzero(np.arange(longest) >= _WINDOW * tau)
     return float(max(1.0, tau[ends[0] if ends.size else -1]))
+
+
+def weights_anew(
+    before: Float[np.ndarray, "2"],
+    left: Float[np.ndarray, "2"],
+    tau: float,
+    errors: Sequence[Float[np.ndarray, "_"]],
+    kept: Sequence[Bool[np.ndarray, "_"]],
+) -> Float[np.ndarray, "2"]:
+    """By how much residuals of corners and of stripes weigh more once something more of them is explained.
+
+    Args:
+        before: the sums of squares of both as they were.
+        left: those that are left.
+        tau: the integrated correlation by which stripes were weighted.
+        errors: of each stripe, what is left.
+        kept: which of them count.
+    """
+    weights = np.sqrt(before / np.where(left > 0, left, 1.0))
+    if before[1] > 0:
+        weights[1] *= np.sqrt(tau / integrated_correlation(errors, kept))
+    return np.where(weights > 0, weights, 1.0)

@@ -19,6 +19,7 @@ class BoardFlatness:
         bent_sigma_mm: its σ.
         bends_mm: σ of the bulges that each photograph has besides.
         p: how often noise alone would show as much.
+        p_bends: how often it would show bulges of each photograph's own as large.
         parameter: what of the rig it moves most, in σ.
         shift_in_sigma: by how much.
         session: the one whose board differs most from that of the first, "" where none does.
@@ -31,6 +32,7 @@ class BoardFlatness:
     bent_sigma_mm: float
     bends_mm: float
     p: float
+    p_bends: float
     parameter: str
     shift_in_sigma: float
     views: int
@@ -41,6 +43,11 @@ class BoardFlatness:
     def bent(self) -> bool:
         """Whether there is such a shape, and it matters."""
         return self.p < BY_CHANCE and self.shift_in_sigma > _MOVES
+
+    @property
+    def asks(self) -> str:
+        """The simplest shape, one of `BOARD_SHAPES`, that follows what was found."""
+        return "bend" if self.p_bends < BY_CHANCE or self.taken != "flat" else "warp"
 
     @property
     def statements(self) -> tuple[tuple[str, str], ...]:

@@ -32,6 +32,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Covariance, Rig, System
+from jaxscan.rig.line import Line
 from jaxscan.rig.rig import held_jacobian, idle_ways, parameter_names, with_normal_numbers
 from jaxscan.robust import NORMAL_MAD
 
@@ -174,7 +175,9 @@ def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequen
     rig = as_float64(content.rig)
     lit = {rig.lights.index(rig.light(gauge.scan.laser)) for gauge in gauges} if "laser" in doubt else set()
     stems = [f"lights.{i}." for i in sorted(lit)]
-    stems += ["motion.stage."] if "stage" in doubt else []
+    line = f"motion.stage.{Line.of_the_line}."
+    # Its way alone: how it differs from a line is as the photographs told it.
+    stems += [line] if "stage" in doubt else []
     roughly, doubted = _roughly(rig, stems)
     told, free = _told(content, doubted)
     mean = jnp.asarray([float(leaf) for leaf in jax.tree.leaves(rig)])
@@ -196,7 +199,7 @@ def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequen
     noise = adjustment.noise.of(corner, stripe)
     if "stage" in doubt:
         # Where the stage stood tells where the others did: of none a photograph is read, and they stay.
-        others = [n.startswith("motion.") and not n.startswith("motion.stage.") for n in parameter_names(rig)]
+        others = [n.startswith("motion.") and not n.startswith(line) for n in parameter_names(rig)]
         free[np.array(others)] = False
     # The calibration's own solution, but for the numbers of the rig that say nothing of their own.
     system = System(rig, adjustment.start.poses, adjustment.start.shape)

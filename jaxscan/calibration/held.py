@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 
 from jaxscan.errors import InputError
-from jaxscan.rig.camera import camera_parameters
+from jaxscan.rig.camera import camera_parameters, lens_parameters
 
 _PRINCIPAL = ("camera.principal.0", "camera.principal.1")
+_TILT = {"camera.tilt.0", "camera.tilt.1"}
 
 
 def held_parameters(
@@ -21,7 +22,8 @@ def held_parameters(
         tilted: whether the tilt of its sensor is among its parameters.
 
     Raises:
-        InputError: a name that the camera does not have, or whose value is not known.
+        InputError: a name that the camera does not have, or whose value is not known; a tilt that is sought with a
+            lens that does not distort.
     """
     if principal_point not in ("free", "centre"):
         raise InputError(f'principal_point is "{principal_point}": use "free" or "centre"')
@@ -44,4 +46,12 @@ def held_parameters(
                     f"hold names {name}, but there is no start whose value it could keep: give a camera to start from, "
                     "start=Camera.create(...) in Python, --camera FILE on the command line"
                 )
+    # Without a start these stay 0.
+    zeros = () if has_start else hold
+    if tilted and not set(hold) >= _TILT and set(lens_parameters(lens)) <= set(zeros):
+        raise InputError(
+            "a lens without distortion does not show where its axis is, so the tilt of the sensor cannot be told from "
+            'the principal point: ask for lens = "radial1" or a richer one, none of its terms held at 0, or leave out '
+            "the tilt"
+        )
     return set(hold) | centred

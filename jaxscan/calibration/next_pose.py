@@ -5,7 +5,8 @@ A photograph of the board at pose p adds its own Schur complement to that of the
     S' = S + I(p)        I(p) = U − W V⁻¹ Wᵀ
 
 with U, V, W the blocks of JᵀJ of its residuals, corners and stripe, each divided by its σ: only where they would be
-seen enters. With S⁻¹ = Σ = L Lᵀ and A = Lᵀ I(p) L
+seen enters. Where boards bend from photograph to photograph the new one has bulges of its own too, with their σ; what
+all boards share of their shape is taken as known. With S⁻¹ = Σ = L Lᵀ and A = Lᵀ I(p) L
 
     Σ' = L (I + A)⁻¹ Lᵀ
 
@@ -31,8 +32,9 @@ from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
-from jaxscan.precision import as_float64, float64
-from jaxscan.rig import Covariance, Light, Rig, System
+from jaxscan.precision import as_float64, as_jax, float64
+from jaxscan.rig import BoardShape, Covariance, Light, Rig, System
+from jaxscan.rig.board_shape import BENDS
 from jaxscan.rig.rig import parameter_names
 
 # Generations of so many places. Always as many, so that nothing compiles anew.
@@ -72,7 +74,8 @@ class Scene(eqx.Module):
     Attributes:
         rig: as calibrated.
         free: which of its parameters are not held.
-        noise: σ of a corner, and of a stripe point times √τ.
+        shape: of the board, as found; None for a flat one.
+        noise: σ of a corner, of a stripe point times √τ, and of the bulges that each photograph has besides.
         points: of the board, mm.
         outline: corners of the printed pattern, mm.
         columns: for each laser, whether its stripe is found column by column.
@@ -80,6 +83,7 @@ class Scene(eqx.Module):
 
     rig: Rig
     free: Bool[Array, "leaves"]
+    shape: BoardShape | None
     noise: Noise
     points: Float[Array, "points 3"]
     outline: Float[Array, "4 3"]
@@ -88,11 +92,15 @@ class Scene(eqx.Module):
     def information(self, pose: Float[Array, "6"]) -> Float[Array, "leaves leaves"]:
         """I(p) = U − W V⁻¹ Wᵀ: what a photograph of the board at a pose tells of the rig's leaves."""
         blocks = jax.tree.map(lambda leaf: leaf[None], self.seen(pose))
-        y, _, residual = as_arrow(System(self.rig, (pose[None],)), self.free, (blocks,), self.noise)
+        leaves = len(self.free)
+        own = pose if self.noise.bend is None else jnp.pad(pose, (0, BENDS))
+        system = System(self.rig, (own[None],), self.shape)
+        free = jnp.pad(self.free, (0, len(system.shared_names()) - leaves))
+        y, _, residual = as_arrow(system, free, (blocks,), self.noise)
         normal = NormalEquations.create(*linearise(residual, y))
         # A parameter that no residual depends on has a 1 there that the elimination needs.
-        told = jnp.diagonal(normal.U) > 0
-        return jnp.where(told[:, None] & told[None], normal.schur_complement(), 0.0)
+        told = jnp.diagonal(normal.U)[:leaves] > 0
+        return jnp.where(told[:, None] & told[None], normal.schur_complement()[:leaves, :leaves], 0.0)
 
     def seen(self, pose: Float[Array, "6"]) -> Blocks:
         """A block as an ideal detector sees it. Corners enter the residuals' derivatives nowhere, and are not made."""
@@ -337,7 +345,8 @@ def _scene(calibration: Calibration) -> Scene:
     return Scene(
         rig=as_float64(rig),
         free=jnp.asarray([name in calibration.covariance.names for name in parameter_names(rig)]),
-        noise=Noise.create(corner, stripe),
+        shape=as_jax(calibration.system.shape),
+        noise=Noise.create(corner, stripe, bend=calibration.bend_sigma_mm),
         points=jnp.asarray(observations.board.points()),
         outline=jnp.asarray(outline_of(observations.board)),
         columns=jnp.asarray(columns, bool),

@@ -10,7 +10,7 @@ from jaxscan.calibration.uncertainty import UNDETERMINED
 from jaxscan.rig import Light
 from jaxscan.rig.camera import lens_numbers
 from jaxscan.rig.light import inverse_depths
-from jaxscan.rig.rig import is_place
+from jaxscan.rig.rig import is_place, is_stage_shape
 
 # Focal length, light plane, travel or turn known no better than this share of itself is not a measurement.
 _LARGEST_RELATIVE_SIGMA = 0.02
@@ -19,6 +19,8 @@ _LARGEST_TILT_SIGMA = 0.1
 _VECTORS = ("lights", "motion")
 # Shares of a direction below this are not worth a word.
 _WORTH_NAMING = 0.3
+# Corners that fit no better than this (px) contradict the model: no photograph more would mend that.
+_ROUGH_PX = 1.0
 # Boards whose normals differ by less do not show perspective.
 _SMALLEST_TILT_SPREAD_DEG = 20.0
 
@@ -89,7 +91,9 @@ def undetermined(
                 (name,),
             )
     stems = dict.fromkeys(name.rsplit(".", 1)[0] for name in names if name.startswith(_VECTORS))
-    for stem in (stem for stem in stems if not is_place(stem) and not _is_shape(stem)):
+    for stem in (
+        stem for stem in stems if not is_place(stem) and not _is_shape(stem) and not is_stage_shape(stem, names)
+    ):
         at = [i for i, name in enumerate(names) if name.startswith(stem)]
         # In the worst direction of the vector: of ω its length is the sheet's place, its direction the sheet's tilt.
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(at, at)])[-1]))
@@ -133,8 +137,14 @@ def undetermined_shape(
     )
 
 
-def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
-    """Why the direction is open, from what the photographs cover, and which photographs would close it."""
+def cause_and_mend(question: OpenQuestion, coverage: Coverage, corner_px: float) -> str:
+    """Why the direction is open, from what the photographs cover, and which photographs would close it.
+
+    Args:
+        question: what is open.
+        coverage: what the photographs cover.
+        corner_px: σ of a corner.
+    """
     name = question.names[0]
     if name.startswith("lights"):
         stripes = coverage.stripes[int(name.split(".")[1])]
@@ -163,6 +173,12 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage) -> str:
         return (
             f"the boards are nearly parallel, their normals lie within {coverage.tilt_spread_deg:.1f}° of each other. "
             "Tilt the board by 30° or more, in different directions from view to view"
+        )
+    if corner_px > _ROUGH_PX:
+        return (
+            f"corners fit to {corner_px:.1f} px, where a tenth of a pixel is usual, so that they contradict the model. "
+            "See whether the board is flat and its squares are all of one size, whether all photographs show the board "
+            "that [board] describes, by one camera, and whether the lens needs more terms"
         )
     if name.startswith("camera.tilt"):
         return (

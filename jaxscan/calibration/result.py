@@ -1,7 +1,7 @@
 """What `calibrate` returns: the rig, its covariance, how every photograph fits, and what was left out."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -10,13 +10,18 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.adjustment import Adjustment, pose_at_0
+from jaxscan.calibration.blocks import photographs_in_blocks
 from jaxscan.calibration.bundle import Factor
 from jaxscan.calibration.changed import Change
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
+from jaxscan.calibration.drifted import Drift
 from jaxscan.calibration.flatness import BoardFlatness
+from jaxscan.calibration.model import Choice
 from jaxscan.calibration.observations import Kept, Observations, Unused, View
+from jaxscan.calibration.off_grid import OffGrid
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.calibration.rounds import Refined
+from jaxscan.calibration.stage_shape import StageShape
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
@@ -92,6 +97,15 @@ class Calibration:
         plain: whether every observation took part with the same weight.
         sheet_curves: of sheets of light that were taken as flat and are clearly curved.
         change: what is another before and behind one of the photographs.
+        untold_periods: of screws whose period could be another by the photographs, sentences without their full stops.
+        stage_shapes: of axes whose path is not what it was taken for, how it differs.
+        off_grid: errors of the board's points that all photographs share.
+        drift: what goes on slowly from the first photograph to the last.
+        choice: how the model was chosen, where it was.
+        formal_covariance: that of the rig's parameters by noise alone; `covariance` has what `off_grid` and
+            `drift` add.
+        foretold: of each photograph, in the order of `Observations.in_order`, −2 log of the density at which the others
+            foretell it; empty where it was not asked.
     """
 
     rig: Rig
@@ -123,6 +137,13 @@ class Calibration:
     plain: bool = False
     sheet_curves: tuple[SheetCurve, ...] = ()
     change: Change | None = None
+    untold_periods: tuple[str, ...] = ()
+    stage_shapes: tuple[StageShape, ...] = ()
+    off_grid: OffGrid | None = None
+    drift: Drift | None = None
+    choice: Choice | None = None
+    formal_covariance: Covariance | None = None
+    foretold: Float[np.ndarray, "photographs"] = field(default_factory=lambda: np.zeros(0))
 
     def rig_file(self) -> RigFile:
         """What `write_rig` writes."""
@@ -146,9 +167,21 @@ class Calibration:
         if self.stripe_sigma_ratio is not None:
             fit["stripe_sigma_ratio"] = self.stripe_sigma_ratio
         fit |= self.shape_facts()
+        if self.choice is not None:
+            fit["model"] = self.choice.sentence
+        found = self.off_grid is not None or self.drift is not None
+        # Of a rig that is held altogether there are none.
+        if found and (ratios := self.widened_by()):
+            fit["sigma_over_noise_alone"] = ratios
         if self.warnings:
             fit["warnings"] = list(self.warnings)
         return RigFile(self.rig, self.covariance, fit)
+
+    def widened_by(self) -> dict[str, float]:
+        """By how much σ of each of the rig's parameters is wider than noise alone would have it."""
+        formal = self.formal_covariance or self.covariance
+        ratios = np.sqrt(np.diagonal(self.covariance.matrix) / np.diagonal(formal.matrix))
+        return dict(zip(self.covariance.names, map(float, ratios), strict=True))
 
     def stripe_points(self, laser: int) -> Float[np.ndarray, "points 3"]:
         """Where a laser's stripes lie on the boards, camera frame, mm; without those that are far from its light."""
@@ -313,15 +346,6 @@ def _moved_back(motion: Motion, poses: Float[Array, "blocks 6"], reference: dict
         return jnp.concatenate(by_both(numbers, pose), axis=1)
 
     return jax.vmap(each)(poses, reference)
-
-
-def photographs_in_blocks(observations: Observations) -> Iterator[tuple[View, int, int, int]]:
-    """Each photograph with the group, the block and the place in it where it stands."""
-    for i, view in enumerate(observations.views):
-        yield view, 0, i, 0
-    for i, sequence in enumerate(observations.sequences):
-        for k, view in enumerate(sequence.views):
-            yield view, 1, i, k
 
 
 def _kept(observations: Observations, refined: Refined) -> tuple[Kept, ...]:

@@ -114,6 +114,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "left_out": list(calibration.left_out),
         "rejected": list(calibration.rejected),
         "notes": list(calibration.notes),
+        "model": None if calibration.choice is None else calibration.choice.as_data(),
         "warnings": said.pop("warnings"),
         "verdict": said,
         "report": {"html": str(pages[0]), "json": str(pages[1])} if pages else None,
@@ -161,16 +162,16 @@ def solve_sessions(
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
-    from jaxscan.calibration import calibrate
+    from jaxscan.calibration import calibrate, calibrate_by_evidence
     from jaxscan.calibration.board_views import observations_from
     from jaxscan.calibration.held import held_parameters
+    from jaxscan.calibration.model import Model
     from jaxscan.calibration.observations import join
     from jaxscan.calibration.observe import observe, photograph_count, unseen
     from jaxscan.cli.progress import progress
     from jaxscan.files.cameras import read_camera_file
     from jaxscan.files.session import CameraSettings, Session, check_stage_known, read_session
-    from jaxscan.rig import Rig
-    from jaxscan.rig.rig import parameter_names
+    from jaxscan.rig.camera import camera_parameters
 
     contents, settings, shapes = [], [], []
     for path in paths:
@@ -195,9 +196,10 @@ def solve_sessions(
     # These for their errors, so that they come before the long work.
     joined = join(_names(paths), each)
     sheets = _sheets(paths, contents, estimate)
+    motion, periods = _stage_motion(paths, contents, estimate)
     left, notes = _once(paths, contents)
     paths, contents, each = [paths[i] for i in left], list(left.values()), [each[i] for i in left]
-    _check_poses(paths, contents, sum(len(given.views) for given in each))
+    _check_poses(paths, contents, sum(len(given.views) for given in each), shapes[0])
     check_stage_known([content for content in contents if isinstance(content, Session)])
     if needs_laser and not joined.lasers:
         raise InputError(
@@ -209,7 +211,13 @@ def solve_sessions(
     start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
     asked, lens = settings[0], start.lens.kind if start else settings[0].lens
     tilted = asked.tilt or bool(start and start.tilt)
-    held_parameters(asked.hold, lens, asked.principal_point, has_start=start is not None, tilted=tilted)
+    if hold and asked.tilt and start is not None and not start.tilt:
+        raise InputError(
+            f"{camera}: its sensor is not tilted, and --hold-camera keeps it so; --tilt, or tilt under [camera], seeks "
+            "a tilt: leave out one of them"
+        )
+    holding = camera_parameters(lens, tilted=tilted) if hold else asked.hold
+    held_parameters(holding, lens, asked.principal_point, has_start=start is not None, tilted=tilted)
     photographs = sum(photograph_count(content) for content in contents if isinstance(content, Session))
     with progress("finding boards and stripes", photographs) as advance:
         each = [
@@ -221,23 +229,16 @@ def solve_sessions(
     held = settings[0].hold
     if start is not None and camera is not None:
         zeros = estimate.zeros(camera, start)
-        held = parameter_names(Rig(start)) if hold else tuple({*held, *zeros})
+        held = holding if hold else tuple({*held, *zeros})
         if zeros and not hold:
             observations = replace(observations, notes=(*observations.notes, _kept_at_zero(camera, zeros)))
+    model = Model(lens, settings[0].tilt, shapes[0], sheets, motion, periods)
+    rest = {"principal_point": settings[0].principal_point, "start": start, "hold": held}
     with progress("solving", unit="step") as advance:
-        calibration = calibrate(
-            observations,
-            lens=settings[0].lens,
-            principal_point=settings[0].principal_point,
-            start=start,
-            hold=held,
-            tilted=settings[0].tilt,
-            board_shape=shapes[0],
-            advance=advance.says,
-            plain=estimate.plain,
-            light=sheets,
-        )
-    return calibration
+        if estimate.chooses:
+            fixed = estimate.fixed() | ({"lens"} if start else set())
+            return calibrate_by_evidence(observations, model, fixed=fixed, advance=advance.says, **rest)
+        return calibrate(observations, **model.asked(), **rest, plain=estimate.plain, advance=advance.says)
 
 
 def _sheets(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], estimate: Estimate) -> tuple[str, ...]:
@@ -261,6 +262,43 @@ def _sheets(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], e
                 "one rig have one laser, so give all the same"
             )
     return sheets
+
+
+def _stage_motion(
+    paths: Sequence[Path], contents: Sequence["Session | CameraFile"], estimate: Estimate
+) -> tuple[dict[str, str], dict[str, float]]:
+    """The kind of the stage's motion and the steps of a turn of its screw, by the axis's name; the same in all.
+
+    Raises:
+        InputError: they differ, or none shows a stage whose motion is asked for.
+    """
+    from jaxscan.files.axes import STAGE
+    from jaxscan.files.session import Session
+
+    stages = {
+        path: content.stage
+        for path, content in zip(paths, contents, strict=True)
+        if isinstance(content, Session) and content.stage
+    }
+    if not stages:
+        if estimate.stage_motion is not None:
+            raise InputError(
+                f"{paths[0]}: has no [stage], and --motion speaks of one's photographs: add [stage], or leave it out"
+            )
+        return {}, {}
+    asked = {path: (estimate.stage_motion or stage.motion, stage.screw_steps) for path, stage in stages.items()}
+    (first, (motion, screw)), *others = asked.items()
+    for path, own in others:
+        if own != (motion, screw):
+            raise InputError(
+                f"{path}: its [stage] has {_stage_words(*own)}, that of {first} {_stage_words(motion, screw)}: "
+                "sessions of one rig have one stage, so give all the same"
+            )
+    return {STAGE: motion}, {STAGE: screw} if screw is not None else {}
+
+
+def _stage_words(motion: str, screw: float | None) -> str:
+    return f'motion = "{motion}"' + (f", screw_steps = {screw:g}" if screw is not None else ", no screw_steps")
 
 
 def _once(
@@ -289,15 +327,18 @@ def _once(
     return left, notes
 
 
-def _check_poses(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], read: int) -> None:
-    """Refuse too few poses.
+def _check_poses(
+    paths: Sequence[Path], contents: Sequence["Session | CameraFile"], read: int, board_shape: str
+) -> None:
+    """Refuse too few poses, before the long work where the number of listed photographs tells.
 
     Args:
         paths: of the sessions.
         contents: what was read there.
         read: how many poses the files of corners hold.
+        board_shape: what of the board's shape is to be found.
     """
-    from jaxscan.calibration.calibrate import FEWEST_VIEWS
+    from jaxscan.calibration.refusals import FEWEST_VIEWS, check_views_for
     from jaxscan.files.session import Session
 
     poses = read + sum(len(content.views.boards) for content in contents if isinstance(content, Session))
@@ -307,6 +348,10 @@ def _check_poses(paths: Sequence[Path], contents: Sequence["Session | CameraFile
             f"least {FEWEST_VIEWS} are needed, 10 to 15 are good: photograph it in more, tilted in different "
             "directions, and name them in [views] boards"
         )
+    try:
+        check_views_for(board_shape, poses)
+    except InputError as error:
+        raise InputError(f"{', '.join(map(str, paths))}: {error}") from None
 
 
 def _in_words(settings: "CameraSettings") -> str:

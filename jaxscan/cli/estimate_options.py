@@ -32,6 +32,8 @@ class Estimate:
         since: the first photograph that takes part.
         laser_since: the first photograph whose stripes do.
         tilt: the tilt of the sensor is sought, whatever the session says.
+        stage_motion: the kind of the stage's motion, in place of the session's.
+        model: "auto" or "given", whether terms may be added that the photographs ask for.
     """
 
     lens: str | None = None
@@ -43,6 +45,18 @@ class Estimate:
     since: str | None = None
     laser_since: str | None = None
     tilt: bool = False
+    stage_motion: str | None = None
+    model: str = "auto"
+
+    @property
+    def chooses(self) -> bool:
+        """Whether the photographs choose the model; plain least squares weigh nothing, so nothing is chosen by them."""
+        return self.model == "auto" and not self.plain
+
+    def fixed(self) -> set[str]:
+        """The parts of the model, of `calibration.choose.PARTS`, that the command line gives."""
+        given = {"lens": self.lens, "board_shape": self.board_shape, "lights": self.sheet, "motion": self.stage_motion}
+        return {part for part, value in given.items() if value is not None}
 
     def of(self, settings: "CameraSettings") -> "CameraSettings":
         """A session's settings with what was asked for."""
@@ -91,7 +105,16 @@ AS_THE_SESSION: Final = Estimate()
 
 
 def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare --lens, --hold, --free, --tilt, --sheet, --board-shape, --since, --laser-since and --plain."""
+    """Declare --model, and what names parts of the model, parameters to hold, and photographs to leave out."""
+    parser.add_argument(
+        "--model",
+        choices=("auto", "given"),
+        default="auto",
+        help="auto (the default): begin with what the session says of lens, board, sheet and stage, and add what the "
+        "photographs ask for: more terms of the lens, a board that bends, a sheet that is bowed, a stage that is no "
+        "line. It is added where photographs that were held out are foretold better with it, and the result says what "
+        "and why; what an option names stays as it is. given: only what session and options say",
+    )
     parser.add_argument(
         "--lens",
         metavar="LENS",
@@ -136,6 +159,14 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SHAPE",
         help="what of the board's shape is found too, in place of the session's: flat, nothing (the default); bulge, "
         "along columns and rows; warp, also twist and edges; bend, also its bulges in each photograph",
+    )
+    parser.add_argument(
+        "--motion",
+        dest="stage_motion",
+        metavar="KIND",
+        help="how the stage moves, in place of the session's: linear, a line in equal steps (the default); guide, a "
+        "bowed path on which the load turns; screw, to and fro about equal steps with the turns of its screw; "
+        "screw_on_guide, both",
     )
     parser.add_argument(
         "--since",
@@ -183,8 +214,23 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
 
         if args.board_shape not in BOARD_SHAPES:
             raise InputError(f"--board-shape {args.board_shape}: there are {', '.join(BOARD_SHAPES)}")
+    if args.stage_motion is not None:
+        from jaxscan.files.session import stage_motions
+
+        if args.stage_motion not in stage_motions():
+            raise InputError(f"--motion {args.stage_motion}: a stage's is one of {', '.join(stage_motions())}")
     return Estimate(
-        args.lens, hold, free, args.plain, args.sheet, args.board_shape, args.since, args.laser_since, args.tilt
+        args.lens,
+        hold,
+        free,
+        args.plain,
+        args.sheet,
+        args.board_shape,
+        args.since,
+        args.laser_since,
+        args.tilt,
+        args.stage_motion,
+        args.model,
     )
 
 

@@ -61,7 +61,12 @@ def session_facts(path: Path) -> Facts:
             {**_laser_settings(laser), "sheet": sheet}
             for laser, sheet in zip(session.lasers, session.sheets or ["plane"] * len(session.lasers), strict=True)
         ],
-        "stage": session.stage and _steps(session.stage.steps),
+        "stage": session.stage
+        and {
+            **_steps(session.stage.steps),
+            "motion": session.stage.motion,
+            "screw_steps": session.stage.screw_steps,
+        },
         "turntable": session.turntable
         and {**_steps(session.turntable.steps), "stage_step": session.turntable.stage_step},
     }

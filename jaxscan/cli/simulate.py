@@ -23,6 +23,8 @@ _OBJECTS: Final = ("cup", "sphere", "box", "stair", "figure")
 _MOST_SIDES: Final = 36
 # A line laser's sheet is not off its plane by more at 100 mm to either side.
 _MOST_BOW_MM: Final = 5.0
+# A guide or a screw that is worse than this is broken.
+_MOST_STAGE_MM: Final = 2.0
 # What is added to the seed from side to side: their noise has nothing in common.
 _SIDES_APART: Final = 1_000_000
 
@@ -117,6 +119,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the laser (default: 0, flat)",
     )
     parser.add_argument(
+        "--guide-mm",
+        type=finite,
+        default=0.0,
+        metavar="MM",
+        help="bow the guide of the stage: its middle by so many mm off the line through the ends of the photographs' "
+        "60 mm, and the carriage turns as it follows (default: 0, straight)",
+    )
+    parser.add_argument(
+        "--screw-mm",
+        type=finite,
+        default=0.0,
+        metavar="MM",
+        help="let the screw of the stage be ahead of its steps and behind them by up to so many mm in each of its "
+        "turns (default: 0)",
+    )
+    parser.add_argument(
+        "--screw-steps",
+        type=finite,
+        default=3200.0,
+        metavar="STEPS",
+        help="motor steps of one turn of that screw (default: 3200)",
+    )
+    parser.add_argument(
         "--shake-mm",
         type=finite,
         default=0.0,
@@ -160,6 +185,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         check_quality(args.quality, "--quality")
     if abs(args.sheet_bow_mm) > _MOST_BOW_MM:
         raise InputError(f"--sheet-bow-mm {args.sheet_bow_mm:g}: give {-_MOST_BOW_MM:g} to {_MOST_BOW_MM:g}")
+    for option, value in (("--guide-mm", args.guide_mm), ("--screw-mm", args.screw_mm)):
+        if abs(value) > _MOST_STAGE_MM:
+            raise InputError(f"{option} {value:g}: give {-_MOST_STAGE_MM:g} to {_MOST_STAGE_MM:g}")
+    if args.screw_steps <= 0:
+        raise InputError(f"--screw-steps {args.screw_steps:g}: give the steps of one turn, above 0")
     bodies, name = _bodies(args)
     from jaxscan.simulation.folders import JPEG_QUALITY, scan_name
     from jaxscan.simulation.hand import Hand
@@ -186,6 +216,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         },
         hand=Hand(args.shake_mm),
         bow_mm=args.sheet_bow_mm,
+        stage={"guide_mm": args.guide_mm, "screw_mm": args.screw_mm, "screw_steps": args.screw_steps},
         turntable=args.turntable,
         separate_stripes=args.stripes,
         ending=".jpg" if args.jpeg or args.quality is not None else ".png",
@@ -220,6 +251,7 @@ def simulate_into(
     light: Mapping[str, Any],
     hand: "Hand | None" = None,
     bow_mm: float = 0.0,
+    stage: Mapping[str, float] | None = None,
     turntable: bool = False,
     separate_stripes: bool = False,
     ending: str = ".png",
@@ -230,7 +262,8 @@ def simulate_into(
     A scan goes over the same travel, however many motor steps its frames are apart; by default as the rig of 2003. On a
     turntable a scan of one side goes once all around.
     There is a progress bar. The scene is that of the first side. `light` changes the lighting of the rig of 2003; with
-    a highlight the bodies are glossy, and the lamp stands where they mirror it.
+    a highlight the bodies are glossy, and the lamp stands where they mirror it. `stage` has the arguments of
+    `rig_2003.with_stage`.
     """
     from jaxscan.cli.compiled import keep_compiled
 
@@ -241,7 +274,7 @@ def simulate_into(
     from jaxscan.simulation import folders, rig_2003
     from jaxscan.simulation.hand import STILL
 
-    rig = rig_2003.simulated_rig(seed, lasers, bow_mm)
+    rig = rig_2003.with_stage(rig_2003.simulated_rig(seed, lasers, bow_mm), **(stage or {}))
     rig = rig_2003.with_turntable(rig, seed) if turntable else rig
     if light.get("highlight"):
         bodies = tuple(replace(body, glossy=True) for body in bodies)

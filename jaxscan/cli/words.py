@@ -33,13 +33,19 @@ def _session(facts: Facts) -> Iterator[Line]:
     if not facts["lasers"]:
         yield "laser", "none: the rig will have none"
     stage = facts["stage"]
-    yield "stage", f"{stage['count']} photographs, {_travel(stage)}" if stage else "none: the rig will have none"
+    yield "stage", _stage(stage) if stage else "none: the rig will have none"
     if turntable := facts["turntable"]:
         yield "turntable", f"{turntable['count']} photographs, {_travel(turntable)}, at step {turntable['stage_step']}"
     held = "found" if facts["principal_point"] == "free" else "held at the centre of the image"
     also = f", {', '.join(facts['hold'])} held" if facts["hold"] else ""
     tilt = ", tilt of the sensor found" if facts["tilt"] else ""
     yield "camera", f"lens {facts['lens']}, principal point {held}{also}{tilt}"
+
+
+def _stage(facts: Facts) -> str:
+    motion = "" if facts["motion"] == "linear" else f", its motion a {facts['motion'].replace('_', ' ')}"
+    turn = f", {facts['screw_steps']:g} steps to a turn of its screw" if facts["screw_steps"] else ""
+    return f"{facts['count']} photographs, {_travel(facts)}{motion}{turn}"
 
 
 def _scan(facts: Facts) -> Iterator[Line]:
@@ -93,7 +99,10 @@ def _rig(facts: Facts) -> Iterator[Line]:
     for name, value in facts["fit"].items():
         if name.startswith("board_"):
             continue
-        yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
+        if name == "sigma_over_noise_alone":
+            yield "σ", f"{min(value.values()):.2g} to {max(value.values()):.2g} times as wide as noise alone has it"
+        else:
+            yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
     for warning in facts["warnings"]:
         yield "warning", f"{warning}."
 
@@ -249,6 +258,9 @@ def _axis(facts: Facts) -> Iterator[Line]:
     elif "direction" in facts:
         direction = ", ".join(f"{x:.4f}" for x in facts["direction"])
         yield facts["axis"], f"{facts['mm_per_1000_steps']:.5g} mm for 1000 steps, {facts['way']}, along ({direction})"
+        from jaxscan.rig.facts import path_in_words
+
+        yield from (("", line) for line in path_in_words(facts))
     else:
         yield facts["axis"], f"{facts['kind']}, {facts['way']}"
 

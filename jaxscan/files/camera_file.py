@@ -99,8 +99,7 @@ def camera_from_terms(
     Raises:
         InputError: a focal length that is not positive.
     """
-    if min(pinhole[:2]) <= 0:
-        raise table.error(focal_key, "the focal lengths must be two positive numbers of pixels: calibrate again")
+    _check_focal(table, focal_key, pinhole)
     k1, k2, p1, p2, *higher = (*terms, *[0.0] * (len(TERMS) - len(terms)))
     radial, tangential = (k1, k2, *higher), (p1, p2)
     for kind in LADDER.values():
@@ -130,8 +129,7 @@ def fisheye_from_terms(
     Raises:
         InputError: a focal length that is not positive, or not four terms.
     """
-    if min(pinhole[:2]) <= 0:
-        raise table.error(focal_key, "the focal lengths must be two positive numbers of pixels: calibrate again")
+    _check_focal(table, focal_key, pinhole)
     if len(terms) != Fisheye.numbers["angular"]:
         raise InputError(f"{table.path}: a fisheye has 4 coefficients, here are {len(terms)}: write the file again")
     with float64():
@@ -307,3 +305,8 @@ def pass_over(path: Path, what: Sequence[str]) -> None:
     """Say what of a file is not read, if anything."""
     if what:
         warnings.warn(f"{path}: passed over {', '.join(what)}", PassedOverWarning, stacklevel=2)
+
+
+def _check_focal(table: Table, key: str, pinhole: Sequence[float]) -> None:
+    if min(pinhole[:2]) <= 0:
+        raise table.error(key, "the focal lengths must be two positive numbers of pixels: calibrate again")

@@ -188,6 +188,10 @@ def _fit(table: Table) -> dict[str, Any]:
             raise fit.error(key, "must be a number that is not negative: calibrate again")
     if "stripe_depths_mm" in fit and not 0 < (depths := fit.numbers("stripe_depths_mm", 2))[0] <= depths[1]:
         raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")
+    if "sigma_over_noise_alone" in fit:
+        ratios = fit.table("sigma_over_noise_alone", "fit.sigma_over_noise_alone.")
+        if not ratios.values or any(ratios.number(name) <= 0 for name in ratios.values):
+            raise fit.error("sigma_over_noise_alone", "must be a number above 0 for each parameter: calibrate again")
     if "warnings" in fit and not all(isinstance(word, str) for word in fit.sequence("warnings", "sentences")):
         raise fit.error("warnings", "must be a list of sentences: calibrate again")
     return dict(fit.values)

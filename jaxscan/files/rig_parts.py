@@ -11,7 +11,18 @@ from jaxtyping import Array
 
 from jaxscan.files.axes import is_axis_name
 from jaxscan.files.table import Table
-from jaxscan.rig import LENSES, LIGHTS, MOTIONS, AxisMotion, Lens, Light, Motion, motion_of
+from jaxscan.rig import (
+    LENSES,
+    LIGHTS,
+    MOTIONS,
+    AxisMotion,
+    Lens,
+    Light,
+    Motion,
+    Screw,
+    ScrewOnGuide,
+    motion_of,
+)
 
 
 def part_tables(table: Table, key: str, of: str) -> list[Table]:
@@ -86,6 +97,8 @@ def read_motion(tables: Sequence[Table], unknown: list[str]) -> Motion:
         moves = next(iter(kind.numbers))
         if not any(table.numbers(moves)):
             raise table.error(moves, f"the {axis} does not move: leave it out, or calibrate it")
+        if isinstance(parts[-1], Screw | ScrewOnGuide) and table.numbers("period", 1)[0] <= 0:
+            raise table.error("period", "must be the steps of one turn of the screw, above 0: calibrate again")
     return motion_of(tuple(parts))
 
 

@@ -19,9 +19,10 @@ from jaxscan.files.settings import (
 )
 from jaxscan.files.table import Table, show
 from jaxscan.images import Board, StripeSettings
-from jaxscan.rig import LENSES, LIGHTS, LightPlane
+from jaxscan.rig import LENSES, LIGHTS, MOTIONS, LightPlane, Linear
 from jaxscan.rig.board_shape import BOARD_SHAPES
 from jaxscan.rig.camera import camera_parameters
+from jaxscan.rig.line import Line
 
 SESSION_FILE: Final = "session.toml"
 # Axes of which it can have photographs of the board, each a table.
@@ -74,11 +75,15 @@ class StageImages:
         steps: the motor step count of each.
         stripes: for each laser by name, and in the order of `images`, the photograph of the same place with that laser
             on, or None where there is none; empty where no stripe is looked for. It may be the same photograph.
+        motion: the kind of its motion, one of `stage_motions`.
+        screw_steps: steps of one turn of its screw, where they are known; of use where the motion has a screw.
     """
 
     images: tuple[Path, ...]
     steps: tuple[int, ...]
     stripes: Mapping[str, tuple[Path | None, ...]] = field(default_factory=dict, kw_only=True)
+    motion: str = field(default=Linear.kind, kw_only=True)
+    screw_steps: float | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -127,6 +132,11 @@ class Session:
         paths = [*self.views.boards, *(path for sequence in moved for path in sequence.images)]
         lit = [*stripes, *(own for sequence in moved for own in sequence.stripes.values())]
         return list(dict.fromkeys(paths + [path for own in lit for path in own if path is not None]))
+
+
+def stage_motions() -> tuple[str, ...]:
+    """The kinds of motion that a stage may have: those along a line, more or less."""
+    return tuple(name for name, kind in MOTIONS.items() if issubclass(kind, Line))
 
 
 def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session:
@@ -211,6 +221,9 @@ def write_session(session: Session) -> None:
                     for laser, paths in sequence.stripes.items()
                 }
                 values[name]["stripes"] = lit if len(lasers) > 1 else next(iter(lit.values()))
+    if (stage := session.stage) is not None:
+        values["stage"] |= {"motion": stage.motion} if stage.motion != Linear.kind else {}
+        values["stage"] |= {"screw_steps": stage.screw_steps} if stage.screw_steps is not None else {}
     if session.turntable is not None:
         values["turntable"]["stage_step"] = session.turntable.stage_step
     if lasers:
@@ -303,9 +316,13 @@ def _camera(table: Table) -> CameraSettings:
 def _stage(table: Table, lasers: Sequence[StripeSettings]) -> StageImages | None:
     if "stage" not in table:
         return None
-    stage = table.table("stage", "[stage] ").only(*_SEQUENCE_KEYS)
+    stage = table.table("stage", "[stage] ").only(*_SEQUENCE_KEYS, "motion", "screw_steps")
     images, steps, stripes = _sequence(stage, lasers, "two", 2)
-    return StageImages(images, steps, stripes=stripes)
+    motion = stage.string("motion", Linear.kind, stage_motions())
+    screw = stage.number("screw_steps") if "screw_steps" in stage else None
+    if screw is not None and screw <= 0:
+        raise stage.error("screw_steps", "must be the steps of one turn of the screw, above 0")
+    return StageImages(images, steps, stripes=stripes, motion=motion, screw_steps=screw)
 
 
 def _turntable(table: Table, lasers: Sequence[StripeSettings]) -> TurntableImages | None:

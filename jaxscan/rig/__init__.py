@@ -4,6 +4,7 @@ from jaxscan.rig.board_shape import BoardShape
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.covariance import Covariance
+from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
 from jaxscan.rig.kinds import LENSES, LIGHTS, MOTIONS, register_lens, register_light, register_motion
 from jaxscan.rig.lens import Lens
 from jaxscan.rig.light import Light
@@ -25,6 +26,7 @@ __all__ = [
     "Chain",
     "Covariance",
     "Fixed",
+    "Guide",
     "Lens",
     "Light",
     "LightPlane",
@@ -33,6 +35,8 @@ __all__ = [
     "Positions",
     "Rig",
     "Rotary",
+    "Screw",
+    "ScrewOnGuide",
     "System",
     "motion_of",
     "register_lens",

@@ -1,6 +1,7 @@
 """What is said of a rig's lights and axes: a person's numbers, each with its σ where it is known."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -9,9 +10,10 @@ from jaxtyping import Float
 
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.covariance import Covariance
+from jaxscan.rig.guide import Screw, ScrewOnGuide
 from jaxscan.rig.light import Light, inverse_depths, sheet_axes
 from jaxscan.rig.light import distance as distance_from
-from jaxscan.rig.linear import Linear
+from jaxscan.rig.line import Line
 from jaxscan.rig.motion import AxisMotion
 from jaxscan.rig.rig import Rig
 from jaxscan.rig.rotary import Rotary
@@ -21,6 +23,8 @@ Facts = dict[str, Any]
 
 # The width of a sheet over which its curve is said is twice this, mm.
 HALF_WIDTH_MM: Final = 100.0
+# The travel over which a stage's bow and turn are said, mm.
+BOWED_OVER_MM: Final = 100.0
 
 
 def light_facts(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> list[Facts]:
@@ -79,9 +83,43 @@ def _of_light_kind(stem: str, light: Light, covariance: Covariance | None, rays:
 def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> Facts:
     if isinstance(part, Rotary):
         return asdict(turn_facts(part, covariance, near))
-    if isinstance(part, Linear):
-        return {"mm_per_1000_steps": part.amount(1000.0)[0], "direction": part.direction().tolist()}
+    if isinstance(part, Line):
+        return {
+            "mm_per_1000_steps": part.amount(1000.0)[0],
+            "direction": part.direction().tolist(),
+            **_of_path(part, covariance),
+        }
     return {}
+
+
+def _of_path(part: Line, covariance: Covariance | None) -> Facts:
+    """How far the middle of 100 mm of a bowed path is off the line through its ends, and how a screw is ahead."""
+    facts: Facts = {}
+    steps = BOWED_OVER_MM / part.amount(1.0)[0]
+    for name, key, by in (
+        ("bow", "bowed_mm", steps**2 / 4),
+        ("turn", "turn_mrad", 1e3 * steps),
+        ("wave", "wave_mm", 1.0),
+    ):
+        if name in part.numbers:
+            facts |= _length(part, name, key, by, covariance)
+    if isinstance(part, Screw | ScrewOnGuide):
+        facts["period_steps"] = float(part.period[0])
+        facts["period_steps_sigma"] = covariance.sigma(f"motion.{part.axis}.period.0") if covariance else None
+    return facts
+
+
+def _length(part: Line, name: str, key: str, by: float, covariance: Covariance | None) -> Facts:
+    """So many times the length of a part's vector, and its σ."""
+    vector = np.array([float(leaf) for leaf in getattr(part, name)])
+    length = float(np.linalg.norm(vector))
+    names = [f"motion.{part.axis}.{name}.{i}" for i in range(len(vector))]
+    sigma = None
+    if covariance is not None and length > 0 and set(names) <= set(covariance.names):
+        at = [covariance.names.index(each) for each in names]
+        way = vector / length
+        sigma = by * math.sqrt(max(float(way @ covariance.matrix[np.ix_(at, at)] @ way), 0.0))
+    return {key: by * length, f"{key}_sigma": sigma}
 
 
 def _numbers(stem: str, part: Light | AxisMotion, covariance: Covariance | None) -> Facts:
@@ -111,3 +149,17 @@ def _sheet(light: Light, rays: Float[np.ndarray, "rays 3"]) -> Facts:
         "triangulation_angle_deg": float(angles[middle]) if seen[middle] else None,
         "triangulation_angles_deg": [float(angles[seen].min()), float(angles[seen].max())] if seen.any() else None,
     }
+
+
+def path_in_words(facts: Facts) -> Iterator[str]:
+    """How the path of a stage differs from a line, by the facts of its axis; nothing of a line."""
+
+    def value(key: str, digits: str) -> str:
+        sigma = facts[f"{key}_sigma"]
+        return f"{facts[key]:{digits}}" + (f" ± {sigma:.2g}" if sigma is not None else "")
+
+    if "bowed_mm" in facts:
+        yield f"bowed by {value('bowed_mm', '.3g')} mm over 100 mm, turning by {value('turn_mrad', '.3g')} mrad"
+    if "wave_mm" in facts:
+        steps = value("period_steps", ".7g")
+        yield f"ahead of its steps and behind by {value('wave_mm', '.3g')} mm, with a period of {steps} steps"

@@ -5,6 +5,7 @@ from typing import Any, Final, TypeVar
 from jaxscan.errors import InputError
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.fisheye import Fisheye
+from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
 from jaxscan.rig.lens import Lens
 from jaxscan.rig.light import Light
 from jaxscan.rig.light_plane import LightPlane
@@ -15,7 +16,8 @@ from jaxscan.rig.rotary import Rotary
 
 LENSES: Final[dict[str, type[Lens]]] = {**LADDER, Fisheye.kind: Fisheye}
 LIGHTS: Final[dict[str, type[Light]]] = {kind.kind: kind for kind in (LightPlane, BowedSheet)}
-MOTIONS: Final[dict[str, type[AxisMotion]]] = {kind.kind: kind for kind in (Linear, Rotary)}
+# From the room to the object: lines carry turns.
+MOTIONS: Final[dict[str, type[AxisMotion]]] = {kind.kind: kind for kind in (Linear, Guide, Screw, ScrewOnGuide, Rotary)}
 
 # What a rig file has beside a lens's numbers.
 _OF_THE_CAMERA: Final = {"image_size", "focal", "principal", "tilt", "lens"}

@@ -38,9 +38,11 @@ class Motion(Protocol):
 class AxisMotion(Motion, Protocol):
     """The motion of one axis.
 
+    A kind some of whose numbers are taken as they are, and not sought, names them in a further attribute, `given`.
+
     Attributes:
         kind: what the rig file calls it.
-        numbers: its numbers in their order, and how many each has.
+        numbers: its numbers in their order, and how many each has; the first are its travel or turn.
         fewest: positions at which a board must have been seen to find it.
         axis: the name of its axis.
     """

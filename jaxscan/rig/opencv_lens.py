@@ -115,6 +115,11 @@ LADDER: Final[dict[str, type[OpenCVLens]]] = {
 }
 
 
+def is_off_centre(kind: str) -> bool:
+    """Whether a lens of the ladder has terms that are not alike in all directions from its axis."""
+    return LADDER[kind].numbers["tangential"] > 0
+
+
 def radial_factor(radial: Coefficients, r2: Float[Array, "*any"]) -> Float[Array, "*any"]:
     """s(r²)."""
     factor = _horner(radial[:3], r2)

@@ -1,5 +1,8 @@
 """The rig: what calibration finds and reconstruction uses."""
 
+from collections.abc import Collection
+from typing import Final
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -10,8 +13,11 @@ from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig.camera import Camera
+from jaxscan.rig.guide import ScrewOnGuide
 from jaxscan.rig.light import Light, meet
 from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
+
+_STAGE_SHAPES: Final = ScrewOnGuide.shape()
 
 
 class Rig(eqx.Module):
@@ -75,6 +81,12 @@ class Rig(eqx.Module):
         names = np.array(parameter_names(self))
         return {str(names[np.argmax(np.abs(way))]) for way in idle_ways(self)}
 
+    def given(self) -> set[str]:
+        """Parameters that a solve takes as they are, without covariance: what a kind of motion names as `given`."""
+        names = parameter_names(self)
+        stems = [f"motion.{part.axis}.{name}." for part in self.motion.parts() for name in getattr(part, "given", ())]
+        return {name for name in names if name.startswith(tuple(stems))}
+
     def pose(self, q: Positions) -> Pose:
         """T_camera_object at positions of the axes (motor steps); one that is not named stands at 0."""
         return self.motion.pose(q)
@@ -109,6 +121,15 @@ def parameter_names(rig: Rig) -> list[str]:
 def is_place(name: str) -> bool:
     """Whether a parameter says where an axis stands: a share of such a number means nothing."""
     return ".centre." in f"{name}."
+
+
+def is_stage_shape(name: str, names: Collection[str]) -> bool:
+    """Whether a parameter, of all these, says how a stage's motion differs from a line: it may be 0, and has no share.
+
+    Other motions may call numbers of theirs alike, but these have no travel for each step.
+    """
+    parts = name.split(".")
+    return parts[0] == "motion" and parts[2] in _STAGE_SHAPES and f"motion.{parts[1]}.per_step.0" in names
 
 
 def leaves_of(rig: Rig, stem: str) -> list[int]:

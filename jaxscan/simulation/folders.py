@@ -30,8 +30,10 @@ from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableI
 from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings, write_image
 from jaxscan.images.jpeg import write_jpeg
+from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Rig
 from jaxscan.simulation import rig_2003
+from jaxscan.simulation.drawn_stage import DrawnStage
 from jaxscan.simulation.hand import STILL, Hand
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.profile import true_profile
@@ -267,7 +269,14 @@ def write_truth(folder: Path, session: SessionTruth, *scans: ScanTruth) -> None:
         with replacing(folder / f"{scan_name(scan.which)}.npz") as file:
             arrays: dict[str, Any] = {"position": scan.position, "points": scan.points, **scan.axes}
             np.savez(file, **arrays)
-    write_rig(folder / TRUE_RIG, RigFile(session.rig))
+    write_rig(folder / TRUE_RIG, RigFile(with_kinds_of_files(session.rig)))
+
+
+def with_kinds_of_files(rig: Rig) -> Rig:
+    """A rig whose drawn stage, if it has one, is of the kind of motion that a rig file can have."""
+    stages = [part for part in rig.motion.parts() if isinstance(part, DrawnStage)]
+    with float64():
+        return as_numpy(rig.with_axis(stages[0].nearest_kind())) if stages else rig
 
 
 def read_scan_truth(folder: Path, which: str = "") -> ScanTruth:

@@ -23,6 +23,7 @@ from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.images import Board
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import BowedSheet, Camera, Light, LightPlane, Linear, Rig, Rotary
+from jaxscan.simulation.drawn_stage import DrawnStage
 from jaxscan.simulation.hand import Hand
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.render import plane_of
@@ -38,6 +39,7 @@ TURNS_APART: Final = 200
 TURNTABLE_STAGE_STEP: Final = 18000
 SCAN_FRAMES: Final = 37
 STEPS_APART: Final = 2000
+SCREW_STEPS: Final = 3200.0
 SENSOR: Final = Sensor(blur_px=0.6, noise=2.0)
 # The laser is bright enough for a response of 300 grey levels, (R − G) + (R − B), on the boards' black squares.
 BOARD_LIGHTING: Final = Lighting(laser_power=2500.0)
@@ -56,6 +58,8 @@ _TURN = np.radians(2.0)
 STEPS_PER_TURN: Final = 3200
 # Where the middle of what stands on the platform comes under the sheet.
 _UNDER_SHEET = 37000
+# Where in its turn a screw stands at step 0.
+_SCREW_PHASE = 1.0
 # Motor steps of the turntable from frame to frame of a scan that turns.
 TURN_APART: Final = 20
 # How far the turntable's axis, and the middle of the board on it, may stand from where they should, mm.
@@ -97,6 +101,34 @@ def simulated_rig(seed: int, lasers: int = 1, bow_mm: float = 0.0) -> Rig:
         lower = beta + _BEYOND_PLATFORM * (beta - omega)
         sheets = (_sheet(omega, bow_mm, "upper"), _sheet(lower, bow_mm, "lower"))
         return as_numpy(Rig(camera, sheets, rig.motion))
+
+
+def with_stage(rig: Rig, *, guide_mm: float = 0.0, screw_mm: float = 0.0, screw_steps: float = SCREW_STEPS) -> Rig:
+    """The rig with a stage that is no line, in the place of its own.
+
+    Args:
+        rig: with a line.
+        guide_mm: how far the middle of the guide is off the line through the ends of the photographs' travel; its
+            carriage turns as it follows the guide.
+        screw_mm: by how much the screw is ahead of its steps, and behind them, at most.
+        screw_steps: of one turn of the screw.
+    """
+    if not guide_mm and not screw_mm:
+        return rig
+    step = stage_travel(rig, np.ones(1))[0]
+    over = float(np.linalg.norm(step)) * STEPS_APART * (STAGE_VIEWS - 1)
+    R, origin = platform(rig)
+    stage = DrawnStage.create(
+        step,
+        sag_mm=guide_mm,
+        over_mm=over,
+        towards=R[:, 2],
+        origin=origin,
+        wave_mm=screw_mm,
+        period=screw_steps,
+        phase=_SCREW_PHASE,
+    )
+    return rig.with_axis(stage)
 
 
 def _sheet(omega: Float[np.ndarray, "3"], bow_mm: float, name: str = "") -> Light:

@@ -6,10 +6,12 @@ import numpy as np
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder
 from jaxscan.calibration.on_board import stripe_points_in_space
+from jaxscan.files.rig_checks import image_rays
 from jaxscan.images.light import Light
 from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays
+from jaxscan.rig import BowedSheet
 from jaxscan.rig.board_shape import shape_in_words
-from jaxscan.rig.facts import axis_facts
+from jaxscan.rig.facts import HALF_WIDTH_MM, axis_facts, light_facts, path_in_words
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.speckle_limit import Optics, limit_of
 from jaxscan.view import calibration_plots as plots
@@ -21,12 +23,13 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     values = dict(zip(parameter_names(calibration.rig), map(float, jax.tree.leaves(calibration.rig)), strict=True))
     halves = diagnostics.halves
     apart = dict(zip(halves.names, halves.differences_in_sigma, strict=True)) if halves else {}
-    rows = []
+    wider, rows = calibration.widened_by(), []
     for name, value in values.items():
         sigma = calibration.covariance.sigma(name)
         difference = f"{apart[name]:+z.1f} σ" if name in apart else "–"
-        rows.append((name, f"{value:.7g}", f"{sigma:.2g}" if sigma is not None else "held", difference))
-    columns = ("parameter", "value", "σ", "two halves differ by")
+        alone = f"{sigma / wider[name]:.2g}" if sigma is not None else "–"
+        rows.append((name, f"{value:.7g}", f"{sigma:.2g}" if sigma is not None else "held", alone, difference))
+    columns = ("parameter", "value", "σ", "σ of noise alone", "two halves differ by")
     paragraph = (
         f"Corners have σ = {calibration.corner_sigma_px:.3f} px along each axis"
         + (f", stripe points {calibration.stripe_sigma_px:.3f} px" if calibration.stripe_sigma_px is not None else "")
@@ -40,15 +43,40 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         )
         + f"; its last round reached the minimum in {calibration.steps} steps."
     )
-    shape = shape_in_words(calibration.shape_facts())
-    title = "Parameters (px, 1/mm, mm per step" + (
-        "; of what turns: radians per step, mm)" if diagnostics.turntables else ")"
-    )
+    units = [
+        "px, 1/mm, mm per step",
+        *(["of a tilt: radians"] if calibration.rig.camera.tilt else []),
+        *(["of a bow: mm"] if any(light.kind == BowedSheet.kind for light in calibration.rig.lights) else []),
+        *(["of what turns: radians per step, mm"] if diagnostics.turntables else []),
+    ]
+    title = f"Parameters ({'; '.join(units)})"
     return Section(
         "The rig",
-        paragraphs=(paragraph, *([f"The board is {shape}."] if shape else [])),
+        paragraphs=(
+            paragraph,
+            *([f"Model: {calibration.choice.sentence}."] if calibration.choice is not None else []),
+            *_shapes(calibration),
+        ),
         tables=(Table(title, columns, tuple(rows)),),
     )
+
+
+def _shapes(calibration: Calibration) -> list[str]:
+    """What is tilted, curved or bent, in degrees and millimetres; a sentence for each."""
+    camera, covariance, said = calibration.rig.camera, calibration.covariance, []
+    if camera.tilt:
+        degrees = np.degrees(np.linalg.norm([float(angle) for angle in camera.tilt]))
+        said.append(f"The sensor is tilted by {degrees:.2f}° against the lens.")
+    for light in light_facts(calibration.rig, covariance, image_rays(camera)):
+        if "curved_mm" in light:
+            which = f' of laser "{light["name"]}"' if light["name"] else ""
+            error = "" if light["curved_mm_sigma"] is None else f" ± {light['curved_mm_sigma']:.2g}"
+            said.append(
+                f"The sheet of light{which} is curved by {light['curved_mm']:.3f}{error} mm over "
+                f"{2 * HALF_WIDTH_MM:g} mm in the middle of the image."
+            )
+    shape = shape_in_words(calibration.shape_facts())
+    return said + ([f"The board is {shape}."] if shape else [])
 
 
 def volume(volume: WorkingVolume) -> Section:
@@ -184,13 +212,15 @@ def stripes(diagnostics: Diagnostics) -> Section:
     )
     columns = ("photograph", "points", "offset", "tilt", "bend", "bend of noise alone", "noise")
     caption = (
-        "Distance of each stripe from the light plane along the stripe, the most bent first (red: the running mean). "
-        "A stripe on a flat board is a level band about zero; a curve is a bent plate, an offset or tilt a wrong pose "
-        "or pitch, a step the edge of something."
+        "Distance of each stripe from the sheet of light along the stripe, the most bent first (red: the running "
+        "mean). A stripe on a board of the shape that was solved for is a level band about zero; a curve is a plate "
+        "that is bent otherwise, an offset or tilt a wrong pose or pitch, a step the edge of something."
     )
     return Section(
         "Stripes on the boards",
-        tables=(Table("Distance from the light plane in mm; bend: running mean from peak to valley", columns, rows),),
+        tables=(
+            Table("Distance from the sheet of light in mm; bend: running mean from peak to valley", columns, rows),
+        ),
         figures=(draw("stripes", caption, plots.stripes(diagnostics.stripes)),),
     )
 
@@ -202,6 +232,7 @@ def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         f"With rising step counts what stands on the {facts['axis']} moves {facts['way']}, as the camera sees it, by "
         f"{facts['mm_per_1000_steps']:.5g} mm in 1000 steps. If it really moves the other way, the steps in "
         "session.toml run backwards: nothing else shows that."
+        + "".join(f" It is {line}." for line in path_in_words(facts))
         for facts in axis_facts(calibration.rig, calibration.covariance)
         if "mm_per_1000_steps" in facts
     )

@@ -35,8 +35,9 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     suspected = [suspect for suspect in diagnostics.suspects if suspect.name not in mixed]
     boxes = [*_scales(diagnostics), *mixed_up(diagnostics), *map(_suspect, suspected), *_sessions(diagnostics)]
     boxes += _notes(calibration)
-    boxes += _imprecise(calibration, diagnostics.sigma_factor, volumes)
-    boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics), *_worse(diagnostics)]
+    boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics)]
+    # What the model misses widens σ, so that is mended first.
+    boxes += [*_imprecise(calibration, diagnostics.sigma_factor, volumes), *_worse(diagnostics)]
     boxes += thin(diagnostics)
     return tuple(sorted(boxes, key=lambda box: ("stop", "care", "good").index(box.level)))
 
@@ -164,7 +165,7 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
                 "Take more views of the board, tilted in different directions, with the stripe at different distances.",
             )
         ]
-    if each is None or not each.disagree or each.sigma_factor <= _FACTOR:
+    if each is None or not each.disagree:
         return []
     worst = int(np.argmax(np.abs(each.differences_in_sigma)))
     return [

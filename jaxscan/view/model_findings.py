@@ -12,9 +12,6 @@ from jaxscan.view.report import Box, Level
 
 # A richer lens is worth a word when held-out corners are nearer by this share.
 _LENS_GAIN = 0.025
-# Without other lenses solved: what noise does less often than this, and moves focal length or principal point by so
-# many of its σ or explains this share of the squared errors, is the lens's.
-_BY_CHANCE, _MOVES, _EXPLAINS = 1e-4, 2.0, 0.05
 # A stripe point's σ of more pixels than this is no line.
 _ROUGH_PX = 1.0
 # A mean residual of so many standard errors, and of this share of a corner's σ, is the lens's.
@@ -44,11 +41,13 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *lens,
         *_camera_model(calibration, diagnostics),
         *_board(calibration),
+        *_off_grid(calibration),
         *_sheets(calibration, diagnostics, lens),
         *_bent(calibration, diagnostics),
         *_changed(calibration),
+        *_drift(calibration),
         *_moved(calibration, diagnostics),
-        *_stage(diagnostics),
+        *_stage(calibration, diagnostics),
         *_turntable(diagnostics),
         *_tails(calibration, diagnostics),
     ]
@@ -115,7 +114,7 @@ def _lens(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
 
 def _missing_terms(missing: MissingTerms | None) -> list[Box]:
     """What the residuals alone say of the lens and of its held terms."""
-    if missing is None or missing.p > _BY_CHANCE or (missing.shift_in_sigma < _MOVES and missing.gain < _EXPLAINS):
+    if missing is None or not missing.clear:
         return []
     moves = f", and move {missing.parameter} by {missing.shift_in_sigma:.1f} of its σ" if missing.parameter else ""
     alike = "A bent board looks alike: --report tells, by views that a lens has not seen."
@@ -190,8 +189,14 @@ def _board(calibration: Calibration) -> list[Box]:
     return [Box(level, f"{what}.", mend) for what, mend in found.statements]
 
 
+def _off_grid(calibration: Calibration) -> list[Box]:
+    """Points of the board that are not where they should be."""
+    found = calibration.off_grid
+    return [] if found is None else [Box("care", f"{what}.", mend) for what, mend in found.statements]
+
+
 def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box]) -> list[Box]:
-    """Light planes that do not fit their stripes, be it by the lens, and stripes that are hardly lines."""
+    """Light planes that do not fit their stripes, be it by board or lens, and stripes that are hardly lines."""
     advice = (
         "The line is thicker than half a square, a reflection or another light was taken for it, or the plates are "
         "bent: focus the laser, see by jaxscan inspect --png what was found, check [laser] color and columns."
@@ -201,10 +206,12 @@ def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box])
         "The line lens is not square to its beam, or the mirror before it is bent. In session.toml it is "
         'sheet = "bowed" under [laser]; see whether the two halves then agree better.'
     )
+    # What is to be put right before, since it bends the stripes too.
+    first = _board(calibration) or lens
     boxes = [
         Box("care", f"{doubt}.", lens[0].advice if lens else of_lens)
         if doubt in curved
-        else Box("stop", f"{doubt}.", lens[0].advice if lens else advice)
+        else Box("stop", f"{doubt}.", first[0].advice if first else advice)
         for doubt in light_plane_doubts(diagnostics.stripes, calibration.sheet_curves)
     ]
     sigma = calibration.stripe_sigma_px
@@ -267,6 +274,14 @@ def _changed(calibration: Calibration) -> list[Box]:
     return [Box("stop", f"{what}.", mend)]
 
 
+def _drift(calibration: Calibration) -> list[Box]:
+    """What goes on slowly from photograph to photograph."""
+    if calibration.drift is None:
+        return []
+    what, mend = calibration.drift.statement
+    return [Box("care", f"{what}.", mend)]
+
+
 def _curved(calibration: Calibration) -> dict[str, float]:
     """Of each laser whose sheet is curved and was taken as flat, by how much: so far its stripes may lie beside it."""
     return {curve.laser: abs(curve.curve_mm) for curve in calibration.sheet_curves}
@@ -299,9 +314,12 @@ def _moved(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     return boxes
 
 
-def _stage(diagnostics: Diagnostics) -> list[Box]:
-    boxes = []
-    for each in diagnostics.stages:
+def _stage(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
+    shapes = calibration.stage_shapes
+    boxes = [Box("care", f"{what}.", mend) for shape in shapes for what, mend in shape.statements]
+    boxes += [Box("care", f"{untold}.", "") for untold in calibration.untold_periods]
+    named = [shape.axis for shape in shapes]
+    for each in (stage for stage in diagnostics.stages if stage.axis not in named):
         if each.chi2_along > _STAGE:
             boxes.append(
                 Box(

@@ -17,7 +17,7 @@ from jaxscan.calibration.bends import without_poses
 from jaxscan.calibration.diagnostics import climb
 from jaxscan.calibration.flatness import BoardFlatness
 from jaxscan.calibration.observations import join
-from jaxscan.errors import InputError, SolveError
+from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.geometry import vector_to_matrix
 from jaxscan.precision import float64
 from jaxscan.rig import BoardShape, Rig
@@ -154,7 +154,7 @@ def test_a_bent_board_taken_as_flat_is_named_with_its_millimetres():
 
 
 def found_bent(**but: object) -> BoardFlatness:
-    found = BoardFlatness("flat", 0.35, 0.06, 0.17, 1e-9, "camera.focal.0", 4.0, 12)
+    found = BoardFlatness("flat", 0.35, 0.06, 0.17, 1e-9, 1e-9, "camera.focal.0", 4.0, 12)
     return replace(found, **but)
 
 
@@ -261,6 +261,17 @@ def test_a_shape_that_runs_away_is_refused():
     _, exact = bent_session(5, lambda _: surface(60 * TERMS), stage_views=0, stripes=False)
     with pytest.raises(SolveError, match="the board's shape ran away: it came out bent by"):
         calibrate(redrawn(exact, Noise(), np.random.default_rng(0)), board_shape="warp")
+
+
+@pytest.mark.parametrize(
+    ("millimetres", "error", "words"),
+    [(10.0, ObservabilityError, "corners fit to .* See whether the board is flat"), (20.0, SolveError, "make it flat")],
+)
+def test_a_board_that_is_bent_too_far_is_to_be_made_flat(millimetres: float, error: type[Exception], words: str):
+    """Taken as flat its advice was to tilt the board, as one that bends to take it as flat."""
+    _, exact = bent_session(0, lambda _: surface(millimetres / 3 * np.array([2.0, 1.0, 0, 0, 0])), stripes=False)
+    with pytest.raises(error, match=words):
+        calibrate(exact, board_shape="flat" if error is ObservabilityError else "bend")
 
 
 def test_a_range_has_the_sigma_of_its_ends():

@@ -63,6 +63,19 @@ def test_a_start_that_is_tilted_is_gone_on_with_and_can_be_held(monkeypatch):
 def test_a_lens_without_distortion_does_not_tell_the_tilt(monkeypatch):
     with pytest.raises(InputError, match="cannot be told from the principal point: ask for lens"):
         calibrate(session(monkeypatch), lens="none", tilted=True)
+    # One whose terms are held at 0 was said to lack boards that are tilted more.
+    with pytest.raises(InputError, match="none of its terms held at 0"):
+        calibrate(session(monkeypatch), hold=["camera.radial.0"], tilted=True)
+
+
+def test_a_tilt_that_is_held_needs_no_distortion(monkeypatch):
+    """It was refused as if it were sought."""
+    with float64():
+        start = Camera.create(synthetic.IMAGE_SIZE, synthetic.FOCAL, synthetic.PRINCIPAL, "none", tilt=TILT)
+    monkeypatch.setattr(synthetic, "K1", 0.0)
+    held = calibrate(session(monkeypatch), start=start, hold=["camera.tilt.0", "camera.tilt.1"])
+    assert held.corner_rms_px < 0.09
+    assert abs(float(held.rig.camera.focal[0]) - synthetic.FOCAL[0]) < 4 * held.covariance.sigma("camera.focal.0")
 
 
 def test_what_a_weak_lens_does_not_tell_is_named(monkeypatch):

@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import jax
@@ -49,6 +50,15 @@ def test_a_bow_that_short_stripes_leave_open_is_refused_with_the_photograph_that
         "the image, .* or take the sheet as flat",
     ):
         calibrate(session, light="bowed")
+
+
+def test_a_bow_no_better_than_its_sigma_is_said_to_be_none():
+    """Of 0.34 ± 0.06 mm nothing is said, of 1.7 ± 1.2 mm nothing was."""
+    session = sheets.session(1, sheets.cone(0.3))
+    assert calibrate(short(session, 270, 370), light="bowed").notes == ()
+    assert calibrate(short(session, 305, 335)).notes == ()
+    (note,) = calibrate(short(session, 305, 335), light="bowed").notes
+    assert re.match(r"the bow of the sheet of light, 1\.\d ± 1 mm over 200 mm, is not told from none: .*plane", note)
 
 
 def test_stripes_at_one_distance_leave_the_sheet_open():

@@ -137,6 +137,20 @@ def test_terms_that_a_file_has_as_zero_stay_zero_and_can_be_freed(saved, tmp_pat
     assert f"has the terms {K3} as 0" in capsys.readouterr().err
 
 
+def test_a_camera_that_is_held_is_not_given_a_tilt(saved, tmp_path, capsys):
+    """--hold-camera kept all but the tilt, which was found."""
+    camera, rig = tmp_path / "camera.yml", tmp_path / "rig.json"
+    argv = ["calibrate", str(saved), "-o", str(rig), "--camera", str(camera), "--hold-camera", "--tilt"]
+    upright = Camera.create((640, 480), (698.0, 690.0), (310.0, 228.0), "radial1", TERMS[:1])
+    write_camera(camera, upright, format="opencv")
+    assert main(argv) == 2
+    assert f"{camera}: its sensor is not tilted, and --hold-camera keeps it so" in capsys.readouterr().err
+    tilted = Camera.create((640, 480), (698.0, 690.0), (310.0, 228.0), "radial1", TERMS[:1], tilt=[1e-3, 0.0])
+    write_camera(camera, tilted, format="opencv")
+    assert main(argv) == 0
+    assert list(read_rig(rig).rig.camera.tilt) == pytest.approx([1e-3, 0.0])
+
+
 def test_what_is_freed_is_found_though_the_session_holds_it():
     """The command line counts more than the file, as with --lens."""
     session = CameraSettings("brown", hold=(K3, "camera.tangential.0"))

@@ -3,9 +3,12 @@
 from dataclasses import replace
 
 import cv2
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 from jaxscan.calibration import Calibration, Observations, StripePoints, View, calibrate
 from jaxscan.calibration import next_pose as module
@@ -15,12 +18,14 @@ from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.images import Board
 from jaxscan.precision import float64
-from jaxscan.rig import Rig
+from jaxscan.rig import BoardShape, Rig, System
 from jaxscan.rig.rig import parameter_names
 from tests.calibration import synthetic
 
 # As many radians of tilt, and mm, as a session has it.
 DEPTH_LIMITS, TILT_LIMIT_DEG = 1.1, 45.0
+# Hardly any: what there is of it counts where the board bends.
+SHAPE = BoardShape.of(np.array([1e-3, 0.0, 0.0, 0.0, 0.0]))
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +146,39 @@ def test_sigma_falls_as_predicted(
     np.testing.assert_allclose(np.sqrt(np.diagonal(foretold.matrix) / np.diagonal(found.matrix)), 1, atol=0.05)
     assert sigma(calibration, foretold, wanted) == pytest.approx(sigma(calibration, found, wanted), rel=0.03)
     assert sigma(calibration, found, wanted) < 0.8 * sigma(calibration, calibration.covariance, wanted)
+
+
+def test_a_board_that_bends_tells_less(calibration: Calibration, suggested: tuple[NextPose, ...]):
+    """Its bulges were taken as known; two columns more that cost information, by a dense elimination."""
+    with float64():
+        scene = module._scene(calibration)
+        system = eqx.tree_at(lambda s: s.shape, calibration.system, SHAPE, is_leaf=lambda leaf: leaf is None)
+        bent = replace(calibration, bend_sigma_mm=0.3, system=system)
+        bending = module._scene(bent)
+        rigid = replace(bending, noise=replace(bending.noise, bend=jnp.asarray(1e-6)))
+        pose = jnp.asarray(suggested[0].pose.as_vector())
+        flat, none, some = (module._told(each, np.asarray(pose)[None])[0] for each in (scene, rigid, bending))
+        block = jax.tree.map(lambda leaf: leaf[None], eqx.filter_jit(type(bending).seen)(bending, pose))
+
+        def residuals(both):
+            rig, own = both
+            return block.residuals(System(rig, (own[None],), bending.shape), own[None], bending.noise)[0]
+
+        rig, own = bending.rig, jnp.pad(pose, (0, 2))
+        flattened, back = ravel_pytree((rig, own))
+        J = np.asarray(jax.jit(jax.jacfwd(lambda y: residuals(back(y))))(flattened))
+    n = len(parameter_names(calibration.rig))
+    # The motion is not in a view: its columns are 0.
+    seen = np.flatnonzero(np.abs(J[:, :n]).sum(axis=0) > 0)
+    U, W, V = (J.T @ J)[np.ix_(seen, seen)], (J.T @ J)[seen, n:], (J.T @ J)[n:, n:]
+    np.testing.assert_allclose(
+        some[np.ix_(seen, seen)], U - W @ np.linalg.solve(V, W.T), rtol=1e-6, atol=1e-6 * U.max()
+    )
+    scale = np.sqrt(np.diagonal(none)[seen])
+    lost = ((none - some)[np.ix_(seen, seen)]) / np.outer(scale, scale)
+    assert np.linalg.eigvalsh(lost)[0] > -1e-9
+    assert np.linalg.eigvalsh(lost)[-1] > 0.01
+    np.testing.assert_allclose(np.diagonal(none)[seen], np.diagonal(flat)[seen], rtol=0.05)
 
 
 def test_no_pose_of_a_thousand_is_better(calibration: Calibration, wanted: np.ndarray, suggested: tuple[NextPose, ...]):

@@ -40,6 +40,23 @@ def test_a_good_rig_has_none(world: Path, capsys: pytest.CaptureFixture[str]):
     assert json.loads(capsys.readouterr().out)["warnings"] == []
 
 
+def test_sigma_that_are_wider_than_noise_alone_are_said(doubtful: Path, capsys: pytest.CaptureFixture[str]):
+    text = json.loads(doubtful.read_text())
+    text["fit"]["sigma_over_noise_alone"] = {"camera.focal.0": 1.25, "camera.radial.0": 9.03}
+    doubtful.write_text(json.dumps(text))
+    assert main(["inspect", str(doubtful)]) == 0
+    assert "1.2 to 9 times as wide as noise alone has it" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("ratios", [{}, 1.25, {"camera.focal.0": "wide"}, {"camera.focal.0": 0.0}])
+def test_ratios_of_sigma_that_are_none_are_refused(doubtful: Path, ratios: object):
+    text = json.loads(doubtful.read_text())
+    text["fit"]["sigma_over_noise_alone"] = ratios
+    doubtful.write_text(json.dumps(text))
+    with pytest.raises(InputError, match=r"fit\.sigma_over_noise_alone"):
+        read_rig(doubtful)
+
+
 def test_warnings_that_are_no_sentences_are_refused(doubtful: Path):
     text = json.loads(doubtful.read_text())
     text["fit"]["warnings"] = [1]

@@ -104,6 +104,9 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
         ("--ghost", "1.5"),
         ("--laser-profile", "square"),
         ("--sheet-mm", "0"),
+        ("--guide-mm", "3"),
+        ("--screw-mm", "-2.5"),
+        ("--screw-steps", "0"),
         ("--shake-mm", "-1"),
         ("--shake-mm", "500"),
         ("--quality", "0"),
@@ -122,3 +125,13 @@ def test_bad_options_write_nothing(words: tuple[str, ...], tmp_path: Path, monke
     with pytest.raises(InputError):
         simulate.run(parse(str(tmp_path / "world"), *words))
     assert not (tmp_path / "world").exists()
+
+
+def test_a_stage_that_is_no_line_is_drawn_and_written_as_truth(few_photographs: None, tmp_path: Path) -> None:
+    out = tmp_path / "world"
+    words = "--guide-mm", "0.1", "--screw-mm", "0.05", "--screw-steps", "2900", "--object", "box"
+    simulate.run(parse(str(out), *words))
+    axes: Any = read_rig(out / "truth" / "rig.json").rig.axes()
+    assert {name: part.kind for name, part in axes.items()} == {"stage": "screw_on_guide"}
+    assert float(axes["stage"].period[0]) == 2900
+    assert np.hypot(*map(float, axes["stage"].wave)) == pytest.approx(0.05)

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxscan.cli.calibrate import solve_sessions
+from jaxscan.calibration.model import Model
+from jaxscan.cli.calibrate import _stage_motion, solve_sessions
 from jaxscan.cli.estimate_options import Estimate, add_estimate_arguments, estimate_asked
 from jaxscan.errors import InputError
 from jaxscan.files.session import CameraSettings, Session, StageImages, Views, read_session, write_session
@@ -223,6 +224,7 @@ def test_real_sessions(data, name):
 
 
 STAGE = '[stage]\nimages = "stage/*.png"\n'
+STAGE_3 = STAGE + "steps_per_image = 2000\n"
 TURN = '[turntable]\nimages = "stage/*.png"\n'
 
 BAD = {
@@ -284,6 +286,8 @@ BAD = {
     ),
     "whose stripes": ([BOARD, VIEWS + 'stripes = "stripes/*.png"', LASERS.format("a", "b")], ["each [[laser]]"]),
     "a sheet that is none": ([BOARD, VIEWS, '[laser]\nsheet = "round"'], ["[laser] sheet", "plane", "bowed"]),
+    "a motion that is none": ([BOARD, VIEWS, STAGE_3 + 'motion = "rotary"'], ["[stage] motion", "linear", "guide"]),
+    "a screw of no steps": ([BOARD, VIEWS, STAGE_3 + "screw_steps = 0"], ["[stage] screw_steps = 0", "above 0"]),
     "lasers of one name": ([BOARD, VIEWS, LASERS.format("a", "a")], ["[[laser]] name", '["a", "a"]']),
     "laser without stripes": (
         [BOARD, VIEWS, LASERS.format("a", "b").removesuffix('stripes = "stripes/*.png"')],
@@ -431,6 +435,16 @@ def test_too_few_poses_are_refused_before_they_are_looked_at(folder, capsys):
     assert "finding boards" not in capsys.readouterr().err
 
 
+def test_too_few_poses_for_the_board_s_shape_are_refused_before_they_are_looked_at(folder, capsys):
+    """The photographs were searched before."""
+    session(folder, BOARD, VIEWS)
+    text = r'3 usable views of the board; board_shape = "bend" needs 6, .* or ask for board_shape = "flat"'
+    with pytest.raises(InputError, match=text) as refused:
+        solve_sessions([folder], estimate=Estimate(board_shape="bend"))
+    assert str(refused.value).startswith(f"{folder}: ")
+    assert "finding boards" not in capsys.readouterr().err
+
+
 def test_a_turntable_away_from_a_stage_that_nobody_shows(folder, capsys):
     """It was said after the photographs had been looked at, and without the file."""
     session(folder, BOARD, VIEWS, TURN + "steps = [0, 1, 5]\nstage_step = 1800")
@@ -482,3 +496,49 @@ def test_a_sheet_of_the_command_line_takes_the_place_of_the_sessions(folder):
     parser.add_argument("--camera")
     with pytest.raises(InputError, match="--sheet round: this version knows plane, bowed"):
         estimate_asked(parser.parse_args(["--sheet", "round"]))
+
+
+def test_the_motion_of_the_stage_is_said_and_written(folder):
+    plain = session(folder, BOARD, VIEWS, STAGE_3)
+    assert (plain.stage.motion, plain.stage.screw_steps) == ("linear", None)
+    write_session(plain)
+    assert "motion" not in (folder / "session.toml").read_text()
+    read = session(folder, BOARD, VIEWS, STAGE_3 + 'motion = "screw_on_guide"\nscrew_steps = 3200')
+    assert (read.stage.motion, read.stage.screw_steps) == ("screw_on_guide", 3200)
+    write_session(read)
+    assert read_session(folder) == read
+
+
+def test_sessions_of_one_rig_have_one_motion(folder, tmp_path, photographs):
+    other = tmp_path / "other"
+    photographs(other / "boards", ["v10.png", "v2.png", "v1.png"])
+    photographs(other / "stage", ["s0.png", "s1.png", "s2.png"])
+    (folder / "session.toml").write_text("\n".join([BOARD, VIEWS, STAGE_3]))
+    (other / "session.toml").write_text("\n".join([BOARD, VIEWS, STAGE_3 + 'motion = "guide"']))
+    with pytest.raises(InputError, match=r'other: its .stage. has motion = "guide", no screw_steps, that of .*linear"'):
+        solve_sessions([folder, other])
+
+
+def test_a_motion_of_the_command_line_needs_a_stage(folder):
+    without = session(folder, BOARD, VIEWS)
+    with pytest.raises(InputError, match=r"has no \[stage\], and --motion speaks of one's photographs"):
+        solve_sessions([without.path], estimate=Estimate(stage_motion="guide"))
+    parser = argparse.ArgumentParser()
+    add_estimate_arguments(parser)
+    parser.add_argument("--camera")
+    with pytest.raises(InputError, match="--motion rotary: a stage's is one of linear, guide, screw, screw_on_guide"):
+        estimate_asked(parser.parse_args(["--motion", "rotary"]))
+    assert estimate_asked(parser.parse_args(["--motion", "screw"])).stage_motion == "screw"
+
+
+def test_the_motion_reaches_the_solve(folder):
+    """By the session and by the command line; a screw's turn only where the motion has a screw."""
+    read = session(folder, BOARD, VIEWS, STAGE_3 + 'motion = "screw"\nscrew_steps = 3200')
+
+    def asked(motion=None):
+        return _stage_motion([read.path], [read], Estimate(stage_motion=motion))
+
+    assert asked() == ({"stage": "screw"}, {"stage": 3200.0})
+    assert asked("screw_on_guide") == ({"stage": "screw_on_guide"}, {"stage": 3200.0})
+    motion, periods = asked("linear")
+    assert Model(motion=motion, periods=periods).asked()["periods"] == {}

@@ -124,7 +124,9 @@ def test_what_is_shared_is_looked_at_and_solved_once(room, monkeypatch):
     session(room, "a", every)
     session(room, "b", every[::-1])
     solved: list[Observations] = []
-    monkeypatch.setattr("jaxscan.calibration.calibrate", lambda observations, **_: solved.append(observations))
+    monkeypatch.setattr(
+        "jaxscan.calibration.calibrate_by_evidence", lambda observations, *_, **__: solved.append(observations)
+    )
     solve_sessions([room / "a"])
     solve_sessions([room / "a", room / "b"])
     alone, both = solved

@@ -13,6 +13,8 @@ from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.diagnostics.stripe_shapes import shape
 from jaxscan.calibration.diagnostics.suspects import Suspect
+from jaxscan.calibration.flatness import BoardFlatness
+from jaxscan.calibration.stage_shape import StageShape
 from jaxscan.view.calibration_report import compose
 from jaxscan.view.findings import findings
 from tests.calibration import synthetic
@@ -118,6 +120,21 @@ def test_what_a_curved_sheet_explains_is_not_laid_on_the_boards(calibration, dia
     assert len(re.findall(on_boards, words(slightly, changed))) == 2
 
 
+def test_a_board_that_is_not_flat_comes_before_the_lens_where_the_plane_does_not_fit(calibration, diagnostics):
+    """A bent board looks like another lens, and the plane's advice was that lens."""
+    crooked = tuple(shape(f"{i}.png", "", BOWED[0], 40 * BOWED[1] + level(0.0), 300.0) for i in range(6))
+    missing = replace(diagnostics.missing_terms, lens="brown", p=1e-9, gain=0.1, shift_in_sigma=20.0)
+    changed = replace(diagnostics, stripes=crooked, ladder=None, missing_terms=missing)
+
+    def advice(calibration):
+        (box,) = (b for b in findings(calibration, changed, ()) if "does not fit the stripes" in b.statement)
+        return box.advice
+
+    assert 'Set lens = "brown"' in advice(calibration)
+    flatness = BoardFlatness("flat", 5.0, 0.04, 0.1, 1e-9, 1e-9, "camera.focal.0", 20.0, 12)
+    assert "--board-shape bend" in advice(replace(calibration, flatness=flatness))
+
+
 def test_boards_that_moved_between_corners_and_stripe_are_said(calibration):
     observed, moved = calibration.observations, []
     for view, by in zip(calibration.observations.views, np.random.default_rng(3).normal(0, 0.4, 11), strict=True):
@@ -182,3 +199,34 @@ def test_a_held_term_that_explains_nothing_is_left_alone(monkeypatch, diagnostic
     assert "The lens" not in words(result, found)
     simpler = words(result, replace(found, ladder=replace(diagnostics.ladder, chosen="radial2")))
     assert 'Set lens = "radial1" under [camera] in session.toml and take camera.radial.1 out of hold' in simpler
+
+
+SHAPE = StageShape(
+    axis="stage",
+    taken="linear",
+    kind="screw_on_guide",
+    p=1e-9,
+    travel_mm=60.0,
+    bow_mm=0.1,
+    bow_sigma_mm=0.01,
+    turn_mrad=13.0,
+    turn_sigma_mrad=0.4,
+    wave_mm=0.05,
+    wave_sigma_mm=0.002,
+    period_steps=5333.0,
+    aliases=(3200.0, 1455.0, 1231.0, 889.0),
+)
+
+
+def test_a_stage_that_is_no_line_is_said_once(calibration, diagnostics):
+    off = diagnostics.stages[0]
+    off = replace(off, error_mm=off.error_mm + 20 * off.sigma_mm)
+    diagnostics = replace(diagnostics, stages=(off,))
+    assert "The stage is not straight" in words(calibration, diagnostics)
+    said = words(replace(calibration, stage_shapes=(SHAPE,), untold_periods=("Its period is a guess",)), diagnostics)
+    assert "The stage is not straight" not in said
+    assert "bowed by 0.1 ± 0.01 mm over 60 mm" in said
+    assert "turns its load by 13 ± 0.4 mrad" in said
+    assert "from those of 3200, 1455, 1231 and 1 more steps" in said
+    assert "Calibrate with --motion screw_on_guide." in said
+    assert "Its period is a guess." in said

@@ -1,6 +1,7 @@
 """The page and the JSON of a report: well formed, self-contained, and the same."""
 
 import json
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -141,6 +142,20 @@ def test_the_json_has_the_shapes_of_boards_and_what_speaks_for_others(report):
     np.testing.assert_array_equal(own, np.asarray(result.system.bends(0)))
     assert report.numbers["board_shape"] == {}
     assert {board.bulges_mm for board in report.numbers["boards"]} == {None}
+    (rig,) = (section for section in composed.sections if section.title == "The rig")
+    assert any(paragraph.startswith("The board is bent by 0.") for paragraph in rig.paragraphs)
+
+
+def test_the_report_says_how_far_a_sensor_is_tilted_and_a_sheet_curved(report):
+    """In degrees and mm over 200 mm; the parameters are radians and mm of a formula, and their table said px."""
+    seen = sheets.session(2, sheets.cone(0.3))
+    result = calibrate(seen, light="bowed", tilted=True)
+    composed = compose(result, diagnose(result, thorough=False), (), report.numbers["next_photographs"])[0]
+    (rig,) = (section for section in composed.sections if section.title == "The rig")
+    said = " ".join(rig.paragraphs)
+    assert re.search(r"The sensor is tilted by \d\.\d\d° against the lens\.", said)
+    assert re.search(r"The sheet of light is curved by 0\.\d+ ± 0\.\d+ mm over 200 mm in the middle", said)
+    assert "of a tilt: radians; of a bow: mm" in rig.tables[0].caption
 
 
 def test_files_are_whole_or_not_there(tmp_path: Path):

@@ -20,15 +20,16 @@ from jaxtyping import Float
 from scipy.special import gammaincc
 
 from jaxscan.calibration.bends import Reduced, by_pose, deviance, likeliest_bend, marginal, without_poses
-from jaxscan.calibration.correlation import integrated_correlation
+from jaxscan.calibration.blocks import photographs_in_blocks
+from jaxscan.calibration.correlation import weights_anew
 from jaxscan.calibration.diagnostics.lens_rows import lens_rows, unsought_terms
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve, bow_rows
 from jaxscan.calibration.flatness import BY_CHANCE, BoardFlatness
-from jaxscan.calibration.result import Calibration, photographs_in_blocks
+from jaxscan.calibration.places import places_of_residuals
+from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
-from jaxscan.geometry import dual_plane_of, vector_to_matrix
-from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by, middle_and_half, places_on_board
-from jaxscan.rig.projection import pixel_rays
+from jaxscan.geometry import vector_to_matrix
+from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by
 from jaxscan.rig.rig import parameter_names
 
 # σ and correlation are found anew so many times.
@@ -37,7 +38,12 @@ _TIMES_ANEW = 3
 _ROUNDING = 1e-11
 
 
-def board_flatness(refined: Refined, calibration: Calibration, curves: Sequence[SheetCurve] = ()) -> BoardFlatness:
+def board_flatness(
+    refined: Refined,
+    calibration: Calibration,
+    curves: Sequence[SheetCurve] = (),
+    stages: Sequence[Float[np.ndarray, "_ _ _"]] | None = None,
+) -> BoardFlatness:
     """What the residuals say of the board's shape.
 
     Where they say anything, it is asked again beside the terms of the lens that were not sought, which look alike.
@@ -46,8 +52,11 @@ def board_flatness(refined: Refined, calibration: Calibration, curves: Sequence[
         refined: where the rounds ended.
         calibration: the same, assembled.
         curves: the sheets that were found to be curved: beside their bows it is asked.
+        stages: of each group of boards, derivatives by the paths of stages that were found to be no lines, likewise.
     """
     bows = bow_rows(refined, [curve.laser for curve in curves])
+    if stages is not None:
+        bows = [np.concatenate(each, axis=-1) for each in zip(bows, stages, strict=True)]
     found = _judged(refined, calibration, bows)
     if (found.bent or found.session) and unsought_terms(calibration).any():
         both = zip(lens_rows(refined, calibration), bows, strict=True)
@@ -56,6 +65,25 @@ def board_flatness(refined: Refined, calibration: Calibration, curves: Sequence[
             return replace(again, parameter=found.parameter, shift_in_sigma=found.shift_in_sigma)
         return again
     return found
+
+
+def beside_shape(
+    refined: Refined, calibration: Calibration, columns: list[Float[np.ndarray, "_ _ columns"]]
+) -> tuple[Float[np.ndarray, "columns"], Float[np.ndarray, "columns columns"]]:
+    """What numbers that were not sought would come out as, beside a shape of the board, and their covariance.
+
+    Args:
+        refined: where the rounds ended.
+        calibration: the same, assembled.
+        columns: of each group of boards, the derivatives of its residuals, in units of their σ, by these numbers.
+    """
+    groups = _columns(refined, calibration, columns)
+    shared, known = groups[0].shared, len(jax.tree.leaves(refined.system.shape))
+    half_diagonal = float(np.linalg.norm(np.ptp(calibration.observations.board.points()[:, :2], axis=0))) / 2
+    chosen = [each.only(shared + N_TERMS - known, each.normal(np.ones(2))) for each in groups]
+    moved, _, covariance = _solution(chosen, likeliest_bend(chosen, half_diagonal))
+    at = slice(shared - columns[0].shape[-1], shared)
+    return moved[at], covariance[at, at]
 
 
 def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.ndarray, "_ _ _"]]) -> BoardFlatness:
@@ -100,6 +128,7 @@ def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.nd
         bent_sigma_mm=bent_sigma,
         bends_mm=bends,
         p=p,
+        p_bends=p_bends,
         parameter=names[worst],
         shift_in_sigma=float(shift[worst]),
         views=len(calibration.observations.views),
@@ -180,32 +209,8 @@ def _columns(refined: Refined, calibration: Calibration, beside: list[Float[np.n
 
 def _heights(refined: Refined, calibration: Calibration) -> list[Float[np.ndarray, "_ _ _"]]:
     """Of each group the terms' values where each row's point lies; NaN where there is none."""
-    observations, poses = calibration.observations, calibration.photograph_poses()
-    points = observations.board.points()
-    middle, half = middle_and_half(points)
-    s, t = places_on_board(points)
-    at_corners = np.repeat(basis(s, t, N_TERMS), 2, axis=1)
-    corners = [
-        np.zeros((N_TERMS, *g.corners.shape[:2], 2 * len(points))) + at_corners[:, None, None] for g in refined.groups
-    ]
-    # Padding stands with the first photograph; its pixels are NaN.
-    at = [np.zeros(g.stripe.shape[:2], int) for g in refined.groups]
-    for i, (_, group, block, k) in enumerate(photographs_in_blocks(observations)):
-        at[group][block, k] = i
-    stripes = []
-    for group, i in zip(refined.groups, at, strict=True):
-        R, t = poses.matrix()[i], poses.translation[i]
-        pixels = np.asarray(group.stripe)
-        x = pixel_rays(calibration.rig.camera, pixels.reshape(-1, 2)).reshape(*pixels.shape[:3], 3)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            X = x / np.einsum("bpsi,bpi->bps", x, dual_plane_of(R, t))[..., None]
-        places = ((X - t[:, :, None]) @ R)[..., :2]
-        along, across = np.moveaxis((places - middle) / half, -1, 0)
-        stripes.append(basis(along, across, N_TERMS))
-    return [
-        np.concatenate([c.reshape(*c.shape[:2], -1), s.reshape(*s.shape[:2], -1)], axis=2)
-        for c, s in zip(corners, stripes, strict=True)
-    ]
+    places = places_of_residuals(refined, calibration)
+    return [basis(each[..., 0], each[..., 1], N_TERMS) for each in places]
 
 
 def _sessions(calibration: Calibration) -> list[str]:
@@ -257,9 +262,7 @@ def _scales(
         mask = np.asarray(blocks.stripe_used)
         errors += [row for rows in left[:, n:].reshape(mask.shape) for row in rows]
         used += [row for rows in mask for row in rows]
-    scales = np.sqrt(before / np.where(squares > 0, squares, 1.0))
-    scales[1] *= np.sqrt(refined.stripe_correlation / integrated_correlation(errors, used)) if before[1] > 0 else 1.0
-    return np.where(scales > 0, scales, 1.0)
+    return weights_anew(before, squares, refined.stripe_correlation, errors, used)
 
 
 def _other_session(

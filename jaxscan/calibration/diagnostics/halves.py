@@ -161,7 +161,9 @@ def _power(name: str) -> float | None:
     """With which power of a length a parameter grows; None where that is not known."""
     if name.startswith("lights."):
         return {"plane": -1.0, "bow": 1.0}.get(name.split(".")[2])
-    return 1.0 if name.startswith("motion.") else 0.0
+    if name.startswith("motion."):
+        return {"turn": 0.0, "period": 0.0}.get(name.split(".")[2], 1.0)
+    return 0.0
 
 
 def _inverse(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -7,8 +7,9 @@ column by δ_v − s δ_u, with s = dv/du the slope of the stripe there.
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.calibration.blocks import photographs_in_blocks
 from jaxscan.calibration.on_board import meet_board, pose_of
-from jaxscan.calibration.result import Calibration, photographs_in_blocks
+from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.camera import camera_parameters, lens_numbers
 from jaxscan.rig.opencv_lens import LADDER, Brown, Rational

@@ -18,6 +18,8 @@ from jaxscan.rig.opencv_lens import LADDER, Rational
 from jaxscan.rig.projection import lens_leaves, project_points
 from jaxscan.rig.rig import parameter_names
 
+# What is clear: so seldom by chance, moving something by so many of its σ, or explaining this share of χ².
+_BY_CHANCE, _MOVES, _EXPLAINS = 1e-4, 2.0, 0.05
 # Eigenvalues of the scaled normal equations below this share of the largest.
 _ROUNDING = 1e-10
 _PINHOLE = ("camera.focal", "camera.principal")
@@ -44,6 +46,11 @@ class MissingTerms:
     gain: float
     parameter: str
     shift_in_sigma: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether chance does not explain it, and it moves something or explains much."""
+        return self.p <= _BY_CHANCE and (self.shift_in_sigma >= _MOVES or self.gain >= _EXPLAINS)
 
 
 def missing_terms(calibration: Calibration) -> MissingTerms | None:

@@ -18,15 +18,19 @@ from jaxtyping import Bool, Float
 
 from jaxscan.calibration.residuals import Blocks
 from jaxscan.calibration.rounds import Refined
+from jaxscan.files.rig_checks import image_rays
 from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.precision import as_numpy
-from jaxscan.rig import BowedSheet, LightPlane, Motion
+from jaxscan.rig import BowedSheet, Covariance, LightPlane, Motion, Rig
 from jaxscan.rig.board_shape import N_TERMS, basis, middle_and_half, places_on_board
+from jaxscan.rig.facts import HALF_WIDTH_MM, light_facts
 from jaxscan.rig.light import sheet_axes
 from jaxscan.rig.rig import parameter_names
 
 # A bow of so many of its σ is one: noise shows it once in 2000 calibrations.
 _CLEAR = 3.5
+# One that was sought and is below so many may as well be none.
+_UNCLEAR = 3.0
 # A curve of less than this share of the distance is not worth a word: 0.02 mm over 200 mm at 400 mm.
 _WORTH = 5e-5
 # A round width is one of these times a power of ten.
@@ -64,15 +68,25 @@ class SheetCurve:
         )
 
 
-def sheet_curves(refined: Refined) -> tuple[SheetCurve, ...]:
-    """Of each flat sheet that is clearly curved, by how much."""
+def sheet_curves(
+    refined: Refined, stages: Sequence[Float[np.ndarray, "_ _ _"]] | None = None
+) -> tuple[SheetCurve, ...]:
+    """Of each flat sheet that is clearly curved, by how much.
+
+    Args:
+        refined: where the rounds ended.
+        stages: of each group of boards, derivatives of its residuals by the paths of stages that were found to be no
+            lines: beside them it is asked.
+    """
     flat = _flat_sheets(refined)
     if not flat or not any(np.asarray(group.stripe_used).any() for group in refined.groups):
         return ()
     shared = refined.last[1].shared.shape[1]
+    rows = _rows(refined, flat)
+    beside = [np.zeros((*r.shape, 0)) for *_, r in rows] if stages is None else stages
     parts = [
-        (group, stripes, _beside_the_blocks(group, stripes, J, r, shared))
-        for group, stripes, J, r in _rows(refined, flat)
+        (group, stripes, _beside_the_blocks(group, stripes, J, r, shared, also))
+        for (group, stripes, J, r), also in zip(rows, beside, strict=True)
     ]
     bows, sigmas = _bows([(group, columns) for group, _, columns in parts], len(flat))
     found = []
@@ -89,6 +103,26 @@ def sheet_curves(refined: Refined) -> tuple[SheetCurve, ...]:
         if abs(bows[k]) > _CLEAR * sigmas[k] and abs(curve) * (length / width) ** 2 > _WORTH * depth:
             found.append(SheetCurve(light.name, curve, float(sigmas[k] * to_mm), width, depth))
     return tuple(found)
+
+
+def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
+    """In words, which sheets were taken as bowed and may as well be flat; one note on each."""
+    notes = []
+    for light in light_facts(rig, covariance, image_rays(rig.camera)):
+        if light["kind"] != BowedSheet.kind:
+            continue
+        (bow,), (sigma,) = light["bow"]["value"], light["bow"]["sigma"]
+        if sigma is None or abs(bow) > _UNCLEAR * sigma:
+            continue
+        which = f' of laser "{light["name"]}"' if light["name"] else ""
+        by = ""
+        if "curved_mm" in light:
+            by = f", {light['curved_mm']:.2g} ± {light['curved_mm_sigma']:.1g} mm over {2 * HALF_WIDTH_MM:g} mm,"
+        notes.append(
+            f"the bow of the sheet of light{which}{by} is not told from none: calibrate with --sheet plane, or let "
+            "the stripe cross the boards at both of its ends"
+        )
+    return tuple(notes)
 
 
 def bow_rows(refined: Refined, lasers: Sequence[str]) -> list[Float[np.ndarray, "blocks residuals bows"]]:
@@ -198,9 +232,11 @@ def _beside_the_blocks(
     J: Float[np.ndarray, "blocks residuals columns"],
     r: Float[np.ndarray, "blocks residuals"],
     shared: int,
+    beside: Float[np.ndarray, "blocks residuals others"],
 ) -> Float[np.ndarray, "blocks residuals all"]:
-    """The columns of all that is shared, of the bows and of the board's shape, and r, without what blocks can take.
+    """The columns of all that is shared, of bows, of the board's shape and of what else there is, and r.
 
+    All are without what the blocks can take.
     A board that bends away by h at a point moves what is seen there as if all of it had moved by h along its normal.
     """
     own = J[..., shared:]
@@ -212,7 +248,8 @@ def _beside_the_blocks(
     )
     at = np.concatenate([at_corners, stripes.places.reshape(len(J), striped, 2)], axis=1)
     bends = away[..., None] * np.moveaxis(basis(at[..., 0], at[..., 1], N_TERMS), 0, -1)
-    columns = np.concatenate([J[..., :shared], bends, stripes.rows(J.shape[1]), r[..., None]], axis=-1)
+    beside = beside[:, : J.shape[1]]
+    columns = np.concatenate([J[..., :shared], beside, bends, stripes.rows(J.shape[1]), r[..., None]], axis=-1)
     Q = np.linalg.qr(own)[0]
     return columns - Q @ (np.swapaxes(Q, 1, 2) @ columns)
 

@@ -14,6 +14,7 @@ from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.result import Calibration
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
+from jaxscan.rig.line import Line
 
 _FEWEST = 3
 # In another order the places must be nearer to a line by so much.
@@ -42,7 +43,7 @@ def stage_orders(calibration: Calibration) -> tuple[StageOrder, ...]:
     found = []
     middle = calibration.observations.board.points().mean(axis=0)
     for sequence in calibration.observations.sequences:
-        if sequence.kind != "linear" or len(sequence.views) < _FEWEST:
+        if not isinstance(calibration.rig.axis(sequence.axis), Line) or len(sequence.views) < _FEWEST:
             continue
         with float64():
             blocks = view_blocks(replace(calibration.observations, views=sequence.views, sequences=()))

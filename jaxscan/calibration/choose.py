@@ -1,0 +1,214 @@
+"""`calibrate_by_evidence`: the model that the photographs ask for, from the simplest on.
+
+What the residuals of a solve show of a term that was not sought (a board that bends, a sheet that is curved, a lens
+that is not followed, a stage that is no line) is told without another solve, and so rarely by chance alone that a
+session which needs no term pays for none. What is told is solved with, and takes the place of the simpler model where
+the other photographs foretell each one better with it than without: −2 log of the density has to fall by more than two
+of its standard errors, from photograph to photograph. Both are solved on the same observations, those that the richer
+model keeps.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.calibrate import calibrate
+from jaxscan.calibration.diagnostics.ladder import climb
+from jaxscan.calibration.diagnostics.missing_terms import missing_terms
+from jaxscan.calibration.model import Choice, Model, Trial
+from jaxscan.calibration.observations import Kept, Observations
+from jaxscan.calibration.result import Calibration
+from jaxscan.errors import InputError, ObservabilityError, SolveError
+from jaxscan.rig import BowedSheet, LightPlane
+from jaxscan.rig.board_shape import rounded_mm
+from jaxscan.rig.fisheye import Fisheye
+from jaxscan.rig.opencv_lens import LADDER, is_off_centre
+from jaxscan.rig.projection import pixel_rays
+
+# A model is taken where it foretells photographs better by so many standard errors.
+_STANDARD_ERRORS = 2.0
+# No session asks for more models one after the other.
+_MOST = 6
+# Radians from the axis beyond which a lens may be a fisheye.
+_WIDE = 0.6
+# What may be fixed, as `Model` has it.
+PARTS: Final = ("lens", "board_shape", "lights", "motion")
+
+
+def calibrate_by_evidence(
+    observations: Observations,
+    model: Model,
+    *,
+    fixed: Collection[str] = (),
+    advance: Callable[[str], object] = lambda doing: None,
+    **asked: Any,
+) -> Calibration:
+    """Calibrate with the model that the photographs ask for; its `choice` says which, and why.
+
+    Args:
+        observations: corners and stripes.
+        model: where to begin: nothing of it is left out.
+        fixed: parts of it, of `PARTS`, that stay.
+        advance: called as each solve begins, with what it is, in words.
+        asked: other arguments of `calibrate`, but for `keep` and `plain`, with which nothing is judged.
+
+    Raises:
+        InputError: as `calibrate`.
+        ObservabilityError: as `calibrate`, for the model to begin with.
+        SolveError: likewise.
+    """
+    lights = model.lights or (LightPlane.kind,) * len(observations.lasers)
+    kinds = {sequence.axis: sequence.kind for sequence in observations.sequences}
+    motion = {axis: kind for axis, kind in model.motion.items() if kinds.get(axis) != kind}
+    model = replace(model, lights=lights, motion=motion)
+
+    def solved(each: Model, **more: Any) -> Calibration:
+        return calibrate(observations, **each.asked(), advance=advance, **asked, **more)
+
+    found, trials = solved(model), []
+    for _ in range(_MOST):
+        best = None
+        for proposals in _proposals(found, model, fixed):
+            tried = [_tried(each, why, model, found, solved) for each, why in proposals]
+            best = _best(tried)
+            trials += [each.trial(model, each is best) for each in tried]
+            if best is not None:
+                break
+        if best is None or best.result is None:
+            break
+        model, found = best.model, best.result
+    return replace(found, choice=Choice(model, tuple(trials)))
+
+
+def _proposals(found: Calibration, model: Model, fixed: Collection[str]) -> Iterator[list[tuple[Model, str]]]:
+    """Models that may take the place of that which was solved with, and what asks for each, the simpler ones first.
+
+    Those that come first are held against one another: a lens that is not followed and a board that bends look alike,
+    and either looks like a sheet that is curved and a stage that is no line. These come when neither is taken.
+    """
+    parts = {name: (part, why) for name, part, why in _parts(found, model) if name not in fixed}
+    single = {name: (replace(model, **part), why) for name, (part, why) in parts.items()}
+    everything = {name: value for part, _ in parts.values() for name, value in part.items()}
+    together = (
+        [(replace(model, **everything), " and ".join(why for _, why in parts.values()))] if len(parts) > 1 else []
+    )
+    lenses = [] if "lens" in fixed else list(_lenses(found, model))
+    if "board_shape" in single:
+        yield [*lenses, single.pop("board_shape"), *together]
+    elif lenses:
+        yield lenses
+    yield [*single.values(), *together]
+
+
+def _parts(found: Calibration, model: Model) -> Iterator[tuple[str, dict[str, Any], str]]:
+    """What residuals ask of board, sheets and axes: which part of the model, what it would be, and why."""
+    flatness = found.flatness
+    if flatness is not None and flatness.bent and not flatness.session:
+        why = f"the board is bent by {rounded_mm(flatness.bent_mm)}"
+        yield "board_shape", {"board_shape": flatness.asks}, why
+    if found.sheet_curves:
+        curved = {curve.laser: curve for curve in found.sheet_curves}
+        names = [light.name for light in found.rig.lights]
+        kinds = [BowedSheet.kind if n in curved else kind for n, kind in zip(names, model.lights, strict=True)]
+        most = max(curved.values(), key=lambda curve: abs(curve.curve_mm))
+        why = f"the sheet is curved by {rounded_mm(abs(most.curve_mm))} over {most.width_mm:g} mm"
+        yield "lights", {"lights": tuple(kinds)}, why
+    if found.stage_shapes:
+        motion = {**model.motion, **{shape.axis: shape.kind for shape in found.stage_shapes}}
+        yield "motion", {"motion": motion}, _of_stages(found)
+
+
+def _of_stages(found: Calibration) -> str:
+    return " and ".join(what[0].lower() + what[1:] for shape in found.stage_shapes for what, _ in shape.statements)
+
+
+def _lenses(found: Calibration, model: Model) -> Iterator[tuple[Model, str]]:
+    """The lens of the ladder that views not seen support, and others that may do as well or better."""
+    missing = missing_terms(found)
+    if missing is None or not missing.clear or missing.freed:
+        return
+    ladder = climb(found)
+    order = list(LADDER)
+    if ladder is None or order.index(ladder.supported) <= order.index(model.lens):
+        return
+    why = f"the lens leaves {100 * missing.gain:.0f} % of the corners' squared errors to a richer one"
+    yield replace(model, lens=ladder.supported), why
+    # What is off centre may be a lens that is, or a sensor.
+    if is_off_centre(ladder.supported) and not model.tilted and model.lens != "none":
+        yield replace(model, tilted=True), why
+    if _half_field(found) > _WIDE:
+        yield replace(model, lens=Fisheye.kind, tilted=False), why
+
+
+def _half_field(found: Calibration) -> float:
+    """The angle between the axis and the ray of the farthest corner that was seen, radians."""
+    camera = found.rig.camera
+    seen = np.concatenate([view.corners[view.used()] for view in found.observations.photographs()])
+    x = pixel_rays(camera, seen)
+    return float(np.nanmax(np.arctan(np.hypot(x[:, 0], x[:, 1]))))
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A model beside a simpler one.
+
+    Attributes:
+        model: it.
+        why: what asked for it.
+        falls: by how much −2 log of the density falls with it, photograph by photograph; empty where it has no result.
+        result: its calibration, where there is one.
+        refused: why there is none, in words.
+    """
+
+    model: Model
+    why: str
+    falls: Float[np.ndarray, "photographs"]
+    result: Calibration | None
+    refused: str = ""
+
+    @property
+    def clear(self) -> bool:
+        """Whether photographs are foretold better."""
+        return _falls(self.falls)
+
+    def trial(self, simpler: Model, taken: bool) -> Trial:
+        """What is told of it."""
+        count = len(self.falls)
+        gain = float(self.falls.mean()) if count else np.nan
+        error = float(self.falls.std(ddof=1)) / count**0.5 if count else np.nan
+        return Trial(self.model, self.model.beyond(simpler), self.why, gain, error, taken, self.refused)
+
+
+def _tried(model: Model, why: str, simpler: Model, found: Calibration, solved: Callable[..., Calibration]) -> _Tried:
+    """A model, held against a simpler one, with which was found what is found, on what it keeps itself."""
+    try:
+        rich = solved(model)
+        poor = found if _same(rich.kept, found.kept) else solved(simpler, keep=rich.kept)
+    except (InputError, ObservabilityError, SolveError) as error:
+        return _Tried(model, why, np.zeros(0), None, str(error))
+    return _Tried(model, why, poor.foretold - rich.foretold, rich)
+
+
+def _same(a: Sequence[Kept], b: Sequence[Kept]) -> bool:
+    return all(
+        np.array_equal(one.corners, other.corners)
+        and all(np.array_equal(x, y) for x, y in zip(one.stripes, other.stripes, strict=True))
+        for one, other in zip(a, b, strict=True)
+    )
+
+
+def _best(tried: Sequence[_Tried]) -> _Tried | None:
+    """The first that is clear, or one that is clearly better still; None where none is."""
+    best = None
+    for each in tried:
+        if each.clear and (best is None or _falls(each.falls - best.falls)):
+            best = each
+    return best
+
+
+def _falls(by: Float[np.ndarray, "photographs"]) -> bool:
+    """Whether something falls by more than chance from photograph to photograph explains."""
+    return len(by) > 1 and float(by.mean()) > _STANDARD_ERRORS * float(by.std(ddof=1)) / len(by) ** 0.5

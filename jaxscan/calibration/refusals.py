@@ -1,0 +1,210 @@
+"""What `calibrate` refuses, and why: too little to work with, what is not determined, and what ran away."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool
+
+from jaxscan.calibration.bundle import MAX_STEPS
+from jaxscan.calibration.coverage import measure_coverage
+from jaxscan.calibration.first_poses import poses_of_photographs
+from jaxscan.calibration.observability import cause_and_mend, undetermined, undetermined_shape
+from jaxscan.calibration.observations import Observations, View
+from jaxscan.calibration.rounds import Refined
+from jaxscan.errors import InputError, ObservabilityError, SolveError
+from jaxscan.files.rig_checks import image_rays
+from jaxscan.images import Board
+from jaxscan.rig import MOTIONS, Rig
+from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by
+
+_FEWEST_CORNERS = 6
+FEWEST_VIEWS = 3
+_FEWEST_VIEWS_OF = {"flat": FEWEST_VIEWS, **FEWEST_VIEWS_FOR}
+_OF_SHAPE = {
+    "bulge": "the board's bulges along columns and rows",
+    "warp": "the board's twist, and what its edges bend more or less than its middle,",
+    "bend": "how much the board bends from view to view",
+}
+# The range of a shape, as a share of the board, that is no board's any more.
+_RUN_AWAY = 0.1
+FEWEST_STRIPES = 2
+_FEWEST_STRIPE_POINTS = 10
+
+
+@contextmanager
+def with_remarks(known: list[Observations]) -> Iterator[None]:
+    """Let a refusal say what was seen amiss in the photographs (the last of what is known): often it is the reason."""
+    try:
+        yield
+    except (InputError, ObservabilityError, SolveError) as error:
+        if remarks := known[-1].remarks():
+            raise type(error)(f"{error}{remarks}") from error
+        raise
+
+
+def refuse_tracers(observations: Observations) -> None:
+    """Refuse observations that JAX traces: what is left out is decided by values."""
+    values = [jnp.zeros(()), *(view.corners for view in observations.photographs())]
+    values += [stripe.pixels for view in observations.photographs() for stripe in view.stripes]
+    if any(isinstance(value, jax.core.Tracer) for value in values):
+        raise InputError(
+            "calibrate decides by values what it leaves out, so jit, grad and vmap cannot go through it: put "
+            'jax.config.update("jax_enable_x64", True) before anything else, calibrate outside of them, and '
+            "differentiate jaxscan.refit(calibration.adjustment)"
+        )
+
+
+def lacking(view: View, board: Board) -> str:
+    """What a photograph lacks of corners enough for its pose, in words; empty where it lacks nothing."""
+    used = view.used()
+    if used.sum() < _FEWEST_CORNERS:
+        return f"{int(used.sum())} corners, fewer than {_FEWEST_CORNERS}"
+    points = board.points()[used, :2]
+    # Where all but one lie on a line, two of any three do.
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        (x, y), offset = points[j] - points[i], points - points[i]
+        if (np.abs(offset[:, 1] * x - offset[:, 0] * y) > 1e-6 * board.pitch_mm**2).sum() < 2:
+            return f"its {int(used.sum())} corners lie on one line of the board, or all but one do"
+    return ""
+
+
+def with_enough_corners(observations: Observations) -> Observations:
+    """Without the photographs that have too few corners for a pose; they are among what was left out."""
+    board = observations.board
+    few = [f"{view.name}: {lacks}" for view in observations.photographs() if (lacks := lacking(view, board))]
+    return replace(
+        observations,
+        views=tuple(view for view in observations.views if not lacking(view, board)),
+        sequences=tuple(
+            sequence.only([i for i, view in enumerate(sequence.views) if not lacking(view, board)])
+            for sequence in observations.sequences
+        ),
+        left_out=(*observations.left_out, *few),
+    )
+
+
+def check_enough(observations: Observations) -> None:
+    """Refuse observations that are too few, and say what is missing."""
+    views = observations.views
+    if len(views) < FEWEST_VIEWS:
+        raise InputError(
+            f"{len(views)} usable views of the board; at least {FEWEST_VIEWS} are needed: photograph the board in "
+            f"more poses, all of it in view and tilted in different directions{_on_axes_alone(observations)}"
+        )
+    for i, name in enumerate(observations.lasers):
+        striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in observations.photographs())
+        if striped < FEWEST_STRIPES:
+            which = f'of laser "{name}" ' if name else ""
+            raise InputError(
+                f"{striped} usable stripes {which}on the board; at least {FEWEST_STRIPES} are needed, at different "
+                f"distances: check [laser] color and columns, that the stripe crosses the board, and, where it has "
+                f"photographs of its own, that boards and stripes are not exchanged"
+            )
+    for sequence in observations.sequences:
+        places, fewest = len(np.unique(sequence.steps)), MOTIONS[sequence.kind].fewest
+        if places < fewest:
+            raise InputError(
+                f"{places} usable {sequence.axis} photographs at different step counts; at least {fewest} are needed"
+            )
+    moving = _moving(observations)
+    for sequence in observations.sequences:
+        for axis, steps in sequence.positions.items():
+            if axis not in moving and np.any(steps):
+                raise InputError(
+                    f"the {sequence.axis} was photographed away from the {axis}'s step 0, but no board on the {axis} "
+                    f"tells how far that is: photograph one, or give {axis}_step = 0 under [{sequence.axis}]"
+                )
+
+
+def _on_axes_alone(observations: Observations) -> str:
+    """Why photographs of the board on the axes do not take the place of views, where there are any."""
+    count = sum(len(sequence.views) for sequence in observations.sequences)
+    if not count:
+        return ""
+    return (
+        f". The {count} photographs of it on the {' and the '.join(_moving(observations))} do not count: they show how "
+        "it is moved once the camera is known, and the camera is found from a board that is held in the hand"
+    )
+
+
+def _moving(observations: Observations) -> list[str]:
+    """The axes that have photographs, each once."""
+    return list(dict.fromkeys(sequence.axis for sequence in observations.sequences))
+
+
+def _stripe_points(view: View, laser: int) -> int:
+    return sum(int(np.isfinite(s.pixels).all(axis=1).sum()) for s in view.stripes if s.laser == laser)
+
+
+def check_views_for(board_shape: str, views: int) -> None:
+    """Refuse views of the board that are too few for the shape that is asked for.
+
+    Raises:
+        InputError: they are.
+    """
+    fewest = _FEWEST_VIEWS_OF[board_shape]
+    if views < fewest:
+        simpler = [name for name, count in _FEWEST_VIEWS_OF.items() if count <= views]
+        raise InputError(
+            f'{views} usable views of the board; board_shape = "{board_shape}" needs {fewest}, to tell '
+            f"{_OF_SHAPE[board_shape]} from the camera: photograph it in more poses, tilted in different directions, "
+            f'or ask for board_shape = "{simpler[-1]}"'
+        )
+
+
+def check_solved(refined: Refined, observations: Observations, free: Bool[Array, "shared"]) -> None:
+    """Refuse what is no calibration."""
+    rig, names = refined.system.rig, np.array(refined.system.shared_names())
+    at = np.flatnonzero(free)
+    values = np.array(refined.system.values())
+    spread = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
+    directions = np.asarray(refined.precision.directions)[at]
+    noise_px = max(float(refined.noise.corner), float(refined.noise.stripe))
+    open_question = None
+    if np.isfinite(values).all() and np.isfinite(spread).all():
+        eigenvalues = np.asarray(refined.precision.eigenvalues)
+        open_question = undetermined(names[at].tolist(), values[at], eigenvalues, directions, spread, noise_px)
+        for i, light in enumerate(rig.lights if open_question is None else ()):
+            own = [k for k, name in enumerate(names[at]) if name.startswith(f"lights.{i}.")]
+            if own and open_question is None:
+                covariance = spread[np.ix_(own, own)]
+                rays = image_rays(rig.camera)
+                open_question = undetermined_shape(light, names[at][own].tolist(), covariance, rays, noise_px)
+    if open_question:
+        with_rig = rig if any(name.startswith("lights") for name in names[at]) else Rig(rig.camera)
+        coverage = measure_coverage(
+            observations, with_rig, poses_of_photographs(observations, rig.camera, refined.system.poses[0][:, :6])
+        )
+        raise ObservabilityError(
+            f"from these {len(observations.views)} views {open_question.words}: "
+            f"{cause_and_mend(open_question, coverage, float(refined.noise.corner))}"
+        )
+    _refuse_what_ran_away(refined, observations)
+    # Last, since what is not determined is mostly not reached either.
+    if refined.outcome.result != optx.RESULTS.successful:
+        raise SolveError(
+            f"the solve did not reach a minimum within {MAX_STEPS} steps ({refined.solves} rounds): the photographs "
+            "may not belong to one camera, or the lens may need a simpler model"
+        )
+
+
+def _refuse_what_ran_away(refined: Refined, observations: Observations) -> None:
+    """A board bent by a tenth of itself is none: its shape took up what something else is at fault for."""
+    shape, board = refined.system.shape, observations.board
+    if shape is None:
+        return
+    size = float(np.linalg.norm(np.ptp(board.points()[:, :2], axis=0)))
+    range_mm = bent_by(np.array([float(term) for term in jax.tree.leaves(shape)]))[0]
+    if not range_mm <= _RUN_AWAY * size:
+        raise SolveError(
+            f"the board's shape ran away: it came out bent by {range_mm:.3g} mm, over {size:.0f} mm. If the board is "
+            "bent so far, which no shape follows, make it flat. If not, something else does not fit, and the shape "
+            'took it up: calibrate with board_shape = "flat" and see which photographs do not fit, whether all show '
+            "one board, and whether the lens needs more terms"
+        )

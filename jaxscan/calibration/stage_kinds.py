@@ -1,0 +1,130 @@
+"""The kind of motion of each axis: as it is asked for, checked, and begun from the line that fits best.
+
+A stage whose path is no line is solved twice: first as a line, with all that makes it another held, then with what the
+own places of its photographs say of that.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from jaxscan.calibration.observations import Observations
+from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.stage_paths import (
+    FEWEST_TURNS,
+    LEAST_TOLD,
+    Course,
+    courses,
+    started,
+    told_of_wave,
+)
+from jaxscan.calibration.stage_shape import aliases_in_words
+from jaxscan.errors import InputError
+from jaxscan.precision import as_float64
+from jaxscan.rig import MOTIONS, System, motion_of
+from jaxscan.rig.line import Line
+from jaxscan.rig.rig import Rig, parameter_names
+
+
+def with_kinds(observations: Observations, motion: Mapping[str, str], periods: Mapping[str, float]) -> Observations:
+    """The same with the kind of motion that is asked for in the sequences of each axis.
+
+    Raises:
+        InputError: there is no such axis or kind, or it is none for this axis; or a period that is none.
+    """
+    kinds = {sequence.axis: sequence.kind for sequence in observations.sequences}
+    for axis, kind in motion.items():
+        if axis not in kinds:
+            has = f"there are some on {', '.join(kinds)}" if kinds else "there are none on any axis"
+            raise InputError(
+                f'motion of "{axis}" = "{kind}": no photographs of a board on the {axis}, {has}: photograph one along '
+                "its travel, or leave out the kind of its motion"
+            )
+        if kind not in MOTIONS:
+            raise InputError(
+                f'motion of "{axis}" = "{kind}": this version knows {", ".join(MOTIONS)}; register the kind before'
+            )
+        if issubclass(MOTIONS[kind], Line) != issubclass(MOTIONS[kinds[axis]], Line):
+            raise InputError(
+                f'motion of "{axis}" = "{kind}": the {axis} was photographed as "{kinds[axis]}": give a kind of motion '
+                "that moves the board as it does"
+            )
+    kinds |= motion
+    for axis, period in periods.items():
+        if not (math.isfinite(period) and period > 0):
+            raise InputError(f"the screw's period of the {axis} is {period:g}: give the steps of one turn, above 0")
+        if axis not in kinds or "period" not in MOTIONS[kinds[axis]].numbers:
+            screws = ", ".join(f'"{name}"' for name, kind in MOTIONS.items() if "period" in kind.numbers)
+            raise InputError(
+                f"a screw's period of {period:g} steps is given for the {axis}, whose motion has none: ask for one of "
+                f"the kinds {screws}, or leave out the period"
+            )
+        steps = np.concatenate([each.steps for each in observations.sequences if each.axis == axis])
+        if np.ptp(steps) < FEWEST_TURNS * period:
+            raise InputError(
+                f"the {axis} was photographed over {np.ptp(steps):g} steps, {np.ptp(steps) / period:.2g} turns of a "
+                f"screw of {period:g} steps: photograph the board over {FEWEST_TURNS:g} turns and more, or give the "
+                "right period"
+            )
+    return replace(
+        observations,
+        sequences=tuple(replace(sequence, kind=kinds[sequence.axis]) for sequence in observations.sequences),
+    )
+
+
+def shape_parameters(rig: Rig) -> set[str]:
+    """The names of what makes the motion of an axis another than a line."""
+    lines = [part for part in rig.motion.parts() if isinstance(part, Line)]
+    stems = [f"motion.{part.axis}.{name}." for part in lines for name in part.shape()]
+    return {name for name in parameter_names(rig) if stems and name.startswith(tuple(stems))}
+
+
+def begun(system: System, as_lines: Calibration, periods: Mapping[str, float]) -> tuple[System, set[str], list[str]]:
+    """The system of a solve whose stages were lines, with the shape that the own places of its photographs have.
+
+    Args:
+        system: where that solve ended.
+        as_lines: the same, assembled.
+        periods: steps of one turn of an axis's screw, where they are known.
+
+    Returns:
+        The system; the names of the periods that keep their value, those that are known and those of screws that show
+        no wave; and sentences about periods that the photographs do not tell, without their full stops.
+
+    Raises:
+        InputError: the photographs do not tell of a period that is given.
+    """
+    found, parts, held, said = courses(as_lines), [], set(), []
+    for part in system.rig.motion.parts():
+        if isinstance(part, Line) and part.shape() and part.axis in found:
+            course, period = found[part.axis], periods.get(part.axis)
+            if period is not None:
+                _check_told(part, course, period)
+            start, told = started(part, course, period)
+            parts.append(start)
+            if "wave" in part.shape() and told is None:
+                held.add(f"motion.{part.axis}.period.0")
+            if told is not None and told.others:
+                said.append(
+                    f"The {part.axis}'s screw is taken to have a period of {told.period:.5g} steps. "
+                    f"{aliases_in_words(told.others)}"
+                )
+        else:
+            parts.append(part)
+    rig = as_float64(Rig(system.rig.camera, system.rig.lights, motion_of(tuple(parts))))
+    return System(rig, system.poses, system.shape), held, said
+
+
+def _check_told(part: Line, course: Course, period: float) -> None:
+    """Refuse a period of which all photographs show the same."""
+    beside = course.line()
+    if "bow" in part.shape():
+        beside = np.concatenate([beside, course.bow()], axis=1)
+    if told_of_wave(course, beside, period) < LEAST_TOLD:
+        raise InputError(
+            f"the {part.axis}'s screw has a period of {period:g} steps, and its photographs stand at the same places "
+            f"of that, or at two: they tell nothing of its wave. Photograph the board at uneven steps, or ask for a "
+            "motion without a screw"
+        )
