@@ -14,7 +14,7 @@ from jaxscan.calibration.blocks import photographs_in_blocks
 from jaxscan.calibration.observations import Observations, View
 from jaxscan.calibration.rounds import Refined
 
-# Eigenvalues below this of the sum of all photographs, its diagonal scaled to 1, are rounding.
+# Eigenvalues of normal equations below this, the diagonal scaled to 1, are rounding.
 _ROUNDING = 1e-11
 
 
@@ -77,7 +77,11 @@ class ByPhotograph:
 
     def inverse(self) -> Float[np.ndarray, "unknowns unknowns"]:
         """Of the sum of all, T⁻¹: the covariance of the unknowns."""
-        return inverse_where_told(self.N.sum(axis=0) + self.others, _ROUNDING)[0]
+        return inverse_where_told(self.total())[0]
+
+    def total(self) -> Float[np.ndarray, "unknowns unknowns"]:
+        """T, the normal equations of all."""
+        return self.N.sum(axis=0) + self.others
 
     def beside(self, D: Float[np.ndarray, "unknowns d"], courses: Float[np.ndarray, "n photographs"]) -> "ByPhotograph":
         """The same where some numbers may also go along some courses from photograph to photograph.
@@ -117,13 +121,13 @@ def rows_of(
 
 
 def inverse_where_told(
-    M: Float[np.ndarray, "*each n n"], least: float, scale: Float[np.ndarray, "*each n"] | None = None
+    M: Float[np.ndarray, "*each n n"], least: float = _ROUNDING, scale: Float[np.ndarray, "*each n"] | None = None
 ) -> tuple[Float[np.ndarray, "*each n n"], Int[np.ndarray, "*each"]]:
     """The inverse in the directions that there are, and how many.
 
     Args:
         M: symmetric, not negative.
-        least: the least eigenvalue, with the diagonal scaled to 1.
+        least: the least eigenvalue, with the diagonal scaled to 1; below it is rounding.
         scale: in place of the diagonal.
     """
     diagonal = np.diagonal(M, axis1=-2, axis2=-1) if scale is None else scale

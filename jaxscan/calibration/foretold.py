@@ -13,7 +13,6 @@ from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_told
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.board_shape import BENDS
 
-_ROUNDING = 1e-11
 _POSE = 6
 
 
@@ -26,7 +25,7 @@ def foretold(refined: Refined, each: ByPhotograph) -> Float[np.ndarray, "photogr
         refined: where the rounds ended.
         each: the normal equations of its photographs.
     """
-    inverse, _ = inverse_where_told(each.N.sum(axis=0) + each.others - each.N, _ROUNDING)
+    inverse, _ = inverse_where_told(each.total() - each.N)
     x = np.einsum("pij,pj->pi", inverse, each.g)
     squares = each.square + 2 * (each.g * x).sum(axis=1) + np.einsum("pi,pij,pj->p", x, each.N, x)
     noise, tau = refined.noise, refined.stripe_correlation or 1.0

@@ -21,7 +21,7 @@ from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.images import Board
 from jaxscan.rig import MOTIONS, Rig
-from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by
+from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
 
 _FEWEST_CORNERS = 6
 FEWEST_VIEWS = 3
@@ -199,7 +199,7 @@ def _refuse_what_ran_away(refined: Refined, observations: Observations) -> None:
     shape, board = refined.system.shape, observations.board
     if shape is None:
         return
-    size = float(np.linalg.norm(np.ptp(board.points()[:, :2], axis=0)))
+    size = 2 * half_diagonal_of(board.points())
     range_mm = bent_by(np.array([float(term) for term in jax.tree.leaves(shape)]))[0]
     if not range_mm <= _RUN_AWAY * size:
         raise SolveError(

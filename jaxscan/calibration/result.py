@@ -183,6 +183,22 @@ class Calibration:
         ratios = np.sqrt(np.diagonal(self.covariance.matrix) / np.diagonal(formal.matrix))
         return dict(zip(self.covariance.names, map(float, ratios), strict=True))
 
+    def most_moved(
+        self, by: Float[np.ndarray, "unknowns"], sigma: Float[np.ndarray, "unknowns_or_fewer"]
+    ) -> tuple[str, float]:
+        """Which of the rig's parameters that were sought is moved most, in σ, and by how many.
+
+        Args:
+            by: by how much each of the rig's leaves is moved, and behind them whatever else is shared.
+            sigma: theirs, at least those of the rig's leaves.
+        """
+        names = parameter_names(self.rig)
+        by, sigma = np.abs(by[: len(names)]), sigma[: len(names)]
+        sought = np.isin(names, self.covariance.names) & (sigma > 0)
+        in_sigma = np.where(sought, by / np.where(sought, sigma, 1.0), 0.0)
+        worst = int(np.argmax(in_sigma))
+        return names[worst], float(in_sigma[worst])
+
     def stripe_points(self, laser: int) -> Float[np.ndarray, "points 3"]:
         """Where a laser's stripes lie on the boards, camera frame, mm; without those that are far from its light."""
         poses, bent = self.photograph_poses(), self.bent_boards()

@@ -27,7 +27,7 @@ from jaxscan.calibration.residuals import Blocks, Noise, block_errors
 from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, arrow_precision
 from jaxscan.precision import as_jax, as_numpy
 from jaxscan.rig import System
-from jaxscan.rig.board_shape import BENDS
+from jaxscan.rig.board_shape import BENDS, half_diagonal_of
 from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
@@ -184,7 +184,7 @@ def _restated(outcome: Outcome, groups: tuple[Blocks, ...], old: Noise, new: Noi
 def _bend(outcome: Outcome, candidates: tuple[Blocks, ...], sigma: float) -> float:
     """The σ of the bends by a solve with another, mm."""
     value, jacobian = as_numpy((outcome.value, outcome.jacobian))
-    half_diagonal = float(np.linalg.norm(np.ptp(candidates[0].points[0, :, :2], axis=0))) / 2
+    half_diagonal = half_diagonal_of(np.asarray(candidates[0].points[0]))
     return likeliest_bend(reduced(value, jacobian, len(candidates), sigma), half_diagonal)
 
 

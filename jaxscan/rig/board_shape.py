@@ -129,6 +129,11 @@ class BentBoard(eqx.Module):
         return namespace(x, w).asarray(w * (1 - z / (self.away + z - slope)))
 
 
+def half_diagonal_of(points: Float[A, "points 3"]) -> float:
+    """Half the diagonal of the rectangle that a board's points fill, mm."""
+    return float(np.linalg.norm(np.ptp(np.asarray(points)[:, :2], axis=0))) / 2
+
+
 def middle_and_half(points: Float[A, "points 3"]) -> tuple[Float[A, "2"], Float[A, "2"]]:
     """Of a board's points along columns and rows, mm."""
     xp = namespace(points)

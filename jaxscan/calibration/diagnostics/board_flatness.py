@@ -29,8 +29,7 @@ from jaxscan.calibration.places import places_of_residuals
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.geometry import vector_to_matrix
-from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by
-from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by, half_diagonal_of
 
 # σ and correlation are found anew so many times.
 _TIMES_ANEW = 3
@@ -79,7 +78,7 @@ def beside_shape(
     """
     groups = _columns(refined, calibration, columns)
     shared, known = groups[0].shared, len(jax.tree.leaves(refined.system.shape))
-    half_diagonal = float(np.linalg.norm(np.ptp(calibration.observations.board.points()[:, :2], axis=0))) / 2
+    half_diagonal = half_diagonal_of(calibration.observations.board.points())
     chosen = [each.only(shared + N_TERMS - known, each.normal(np.ones(2))) for each in groups]
     moved, _, covariance = _solution(chosen, likeliest_bend(chosen, half_diagonal))
     at = slice(shared - columns[0].shape[-1], shared)
@@ -91,7 +90,7 @@ def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.nd
     known = len(jax.tree.leaves(refined.system.shape))
     shared = groups[0].shared
     extra = list(range(shared, shared + N_TERMS - known))
-    half_diagonal = float(np.linalg.norm(np.ptp(calibration.observations.board.points()[:, :2], axis=0))) / 2
+    half_diagonal = half_diagonal_of(calibration.observations.board.points())
     count, scales = shared + len(extra), np.ones(2)
 
     def likeliest(scales: Float[np.ndarray, "2"]) -> tuple[list[np.ndarray], list[Reduced], float]:
@@ -110,14 +109,12 @@ def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.nd
     rise = deviance(chosen, LEAST_BEND_MM) - deviance(chosen, bends)
     own = refined.noise.bend is not None
     p_bends = 1.0 if own else 0.5 * float(gammaincc(0.5, max(rise, 0.0) / 2))
-    names = parameter_names(refined.system.rig)
-    sigma = np.sqrt(np.diagonal(np.asarray(refined.precision.covariance)))[: len(names)]
     # From where all that is free beside it brings the rig.
     before = _solution(without, LEAST_BEND_MM)[0] if beside[0].shape[-1] else np.zeros_like(moved)
-    shift = np.abs(moved[: len(names)] - before[: len(names)]) / np.where(sigma > 0, sigma, np.inf)
-    shift = np.where([name in calibration.covariance.names for name in names], shift, 0.0)
-    worst = int(np.argmax(shift))
-    at = np.r_[len(names) : len(names) + known, extra].astype(int)
+    leaves = len(jax.tree.leaves(refined.system.rig))
+    sigma = np.sqrt(np.diagonal(np.asarray(refined.precision.covariance)))
+    parameter, shift = calibration.most_moved(moved[:leaves] - before[:leaves], sigma)
+    at = np.r_[leaves : leaves + known, extra].astype(int)
     terms = moved[at] + np.pad([float(x) for x in jax.tree.leaves(refined.system.shape)], (0, len(extra)))
     bent, bent_sigma = bent_by(terms, covariance[np.ix_(at, at)])
     session, differs = _other_session(groups, Q, calibration, bends, cost)
@@ -129,8 +126,8 @@ def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.nd
         bends_mm=bends,
         p=p,
         p_bends=p_bends,
-        parameter=names[worst],
-        shift_in_sigma=float(shift[worst]),
+        parameter=parameter,
+        shift_in_sigma=shift,
         views=len(calibration.observations.views),
         session=session,
         differs_mm=differs,

@@ -30,14 +30,13 @@ from jaxscan.calibration.places import places_of_residuals
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.geometry import vector_to_matrix
-from jaxscan.rig.board_shape import BOARD_SHAPES, places_on_board
+from jaxscan.rig.board_shape import BOARD_SHAPES, half_diagonal_of, places_on_board
 
 _DEGREE: Final = 4
 # A variance component that raises −2 log L by less than this when it is left out is none: once in 10 000 by chance.
 _CLEAR = 13.8
 # σ is sought from the first share of the board's half diagonal up to the second, first in so many steps.
 _LEAST, _MOST, _STEPS = 1e-6, 0.1, 9
-_ROUNDING = 1e-11
 # Degrees along columns and rows of what the shapes of `rig.board_shape` have, in the order of its terms.
 _OF_SHAPE: Final = ((2, 0), (0, 2), (1, 1), (2, 1), (1, 2))
 _IN_PLANE, _HEIGHT = 0, 1
@@ -55,18 +54,14 @@ def board_point_errors(
         calibration: the same, assembled.
     """
     fields = _Fields.create(refined, calibration)
-    half_diagonal = float(np.linalg.norm(np.ptp(calibration.observations.board.points()[:, :2], axis=0))) / 2
-    sigmas, deviance = fields.likeliest(half_diagonal)
+    sigmas, deviance = fields.likeliest(half_diagonal_of(calibration.observations.board.points()))
     if not sigmas.any():
         return None
     widens, off = fields.widens(sigmas), fields.rms(sigmas, calibration)
     sigma = np.sqrt(np.maximum(np.diagonal(fields.inverse), 0.0))
-    names = refined.system.shared_names()
-    wider = np.sqrt(np.diagonal(widens) + sigma**2) / np.where(sigma > 0, sigma, np.inf)
-    wider = np.where([name in calibration.covariance.names for name in names], wider, 0.0)
-    worst = int(np.argmax(wider))
+    parameter, wider = calibration.most_moved(np.sqrt(np.diagonal(widens) + sigma**2), sigma)
     p = 0.5 * float(np.exp(deviance / 2))
-    return OffGrid(float(off[_IN_PLANE]), float(off[_HEIGHT]), float(wider[worst]), names[worst], p), widens
+    return OffGrid(float(off[_IN_PLANE]), float(off[_HEIGHT]), wider, parameter, p), widens
 
 
 @dataclass(frozen=True)
@@ -109,7 +104,7 @@ class _Fields:
                 columns[:, :rows] = np.where(np.isfinite(each), each, 0.0).transpose(1, 2, 0)
             both = np.concatenate([J[..., :n], columns, r[..., None]], axis=-1)
             total += without_poses(J[..., n:], both).sum(axis=0)
-        inverse, _ = inverse_where_told(total[:n, :n], _ROUNDING)
+        inverse, _ = inverse_where_told(total[:n, :n])
         tied = total[:n, n:-1]
         own = total[n:-1, n:-1] - tied.T @ inverse @ tied
         return _Fields(terms, inverse, tied, own, total[n:-1, -1] - tied.T @ inverse @ total[:n, -1])

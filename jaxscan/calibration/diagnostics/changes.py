@@ -26,7 +26,6 @@ from jaxscan.calibration.correlation import weights_anew
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.light import turned_and_moved
-from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.system import System
 
 # So seldom would chance alone show a change; and by so many of its σ must it move something of the rig.
@@ -72,20 +71,14 @@ def find_change(
         best = _clearest(kinds, equations, lambda step: step.gain)
     if best is None or not equations.stands_out(best):
         return None
-    names = parameter_names(refined.system.rig)
-    sigma = np.sqrt(np.diagonal(equations.inverse))[: len(names)]
     # From the rig of all to that of the first photographs, and to that of the last ones.
-    both = best.moved, best.moved + best.kind.D @ best.delta
-    shift = np.max([np.abs(moved[: len(names)]) for moved in both], axis=0) / np.where(sigma > 0, sigma, np.inf)
-    shift = np.where([name in calibration.covariance.names for name in names], shift, 0.0)
-    worst = int(np.argmax(shift))
-    if shift[worst] < _MOVES:
+    both = np.abs([best.moved, best.moved + best.kind.D @ best.delta])
+    parameter, shift = calibration.most_moved(both.max(axis=0), np.sqrt(np.diagonal(equations.inverse)))
+    if shift < _MOVES:
         return None
     by, laser = _size(best, calibration)
     views = equations.each.views
-    return Change(
-        best.kind.name, by, views[best.k - 1].name, views[best.k].name, names[worst], float(shift[worst]), laser
-    )
+    return Change(best.kind.name, by, views[best.k - 1].name, views[best.k].name, parameter, shift, laser)
 
 
 @dataclass(frozen=True)

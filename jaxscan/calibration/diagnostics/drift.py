@@ -24,7 +24,6 @@ from jaxscan.calibration.drifted import Drift
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.light import turned_and_moved
-from jaxscan.rig.rig import parameter_names
 
 # So seldom would chance alone show a drift; and by so many of its σ must it move something of the rig.
 _BY_CHANCE = 1e-4
@@ -57,16 +56,12 @@ def find_drift(
     if not courses:
         return None
     best = max(courses, key=lambda course: course.gain)
-    names = parameter_names(refined.system.rig)
-    sigma = np.sqrt(np.diagonal(each.inverse()))[: len(names)]
-    shift = np.abs(best.moved)[: len(names)] / np.where(sigma > 0, sigma, np.inf)
-    shift = np.where([name in calibration.covariance.names for name in names], shift, 0.0)
-    worst = int(np.argmax(shift))
-    if shift[worst] < _MOVES:
+    parameter, shift = calibration.most_moved(best.moved, np.sqrt(np.diagonal(each.inverse())))
+    if shift < _MOVES:
         return None
     by, laser = _size(best, calibration)
     n = len(refined.system.shared_names())
-    drift = Drift(best.kind.name, by, laser, float(np.exp(best.log_p)), names[worst], float(shift[worst]))
+    drift = Drift(best.kind.name, by, laser, float(np.exp(best.log_p)), parameter, shift)
     return drift, best.widens[:n, :n]
 
 
