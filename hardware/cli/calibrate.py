@@ -94,13 +94,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             turntable_at=args.turntable_at or 0,
             stripe=settings.stripe,
         )
-    stage, table = session.stage, session.turntable
+    moved = {f"{axis}_images": len(sequence.images) for axis, sequence in session.sequences.items()}
     return {
         "path": str(args.folder),
         "views": len(session.views.boards),
-        "stage_images": 0 if stage is None else len(stage.images),
-        "turntable_images": 0 if table is None else len(table.images),
-    }
+        "stage_images": 0,
+        "turntable_images": 0,
+    } | moved
 
 
 class _Terminal:

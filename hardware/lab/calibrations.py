@@ -109,10 +109,11 @@ class Calibrations:
             return Calibration(
                 name=path.name, views=0, stage_images=0, turntable_images=0, changed_s=changed_s, problem=str(refusal)
             )
+        moved = {f"{axis}_images": len(sequence.images) for axis, sequence in session.sequences.items()}
         return Calibration(
             name=path.name,
             views=len(session.views.boards),
-            stage_images=len(session.stage.images) if session.stage else 0,
-            turntable_images=len(session.turntable.images) if session.turntable else 0,
+            stage_images=moved.get("stage_images", 0),
+            turntable_images=moved.get("turntable_images", 0),
             changed_s=changed_s,
         )

@@ -65,7 +65,6 @@ def observe(
         InputError: a photograph that cannot be read, or a board that is found in none of them.
         StalledError: what is in one of them was looked for without an end.
     """
-    sequences = [sequence for sequence in (session.stage, session.turntable) if sequence]
 
     def name(path: Path) -> str:
         """As the session has it: photographs of the views and of the stage may share a file name."""
@@ -94,10 +93,9 @@ def observe(
         photographs = looked_at(view, session.views.boards, range(len(session.views.boards)))
         left_out = _not_found(session, photographs, "view")
         moved = []
-        for sequence in sequences:
+        for axis, sequence in session.sequences.items():
             moved.append(looked_at(partial(along, sequence), sequence.images, range(len(sequence.images))))
-            what = "turntable" if isinstance(sequence, TurntableImages) else "stage"
-            left_out += _not_found(session, moved[-1], f"{what} photograph")
+            left_out += _not_found(session, moved[-1], f"{axis} photograph")
     usual = _usual_sigma([p.found for p in (*photographs, *(p for each in moved for p in each)) if p.found is not None])
     # Each sequence by itself: one may begin where another passes. A view that is a copy of one of theirs is left out.
     moved, repeated = zip(*map(_once, moved), strict=True) if moved else ((), ())
@@ -128,7 +126,8 @@ def observe(
         board=session.board,
         views=tuple(views),
         sequences=tuple(
-            _sequence(session.board, sequence, each, usual) for sequence, each in zip(sequences, moved, strict=True)
+            _sequence(session.board, sequence, each, usual)
+            for sequence, each in zip(session.sequences.values(), moved, strict=True)
         ),
         lasers=tuple(laser.name for laser in session.lasers),
         left_out=tuple(left_out),
@@ -144,7 +143,7 @@ def unseen(session: Session) -> Observations:
 
 def photograph_count(session: Session) -> int:
     """How many poses `observe` looks at."""
-    return len(session.views.boards) + sum(len(s.images) for s in (session.stage, session.turntable) if s)
+    return len(session.views.boards) + sum(len(sequence.images) for sequence in session.sequences.values())
 
 
 def _stripe_of(laser: StripeSettings) -> str:

@@ -125,10 +125,16 @@ class Session:
     image_size: tuple[int, int] = (0, 0)
     board_shape: str = "flat"
 
+    @property
+    def sequences(self) -> dict[str, StageImages]:
+        """Those of the board on an axis that there are, by the axis's name."""
+        each = zip(SEQUENCES, (self.stage, self.turntable), strict=True)
+        return {axis: sequence for axis, sequence in each if sequence is not None}
+
     def photographs(self) -> list[Path]:
         """All its photographs: of the board, on stage and turntable, of the stripes."""
         stripes = (self.views.stripes or {}).values()
-        moved = [sequence for sequence in (self.stage, self.turntable) if sequence]
+        moved = self.sequences.values()
         paths = [*self.views.boards, *(path for sequence in moved for path in sequence.images)]
         lit = [*stripes, *(own for sequence in moved for own in sequence.stripes.values())]
         return list(dict.fromkeys(paths + [path for own in lit for path in own if path is not None]))
@@ -211,16 +217,15 @@ def write_session(session: Session) -> None:
         else:
             for laser in lasers:
                 laser["stripes"] = names[laser["name"]]
-    for name, sequence in (("stage", session.stage), ("turntable", session.turntable)):
-        if sequence is not None:
-            images = [relative_name(path, folder) for path in sequence.images]
-            values[name] = {"images": images, "steps": list(sequence.steps)}
-            if sequence.stripes:
-                lit = {
-                    laser: [relative_name(path, folder) if path else "" for path in paths]
-                    for laser, paths in sequence.stripes.items()
-                }
-                values[name]["stripes"] = lit if len(lasers) > 1 else next(iter(lit.values()))
+    for axis, sequence in session.sequences.items():
+        images = [relative_name(path, folder) for path in sequence.images]
+        values[axis] = {"images": images, "steps": list(sequence.steps)}
+        if sequence.stripes:
+            lit = {
+                laser: [relative_name(path, folder) if path else "" for path in paths]
+                for laser, paths in sequence.stripes.items()
+            }
+            values[axis]["stripes"] = lit if len(lasers) > 1 else next(iter(lit.values()))
     if (stage := session.stage) is not None:
         values["stage"] |= {"motion": stage.motion} if stage.motion != Linear.kind else {}
         values["stage"] |= {"screw_steps": stage.screw_steps} if stage.screw_steps is not None else {}
@@ -254,17 +259,15 @@ def _listed(session: Session) -> Iterator[tuple[str, tuple[str, int], Path]]:
         for paths in (session.views.stripes or {}).values():
             if (stripe := paths[i]) is not None:
                 yield "the stripes of [views]", ("view", i), stripe
-    for name, sequence in (("stage", session.stage), ("turntable", session.turntable)):
-        if sequence is None:
-            continue
+    for axis, sequence in session.sequences.items():
         for i, (image, step) in enumerate(zip(sequence.images, sequence.steps, strict=True)):
-            pose = (name, step)
+            pose = (axis, step)
             if isinstance(sequence, TurntableImages) and step == 0:
                 pose = ("stage", sequence.stage_step)
-            yield f"[{name}] images", pose, image
+            yield f"[{axis}] images", pose, image
             for paths in sequence.stripes.values():
                 if (stripe := paths[i]) is not None:
-                    yield f"[{name}] stripes", pose, stripe
+                    yield f"[{axis}] stripes", pose, stripe
 
 
 def _board(table: Table) -> tuple[Board, str]:

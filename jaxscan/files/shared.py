@@ -74,8 +74,8 @@ def _roles(session: Session, files: Mapping[Path, str]) -> dict[str, set[str]]:
             if (stripe := paths[i]) is not None:
                 of = f"the stripe of laser {laser}" if laser else "the stripe"
                 roles[files[stripe]].add(f"{of} in the pose of {files[board]}")
-    for sequence in (session.stage, session.turntable):
-        for path, step in zip(sequence.images, sequence.steps, strict=True) if sequence else ():
+    for sequence in session.sequences.values():
+        for path, step in zip(sequence.images, sequence.steps, strict=True):
             turned = isinstance(sequence, TurntableImages)
             where = f"the turntable, with the stage at {sequence.stage_step}" if turned else "the stage"
             roles[files[path]].add(f"an image at step {step} of {where}")
