@@ -256,11 +256,13 @@ def _laser(settings: ScannerSettings, axes: Mapping[str, StageDriver]) -> LaserD
         return FixedLaser()
     if kind == "controller":
         return ControllerLaser(next(axis for axis in axes.values() if isinstance(axis, LaserSwitch)))
+    lines = [line for axis in axes.values() if isinstance(line := getattr(axis, "line", None), Line)]
     if "port" in table:
-        return RtsLaser(Line(table.string("port"), 9600))
-    for axis in axes.values():
-        if isinstance(line := getattr(axis, "line", None), Line):
-            return RtsLaser(line)
+        port = table.string("port")
+        # A port is opened once: the laser may hang on that of an axis.
+        return RtsLaser(next((line for line in lines if line.name == port), None) or Line(port, 9600))
+    if lines:
+        return RtsLaser(lines[0])
     raise table.error("kind", "no axis has a serial line for it: give the laser's own port")
 
 

@@ -84,6 +84,7 @@ def take(
 
     Raises:
         HardwareError: a device failed; the laser is off and all axes stand, or the text says that they may not.
+        InUseError: another process takes frames into the folder.
         InputError: the disk, an axis that the scanner does not have, or a laser that cannot be switched though frames
             with it off were asked for.
     """
@@ -98,7 +99,7 @@ def take(
         raise InputError("frames with the laser off were asked for, but this laser is always on: leave out --dark")
     if not folder.left:
         return
-    with safely(axes, laser):
+    with folder.held(), safely(axes, laser):
         if plan.exposure_s is not None:
             camera.configure(plan.exposure_s, plan.gain)
         ensure_homed({name: axes[name] for name in plan.axes})

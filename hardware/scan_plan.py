@@ -6,7 +6,8 @@ be taken. Both are written beside and renamed.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +16,7 @@ from hardware.frame import Frame
 from hardware.places import Axes, Place, axes_of, places_of
 from jaxscan.atomic import check_writable, replacing
 from jaxscan.errors import InputError
+from jaxscan.exclusive import exclusive
 from jaxscan.files.axes import STAGE, is_axis_name
 from jaxscan.files.listing import common_size
 from jaxscan.files.scan import SCAN_FILE, Scan, read_listed, write_scan
@@ -23,6 +25,8 @@ from jaxscan.images import StripeSettings, read_image, write_image
 
 PLAN_FILE: Final = "plan.json"
 _FRAMES: Final = "frames"
+# Whoever takes frames into the folder holds it.
+_LOCK: Final = ".scan.lock"
 _FORMAT: Final = "jaxscan-plan/2"
 # Had `steps`, those of the stage, in the place of `axes`.
 _STAGE_ALONE: Final = "jaxscan-plan/1"
@@ -95,22 +99,23 @@ class ScanFolder:
         Raises:
             InputError: the folder holds something, or cannot be made.
         """
-        if folder.is_dir() and any(folder.iterdir()):
-            hint = (
-                "go on with it by --resume" if (folder / PLAN_FILE).exists() else "name a folder that is new or empty"
-            )
-            raise InputError(f"{folder}: is not empty: {hint}")
         try:
-            (folder / _FRAMES).mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
-        check_writable(folder / SCAN_FILE)
-        # The scan first: a folder with a plan has one that reads.
-        exposures_s = None if plan.exposure_s is None else ()
-        axes = dict.fromkeys(plan.axes, ())
-        done = Scan(folder / SCAN_FILE, plan.laser, axes=axes, exposures_s=exposures_s, name=plan.name)
-        write_scan(done)
-        _write_plan(folder / PLAN_FILE, plan)
+        with exclusive(folder / _LOCK, str(folder)):
+            if any(path.name != _LOCK for path in folder.iterdir()):
+                begun = (folder / PLAN_FILE).exists()
+                hint = "go on with it by --resume" if begun else "name a folder that is new or empty"
+                raise InputError(f"{folder}: is not empty: {hint}")
+            check_writable(folder / SCAN_FILE)
+            (folder / _FRAMES).mkdir()
+            # The scan first: a folder with a plan has one that reads.
+            exposures_s = None if plan.exposure_s is None else ()
+            axes = dict.fromkeys(plan.axes, ())
+            done = Scan(folder / SCAN_FILE, plan.laser, axes=axes, exposures_s=exposures_s, name=plan.name)
+            write_scan(done)
+            _write_plan(folder / PLAN_FILE, plan)
         return ScanFolder(plan, done)
 
     @staticmethod
@@ -122,21 +127,24 @@ class ScanFolder:
         """
         if not (folder / PLAN_FILE).is_file():
             raise InputError(f"{folder}: has no {PLAN_FILE}: begin a scan there without --resume")
-        plan = _read_plan(folder / PLAN_FILE)
-        for path in (*folder.glob(".*.part"), *(folder / _FRAMES).glob(".*.part")):
-            path.unlink()
-        # A frame that was cut off before it was listed is taken again, under the same name.
-        done = read_listed(folder)
-        if done.axes != {name: steps[: len(done.frames)] for name, steps in plan.axes.items()}:
-            raise InputError(
-                f"{folder / SCAN_FILE}: its positions are not the first of those in {PLAN_FILE}: it was changed by "
-                "hand; keep it as it is, and begin another"
-            )
-        for path in (*done.frames, *done.backgrounds):
-            read_image(path)
-        if done.frames:
-            common_size([*done.frames, *done.backgrounds])
-        return ScanFolder(plan, done)
+        with exclusive(folder / _LOCK, str(folder)):
+            for path in (*folder.glob(".*.part"), *(folder / _FRAMES).glob(".*.part")):
+                path.unlink()
+            return ScanFolder(*_begun(folder))
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Let nobody else take frames into it while the block lasts; what others took before counts as done.
+
+        Raises:
+            InUseError: another process does.
+            InputError: the folder was changed by hand.
+        """
+        folder = self.done.path.parent
+        with exclusive(folder / _LOCK, str(folder)):
+            if read_listed(folder).frames != self.done.frames:
+                self.plan, self.done = _begun(folder)
+            yield
 
     @property
     def left(self) -> tuple[Place, ...]:
@@ -183,6 +191,24 @@ class ScanFolder:
         write_scan(done)
         self.done = done
         return path
+
+
+def _begun(folder: Path) -> tuple[Plan, Scan]:
+    """What is to be done and what is, each frame seen to be whole.
+
+    A frame that was cut off before it was listed is taken again, under the same name.
+    """
+    plan, done = _read_plan(folder / PLAN_FILE), read_listed(folder)
+    if done.axes != {name: steps[: len(done.frames)] for name, steps in plan.axes.items()}:
+        raise InputError(
+            f"{folder / SCAN_FILE}: its positions are not the first of those in {PLAN_FILE}: it was changed by hand; "
+            "keep it as it is, and begin another"
+        )
+    for path in (*done.frames, *done.backgrounds):
+        read_image(path)
+    if done.frames:
+        common_size([*done.frames, *done.backgrounds])
+    return plan, done
 
 
 def _write_plan(path: Path, plan: Plan) -> None:

@@ -1,9 +1,11 @@
 """A serial line as drivers use it: nothing on it waits without a deadline, and a cable that is out says so."""
 
+import os
 import re
 import threading
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import serial
 
@@ -15,6 +17,9 @@ _HANDLERS = "hardware.emulator"
 # A read gives up after this long and looks whether anybody has called `stop`.
 _POLL_S = 0.02
 _WRITE_S = 1.0
+# Windows gives a port to one program alone by itself.
+_EXCLUSIVE: Final = True if os.name == "posix" else None
+_LONGEST_COMMAND: Final = 200
 # What a controller and the driver of a USB adapter may take to answer.
 _ANSWER_S = 0.25
 # What has not come so long after it was due does not come, and how long a line may go on talking.
@@ -37,12 +42,18 @@ class Line:
         self._byte_s = 10 / baud
         self._writing = threading.Lock()
         try:
+            # The system locks it before any of its lines is set: RTS may be another program's laser.
             self.port: Any = serial.serial_for_url(
-                name, do_not_open=True, baudrate=baud, timeout=_POLL_S, write_timeout=_WRITE_S
+                name, do_not_open=True, baudrate=baud, timeout=_POLL_S, write_timeout=_WRITE_S, exclusive=_EXCLUSIVE
             )
             self.port.rts = False
             self.port.open()
         except (OSError, ValueError, ImportError) as error:
+            if holder := _holder(name):
+                raise SettingsError(
+                    f"{name}: is in use by {holder}: wait until that has ended, or end it; what a scanner does at a "
+                    "time, one program asks of it"
+                ) from error
             raise SettingsError(
                 f"{name}: cannot be opened ({error}): `scanner devices` lists the ports that are there; another "
                 "program may hold this one, or you may not be in its group (dialout)"
@@ -138,6 +149,24 @@ class Line:
 
     def _carried(self) -> "_Carried":
         return _Carried(self.name)
+
+
+def _holder(port: str) -> str:
+    """Which other process has the port open, in words; "" where none is seen.
+
+    Processes of other users are not looked into, nor on systems without /proc.
+    """
+    place = os.path.realpath(port)
+    for process in Path("/proc").glob("[0-9]*"):
+        if process.name == str(os.getpid()):
+            continue
+        try:
+            if any(os.path.realpath(opened) == place for opened in (process / "fd").iterdir()):
+                command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+                return f"process {process.name} ({command[:_LONGEST_COMMAND]})"
+        except OSError:
+            continue
+    return ""
 
 
 class _Carried:
