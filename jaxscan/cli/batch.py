@@ -31,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="of a Dask scheduler whose workers see the same files, as tcp://host:8786",
     )
-    parser.add_argument("--again", action="store_true", help="also what is there already, younger than scan and rig")
+    parser.add_argument(
+        "--again", action="store_true", help="also what is there already, younger than scan, rig and options"
+    )
     add_detector_argument(parser)
     add_choice_argument(parser)
     add_depths_argument(parser)
@@ -48,20 +50,24 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     keep_compiled()
     from jaxscan.cli.progress import progress
     from jaxscan.files.rig_file import read_rig
-    from jaxscan.reconstruction.batch import find_tasks, run_batch
+    from jaxscan.reconstruction.batch import Options, find_tasks, held, run_batch
 
     tasks = find_tasks(args.scans, args.output, args.ending)
-    to_do = [task for task in tasks if args.again or not task.is_done(args.rig)]
+    warnings = [f"{args.rig}: {warning}" for warning in read_rig(args.rig).warnings]
+    options = Options(args.detector, args.stripe, depths_of(args))
     done, failed = [], []
-    with progress("reconstructing scans", len(to_do), "scan", elsewhere=args.scheduler is not None) as advance:
-        how = args.detector, args.stripe, args.scheduler, depths_of(args)
-        for outcome in run_batch(to_do, args.rig, *how):
-            if outcome.points is None:
-                failed.append({"scan": outcome.task.name, "reason": outcome.reason})
-                print(f"jaxscan: {outcome.reason}", file=sys.stderr)
-            else:
-                done.append({"scan": outcome.task.name, "path": str(outcome.task.output), "points": outcome.points})
-            advance(1)
+    with held(args.output, options) as made_with:
+        to_do = [task for task in tasks if args.again or not task.is_done(args.rig, made_with)]
+        with progress("reconstructing scans", len(to_do), "scan", elsewhere=args.scheduler is not None) as advance:
+            for outcome in run_batch(to_do, args.rig, options, args.scheduler):
+                of = {"scan": outcome.task.name}
+                if outcome.points is None:
+                    failed.append({**of, "reason": outcome.reason})
+                    print(f"jaxscan: {outcome.reason}", file=sys.stderr)
+                else:
+                    made = {"path": str(outcome.task.output), "points": outcome.points}
+                    done.append({**of, **made, "notes": list(outcome.notes)})
+                advance(1)
     return {
         "kind": "batch",
         "path": str(args.output),
@@ -69,7 +75,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "kept": len(tasks) - len(to_do),
         "done": done,
         "failed": failed,
-        "warnings": [f"{args.rig}: {warning}" for warning in read_rig(args.rig).warnings],
+        "warnings": warnings,
     }
 
 
@@ -83,6 +89,7 @@ def describe(result: dict[str, Any]) -> str:
             + (f", {len(failed)} failed:" if failed else ""),
             *(f"  {one['scan']}: {one['reason']}" for one in failed),
             *(["run the same command again to try these again"] if failed else []),
+            *(f"note: {one['scan']}: {note}" for one in result["done"] for note in one["notes"]),
             *(f"warning: {warning}." for warning in result["warnings"]),
         ]
     )

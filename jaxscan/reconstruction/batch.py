@@ -1,23 +1,28 @@
 """Many scans: each by itself, on this machine or on a cluster, its points in a file of its own.
 
-A result that is younger than its scan.toml and the rig is kept, as `make` would, so that what was interrupted goes on
-with what is missing. A scan that fails is told of, and the others go on.
+A result that is younger than its scan.toml, the rig and the options is kept, as `make` would, so that what was
+interrupted goes on with what is missing. A scan that fails is told of, and the others go on.
 
 A cluster runs a task again whose worker is lost before its answer was fetched. Such a task asks the same question once
 more: a result that is done, and is not the one that stood there when the batch began, is this batch's own.
 """
 
+import copy
+import json
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
+from jaxscan.atomic import replacing
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, JaxscanError
+from jaxscan.exclusive import exclusive
 from jaxscan.extras import extra
 from jaxscan.files.cloud import read_ply
 from jaxscan.files.listing import natural_key
@@ -30,6 +35,27 @@ from jaxscan.reconstruction.stream import Scanner
 # How long a scheduler may take to answer, and how many workers may die of one scan before it is given up.
 _ANSWER_S: Final = 15
 _DEATHS: Final = 3
+# How many scans are measured at once on a machine at most: while one waits for its photographs, others are measured.
+# Each has its own ring of photographs in memory.
+_SCANS_AT_ONCE: Final = 4
+# What the results in a folder were made with, and the lock of the batch that is at work there.
+_OPTIONS_FILE: Final = ".batch.json"
+_LOCK: Final = ".batch.lock"
+
+
+@dataclass(frozen=True)
+class Options:
+    """How the scans of a batch are reconstructed.
+
+    Attributes:
+        detector: how the stripe's centre is measured.
+        choice: which stripe is taken where a line has several.
+        depths_mm: nearest and farthest depth at which there can be a stripe, as `Scanner` has it.
+    """
+
+    detector: Detector = DEFAULT
+    choice: Choice = DEFAULT_CHOICE
+    depths_mm: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -46,11 +72,15 @@ class Task:
     scan: Path
     output: Path
 
-    def is_done(self, rig: Path) -> bool:
-        """Whether its points are there and younger than what they come from."""
+    def is_done(self, *made_from: Path) -> bool:
+        """Whether its points are there and younger than what they come from.
+
+        Args:
+            made_from: files beside its scan.toml: the rig, and what `held` gives.
+        """
         try:
             done = self.output.stat().st_mtime_ns
-            return done > max(self.scan.stat().st_mtime_ns, rig.stat().st_mtime_ns)
+            return all(done > path.stat().st_mtime_ns for path in (self.scan, *made_from))
         except FileNotFoundError:
             return False
 
@@ -70,11 +100,26 @@ class Outcome:
         task: which.
         points: how many were written; None where it failed.
         reason: why it failed, or "".
+        notes: what its photographs have shown to be wrong in its settings.
     """
 
     task: Task
     points: int | None
     reason: str = ""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a worker says of a scan.
+
+    Attributes:
+        points: how many were written.
+        notes: as `Outcome` has them.
+    """
+
+    points: int
+    notes: tuple[str, ...] = ()
 
 
 def find_tasks(scans: Path, out: Path, ending: str = ".ply") -> list[Task]:
@@ -86,12 +131,7 @@ def find_tasks(scans: Path, out: Path, ending: str = ".ply") -> list[Task]:
     if not scans.is_dir():
         raise InputError(f"{scans}: is no folder: name the folder that the scans lie in")
     # A result's folder may lie in the tree of the scans, and is not searched.
-    skipped = os.path.realpath(out)
-    found = []
-    for folder, inner, files in os.walk(scans, followlinks=True):
-        inner[:] = [name for name in inner if os.path.realpath(os.path.join(folder, name)) != skipped]
-        if SCAN_FILE in files:
-            found.append(Path(folder))
+    found = [folder for folder, files in _folders(scans, os.path.realpath(out)) if SCAN_FILE in files]
     if not found:
         raise InputError(f"{scans}: holds no scan, no {SCAN_FILE} in it or in a folder below: check the path")
     tasks: list[Task] = []
@@ -110,38 +150,77 @@ def find_tasks(scans: Path, out: Path, ending: str = ".ply") -> list[Task]:
     return tasks
 
 
+def _folders(top: Path, skipped: str) -> Iterator[tuple[Path, list[str]]]:
+    """The folders of a tree with their files, links followed; each once, by its own name rather than by a link's."""
+    seen, to_see = {skipped}, [str(top)]
+    while to_see:
+        for folder, inner, files in os.walk(to_see.pop(0)):
+            place = os.path.realpath(folder)
+            if place in seen:
+                inner.clear()
+                continue
+            seen.add(place)
+            to_see += [link for name in inner if os.path.islink(link := os.path.join(folder, name))]
+            yield Path(folder), files
+
+
+@contextmanager
+def held(out: Path, options: Options) -> Iterator[Path]:
+    """Hold the folder of a batch's results while it is at work.
+
+    Args:
+        out: the folder; it is made where it is not there.
+        options: of the batch. What was made there with others is older than the file that is given back.
+
+    Returns:
+        A file from which all results there are made, as they are from the rig.
+
+    Raises:
+        InUseError: another batch is at work there.
+        InputError: the folder cannot be made or written to.
+    """
+    _make(out)
+    with exclusive(out / _LOCK, str(out)):
+        path, text = out / _OPTIONS_FILE, json.dumps(asdict(options), indent=2)
+        if not path.is_file() or path.read_text(errors="replace") != text:
+            with replacing(path, "w") as file:
+                file.write(text)
+        yield path
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
+
+
 def run_batch(
     tasks: Sequence[Task],
     rig: Path,
-    detector: Detector = DEFAULT,
-    choice: Choice = DEFAULT_CHOICE,
+    options: Options | None = None,
     scheduler: str | None = None,
-    depths_mm: tuple[float, float] | None = None,
 ) -> Iterator[Outcome]:
     """Reconstruct many scans; each outcome as it is there.
 
     Args:
         tasks: as `find_tasks` gives them, without those that are done.
         rig: of all of them.
-        detector: how the stripe's centre is measured.
-        choice: which stripe is taken where a line has several.
+        options: how; the defaults where there are none.
         scheduler: address of a Dask scheduler whose workers see the same files; None for this machine.
-        depths_mm: nearest and farthest depth at which there can be a stripe, as `Scanner` has it.
 
     Raises:
         InputError: the rig is refused, or the scheduler does not answer.
     """
+    options = options or Options()
     read_rig(rig)
     for folder in {task.output.parent for task in tasks}:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
+        _make(folder)
     with _executor(scheduler) as executor:
-        futures: dict[Future[int | str], Task] = {}
+        futures: dict[Future[Made | str], Task] = {}
         for task in tasks:
             here = replace(task, scan=task.scan.absolute(), output=task.output.absolute())
-            future = executor.submit(reconstruct_one, here, rig.absolute(), here.made_at(), detector, choice, depths_mm)
+            future = executor.submit(reconstruct_one, here, rig.absolute(), here.made_at(), options)
             futures[future] = task
         try:
             for future in as_completed(futures):
@@ -151,14 +230,7 @@ def run_batch(
                 future.cancel()
 
 
-def reconstruct_one(
-    task: Task,
-    rig: Path,
-    stood: int | None,
-    detector: Detector,
-    choice: Choice,
-    depths_mm: tuple[float, float] | None = None,
-) -> int | str:
+def reconstruct_one(task: Task, rig: Path, stood: int | None, options: Options) -> Made | str:
     """One scan to one file, on whatever machine.
 
     Args:
@@ -166,18 +238,18 @@ def reconstruct_one(
         rig: likewise.
         stood: when what stands in its place at the beginning of the batch was made. What is done and was made at
             another time is this batch's own, of these options, and is not made a second time.
-        detector: how the stripe's centre is measured.
-        choice: which stripe is taken where a line has several.
-        depths_mm: nearest and farthest depth at which there can be a stripe.
+        options: how.
 
     Returns:
         How many points its file has; or, in words, why there is none.
     """
     try:
         if task.made_at() != stood and task.is_done(rig):
-            return _points_in(task.output)
-        scanner = _scanner(rig, rig.stat().st_mtime_ns, detector, choice, depths_mm)
-        return write_stream([task.output], scanner.scan(read_scan(task.scan))).points
+            return Made(_points_in(task.output))
+        # What it says of its scan is not said of another that is measured beside it.
+        scanner = copy.copy(_scanner(rig, rig.stat().st_mtime_ns, options))
+        written = write_stream([task.output], scanner.scan(read_scan(task.scan)))
+        return Made(written.points, tuple(scanner.notes))
     except JaxscanError as error:
         return str(error)
     except Exception as error:  # noqa: BLE001 - what is wrong with one scan must not stop the others
@@ -189,25 +261,36 @@ def _points_in(path: Path) -> int:
 
 
 @lru_cache(maxsize=4)
-def _scanner(
-    rig: Path, modified: int, detector: Detector, choice: Choice, depths_mm: tuple[float, float] | None
-) -> Scanner:
+def _scanner(rig: Path, modified: int, options: Options) -> Scanner:
     """Made ready once in each process, and again when the rig's file has changed."""
-    return Scanner(read_rig(rig), detector, choice, depths_mm=depths_mm)
+    return Scanner(read_rig(rig), options.detector, options.choice, depths_mm=options.depths_mm, decoders=_decoders())
 
 
-def _outcome(task: Task, future: "Future[int | str]") -> Outcome:
+def _scans_at_once() -> int:
+    return min(os.cpu_count() or 1, _SCANS_AT_ONCE)
+
+
+def _decoders() -> int:
+    """How many threads decode for each scan, so that a machine has no more than two threads for each of its cores."""
+    at_once = _scans_at_once()
+    if (distributed := sys.modules.get("distributed")) is not None:
+        # No worker of Dask's, no answer.
+        with suppress(ValueError):
+            at_once = distributed.get_worker().state.nthreads
+    return max(1, 2 * (os.cpu_count() or 1) // at_once - 1)
+
+
+def _outcome(task: Task, future: "Future[Made | str]") -> Outcome:
     if (error := future.exception()) is not None:
         return Outcome(task, None, f"{task.scan}: {type(error).__name__}: {error}")
     result = future.result()
-    return Outcome(task, None, result) if isinstance(result, str) else Outcome(task, result)
+    return Outcome(task, None, result) if isinstance(result, str) else Outcome(task, result.points, notes=result.notes)
 
 
 @contextmanager
 def _executor(scheduler: str | None) -> Iterator[Executor]:
     if scheduler is None:
-        # While one scan waits for its photographs, another is measured.
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
+        with ThreadPoolExecutor(_scans_at_once()) as pool:
             yield pool
         return
     distributed = extra("cluster")

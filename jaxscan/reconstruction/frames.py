@@ -62,17 +62,18 @@ class Frames:
             yield self.images[i].copy(), None if own is None else own[i].copy(), positions
 
 
-def frames_of_scan(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
+def frames_of_scan(scan: Scan, size: tuple[int, int], decoders: int | None = None) -> Iterator[Frames]:
     """The frames of a scan, decoded on all cores, in their order.
 
     Args:
         scan: as `read_scan` gives it.
         size: columns and rows that every photograph must have.
+        decoders: how many threads decode, in place of one for each core; a video has one.
 
     Raises:
         InputError: a photograph cannot be read or is unlike the others, or there are more or fewer than step counts.
     """
-    return _of_video(scan, size) if scan.video is not None else _of_files(scan, size)
+    return _of_video(scan, size) if scan.video is not None else _of_files(scan, size, decoders)
 
 
 def frames_of(
@@ -127,10 +128,10 @@ class _Form:
         self.shape, self.dtype, self.size = first.shape, first.dtype, size
         self.check(first, name)
 
-    @property
-    def batch(self) -> int:
-        """How many fit into a buffer."""
-        return max(1, min(FRAMES_AT_ONCE, _SLOT_BYTES // (int(np.prod(self.shape)) * self.dtype.itemsize)))
+    def batch(self, buffers: int) -> int:
+        """How many fit into each of the buffers that a slot has."""
+        image = int(np.prod(self.shape)) * self.dtype.itemsize
+        return max(1, min(FRAMES_AT_ONCE, _SLOT_BYTES // (buffers * image)))
 
     def buffer(self, frames: int) -> UInt[np.ndarray, "frames rows columns *rgb"]:
         """Room for so many."""
@@ -160,12 +161,12 @@ def wrong_size(path: Path | str, size: tuple[int, int], expected: tuple[int, int
     )
 
 
-def _of_files(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
+def _of_files(scan: Scan, size: tuple[int, int], decoders: int | None) -> Iterator[Frames]:
     count = len(scan.frames)
     if not count:
         return
-    form = _Form(read_image(scan.frames[0]), size, scan.frames[0])
-    batch, dark = form.batch, _Backgrounds(scan, size)
+    form, dark = _Form(read_image(scan.frames[0]), size, scan.frames[0]), _Backgrounds(scan, size)
+    batch = form.batch(dark.buffers + 1)
 
     def fill(first: int, slot: _Slot) -> list[tuple[Future[None], str]]:
         some = range(first, min(first + batch, count))
@@ -176,7 +177,7 @@ def _of_files(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
         return tasks
 
     slots = [_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(min(_SLOTS, -(-count // batch)))]
-    with Workers() as workers:
+    with Workers(decoders) as workers:
         for first, slot in _ring(slots, range(0, count, batch), fill):
             yield Frames(slot.images, dark.of(slot), _positions(scan, first, min(batch, count - first)))
 
@@ -198,6 +199,11 @@ class _Backgrounds:
                 self._shared = first[None]
             else:
                 self._form = _Form(first, size, self._paths[0])
+
+    @property
+    def buffers(self) -> int:
+        """How many they need."""
+        return int(self._form is not None)
 
     def buffer(self, frames: int) -> UInt[np.ndarray, "frames rows columns *rgb"] | None:
         """Room for those of so many frames, where each has its own."""
@@ -236,7 +242,8 @@ def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
     source = read_video(video)
     first = next(source)
     form = _Form(first, size, video)
-    batch, dark = form.batch, _Backgrounds(scan, size)
+    dark = _Backgrounds(scan, size)
+    batch = form.batch(dark.buffers + 1)
     waiting = [first]
 
     def fill(done: int, slot: _Slot) -> int:

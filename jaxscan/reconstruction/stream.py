@@ -51,11 +51,14 @@ class Scanner:
         spacetime: measure the centre of the light's passage over each point in time: of scans in small, equal steps.
         depths_mm: nearest and farthest depth along the optical axis at which there can be a stripe, mm; by default that
             of the rig's calibration, widened; (0, inf) for any. Spacetime analysis looks everywhere.
+        decoders: how many threads decode photographs; as many as the machine has cores by default.
 
     Attributes:
         notes: what the photographs of the last scan have shown to be wrong in its settings.
         left_out: how many lines of the last scan's frames have no point although something is bright in them, for each
             reason of `REASONS`.
+
+    Notes and counts are those of one scan at a time: threads that share one take a `copy.copy` of it each.
 
     Raises:
         InputError: the depths are none, or there is no such detector.
@@ -68,6 +71,8 @@ class Scanner:
         choice: Choice = DEFAULT_CHOICE,
         spacetime: bool = False,
         depths_mm: tuple[float, float] | None = None,
+        *,
+        decoders: int | None = None,
     ) -> None:
         if detector not in DETECTORS:
             raise InputError(f'there is no detector "{detector}": use one of {", ".join(DETECTORS)}')
@@ -79,6 +84,7 @@ class Scanner:
         self._choice: Choice = choice
         self._spacetime = spacetime
         self._depths_mm = depths_of(self._content) if depths_mm is None else depths_mm
+        self._decoders = decoders
         self._ready: dict[StripeSettings, _Laser] = {}
         self.notes: list[str] = []
         self.left_out: dict[str, int] = {}
@@ -181,7 +187,7 @@ class Scanner:
 
     def _batches(self, scan: Scan, halo: int, advance: Callable[[int], object]) -> Iterator[Frames]:
         """Read; the exposures of a step merged; neighbours in time at hand: each where it is asked for."""
-        read = _told(frames_of_scan(scan, self._content.rig.camera.image_size), advance)
+        read = _told(frames_of_scan(scan, self._content.rig.camera.image_size, self._decoders), advance)
         several = scan.exposures_s is not None and len(set(scan.positions)) < scan.listed
         merged = merged_steps(scan, read, FRAMES_AT_ONCE) if several else read
         if self._spacetime or not (several or halo):
