@@ -4,15 +4,17 @@ import random
 import subprocess
 import sys
 import time
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from hardware.cli.main import main
 from jaxscan.files.axes import STAGE
-from jaxscan.files.scan import Scan, read_scan, write_scan
+from jaxscan.files.scan import SCAN_FILE, Scan, read_scan, write_scan
 from jaxscan.images import StripeSettings, read_image, write_image
 
 FRAMES, APART = 12, 1000
@@ -92,6 +94,9 @@ def kill_and_resume(folder: Path, seed: int) -> Killed:
     return Killed(reported, len(listed.frames), whole, contents(scan) == contents(folder / "whole"), running)
 
 
-def contents(scan: Path) -> dict[str, bytes]:
-    """Every file of a scan folder, hidden ones too."""
-    return {str(path.relative_to(scan)): path.read_bytes() for path in scan.rglob("*") if path.is_file()}
+def contents(scan: Path) -> dict[str, Any]:
+    """Every file of a scan folder, hidden ones too; but for which frames were verified: those before a kill were not."""
+    files: dict[str, Any] = {str(p.relative_to(scan)): p.read_bytes() for p in scan.rglob("*") if p.is_file()}
+    listing = tomllib.loads(files[SCAN_FILE].decode())
+    listing["scan"].pop("checks", None)
+    return {**files, SCAN_FILE: listing}

@@ -70,6 +70,20 @@ class StageDriver(Protocol):
 
 
 @runtime_checkable
+class Verifiable(Protocol):
+    """An axis that can find out whether its motor has lost steps."""
+
+    @property
+    def verifiable(self) -> bool:
+        """Whether it can: it has a switch, and its controller says at which count it was met."""
+        ...
+
+    def verify(self) -> int:
+        """Meet the switch again, slowly, and count from it anew: by how many steps the count was off."""
+        ...
+
+
+@runtime_checkable
 class LaserDriver(Protocol):
     """A sheet of light that may be switched."""
 

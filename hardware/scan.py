@@ -5,16 +5,20 @@ A scan may be paused, aborted, killed or unplugged at any moment: what it has re
 """
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from hardware.errors import HardwareError, PositionUncertainError, StoppedError
 from hardware.frame import Frame, in_words
-from hardware.protocols import CameraDriver, LaserDriver, StageDriver
+from hardware.protocols import CameraDriver, LaserDriver, StageDriver, Verifiable
 from hardware.safety import safely
 from hardware.scan_plan import ScanFolder
 from jaxscan.errors import InputError
+from jaxscan.files.place_checks import PlaceCheck
+
+# A switch is met again within so many steps.
+_MEETS_AGAIN = 4
 
 
 class Devices(NamedTuple):
@@ -73,6 +77,8 @@ def take(
     devices: Devices,
     control: Control | None = None,
     taken: Callable[[Path, Frame], object] = lambda path, frame: None,
+    *,
+    verify: int | None = None,
 ) -> None:
     """Take the frames that are left, in order.
 
@@ -81,8 +87,11 @@ def take(
         devices: open; an axis of the scan that has no reference is homed first.
         control: for another thread to pause or end it.
         taken: called with each frame's file once it is durable.
+        verify: after how many frames the axes that can are to meet their switches again, and at the end; 0 for at the
+            end alone, None for never. What was found is written into `scan.toml`.
 
     Raises:
+        PositionUncertainError: a switch was met at another count than before; the frames since are marked.
         HardwareError: a device failed; the laser is off and all axes stand, or the text says that they may not.
         InUseError: another process takes frames into the folder.
         InputError: the disk, an axis that the scanner does not have, or a laser that cannot be switched though frames
@@ -90,6 +99,7 @@ def take(
     """
     plan, control = folder.plan, control or Control()
     camera, axes, laser = devices
+    verified = verifiable(axes, plan.axes) if verify is not None else {}
     if lacking := [name for name in plan.axes if name not in axes]:
         raise InputError(
             f"{folder.done.path.parent}: the scan moves the axis {lacking[0]}, and this scanner has "
@@ -103,6 +113,7 @@ def take(
         if plan.exposure_s is not None:
             camera.configure(plan.exposure_s, plan.gain)
         ensure_homed({name: axes[name] for name in plan.axes})
+        unchecked = len(folder.done.frames)
         for place in folder.left:
             if control.paused:
                 laser.off()
@@ -122,6 +133,31 @@ def take(
                     f"sent to {in_words(place)}, the scanner stands at {in_words(found)}: home it"
                 )
             taken(folder.add(frame, dark), frame)
+            count = len(folder.done.frames)
+            if verified and (not folder.left or (verify and count - unchecked >= verify)):
+                laser.off()
+                _check_places(folder, verified, unchecked)
+                unchecked = count
+
+
+def verifiable(axes: Mapping[str, StageDriver], names: Iterable[str]) -> dict[str, Verifiable]:
+    """Those of some axes that can find out whether they have lost steps."""
+    asked = {name: axis for name, axis in axes.items() if name in names}
+    return {name: axis for name, axis in asked.items() if isinstance(axis, Verifiable) and axis.verifiable}
+
+
+def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int) -> None:
+    """Let the axes meet their switches again, and write down what that shows of the frames from one on."""
+    off = {name: axis.verify() for name, axis in axes.items()}
+    lost = {name: steps for name, steps in off.items() if abs(steps) > _MEETS_AGAIN}
+    last = len(folder.done.frames) - 1
+    folder.check(PlaceCheck(first, last, lost))
+    if lost:
+        words = " and ".join(f"the {name} by {abs(steps)} steps" for name, steps in lost.items())
+        raise PositionUncertainError(
+            f"steps were lost, {words}: frames {first} to {last} are marked in {folder.done.path}; set a lower "
+            "rate_steps_s or ramp_steps_s2, look that nothing is in the way, and take the scan again"
+        )
 
 
 def ensure_homed(axes: Mapping[str, StageDriver]) -> None:

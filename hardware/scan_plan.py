@@ -19,6 +19,7 @@ from jaxscan.errors import InputError
 from jaxscan.exclusive import exclusive
 from jaxscan.files.axes import STAGE, is_axis_name
 from jaxscan.files.listing import common_size
+from jaxscan.files.place_checks import PlaceCheck
 from jaxscan.files.scan import SCAN_FILE, Scan, read_listed, write_scan
 from jaxscan.files.text import read_json
 from jaxscan.images import StripeSettings, read_image, write_image
@@ -191,6 +192,16 @@ class ScanFolder:
         write_scan(done)
         self.done = done
         return path
+
+    def check(self, check: PlaceCheck) -> None:
+        """Write down what a check of the axes has shown.
+
+        Raises:
+            InputError: the disk is full or gone.
+        """
+        done = replace(self.done, checks=(*self.done.checks, check))
+        write_scan(done)
+        self.done = done
 
 
 def _begun(folder: Path) -> tuple[Plan, Scan]:

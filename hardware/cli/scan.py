@@ -42,6 +42,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--settle", type=float, default=0.2, metavar="S", help="wait before each (default: 0.2 s)")
     parser.add_argument("--dark", action="store_true", help="with each frame one with the laser off")
+    parser.add_argument(
+        "--verify",
+        type=int,
+        nargs="?",
+        const=0,
+        metavar="FRAMES",
+        help="meet the switch again at the end, and after each so many frames, to see whether the motor lost steps; if "
+        "it did, the frames since the last check are marked in scan.toml (default: at the end, where an axis can)",
+    )
+    parser.add_argument("--no-verify", action="store_true", help="end where the last frame was taken, unverified")
     parser.add_argument("--name", default="", help="what is scanned")
     add_scanner_arguments(parser)
 
@@ -50,8 +60,17 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Take it."""
     from hardware.devices import read_scanner
     from hardware.places import check_zero
-    from hardware.scan import Control, take
+    from hardware.scan import Control, take, verifiable
     from hardware.scan_plan import ScanFolder
+    from jaxscan.errors import InputError
+    from jaxscan.files.place_checks import check_values
+
+    if args.verify is not None and (args.no_verify or args.verify < 0):
+        raise InputError(
+            f"--verify {args.verify}: leave one of it and --no-verify out"
+            if args.no_verify
+            else f"--verify {args.verify}: give a number of frames, or none for a check at the end"
+        )
 
     if args.resume:
         folder = ScanFolder.resume(args.folder)
@@ -77,9 +96,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     control = Suspended()
     with scanner(args) as devices, _on_suspension(control.pause):
-        take(folder, devices, control, taken)
+        able = verifiable(devices.axes, folder.plan.axes)
+        if args.verify is not None and (unable := sorted(set(folder.plan.axes).difference(able))):
+            raise InputError(
+                f"--verify: the {' and the '.join(unable)} cannot be verified: no switch, or a controller that does "
+                "not say at which count it met it; go on with --resume, without --verify"
+            )
+        take(folder, devices, control, taken, verify=None if args.no_verify else args.verify or 0)
     axes = {name: list(steps) for name, steps in folder.done.axes.items()}
-    return {"path": str(args.folder), "frames": len(folder.done.frames), "axes": axes}
+    checks = check_values(folder.done.checks)
+    return {"path": str(args.folder), "frames": len(folder.done.frames), "axes": axes, "checks": checks}
 
 
 @contextmanager
@@ -159,8 +185,10 @@ def _at(args: argparse.Namespace) -> dict[str, int]:
 def describe(result: dict[str, Any]) -> str:
     """What there is, and what to do with it."""
     axes = ", ".join(_from_to(*axis) for axis in result["axes"].items())
+    verified = sum(check["last"] - check["first"] + 1 for check in result["checks"] if "off" not in check)
+    places = "all verified" if verified == result["frames"] else f"{verified} of {result['frames']} verified"
     return (
-        f"{result['path']}: {result['frames']} frames, {axes}\n"
+        f"{result['path']}: {result['frames']} frames, {axes}; places: {places}\n"
         f"next: jaxscan reconstruct {result['path']} --rig rig.json -o points.ply"
     )
 

@@ -16,12 +16,13 @@ Stopping is a reset: the one order that is a single byte, and after which nothin
 """
 
 import re
+from dataclasses import replace
 from typing import NoReturn
 
 from hardware.errors import NoAnswerError, PositionUncertainError
 from hardware.stages.kinds import register_stage
 from hardware.stages.serial_stage import SerialStage
-from hardware.stages.travel_settings import Travel
+from hardware.stages.travel_settings import SWITCH, Travel
 
 _COUNT = re.compile(rb"X,-1,(-?\d{1,9})\s*\*")
 _LATCHES = re.compile(rb"L,(\d{1,2})\s*\*")
@@ -32,6 +33,8 @@ _LEGS = 3
 _ANSWER_S = 0.1
 _BETWEEN_S = 0.1
 _FAR = 50_000
+# By so much slower is the switch met when it is to be seen whether steps were lost.
+_SLOWER = 4
 
 
 class BiStep2A04(SerialStage):
@@ -140,18 +143,29 @@ class BiStep2A04(SerialStage):
             self._check_stop()
         return 0
 
-    def _set_pace(self, expected: int | None = None) -> None:
-        """Select motor X and set rate and ramp, at rest."""
-        travel = self.travel
+    def _set_pace(self, travel: Travel | None = None, expected: int | None = None) -> None:
+        """Select motor X and set rate and ramp, those of the axis or others, at rest."""
+        travel = travel or self.travel
         self.line.send(b"x%dr%dp" % (round(travel.rate_steps_s), round(travel.ramp_steps_s2)))
         self._pause(_BETWEEN_S)
         if expected is not None and self._settled() != expected:
             raise PositionUncertainError(f"{self.name}: setting the rate changed the position: home it")
 
+    @property
+    def verifiable(self) -> bool:
+        """Where there is a switch: it stops the motor, and the count stays."""
+        return self.travel.reference == SWITCH
+
+    def _switch_met_at(self) -> int:
+        # A motor that lost steps on its way up would lose as many on its way down, and the count would be right.
+        slow = replace(self.travel, rate_steps_s=max(self.travel.rate_steps_s / _SLOWER, 1.0))
+        self._set_pace(slow)
+        return self._against_switch(slow)
+
     def _find_switch(self) -> None:
         travel = self.travel
         self._set_pace()
-        self._against_switch()
+        self._against_switch(travel)
         # First a count far from any that the motor could come to, so that the change proves itself.
         for count in (travel.switch - _FAR, travel.switch):
             self._define(count)
@@ -171,9 +185,9 @@ class BiStep2A04(SerialStage):
                 return
         raise PositionUncertainError(f"{self.name}: the reference could not be set: check the cable")
 
-    def _against_switch(self) -> None:
-        """Drive down until the switch stops it."""
-        travel, clock = self.travel, self.line.clock
+    def _against_switch(self, travel: Travel) -> int:
+        """Drive down at some pace until the switch stops it; the count there."""
+        clock = self.line.clock
         first = last = self._settled()
         distance = travel.span + travel.span // 10
         until_s = clock.now_s() + travel.allowed_s(distance)
@@ -196,6 +210,7 @@ class BiStep2A04(SerialStage):
                 f"{self.name}: the motor stopped at {last}, but not at the switch on X−: check the switch, and "
                 "that nothing is in the way"
             )
+        return self._settled()
 
     def _halt(self) -> None:
         self.line.send(b"!!!")

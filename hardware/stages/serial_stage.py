@@ -131,6 +131,34 @@ class SerialStage(ABC):
                     "rate; `scanner console` shows what it says"
                 )
 
+    @property
+    def verifiable(self) -> bool:
+        """Whether `verify` works here."""
+        return False
+
+    def verify(self) -> int:
+        """Meet the switch again, slowly, and count from it anew; the axis then stands where `home` leaves it.
+
+        Returns:
+            By how many steps the count was off: above 0, the load was nearer to the switch than the count had it.
+
+        Raises:
+            SettingsError: the axis has no switch, or its controller does not say at which count it met it.
+            HardwareError: as `home`.
+        """
+        if not self.verifiable:
+            raise SettingsError(
+                f"{self.name}: cannot be verified: it has no switch, or its controller does not say where it met it"
+            )
+        with self._order():
+            self._check_place()
+            self._believed = None
+            off = self._switch_met_at() - self.travel.switch
+            self._find_switch()
+            self._believed = self.travel.switch
+            self._go(max(0, self.travel.first))
+            return off
+
     def settle(self, seconds: float) -> None:
         """Let the load come to rest.
 
@@ -242,6 +270,10 @@ class SerialStage(ABC):
     @abstractmethod
     def _find_switch(self) -> None:
         """Leave the stage standing on its switch, with a count of `travel.switch` there."""
+
+    def _switch_met_at(self) -> int:
+        """Drive slowly against the switch: the count there, by what was counted so far."""
+        raise NotImplementedError
 
     @abstractmethod
     def _leg(self, start: int, end: int) -> None:

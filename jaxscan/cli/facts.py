@@ -17,6 +17,7 @@ from jaxscan.files.cloud import Cloud, cloud_of
 from jaxscan.files.formats import FORMATS
 from jaxscan.files.listing import common_size
 from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
+from jaxscan.files.place_checks import check_values
 from jaxscan.files.ply import Element
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_checks import image_rays
@@ -90,6 +91,7 @@ def scan_facts(path: Path) -> Facts:
         "image_size": list(common_size(photographs)) if photographs else None,
         "backgrounds": len(scan.backgrounds),
         "exposures_s": exposures and [min(exposures), max(exposures)],
+        "checks": check_values(scan.checks),
         "laser": _laser_settings(scan.laser),
     }
 

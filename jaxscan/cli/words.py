@@ -65,6 +65,18 @@ def _scan(facts: Facts) -> Iterator[Line]:
     yield _called("laser", facts["laser"]), _stripe(facts["laser"])
     count = facts["backgrounds"]
     yield "background", {0: "none", 1: "one photograph for all frames"}.get(count, "one photograph for each frame")
+    if facts["checks"]:
+        wrong = [check for check in facts["checks"] if "off" in check]
+        right = sum(check["last"] - check["first"] + 1 for check in facts["checks"] if check not in wrong)
+        yield (
+            "places",
+            f"{right} frames verified"
+            + "".join(
+                f"; frames {check['first']} to {check['last']} off by up to "
+                + " and ".join(f"{abs(steps)} steps of the {axis}" for axis, steps in check["off"].items())
+                for check in wrong
+            ),
+        )
     if facts["exposures_s"]:
         low, high = facts["exposures_s"]
         yield "exposure", f"{low:g} s" if low == high else f"{low:g} to {high:g} s"

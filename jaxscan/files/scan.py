@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from jaxscan.files.axes import Positions, Rules, axes_values, read_axes
 from jaxscan.files.listing import files_of, name_some, natural_key, repeated_files_of
+from jaxscan.files.place_checks import PlaceCheck, check_values, read_checks
 from jaxscan.files.settings import (
     read_listing,
     read_stripe_settings,
@@ -38,6 +39,7 @@ class Scan:
         backgrounds: the scene with the laser off: none, one for all frames, or one for each.
         exposures_s: exposure time of each frame, where it matters.
         name: what was scanned, or "".
+        checks: of where its axes stood, as far as they were made.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class Scan:
     backgrounds: tuple[Path, ...] = ()
     exposures_s: tuple[float, ...] | None = None
     name: str = ""
+    checks: tuple[PlaceCheck, ...] = ()
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -101,7 +104,7 @@ def _read(path: Path) -> tuple[Scan, bool]:
     """The scan, and whether its frames are listed by name."""
     table = read_listing(path, SCAN_FILE, ("scan", "laser"))
     inner = table.table("scan", "[scan] ").only(
-        "frames", "steps", "steps_per_frame", "axes", "poses", "background", "exposures_s", "name"
+        "frames", "steps", "steps_per_frame", "axes", "poses", "background", "exposures_s", "name", "checks"
     )
     if "poses" in inner:
         raise inner.error(
@@ -124,6 +127,7 @@ def _read(path: Path) -> tuple[Scan, bool]:
         backgrounds=_backgrounds(inner, n_frames),
         exposures_s=_exposures(inner, n_frames),
         name=inner.string("name") if "name" in inner else "",
+        checks=read_checks(inner, n_frames),
     )
     return scan, isinstance(inner.values["frames"], list)
 
@@ -146,6 +150,8 @@ def write_scan(scan: Scan) -> None:
         values["background"] = names(scan.backgrounds)
     if scan.exposures_s is not None:
         values["exposures_s"] = list(scan.exposures_s)
+    if scan.checks:
+        values["checks"] = check_values(scan.checks)
     write_toml(scan.path, {"scan": values, "laser": stripe_values(scan.laser)})
 
 

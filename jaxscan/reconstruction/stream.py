@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, DETECTORS, Choice, Detector
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.axes import STAGE
+from jaxscan.files.place_checks import doubts
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import Stripe, StripeSettings, detect_stripe
@@ -104,7 +105,7 @@ class Scanner:
         with said_of(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
-        self.notes, self.left_out = way_notes(self._content.rig, scan), {}
+        self.notes, self.left_out = [*way_notes(self._content.rig, scan), *doubts(scan.checks)], {}
         verdicts, watch = np.zeros(len(Verdict), int), LightWatch()
         for image, counts in self._images(laser, scan, advance, watch):
             frames += len(image.valid)

@@ -1,0 +1,64 @@
+"""Checks of where an axis stood: what meeting its reference switch again has shown of the frames taken before."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from jaxscan.files.table import Table
+
+
+@dataclass(frozen=True)
+class PlaceCheck:
+    """A check of the axes of a scan.
+
+    Attributes:
+        first, last: the frames that it tells of, counted from 0: those since the check before, or since homing.
+        off: by how many motor steps the count of an axis was off, by the axis's name; empty where all were right.
+    """
+
+    first: int
+    last: int
+    off: Mapping[str, int] = field(default_factory=dict)
+
+
+def read_checks(table: Table, frames: int | None) -> tuple[PlaceCheck, ...]:
+    """The checks that `[scan]` lists.
+
+    Args:
+        table: of the scan.
+        frames: how many it has, None where that is not known.
+
+    Raises:
+        InputError: one that is none, or of frames that the scan does not have.
+    """
+    checks = []
+    for number, values in enumerate(table.sequence("checks", "tables") if "checks" in table else ()):
+        if not isinstance(values, dict):
+            raise table.error("checks", "give tables, as { first = 0, last = 119, off = { stage = 35 } }")
+        check = Table(table.path, f"{table.prefix}checks {number + 1}: ", values).only("first", "last", "off")
+        first, last = check.whole("first"), check.whole("last")
+        if not 0 <= first <= last or (frames is not None and last >= frames):
+            raise check.error("last", f"is of frames {first} to {last}: give frames of the scan, counted from 0")
+        off = check.table("off", "off.") if "off" in check else None
+        checks.append(PlaceCheck(first, last, {} if off is None else {axis: off.whole(axis) for axis in off.values}))
+    return tuple(checks)
+
+
+def check_values(checks: Sequence[PlaceCheck]) -> list[dict[str, Any]]:
+    """As `read_checks` reads them."""
+    return [
+        {"first": check.first, "last": check.last, **({"off": dict(check.off)} if check.off else {})}
+        for check in checks
+    ]
+
+
+def doubts(checks: Sequence[PlaceCheck]) -> Iterator[str]:
+    """What is said of frames whose places are doubtful."""
+    for check in checks:
+        off = " and ".join(f"{abs(steps)} steps of the {axis}" for axis, steps in check.off.items())
+        if off:
+            yield (
+                f"frames {check.first} to {check.last} may have been taken elsewhere than their positions say, by up "
+                f"to {off}: its switch was met at another count than before. The motor lost steps: take them again, "
+                "more slowly"
+            )
