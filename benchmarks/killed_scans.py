@@ -95,7 +95,7 @@ def kill_and_resume(folder: Path, seed: int) -> Killed:
 
 
 def contents(scan: Path) -> dict[str, Any]:
-    """Every file of a scan folder, hidden ones too; but for which frames were verified: those before a kill were not."""
+    """Every file of a scan folder, hidden ones too; but for which frames were verified, as none before a kill is."""
     files: dict[str, Any] = {str(p.relative_to(scan)): p.read_bytes() for p in scan.rglob("*") if p.is_file()}
     listing = tomllib.loads(files[SCAN_FILE].decode())
     listing["scan"].pop("checks", None)

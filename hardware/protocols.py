@@ -82,6 +82,10 @@ class Verifiable(Protocol):
         """Meet the switch again, slowly, and count from it anew: by how many steps the count was off."""
         ...
 
+    def home(self) -> None:
+        """Count from the switch anew."""
+        ...
+
 
 @runtime_checkable
 class LaserDriver(Protocol):

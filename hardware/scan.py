@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from hardware.errors import HardwareError, PositionUncertainError, StoppedError
+from hardware.errors import HardwareError, LineLostError, PositionUncertainError, StoppedError
 from hardware.frame import Frame, in_words
 from hardware.protocols import CameraDriver, LaserDriver, StageDriver, Verifiable
 from hardware.safety import safely
@@ -79,7 +79,7 @@ def take(
     taken: Callable[[Path, Frame], object] = lambda path, frame: None,
     *,
     verify: int | None = None,
-) -> None:
+) -> list[str]:
     """Take the frames that are left, in order.
 
     Args:
@@ -89,6 +89,9 @@ def take(
         taken: called with each frame's file once it is durable.
         verify: after how many frames the axes that can are to meet their switches again, and at the end; 0 for at the
             end alone, None for never. What was found is written into `scan.toml`.
+
+    Returns:
+        Why some frames were not verified, where that was asked for and a bad line forbade it.
 
     Raises:
         PositionUncertainError: a switch was met at another count than before; the frames since are marked.
@@ -107,8 +110,9 @@ def take(
         )
     if plan.dark and not laser.switchable:
         raise InputError("frames with the laser off were asked for, but this laser is always on: leave out --dark")
+    unverified: list[str] = []
     if not folder.left:
-        return
+        return unverified
     with folder.held(), safely(axes, laser):
         if plan.exposure_s is not None:
             camera.configure(plan.exposure_s, plan.gain)
@@ -136,8 +140,9 @@ def take(
             count = len(folder.done.frames)
             if verified and (not folder.left or (verify and count - unchecked >= verify)):
                 laser.off()
-                _check_places(folder, verified, unchecked)
+                unverified += _check_places(folder, verified, unchecked)
                 unchecked = count
+    return unverified
 
 
 def verifiable(axes: Mapping[str, StageDriver], names: Iterable[str]) -> dict[str, Verifiable]:
@@ -146,11 +151,21 @@ def verifiable(axes: Mapping[str, StageDriver], names: Iterable[str]) -> dict[st
     return {name: axis for name, axis in asked.items() if isinstance(axis, Verifiable) and axis.verifiable}
 
 
-def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int) -> None:
-    """Let the axes meet their switches again, and write down what that shows of the frames from one on."""
-    off = {name: axis.verify() for name, axis in axes.items()}
+def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int) -> list[str]:
+    """Let the axes meet their switches again, and write down what that shows of the frames from one on.
+
+    Where a bad line spoils it, nothing is shown, and the axis counts anew from its next homing: why.
+    """
+    last, off = len(folder.done.frames) - 1, {}
+    for name, axis in axes.items():
+        try:
+            off[name] = axis.verify()
+        except (LineLostError, StoppedError):
+            raise
+        except HardwareError as error:
+            axis.home()
+            return [f"frames {first} to {last} are not verified: {error}"]
     lost = {name: steps for name, steps in off.items() if abs(steps) > _MEETS_AGAIN}
-    last = len(folder.done.frames) - 1
     folder.check(PlaceCheck(first, last, lost))
     if lost:
         words = " and ".join(f"the {name} by {abs(steps)} steps" for name, steps in lost.items())
@@ -158,6 +173,7 @@ def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int
             f"steps were lost, {words}: frames {first} to {last} are marked in {folder.done.path}; set a lower "
             "rate_steps_s or ramp_steps_s2, look that nothing is in the way, and take the scan again"
         )
+    return []
 
 
 def ensure_homed(axes: Mapping[str, StageDriver]) -> None:

@@ -102,10 +102,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
                 f"--verify: the {' and the '.join(unable)} cannot be verified: no switch, or a controller that does "
                 "not say at which count it met it; go on with --resume, without --verify"
             )
-        take(folder, devices, control, taken, verify=None if args.no_verify else args.verify or 0)
+        notes = take(folder, devices, control, taken, verify=None if args.no_verify else args.verify or 0)
     axes = {name: list(steps) for name, steps in folder.done.axes.items()}
     checks = check_values(folder.done.checks)
-    return {"path": str(args.folder), "frames": len(folder.done.frames), "axes": axes, "checks": checks}
+    return {"path": str(args.folder), "frames": len(folder.done.frames), "axes": axes, "checks": checks, "notes": notes}
 
 
 @contextmanager
@@ -189,7 +189,8 @@ def describe(result: dict[str, Any]) -> str:
     places = "all verified" if verified == result["frames"] else f"{verified} of {result['frames']} verified"
     return (
         f"{result['path']}: {result['frames']} frames, {axes}; places: {places}\n"
-        f"next: jaxscan reconstruct {result['path']} --rig rig.json -o points.ply"
+        + "".join(f"note: {note}\n" for note in result["notes"])
+        + f"next: jaxscan reconstruct {result['path']} --rig rig.json -o points.ply"
     )
 
 

@@ -83,20 +83,7 @@ class SerialStage(ABC):
                 self._call_zero()
                 self._believed = 0
                 return
-            for attempt in range(_HOMINGS):
-                try:
-                    self._find_switch()
-                    self._believed = self.travel.switch
-                    self._go(max(0, self.travel.first))
-                    return
-                except (LineLostError, StoppedError):
-                    raise
-                except HardwareError:
-                    self._believed = None
-                    if attempt == _HOMINGS - 1:
-                        raise
-                    self._halt()
-                    self._standing()
+            self._find_and_leave_switch()
 
     def move_to(self, step_count: int) -> None:
         """Go there, from below, and return when the controller has twice reported that it stands there.
@@ -154,9 +141,7 @@ class SerialStage(ABC):
             self._check_place()
             self._believed = None
             off = self._switch_met_at() - self.travel.switch
-            self._find_switch()
-            self._believed = self.travel.switch
-            self._go(max(0, self.travel.first))
+            self._find_and_leave_switch()
             return off
 
     def settle(self, seconds: float) -> None:
@@ -194,6 +179,23 @@ class SerialStage(ABC):
     def close(self) -> None:
         """Disconnect; safe to call twice."""
         self.line.close()
+
+    def _find_and_leave_switch(self) -> None:
+        """Home, again where the line garbles it."""
+        for attempt in range(_HOMINGS):
+            try:
+                self._find_switch()
+                self._believed = self.travel.switch
+                self._go(max(0, self.travel.first))
+                return
+            except (LineLostError, StoppedError):
+                raise
+            except HardwareError:
+                self._believed = None
+                if attempt == _HOMINGS - 1:
+                    raise
+                self._halt()
+                self._standing()
 
     def _check_place(self) -> int:
         """The place, if the controller agrees with what is believed."""
