@@ -32,7 +32,7 @@ _BEFORE = 2
 # A play is told where the load goes along the travel: what goes across it by this share of that, and by more than
 # chance, was pushed.
 _PUSHED, _PUSHED_BY_CHANCE = 0.5, 1e-2
-# A step between two other photographs explains more where χ² is smaller by this.
+# One explains more than another where χ² is smaller by this.
 _CLEARLY = 9.0
 _NAMES = {
     (False, False): Linear.kind,
@@ -113,13 +113,17 @@ def _wave(course: Course, beside: Float[np.ndarray, "images others"], bowed: boo
 
 
 def _play(course: Course, beside: Float[np.ndarray, "images others"]) -> Fit | None:
-    """The play, where there is any and it matters: beside a drift, of which a way there and back shows much the same.
+    """The play, where there is any and it matters.
 
-    Not where the board goes across the travel too, or another step in time explains more, as when it was pushed; nor
-    where it is as large as what lies between two photographs, as when they were counted wrong.
+    Not where a drift from the first photograph to the last, or a step in time elsewhere, as of a board that was pushed,
+    explains as much; nor where the board goes across the travel too, or by as much as lies between two photographs, as
+    when they were counted wrong.
     """
-    drifting = np.concatenate([beside, course.in_time()], axis=1)
-    fit = fitted(course.moved[:, 0], course.sigma[:, 0], drifting, course.play())
+
+    def of(columns: Float[np.ndarray, "images columns"]) -> Fit | None:
+        return fitted(course.moved[:, 0], course.sigma[:, 0], beside, columns)
+
+    fit = of(course.play())
     if fit is None or fit.p > BY_CHANCE:
         return None
     large, scatter = abs(float(fit.values[0])), fit.scatter * float(np.sqrt((course.sigma[:, 0] ** 2).mean()))
@@ -131,10 +135,12 @@ def _play(course: Course, beside: Float[np.ndarray, "images others"]) -> Fit | N
         across = fitted(course.moved[:, k], course.sigma[:, k], course.line(), course.play())
         if across is not None and abs(float(across.values[0])) > _PUSHED * large and across.p < _PUSHED_BY_CHANCE:
             return None
+    drift, margin = of(course.in_time()), _CLEARLY * fit.scatter**2
+    if drift is not None and drift.left < fit.left + margin:
+        return None
     for k in range(_BEFORE, len(course.steps) - _BEFORE + 1):
-        step = (np.arange(len(course.steps)) >= k).astype(float)[:, None]
-        other = fitted(course.moved[:, 0], course.sigma[:, 0], drifting, step)
-        if other is not None and other.left < fit.left - _CLEARLY * fit.scatter**2:
+        step = of((np.arange(len(course.steps)) >= k).astype(float)[:, None])
+        if step is not None and step.left < fit.left - margin:
             return None
     return fit
 
