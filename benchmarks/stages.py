@@ -17,14 +17,15 @@ from benchmarks.metric import Metric
 from jaxscan.calibration import BoardSequence, Calibration, Observations, StripePoints, View, calibrate
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
-from jaxscan.rig import Rig
+from jaxscan.rig import Rig, run_of, runs
 from jaxscan.rig.board_shape import middle_and_half
+from jaxscan.rig.play import FAR
 from jaxscan.rig.projection import pixel_rays, project_points
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.drawn_stage import DrawnStage
 from jaxscan.simulation.render import plane_of
 
-_CORNER_PX, _STRIPE_PX, _VIEWS, _PLACES, _TRAVEL = 0.03, 0.1, 12, 31, 60000
+_CORNER_PX, _STRIPE_PX, _VIEWS, _PLACES, TRAVEL = 0.03, 0.1, 12, 31, 60000
 _SEEDS, _FEW = 16, 3
 _GOAL = 1.15
 # Depths of the scanned points, mm, and how far to either side they lie, in x / z.
@@ -68,32 +69,32 @@ _CASES = {
 def measure(quick: bool) -> list[Metric]:
     """All stages, with sixteen seeds; or with three."""
     seeds = range(_FEW if quick else _SEEDS)
-    true = _stage()
-    lines = {even: [calibrate(_session(seed, true, even)) for seed in seeds] for even in (False, True)}
-    base = {even: _rms(found, [true] * len(seeds)) for even, found in lines.items()}
+    true = line_stage()
+    lines = {even: [calibrate(session(seed, true, even)) for seed in seeds] for even in (False, True)}
+    base = {even: rms(found, [true] * len(seeds)) for even, found in lines.items()}
     metrics = [
         Metric("stages.line.error_mm", base[False], "mm"),
         Metric("stages.line.named", _named(lines[False]) + _named(lines[True]), "", "lower", 0),
     ]
     for kind in ("guide", "screw", "screw_on_guide"):
-        found = [calibrate(_session(seed, true, False), motion={"stage": kind}) for seed in seeds]
-        metrics.append(_over(f"line_as_{kind}", _rms(found, [true] * len(seeds)) / base[False], _GOAL))
+        found = [calibrate(session(seed, true, False), motion={"stage": kind}) for seed in seeds]
+        metrics.append(_over(f"line_as_{kind}", rms(found, [true] * len(seeds)) / base[False], _GOAL))
     for name, case in _CASES.items():
         metrics += _judged(name, case, seeds, base[case.even])
     return metrics + _false_names(seeds)
 
 
 def _judged(name: str, case: _Case, seeds: Sequence[int], base: float) -> list[Metric]:
-    stages = [_stage(phase=float(seed), **case.stage) for seed in seeds]
-    sessions = [_session(seed, stage, case.even) for seed, stage in zip(seeds, stages, strict=True)]
+    stages = [line_stage(phase=float(seed), **case.stage) for seed in seeds]
+    sessions = [session(seed, stage, case.even) for seed, stage in zip(seeds, stages, strict=True)]
     as_line = [calibrate(session) for session in sessions]
     periods = None if case.period is None else {"stage": case.period}
     found = [calibrate(session, motion={"stage": case.kind}, periods=periods) for session in sessions]
     right = sum([shape.kind for shape in each.stage_shapes] == [case.kind] for each in as_line)
     others = sum(bool(each.sheet_curves or each.change or (each.flatness and each.flatness.bent)) for each in as_line)
     metrics = [
-        Metric(f"stages.{name}.taken_as_a_line_over_a_line", _rms(as_line, stages) / base),
-        _over(name, _rms(found, stages) / base, case.goal),
+        Metric(f"stages.{name}.taken_as_a_line_over_a_line", rms(as_line, stages) / base),
+        _over(name, rms(found, stages) / base, case.goal),
         Metric(f"stages.{name}.named", right / len(sessions), "", "higher" if case.goal else "shown", 1.0),
         Metric(f"stages.{name}.other_things_named", others, "", "lower", 0),
         Metric(f"stages.{name}.still_named", _named(found), "", "lower", 0),
@@ -105,10 +106,10 @@ def _judged(name: str, case: _Case, seeds: Sequence[int], base: float) -> list[M
 
 def _false_names(seeds: Sequence[int]) -> list[Metric]:
     """Sessions whose stage is a line: how often one is named all the same."""
-    true = _stage()
+    true = line_stage()
 
     def pushed(steps: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        return np.where(steps > 0.6 * _TRAVEL, 0.1, 0.0)[:, None] * np.array([0.6, 0.0, 0.8])
+        return np.where(steps > 0.6 * TRAVEL, 0.1, 0.0)[:, None] * np.array([0.6, 0.0, 0.8])
 
     def wobble(size: float) -> Callable[[np.ndarray, np.random.Generator], np.ndarray]:
         return lambda steps, random: size * random.normal(size=(len(steps), 3))
@@ -125,7 +126,7 @@ def _false_names(seeds: Sequence[int]) -> list[Metric]:
     }
     metrics = []
     for name, how in cases.items():
-        found = [calibrate(_session(seed, true, False, **how)) for seed in seeds]
+        found = [calibrate(session(seed, true, False, **how)) for seed in seeds]
         metrics.append(Metric(f"stages.{name}.named", _named(found), "", "lower", 0))
         print(f"  {name}: {_named(found)} named", flush=True)
     return metrics
@@ -139,9 +140,10 @@ def _named(found: Sequence[Calibration]) -> int:
     return sum(bool(each.stage_shapes) for each in found)
 
 
-def _stage(**how: float | bool) -> DrawnStage:
+def line_stage(**how: float | bool) -> DrawnStage:
+    """The stage of 2003, changed as `DrawnStage.create` says."""
     step = rig_2003.stage_travel(rig_2003.simulated_rig(0), np.ones(1))[0]
-    return DrawnStage.create(step, over_mm=1e-3 * _TRAVEL, **how)  # type: ignore[arg-type]
+    return DrawnStage.create(step, over_mm=1e-3 * TRAVEL, **how)  # type: ignore[arg-type]
 
 
 def _bent(mm: float) -> Float[np.ndarray, "corners 3"]:
@@ -152,15 +154,15 @@ def _bent(mm: float) -> Float[np.ndarray, "corners 3"]:
     return points + mm * (1 - 0.7 * s**2 - 0.3 * t**2)[:, None] * np.array([0.0, 0.0, 1.0])
 
 
-def _steps(seed: int, even: bool) -> Float[np.ndarray, "places"]:
+def steps_of(seed: int, even: bool) -> Float[np.ndarray, "places"]:
     if even:
-        return np.linspace(0.0, _TRAVEL, _PLACES)
+        return np.linspace(0.0, TRAVEL, _PLACES)
     random = np.random.default_rng([21, seed])
-    inner = random.choice(np.arange(1, _TRAVEL), _PLACES - 2, replace=False)
-    return np.concatenate([[0.0], np.sort(inner), [_TRAVEL]]).astype(float)
+    inner = random.choice(np.arange(1, TRAVEL), _PLACES - 2, replace=False)
+    return np.concatenate([[0.0], np.sort(inner), [TRAVEL]]).astype(float)
 
 
-def _session(
+def session(
     seed: int,
     stage: DrawnStage,
     even: bool,
@@ -169,7 +171,22 @@ def _session(
     beside: Callable[[np.ndarray, np.random.Generator], np.ndarray] | None = None,
     k2: float = 0.0,
     sheet_mm: float = 0.0,
+    steps: Float[np.ndarray, "places"] | None = None,
+    first: int = 1,
 ) -> Observations:
+    """Views, and the board on a stage.
+
+    Args:
+        seed: of the noise, the poses and the places.
+        stage: that moves the board.
+        even: whether its photographs stand at equal distances.
+        board: its points as they are; None for a flat one.
+        beside: where it stood beside the stage's path, mm, for these steps.
+        k2: of a lens that is not followed.
+        sheet_mm: how far the sheet is bowed.
+        steps: of the photographs, in their order, in place of one pass.
+        first: whether the first was approached as the second, 1, or from the other side, −1.
+    """
     rig, random = rig_2003.simulated_rig(0, bow_mm=sheet_mm), np.random.default_rng([22, seed])
     points = rig_2003.BOARD.points() if board is None else board
 
@@ -186,8 +203,10 @@ def _session(
     for i, (R, t) in enumerate(zip(poses.matrix(), poses.translation, strict=True)):
         stripe = StripePoints(_stripe(rig, R, t, random), half_width_px=1e-6)
         views.append(View(f"view-{i:02d}", seen(points @ R.T + t), stripes=(stripe,)))
-    steps = _steps(seed, even)
-    stood = stage.pose({"stage": steps}) @ rig_2003.stage_pose(rig_2003.simulated_rig(0), seed)
+    steps = steps_of(seed, even) if steps is None else steps
+    run = runs(steps)
+    run[0] *= first
+    stood = stage.pose({"stage": steps, run_of("stage"): run}) @ rig_2003.stage_pose(rig_2003.simulated_rig(0), seed)
     aside = beside(steps, random) if beside else np.zeros((len(steps), 3))
     moved = [
         View(f"stage-{i:02d}", seen(points @ R.T + t))
@@ -216,19 +235,23 @@ def _stripe(
     return np.stack([columns, rows], axis=1)
 
 
-def _rms(found: Sequence[Calibration], stages: Sequence[DrawnStage]) -> float:
-    """Of the points that rigs make of the sheet over the travel, from the true ones in the object frame, mm."""
+def rms(found: Sequence[Calibration], stages: Sequence[DrawnStage]) -> float:
+    """Of the points that rigs make of the sheet over the travel, from the true ones in the object frame, mm.
+
+    Half of them by rising steps, half by falling ones, as far as that matters.
+    """
     true, random = rig_2003.simulated_rig(0), np.random.default_rng(83)
     omega = plane_of(true.lights[0])
-    n = np.repeat(np.arange(0.0, _TRAVEL + 1, 250.0), 20)
+    n = np.repeat(np.arange(0.0, TRAVEL + 1, 250.0), 20)
     aside, z = random.uniform(-_ASIDE, _ASIDE, len(n)), random.uniform(*_DEPTHS, len(n))
     X = np.stack([aside * z, (1 - omega[0] * aside * z - omega[2] * z) / omega[1], z], axis=1)
     pixels, squares = project_points(true.camera, X).pixels, []
+    q = {"stage": n, run_of("stage"): np.where(np.arange(len(n)) % 2, FAR, -FAR)}
     for each, stage in zip(found, stages, strict=True):
         rays = pixel_rays(each.rig.camera, pixels)
         points = rays / np.asarray(each.rig.lights[0].inverse_depth(rays))[:, None]
-        mine = _at_0(as_numpy(each.rig.pose({"stage": n})), points)
-        squares.append(((mine - _at_0(stage.pose({"stage": n}), X)) ** 2).sum(axis=1).mean())
+        mine = _at_0(as_numpy(each.rig.pose(q)), points)
+        squares.append(((mine - _at_0(stage.pose(q), X)) ** 2).sum(axis=1).mean())
     return float(np.sqrt(np.mean(squares)))
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from jaxscan.calibration.observations import BoardSequence, Observations, View
 from jaxscan.calibration.residuals import Blocks
 from jaxscan.precision import as_jax
+from jaxscan.rig import is_run
 
 # So many boards are solved in milliseconds and compiled for in seconds.
 _LEAST = 12
@@ -44,8 +45,11 @@ def sequence_blocks(observations: Observations) -> Blocks:
 
 
 def reference_positions(sequence: BoardSequence) -> dict[str, float]:
-    """About which positions a sequence is fitted: their means, where its pose and the motion are least entangled."""
-    return {axis: float(np.mean(steps)) for axis, steps in sequence.positions.items()}
+    """About which positions a sequence is fitted: their means, where its pose and the motion are least entangled.
+
+    An axis with play stands there as if it had none.
+    """
+    return {axis: 0.0 if is_run(axis) else float(np.mean(steps)) for axis, steps in sequence.positions.items()}
 
 
 def _pack(

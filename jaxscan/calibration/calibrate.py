@@ -38,7 +38,7 @@ from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import refine
 from jaxscan.calibration.second_poses import better_poses
-from jaxscan.calibration.stage_kinds import begun, shape_parameters, with_kinds
+from jaxscan.calibration.stage_kinds import begun, first_approach, shape_parameters, with_kinds
 from jaxscan.calibration.widening import widened
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
@@ -129,6 +129,7 @@ def calibrate(
     # What is known so far of photographs and stripes that cannot be used.
     known: list[Observations] = [usable]
     aliases: list[str] = []
+    approached: list[str] = []
     with float64(), with_remarks(known):
         check_enough(usable)
         unused = Unused(usable.left_out)
@@ -177,6 +178,10 @@ def calibrate(
             check_solved(refined, usable, free)
             if shapes:
                 as_lines = assemble(refined, free, usable, held, unused, tuple(factors))
+                usable, approached = first_approach(usable, as_lines)
+                if approached:
+                    groups = (view_blocks(usable), sequence_blocks(usable))
+                    as_lines = replace(as_lines, observations=usable)
                 system, no_wave, aliases = begun(refined.system, as_lines, periods or {})
                 held = held | no_wave
                 free = _free(system, held | rig.surplus(), solved_for)
@@ -206,7 +211,7 @@ def calibrate(
             Kept.none(view) if lacking(view, observations.board) else next(kept) for view in observations.photographs()
         ),
         plain=plain,
-        notes=(*result.notes, *unclear_bows(result.rig, result.covariance), *((_PLAIN,) if plain else ())),
+        notes=(*result.notes, *approached, *unclear_bows(result.rig, result.covariance), *((_PLAIN,) if plain else ())),
         warnings=(
             *aliases,
             *_sentences((*(each for found in (*stages, flatness) for each in found.statements), *left)),

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError
 from jaxscan.images import Board
+from jaxscan.rig import is_run, run_of, runs
 
 # Of what was left out an error names so many.
 _NAMED = 12
@@ -70,7 +71,8 @@ class BoardSequence:
     """Photographs of one board fixed on what an axis moves, along its travel or its turn.
 
     Attributes:
-        positions: motor steps of each axis at each photograph; all but one axis stand still.
+        positions: motor steps of each axis at each photograph, in the order they were taken; all but one axis stand
+            still. Of an axis with play its run besides (`rig.run_of`).
         views: the photographs, all with the corners in the same order; stripes on the board take part.
         axis: the axis that moves.
         kind: how it moves the board, a kind of `rig.MOTIONS`.
@@ -85,6 +87,12 @@ class BoardSequence:
     def steps(self) -> Float[np.ndarray, "images"]:
         """Of the axis that moves."""
         return np.asarray(self.positions[self.axis], np.float64)
+
+    @property
+    def runs(self) -> Float[np.ndarray, "images"]:
+        """How far the axis that moves has come at each photograph since it last turned (`rig.play`)."""
+        known = self.positions.get(run_of(self.axis))
+        return np.asarray(runs(self.steps) if known is None else known, np.float64)
 
     def only(self, kept: Sequence[int]) -> "BoardSequence":
         """Some of its photographs."""
@@ -188,7 +196,7 @@ class Observations:
             for axis, steps in sequence.positions.items():
                 if len(steps) != len(sequence.views):
                     raise InputError(f"{len(steps)} step counts of the {axis} for {len(sequence.views)} photographs")
-                if axis != sequence.axis and len(set(np.asarray(steps).tolist())) > 1:
+                if axis != sequence.axis and not is_run(axis) and len(set(np.asarray(steps).tolist())) > 1:
                     raise InputError(
                         f"{sequence.views[0].name} … {sequence.views[-1].name}: the board was moved by the {axis} as "
                         f"well as by the {sequence.axis}: photograph it along one axis at a time"

@@ -5,25 +5,27 @@ own places of its photographs say of that.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
+from jaxscan.calibration.observations import BoardSequence, Observations
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.stage_paths import (
+    FEWEST_EACH_WAY,
     FEWEST_TURNS,
     LEAST_TOLD,
     Course,
     courses,
+    first_came_otherwise,
     started,
     told_of_wave,
 )
 from jaxscan.calibration.stage_shape import aliases_in_words
 from jaxscan.errors import InputError
 from jaxscan.precision import as_float64
-from jaxscan.rig import MOTIONS, System, motion_of
+from jaxscan.rig import MOTIONS, System, motion_of, run_of
 from jaxscan.rig.line import Line
 from jaxscan.rig.rig import Rig, parameter_names
 
@@ -32,7 +34,8 @@ def with_kinds(observations: Observations, motion: Mapping[str, str], periods: M
     """The same with the kind of motion that is asked for in the sequences of each axis.
 
     Raises:
-        InputError: there is no such axis or kind, or it is none for this axis; or a period that is none.
+        InputError: there is no such axis or kind, or it is none for this axis; a period that is none; or photographs
+            of one pass, where play is asked for.
     """
     kinds = {sequence.axis: sequence.kind for sequence in observations.sequences}
     for axis, kind in motion.items():
@@ -68,10 +71,67 @@ def with_kinds(observations: Observations, motion: Mapping[str, str], periods: M
                 f"screw of {period:g} steps: photograph the board over {FEWEST_TURNS:g} turns and more, or give the "
                 "right period"
             )
+    sequences = tuple(replace(sequence, kind=kinds[sequence.axis]) for sequence in observations.sequences)
+    played = [axis for axis, kind in kinds.items() if "play" in MOTIONS[kind].numbers]
+    for axis in played:
+        _check_there_and_back(axis, kinds[axis], [sequence for sequence in sequences if sequence.axis == axis])
     return replace(
         observations,
-        sequences=tuple(replace(sequence, kind=kinds[sequence.axis]) for sequence in observations.sequences),
+        sequences=tuple(_with_run(sequence) if sequence.axis in played else sequence for sequence in sequences),
     )
+
+
+def _with_run(sequence: BoardSequence) -> BoardSequence:
+    """With the run of its axis among its positions."""
+    return replace(sequence, positions={**sequence.positions, run_of(sequence.axis): sequence.runs})
+
+
+def _check_there_and_back(axis: str, kind: str, sequences: Sequence[BoardSequence]) -> None:
+    """Refuse photographs that tell nothing of play."""
+    counts = [(int((each.runs > 0).sum()), int((each.runs < 0).sum())) for each in sequences]
+    if max(min(each) for each in counts) < FEWEST_EACH_WAY:
+        rising, falling = max(counts, key=min)
+        raise InputError(
+            f'motion of "{axis}" = "{kind}": {sequences[0].views[0].name} … {sequences[-1].views[-1].name}: of the '
+            f"photographs on the {axis}, in their order, {rising} were approached by rising steps and {falling} by "
+            f"falling ones: play is told by at least {FEWEST_EACH_WAY} of each in one sequence. Photograph the board "
+            "along the travel there and back, and list the photographs in the order they were taken; or ask for a "
+            "motion without play"
+        )
+
+
+def first_approach(observations: Observations, as_lines: Calibration) -> tuple[Observations, list[str]]:
+    """The same with the run of each sequence's first photograph as the place of its board says, and what was changed.
+
+    Nothing else tells from where an axis came before it: often from home, on the other side. It is taken to have been
+    approached as the second was, unless the other way leaves less of its own place by more than chance.
+
+    Args:
+        observations: with runs.
+        as_lines: a calibration with them, whose play was held at 0.
+
+    Returns:
+        The observations, and sentences without their full stops.
+    """
+    found, said = courses(as_lines), []
+    sequences = list(observations.sequences)
+    for axis, course in found.items():
+        own = [i for i, sequence in enumerate(sequences) if sequence.axis == axis]
+        if "play" not in as_lines.rig.axis(axis).numbers or len(own) <= course.sequence.max():
+            continue
+        for k, i in enumerate(own):
+            sequence = sequences[i]
+            if first_came_otherwise(course, k):
+                runs = sequence.runs.copy()
+                first = runs == runs[0]
+                runs[first & (np.cumsum(~first) == 0)] *= -1
+                sequences[i] = replace(sequence, positions={**sequence.positions, run_of(axis): runs})
+                side = "rising" if runs[0] > 0 else "falling"
+                said.append(
+                    f"{sequence.views[0].name}: the first photograph on the {axis} stands as one approached by {side} "
+                    "steps, unlike the second, and was taken so"
+                )
+    return replace(observations, sequences=tuple(sequences)), said
 
 
 def shape_parameters(rig: Rig) -> set[str]:
@@ -122,6 +182,8 @@ def _check_told(part: Line, course: Course, period: float) -> None:
     beside = course.line()
     if "bow" in part.shape():
         beside = np.concatenate([beside, course.bow()], axis=1)
+    if "play" in part.shape():
+        beside = np.concatenate([beside, course.play()], axis=1)
     if told_of_wave(course, beside, period) < LEAST_TOLD:
         raise InputError(
             f"the {part.axis}'s screw has a period of {period:g} steps, and its photographs stand at the same places "

@@ -1,4 +1,4 @@
-"""The path of a stage beside a line: a bow, a turn along the travel, a wave of its screw; by linear least squares.
+"""The path of a stage beside a line: bow, turn along the travel, wave of its screw, play; by linear least squares.
 
 What is fitted are the own places of its photographs (`own_places`). A wave a cos w + b sin w, w = 2π n / period, is
 linear but for its period, which is searched: the one by which the squares fall most, of all that the photographs can
@@ -7,15 +7,16 @@ well the longest is taken.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import stats
 
 from jaxscan.calibration.own_places import OwnPlaces, axes_along, own_places, sigmas_along
 from jaxscan.calibration.result import Calibration
 from jaxscan.rig.line import Line
+from jaxscan.rig.play import FAR
 
 # No screw is finer, mm of travel for a turn.
 FINEST_MM = 0.25
@@ -26,8 +27,11 @@ _FINE, _CLOSER, _ZOOMS = 8, 21, 3
 # Of a wave that is known at all: cosine and sine differ from a line, and from each other, by this share of their
 # squares.
 LEAST_TOLD = 0.02
-# A period fits as well as the best where χ² is larger by less than this, and looks the same where by less than that.
+# A period fits as well as the best where χ² is larger by less than this, and looks the same where by less than that;
+# so does another direction of the first photograph.
 _AS_WELL, _ALIKE = 1.0, 9.0
+# Photographs by rising steps, and by falling ones, that tell of play.
+FEWEST_EACH_WAY = 2
 # A wave that chance shows less often has a period.
 _WAVE = 0.01
 
@@ -42,6 +46,8 @@ class Course:
         mm_per_step: the travel for one motor step.
         steps: of each photograph.
         sequence: which of the axis's sequences each belongs to, from 0.
+        way: whether each was approached by rising steps, 1, by falling ones, −1, or neither.
+        first: whether nothing was photographed before it that says how it was approached.
         moved: own places beside the fitted path: along the travel and in two directions across it, mm.
         sigma: of these, as the corners leave it.
         turned: own turns, radians, in the same directions.
@@ -55,6 +61,8 @@ class Course:
     mm_per_step: float
     steps: Float[np.ndarray, "images"]
     sequence: Int[np.ndarray, "images"]
+    way: Float[np.ndarray, "images"]
+    first: Bool[np.ndarray, "images"]
     moved: Float[np.ndarray, "images 3"]
     sigma: Float[np.ndarray, "images 3"]
     turned: Float[np.ndarray, "images 3"]
@@ -91,6 +99,24 @@ class Course:
         """A parabola, 1 at the ends and 0 in the middle."""
         return (self.along**2)[:, None]
 
+    def play(self) -> Float[np.ndarray, "images 1"]:
+        """By how much a load is ahead of its steps that has a play of 1."""
+        return -self.way[:, None] / 2
+
+    @property
+    def there_and_back(self) -> bool:
+        """Whether a sequence tells of play: two photographs and more by rising steps, and as many by falling ones."""
+        each = [self.way[self.sequence == i] for i in range(self.sequence.max() + 1)]
+        return any(min(int((way > 0).sum()), int((way < 0).sum())) >= FEWEST_EACH_WAY for way in each)
+
+    def in_time(self) -> Float[np.ndarray, "images sequences"]:
+        """A drift of each sequence from its first photograph to its last, −1 to 1."""
+        columns = np.zeros((len(self.steps), int(self.sequence.max()) + 1))
+        for i in range(columns.shape[1]):
+            own = self.sequence == i
+            columns[own, i] = np.linspace(-1, 1, own.sum())
+        return columns
+
     def wave(self, period: float) -> Float[np.ndarray, "images 2"]:
         """Cosine and sine of the screw's turn."""
         w = 2 * np.pi * self.steps / period
@@ -115,6 +141,8 @@ def _course(calibration: Calibration, axis: str, each: Sequence[OwnPlaces]) -> C
         mm_per_step=line.amount(1.0)[0],
         steps=np.concatenate([places.sequence.steps for places in each]),
         sequence=np.repeat(np.arange(len(each)), [len(places.names) for places in each]),
+        way=np.concatenate([np.sign(places.sequence.runs) for places in each]),
+        first=np.concatenate([np.abs(places.sequence.runs) == FAR for places in each]),
         moved=np.concatenate([places.moved @ axes.T for places in each]),
         sigma=np.concatenate([sigmas_along(axes, places.moved_covariance) for places in each]),
         turned=np.concatenate([places.turned @ axes.T for places in each]),
@@ -134,6 +162,7 @@ class Fit:
         scatter: σ about the fit, in units of the σ that were given.
         p: how often chance would show as much (R. A. Fisher's F).
         fall: by how much χ² falls for them, in units of the scatter about the fit.
+        left: χ² about the fit.
     """
 
     values: Float[np.ndarray, "columns"]
@@ -141,6 +170,7 @@ class Fit:
     scatter: float
     p: float
     fall: float
+    left: float
 
 
 def fitted(
@@ -162,7 +192,7 @@ def fitted(
     fall = float((y**2).sum()) - left
     variance = max(left / degrees, np.finfo(float).tiny)
     p = float(stats.f.sf(fall / A.shape[1] / variance, A.shape[1], degrees))
-    return Fit(found, variance * inverse, variance**0.5, p, fall / variance)
+    return Fit(found, variance * inverse, variance**0.5, p, fall / variance, left)
 
 
 @dataclass(frozen=True)
@@ -273,6 +303,20 @@ def _closed_in(
     return frequency, gain
 
 
+def first_came_otherwise(course: Course, sequence: int) -> bool:
+    """Whether a sequence's first photograph stands as one approached from the other side than the second."""
+    first = course.first & (course.sequence == sequence)
+    if not course.there_and_back or not first.any():
+        return False
+    beside = np.concatenate([course.line(), course.bow()], axis=1)
+    other = replace(course, way=np.where(first, -course.way, course.way))
+    fits = [fitted(course.moved[:, 0], course.sigma[:, 0], beside, each.play()) for each in (course, other)]
+    if fits[0] is None or fits[1] is None:
+        return False
+    # Of the same numbers what is left; so the fall of χ² is that of a choice, in units of the scatter then.
+    return bool(fits[0].left - fits[1].left > _ALIKE * fits[1].scatter ** 2)
+
+
 def started(part: Line, course: Course, period: float | None) -> tuple[Line, Periods | None]:
     """A line with those numbers of its shape that the own places give it, from which a solve goes on.
 
@@ -292,6 +336,10 @@ def started(part: Line, course: Course, period: float | None) -> tuple[Line, Per
     columns = [course.along[:, None]]
     if "bow" in shape:
         columns.append(bow)
+    across = len(columns)
+    if "play" in shape:
+        beside = np.concatenate([beside, course.play()], axis=1)
+        columns.append(course.play())
     if "wave" in shape:
         if period is None:
             found = find_period(course, beside)
@@ -300,10 +348,10 @@ def started(part: Line, course: Course, period: float | None) -> tuple[Line, Per
         columns.append(course.wave(period))
     offsets = line[:, : course.sequence.max() + 1]
     A = np.concatenate(columns, axis=1)
-    # Along the travel all, across it no wave.
+    # Along the travel all, across it neither play nor wave.
     values = np.zeros((3, A.shape[1]))
     for k in range(3):
-        own = A if k == 0 else A[:, : 2 if "bow" in shape else 1]
+        own = A if k == 0 else A[:, :across]
         B = np.concatenate([offsets, own], axis=1) / course.sigma[:, k, None]
         values[k, : own.shape[1]] = np.linalg.lstsq(B, course.moved[:, k] / course.sigma[:, k])[0][offsets.shape[1] :]
     in_camera = values.T @ course.axes
@@ -320,6 +368,8 @@ def started(part: Line, course: Course, period: float | None) -> tuple[Line, Per
             for y, s in zip(course.turned.T, course.turned_sigma.T, strict=True)
         ]
         changed["turn"] = np.asarray(turn) @ course.axes
+    if "play" in shape:
+        changed["play"] = values[:1, across] / course.mm_per_step
     if "wave" in shape:
         changed["wave"], changed["period"] = values[0, -2:], np.array([period])
     return part.bent(slope, changed), told

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 
 from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
+from jaxscan.rig.linear import Linear
+from jaxscan.rig.play import kind_with_play
 
 _FEW = 3
 
@@ -25,6 +27,10 @@ class StageShape:
         wave_sigma_mm: its σ.
         period_steps: steps of one turn of the screw; None without a wave.
         aliases: other periods that fit nearly as well, the longest first.
+        play_mm: by how much farther on it stands when approached by falling steps than by rising ones; 0 where it is
+            not said to have play.
+        play_sigma_mm: its σ.
+        play_steps: the same, motor steps.
     """
 
     axis: str
@@ -40,6 +46,9 @@ class StageShape:
     wave_sigma_mm: float = 0.0
     period_steps: float | None = None
     aliases: tuple[float, ...] = ()
+    play_mm: float = 0.0
+    play_sigma_mm: float = 0.0
+    play_steps: float = 0.0
 
     @property
     def statements(self) -> tuple[tuple[str, str], ...]:
@@ -55,6 +64,12 @@ class StageShape:
                 f"is ahead of its steps and behind them by {self.wave_mm:.2g} ± {self.wave_sigma_mm:.1g} mm, with a "
                 f"period of {self.period_steps:.5g} steps, as of a screw's turn"
             )
+        if self.play_mm:
+            much = f"{abs(self.play_mm):.2g} mm farther {'on' if self.play_mm > 0 else 'back'}"
+            said.append(
+                f"has a play of {self.play_mm:.3g} ± {self.play_sigma_mm:.1g} mm ({self.play_steps:.3g} steps): "
+                f"photographs approached by falling steps stand {much} than those approached by rising ones"
+            )
         what = f"The {self.axis} {', and '.join(said)}; it was taken as {_TAKEN[self.taken]}"
         uneven = ""
         if self.aliases:
@@ -63,11 +78,12 @@ class StageShape:
 
 
 _TAKEN = {
-    "linear": "a straight line in equal steps",
+    Linear.kind: "a straight line in equal steps",
     Guide.kind: "a bowed guide in equal steps",
     Screw.kind: "a straight line",
     ScrewOnGuide.kind: "a bowed guide and a screw",
 }
+_TAKEN |= {kind_with_play(kind): f"{words} with play" for kind, words in _TAKEN.items()}
 
 
 def aliases_in_words(aliases: tuple[float, ...]) -> str:

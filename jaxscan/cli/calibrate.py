@@ -197,6 +197,7 @@ def solve_sessions(
     joined = join(_names(paths), each)
     sheets = _sheets(paths, contents, estimate)
     motion, periods = _stage_motion(paths, contents, estimate)
+    motion |= _turntable_motion(paths, contents)
     left, notes = _once(paths, contents)
     paths, contents, each = [paths[i] for i in left], list(left.values()), [each[i] for i in left]
     _check_poses(paths, contents, sum(len(given.views) for given in each), shapes[0])
@@ -295,6 +296,31 @@ def _stage_motion(
                 "sessions of one rig have one stage, so give all the same"
             )
     return {STAGE: motion}, {STAGE: screw} if screw is not None else {}
+
+
+def _turntable_motion(paths: Sequence[Path], contents: Sequence["Session | CameraFile"]) -> dict[str, str]:
+    """The kind of the turntable's motion, by the axis's name; the same in all, and none where it is a plain turn.
+
+    Raises:
+        InputError: they differ.
+    """
+    from jaxscan.files.session import Session
+    from jaxscan.rig import Rotary
+
+    kinds = {
+        path: content.turntable.motion
+        for path, content in zip(paths, contents, strict=True)
+        if isinstance(content, Session) and content.turntable
+    }
+    for path, kind in kinds.items():
+        first, usual = next(iter(kinds.items()))
+        if kind != usual:
+            raise InputError(
+                f'{path}: its [turntable] has motion = "{kind}", that of {first} "{usual}": sessions of one rig have '
+                "one turntable, so give all the same"
+            )
+    kind = next(iter(kinds.values()), Rotary.kind)
+    return {"turntable": kind} if kind != Rotary.kind else {}
 
 
 def _stage_words(motion: str, screw: float | None) -> str:

@@ -166,7 +166,8 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KIND",
         help="how the stage moves, in place of the session's: linear, a line in equal steps (the default); guide, a "
         "bowed path on which the load turns; screw, to and fro about equal steps with the turns of its screw; "
-        "screw_on_guide, both",
+        "screw_on_guide, both; each of these with _with_play behind its name, as linear_with_play: by play it stands "
+        "elsewhere when it comes back, which photographs there and back tell",
     )
     parser.add_argument(
         "--since",

@@ -27,7 +27,7 @@ from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
 from jaxscan.images.light import Light
 from jaxscan.reconstruction import read_range_image
-from jaxscan.rig import Camera
+from jaxscan.rig import Camera, is_run
 from jaxscan.rig.facts import axis_facts, light_facts
 from jaxscan.rig.speckle_limit import Optics, limit_of
 
@@ -177,7 +177,7 @@ def range_facts(path: Path) -> Facts:
         "kind": "range image",
         "path": str(path),
         "frames": len(image.valid),
-        "axes": {axis: _steps(np.asarray(steps).tolist()) for axis, steps in image.positions.items()},
+        "axes": {axis: _steps(np.asarray(n).tolist()) for axis, n in image.positions.items() if not is_run(axis)},
         "sweeps": len(image.sweeps()),
         "full_turn": len(image.gaps()) == len(image.valid),
         "columns": image.valid.shape[1],

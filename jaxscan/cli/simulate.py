@@ -142,6 +142,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="motor steps of one turn of that screw (default: 3200)",
     )
     parser.add_argument(
+        "--play-mm",
+        type=finite,
+        default=0.0,
+        metavar="MM",
+        help="give the stage so much play: what it carries stands so much farther on when it comes back; its "
+        "photographs of the board go there and back then, its scans only there (default: 0)",
+    )
+    parser.add_argument(
         "--shake-mm",
         type=finite,
         default=0.0,
@@ -188,6 +196,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     for option, value in (("--guide-mm", args.guide_mm), ("--screw-mm", args.screw_mm)):
         if abs(value) > _MOST_STAGE_MM:
             raise InputError(f"{option} {value:g}: give {-_MOST_STAGE_MM:g} to {_MOST_STAGE_MM:g}")
+    if not 0 <= args.play_mm <= _MOST_STAGE_MM:
+        raise InputError(f"--play-mm {args.play_mm:g}: give 0 to {_MOST_STAGE_MM:g}")
     if args.screw_steps <= 0:
         raise InputError(f"--screw-steps {args.screw_steps:g}: give the steps of one turn, above 0")
     bodies, name = _bodies(args)
@@ -216,7 +226,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         },
         hand=Hand(args.shake_mm),
         bow_mm=args.sheet_bow_mm,
-        stage={"guide_mm": args.guide_mm, "screw_mm": args.screw_mm, "screw_steps": args.screw_steps},
+        stage={
+            "guide_mm": args.guide_mm,
+            "screw_mm": args.screw_mm,
+            "screw_steps": args.screw_steps,
+            "play_mm": args.play_mm,
+        },
         turntable=args.turntable,
         separate_stripes=args.stripes,
         ending=".jpg" if args.jpeg or args.quality is not None else ".png",

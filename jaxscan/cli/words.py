@@ -267,14 +267,19 @@ def _axis(facts: Facts) -> Iterator[Line]:
     """The motion of an axis."""
     if "degrees_per_step" in facts:
         yield from zip((facts["axis"], ""), turn_in_words(facts), strict=True)
+        yield from _path(facts)
     elif "direction" in facts:
         direction = ", ".join(f"{x:.4f}" for x in facts["direction"])
         yield facts["axis"], f"{facts['mm_per_1000_steps']:.5g} mm for 1000 steps, {facts['way']}, along ({direction})"
-        from jaxscan.rig.facts import path_in_words
-
-        yield from (("", line) for line in path_in_words(facts))
+        yield from _path(facts)
     else:
         yield facts["axis"], f"{facts['kind']}, {facts['way']}"
+
+
+def _path(facts: Facts) -> Iterator[Line]:
+    from jaxscan.rig.facts import path_in_words
+
+    return (("", line) for line in path_in_words(facts))
 
 
 def turn_in_words(facts: Facts) -> tuple[str, str]:

@@ -19,7 +19,7 @@ from jaxscan.files.settings import (
 )
 from jaxscan.files.table import Table, show
 from jaxscan.images import Board, StripeSettings
-from jaxscan.rig import LENSES, LIGHTS, MOTIONS, LightPlane, Linear
+from jaxscan.rig import LENSES, LIGHTS, MOTIONS, LightPlane, Linear, Rotary
 from jaxscan.rig.board_shape import BOARD_SHAPES
 from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.line import Line
@@ -92,9 +92,11 @@ class TurntableImages(StageImages):
 
     Attributes:
         stage_step: motor step of the stage at which they were taken.
+        motion: the kind of its motion, one of `turntable_motions`.
     """
 
     stage_step: int = 0
+    motion: str = field(default=Rotary.kind, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,11 @@ class Session:
 def stage_motions() -> tuple[str, ...]:
     """The kinds of motion that a stage may have: those along a line, more or less."""
     return tuple(name for name, kind in MOTIONS.items() if issubclass(kind, Line))
+
+
+def turntable_motions() -> tuple[str, ...]:
+    """The kinds of motion that a turntable may have: those about an axis."""
+    return tuple(name for name, kind in MOTIONS.items() if issubclass(kind, Rotary))
 
 
 def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session:
@@ -231,6 +238,8 @@ def write_session(session: Session) -> None:
         values["stage"] |= {"screw_steps": stage.screw_steps} if stage.screw_steps is not None else {}
     if session.turntable is not None:
         values["turntable"]["stage_step"] = session.turntable.stage_step
+        turn = session.turntable.motion
+        values["turntable"] |= {"motion": turn} if turn != Rotary.kind else {}
     if lasers:
         values["laser"] = lasers[0] if len(lasers) == 1 else lasers
     write_toml(session.path, values)
@@ -331,10 +340,11 @@ def _stage(table: Table, lasers: Sequence[StripeSettings]) -> StageImages | None
 def _turntable(table: Table, lasers: Sequence[StripeSettings]) -> TurntableImages | None:
     if "turntable" not in table:
         return None
-    turntable = table.table("turntable", "[turntable] ").only(*_SEQUENCE_KEYS, "stage_step")
+    turntable = table.table("turntable", "[turntable] ").only(*_SEQUENCE_KEYS, "stage_step", "motion")
     stood = turntable.whole("stage_step") if "stage_step" in turntable else 0
     images, steps, stripes = _sequence(turntable, lasers, "three", 3)
-    return TurntableImages(images, steps, stood, stripes=stripes)
+    motion = turntable.string("motion", Rotary.kind, turntable_motions())
+    return TurntableImages(images, steps, stood, stripes=stripes, motion=motion)
 
 
 _LASER_KEYS: Final = ("name", "color", "columns", "stripes", "sheet")

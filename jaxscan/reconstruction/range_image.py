@@ -17,7 +17,7 @@ from jaxscan.files.range_scanner import read_scanner, scanner_arrays
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.turns import full_turn, gaps_between, sweeps_of
-from jaxscan.rig import Fixed, Light, Motion
+from jaxscan.rig import Fixed, Light, Motion, is_run
 
 _STILL: Final = Fixed()
 # Profiles of a turn that are further apart make no surface.
@@ -37,7 +37,7 @@ class RangeImage:
         sigma: standard deviation along the ray, rig and pixel together, mm; NaN where it is not known.
         sigma_pixel: the pixel's part of it, mm.
         valid: where there is a point.
-        positions: motor steps of each axis at each frame.
+        positions: motor steps of each axis at each frame, and the run of one that has play (`rig.run_of`).
         motion: what carried the object, by these positions; `Fixed` where it is not known.
         sheets: the light in which the object was seen; none where it is not known.
         light: read noise, gain, speckle contrast and saturation of each frame (`images.light`), where they are known.
@@ -57,7 +57,8 @@ class RangeImage:
     @property
     def moving(self) -> tuple[str, ...]:
         """The axes that do not stand still all the time."""
-        return tuple(axis for axis, steps in self.positions.items() if len(set(np.asarray(steps).tolist())) > 1)
+        axes = {axis: np.asarray(steps) for axis, steps in self.positions.items() if not is_run(axis)}
+        return tuple(axis for axis, steps in axes.items() if len(set(steps.tolist())) > 1)
 
     @property
     def leading(self) -> str:

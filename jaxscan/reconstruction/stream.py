@@ -35,8 +35,9 @@ from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_ban
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
-from jaxscan.reconstruction.turns import with_ends
-from jaxscan.rig import Positions, Rig
+from jaxscan.reconstruction.turns import with_ends, with_runs
+from jaxscan.rig import Positions, Rig, played_axes, run_of
+from jaxscan.rig.play import Runs
 
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
 Looked = tuple[RangeImage, Stripe | None]
@@ -153,12 +154,12 @@ class Scanner:
         """
         ready = self._laser(laser or StripeSettings())
         named = ((image, q if isinstance(q, Mapping) else {STAGE: q}) for image, q in frames)
-        first: np.ndarray | None = None
+        first, played = None, {axis: Runs() for axis in played_axes(self._content.rig.motion)}
         for some, axes in frames_of(named, background, self._content.rig.camera.image_size, batch):
             first = some.positions[0] if first is None else first
             moving = [axis for axis, moved in zip(axes, (some.positions != first).any(axis=0), strict=True) if moved]
             check_axes(self._content.rig, moving, axes, "frames:")
-            yield ready.range_image(some, axes)[0]
+            yield ready.range_image(*_with_runs(some, axes, played))[0]
 
     def _images(
         self, laser: "_Laser", scan: Scan, advance: Callable[[int], object], watch: LightWatch
@@ -170,12 +171,13 @@ class Scanner:
         # Where a turn closes, its first frames have neighbours before them, and its last behind them.
         looked_at = halo if passage is None else half_window(passage[1])
         longer, before = with_ends(scan, rig.motion, looked_at, equal=self._spacetime)
+        longer = with_runs(longer, rig.motion)
         own, done = range(before, before + (len(step_groups(scan)) or sys.maxsize)), 0
         batches = self._batches(longer, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         if passage is None:
-            found = self._stripes(laser, scan, batches)
+            found = self._stripes(laser, longer, batches)
         else:
-            found = laser.passages(*passage, batches, scan.axis_names)
+            found = laser.passages(*passage, batches, longer.axis_names)
         for image, stripe in found:
             here, done = _part_of(own, done, len(image.valid)), done + len(image.valid)
             if here.start == here.stop:
@@ -303,6 +305,14 @@ def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> li
     ]
     said = miscoloured(colors, laser)
     return [] if said is None else [f"the stripe {said} in scan.toml"]
+
+
+def _with_runs(frames: Frames, axes: Sequence[str], played: Mapping[str, Runs]) -> tuple[Frames, tuple[str, ...]]:
+    """Frames with the runs of axes that have play among their positions, and the names of all these."""
+    new = [axis for axis in played if axis in axes and run_of(axis) not in axes]
+    columns = [played[axis].of(frames.positions[:, axes.index(axis)])[:, None] for axis in new]
+    positions = np.concatenate([frames.positions, *columns], axis=1)
+    return replace(frames, positions=positions), (*axes, *map(run_of, new))
 
 
 def _part_of(own: range, done: int, count: int) -> slice:

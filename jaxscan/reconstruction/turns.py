@@ -11,9 +11,11 @@ from typing import Final
 import numpy as np
 from jaxtyping import Int
 
+from jaxscan.files.axes import StepRule
 from jaxscan.files.scan import Scan
 from jaxscan.reconstruction.merged_steps import step_groups
-from jaxscan.rig import Motion
+from jaxscan.rig import Motion, is_run, played_axes, run_of, runs
+from jaxscan.rig.play import FAR
 
 # The last frame of a turn is no further from the first than so many times the way between frames.
 _LAST_GAP: Final = 1.5
@@ -29,7 +31,7 @@ def sweeps_of(positions: Mapping[str, Int[np.ndarray, "frames"]]) -> list[slice]
         positions: motor steps of each axis at each frame.
     """
     frames = len(next(iter(positions.values()), ()))
-    moved = np.stack([np.diff(steps) != 0 for steps in positions.values()], axis=1)
+    moved = np.stack([np.diff(steps) != 0 for axis, steps in positions.items() if not is_run(axis)], axis=1)
     which = [frozenset(np.flatnonzero(row).tolist()) for row in moved]
     often = Counter(which)
     starts, last = [0], frozenset[int]()
@@ -42,6 +44,18 @@ def sweeps_of(positions: Mapping[str, Int[np.ndarray, "frames"]]) -> list[slice]
             starts.append(gap + 1 if rarer else gap)
         last = frozenset() if rarer else axes
     return [slice(a, b) for a, b in zip(starts, [*starts[1:], frames], strict=True)]
+
+
+def with_runs(scan: Scan, motion: Motion) -> Scan:
+    """A scan with the run of each axis that has play among its positions; the same where none has."""
+    axes, rules = dict(scan.axes), dict(scan.rules)
+    for axis in played_axes(motion):
+        if axis in scan.axes:
+            axes[run_of(axis)] = tuple(runs(np.asarray(scan.axes[axis])).tolist())
+        elif axis in scan.rules:
+            by = scan.rules[axis].per_frame
+            rules[run_of(axis)] = StepRule(FAR * int(np.sign(by)), by)
+    return replace(scan, axes=axes, rules=rules)
 
 
 def full_turn(motion: Motion, moving: Sequence[str]) -> int | None:

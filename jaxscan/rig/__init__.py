@@ -11,6 +11,7 @@ from jaxscan.rig.light import Light
 from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.linear import Linear
 from jaxscan.rig.motion import AxisMotion, Chain, Fixed, Motion, Positions, motion_of
+from jaxscan.rig.play import is_run, played_axes, run_of, runs
 from jaxscan.rig.rig import Rig
 from jaxscan.rig.rotary import Rotary
 from jaxscan.rig.system import System
@@ -38,8 +39,12 @@ __all__ = [
     "Screw",
     "ScrewOnGuide",
     "System",
+    "is_run",
     "motion_of",
+    "played_axes",
     "register_lens",
     "register_light",
     "register_motion",
+    "run_of",
+    "runs",
 ]

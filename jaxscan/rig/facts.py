@@ -82,14 +82,26 @@ def _of_light_kind(stem: str, light: Light, covariance: Covariance | None, rays:
 
 def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> Facts:
     if isinstance(part, Rotary):
-        return asdict(turn_facts(part, covariance, near))
+        return asdict(turn_facts(part, covariance, near)) | _of_play(part, covariance)
     if isinstance(part, Line):
         return {
             "mm_per_1000_steps": part.amount(1000.0)[0],
             "direction": part.direction().tolist(),
             **_of_path(part, covariance),
+            **_of_play(part, covariance),
         }
     return {}
+
+
+def _of_play(part: AxisMotion, covariance: Covariance | None) -> Facts:
+    """By how much farther on its load stands when it is approached by falling steps than by rising ones."""
+    if "play" not in part.numbers:
+        return {}
+    steps = float(part.play[0])  # type: ignore[attr-defined]
+    sigma = covariance.sigma(f"motion.{part.axis}.play.0") if covariance else None
+    amount, unit = part.amount(1.0)
+    key = "play_mm" if unit == "mm" else "play_deg"
+    return {key: steps * amount, f"{key}_sigma": None if sigma is None else sigma * amount}
 
 
 def _of_path(part: Line, covariance: Covariance | None) -> Facts:
@@ -152,7 +164,7 @@ def _sheet(light: Light, rays: Float[np.ndarray, "rays 3"]) -> Facts:
 
 
 def path_in_words(facts: Facts) -> Iterator[str]:
-    """How the path of a stage differs from a line, by the facts of its axis; nothing of a line."""
+    """How the path of an axis differs from a line or a turn, by its facts; nothing of one that does not."""
 
     def value(key: str, digits: str) -> str:
         sigma = facts[f"{key}_sigma"]
@@ -163,3 +175,6 @@ def path_in_words(facts: Facts) -> Iterator[str]:
     if "wave_mm" in facts:
         steps = value("period_steps", ".7g")
         yield f"ahead of its steps and behind by {value('wave_mm', '.3g')} mm, with a period of {steps} steps"
+    for key, unit in (("play_mm", " mm"), ("play_deg", "°")):
+        if key in facts:
+            yield f"a play of {value(key, '.3g')}{unit}"

@@ -12,12 +12,14 @@ from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.linear import Linear
 from jaxscan.rig.motion import AxisMotion
 from jaxscan.rig.opencv_lens import LADDER
+from jaxscan.rig.play import GuideWithPlay, LinearWithPlay, RotaryWithPlay, ScrewOnGuideWithPlay, ScrewWithPlay
 from jaxscan.rig.rotary import Rotary
 
 LENSES: Final[dict[str, type[Lens]]] = {**LADDER, Fisheye.kind: Fisheye}
 LIGHTS: Final[dict[str, type[Light]]] = {kind.kind: kind for kind in (LightPlane, BowedSheet)}
 # From the room to the object: lines carry turns.
-MOTIONS: Final[dict[str, type[AxisMotion]]] = {kind.kind: kind for kind in (Linear, Guide, Screw, ScrewOnGuide, Rotary)}
+_LINES: Final = (Linear, Guide, Screw, ScrewOnGuide, LinearWithPlay, GuideWithPlay, ScrewWithPlay, ScrewOnGuideWithPlay)
+MOTIONS: Final[dict[str, type[AxisMotion]]] = {kind.kind: kind for kind in (*_LINES, Rotary, RotaryWithPlay)}
 
 # What a rig file has beside a lens's numbers.
 _OF_THE_CAMERA: Final = {"image_size", "focal", "principal", "tilt", "lens"}

@@ -13,11 +13,11 @@ from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig.camera import Camera
-from jaxscan.rig.guide import ScrewOnGuide
 from jaxscan.rig.light import Light, meet
 from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
+from jaxscan.rig.play import ScrewOnGuideWithPlay
 
-_STAGE_SHAPES: Final = ScrewOnGuide.shape()
+_STAGE_SHAPES: Final = ScrewOnGuideWithPlay.shape()
 
 
 class Rig(eqx.Module):

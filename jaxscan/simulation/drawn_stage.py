@@ -1,7 +1,8 @@
 """A stage that is no line, as a machine has it: a carriage on the arc of a circle, driven by a screw that wobbles.
 
 Drawn by formulas of its own, not by the kinds of motion that a calibration fits: the guide is a circle, on which the
-carriage turns as a rigid body about the circle's centre; the screw is ahead of its steps by a sine of its turn.
+carriage turns as a rigid body about the circle's centre; the screw is ahead of its steps by a sine of its turn; and the
+load lags behind the motor by half of its play, but for so much as the motor has not yet crossed since it turned.
 """
 
 from collections.abc import Mapping
@@ -14,8 +15,9 @@ from jaxtyping import Float
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose, vector_to_matrix
 from jaxscan.precision import Leaf
-from jaxscan.rig import Positions, ScrewOnGuide
+from jaxscan.rig import Positions, ScrewOnGuide, run_of
 from jaxscan.rig.line import Line
+from jaxscan.rig.play import ScrewOnGuideWithPlay
 
 _Vector = tuple[Leaf, Leaf, Leaf]
 # A guide that is off a line by less has a circle too large for its numbers, mm.
@@ -34,6 +36,7 @@ class DrawnStage(Line):
         wave: by how much the screw is ahead at most (mm).
         period: steps of one turn of the screw.
         phase: of its sine at step 0 (radians).
+        play: by how much farther on the carriage stands when it comes back (mm).
         turning: whether the carriage follows the guide's tangent; otherwise it is only shifted.
         axis: its name.
     """
@@ -43,7 +46,7 @@ class DrawnStage(Line):
         "per_step": 3,
         "towards": 3,
         "origin": 3,
-        **dict.fromkeys(("sag", "over", "wave", "period", "phase"), 1),
+        **dict.fromkeys(("sag", "over", "wave", "period", "phase", "play"), 1),
     }
     fewest: ClassVar[int] = 2
 
@@ -54,6 +57,7 @@ class DrawnStage(Line):
     wave: tuple[Leaf]
     period: tuple[Leaf]
     phase: tuple[Leaf]
+    play: tuple[Leaf]
     turning: bool = eqx.field(static=True, default=True, kw_only=True)
 
     @staticmethod
@@ -67,6 +71,7 @@ class DrawnStage(Line):
         wave_mm: float = 0.0,
         period: float = 3200.0,
         phase: float = 0.0,
+        play_mm: float = 0.0,
         turning: bool = True,
     ) -> "DrawnStage":
         """From plain numbers; bowed away from the camera, about a place before it, unless they say otherwise."""
@@ -75,7 +80,7 @@ class DrawnStage(Line):
         side = side - (side @ along) * along
         place = np.array([0.0, 0.0, 350.0]) if origin is None else origin
         a, b, c = (_leaves(each) for each in (per_step, side / np.linalg.norm(side), place))
-        numbers = [(np.asarray(number, np.float64),) for number in (sag_mm, over_mm, wave_mm, period, phase)]
+        numbers = [(np.asarray(number, np.float64),) for number in (sag_mm, over_mm, wave_mm, period, phase, play_mm)]
         return DrawnStage(a, b, c, *numbers, turning=turning)
 
     @classmethod
@@ -109,6 +114,9 @@ class DrawnStage(Line):
         step, side, origin = (np.array(each, np.float64) for each in (self.per_step, self.towards, self.origin))
         w = 2 * np.pi * n / period + phase
         s = n * np.linalg.norm(step) + ahead * (np.sin(w) - np.sin(phase))
+        come = np.asarray(q.get(run_of(self.axis), 0.0), np.float64) * np.linalg.norm(step)
+        play = float(self.play[0])
+        s = s - np.sign(come) * (np.clip(np.abs(come), 0.0, play) - play / 2)
         along = step / np.linalg.norm(step)
         if abs(sag) < _STRAIGHT:
             shift = s[..., None] * along
@@ -131,7 +139,7 @@ class DrawnStage(Line):
         return sag, over, wave, period, phase
 
     def nearest_kind(self) -> ScrewOnGuide:
-        """The same as a rig file can have it, the circle as a parabola: 0.1 mm over 60 mm are alike to 0.003 mm."""
+        """The same as a rig file can have it; the circle as a parabola: 0.1 mm over 60 mm are alike to 0.003 mm."""
         step, side = (np.array(each, np.float64) for each in (self.per_step, self.towards))
         sag, over, ahead, period, phase = self._plain()
         length = np.linalg.norm(step)
@@ -139,7 +147,9 @@ class DrawnStage(Line):
         turn = curve * np.cross(step, side) if self.turning else np.zeros(3)
         wave = ahead * np.array([np.sin(phase), np.cos(phase)])
         bow = 0.5 * curve * length**2 * side
-        return ScrewOnGuide.create(step, bow, turn, np.array(self.origin), wave, period, self.axis)
+        found = ScrewOnGuide.create(step, bow, turn, np.array(self.origin), wave, period, self.axis)
+        play = float(self.play[0])
+        return ScrewOnGuideWithPlay.of(found, play / float(length)) if play else found
 
 
 def _leaves(vector: Float[np.ndarray, "3"]) -> _Vector:

@@ -135,7 +135,8 @@ def simulate_session(
     separate = separate_stripes or len(rig.lights) != 1
     views = rig_2003.BOARD_VIEWS if views is None else views
     boards, stage = rig_2003.board_poses(rig, seed, views), rig_2003.stage_pose(rig, seed)
-    steps = tuple(steps_apart * i for i in range(rig_2003.STAGE_VIEWS if stage_views is None else stage_views))
+    steps = rig_2003.stage_steps(rig, rig_2003.STAGE_VIEWS if stage_views is None else stage_views, steps_apart)
+    come = {STAGE: steps, **rig_2003.stage_runs(rig, steps)}
     _make(
         folder,
         "boards",
@@ -162,7 +163,10 @@ def simulate_session(
             name = f"stripes/{laser.name or 'stripe'}-{i:02d}"
             stripe_images[laser.name].append(shoot(name, exposures[1 + n], _STRIPE_NOISE + n, i, laser=n))
     scene = rig_2003.board_scene(np.asarray(stage.rotation), np.asarray(stage.translation))
-    stage_images = [shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, q={STAGE: n}) for i, n in enumerate(steps)]
+    stage_images = [
+        shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, q={name: each[i] for name, each in come.items()})
+        for i in range(len(steps))
+    ]
     lying = rig_2003.turntable_pose(rig, seed) if "turntable" in rig.axes() else None
     turns = tuple(rig_2003.TURNS_APART * i for i in range(rig_2003.TURNTABLE_VIEWS)) if lying else ()
     on_stage, turned = rig_2003.TURNTABLE_STAGE_STEP, []
@@ -226,9 +230,10 @@ def simulate_scan(
     (folder / SCAN_FILE).unlink(missing_ok=True)
     given = {STAGE: range(0, steps_apart * frames, steps_apart)} if axes is None else axes
     positions = {axis: tuple(int(n) for n in steps) for axis, steps in given.items()}
+    come = positions | rig_2003.stage_runs(rig, positions.get(STAGE, ()))
     paths, profiles = [], []
-    for i, place in enumerate(zip(*positions.values(), strict=True)):
-        q = dict(zip(positions, place, strict=True))
+    for i, place in enumerate(zip(*come.values(), strict=True)):
+        q = dict(zip(come, place, strict=True))
         seeds = (2003, seed, _SCAN_NOISE, i, *([laser] if laser else []))
         image = render(rig, scene, q=q, laser=laser, lighting=lighting, sensor=sensor, seed=seeds)
         paths.append(folder / "frames" / f"{i:03d}{ending}")

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, UInt
 from jaxscan.errors import InputError
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.precision import as_numpy
-from jaxscan.rig import Camera, LightPlane, Positions, Rig
+from jaxscan.rig import Camera, LightPlane, Positions, Rig, is_run
 from jaxscan.rig import Light as SheetOfLight
 from jaxscan.rig.light import nameless
 from jaxscan.rig.projection import pixel_rays
@@ -99,7 +99,8 @@ def carried(rig: Rig, scene: Scene, q: Positions) -> Scene:
     if not any(q.values()):
         return scene
     for axis in q:
-        rig.axis(axis)
+        if not is_run(axis):
+            rig.axis(axis)
     return scene.carried(as_numpy(rig.pose({axis: np.float64(steps) for axis, steps in q.items()})))
 
 

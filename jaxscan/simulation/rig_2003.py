@@ -19,10 +19,11 @@ from jaxtyping import Array, Float, Num
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.images import Board
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import BowedSheet, Camera, Light, LightPlane, Linear, Rig, Rotary
+from jaxscan.rig import BowedSheet, Camera, Light, LightPlane, Linear, Rig, Rotary, run_of, runs
 from jaxscan.simulation.drawn_stage import DrawnStage
 from jaxscan.simulation.hand import Hand
 from jaxscan.simulation.light import Lighting, Sensor
@@ -103,7 +104,14 @@ def simulated_rig(seed: int, lasers: int = 1, bow_mm: float = 0.0) -> Rig:
         return as_numpy(Rig(camera, sheets, rig.motion))
 
 
-def with_stage(rig: Rig, *, guide_mm: float = 0.0, screw_mm: float = 0.0, screw_steps: float = SCREW_STEPS) -> Rig:
+def with_stage(
+    rig: Rig,
+    *,
+    guide_mm: float = 0.0,
+    screw_mm: float = 0.0,
+    screw_steps: float = SCREW_STEPS,
+    play_mm: float = 0.0,
+) -> Rig:
     """The rig with a stage that is no line, in the place of its own.
 
     Args:
@@ -112,8 +120,9 @@ def with_stage(rig: Rig, *, guide_mm: float = 0.0, screw_mm: float = 0.0, screw_
             carriage turns as it follows the guide.
         screw_mm: by how much the screw is ahead of its steps, and behind them, at most.
         screw_steps: of one turn of the screw.
+        play_mm: by how much farther on what it carries stands when it comes back.
     """
-    if not guide_mm and not screw_mm:
+    if not guide_mm and not screw_mm and not play_mm:
         return rig
     step = stage_travel(rig, np.ones(1))[0]
     over = float(np.linalg.norm(step)) * STEPS_APART * (STAGE_VIEWS - 1)
@@ -127,8 +136,31 @@ def with_stage(rig: Rig, *, guide_mm: float = 0.0, screw_mm: float = 0.0, screw_
         wave_mm=screw_mm,
         period=screw_steps,
         phase=_SCREW_PHASE,
+        play_mm=play_mm,
     )
     return rig.with_axis(stage)
+
+
+def stage_steps(rig: Rig, count: int, apart: int) -> tuple[int, ...]:
+    """Motor steps of photographs on the stage: one after the other; there and back where it has play, which tells it.
+
+    Args:
+        rig: with a stage.
+        count: of the photographs.
+        apart: from one place to the next.
+    """
+    steps = [apart * i for i in range(count)]
+    return tuple(steps[::2] + steps[1::2][::-1] if _plays(rig) else steps)
+
+
+def stage_runs(rig: Rig, steps: Sequence[int]) -> dict[str, tuple[int, ...]]:
+    """The entry that positions of the stage have beside these steps where it has play, else none."""
+    return {run_of(STAGE): tuple(runs(np.asarray(steps)).tolist())} if _plays(rig) else {}
+
+
+def _plays(rig: Rig) -> bool:
+    stage = rig.axes().get(STAGE)
+    return isinstance(stage, DrawnStage) and bool(stage.play[0])
 
 
 def _sheet(omega: Float[np.ndarray, "3"], bow_mm: float, name: str = "") -> Light:

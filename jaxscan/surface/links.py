@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from jaxscan.errors import InputError
 from jaxscan.reconstruction import RangeImage
+from jaxscan.rig import is_run
 from jaxscan.robust import NORMAL_MAD
 
 # The steepest rise of a surface over its own spacing that is not taken for a jump.
@@ -123,7 +124,8 @@ def _of_sweeps(sweeps: list[RangeImage]) -> Sampling:
 
 
 def _place(image: RangeImage) -> str:
-    return ", ".join(f"{axis} {int(np.asarray(steps)[0])}" for axis, steps in image.positions.items())
+    at = {axis: int(np.asarray(steps)[0]) for axis, steps in image.positions.items() if not is_run(axis)}
+    return ", ".join(f"{axis} {step}" for axis, step in at.items())
 
 
 def links(image: RangeImage, how: Sampling | None = None) -> Links:

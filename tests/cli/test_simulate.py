@@ -107,6 +107,8 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
         ("--guide-mm", "3"),
         ("--screw-mm", "-2.5"),
         ("--screw-steps", "0"),
+        ("--play-mm", "-0.1"),
+        ("--play-mm", "2.5"),
         ("--shake-mm", "-1"),
         ("--shake-mm", "500"),
         ("--quality", "0"),
@@ -135,3 +137,16 @@ def test_a_stage_that_is_no_line_is_drawn_and_written_as_truth(few_photographs: 
     assert {name: part.kind for name, part in axes.items()} == {"stage": "screw_on_guide"}
     assert float(axes["stage"].period[0]) == 2900
     assert np.hypot(*map(float, axes["stage"].wave)) == pytest.approx(0.05)
+
+
+def test_a_stage_with_play_is_photographed_there_and_back(
+    few_photographs: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rig_2003, "STAGE_VIEWS", 4)
+    out = tmp_path / "world"
+    simulate.run(parse(str(out), "--play-mm", "0.1", "--object", "box"))
+    part: Any = read_rig(out / "truth" / "rig.json").rig.axis("stage")
+    assert part.kind == "screw_on_guide_with_play"
+    assert float(part.play[0]) * part.amount(1.0)[0] == pytest.approx(0.1)
+    steps = np.array(read_session(out / "session").stage.steps)  # type: ignore[union-attr]
+    assert set(np.sign(np.diff(steps))) == {1, -1}

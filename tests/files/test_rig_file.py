@@ -304,7 +304,7 @@ BAD_2 = {
     "plane through the camera": ({"lights__0__plane": [1e9, 0.0, 1.0]}, ["lights.0.plane", "through the camera"]),
     "an axis of another kind": (
         {"motion__1__kind": "robot"},
-        ['motion.1.kind = "robot"', "knows linear, guide, screw, screw_on_guide, rotary", "register"],
+        ['motion.1.kind = "robot"', "knows linear, guide, screw, screw_on_guide, linear_with_play", "register"],
     ),
     "an axis of no kind": ({"motion__0__kind": None}, ["motion.0.kind", "missing"]),
     "an axis of no name": ({"motion__0__axis": None}, ["motion.0.axis", "missing"]),

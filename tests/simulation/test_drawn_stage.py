@@ -5,6 +5,7 @@ import pytest
 
 from jaxscan.errors import InputError
 from jaxscan.precision import as_numpy, float64
+from jaxscan.rig import run_of
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.drawn_stage import DrawnStage
 from jaxscan.simulation.folders import with_kinds_of_files
@@ -12,6 +13,8 @@ from jaxscan.simulation.folders import with_kinds_of_files
 PER_STEP = np.array([1e-4, 9e-4, -4e-4]) / np.sqrt(0.98)
 N = np.linspace(0, 60000, 301)
 ORIGIN = np.zeros(3)
+# About which a carriage turns that is not told where it stands.
+AT = np.array([0.0, 0.0, 350.0])
 
 
 def path(stage, X=ORIGIN):
@@ -52,6 +55,18 @@ def test_the_kind_of_a_rig_file_is_alike():
         kind = as_numpy(stage.nearest_kind())
     for X in np.array([[0.0, 0.0, 350.0], [60.0, -40.0, 300.0]]):
         np.testing.assert_allclose(path(kind, X), path(stage, X), atol=3e-3)
+
+
+def test_with_play_it_lags_behind_by_half_of_it_and_is_alike():
+    stage = DrawnStage.create(PER_STEP, sag_mm=0.1, over_mm=60.0, play_mm=0.2)
+    with float64():
+        kind = as_numpy(stage.nearest_kind())
+    assert kind.kind == "screw_on_guide_with_play"
+    for run, ahead in ((5000, -0.1), (-5000, 0.1), (0, 0.0), (50, 0.05), (-100, 0.0)):
+        q = {"stage": N, run_of("stage"): np.full(len(N), run)}
+        moved = stage.pose(q).apply(AT[None])[:, 0] - path(stage, AT)
+        np.testing.assert_allclose(moved @ PER_STEP / 1e-3, ahead, atol=2e-3)
+        np.testing.assert_allclose(kind.pose(q).apply(AT[None]), stage.pose(q).apply(AT[None]), atol=3e-3)
 
 
 def test_it_is_no_kind_to_be_found():

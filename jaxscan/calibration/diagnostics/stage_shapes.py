@@ -4,7 +4,8 @@ A bow is a parabola of the steps, along the travel or across it, or a turn of th
 screw's wave is a sine along the travel. Each is held against the scatter of the photographs about it, by R. A. Fisher's
 F, so that a stage which merely wobbles is not named; the wave as often as periods were asked. A board that is bent, or
 was pushed once, shows something alike: a bow is told beside the terms of a board's shape, by the last step of the
-solve, and none is said where one step between two photographs explains more.
+solve, and none is said where one step between two photographs explains more. Play is a shift along the travel by the
+direction of approach; there must be photographs of both.
 """
 
 from collections.abc import Sequence
@@ -21,12 +22,24 @@ from jaxscan.calibration.stage_paths import Course, Fit, Periods, courses, find_
 from jaxscan.calibration.stage_shape import StageShape
 from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
 from jaxscan.rig.line import Line
+from jaxscan.rig.linear import Linear
+from jaxscan.rig.play import kind_with_play
 
 # What is smaller than this share of the distance, or of the scatter of the photographs, is not worth a word.
 _WORTH, _OF_SCATTER = 1e-5, 0.3
 # Photographs that must stand on either side of a step.
 _BEFORE = 2
-_NAMES = {(True, False): Guide.kind, (False, True): Screw.kind, (True, True): ScrewOnGuide.kind}
+# A play is told where the load goes along the travel: what goes across it by this share of that, and by more than
+# chance, was pushed.
+_PUSHED, _PUSHED_BY_CHANCE = 0.5, 1e-2
+# One explains more than another where χ² is smaller by this.
+_CLEARLY = 9.0
+_NAMES = {
+    (False, False): Linear.kind,
+    (True, False): Guide.kind,
+    (False, True): Screw.kind,
+    (True, True): ScrewOnGuide.kind,
+}
 
 
 def stage_shapes(refined: Refined, calibration: Calibration) -> tuple[StageShape, ...]:
@@ -45,26 +58,35 @@ def stage_shapes(refined: Refined, calibration: Calibration) -> tuple[StageShape
 
 
 def _shape(refined: Refined, calibration: Calibration, part: Line, course: Course) -> StageShape | None:
-    bowed, waved = ("bow" in part.shape(), "wave" in part.shape())
+    bowed, waved, played = ("bow" in part.shape(), "wave" in part.shape(), "play" in part.shape())
     known = [course.line()]
     if bowed:
         known.append(course.bow())
     if isinstance(part, Screw | ScrewOnGuide):
         known.append(_known_wave(course, part))
-    beside = np.concatenate(known, axis=1)
+    # Of photographs of one pass there is nothing to tell.
+    told = [course.play()] if played or course.there_and_back else []
+    beside = np.concatenate([*known, *told], axis=1)
     wave = None if waved else _wave(course, beside, bowed)
     along = beside if wave is None else np.concatenate([beside, course.wave(wave.period)], axis=1)
     bow = None if bowed else _bow(refined, calibration, course, along, None if wave is None else wave.period)
-    if bow is None and wave is None:
+    known += [course.bow()] if not bowed else []
+    known += [course.wave(wave.period)] if wave is not None else []
+    play = None if played or not told else _play(course, np.concatenate(known, axis=1))
+    if bow is None and wave is None and play is None:
         return None
     said = dict(bow or {})
     if wave is not None:
         said["wave_mm"], said["wave_sigma_mm"] = _length(wave.fit.values, wave.fit.covariance)
+    if play is not None:
+        said["play_mm"], said["play_sigma_mm"] = float(play.values[0]), float(play.covariance[0, 0] ** 0.5)
+        said["play_steps"] = said["play_mm"] / course.mm_per_step
+    kind = _NAMES[bowed or bow is not None, waved or wave is not None]
     return StageShape(
         axis=course.axis,
         taken=calibration.rig.axis(course.axis).kind,
-        kind=_NAMES[bowed or bow is not None, waved or wave is not None],
-        p=max(said.pop("p", 0.0), 0.0 if wave is None else wave.p),
+        kind=kind_with_play(kind) if played or play is not None else kind,
+        p=max(said.pop("p", 0.0), *(found.p for found in (wave, play) if found is not None), 0.0),
         travel_mm=2 * course.half * course.mm_per_step,
         period_steps=None if wave is None else wave.period,
         aliases=() if wave is None else wave.others,
@@ -88,6 +110,39 @@ def _wave(course: Course, beside: Float[np.ndarray, "images others"], bowed: boo
     if np.linalg.norm(found.fit.values) < max(_WORTH * course.distance, _OF_SCATTER * scatter):
         return None
     return None if _steps_more(course, [0], beside, found.fit.fall, found.fit.scatter) else found
+
+
+def _play(course: Course, beside: Float[np.ndarray, "images others"]) -> Fit | None:
+    """The play, where there is any and it matters.
+
+    Not where a drift from the first photograph to the last, or a step in time elsewhere, as of a board that was pushed,
+    explains as much; nor where the board goes across the travel too, or by as much as lies between two photographs, as
+    when they were counted wrong.
+    """
+
+    def of(columns: Float[np.ndarray, "images columns"]) -> Fit | None:
+        return fitted(course.moved[:, 0], course.sigma[:, 0], beside, columns)
+
+    fit = of(course.play())
+    if fit is None or fit.p > BY_CHANCE:
+        return None
+    large, scatter = abs(float(fit.values[0])), fit.scatter * float(np.sqrt((course.sigma[:, 0] ** 2).mean()))
+    apart = np.abs(np.diff(course.steps))[np.diff(course.sequence) == 0]
+    most = _PUSHED * float(np.median(apart[apart > 0])) * course.mm_per_step
+    if large > most or large < max(_WORTH * course.distance, _OF_SCATTER * scatter):
+        return None
+    for k in (1, 2):
+        across = fitted(course.moved[:, k], course.sigma[:, k], course.line(), course.play())
+        if across is not None and abs(float(across.values[0])) > _PUSHED * large and across.p < _PUSHED_BY_CHANCE:
+            return None
+    drift, margin = of(course.in_time()), _CLEARLY * fit.scatter**2
+    if drift is not None and drift.left < fit.left + margin:
+        return None
+    for k in range(_BEFORE, len(course.steps) - _BEFORE + 1):
+        step = of((np.arange(len(course.steps)) >= k).astype(float)[:, None])
+        if step is not None and step.left < fit.left - margin:
+            return None
+    return fit
 
 
 def _bow(
@@ -120,7 +175,7 @@ def _bow(
     if p > BY_CHANCE:
         return None
     # Beside the shape of the board, in units of the scatter of the photographs.
-    rows = stage_rows(refined, calibration, [(course, period)])
+    rows = stage_rows(refined, calibration, [(course, period, False)])
     values, covariance = (part[..., :6] for part in beside_shape(refined, calibration, rows))
     covariance = covariance[:6]
     usual = float(np.median([max(fit.scatter, 1.0) for fit, _ in tests if fit is not None]))
@@ -170,9 +225,9 @@ def _steps_more(
 
 
 def stage_rows(
-    refined: Refined, calibration: Calibration, shapes: Sequence[tuple[Course, float | None]]
+    refined: Refined, calibration: Calibration, shapes: Sequence[tuple[Course, float | None, bool]]
 ) -> list[Float[np.ndarray, "blocks residuals columns"]]:
-    """Of each group of boards, the derivatives of its residuals by the bow and turn of some axes, and by their waves.
+    """Of each group of boards, the derivatives of its residuals by the bow and turn of some axes, their waves and play.
 
     The board's place at its positions of reference moves all its photographs alike; so each one's rows by that, times
     what the path does there, are those by the path.
@@ -180,7 +235,7 @@ def stage_rows(
     Args:
         refined: where the rounds ended.
         calibration: the same, assembled.
-        shapes: of each axis its course, and the period of its wave where it has one.
+        shapes: of each axis its course, the period of its wave where it has one, and whether it has play.
     """
     shared = refined.last[1].shared.shape[1]
     found = []
@@ -189,8 +244,8 @@ def stage_rows(
         J = np.asarray(J)[:, : group.corners[0].size + group.stripe_used[0].size, shared : shared + 6]
         columns = [np.zeros((*J.shape[:2], 0))]
         corners, stripes = 2 * group.corners.shape[2], group.stripe_used.shape[2]
-        for course, period in shapes if i else ():
-            path = np.zeros((*J.shape[:2], 6 + 2 * (period is not None)))
+        for course, period, played in shapes if i else ():
+            path = np.zeros((*J.shape[:2], 6 + 2 * (period is not None) + played))
             for b, sequence in enumerate(calibration.observations.sequences):
                 if sequence.axis != course.axis:
                     continue
@@ -199,13 +254,18 @@ def stage_rows(
                 s, rows = (of_row - course.middle) / course.half, J[b, : len(of_row)]
                 path[b, : len(of_row), :3] = rows[:, 3:] * (s**2)[:, None]
                 path[b, : len(of_row), 3:6] = rows[:, :3] * s[:, None]
+                ahead = rows[:, 3:] @ course.direction
                 if period is not None:
                     w = 2 * np.pi * of_row / period
-                    ahead = rows[:, 3:] @ course.direction
-                    path[b, : len(of_row), 6:] = ahead[:, None] * np.stack([np.cos(w), np.sin(w)], axis=1)
+                    path[b, : len(of_row), 6:8] = ahead[:, None] * np.stack([np.cos(w), np.sin(w)], axis=1)
+                if played:
+                    way = np.pad(np.sign(sequence.runs), (0, len(n) - len(sequence.views)))
+                    each = np.concatenate([np.repeat(way, corners), np.repeat(way, stripes)])
+                    path[b, : len(of_row), -1] = -ahead * each / 2
             columns.append(path)
         if not i:
-            columns += [np.zeros((*J.shape[:2], 6 + 2 * (period is not None))) for _, period in shapes]
+            widths = [6 + 2 * (period is not None) + played for _, period, played in shapes]
+            columns += [np.zeros((*J.shape[:2], width)) for width in widths]
         found.append(np.concatenate(columns, axis=2))
     return found
 
@@ -215,4 +275,5 @@ def rows_of_shapes(
 ) -> list[Float[np.ndarray, "blocks residuals columns"]]:
     """`stage_rows` of those that were named."""
     by_axis = courses(calibration)
-    return stage_rows(refined, calibration, [(by_axis[shape.axis], shape.period_steps) for shape in shapes])
+    found = [(by_axis[shape.axis], shape.period_steps, bool(shape.play_mm)) for shape in shapes]
+    return stage_rows(refined, calibration, found)
