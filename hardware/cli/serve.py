@@ -81,8 +81,8 @@ def run(args: argparse.Namespace) -> None:
         server.serve_here()
     except KeyboardInterrupt:
         lab.close()
-        if lab.gallery.alive:
-            # A profile that nobody sees any more; an interpreter that ends under JAX's compiler would be aborted.
+        if lab.alive:
+            # Nobody sees it any more; an interpreter that ends under JAX's compiler would be aborted.
             print("scanner: interrupted", file=sys.stderr, flush=True)
             os._exit(INTERRUPTED)
         raise

@@ -1,6 +1,7 @@
 """The application: the lab's interface and pages as one ASGI application."""
 
 import asyncio
+import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
@@ -12,9 +13,19 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.staticfiles import StaticFiles
 
 from hardware.lab import api, pages
+from hardware.lab.front import Front
 from hardware.lab.lab import Lab
 from hardware.lab.refusal import Refusal
-from hardware.lab.web import LARGEST_BODY, Headers, SignInFirst, not_on_disk, not_understood, refused, to_sign_in
+from hardware.lab.web import (
+    LARGEST_BODY,
+    Headers,
+    SignInFirst,
+    not_in_database,
+    not_on_disk,
+    not_understood,
+    refused,
+    to_sign_in,
+)
 
 _HERE: Final = Path(__file__).parent
 _DESCRIPTION: Final = """
@@ -57,6 +68,8 @@ def make_app(lab: Lab) -> FastAPI:
     app.add_exception_handler(RequestValidationError, not_understood)
     app.add_exception_handler(SignInFirst, to_sign_in)
     app.add_exception_handler(OSError, not_on_disk)
+    app.add_exception_handler(sqlite3.Error, not_in_database)
+    app.add_middleware(Front, lab=lab)
     app.add_middleware(Headers)
     _describe_tokens(app)
     return app

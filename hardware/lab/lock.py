@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hardware.lab.accounts import Visitor
+from hardware.lab.badges import Visitor
 from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
 
 

@@ -12,7 +12,8 @@ from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse, Resp
 from fastapi.templating import Jinja2Templates
 from markupsafe import Markup, escape
 
-from hardware.lab.accounts import LONGEST_S, SHORTEST_PASSWORD, Visitor
+from hardware.lab.accounts import SHORTEST_PASSWORD
+from hardware.lab.badges import LONGEST_S, Visitor
 from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
 from hardware.lab.web import LabHere, PageVisitor, Viewer, same, session_cookie, set_cookie
 
@@ -68,7 +69,7 @@ async def sign_in(request: Request, lab: LabHere) -> Response:
         return _sign_in_form(request, Refusal(FORBIDDEN, "this form has expired: try again"), name)
     address = request.client.host if request.client else ""
     try:
-        token = await run_in_threadpool(lab.accounts.sign_in, name, fields.get("password", ""), address)
+        token = await lab.sign_ins.run(address, lambda: lab.accounts.sign_in(name, fields.get("password", ""), address))
     except Refusal as refusal:
         return _sign_in_form(request, refusal, name)
     await run_in_threadpool(lab.accounts.sign_out, request.cookies.get(session_cookie(request), ""))
@@ -106,11 +107,10 @@ def scanner_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLRespon
 
 
 @router.get("/projects")
-def projects_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLResponse:
+async def projects_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLResponse:
     """The projects."""
-    return _page(
-        request, "projects", who, projects=lab.projects.all(), calibrations=lab.calibrations.all(), rig=lab.state().rig
-    )
+    projects, calibrations = await lab.lists.run(who.name, lambda: (lab.projects.all(), lab.calibrations.all()))
+    return _page(request, "projects", who, projects=projects, calibrations=calibrations, rig=lab.state().rig)
 
 
 @router.get("/account")

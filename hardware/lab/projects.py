@@ -114,24 +114,33 @@ class Projects:
         plan = [path / PLAN_FILE] if (path / PLAN_FILE).is_file() else []
         return archive(path, {SCAN_FILE: listed}, [*plan, *scan.frames, *scan.backgrounds])
 
-    def cloud(self, name: str) -> Path:
-        """A PLY file of its points; reconstructed once for each number of photographs.
+    def cloud_file(self, name: str) -> Path:
+        """Where the PLY file of its points is, or will be.
 
         Raises:
-            Refusal: no rig is loaded, or there is no project, or nothing in it.
+            Refusal: no rig is loaded, or there is no project.
         """
         scan = self.scan(name)
         if self._rig is None:
             raise Refusal(CONFLICT, "no rig is loaded: start the server with scanner serve --rig rig.json")
-        path = self._clouds / f"{name}.{len(scan.frames)}.ply"
+        return self._clouds / f"{name}.{len(scan.frames)}.ply"
+
+    def cloud(self, name: str) -> Path:
+        """A PLY file of its points, reconstructed where it is not there yet.
+
+        Raises:
+            Refusal: as `cloud_file`, or there is nothing in the project.
+        """
+        path = self.cloud_file(name)
         with self._reconstructing:
             if not path.exists():
                 from jaxscan import reconstruct, write_points
 
+                assert self._rig is not None
                 try:
-                    write_points(path, reconstruct(self._rig, scan))
+                    write_points(path, reconstruct(self._rig, self.scan(name)))
                 except JaxscanError as error:
-                    raise Refusal(CONFLICT, within(scan.path.parent, error)) from error
+                    raise Refusal(CONFLICT, within(self.path(name), error)) from error
                 self._forget_clouds(name, path)
         return path
 

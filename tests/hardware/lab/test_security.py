@@ -16,8 +16,9 @@ from serving import ADMINISTRATOR, OPERATOR, PASSWORD, VIEWER, Served, csrf_of, 
 from starlette.routing import Mount
 
 from hardware.cli.main import main
-from hardware.lab.accounts import IDLE_S, LONGEST_S, Accounts
+from hardware.lab.accounts import Accounts
 from hardware.lab.app import make_app
+from hardware.lab.badges import IDLE_S, LONGEST_S
 from hardware.lab.database import Database
 from hardware.lab.refusal import Refusal
 from hardware.lab.server import bind, check_tls
