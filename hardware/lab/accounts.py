@@ -4,6 +4,7 @@ Of session and token only a digest is kept, so the database opens no door to who
 bits, so a plain hash is enough; passwords are argon2id's.
 """
 
+import hmac
 import logging
 import re
 import secrets
@@ -114,14 +115,21 @@ class Accounts:
         rows = self._database.read("SELECT name, administrator FROM users ORDER BY name COLLATE NOCASE")
         return [Account(row["name"], bool(row["administrator"])) for row in rows]
 
-    def sign_in(self, name: str, password: str, address: str) -> str:
+    def sign_in(self, name: str, password: str, address: str, browser: str = "") -> str:
         """A new session, for a name and its password; it never goes on with one that was there before.
+
+        Args:
+            name: of the account.
+            password: its.
+            address: from which it is tried.
+            browser: what `know_browser` gave it; wrong tries elsewhere do not count for such a one.
 
         Raises:
             Refusal: they are not right, or there were too many tries.
         """
         name, password = name[:LONGEST_PASSWORD], password[: LONGEST_PASSWORD + 1]
-        self._throttle.admit(name, address)
+        known = self._known(name, browser)
+        self._throttle.admit(name, address, known)
         rows = self._database.read("SELECT * FROM users WHERE name = ?", name)
         with self._hashing:
             try:
@@ -130,7 +138,7 @@ class Accounts:
                 right = False
         if not rows or not right:
             raise Refusal(SIGN_IN, "name or password is wrong")
-        self._throttle.forgive(name, address)
+        self._throttle.forgive(name, address, known)
         token, row = secrets.token_urlsafe(32), rows[0]
         csrf = secrets.token_urlsafe(32)
         visitor = Visitor(row["id"], row["name"], bool(row["administrator"]), seat(digest(token)), csrf)
@@ -159,6 +167,22 @@ class Accounts:
         if oldest:
             self.badges.load()
 
+    def know_browser(self, name: str) -> str:
+        """What a browser brings back to show that this account has signed in with it; a new password ends it."""
+        mark = secrets.token_urlsafe(16)
+        return f"{mark}.{self._sign(name, mark)}"
+
+    def _known(self, name: str, browser: str) -> str:
+        """Which known browser this is; "" for any other."""
+        mark, _, signed = browser.partition(".")
+        right = self._sign(name, mark) if mark and signed else ""
+        return mark if right and hmac.compare_digest(signed.encode("utf-8", "replace"), right.encode()) else ""
+
+    def _sign(self, name: str, mark: str) -> str:
+        rows = self._database.read("SELECT hash FROM users WHERE name = ?", name)
+        key = rows[0]["hash"] if rows else secrets.token_hex()
+        return hmac.new(key.encode(), b"browser " + mark.encode("utf-8", "replace"), "sha256").hexdigest()
+
     def of_session(self, token: str) -> Visitor | None:
         """Whose session this is, if it is one that has not ended."""
         return self.badges.of_session(token)
@@ -166,7 +190,10 @@ class Accounts:
     def sign_out(self, token: str) -> None:
         """End a session."""
         self.badges.end(token)
-        self._database("DELETE FROM sessions WHERE digest = ?", digest(token))
+        try:
+            self._database("DELETE FROM sessions WHERE digest = ?", digest(token))
+        except sqlite3.Error as error:
+            _LOG.warning("a session that has ended cannot be removed from the database (%s)", error)
 
     def make_token(self, user: int, name: str) -> str:
         """A new token for a program; this is the only time that it is seen."""

@@ -18,7 +18,7 @@ from hardware.lab.logbook import Job
 from hardware.lab.orders import ProjectName, Work
 from hardware.lab.projects import Project
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
-from hardware.lab.web import Administrator, LabHere, Operator, Viewer, visitor
+from hardware.lab.web import Administrator, LabHere, Operator, Person, Viewer, visitor
 
 _BOUNDARY = b"--picture\r\n"
 _FARTHEST_ID = 2**63 - 1
@@ -41,7 +41,7 @@ Number = Annotated[int, Path(ge=0, le=_FARTHEST_ID)]
 
 
 class _Body(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class Me(BaseModel):
@@ -98,13 +98,13 @@ def tokens(lab: LabHere, who: Viewer) -> list[Token]:
 
 
 @router.post("/tokens", status_code=201, tags=["account"])
-def make_token(lab: LabHere, who: Viewer, body: NewToken) -> MadeToken:
-    """Make a token for a program; it is shown this once."""
+def make_token(lab: LabHere, who: Person, body: NewToken) -> MadeToken:
+    """Make a token for a program; it is shown this once. A token makes none."""
     return MadeToken(token=lab.accounts.make_token(who.user, body.name))
 
 
 @router.delete("/tokens/{number}", status_code=204, tags=["account"], responses=_said(404))
-def drop_token(lab: LabHere, who: Viewer, number: Number) -> None:
+def drop_token(lab: LabHere, who: Person, number: Number) -> None:
     """End one of your tokens."""
     lab.accounts.drop_token(who.user, number)
 

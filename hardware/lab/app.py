@@ -11,6 +11,7 @@ from typing import Any, Final
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from fastapi.staticfiles import StaticFiles
+from starlette.requests import ClientDisconnect
 
 from hardware.lab import api, pages
 from hardware.lab.front import Front
@@ -20,6 +21,7 @@ from hardware.lab.web import (
     LARGEST_BODY,
     Headers,
     SignInFirst,
+    gone,
     not_in_database,
     not_on_disk,
     not_understood,
@@ -35,8 +37,8 @@ Send a token with every request: `Authorization: Bearer …`; `scanner user toke
 """
 
 
-def make_app(lab: Lab) -> FastAPI:
-    """The application for one lab."""
+def make_app(lab: Lab, names: frozenset[str] = frozenset()) -> FastAPI:
+    """The application for one lab, known to browsers by these names and all addresses."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -69,7 +71,8 @@ def make_app(lab: Lab) -> FastAPI:
     app.add_exception_handler(SignInFirst, to_sign_in)
     app.add_exception_handler(OSError, not_on_disk)
     app.add_exception_handler(sqlite3.Error, not_in_database)
-    app.add_middleware(Front, lab=lab)
+    app.add_exception_handler(ClientDisconnect, gone)
+    app.add_middleware(Front, lab=lab, names=names)
     app.add_middleware(Headers)
     _describe_tokens(app)
     return app

@@ -128,6 +128,15 @@ def make_folder(folder: Path) -> None:
         InputError: it cannot be made.
     """
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_private(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another --data") from error
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder for the eyes of its user alone; one that is there already keeps the mode that it has.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)

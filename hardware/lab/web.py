@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from hardware.lab.badges import Visitor
 from hardware.lab.lab import Lab
-from hardware.lab.refusal import CONFLICT, FORBIDDEN, FULL, SIGN_IN, WRONG_VALUE, Refusal
+from hardware.lab.refusal import CONFLICT, FORBIDDEN, FULL, SIGN_IN, WRONG, WRONG_VALUE, Refusal
 
 _LOG: Final = logging.getLogger(__name__)
 LARGEST_BODY: Final = 1 << 16
@@ -145,9 +145,21 @@ def administrator(who: Annotated[Visitor, Depends(visitor)]) -> Visitor:
     return who
 
 
+def person(who: Annotated[Visitor, Depends(visitor)]) -> Visitor:
+    """Somebody who has signed in with a password: a token that was stolen lives no longer than itself.
+
+    Raises:
+        Refusal: it is a program.
+    """
+    if who.csrf is None:
+        raise Refusal(FORBIDDEN, "a token neither makes nor ends tokens: use the account page, or scanner user token")
+    return who
+
+
 Viewer = Annotated[Visitor, Depends(visitor)]
 Operator = Annotated[Visitor, Depends(operator)]
 Administrator = Annotated[Visitor, Depends(administrator)]
+Person = Annotated[Visitor, Depends(person)]
 PageVisitor = Annotated[Visitor, Depends(page_visitor)]
 
 
@@ -160,6 +172,9 @@ def refused(request: Request, error: Exception) -> Response:
     """The answer to what is not granted."""
     assert isinstance(error, Refusal)
     headers = {} if error.retry_s is None else {"Retry-After": str(max(1, round(error.retry_s)))}
+    if error.status == WRONG:
+        # What follows on the connection may be read in two ways.
+        headers["Connection"] = "close"
     if error.status == SIGN_IN:
         headers["WWW-Authenticate"] = "Bearer"
     return JSONResponse({"detail": str(error)}, error.status, headers)
@@ -178,6 +193,11 @@ def not_in_database(request: Request, error: Exception) -> Response:
     _LOG.warning("%s %s: %s", request.method, request.url.path, error)
     words = f"the lab's database: {error}: try again, and somebody has to look after it on the lab's machine"
     return refused(request, Refusal(FULL, words, _AGAIN_S))
+
+
+def gone(request: Request, error: Exception) -> Response:
+    """The answer to somebody who went before the request was whole, which nobody reads."""
+    return Response(status_code=400)
 
 
 def to_sign_in(request: Request, error: Exception) -> Response:

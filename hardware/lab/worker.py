@@ -293,7 +293,7 @@ class Worker:
                     name=work.project,
                     laser=habits.stripe,
                 )
-                return ScanFolder.create(path, plan)
+                return self._projects.begin(work.project, plan)
             folder = ScanFolder.resume(path)
             if isinstance(work, Scan) and dark != folder.plan.dark:
                 raise Refusal(
