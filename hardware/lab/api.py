@@ -18,7 +18,7 @@ from hardware.lab.logbook import Job
 from hardware.lab.orders import ProjectName, Work
 from hardware.lab.projects import Project
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
-from hardware.lab.web import Administrator, LabHere, Operator, Person, Viewer, visitor
+from hardware.lab.web import Administrator, LabHere, Operator, Person, Viewer, known_visitor
 
 _BOUNDARY = b"--picture\r\n"
 _FARTHEST_ID = 2**63 - 1
@@ -128,7 +128,7 @@ async def events(lab: LabHere, who: Viewer, request: Request) -> StreamingRespon
         async for kind, number, data in _watched(lab, request, "state", "profile", "ping"):
             yield b"event: %s\nid: %d\ndata: %s\n\n" % (kind.encode(), number, data)
 
-    lab.hub.admit()
+    lab.hub.admit(who.administrator or lab.lock.held_by(who))
     return StreamingResponse(stream(), media_type="text/event-stream")
 
 
@@ -147,24 +147,16 @@ async def pictures(lab: LabHere, who: Viewer, request: Request) -> StreamingResp
             if kind == "picture":
                 yield b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n%s" % (len(data), data, _BOUNDARY)
 
-    lab.hub.admit()
+    lab.hub.admit(who.administrator or lab.lock.held_by(who))
     return StreamingResponse(stream(), media_type="multipart/x-mixed-replace; boundary=picture")
 
 
 async def _watched(lab: Lab, request: Request, *kinds: str) -> AsyncIterator[tuple[str, int, bytes]]:
     """What a watcher sees, for as long as its session or token is valid and it is there."""
     async for message in lab.hub.watch(*kinds):
-        if message[0] == "ping" and (not _still_valid(request, lab) or await request.is_disconnected()):
+        if message[0] == "ping" and (known_visitor(request, lab) is None or await request.is_disconnected()):
             return
         yield message
-
-
-def _still_valid(request: Request, lab: Lab) -> bool:
-    try:
-        visitor(request, lab)
-    except Refusal:
-        return False
-    return True
 
 
 def _latest(hub: Hub, kind: str, media_type: str, request: Request) -> Response:

@@ -53,6 +53,11 @@ class OperatorLock:
         """Who holds it."""
         return self._holder
 
+    def held_by(self, visitor: Visitor) -> bool:
+        """Whether somebody operates."""
+        holder = self._holder
+        return holder is not None and holder.seat == visitor.seat
+
     def take(self, visitor: Visitor) -> None:
         """Take it, or go on holding it.
 

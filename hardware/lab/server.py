@@ -5,6 +5,7 @@ import ipaddress
 import logging
 import socket
 import ssl
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from jaxscan.errors import InputError
 _GRACE_S: Final = 3
 # Connections that the system keeps until they are accepted, and that are accepted in one go.
 _BACKLOG: Final = 512
+_TURN_S: Final = 0.001
 
 
 def bind(host: str, port: int, tls: bool, insecure: bool) -> socket.socket:
@@ -119,6 +121,8 @@ class Server(uvicorn.Server):
 
     def serve_here(self) -> None:
         """Serve until told to end."""
+        # Threads that compile hold the interpreter in turns: short ones, or Stop waits for several.
+        sys.setswitchinterval(_TURN_S)
         asyncio.run(self.serve([self._listening]))
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
