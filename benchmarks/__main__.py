@@ -47,6 +47,7 @@ SUITES = {
     "next_pose": "three photographs as suggested against three more like those there are, really added and solved",
     "hardware": "serial sessions with faults, scans killed and resumed, a simulated scanner from hardware to points",
     "lab": "the lab server: 200 watchers and one operator, and what watching costs the scan",
+    "stop": "POST /api/stop under watchers, clouds, sign-ins, half-open sockets, a full disk and a batch job",
     "surface": "cleaning, floor, mesh and PLY: accuracy and speed (a real pyramid with JAXSCAN_DATA)",
     "merge": "eight views of a figure joined: poses, loop, merged surface, against pairs that are chained",
     "changes": "what moved between two photographs: named with the right one, by size; false alarms",

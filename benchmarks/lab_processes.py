@@ -115,7 +115,7 @@ class _Watchers:
     async def _stream(self, path: str, token: str) -> AsyncIterator[bytes]:
         try:
             reader, writer = await asyncio.open_connection(self._url.host, self._url.port)
-            writer.write(f"GET {path} HTTP/1.1\r\nHost: lab\r\nAuthorization: Bearer {token}\r\n\r\n".encode())
+            writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {token}\r\n\r\n".encode())
             head = await reader.readuntil(b"\r\n\r\n")
             if not head.startswith(b"HTTP/1.1 200"):
                 raise ConnectionError(head)

@@ -7,8 +7,10 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Path, Request
 from fastapi.responses import FileResponse, Response, StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
+from starlette.types import Receive, Scope, Send
 
 from hardware.lab.accounts import Token
+from hardware.lab.background import Workers
 from hardware.lab.calibrations import Calibration
 from hardware.lab.hub import Hub
 from hardware.lab.lab import Lab, State
@@ -16,7 +18,7 @@ from hardware.lab.logbook import Job
 from hardware.lab.orders import ProjectName, Work
 from hardware.lab.projects import Project
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
-from hardware.lab.web import Administrator, LabHere, Operator, Viewer, visitor
+from hardware.lab.web import Administrator, LabHere, Operator, Person, Viewer, known_visitor
 
 _BOUNDARY = b"--picture\r\n"
 _FARTHEST_ID = 2**63 - 1
@@ -39,7 +41,7 @@ Number = Annotated[int, Path(ge=0, le=_FARTHEST_ID)]
 
 
 class _Body(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class Me(BaseModel):
@@ -96,13 +98,13 @@ def tokens(lab: LabHere, who: Viewer) -> list[Token]:
 
 
 @router.post("/tokens", status_code=201, tags=["account"])
-def make_token(lab: LabHere, who: Viewer, body: NewToken) -> MadeToken:
-    """Make a token for a program; it is shown this once."""
+def make_token(lab: LabHere, who: Person, body: NewToken) -> MadeToken:
+    """Make a token for a program; it is shown this once. A token makes none."""
     return MadeToken(token=lab.accounts.make_token(who.user, body.name))
 
 
 @router.delete("/tokens/{number}", status_code=204, tags=["account"], responses=_said(404))
-def drop_token(lab: LabHere, who: Viewer, number: Number) -> None:
+def drop_token(lab: LabHere, who: Person, number: Number) -> None:
     """End one of your tokens."""
     lab.accounts.drop_token(who.user, number)
 
@@ -126,7 +128,7 @@ async def events(lab: LabHere, who: Viewer, request: Request) -> StreamingRespon
         async for kind, number, data in _watched(lab, request, "state", "profile", "ping"):
             yield b"event: %s\nid: %d\ndata: %s\n\n" % (kind.encode(), number, data)
 
-    lab.hub.admit()
+    lab.hub.admit(who.administrator or lab.lock.held_by(who))
     return StreamingResponse(stream(), media_type="text/event-stream")
 
 
@@ -145,24 +147,16 @@ async def pictures(lab: LabHere, who: Viewer, request: Request) -> StreamingResp
             if kind == "picture":
                 yield b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n%s" % (len(data), data, _BOUNDARY)
 
-    lab.hub.admit()
+    lab.hub.admit(who.administrator or lab.lock.held_by(who))
     return StreamingResponse(stream(), media_type="multipart/x-mixed-replace; boundary=picture")
 
 
 async def _watched(lab: Lab, request: Request, *kinds: str) -> AsyncIterator[tuple[str, int, bytes]]:
     """What a watcher sees, for as long as its session or token is valid and it is there."""
     async for message in lab.hub.watch(*kinds):
-        if message[0] == "ping" and (not _still_valid(request, lab) or await request.is_disconnected()):
+        if message[0] == "ping" and (known_visitor(request, lab) is None or await request.is_disconnected()):
             return
         yield message
-
-
-def _still_valid(request: Request, lab: Lab) -> bool:
-    try:
-        visitor(request, lab)
-    except Refusal:
-        return False
-    return True
 
 
 def _latest(hub: Hub, kind: str, media_type: str, request: Request) -> Response:
@@ -264,8 +258,11 @@ def change_job(
 
 @router.post("/stop", tags=["operate"])
 def stop(lab: LabHere, who: Viewer) -> Stopped:
-    """Stand still and switch the laser off, at once; for the operator and for administrators."""
-    return Stopped(left_on=lab.worker.stop(who))
+    """Stand still and switch the laser off, at once; for the operator and for administrators.
+
+    It comes before every other request, and waits for none.
+    """
+    return Stopped(left_on=lab.emergency.order(who).result())
 
 
 @router.put("/live", status_code=204, tags=["operate"])
@@ -275,15 +272,15 @@ def live(lab: LabHere, who: Operator, body: Live) -> None:
 
 
 @router.get("/projects", tags=["projects"])
-def projects(lab: LabHere, who: Viewer) -> list[Project]:
+async def projects(lab: LabHere, who: Viewer) -> list[Project]:
     """All projects, latest first."""
-    return lab.projects.all()
+    return await lab.lists.run(who.name, lab.projects.all)
 
 
 @router.get("/projects/{name}", tags=["projects"], responses=_said(404, 409))
-def project(lab: LabHere, who: Viewer, name: ProjectPath) -> Project:
+async def project(lab: LabHere, who: Viewer, name: ProjectPath) -> Project:
     """One project."""
-    return lab.projects.one(name)
+    return await lab.lists.run(who.name, lambda: lab.projects.one(name))
 
 
 @router.get(
@@ -292,9 +289,9 @@ def project(lab: LabHere, who: Viewer, name: ProjectPath) -> Project:
     response_class=StreamingResponse,
     responses={200: {"content": {"application/zip": {}}}, **_said(404, 409)},
 )
-def scan_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
+async def scan_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
     """The scan folder, as `jaxscan reconstruct` reads it once unpacked."""
-    return _zip(name, lab.projects.archive(name))
+    return _Zip(name, await lab.lists.run(who.name, lambda: lab.projects.archive(name)), lab.downloads, who.name)
 
 
 @router.get(
@@ -303,9 +300,12 @@ def scan_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
     response_class=FileResponse,
     responses={200: {"content": {"model/ply": {}}}, **_said(404, 409)},
 )
-def cloud_ply(lab: LabHere, who: Viewer, name: ProjectPath) -> FileResponse:
-    """Its points, reconstructed with the rig that is loaded."""
-    return FileResponse(lab.projects.cloud(name), media_type="model/ply", filename=f"{name}.ply")
+async def cloud_ply(lab: LabHere, who: Viewer, name: ProjectPath) -> FileResponse:
+    """Its points, reconstructed with the rig that is loaded; that takes its time, one after the other."""
+    path = await lab.lists.run(who.name, lambda: lab.projects.cloud_file(name))
+    if not path.exists():
+        path = await lab.clouds.run(who.name, lambda: lab.projects.cloud(name))
+    return FileResponse(path, media_type="model/ply", filename=f"{name}.ply")
 
 
 @router.get(
@@ -314,9 +314,10 @@ def cloud_ply(lab: LabHere, who: Viewer, name: ProjectPath) -> FileResponse:
     response_class=FileResponse,
     responses={200: {"content": {"image/png": {}}}, **_said(404, 409)},
 )
-def frame(lab: LabHere, who: Viewer, name: ProjectPath, number: Number) -> FileResponse:
+async def frame(lab: LabHere, who: Viewer, name: ProjectPath, number: Number) -> FileResponse:
     """One photograph, counted from 0."""
-    return FileResponse(lab.projects.frame(name, number), media_type="image/png")
+    path = await lab.lists.run(who.name, lambda: lab.projects.frame(name, number))
+    return FileResponse(path, media_type="image/png")
 
 
 @router.delete("/projects/{name}", status_code=204, tags=["projects"], responses=_said(404, 409))
@@ -328,9 +329,9 @@ def remove_project(lab: LabHere, who: Administrator, name: ProjectPath) -> None:
 
 
 @router.get("/calibrations", tags=["calibrations"])
-def calibrations(lab: LabHere, who: Viewer) -> list[Calibration]:
+async def calibrations(lab: LabHere, who: Viewer) -> list[Calibration]:
     """All calibration sessions, latest first."""
-    return lab.calibrations.all()
+    return await lab.lists.run(who.name, lab.calibrations.all)
 
 
 @router.get(
@@ -339,9 +340,9 @@ def calibrations(lab: LabHere, who: Viewer) -> list[Calibration]:
     response_class=StreamingResponse,
     responses={200: {"content": {"application/zip": {}}}, **_said(404, 409)},
 )
-def session_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
+async def session_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
     """The session folder, as `jaxscan calibrate` reads it once unpacked."""
-    return _zip(name, lab.calibrations.archive(name))
+    return _Zip(name, await lab.lists.run(who.name, lambda: lab.calibrations.archive(name)), lab.downloads, who.name)
 
 
 @router.delete("/calibrations/{name}", status_code=204, tags=["calibrations"], responses=_said(404, 409))
@@ -352,6 +353,16 @@ def remove_calibration(lab: LabHere, who: Administrator, name: ProjectPath) -> N
     lab.calibrations.remove(name)
 
 
-def _zip(name: str, parts: Iterator[bytes]) -> StreamingResponse:
-    headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
-    return StreamingResponse(parts, media_type="application/zip", headers=headers)
+class _Zip(StreamingResponse):
+    """A ZIP file as it is made, in a place among the downloads until it is sent or nobody reads it any more."""
+
+    def __init__(self, name: str, parts: Iterator[bytes], downloads: Workers, whose: str):
+        self._leave = downloads.enter(whose)
+        headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
+        super().__init__(downloads.each(parts), media_type="application/zip", headers=headers)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._leave()

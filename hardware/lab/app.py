@@ -1,6 +1,7 @@
 """The application: the lab's interface and pages as one ASGI application."""
 
 import asyncio
+import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
@@ -10,11 +11,23 @@ from typing import Any, Final
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from fastapi.staticfiles import StaticFiles
+from starlette.requests import ClientDisconnect
 
 from hardware.lab import api, pages
+from hardware.lab.front import Front
 from hardware.lab.lab import Lab
 from hardware.lab.refusal import Refusal
-from hardware.lab.web import LARGEST_BODY, Headers, SignInFirst, not_on_disk, not_understood, refused, to_sign_in
+from hardware.lab.web import (
+    LARGEST_BODY,
+    Headers,
+    SignInFirst,
+    gone,
+    not_in_database,
+    not_on_disk,
+    not_understood,
+    refused,
+    to_sign_in,
+)
 
 _HERE: Final = Path(__file__).parent
 _DESCRIPTION: Final = """
@@ -24,8 +37,8 @@ Send a token with every request: `Authorization: Bearer …`; `scanner user toke
 """
 
 
-def make_app(lab: Lab) -> FastAPI:
-    """The application for one lab."""
+def make_app(lab: Lab, names: frozenset[str] = frozenset()) -> FastAPI:
+    """The application for one lab, known to browsers by these names and all addresses."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -57,6 +70,9 @@ def make_app(lab: Lab) -> FastAPI:
     app.add_exception_handler(RequestValidationError, not_understood)
     app.add_exception_handler(SignInFirst, to_sign_in)
     app.add_exception_handler(OSError, not_on_disk)
+    app.add_exception_handler(sqlite3.Error, not_in_database)
+    app.add_exception_handler(ClientDisconnect, gone)
+    app.add_middleware(Front, lab=lab, names=names)
     app.add_middleware(Headers)
     _describe_tokens(app)
     return app

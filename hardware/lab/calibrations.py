@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from pydantic import BaseModel
 
 from hardware.lab.archive import archive
+from hardware.lab.database import make_private
 from hardware.lab.projects import must_hold, named, within
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
 from jaxscan.errors import InputError
@@ -45,7 +46,7 @@ class Calibrations:
 
     def __init__(self, folder: Path):
         self._folder = folder / "calibrations"
-        self._folder.mkdir(parents=True, exist_ok=True)
+        make_private(self._folder)
 
     def new(self, name: str) -> Path:
         """The folder for a session to come.

@@ -12,7 +12,8 @@ from jaxscan.errors import InputError
 
 DATABASE: Final = "lab.sqlite3"
 _VERSION: Final = 1
-_WAIT_S: Final = 10.0
+# How long a writer waits for another process's.
+_WAIT_S: Final = 2.0
 _SCHEMA: Final = """
 CREATE TABLE users (
   id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE COLLATE NOCASE, hash TEXT NOT NULL,
@@ -32,14 +33,17 @@ CREATE TABLE jobs (
 
 
 class Database:
-    """A connection that all threads share; each statement is a transaction of its own unless `together` is used.
+    """A connection to write and one to read, which all threads share.
+
+    Each statement is a transaction of its own unless `together` is used. A writer may have to wait for another
+    process's; readers wait for none.
 
     Raises:
         InputError: the file cannot be opened, or is not the lab's.
     """
 
     def __init__(self, path: Path):
-        self._mutex = threading.RLock()
+        self._mutex, self._reading = threading.RLock(), threading.Lock()
         try:
             # Hashes of passwords: for the eyes of the lab's own user alone.
             os.close(os.open(path, os.O_CREAT | os.O_RDWR, 0o600))
@@ -54,6 +58,8 @@ class Database:
                     for statement in _SCHEMA.split(";\n"):
                         self(statement)
                     self(f"PRAGMA user_version = {_VERSION}")
+            self._reader = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False)
+            self._reader.row_factory = sqlite3.Row
         except (OSError, sqlite3.Error) as error:
             raise InputError(f"{path}: cannot be opened as the lab's database ({error}): choose another --data") from (
                 error
@@ -66,6 +72,11 @@ class Database:
         with self._mutex:
             return self._connection.execute(sql, values).fetchall()
 
+    def read(self, sql: str, *values: Any) -> list[sqlite3.Row]:
+        """The rows of a statement that changes nothing, without waiting for writers."""
+        with self._reading:
+            return self._reader.execute(sql, values).fetchall()
+
     @contextmanager
     def together(self) -> Iterator[None]:
         """Statements that are done all or none, and between which no other writer comes."""
@@ -73,15 +84,19 @@ class Database:
             self("BEGIN IMMEDIATE")
             try:
                 yield
+                self("COMMIT")
             except BaseException:
-                self("ROLLBACK")
+                # A full disk ends the transaction by itself.
+                if self._connection.in_transaction:
+                    self("ROLLBACK")
                 raise
-            self("COMMIT")
 
     def close(self) -> None:
         """Disconnect."""
         with self._mutex:
             self._connection.close()
+        with self._reading:
+            self._reader.close()
 
 
 class OnlyServer:
@@ -113,6 +128,15 @@ def make_folder(folder: Path) -> None:
         InputError: it cannot be made.
     """
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_private(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another --data") from error
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder for the eyes of its user alone; one that is there already keeps the mode that it has.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)

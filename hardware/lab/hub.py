@@ -13,6 +13,7 @@ from hardware.lab.refusal import FULL, Refusal
 
 # Streams at a time, two for a page.
 MOST_STREAMS: Final = 600
+_KEPT: Final = 40
 # Messages of one kind to all watchers together, each second, and the most that one of them gets.
 _EACH_SECOND: Final = 500.0
 _FASTEST_S: Final = 0.1
@@ -70,13 +71,16 @@ class Hub:
         finally:
             self.streams -= 1
 
-    def admit(self) -> None:
+    def admit(self, first: bool = False) -> None:
         """Look whether another may watch.
+
+        Args:
+            first: for the operator, whose lease is asked for by a stream, and for administrators some are kept.
 
         Raises:
             Refusal: too many do already.
         """
-        if self.streams >= MOST_STREAMS:
+        if self.streams >= MOST_STREAMS + (_KEPT if first else 0):
             raise Refusal(FULL, f"{self.streams} streams are open, and no more are served: try again later", 5.0)
 
     def _wake(self) -> None:

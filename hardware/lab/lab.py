@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Final
 
 from pydantic import BaseModel
 
-from hardware.lab.accounts import Accounts
+from hardware.lab.accounts import HASHES_AT_A_TIME, Accounts
+from hardware.lab.background import Workers
 from hardware.lab.bench import Bench
 from hardware.lab.calibrations import Calibrations
 from hardware.lab.database import DATABASE, Database, OnlyServer, make_folder
+from hardware.lab.emergency import Emergency
 from hardware.lab.gallery import Gallery
 from hardware.lab.guidance import Guide
 from hardware.lab.hub import Hub
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 LEASE_S: Final = 15.0
 # The holder of the lock is asked so many times within a lease whether it is there; it is looked after more often.
 _PINGS, _LOOKS = 4, 20
+# Sessions and tokens that another process has changed are seen within this time.
+_BADGES_S: Final = 1.0
 # The state is looked at so often, and told when it has changed.
 _STATE_S: Final = 0.2
 
@@ -117,16 +121,31 @@ class Lab:
             undo.callback(self.gallery.close)
             self.lock = OperatorLock(lease_s, lambda: self.worker.scanning, self._lost)
             self.logbook = Logbook(database)
+            undo.callback(self.logbook.close)
             self.calibrations = Calibrations(folder)
             self.worker = Worker(
                 self.bench, self.logbook, self.lock, self.projects, self.calibrations, self.gallery, self.habits
             )
             undo.callback(self.worker.close)
+            self.emergency = Emergency(self.worker)
+            undo.callback(self.emergency.close)
             self.preview = Preview(self.bench, self.lock, self.gallery, lambda: self.worker.busy, live_s)
             undo.callback(self.preview.close)
-            watch = threading.Thread(target=self._watch_lease, name="lease", daemon=True)
-            watch.start()
-            undo.callback(watch.join)
+            # What takes long, and never keeps anything else waiting.
+            self.clouds = Workers("clouds", 1, 8, 2)
+            self.downloads = Workers("downloads", 4, 16, 4)
+            self.lists = Workers("lists", 4, 64, 16, 1.0)
+            self.sign_ins = Workers("sign-ins", HASHES_AT_A_TIME, 16, 4, 1.0)
+            self._workers = (self.clouds, self.downloads, self.lists, self.sign_ins)
+            for workers in self._workers:
+                undo.callback(workers.close)
+            for name, look, every_s in (
+                ("lease", self.lock.expire, lease_s / _LOOKS),
+                ("badges", self.accounts.badges.tend, _BADGES_S),
+            ):
+                thread = threading.Thread(target=self._look_again, args=(look, every_s), name=name, daemon=True)
+                thread.start()
+                undo.callback(thread.join)
             undo.callback(self._ended.set)
             self._close = undo.pop_all().close
 
@@ -160,6 +179,11 @@ class Lab:
                 self.hub.publish("ping", json.dumps(count).encode())
             await asyncio.sleep(_STATE_S)
 
+    @property
+    def alive(self) -> bool:
+        """Whether something is still done that nobody waits for any more, once it is closed."""
+        return self.gallery.alive or any(workers.alive for workers in self._workers)
+
     def close(self) -> None:
         """End what is under way, switch everything off, and close."""
         self._close()
@@ -168,9 +192,9 @@ class Lab:
         self.preview.switch(False, False)
         self.worker.lost(taken)
 
-    def _watch_lease(self) -> None:
-        while not self._ended.wait(self.lease_s / _LOOKS):
+    def _look_again(self, look: Callable[[], object], every_s: float) -> None:
+        while not self._ended.wait(every_s):
             try:
-                self.lock.expire()
-            except Exception:  # the lease goes on being watched, whatever else is broken
-                logging.getLogger(__name__).exception("the operator's lease")
+                look()
+            except Exception:  # it goes on being looked after, whatever else is broken
+                logging.getLogger(__name__).exception("%s", threading.current_thread().name)

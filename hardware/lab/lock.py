@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hardware.lab.accounts import Visitor
+from hardware.lab.badges import Visitor
 from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
 
 
@@ -52,6 +52,11 @@ class OperatorLock:
     def holder(self) -> Holder | None:
         """Who holds it."""
         return self._holder
+
+    def held_by(self, visitor: Visitor) -> bool:
+        """Whether somebody operates."""
+        holder = self._holder
+        return holder is not None and holder.seat == visitor.seat
 
     def take(self, visitor: Visitor) -> None:
         """Take it, or go on holding it.

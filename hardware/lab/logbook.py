@@ -1,6 +1,8 @@
 """The logbook: every job there was, who ordered it and what became of it. It outlives the server."""
 
+import logging
 import sqlite3
+import threading
 import time
 from typing import Final, Literal
 
@@ -13,6 +15,9 @@ from hardware.lab.refusal import NOT_THERE, Refusal
 State = Literal["running", "pausing", "paused", "done", "aborted", "failed", "interrupted"]
 UNDER_WAY: Final = ("running", "pausing", "paused")
 _MOST_LISTED: Final = 100
+# A disk that refused is asked again.
+_AGAIN_S: Final = 1.0
+_LOG: Final = logging.getLogger(__name__)
 
 
 class Job(BaseModel):
@@ -35,35 +40,39 @@ class Job(BaseModel):
 
 
 class Logbook:
-    """Jobs in the database."""
+    """Jobs in the database, and in memory until they are there: no job waits for the disk, or fails with it."""
 
     def __init__(self, database: Database):
         self._database = database
+        self._number = database("SELECT coalesce(max(id), 0) FROM jobs")[0][0]
+        self._come = threading.Condition()
+        self._unsaved: dict[int, Job] = {}
+        self._closed = False
+        self._writer = threading.Thread(target=self._write, name="logbook", daemon=True)
+        self._writer.start()
 
     def begin(self, user: str, work: Work, total: int) -> Job:
-        """Note a job that begins."""
-        rows = self._database(
-            "INSERT INTO jobs (user, work, state, taken, total, message, began_s) VALUES (?, ?, ?, 0, ?, '', ?) "
-            "RETURNING *",
-            user,
-            work.model_dump_json(),
-            "running",
-            total,
-            time.time(),
-        )
-        return _job(rows[0])
+        """A job that begins."""
+        with self._come:
+            self._number += 1
+            began_s = time.time()
+            return Job(
+                id=self._number,
+                user=user,
+                work=work,
+                state="running",
+                taken=0,
+                total=total,
+                message="",
+                began_s=began_s,
+                ended_s=None,
+            )
 
     def note(self, job: Job) -> None:
-        """Note how far it is."""
-        self._database(
-            "UPDATE jobs SET user = ?, state = ?, taken = ?, message = ?, ended_s = ? WHERE id = ?",
-            job.user,
-            job.state,
-            job.taken,
-            job.message,
-            job.ended_s,
-            job.id,
-        )
+        """Note how far it is, at once; it is written as soon as the disk lets it be."""
+        with self._come:
+            self._unsaved[job.id] = job
+            self._come.notify()
 
     def interrupted(self) -> None:
         """Note of every job that a server left under way that nobody goes on with it: at the start of the next one."""
@@ -74,7 +83,10 @@ class Logbook:
 
     def latest(self) -> list[Job]:
         """The last hundred, latest first."""
-        return [_job(row) for row in self._database(f"SELECT * FROM jobs ORDER BY id DESC LIMIT {_MOST_LISTED}")]
+        rows = self._database.read(f"SELECT * FROM jobs ORDER BY id DESC LIMIT {_MOST_LISTED}")
+        with self._come:
+            found = {row["id"]: _job(row) for row in rows} | self._unsaved
+        return [found[number] for number in sorted(found, reverse=True)[:_MOST_LISTED]]
 
     def one(self, number: int) -> Job:
         """One of them.
@@ -82,10 +94,51 @@ class Logbook:
         Raises:
             Refusal: there is none of that number.
         """
-        rows = self._database("SELECT * FROM jobs WHERE id = ?", number)
+        with self._come:
+            if number in self._unsaved:
+                return self._unsaved[number]
+        rows = self._database.read("SELECT * FROM jobs WHERE id = ?", number)
         if not rows:
             raise Refusal(NOT_THERE, f"there is no job {number}")
         return _job(rows[0])
+
+    def close(self) -> None:
+        """Write what can be written, and end."""
+        with self._come:
+            self._closed = True
+            self._come.notify()
+        self._writer.join()
+
+    def _write(self) -> None:
+        said = ""
+        while True:
+            with self._come:
+                self._come.wait_for(lambda: self._unsaved or self._closed)
+                jobs, last = list(self._unsaved.values()), self._closed
+            try:
+                for job in jobs:
+                    self._save(job)
+                said = ""
+            except sqlite3.Error as error:
+                if str(error) != said:
+                    said = str(error)
+                    _LOG.warning("the logbook cannot be written now (%s): it is kept in memory", error)
+                with self._come:
+                    self._come.wait_for(lambda: self._closed, _AGAIN_S)
+            if last:
+                return
+
+    def _save(self, job: Job) -> None:
+        values = {**job.model_dump(), "work": job.work.model_dump_json()}
+        names = ", ".join(values)
+        changed = ", ".join(f"{name} = excluded.{name}" for name in values if name != "id")
+        marks = ", ".join("?" for _ in values)
+        self._database(
+            f"INSERT INTO jobs ({names}) VALUES ({marks}) ON CONFLICT (id) DO UPDATE SET {changed}", *values.values()
+        )
+        with self._come:
+            if self._unsaved.get(job.id) is job:
+                del self._unsaved[job.id]
 
 
 def _job(row: sqlite3.Row) -> Job:

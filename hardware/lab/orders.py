@@ -27,7 +27,8 @@ At = Annotated[
 
 
 class _Work(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # A number is a number: "1" and true, and 1.0 for a step, come from a program that is wrong.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Check(_Work):

@@ -1,5 +1,6 @@
 """The pages: sign-in, scanner, projects, account, and a description of the interface. They need no other server."""
 
+import hashlib
 import re
 import secrets
 from pathlib import Path
@@ -12,8 +13,10 @@ from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse, Resp
 from fastapi.templating import Jinja2Templates
 from markupsafe import Markup, escape
 
-from hardware.lab.accounts import LONGEST_S, SHORTEST_PASSWORD, Visitor
+from hardware.lab.accounts import SHORTEST_PASSWORD
+from hardware.lab.badges import LONGEST_S, Visitor
 from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
+from hardware.lab.throttle import network_of
 from hardware.lab.web import LabHere, PageVisitor, Viewer, same, session_cookie, set_cookie
 
 router = APIRouter(include_in_schema=False)
@@ -24,6 +27,8 @@ _TEMPLATES.env.filters["code"] = lambda words: Markup(re.sub(r"`([^`]+)`", r"<co
 # What the sign-in form has to bring back; without a session there is no other CSRF token.
 _FORM_COOKIE: Final = "scanner_form"
 _MOST_FIELDS: Final = 10
+# How long a browser is known.
+_KNOWN_S: Final = 365 * 86400.0
 
 
 def _page(request: Request, template: str, who: Visitor | None, status: int = 200, **values: Any) -> HTMLResponse:
@@ -41,6 +46,13 @@ async def _fields(request: Request) -> dict[str, str]:
     except ValueError as error:
         raise Refusal(CONFLICT, "the form cannot be read: load the page again") from error
     return {name: values[0] for name, values in fields.items()}
+
+
+def _browser_cookie(request: Request, name: str) -> str:
+    """Name of the cookie that says that this account has signed in with this browser."""
+    return (
+        f"{session_cookie(request)}_known_{hashlib.sha256(name.casefold().encode('utf-8', 'replace')).hexdigest()[:12]}"
+    )
 
 
 @router.get("/sign-in")
@@ -67,13 +79,20 @@ async def sign_in(request: Request, lab: LabHere) -> Response:
     if not same(fields.get("form", ""), request.cookies.get(_FORM_COOKIE)):
         return _sign_in_form(request, Refusal(FORBIDDEN, "this form has expired: try again"), name)
     address = request.client.host if request.client else ""
+    browser = _browser_cookie(request, name)
+
+    def look() -> tuple[str, str]:
+        session = lab.accounts.sign_in(name, fields.get("password", ""), address, request.cookies.get(browser, ""))
+        return session, lab.accounts.know_browser(name)
+
     try:
-        token = await run_in_threadpool(lab.accounts.sign_in, name, fields.get("password", ""), address)
+        token, known = await lab.sign_ins.run(network_of(address), look)
     except Refusal as refusal:
         return _sign_in_form(request, refusal, name)
     await run_in_threadpool(lab.accounts.sign_out, request.cookies.get(session_cookie(request), ""))
     answer = RedirectResponse("/", 303)
     set_cookie(answer, request, session_cookie(request), token, LONGEST_S)
+    set_cookie(answer, request, browser, known, _KNOWN_S)
     answer.delete_cookie(_FORM_COOKIE)
     return answer
 
@@ -106,11 +125,10 @@ def scanner_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLRespon
 
 
 @router.get("/projects")
-def projects_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLResponse:
+async def projects_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLResponse:
     """The projects."""
-    return _page(
-        request, "projects", who, projects=lab.projects.all(), calibrations=lab.calibrations.all(), rig=lab.state().rig
-    )
+    projects, calibrations = await lab.lists.run(who.name, lambda: (lab.projects.all(), lab.calibrations.all()))
+    return _page(request, "projects", who, projects=projects, calibrations=calibrations, rig=lab.state().rig)
 
 
 @router.get("/account")

@@ -1,18 +1,22 @@
 """Projects: one scan folder each, under one folder, by a name that leads nowhere else."""
 
+import hashlib
 import re
 import shutil
+import tempfile
 import threading
 from collections.abc import Iterator, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
 
 from hardware.lab.archive import archive
+from hardware.lab.database import make_private
 from hardware.lab.orders import PROJECT
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
-from hardware.scan_plan import PLAN_FILE
+from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder
 from jaxscan.errors import InputError, JaxscanError
 from jaxscan.files.scan import SCAN_FILE, Scan, read_listed
 
@@ -47,9 +51,10 @@ class Projects:
     def __init__(self, folder: Path, rig: "RigFile | None" = None):
         self._home, self._folder, self._clouds = folder, folder / "projects", folder / "clouds"
         self._rig = rig
+        self._rig_digest = b"" if rig is None else _digest(rig)
         self._reconstructing = threading.Lock()
         for made in (self._folder, self._clouds):
-            made.mkdir(parents=True, exist_ok=True)
+            make_private(made)
 
     def path(self, name: str) -> Path:
         """The folder of a project, there or not.
@@ -114,24 +119,54 @@ class Projects:
         plan = [path / PLAN_FILE] if (path / PLAN_FILE).is_file() else []
         return archive(path, {SCAN_FILE: listed}, [*plan, *scan.frames, *scan.backgrounds])
 
-    def cloud(self, name: str) -> Path:
-        """A PLY file of its points; reconstructed once for each number of photographs.
+    def begin(self, name: str, plan: Plan) -> ScanFolder:
+        """A project for a scan; what a beginning that was cut off has left is cleared away, and so is this one's.
 
         Raises:
-            Refusal: no rig is loaded, or there is no project, or nothing in it.
+            InputError: there is something in it, or the disk.
+        """
+        path = self.path(name)
+        if path.is_dir() and not _holds(path):
+            shutil.rmtree(path)
+        try:
+            return ScanFolder.create(path, plan)
+        except (JaxscanError, OSError):
+            if path.is_dir() and not _holds(path):
+                shutil.rmtree(path, ignore_errors=True)
+            raise
+
+    def cloud_file(self, name: str) -> Path:
+        """Where the PLY file of its points is, or will be: one of this rig, these photographs, and this program.
+
+        Raises:
+            Refusal: no rig is loaded, or there is no project.
         """
         scan = self.scan(name)
         if self._rig is None:
             raise Refusal(CONFLICT, "no rig is loaded: start the server with scanner serve --rig rig.json")
-        path = self._clouds / f"{name}.{len(scan.frames)}.ply"
+        made_of = hashlib.sha256(self._rig_digest)
+        for file in (scan.path, *scan.frames, *scan.backgrounds):
+            found = file.stat()
+            made_of.update(f"{file.name} {found.st_size} {found.st_mtime_ns}\n".encode())
+        made_of.update(scan.path.read_bytes())
+        return self._clouds / f"{name}.{made_of.hexdigest()[:32]}.ply"
+
+    def cloud(self, name: str) -> Path:
+        """A PLY file of its points, reconstructed where it is not there yet.
+
+        Raises:
+            Refusal: as `cloud_file`, or there is nothing in the project.
+        """
+        path = self.cloud_file(name)
         with self._reconstructing:
             if not path.exists():
                 from jaxscan import reconstruct, write_points
 
+                assert self._rig is not None
                 try:
-                    write_points(path, reconstruct(self._rig, scan))
+                    write_points(path, reconstruct(self._rig, self.scan(name)))
                 except JaxscanError as error:
-                    raise Refusal(CONFLICT, within(scan.path.parent, error)) from error
+                    raise Refusal(CONFLICT, within(self.path(name), error)) from error
                 self._forget_clouds(name, path)
         return path
 
@@ -163,6 +198,28 @@ class Projects:
             return Project(name=path.name, frames=len(read_listed(path).frames), changed_s=changed_s)
         except InputError as error:
             return Project(name=path.name, frames=0, changed_s=changed_s, problem=within(path, error))
+
+
+def _holds(folder: Path) -> bool:
+    """Whether anything was photographed or planned in it."""
+    if (folder / PLAN_FILE).exists():
+        return True
+    files = [path for path in folder.rglob("*") if not path.is_dir() and path.suffix != ".part"]
+    if files != [folder / SCAN_FILE]:
+        return bool(files)
+    try:
+        return bool(read_listed(folder).frames)
+    except InputError:
+        return True
+
+
+def _digest(rig: "RigFile") -> bytes:
+    """Of a rig as its file has it, and of the program that reconstructs."""
+    from jaxscan import write_rig
+
+    with tempfile.TemporaryDirectory() as folder:
+        write_rig(Path(folder) / "rig.json", rig)
+        return hashlib.sha256((Path(folder) / "rig.json").read_bytes() + version("jaxscan").encode()).digest()
 
 
 def named(parent: Path, name: str) -> Path:

@@ -2,10 +2,12 @@
 
 from typing import Final
 
+WRONG: Final = 400
 SIGN_IN: Final = 401
 FORBIDDEN: Final = 403
 NOT_THERE: Final = 404
 CONFLICT: Final = 409
+MISDIRECTED: Final = 421
 WRONG_VALUE: Final = 422
 TOO_MANY: Final = 429
 FULL: Final = 503

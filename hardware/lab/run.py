@@ -1,11 +1,17 @@
 """A job under way: its entry in the logbook, what pauses and ends it, and the threads that do so."""
 
 import threading
+import time
 from collections.abc import Callable
+from typing import Final
 
 from hardware.lab.guidance import PageOperator
 from hardware.lab.logbook import Job, State
 from hardware.scan import Control
+
+# An axis that is to stand is told so again until its job has ended.
+_AGAIN_S: Final = 0.2
+ENDED_S: Final = 15.0
 
 
 class _Control(Control):
@@ -38,9 +44,7 @@ class Run:
         control: of a scan.
         ended_by: who or what ended it; "" while nobody has.
         ends_as: its state where somebody has.
-        finished: set once the devices are done with.
         thread: in which it runs.
-        stopper: which tells the stage to stand until it has ended.
         operator: who is asked, in a calibration session.
         note: called with the job whenever it changes.
     """
@@ -50,9 +54,11 @@ class Run:
         self.control = _Control(self._changed)
         self.ended_by = ""
         self.ends_as: State = "aborted"
-        self.finished = threading.Event()
         self.thread: threading.Thread | None = None
-        self.stopper: threading.Thread | None = None
+        # Held for a few assignments, never for what may take time.
+        self._mutex = threading.RLock()
+        self._finished = threading.Event()
+        self._stopper: threading.Thread | None = None
         self.note: Callable[[Job], object] = lambda job: None
         self.operator: PageOperator | None = None
 
@@ -66,8 +72,9 @@ class Run:
 
     def update(self, **values: object) -> None:
         """Note what has changed of it."""
-        self.job = self.job.model_copy(update=values)
-        self.note(self.job)
+        with self._mutex:
+            self.job = self.job.model_copy(update=values)
+            self.note(self.job)
 
     def pause(self) -> None:
         """Let a scan stand after the photograph that is being taken."""
@@ -78,3 +85,29 @@ class Run:
         """Let it go on."""
         self.control.resume()
         self._changed()
+
+    def revoke(self, words: str, ends_as: State, halt: Callable[[], object]) -> None:
+        """End it at once: all axes are told to stand until it has ended. From any thread, and it waits for nothing."""
+        with self._mutex:
+            if self._finished.is_set():
+                return
+            self.ended_by, self.ends_as = words, ends_as
+            self.control.abort()
+
+            def stop() -> None:
+                until_s = time.monotonic() + ENDED_S
+                while not self._finished.is_set() and time.monotonic() < until_s:
+                    halt()
+                    self._finished.wait(_AGAIN_S)
+
+            if self._stopper is None:
+                self._stopper = threading.Thread(target=stop, name=f"stop job {self.job.id}", daemon=True)
+                self._stopper.start()
+
+    def finish(self) -> None:
+        """The devices are done with: return when nobody tells a stage to stand, which would be the next job's."""
+        with self._mutex:
+            self._finished.set()
+            stopper = self._stopper
+        if stopper is not None:
+            stopper.join()

@@ -2,21 +2,28 @@
 
 import asyncio
 import ipaddress
+import logging
 import socket
 import ssl
+import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import uvicorn
 
 from hardware.lab.app import make_app
+from hardware.lab.front import own_names
+from hardware.lab.gate import Gate, Listening
 from hardware.lab.lab import Lab
+from hardware.lab.protocol import HEAD_S, Seldom, protocol_of
 from jaxscan.errors import InputError
 
 _GRACE_S: Final = 3
-# Requests and streams at a time.
-_MOST_CONNECTIONS: Final = 1000
+# Connections that the system keeps until they are accepted, and that are accepted in one go.
+_BACKLOG: Final = 512
+_TURN_S: Final = 0.001
 
 
 def bind(host: str, port: int, tls: bool, insecure: bool) -> socket.socket:
@@ -71,6 +78,10 @@ class Server(uvicorn.Server):
         listening: where.
         cert, key: for TLS.
         ready: called once with the URL when requests are answered.
+        proxies: addresses of proxies, which say whose requests they bring, and that those came over TLS.
+        names: by which browsers know this server, beside those of this machine and all addresses.
+        connections: at a time; as many as the descriptors allow, up to 1000.
+        deadlines: of a connection's phases, as `hardware.lab.protocol` has them.
     """
 
     def __init__(
@@ -80,32 +91,47 @@ class Server(uvicorn.Server):
         cert: Path | None = None,
         key: Path | None = None,
         ready: Callable[[str], object] = lambda url: None,
+        proxies: tuple[str, ...] = (),
+        names: tuple[str, ...] = (),
+        connections: int | None = None,
+        **deadlines: float,
     ):
+        gate = Gate(proxies, connections)
+        listening = Listening(listening, gate, cert is not None)
         super().__init__(
             uvicorn.Config(
-                make_app(lab),
-                http="h11",
+                make_app(lab, own_names(names)),
+                http=protocol_of(gate, **deadlines),
                 ws="none",
                 log_level="warning",
                 access_log=False,
                 server_header=False,
-                proxy_headers=False,
-                limit_concurrency=_MOST_CONNECTIONS,
+                proxy_headers=bool(proxies),
+                forwarded_allow_ips=list(proxies),
+                backlog=_BACKLOG,
                 timeout_graceful_shutdown=_GRACE_S,
                 ssl_certfile=cert,
                 ssl_keyfile=key,
             )
         )
-        self._lab, self._listening, self._ready = lab, listening, ready
+        self._lab, self._listening, self._ready, self._gate = lab, listening, ready, gate
+        logging.getLogger("uvicorn.error").addFilter(Seldom())
         host, port = listening.getsockname()[:2]
         self.url = f"http{'s' if cert else ''}://{f'[{host}]' if ':' in host else host}:{port}/"
 
     def serve_here(self) -> None:
         """Serve until told to end."""
+        # Threads that compile hold the interpreter in turns: short ones, or Stop waits for several.
+        sys.setswitchinterval(_TURN_S)
         asyncio.run(self.serve([self._listening]))
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to listen, and say so."""
+        if self.config.is_ssl:
+            loop = asyncio.get_running_loop()
+            # The one phase that uvicorn leaves at a minute.
+            listen = partial(loop.create_server, ssl_handshake_timeout=HEAD_S)
+            loop.create_server = listen  # pyright: ignore[reportAttributeAccessIssue]
         await super().startup(sockets)
         self._ready(self.url)
 
@@ -113,3 +139,4 @@ class Server(uvicorn.Server):
         """End the streams first: they would not end by themselves."""
         self._lab.hub.close()
         await super().shutdown(sockets)
+        self._gate.close()

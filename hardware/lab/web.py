@@ -14,13 +14,14 @@ from fastapi.responses import JSONResponse, RedirectResponse, Response
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from hardware.lab.accounts import Visitor
+from hardware.lab.badges import Visitor
 from hardware.lab.lab import Lab
-from hardware.lab.refusal import CONFLICT, FORBIDDEN, SIGN_IN, WRONG_VALUE, Refusal
+from hardware.lab.refusal import CONFLICT, FORBIDDEN, FULL, SIGN_IN, WRONG, WRONG_VALUE, Refusal
 
 _LOG: Final = logging.getLogger(__name__)
 LARGEST_BODY: Final = 1 << 16
 CSRF_HEADER: Final = "X-CSRF-Token"
+_AGAIN_S: Final = 2.0
 _SAFE: Final = ("GET", "HEAD", "OPTIONS")
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; object-src 'none'; base-uri 'none'; "
@@ -63,24 +64,51 @@ def set_cookie(response: Response, request: Request, name: str, value: str, max_
     )
 
 
+def known_visitor(request: Request, lab: Lab) -> Visitor | None:
+    """Who asks, as far as memory tells: it waits for nothing."""
+    if (token := _token(request)) is not None:
+        return lab.accounts.badges.of_token(token)
+    return lab.accounts.badges.of_session(request.cookies.get(session_cookie(request), ""))
+
+
+def must_mean_it(request: Request, who: Visitor) -> None:
+    """See that a change by a browser comes from a page of this session.
+
+    Raises:
+        Refusal: it does not.
+    """
+    if (
+        who.csrf is not None
+        and request.method not in _SAFE
+        and not same(request.headers.get(CSRF_HEADER, ""), who.csrf)
+    ):
+        raise Refusal(FORBIDDEN, f"a change by a browser needs the session's {CSRF_HEADER}: load the page again")
+
+
+def _token(request: Request) -> str | None:
+    """The bearer token; None where the request does not say who asks, and "" where it says it in another way."""
+    authorization = request.headers.get("authorization")
+    if authorization is None:
+        return None
+    kind, _, token = authorization.partition(" ")
+    return token.strip() if kind.lower() == "bearer" else ""
+
+
 def visitor(request: Request, lab: LabHere) -> Visitor:
     """Who asks; without a session or a token nobody gets further.
 
     Raises:
         Refusal: neither, or a change without the session's CSRF token.
     """
-    authorization = request.headers.get("authorization")
-    if authorization is not None:
-        kind, _, token = authorization.partition(" ")
-        found = lab.accounts.of_token(token.strip()) if kind.lower() == "bearer" else None
+    if (token := _token(request)) is not None:
+        found = lab.accounts.of_token(token)
         if found is None:
             raise Refusal(SIGN_IN, "the token is not valid: make one with scanner user token, or on the account page")
         return found
     found = lab.accounts.of_session(request.cookies.get(session_cookie(request), ""))
     if found is None:
         raise Refusal(SIGN_IN, "sign in first, or send a token: Authorization: Bearer …")
-    if request.method not in _SAFE and not same(request.headers.get(CSRF_HEADER, ""), found.csrf):
-        raise Refusal(FORBIDDEN, f"a change by a browser needs the session's {CSRF_HEADER}: load the page again")
+    must_mean_it(request, found)
     return found
 
 
@@ -117,9 +145,21 @@ def administrator(who: Annotated[Visitor, Depends(visitor)]) -> Visitor:
     return who
 
 
+def person(who: Annotated[Visitor, Depends(visitor)]) -> Visitor:
+    """Somebody who has signed in with a password: a token that was stolen lives no longer than itself.
+
+    Raises:
+        Refusal: it is a program.
+    """
+    if who.csrf is None:
+        raise Refusal(FORBIDDEN, "a token neither makes nor ends tokens: use the account page, or scanner user token")
+    return who
+
+
 Viewer = Annotated[Visitor, Depends(visitor)]
 Operator = Annotated[Visitor, Depends(operator)]
 Administrator = Annotated[Visitor, Depends(administrator)]
+Person = Annotated[Visitor, Depends(person)]
 PageVisitor = Annotated[Visitor, Depends(page_visitor)]
 
 
@@ -132,6 +172,9 @@ def refused(request: Request, error: Exception) -> Response:
     """The answer to what is not granted."""
     assert isinstance(error, Refusal)
     headers = {} if error.retry_s is None else {"Retry-After": str(max(1, round(error.retry_s)))}
+    if error.status == WRONG:
+        # What follows on the connection may be read in two ways.
+        headers["Connection"] = "close"
     if error.status == SIGN_IN:
         headers["WWW-Authenticate"] = "Bearer"
     return JSONResponse({"detail": str(error)}, error.status, headers)
@@ -143,6 +186,18 @@ def not_on_disk(request: Request, error: Exception) -> Response:
     _LOG.warning("%s %s: %s", request.method, request.url.path, error)
     words = f"the lab's disk: {error.strerror or error}: somebody has to look after it on the lab's machine"
     return JSONResponse({"detail": words}, CONFLICT)
+
+
+def not_in_database(request: Request, error: Exception) -> Response:
+    """The answer where the database cannot be written or read now: full, locked, or on a disk that fails."""
+    _LOG.warning("%s %s: %s", request.method, request.url.path, error)
+    words = f"the lab's database: {error}: try again, and somebody has to look after it on the lab's machine"
+    return refused(request, Refusal(FULL, words, _AGAIN_S))
+
+
+def gone(request: Request, error: Exception) -> Response:
+    """The answer to somebody who went before the request was whole, which nobody reads."""
+    return Response(status_code=400)
 
 
 def to_sign_in(request: Request, error: Exception) -> Response:

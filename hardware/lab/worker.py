@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from hardware.errors import HardwareError, SettingsError, StoppedError
 from hardware.frame import Frame, in_words
-from hardware.lab.accounts import Visitor
+from hardware.lab.badges import Visitor
 from hardware.lab.bench import Bench, PermittedStage, check
 from hardware.lab.calibrations import Calibrations
 from hardware.lab.guidance import Guide, PageOperator
@@ -25,7 +25,7 @@ from hardware.lab.logbook import Job, Logbook, State
 from hardware.lab.orders import Calibrate, Check, Home, Move, Scan, Shoot, Work, places_of_work, turns_of
 from hardware.lab.projects import Projects
 from hardware.lab.refusal import CONFLICT, WRONG_VALUE, Refusal
-from hardware.lab.run import Run
+from hardware.lab.run import ENDED_S, Run
 from hardware.places import axes_of, check_places, check_scan, check_zero, travel_of
 from hardware.scan import Devices, ensure_homed, take
 from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from hardware.guide import Sight
 
 _LOG: Final = logging.getLogger(__name__)
-# An axis that is to stand is told so again until its job has ended.
-_AGAIN_S: Final = 0.2
-_ENDED_S: Final = 15.0
 
 
 class Audience(Protocol):
@@ -84,7 +81,9 @@ class Worker:
         self._bench, self._logbook, self._lock = bench, logbook, lock
         self._projects, self._calibrations = projects, calibrations
         self._audience, self._habits = audience, habits
+        # Held by orders, for as long as the disk takes; never by what stops.
         self._mutex = threading.RLock()
+        self._stops = 0
         self._run: Run | None = None
         self.latest: Job | None = None
         logbook.interrupted()
@@ -124,13 +123,15 @@ class Worker:
         """
         with self._mutex:
             self._lock.require(visitor)
+            stops = self._stops
             self._must_be_idle()
             self._check(work)
             folder = self._folder(work)
             total = len(folder.left) if folder else 0
             if isinstance(work, Calibrate):
                 total = work.views + work.stage_frames + work.turntable_frames
-            return self._go(self._logbook.begin(visitor.name, work, total), folder)
+            self._must_go_on(stops)
+            return self._go(self._logbook.begin(visitor.name, work, total), folder, stops)
 
     def resume(self, number: int, visitor: Visitor) -> Job:
         """Go on with a scan that stands, or with one that ended early.
@@ -144,6 +145,7 @@ class Worker:
                 run.update(user=visitor.name)
                 run.resume()
                 return run.job
+            stops = self._stops
             job = self._logbook.one(number)
             self._must_be_idle()
             if not job.resumable or not isinstance(job.work, Scan):
@@ -151,7 +153,8 @@ class Worker:
             folder = self._unfinished(job.work)
             taken = job.total - len(folder.left)
             again = {"user": visitor.name, "state": "running", "message": "", "taken": taken, "ended_s": None}
-            return self._go(job.model_copy(update=again), folder)
+            self._must_go_on(stops)
+            return self._go(job.model_copy(update=again), folder, stops)
 
     def answer(self, number: int, visitor: Visitor, go: bool) -> Job:
         """Tell a calibration session that the board is held as it asks, or (not `go`) that it has been held enough.
@@ -196,28 +199,33 @@ class Worker:
                 self._revoke(run, f"aborted by {visitor.name}")
             return run.job
 
-    def stop(self, visitor: Visitor) -> str:
-        """Stand still and switch the laser off, at once; what could not be, in words.
+    def may_stop(self, visitor: Visitor) -> None:
+        """Look whether somebody may stop the scanner.
 
         Raises:
             Refusal: the visitor neither operates nor is an administrator.
         """
         if not visitor.administrator:
             self._lock.require(visitor)
-        with self._mutex:
-            if self._run is not None:
-                self._revoke(self._run, f"stopped by {visitor.name}")
+
+    def stop(self, name: str) -> str:
+        """Stand still and switch the laser off, at once, for somebody who may; what could not be, in words.
+
+        It waits for no order: one that has not begun by now does not begin.
+        """
+        self._stops += 1
+        if (run := self._run) is not None:
+            self._revoke(run, f"stopped by {name}")
         return self._bench.stop()
 
     def lost(self, taken: bool) -> None:
-        """The operator is gone, or (`taken`) another person operates now."""
-        with self._mutex:
-            if (run := self._run) is None:
-                return
-            if not run.scans:
-                self._revoke(run, "taken over" if taken else "stopped: its operator is gone")
-            elif taken:
-                run.pause()
+        """The operator is gone, or (`taken`) another person operates now; it waits for no order either."""
+        if (run := self._run) is None:
+            return
+        if not run.scans:
+            self._revoke(run, "taken over" if taken else "stopped: its operator is gone")
+        elif taken:
+            run.pause()
 
     def close(self) -> None:
         """End whatever is under way; the logbook says that it was interrupted."""
@@ -225,12 +233,16 @@ class Worker:
             if (run := self._run) is None or run.thread is None:
                 return
             self._revoke(run, "the server ended while it ran", "interrupted")
-        run.thread.join(_ENDED_S)
+        run.thread.join(ENDED_S)
 
     def _must_be_idle(self) -> None:
         if (run := self._run) is not None:
             doing = "is paused: go on with it or abort it" if run.control.standing else "is under way: wait, or end it"
             raise Refusal(CONFLICT, f"job {run.job.id} ({run.job.work.kind}) {doing}")
+
+    def _must_go_on(self, stops: int) -> None:
+        if self._stops != stops:
+            raise Refusal(CONFLICT, "the scanner was stopped before this job began: order it again")
 
     def _under_way(self, number: int) -> Run:
         if (run := self._run) is None or run.job.id != number:
@@ -281,7 +293,7 @@ class Worker:
                     name=work.project,
                     laser=habits.stripe,
                 )
-                return ScanFolder.create(path, plan)
+                return self._projects.begin(work.project, plan)
             folder = ScanFolder.resume(path)
             if isinstance(work, Scan) and dark != folder.plan.dark:
                 raise Refusal(
@@ -317,7 +329,7 @@ class Worker:
         if folder.done.frames:
             check_zero(self._habits.travels, folder.plan.axes, self._bench.places)
 
-    def _go(self, job: Job, folder: ScanFolder | None) -> Job:
+    def _go(self, job: Job, folder: ScanFolder | None, stops: int) -> Job:
         run = Run(job)
 
         def note(changed: Job) -> None:
@@ -328,6 +340,9 @@ class Worker:
         note(job)
         run.thread = threading.Thread(target=self._work, args=(run, folder), name=f"job {job.id}", daemon=True)
         self._run = run
+        # Whoever stops counts first and then looks for a job: one of the two sees the other.
+        if self._stops != stops:
+            self._revoke(run, "stopped as it began")
         run.thread.start()
         return job
 
@@ -342,17 +357,16 @@ class Worker:
             state, words = run.ends_as, run.ended_by or str(error)
         except (HardwareError, JaxscanError) as error:
             state, words = (run.ends_as, f"{run.ended_by}; {error}") if run.ended_by else ("failed", str(error))
+        except OSError as error:
+            state, words = "failed", f"the lab's disk: {error.strerror or error}"
         except Exception as error:  # noqa: BLE001 (said in the log; the next job may do)
             _LOG.exception("job %d", run.job.id)
             state, words = "failed", f"unexpected error: {type(error).__name__}: {error}"
-        run.finished.set()
-        # Whoever is still telling the stage to stand must not tell it in the next job.
+        run.finish()
         with self._mutex:
-            stopper = run.stopper
-        if stopper is not None:
-            stopper.join()
-        with self._mutex:
-            run.update(state=state, message=self._projects.without_place(words), ended_s=time.time())
+            # A clock that was set back makes no job end before it began.
+            ended_s = max(time.time(), run.job.began_s)
+            run.update(state=state, message=self._projects.without_place(words), ended_s=ended_s)
             self._run = None
 
     def _do(self, run: Run, folder: ScanFolder | None, devices: Devices) -> None:
@@ -411,16 +425,5 @@ class Worker:
                 hand.leave()
 
     def _revoke(self, run: Run, words: str, ends_as: State = "aborted") -> None:
-        """End a job at once: all axes are told to stand until the job has ended."""
-        run.ended_by, run.ends_as = words, ends_as
-        run.control.abort()
-
-        def stop() -> None:
-            until_s = time.monotonic() + _ENDED_S
-            while not run.finished.is_set() and time.monotonic() < until_s:
-                self._bench.stop()
-                run.finished.wait(_AGAIN_S)
-
-        if run.stopper is None:
-            run.stopper = threading.Thread(target=stop, name=f"stop job {run.job.id}", daemon=True)
-            run.stopper.start()
+        """End a job at once."""
+        run.revoke(words, ends_as, self._bench.stop)

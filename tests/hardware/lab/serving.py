@@ -171,11 +171,13 @@ def serve(
     key: Path | None = None,
     scanner: Callable[[], Devices] | None = None,
     turntable: bool = False,
+    server: Mapping[str, Any] | None = None,
     **how: Any,
 ) -> Served:
     """Serve a lab until it is ended, with another scanner if need be; without profiles JAX compiles nothing.
 
-    A turntable, which its camera does not see, is connected anew with the stage.
+    What is for the server itself is in `server`. A turntable, which its camera does not see, is connected anew with the
+    stage.
     """
     laser = SimulatedLaser()
     camera = StripeCamera(make_stage(speed), laser)
@@ -197,19 +199,19 @@ def serve(
             lab.accounts.add(name, PASSWORD, name == ADMINISTRATOR)
     ready = threading.Event()
     listening = bind("127.0.0.1", 0, tls=False, insecure=False)
-    server = Server(lab, listening, cert, key, lambda url: ready.set())
-    thread = threading.Thread(target=server.serve_here, daemon=True)
+    serving = Server(lab, listening, cert, key, lambda url: ready.set(), **(server or {}))
+    thread = threading.Thread(target=serving.serve_here, daemon=True)
     thread.start()
     assert ready.wait(10)
 
     def end() -> None:
-        server.should_exit = True
+        serving.should_exit = True
         thread.join(10)
         for client in served.clients:
             client.close()
         lab.close()
 
-    served = Served(lab, server.url, camera, end)
+    served = Served(lab, serving.url, camera, end)
     return served
 
 

@@ -12,12 +12,13 @@ from pathlib import Path
 import httpx
 import pytest
 from argon2 import PasswordHasher
-from serving import ADMINISTRATOR, OPERATOR, PASSWORD, VIEWER, Served, csrf_of, ended, scan, serve, sign_in
+from serving import ADMINISTRATOR, OPERATOR, PASSWORD, VIEWER, Served, csrf_of, ended, scan, serve, sign_in, until
 from starlette.routing import Mount
 
 from hardware.cli.main import main
-from hardware.lab.accounts import IDLE_S, LONGEST_S, Accounts
+from hardware.lab.accounts import Accounts
 from hardware.lab.app import make_app
+from hardware.lab.badges import IDLE_S, LONGEST_S
 from hardware.lab.database import Database
 from hardware.lab.refusal import Refusal
 from hardware.lab.server import bind, check_tls
@@ -135,6 +136,59 @@ def test_guessing_over_http(served: Served):
     assert words.findall(unknown.text) == words.findall(known.text) == ["name or password is wrong"]
 
 
+def test_nobody_is_locked_out_of_their_own_browser(served: Served):
+    """20 addresses with five wrong passwords each, and more of where the user is."""
+    client = served.browser(OPERATOR)
+    for address in [*(f"198.51.100.{i}" for i in range(20)), "127.0.0.1"]:
+        for _ in range(5):
+            tried(served.lab.accounts, OPERATOR, "wrong", address)
+    stranger = served.client()
+    assert sign_in(stranger, OPERATOR).status_code == 429
+    assert sign_in(client, OPERATOR).status_code == 303
+    # What a browser brings is worth something for its own account and password alone, and guessing is slow there too.
+    for name, value in [(name, value) for name, value in client.cookies.items() if "known" in name]:
+        stranger.cookies.set(name, value[:-1] + ("0" if value[-1] != "0" else "1"))
+    assert sign_in(stranger, OPERATOR).status_code == 429
+    assert [sign_in(client, OPERATOR, "wrong").status_code for _ in range(6)] == [401] * 5 + [429]
+
+
+def test_a_clock_that_is_set_back(accounts: tuple[Accounts, Clock]):
+    made, clock = accounts
+    session = made.sign_in(OPERATOR, PASSWORD, "here")
+    for _ in range(6):
+        tried(made, OPERATOR, "wrong", "there")
+    clock.now_s -= 86400
+    # Nobody waits for a day, and no session is longer for it.
+    with pytest.raises(Refusal) as refused:
+        made.sign_in(OPERATOR, PASSWORD, "there")
+    assert (refused.value.retry_s or 0) <= 300
+    assert made.of_session(session) is not None
+    clock.now_s += IDLE_S + 1
+    assert made.of_session(session) is None
+    clock.now_s += 301
+    assert made.sign_in(OPERATOR, PASSWORD, "there")
+
+
+def test_many_addresses_of_one_network_are_one(accounts: tuple[Accounts, Clock]):
+    made, _ = accounts
+    said = [tried(made, OPERATOR, "wrong", f"2001:db8::{i:x}") for i in range(1, 7)]
+    assert said[5].startswith("too many tries")
+    assert not tried(made, OPERATOR, PASSWORD, "2001:db8:1::1")
+
+
+def test_what_another_process_changes_is_seen(served: Served):
+    """`scanner user`, while the server runs: a token that it makes is good at once, and one that it ends is not."""
+    folder = served.lab.projects.path("x").parents[1]
+    database = Database(folder / "lab.sqlite3")
+    other = Accounts(database)
+    client = served.client(Authorization=f"Bearer {other.make_token_for(OPERATOR)}")
+    assert client.post("/api/lock", json={}).status_code == 200
+    assert client.post("/api/stop").status_code == 200
+    other.remove(OPERATOR)
+    until(lambda: client.post("/api/stop").status_code == 401, 20)
+    database.close()
+
+
 def test_sessions_end(accounts: tuple[Accounts, Clock]):
     made, clock = accounts
     token = made.sign_in(OPERATOR, PASSWORD, "here")
@@ -221,7 +275,9 @@ def test_path_traversal(lasting: Served, name: str):
     for target in (*targets, f"/api/calibrations/{name}/session.zip"):
         # As it stands: a client would tidy it.
         with socket.create_connection(lasting.address, timeout=10) as line:
-            request = f"GET {target} HTTP/1.1\r\nHost: x\r\nAuthorization: {client.headers['Authorization']}\r\n"
+            request = (
+                f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {client.headers['Authorization']}\r\n"
+            )
             line.sendall(f"{request}Connection: close\r\n\r\n".encode())
             answer = b"".join(iter(lambda line=line: line.recv(65536), b""))
         assert re.match(rb"HTTP/1.1 (4\d\d|307)", answer), (target, answer[:200])
@@ -278,10 +334,10 @@ def test_oversize_requests(lasting: Served):
     assert lasting.client().post("/sign-in", content=large).status_code == 413
     with socket.create_connection(lasting.address, timeout=10) as line:
         with contextlib.suppress(OSError):
-            line.sendall(b"GET /api/me HTTP/1.1\r\nHost: x\r\nX-Long: " + b"x" * 5_000_000)
+            line.sendall(b"GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Long: " + b"x" * 5_000_000)
         with contextlib.suppress(ConnectionResetError):
             assert line.recv(20).startswith(b"HTTP/1.1 4")
-    assert client.post("/api/tokens", json={"name": "x" * 65}).status_code == 422
+    assert lasting.browser(OPERATOR).post("/api/tokens", json={"name": "x" * 65}).status_code == 422
     browser = lasting.client()
     form = re.search(r'name="form" value="([^"]+)"', browser.get("/sign-in").text)
     assert form
@@ -294,12 +350,14 @@ def test_oversize_requests(lasting: Served):
     "raw",
     [
         b"NONSENSE\r\n\r\n",
-        b"GET /api/me HTTP/1.1\r\nHost: x\r\nContent-Length: -5\r\n\r\n",
-        b"POST /api/lock HTTP/1.1\r\nHost: x\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
-        b"GET /api/me HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer \xff\xfe\r\nConnection: close\r\n\r\n",
-        b"GET /api/me HTTP/1.1\r\nHost: x\r\nCookie: scanner=\xff\xfe\r\nConnection: close\r\n\r\n",
-        b"POST /sign-in HTTP/1.1\r\nHost: x\r\nContent-Length: 3\r\nConnection: close\r\n\r\n\xff%f",
-        b"POST /sign-in HTTP/1.1\r\nHost: x\r\nContent-Length: 40\r\nConnection: close\r\n\r\n" + b"&" * 40,
+        b"GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: -5\r\n\r\n",
+        b"POST /api/lock HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
+        b"GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: localhost\r\n\r\n",
+        b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\nContent-Length: 5\r\n\r\n0\r\n",
+        b"GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer \xff\xfe\r\nConnection: close\r\n\r\n",
+        b"GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: scanner=\xff\xfe\r\nConnection: close\r\n\r\n",
+        b"POST /sign-in HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 3\r\nConnection: close\r\n\r\n\xff%f",
+        b"POST /sign-in HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 40\r\nConnection: close\r\n\r\n" + b"&" * 40,
     ],
 )
 def test_malformed_requests(lasting: Served, raw: bytes):
@@ -349,11 +407,15 @@ def test_a_viewer_gives_no_orders(lasting: Served):
 
 
 def test_tokens_are_ones_own(lasting: Served):
-    browser, other = lasting.browser(VIEWER), lasting.program(OPERATOR)
+    browser, other = lasting.browser(VIEWER), lasting.browser(OPERATOR)
     token = browser.post("/api/tokens", json={"name": "mine"}).json()["token"]
     assert lasting.client(Authorization=f"Bearer {token}").get("/api/me").json()["name"] == VIEWER
     number = browser.get("/api/tokens").json()[-1]["id"]
     assert other.delete(f"/api/tokens/{number}").status_code == 404
+    # A token that was stolen makes no other, and ends none.
+    program = lasting.client(Authorization=f"Bearer {token}")
+    assert program.post("/api/tokens", json={"name": "another"}).status_code == 403
+    assert program.delete(f"/api/tokens/{number}").status_code == 403
     assert browser.delete(f"/api/tokens/{number}").status_code == 204
     assert lasting.client(Authorization=f"Bearer {token}").get("/api/me").status_code == 401
 
@@ -402,4 +464,64 @@ def test_over_tls_cookies_are_for_tls(tmp_path: Path):
         assert "__Host-scanner=" in cookie
         assert "Secure" in cookie
         assert client.get("/api/me").json()["name"] == VIEWER
+    served.end()
+
+
+def test_folders_are_for_the_labs_user_alone(tmp_path: Path):
+    served = serve(tmp_path / "lab")
+    for folder in ("", "projects", "clouds", "calibrations"):
+        assert (tmp_path / "lab" / folder).stat().st_mode & 0o077 == 0, folder
+    served.end()
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "127.0.0.1.evil.example", "localhost.evil.example:80", "", "[::1", "a b"]
+)
+def test_a_name_of_another_site_is_refused(lasting: Served, host: str):
+    client = lasting.program(OPERATOR)
+    answer = client.get("/api/me", headers={"Host": host})
+    assert (answer.status_code, "--name" in answer.json()["detail"]) == (421, True)
+    for own in ("localhost:8003", "127.0.0.1", "[::1]:80", "192.168.1.7", socket.gethostname()):
+        assert client.get("/api/me", headers={"Host": own}).status_code == 200
+
+
+def test_content_length_with_transfer_encoding(lasting: Served):
+    """Of two lengths a proxy may believe the other one: what follows would be another request."""
+    token = lasting.program(OPERATOR).headers["Authorization"]
+    with socket.create_connection(lasting.address, timeout=10) as line:
+        head = f"POST /api/lock HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {token}\r\n"
+        head += "Content-Type: application/json\r\n"
+        line.sendall(head.encode() + b"Content-Length: 2\r\nTransfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n")
+        answer = b"".join(iter(lambda: line.recv(65536), b""))
+    assert re.match(rb"HTTP/1.1 400", answer)
+    assert lasting.lab.lock.holder is None
+
+
+def test_behind_a_proxy(tmp_path: Path):
+    """Each user has limits of their own, and cookies are for TLS; what others say of themselves is not believed."""
+    served = serve(tmp_path / "lab", server={"proxies": ("127.0.0.1",), "names": ("lab.example.org",)})
+
+    def ask(address: str, password: str, said: str = "") -> httpx.Response:
+        before = f"{said}, " if said else ""
+        headers = {"Host": "lab.example.org", "X-Forwarded-For": before + address, "X-Forwarded-Proto": "https"}
+        with served.client(**headers) as client:
+            page = client.get("/sign-in")
+            form = re.search(r'name="form" value="([^"]+)"', page.text)
+            assert form
+            cookie = page.headers["set-cookie"].split(";")[0]
+            data = {"name": VIEWER, "password": password, "form": form[1]}
+            return client.post("/sign-in", data=data, headers={"Cookie": cookie})
+
+    # Whatever somebody says before the proxy's own word, the limit is theirs.
+    wrong = [ask("203.0.113.5", "wrong", f"10.0.0.{i}").status_code for i in range(6)]
+    assert wrong == [401] * 5 + [429]
+    right = ask("203.0.113.6", PASSWORD)
+    assert right.status_code == 303
+    assert all("Secure" in cookie for cookie in right.headers.get_list("set-cookie") if "Max-Age=0" not in cookie)
+    assert "__Host-scanner=" in right.headers["set-cookie"]
+    served.end()
+    # Without the option nobody is believed.
+    served = serve(tmp_path / "other")
+    clients = [served.client(**{"X-Forwarded-For": f"203.0.113.{i}"}) for i in range(6)]
+    assert [sign_in(client, VIEWER, "wrong").status_code for client in clients] == [401] * 5 + [429]
     served.end()

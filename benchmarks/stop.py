@@ -1,0 +1,156 @@
+"""Stop under load: how long POST /api/stop takes while others do what they can, and what becomes of a scan meanwhile.
+
+The server is a process of its own, on a loopback port, with the simulated scanner; the load is another process. Each
+Stop comes on a connection of its own, as somebody who has just come would press it, or on one that is kept. While a
+scan runs under the load nobody stops it; its photographs are compared with those of one that was let alone.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+
+from benchmarks.lab_processes import bearer
+from benchmarks.metric import Metric
+from benchmarks.stop_loads import LOADS
+
+# Stops under each load, and photographs of the scan.
+_STOPS, _QUICK_STOPS = 400, 12
+_FRAMES, _QUICK_FRAMES = 12, 3
+# Watchers, cloud requests at a time, sign-ins a second, sockets that say half a request.
+_SIZES = {"watchers": 200, "clouds": 50, "sign-ins": 100, "half-open": 2000}
+_QUICK_SIZES = {"watchers": 20, "clouds": 10, "sign-ins": 20, "half-open": 200}
+_GOAL_S = 0.5
+
+
+def measure(quick: bool) -> list[Metric]:
+    """One Stop after the other under each load by itself and under all of them."""
+    stops, frames = (_QUICK_STOPS, _QUICK_FRAMES) if quick else (_STOPS, _FRAMES)
+    sizes = _QUICK_SIZES if quick else _SIZES
+    metrics, scans, errors, everything = [], {}, 0, []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with _server(folder) as (pid, url, tokens):
+            for load in ("nothing", *LOADS, "all"):
+                with contextlib.ExitStack() as under:
+                    if load != "nothing":
+                        under.enter_context(_loaded(url, tokens, [*LOADS] if load == "all" else [load], sizes))
+                    if not quick or load in ("nothing", "clouds", "all"):
+                        scans[load] = _scan(url, tokens, folder, load, frames)
+                    if load in ("all", "full disk"):
+                        under.enter_context(_full(pid))
+                    times, failed = _stops(url, tokens[1], stops)
+                errors += failed
+                everything += times if load != "nothing" else []
+                p50, p99, p999 = np.percentile(times, (50, 99, 99.9))
+                key = load.replace(" ", "_").replace("-", "_")
+                metrics += [
+                    Metric(f"stop.{key}.p50", p50, "s"),
+                    Metric(f"stop.{key}.p99", p99, "s"),
+                    Metric(f"stop.{key}.p99.9", p999, "s", "shown", _GOAL_S),
+                ]
+    same = [scans[load] == scans["nothing"] for load in scans if load != "nothing"]
+    return [
+        Metric("stop.errors", errors, "", "lower", 0),
+        # A machine with other work says how loaded it is, not how quick Stop is.
+        Metric("stop.slowest", max(everything), "s", "lower", _GOAL_S, slack=4.0, floor=1.0, target_suffices=True),
+        Metric("stop.scans_that_differ", same.count(False), "", "lower", 0),
+        Metric("stop.scans_compared", len(same)),
+        Metric("stop.load_average", os.getloadavg()[0]),
+        *metrics,
+    ]
+
+
+@contextlib.contextmanager
+def _server(folder: Path) -> Iterator[tuple[int, str, list[str]]]:
+    """The server's process, its address, and tokens: operator, administrator, viewer."""
+    argv = [sys.executable, "-m", "benchmarks.stop_processes", str(folder)]
+    child = subprocess.Popen(argv, stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    try:
+        url, tokens = json.loads(child.stdout.readline())
+        yield child.pid, url, tokens
+    finally:
+        child.terminate()
+        child.communicate()
+
+
+@contextlib.contextmanager
+def _loaded(url: str, tokens: list[str], loads: list[str], sizes: dict[str, int]) -> Iterator[None]:
+    """These loads, in a process of their own."""
+    argv = [sys.executable, "-m", "benchmarks.stop_loads", url, json.dumps([tokens, loads, sizes])]
+    child = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    try:
+        if child.stdout.readline() != "loading\n":
+            raise RuntimeError("the load did not begin")
+        yield
+    finally:
+        child.terminate()
+        child.communicate()
+
+
+@contextlib.contextmanager
+def _full(pid: int) -> Iterator[None]:
+    """No file of the server grows any more."""
+    before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, before[1]))
+    try:
+        yield
+    finally:
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+
+
+def _stops(url: str, token: str, count: int) -> tuple[list[float], int]:
+    """How long each took, s, every second one on a connection of its own; and how many failed."""
+    times, failed = [], 0
+    how = {"base_url": url, "headers": bearer(token), "timeout": 30, "trust_env": False}
+    with httpx.Client(**how) as kept:
+        for i in range(count):
+            begin_s = time.monotonic()
+            try:
+                if i % 2:
+                    answer = kept.post("/api/stop")
+                else:
+                    with httpx.Client(**how, verify=False) as one:
+                        begin_s = time.monotonic()
+                        answer = one.post("/api/stop")
+                failed += answer.status_code != 200
+            except httpx.HTTPError as error:
+                print(f"stop: {type(error).__name__}: {error}", file=sys.stderr)
+                failed += 1
+            times.append(time.monotonic() - begin_s)
+            time.sleep(0.01)
+    return times, failed
+
+
+def _scan(url: str, tokens: list[str], folder: Path, project: str, frames: int) -> list[str]:
+    """A scan while its operator renews: digests of its photographs and of what lists them."""
+    project = "".join(letter for letter in project if letter.isalnum())
+    with httpx.Client(base_url=url, headers=bearer(tokens[0]), timeout=60, trust_env=False) as operator:
+        operator.post("/api/lock", json={}).raise_for_status()
+        order = {"kind": "scan", "project": project, "frames": frames, "apart": 200, "settle_s": 0}
+        answer = operator.post("/api/jobs", json=order)
+        answer.raise_for_status()
+        number = answer.json()["id"]
+        while (job := operator.get(f"/api/jobs/{number}").json())["ended_s"] is None:
+            operator.put("/api/lock").raise_for_status()
+            time.sleep(0.1)
+        operator.delete("/api/lock")
+    if job["state"] != "done":
+        print(f"stop: the scan {project} ended as {job['state']}: {job['message']}", file=sys.stderr)
+        return []
+    listed = folder / "lab" / "projects" / project
+    files = sorted((listed / "frames").iterdir())
+    text = (listed / "scan.toml").read_text().replace(project, "")
+    return [hashlib.sha256(file.read_bytes()).hexdigest() for file in files] + [text]

@@ -1,0 +1,171 @@
+"""Connections: how many there may be, and which has to go when there is no room for another.
+
+Somebody who has not asked for anything yet, or has been answered, makes room for whoever comes: so 2000 sockets that
+say nothing keep nobody out, and no connection is refused as long as one such is left.
+"""
+
+import contextlib
+import errno
+import logging
+import os
+import socket
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from hardware.lab.throttle import network_of
+
+try:
+    import resource
+except ImportError:  # not on Windows, which has no such limit
+    resource = None
+
+_LOG: Final = logging.getLogger(__name__)
+# Connections in all, and of them from one address: a class behind one router has two streams for each of 300.
+_MOST, _SHARE = 1000, 0.8
+# Descriptors that connections leave to files, devices and the database.
+_SPARE: Final = 256
+_SAID_S: Final = 60.0
+_NO_MORE: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_FULL: Final = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+
+
+def raise_limit() -> None:
+    """Let this process have as many descriptors as it may."""
+    if resource is None:
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = 4 * (_MOST + _SPARE)
+    if hard != resource.RLIM_INFINITY:
+        wanted = min(wanted, hard)
+    if soft < wanted:
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+# Whether a connection waits for a request that has begun or never came, rests after an answer, or is being answered.
+Phase = Literal["head", "rest", "answer"]
+
+
+@dataclass
+class _Line:
+    line: socket.socket
+    network: str
+    phase: Phase = "head"
+
+
+class Gate:
+    """All connections of a server.
+
+    Args:
+        proxies: addresses of proxies, from which everybody may come.
+        most: connections; as many as the descriptors allow, up to 1000.
+    """
+
+    def __init__(self, proxies: tuple[str, ...] = (), most: int | None = None):
+        soft = _MOST + _SPARE if resource is None else resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        self.most = most or max(16, min(_MOST, soft - _SPARE))
+        self._each = max(8, int(self.most * _SHARE))
+        self._proxies = {network_of(proxy) for proxy in proxies}
+        # By the other side's address and port, the longest here first.
+        self._lines: dict[Any, _Line] = {}
+        self._counts: Counter[str] = Counter()
+        self._said_s = -_SAID_S
+        self._spare = os.open(os.devnull, os.O_RDONLY)
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def accept(self, listening: "Listening") -> tuple[socket.socket, Any]:
+        """The next connection, with room made for it.
+
+        Raises:
+            OSError: there is none, or no room: to be asked again.
+        """
+        try:
+            line, peer = socket.socket.accept(listening)
+        except OSError as error:
+            if error.errno in _NO_MORE:
+                self._turn_away(listening, error)
+                raise ConnectionAbortedError from error
+            raise
+        network = network_of(str(peer[0]))
+        if not self._room(network):
+            with contextlib.suppress(OSError):
+                if not listening.tls:
+                    line.setblocking(False)
+                    line.send(_FULL)
+            line.close()
+            self._say("%d connections are busy: no more are taken", len(self._lines))
+            raise ConnectionAbortedError
+        self._lines[peer] = _Line(line, network)
+        self._counts[network] += 1
+        return line, peer
+
+    def note(self, peer: Any, phase: Phase) -> None:
+        """Note what a connection does now."""
+        if (line := self._lines.get(peer)) is not None:
+            line.phase = phase
+
+    def left(self, peer: Any) -> None:
+        """A connection has ended."""
+        if (one := self._lines.pop(peer, None)) is not None:
+            self._counts[one.network] -= 1
+            if not self._counts[one.network]:
+                del self._counts[one.network]
+
+    def close(self) -> None:
+        """End."""
+        os.close(self._spare)
+
+    def _room(self, network: str) -> bool:
+        """Whether there is room for another, made if need be."""
+        if network not in self._proxies and self._counts[network] >= self._each:
+            return self._drop(network)
+        return len(self._lines) < self.most or self._drop(network) or self._drop(None)
+
+    def _drop(self, network: str | None) -> bool:
+        """End the oldest connection, of a network or of all, that owes a request; then one that rests."""
+        for phase in ("head", "rest"):
+            for peer, one in self._lines.items():
+                if one.phase == phase and network in (None, one.network):
+                    # Some have ended before anything was read on them, as in the middle of TLS's first words.
+                    self.left(peer)
+                    with contextlib.suppress(OSError):
+                        one.line.shutdown(socket.SHUT_RDWR)
+                    return True
+        return False
+
+    def _turn_away(self, listening: "Listening", error: OSError) -> None:
+        """Take a connection by the descriptor that is kept for this, and end it: else it would be offered for ever."""
+        self._say("no descriptors are left (%s): connections are turned away", error)
+        self._drop(None)
+        os.close(self._spare)
+        with contextlib.suppress(OSError):
+            socket.socket.accept(listening)[0].close()
+        with contextlib.suppress(OSError):
+            self._spare = os.open(os.devnull, os.O_RDONLY)
+
+    def _say(self, words: str, *values: object) -> None:
+        if time.monotonic() - self._said_s > _SAID_S:
+            self._said_s = time.monotonic()
+            _LOG.warning(words, *values)
+
+
+class Listening(socket.socket):
+    """A socket that listens, behind a gate.
+
+    Args:
+        bound: the socket, which this one replaces.
+        gate: through which everybody comes.
+        tls: whether TLS is spoken.
+    """
+
+    def __init__(self, bound: socket.socket, gate: Gate, tls: bool):
+        super().__init__(bound.family, bound.type, bound.proto, bound.detach())
+        self.gate, self.tls = gate, tls
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection."""
+        return self.gate.accept(self)

@@ -1,0 +1,183 @@
+"""Connections that say nothing, requests that never end, answers that nobody reads, and more than there is room for."""
+
+import contextlib
+import json
+import resource
+import socket
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from serving import ADMINISTRATOR, OPERATOR, VIEWER, Served, ended, scan, serve, until
+from test_disk import SERVE
+
+from hardware.lab import front
+from hardware.lab.limits import Limit, Limits
+from hardware.lab.refusal import Refusal
+from jaxscan.images import write_image
+
+ROOM, SILENT = 40, 200
+HALF = b"GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
+
+
+@contextlib.contextmanager
+def silent(address: tuple[str, int], count: int, said: bytes = HALF) -> Iterator[list[socket.socket]]:
+    """Connections that begin a request and say no more."""
+    with contextlib.ExitStack() as lines:
+        found = []
+        for _ in range(count):
+            line = lines.enter_context(socket.create_connection(address, timeout=20))
+            with contextlib.suppress(OSError):
+                line.sendall(said)
+            found.append(line)
+        yield found
+
+
+def test_sockets_that_say_half_a_request_keep_nobody_out(tmp_path: Path):
+    served = serve(tmp_path / "lab", server={"connections": ROOM})
+    operator, administrator = served.program(OPERATOR), served.program(ADMINISTRATOR)
+    operator.post("/api/lock", json={})
+    with silent(served.address, SILENT):
+        for _ in range(10):
+            assert operator.put("/api/lock").status_code == 204
+            assert administrator.post("/api/stop").status_code == 200
+            # A browser that comes now, too.
+            with served.client(Authorization=administrator.headers["Authorization"]) as newcomer:
+                assert newcomer.post("/api/stop").status_code == 200
+        assert ended(operator, operator.post("/api/jobs", json=scan("cup", 3)))["state"] == "done"
+    served.end()
+
+
+def ended_by_the_server(line: socket.socket, within_s: float = 30.0) -> bytes:
+    """What came on a connection until the server ended it, with a byte now and then from this side."""
+    line.settimeout(0.2)
+    answer, end_s = b"", time.monotonic() + within_s
+    while time.monotonic() < end_s:
+        with contextlib.suppress(TimeoutError):
+            try:
+                if not (part := line.recv(65536)):
+                    return answer
+            except ConnectionResetError:
+                return answer
+            answer += part
+        with contextlib.suppress(OSError):
+            line.sendall(b"x")
+    raise AssertionError("the connection stays open")
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"",
+        HALF,
+        b"POST /sign-in HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 50000\r\n\r\nname=",
+        b"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\nffff\r\n",
+    ],
+)
+def test_a_request_that_drips(tmp_path: Path, said: bytes):
+    served = serve(tmp_path / "lab", server={"head_s": 1.0, "body_s": 1.0})
+    with silent(served.address, 1, said) as (line,):
+        answer = ended_by_the_server(line)
+        assert not answer or answer.startswith(b"HTTP/1.1 4")
+    served.end()
+
+
+def test_an_answer_that_nobody_reads(tmp_path: Path):
+    served = serve(tmp_path / "lab", server={"send_s": 1.0})
+    client = served.program(VIEWER)
+    folder = served.lab.projects.path("cup")
+    (folder / "frames").mkdir(parents=True)
+    noise = np.random.default_rng(0).integers(0, 256, (2500, 2500, 3), np.uint8)
+    write_image(folder / "frames" / "0.png", noise)
+    (folder / "scan.toml").write_text('[scan]\nframes = ["frames/0.png"]\nsteps = [0]\n')
+    token = client.headers["Authorization"]
+    ask = f"GET /api/projects/cup/scan.zip HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {token}\r\n\r\n"
+    with silent(served.address, 4, ask.encode()):
+        until(lambda: served.lab.downloads.alive)
+        # The fifth is told to wait, not kept waiting.
+        refused = until(lambda: (answer := client.get("/api/projects/cup/scan.zip")).status_code == 429 and answer)
+        assert int(refused.headers["Retry-After"]) > 0
+        until(lambda: not served.lab.downloads.alive)
+    whole = tmp_path / "cup.zip"
+    whole.write_bytes(client.get("/api/projects/cup/scan.zip").content)
+    assert zipfile.ZipFile(whole).testzip() is None
+    served.end()
+
+
+@contextlib.contextmanager
+def process(folder: Path, descriptors: int) -> Iterator[tuple[subprocess.Popen, httpx.Client]]:
+    """A lab in a process of its own with so many descriptors, and its operator's program."""
+    env = {"PYTHONPATH": f"{Path(__file__).parents[3]}:{Path(__file__).parent}"}
+    argv = ["prlimit", f"--nofile={descriptors}:{descriptors}", sys.executable, "-c", SERVE, str(folder)]
+    child = subprocess.Popen(
+        argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env
+    )
+    assert child.stdout is not None
+    url, token, _ = json.loads(child.stdout.readline())
+    client = httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}, timeout=30, trust_env=False)
+    with client:
+        yield child, client
+    child.kill()
+    child.communicate()
+
+
+@pytest.mark.timeout(300)
+def test_a_scan_with_few_descriptors(tmp_path: Path):
+    with process(tmp_path / "lab", 320) as (child, operator):
+        operator.post("/api/lock", json={}).raise_for_status()
+        url = httpx.URL(operator.base_url)
+        assert url.port
+        with silent((url.host, url.port), 400):
+            job = ended(operator, operator.post("/api/jobs", json=scan("cup", 4)))
+            assert (job["state"], job["message"]) == ("done", "")
+            # And with none left at all for connections.
+            held = len(list(Path(f"/proc/{child.pid}/fd").iterdir()))
+            resource.prlimit(child.pid, resource.RLIMIT_NOFILE, (held, 320))
+            for _ in range(50):
+                with contextlib.suppress(OSError), socket.create_connection((url.host, url.port), timeout=5) as line:
+                    line.sendall(HALF)
+            resource.prlimit(child.pid, resource.RLIMIT_NOFILE, (320, 320))
+            assert until(lambda: operator.post("/api/stop").status_code == 200)
+        assert child.stdin is not None
+        _, said = child.communicate("\n", 60)
+        assert len(said) < 20_000, said[:2000]
+
+
+def test_so_many_requests_and_no_more():
+    now_s = [0.0]
+    limits, limit = Limits(lambda: now_s[0]), Limit(10.0, 20.0, 3)
+    for _ in range(20):
+        with limits.request("paul", limit):
+            pass
+    with pytest.raises(Refusal) as refused, limits.request("paul", limit):
+        pass
+    assert (refused.value.status, refused.value.retry_s) == (429, 1.0)
+    with limits.request("olga", limit):
+        pass
+    now_s[0] += 1.0
+    with contextlib.ExitStack() as held:
+        for _ in range(3):
+            held.enter_context(limits.request("paul", limit))
+        with pytest.raises(Refusal, match="wait for their answers"), limits.request("paul", limit):
+            pass
+        with limits.request("olga", limit):
+            pass
+    with limits.request("paul", limit):
+        pass
+
+
+def test_a_stranger_who_asks_for_too_much(served: Served, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(front, "STRANGER", Limit(0.1, 20.0, 3))
+    with served.client() as client:
+        answers = [client.get("/static/icon.svg") for _ in range(30)]
+    refused = [answer for answer in answers if answer.status_code == 429]
+    assert refused
+    assert all(int(answer.headers["Retry-After"]) > 0 for answer in refused)
+    # Somebody who has signed in, at the same address, is not held up.
+    assert served.program(VIEWER).get("/api/me").status_code == 200
