@@ -104,7 +104,7 @@ def read_npy(name: str, file: IO[bytes], header: NpyHeader, there: int) -> Shape
             f"{name}: is no whole NumPy array: its header promises {header.n_bytes} bytes, {there} follow: {_AGAIN}"
         )
     values = np.empty(math.prod(header.shape), header.dtype)
-    rest = memoryview(values).cast("B") if values.size else memoryview(b"")
+    rest = values.view(np.uint8).data
     while rest:
         piece = file.read(min(len(rest), _READ_AT_ONCE))
         if not piece:

@@ -161,8 +161,8 @@ def _check_shapes(path: str | os.PathLike[str], shapes: Mapping[str, tuple[int, 
     expected = {"points": (*shape, 3), "strength": shape, "sigma": shape, "valid": shape, "steps": shape[:1]}
     expected |= {"pixels": shape, "sigma_pixel": shape, "per_step": (3,), "light": (*shape[:1], 4)}
     # As many axes as they are, and as many letters.
-    expected |= {"positions": (*shape[:1], *shapes.get("positions", ())[1:2])}
-    expected |= {"scanner": shapes.get("scanner", ())[:1]}
+    expected |= {"positions": (*shape[:1], *(shapes.get("positions", ())[1:2] or (0,)))}
+    expected |= {"scanner": shapes.get("scanner", ())[:1] or (0,)}
     for name, own in shapes.items():
         if len(shape) != 2 or own != expected[name]:
             raise InputError(

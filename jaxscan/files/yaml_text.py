@@ -87,7 +87,7 @@ def _value(event: yaml.NodeEvent) -> Any:
     """An empty table or list, or a plain value."""
     if isinstance(event, yaml.AliasEvent):
         raise yaml.YAMLError(f"{_line(event)} refers back to a part of the file (*): write the values out")
-    tag = event.tag
+    tag: str | None = getattr(event, "tag", None)
     if isinstance(event, yaml.MappingStartEvent) and tag is not None and tag.startswith(_OPENCV):
         return {}
     if tag is not None and tag.startswith(_OPENCV):
@@ -98,6 +98,8 @@ def _value(event: yaml.NodeEvent) -> Any:
         return {}
     if isinstance(event, yaml.SequenceStartEvent):
         return []
+    if not isinstance(event, yaml.ScalarEvent):
+        raise yaml.YAMLError(f"{_line(event)} has neither a table, nor a list, nor a value")
     return _plain(event.value) if event.implicit[0] else event.value
 
 

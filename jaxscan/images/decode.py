@@ -166,7 +166,7 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
         # The size is known before the first frame is decoded; some files open that hold none.
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         fits = 0 <= size[0] * size[1] <= MOST_PIXELS
-        there, first = capture.read() if fits else (False, None)
+        there, first = capture.read() if fits else (False, np.zeros((0, 0, 3), np.uint8))
     if not fits:
         capture.release()
         check_size(path, size)

@@ -41,6 +41,14 @@ def _zip(**members: bytes) -> bytes:
     return file.getvalue()
 
 
+def _flat_positions() -> bytes:
+    flat, told = np.zeros((3, 4), np.float32), np.frombuffer(b'{"axes": []}', np.uint8)
+    arrays = {"points": np.zeros((3, 4, 3), np.float32), "strength": flat, "sigma": flat, "valid": flat > 0}
+    file = io.BytesIO()
+    np.savez(file, **arrays, steps=np.arange(3), positions=np.arange(3), scanner=told)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
 def _png(columns: int, rows: int, raw: bytes = bytes(1_000_000)) -> bytes:
     chunks = [
         (b"IHDR", struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)),
@@ -195,6 +203,7 @@ KEPT: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "npy, a size beyond whole numbers": ("npy", lambda: _shaped(f"({10**30}, 0)"), "a shape that no array has"),
     "npy, objects": ("npy", lambda: _shaped("(2, 2)", "|O"), "plain numbers"),
     "npz, a member that is no array": ("range image", lambda: _zip(points=b"no array"), '"points": is no NumPy array'),
+    "npz, positions of no axes": ("range image", _flat_positions, '"positions" has the shape (3,)'),
     "npz, 9 TB": ("truth", lambda: _zip(points=_shaped("(3000000, 3000000)")), "promises"),
     "truth, no archive": ("truth", lambda: b"PK nothing", "not a whole NPZ file"),
     "png, 2 GB": ("png", lambda: _png(26_000, 26_000), "200 million"),
