@@ -30,9 +30,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from jaxtyping import UInt
+
 from hardware.cameras.folder import FolderCamera
 from hardware.cameras.opencv import OpenCvCamera
-from hardware.errors import SettingsError
+from hardware.errors import CameraError, SettingsError
 from hardware.lasers import ControllerLaser, FixedLaser, LaserSwitch, RtsLaser
 from hardware.places import STAGE, TURNTABLE, places_of
 from hardware.protocols import CameraDriver, LaserDriver, StageDriver
@@ -48,7 +51,7 @@ from jaxscan.files.listing import natural_key
 from jaxscan.files.settings import read_stripe_settings
 from jaxscan.files.table import Table
 from jaxscan.files.text import read_toml
-from jaxscan.images import StripeSettings
+from jaxscan.images import StripeSettings, read_image
 
 SCANNER_FILE: Final = "scanner.toml"
 _CAMERAS: Final = ("opencv", "folder", "gphoto2", "genicam", "simulated")
@@ -306,11 +309,23 @@ def folder_camera(folder: Path) -> FolderCamera:
 
     if (folder / SCAN_FILE).is_file():
         scan = read_scan(folder)
-        return FolderCamera(scan.frames, places_of(scan.axes))
+        return FolderCamera(scan.frames, read_photograph, places_of(scan.axes))
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder: check [camera] source")
     paths = [path for path in folder.iterdir() if path.suffix.lower() in _IMAGES]
-    return FolderCamera(sorted(paths, key=lambda path: natural_key(path.name)))
+    return FolderCamera(sorted(paths, key=lambda path: natural_key(path.name)), read_photograph)
+
+
+def read_photograph(path: Path) -> UInt[np.ndarray, "rows columns *rgb"]:
+    """A photograph of a folder, for a camera driver, which knows `HardwareError` alone.
+
+    Raises:
+        CameraError: it cannot be read.
+    """
+    try:
+        return read_image(path)
+    except InputError as error:
+        raise CameraError(str(error)) from error
 
 
 def _simulated(key: str) -> Table:

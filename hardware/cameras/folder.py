@@ -1,14 +1,17 @@
 """Photographs that were taken before, in the place of a camera."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
+from jaxtyping import UInt
 
 from hardware.errors import CameraError
 from hardware.frame import Frame, in_words
+
+# Reads a photograph; raises `CameraError` where it is none.
+Reader = Callable[[Path], UInt[np.ndarray, "rows columns *rgb"]]
 
 
 class FolderCamera:
@@ -16,11 +19,12 @@ class FolderCamera:
 
     Args:
         paths: in their order.
+        read: reads one of them, as `hardware.devices.read_photograph` does.
         positions: of each, by which it is chosen; without them, or asked for none, each is the next.
     """
 
-    def __init__(self, paths: Sequence[Path], positions: Sequence[Mapping[str, int]] | None = None):
-        self._paths = tuple(paths)
+    def __init__(self, paths: Sequence[Path], read: Reader, positions: Sequence[Mapping[str, int]] | None = None):
+        self._paths, self._read = tuple(paths), read
         places = None if positions is None else [frozenset(place.items()) for place in positions]
         self._by_place = None if places is None else dict(zip(places, paths, strict=True))
         self._next = 0
@@ -54,16 +58,7 @@ class FolderCamera:
             raise CameraError(
                 f"the folder camera has no photograph for {in_words(positions)}, and {len(self._paths)} in all"
             )
-        try:
-            data = np.fromfile(path, np.uint8)
-        except OSError as error:
-            raise CameraError(f"{path}: cannot be read ({error.strerror})") from error
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_ANYDEPTH) if data.size else None
-        if image is None:
-            raise CameraError(f"{path}: is not an image that can be decoded")
-        if image.ndim == 3:
-            image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB)
-        return Frame(image, positions, time.time(), self._exposure_s)
+        return Frame(self._read(path), positions, time.time(), self._exposure_s)
 
     def close(self) -> None:
         """Nothing to do."""

@@ -24,6 +24,7 @@ from jaxscan.rig import MOTIONS, Rig, is_run
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
 
 _FEWEST_CORNERS = 6
+_FARTHEST_PX, _THINNEST_PX = 1e6, 0.1
 FEWEST_VIEWS = 3
 _FEWEST_VIEWS_OF = {"flat": FEWEST_VIEWS, **FEWEST_VIEWS_FOR}
 _OF_SHAPE = {
@@ -71,6 +72,11 @@ def lacking(view: View, board: Board) -> str:
         (x, y), offset = points[j] - points[i], points - points[i]
         if (np.abs(offset[:, 1] * x - offset[:, 0] * y) > 1e-6 * board.pitch_mm**2).sum() < 2:
             return f"its {int(used.sum())} corners lie on one line of the board, or all but one do"
+    pixels = view.corners[used]
+    if (far := float(np.abs(pixels).max())) > _FARTHEST_PX:
+        return f"a corner at {far:.3g} px, where no photograph reaches"
+    if np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] < _THINNEST_PX * np.sqrt(len(pixels)):
+        return f"its {int(used.sum())} corners lie in one place of the photograph, or on one line"
     return ""
 
 

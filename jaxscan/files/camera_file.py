@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Float64
 
 from jaxscan.errors import InputError
+from jaxscan.files.rig_checks import check_focal, check_image_size
 from jaxscan.files.table import PassedOverWarning, Table, show
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera
@@ -97,9 +98,9 @@ def camera_from_terms(
         tilt: τx, τy, if there are; zeros are a sensor that is not tilted.
 
     Raises:
-        InputError: a focal length that is not positive.
+        InputError: a focal length that no camera has.
     """
-    _check_focal(table, focal_key, pinhole)
+    check_focal(table, focal_key, pinhole[:2])
     k1, k2, p1, p2, *higher = (*terms, *[0.0] * (len(TERMS) - len(terms)))
     radial, tangential = (k1, k2, *higher), (p1, p2)
     for kind in LADDER.values():
@@ -127,9 +128,9 @@ def fisheye_from_terms(
         terms: k1 … k4.
 
     Raises:
-        InputError: a focal length that is not positive, or not four terms.
+        InputError: a focal length that no camera has, or not four terms.
     """
-    _check_focal(table, focal_key, pinhole)
+    check_focal(table, focal_key, pinhole[:2])
     if len(terms) != Fisheye.numbers["angular"]:
         raise InputError(f"{table.path}: a fisheye has 4 coefficients, here are {len(terms)}: write the file again")
     with float64():
@@ -282,6 +283,7 @@ def check_size(table: Table, key: str, numbers: Sequence[float], asked: tuple[in
     if len(numbers) != 2 or any(not number.is_integer() or number < 1 for number in map(float, numbers)):
         raise table.error(key, f"the image size {show(list(numbers))} must be columns and rows, whole and positive")
     size = int(numbers[0]), int(numbers[1])
+    check_image_size(table, key, size)
     if asked is not None and asked != size:
         raise other_size(table.path, size, asked)
     return size
@@ -305,8 +307,3 @@ def pass_over(path: Path, what: Sequence[str]) -> None:
     """Say what of a file is not read, if anything."""
     if what:
         warnings.warn(f"{path}: passed over {', '.join(what)}", PassedOverWarning, stacklevel=2)
-
-
-def _check_focal(table: Table, key: str, pinhole: Sequence[float]) -> None:
-    if min(pinhole[:2]) <= 0:
-        raise table.error(key, "the focal lengths must be two positive numbers of pixels: calibrate again")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float, Float32, Shaped, UInt8
 
 from jaxscan.errors import InputError
 from jaxscan.files.ply import Column, Element, Ply
@@ -16,6 +16,8 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import writing_ply_file
 
 COLOURS: Final = ("red", "green", "blue")
+# Ten thousand kilometres: vertices in one place are found on a grid of whole numbers, which ends at nine times this.
+_FARTHEST_MM: Final = 1e10
 _NEEDS_SURFACE: Final = (".stl", ".obj", ".glb", ".gltf", ".off", ".3mf")
 
 
@@ -113,15 +115,11 @@ def cloud_of(path: str | os.PathLike[str], content: Ply) -> Cloud:
     numbers = {name: column for name, column in vertex.columns.items() if isinstance(column, np.ndarray)}
     if not vertex.count or not set("xyz") <= set(numbers):
         raise InputError(f"{path}: holds no points: check which file it is")
-    points = np.stack([numbers[axis] for axis in "xyz"], axis=-1).astype(np.float32, copy=False)
-    bad = int((~np.isfinite(points).all(axis=1)).sum())
-    if bad:
-        raise InputError(
-            f"{path}: {bad} of {len(points)} points have a coordinate that is not a finite number: leave them out"
-        )
+    points = _as_float32(np.stack([numbers[axis] for axis in "xyz"], axis=-1))
+    check_points(path, points, "points", "leave them out")
 
     def known(name: str) -> Float32[np.ndarray, "points"] | None:
-        return numbers[name].astype(np.float32, copy=False) if name in numbers else None
+        return _as_float32(numbers[name]) if name in numbers else None
 
     coloured = all(name in numbers and numbers[name].dtype == np.uint8 for name in COLOURS)
     return Cloud(
@@ -130,3 +128,23 @@ def cloud_of(path: str | os.PathLike[str], content: Ply) -> Cloud:
         sigma_pixel=known("sigma_pixel"),
         colours=np.stack([numbers[name] for name in COLOURS], axis=-1) if coloured else None,
     )
+
+
+def check_points(path: str | os.PathLike[str], points: Float[np.ndarray, "points 3"], what: str, mend: str) -> None:
+    """Refuse coordinates that are not finite, or so large that what is computed with them overflows.
+
+    Raises:
+        InputError: there is one.
+    """
+    bad = int((~(np.abs(points) <= _FARTHEST_MM).all(axis=1)).sum())
+    if bad:
+        raise InputError(
+            f"{path}: {bad} of {len(points)} {what} have a coordinate that is not a finite number of at most "
+            f"{_FARTHEST_MM:g}: {mend}"
+        )
+
+
+def _as_float32(values: Shaped[np.ndarray, "*any"]) -> Float32[np.ndarray, "*any"]:
+    """What no float32 holds is infinite, and a signalling NaN a quiet one, without a word."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float32, copy=False)

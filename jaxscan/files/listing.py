@@ -87,6 +87,8 @@ def _matches(table: Table, key: str, pattern: str) -> tuple[Path, ...]:
     folder = table.path.parent
     if os.path.isfile(folder / pattern):  # a plain name, or one that only looks like a pattern
         return (folder / pattern,)
+    if pattern.count("**") > 1:
+        raise table.error(key, "has more than one **, each of which goes through all folders again: keep one")
     names = [] if "\0" in pattern else glob.glob(pattern, root_dir=folder, recursive=True)
     files = tuple(path for name in sorted(names, key=natural_key) if not os.path.isdir(path := folder / name))
     if not files:

@@ -27,7 +27,7 @@ _MATRIX, _DEFLATED = 14, 15
 # Classes of arrays: double, single, and the whole numbers from 8 to 64 bits.
 _NUMERIC: Final = range(6, 16)
 _COMPLEX: Final = 0x0800
-# No variable that we read comes near this; a few bytes can inflate to gigabytes.
+# All variables together that we read come nowhere near this; a few bytes can inflate to gigabytes.
 _LARGEST: Final = 1 << 26
 
 
@@ -55,9 +55,13 @@ def read_matrices(path: Path, wanted: re.Pattern[str]) -> dict[str, Float64[np.n
     if order is None:
         raise InputError(f"{path}: is no Matlab file of version 5 to 7: save it in Matlab or Octave with -v7")
     found: dict[str, np.ndarray] = {}
+    inflated = 0
     try:
         for kind, body in _elements(data[_HEADER:], order):
-            name, matrix = _variable(_inflated(body, order) if kind == _DEFLATED else body, order, wanted)
+            if kind == _DEFLATED:
+                body = _inflated(body, order, _LARGEST - inflated)
+                inflated += len(body)
+            name, matrix = _variable(body, order, wanted)
             if wanted.fullmatch(name):
                 if matrix is None:
                     raise InputError(f"{path}: {name} is not a matrix of real numbers: check which program wrote it")
@@ -82,11 +86,11 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         at += 0 if kind == _DEFLATED else -at % 8
 
 
-def _inflated(data: bytes, order: str) -> bytes:
+def _inflated(data: bytes, order: str, most: int) -> bytes:
     stream = zlib.decompressobj()
-    whole = stream.decompress(data, _LARGEST)
+    whole = stream.decompress(data, max(most, 1))
     if stream.unconsumed_tail:
-        raise _DamagedError(f"a variable has more than {_LARGEST} bytes")
+        raise _DamagedError(f"its variables unfold to more than {_LARGEST} bytes")
     kind, body = next(_elements(whole, order), (0, b""))
     if kind != _MATRIX:
         raise _DamagedError("a variable is no array")

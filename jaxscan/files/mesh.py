@@ -10,10 +10,11 @@ from jaxtyping import Float32, Int
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
-from jaxscan.files.cloud import Cloud, cloud_of, vertices_of
+from jaxscan.files.cloud import Cloud, check_points, cloud_of, vertices_of
 from jaxscan.files.ply import Column, Element, Lists, Ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import write_ply_file
+from jaxscan.foreign import foreign
 
 _INDICES: Final = ("vertex_indices", "vertex_index")
 
@@ -29,13 +30,11 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
         raise InputError(f"{path}: there is no such file: check the name")
     if path.suffix.lower() == ".ply":
         return mesh_of(path, read_ply_file(path))
-    try:
+    with foreign(path, "cannot be read as a mesh", "give an STL, PLY, OBJ or the like"):
         mesh = trimesh.load_mesh(path, process=False)
-    except Exception as error:  # each of its readers raises what it likes
-        raise InputError(f"{path}: cannot be read as a mesh ({error}): give an STL, PLY, OBJ or the like") from error
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise _no_triangles(path)
-    return _checked(path, mesh)
+        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+            raise _no_triangles(path)
+        return _checked(path, mesh)
 
 
 def has_faces(content: Ply) -> bool:
@@ -59,10 +58,7 @@ def mesh_of(path: str | os.PathLike[str], content: Ply, *, merge: bool = True) -
     triangles = _fans(faces)
     if not len(triangles):
         raise _no_triangles(path)
-    if triangles.min() < 0 or triangles.max() >= len(cloud.points):
-        raise InputError(
-            f"{path}: a face names vertex {triangles.max()}, there are {len(cloud.points)}: copy or write it again"
-        )
+    _check_faces(path, triangles, len(cloud.points))
     return _checked(path, trimesh.Trimesh(cloud.points, triangles, process=False), merge)
 
 
@@ -112,14 +108,24 @@ def _fans(faces: Lists) -> Int[np.ndarray, "triangles 3"]:
 
 
 def _checked(path: str | os.PathLike[str], mesh: trimesh.Trimesh, merge: bool = True) -> trimesh.Trimesh:
-    bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
-    if bad:
-        raise InputError(
-            f"{path}: {bad} of {len(mesh.vertices)} vertices have a coordinate that is not a finite number: repair it"
-        )
+    _check_faces(path, mesh.faces, len(mesh.vertices))
+    check_points(path, np.asarray(mesh.vertices), "vertices", "repair it")
     if merge:
         mesh.merge_vertices()
     return mesh
+
+
+def _check_faces(path: str | os.PathLike[str], faces: Int[np.ndarray, "triangles 3"], n_vertices: int) -> None:
+    """Refuse faces of vertices that there are not.
+
+    Raises:
+        InputError: there is one.
+    """
+    wrong = (faces < 0) | (faces >= n_vertices)
+    if wrong.any():
+        raise InputError(
+            f"{path}: a face names vertex {faces[wrong][0]}, there are {n_vertices}: copy or write it again"
+        )
 
 
 def _no_triangles(path: str | os.PathLike[str]) -> InputError:

@@ -1,11 +1,9 @@
 """The organised range image as an NPZ file: one point for each frame and each image column (or row)."""
 
-import lzma
 import os
 import shutil
 import zipfile
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
+from jaxscan.npy import NpyHeader, read_npz
 
 _ALWAYS: Final = {
     "points": np.dtype(np.float32),
@@ -37,18 +36,6 @@ _DTYPES: Final = _ALWAYS | _WHERE_KNOWN
 # What has no entry for each frame.
 _OF_THE_SCAN: Final = ("scanner", "per_step")
 _COPIED_AT_ONCE: Final = 1 << 20
-
-# What zipfile, its decompressors and NumPy raise for a file that is damaged, encrypted, or promises more than there is.
-_NOT_WHOLE: Final = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    ValueError,
-    EOFError,
-    OSError,
-    RuntimeError,
-    MemoryError,
-)
 
 
 @dataclass(frozen=True)
@@ -146,42 +133,44 @@ def read_range_npz(path: str | os.PathLike[str]) -> RangeArrays:
         InputError: the file is missing, is no range image, or its arrays do not fit one another.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file, zipfile.ZipFile(file):
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in _DTYPES if name in archive}
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such file: check the path") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: is a folder: name an .npz file in it") from error
-    except _NOT_WHOLE as error:
-        raise InputError(f"{path}: is not a whole NPZ file ({error}): copy or write it again") from error
-    missing = [name for name in _ALWAYS if name not in arrays]
-    if missing:
-        raise InputError(
-            f'{path}: has no array "{missing[0]}", so it is not a range image: '
-            "name one that `jaxscan reconstruct` has written"
-        )
-    for name, array in arrays.items():
-        if array.dtype != _DTYPES[name]:
-            raise InputError(f'{path}: "{name}" is {array.dtype}, {_DTYPES[name]} is expected: reconstruct again')
-    _check(path, arrays)
+
+    def check(headers: Mapping[str, NpyHeader]) -> None:
+        missing = [name for name in _ALWAYS if name not in headers]
+        if missing:
+            raise InputError(
+                f'{path}: has no array "{missing[0]}", so it is not a range image: '
+                "name one that `jaxscan reconstruct` has written"
+            )
+        for name, header in headers.items():
+            if header.dtype != _DTYPES[name]:
+                raise InputError(f'{path}: "{name}" is {header.dtype}, {_DTYPES[name]} is expected: reconstruct again')
+        _check_shapes(path, {name: header.shape for name, header in headers.items()})
+
+    arrays = read_npz(path, lambda name: name in _DTYPES, check)
+    _check_points(path, arrays)
     return RangeArrays(**arrays)
 
 
-def _check(path: str | os.PathLike[str], arrays: dict[str, np.ndarray]) -> None:
-    shape = arrays["valid"].shape
+def _check(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
+    _check_shapes(path, {name: array.shape for name, array in arrays.items()})
+    _check_points(path, arrays)
+
+
+def _check_shapes(path: str | os.PathLike[str], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    shape = shapes["valid"]
     expected = {"points": (*shape, 3), "strength": shape, "sigma": shape, "valid": shape, "steps": shape[:1]}
     expected |= {"pixels": shape, "sigma_pixel": shape, "per_step": (3,), "light": (*shape[:1], 4)}
     # As many axes as they are, and as many letters.
-    expected |= {"positions": (*shape[:1], *arrays.get("positions", np.zeros(())).shape[1:2])}
-    expected |= {"scanner": arrays.get("scanner", np.zeros(())).shape[:1]}
-    for name, array in arrays.items():
-        if len(shape) != 2 or array.shape != expected[name]:
+    expected |= {"positions": (*shape[:1], *(shapes.get("positions", ())[1:2] or (0,)))}
+    expected |= {"scanner": shapes.get("scanner", ())[:1] or (0,)}
+    for name, own in shapes.items():
+        if len(shape) != 2 or own != expected[name]:
             raise InputError(
-                f'{path}: "{name}" has the shape {array.shape}, beside "valid" of shape {shape}: '
+                f'{path}: "{name}" has the shape {own}, beside "valid" of shape {shape}: '
                 "valid is (frames, columns), and the others go with it"
             )
+
+
+def _check_points(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
     if not np.isfinite(arrays["points"][arrays["valid"]]).all():
         raise InputError(f"{path}: a valid point has a coordinate that is not a finite number: reconstruct again")

@@ -1,16 +1,20 @@
 """What a rig file must fulfil beyond its types: a covariance that is one."""
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxscan.files.table import Table, show
+from jaxscan.images.headers import MOST_PIXELS
 from jaxscan.rig import Camera
 from jaxscan.rig.projection import pixel_rays
 
 # Pixels along each axis of the image at which rays are looked at; odd, so that one is the middle.
 _GRID: Final = 17
+# The shortest and the longest focal length, px: the sixth power of a pixel's angle is still a float32.
+_FOCAL_LENGTHS: Final = (1e-3, 1e9)
 # Rounding of a covariance, relative to the standard deviations of the parameters.
 _ROUNDING: Final = 1e-8
 
@@ -25,6 +29,30 @@ def image_rays(camera: Camera) -> Float64[np.ndarray, "rays 3"]:
     v = np.linspace(-0.5, rows - 0.5, _GRID)
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     return pixel_rays(camera, pixels)
+
+
+def check_focal(table: Table, key: str, focal: Sequence[float]) -> None:
+    """Refuse focal lengths that no camera has.
+
+    Raises:
+        InputError: one is not positive, or so small or large that what is computed with it overflows.
+    """
+    least, most = _FOCAL_LENGTHS
+    if not all(least <= length <= most for length in focal):
+        raise table.error(
+            key,
+            f"must be two positive numbers of pixels, the focal lengths, from {least:g} to {most:g}: calibrate again",
+        )
+
+
+def check_image_size(table: Table, key: str, size: tuple[int, int]) -> None:
+    """Refuse the size of photographs that cannot be read.
+
+    Raises:
+        InputError: they have too many pixels.
+    """
+    if size[0] * size[1] > MOST_PIXELS:
+        raise table.error(key, f"a photograph has at most {MOST_PIXELS // 10**6} million pixels: correct it")
 
 
 def check_covariance(table: Table, names: list[Any], parameters: list[str]) -> Float64[np.ndarray, "n n"]:

@@ -19,7 +19,7 @@ from jaxtyping import Array
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
-from jaxscan.files.rig_checks import check_covariance, image_rays
+from jaxscan.files.rig_checks import check_covariance, check_focal, check_image_size, image_rays
 from jaxscan.files.rig_format_1 import FORMAT_1, PARTS_1, axis_tables_1, light_tables_1, parameter_names_1
 from jaxscan.files.rig_parts import (
     leaves,
@@ -31,7 +31,7 @@ from jaxscan.files.rig_parts import (
     read_lights,
     read_motion,
 )
-from jaxscan.files.table import PassedOverWarning, Table
+from jaxscan.files.table import LARGEST, PassedOverWarning, Table, show
 from jaxscan.files.text import read_json
 from jaxscan.precision import as_numpy
 from jaxscan.rig import Camera, Covariance, Light, Rig
@@ -40,8 +40,6 @@ from jaxscan.rig.rig import parameter_names
 FORMAT: Final = "jaxscan-rig/2"
 # What words about the board's shape are made of.
 _OF_SHAPE: Final = ("board_bent_mm", "board_bent_sigma_mm")
-# Its square is still a float32.
-_LARGEST: Final = 1e18
 
 
 @dataclass(frozen=True)
@@ -125,8 +123,11 @@ def _check_finite(table: Table) -> None:
         name, value = pending.pop()
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{table.path}: {name} is {value}: a rig holds finite numbers alone; calibrate again")
-        if isinstance(value, float) and abs(value) > _LARGEST:
-            raise InputError(f"{table.path}: {name} is {value}, larger than any number of a rig: calibrate again")
+        if isinstance(value, int | float) and abs(value) > LARGEST:
+            raise InputError(
+                f"{table.path}: {name} is {show(value)}, larger than any number of a rig, which are finite and at most "
+                f"{LARGEST:g}: calibrate again"
+            )
         if isinstance(value, dict | list):
             inner = value.items() if isinstance(value, dict) else enumerate(value)
             pending += [(f"{name}.{key}", entry) for key, entry in inner]
@@ -141,8 +142,9 @@ _STEEPEST_TILT: Final = math.pi / 2
 def _camera(table: Table, unknown: list[str]) -> Camera:
     lens = read_lens(table, _CAMERA_KEYS, unknown)
     focal = table.numbers("focal", 2)
-    if min(focal) <= 0:
-        raise table.error("focal", "must be two positive numbers of pixels")
+    check_focal(table, "focal", focal)
+    size = table.size("image_size")
+    check_image_size(table, "image_size", size)
     tilt = table.numbers("tilt", 2) if "tilt" in table else ()
     if any(abs(angle) >= _STEEPEST_TILT for angle in tilt):
         raise table.error("tilt", "must be two angles in radians, each below a quarter turn: calibrate again")
@@ -150,7 +152,7 @@ def _camera(table: Table, unknown: list[str]) -> Camera:
         focal=_pair(focal),
         principal=_pair(table.numbers("principal", 2)),
         lens=lens,
-        image_size=table.size("image_size"),
+        image_size=size,
         tilt=leaves(tilt) if any(tilt) else (),
     )
 

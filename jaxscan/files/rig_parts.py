@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxscan.files.axes import is_axis_name
-from jaxscan.files.table import Table
+from jaxscan.files.table import LARGEST, Table
 from jaxscan.rig import (
     LENSES,
     LIGHTS,
@@ -95,7 +95,7 @@ def read_motion(tables: Sequence[Table], unknown: list[str]) -> Motion:
         kind = MOTIONS[_kind(table, MOTIONS)]
         parts.append(_part(table, kind, unknown, axis=axis))
         moves = next(iter(kind.numbers))
-        if not any(table.numbers(moves)):
+        if max(map(abs, table.numbers(moves))) < 1 / LARGEST:
             raise table.error(moves, f"the {axis} does not move: leave it out, or calibrate it")
         if isinstance(parts[-1], Screw | ScrewOnGuide) and table.numbers("period", 1)[0] <= 0:
             raise table.error("period", "must be the steps of one turn of the screw, above 0: calibrate again")

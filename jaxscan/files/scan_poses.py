@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
-from jaxscan.files.table import show
+from jaxscan.files.table import LARGEST, show
 from jaxscan.files.text import parse_file, read_json_value
 from jaxscan.geometry import Pose
 
@@ -83,7 +83,7 @@ def _of_conf(path: Path, text: str) -> dict[str, Pose]:
             values = np.array([float(word) for word in words[2:]])
         except ValueError as error:
             raise InputError(f"{path}: {where}: is {line!r}, but seven numbers are expected after the name") from error
-        if not np.isfinite(values).all():
+        if not _usable(values):
             raise InputError(f"{path}: {where}: is {line!r}, but finite numbers are expected after the name")
         poses[words[1]] = Pose(-_rotation(path, where, values[3:]), values[:3])
     return poses
@@ -96,13 +96,13 @@ def _of_json(path: Path, where: str, value: Any) -> Pose:
             if set(value) != {"position", "quaternion"}:
                 raise InputError(f"{path}: {where}: has {', '.join(value) or 'nothing'}, but {expected}")
             position, quaternion = (np.array(value[key], np.float64) for key in ("position", "quaternion"))
-            if position.shape != (3,) or quaternion.shape != (4,) or not np.isfinite(position).all():
+            if position.shape != (3,) or quaternion.shape != (4,) or not _usable(position, quaternion):
                 raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")
             return Pose(_rotation(path, where, np.roll(quaternion, -1)), position)
         T = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: {where}: is {show(value)}, but {expected}") from error
-    if T.shape not in ((3, 4), (4, 4)) or not np.isfinite(T).all():
+    if T.shape not in ((3, 4), (4, 4)) or not _usable(T):
         raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")
     R = T[:3, :3]
     rigid = np.abs(R @ R.T - np.eye(3)).max() < _OFF and np.linalg.det(R) > 0
@@ -110,6 +110,11 @@ def _of_json(path: Path, where: str, value: Any) -> Pose:
         raise InputError(f"{path}: {where}: is no rotation with a translation: leave scale and mirroring out")
     u, _, vt = np.linalg.svd(R)
     return Pose.from_matrix(u @ vt, T[:3, 3])
+
+
+def _usable(*values: Float[np.ndarray, "*any"]) -> bool:
+    """Whether numbers are finite, and their squares are too."""
+    return all(bool((np.abs(each) <= LARGEST).all()) for each in values)
 
 
 def _rotation(path: Path, where: str, quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3"]:

@@ -17,6 +17,8 @@ from jaxscan.errors import InputError
 _LONGEST_VALUE_SHOWN = 60
 # Whole numbers beyond this are not exact in float64.
 _LARGEST_WHOLE: Final = 2**53
+# Its square is still a float32.
+LARGEST: Final = 1e18
 
 
 class PassedOverWarning(UserWarning):
@@ -99,18 +101,18 @@ class Table:
         return tuple(values)
 
     def number(self, key: str) -> float:
-        """A finite number."""
+        """A finite number of at most `LARGEST` either way."""
         value = self._required(key, "a number")
         if not _is_finite(value):
-            raise self.error(key, f"must be a finite number{_text_hint(value)}")
+            raise self.error(key, f"must be a finite number{_number_hint(value)}")
         return float(value)
 
     def numbers(self, key: str, count: int | None = None) -> tuple[float, ...]:
-        """A list of finite numbers, this many where a count is given."""
+        """A list of such numbers, this many where a count is given."""
         values = self.sequence(key, "numbers")
         for i, value in enumerate(values):
             if not _is_finite(value):
-                raise self.error(key, f"entry {i} is {show(value)}: must be a finite number{_text_hint(value)}")
+                raise self.error(key, f"entry {i} is {show(value)}: must be a finite number{_number_hint(value)}")
         if count is not None and len(values) != count:
             raise self.error(key, f"must hold {count} number{'s' if count != 1 else ''}, it holds {len(values)}")
         return tuple(float(value) for value in values)
@@ -154,14 +156,14 @@ def _is_whole(value: Any) -> bool:
 def _is_finite(value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # a whole number that no float can hold
-        return False
+    return abs(value) <= LARGEST
 
 
-def _text_hint(value: Any) -> str:
-    return " (no quotes, and a point before decimals)" if isinstance(value, str) else ""
+def _number_hint(value: Any) -> str:
+    if isinstance(value, str):
+        return " (no quotes, and a point before decimals)"
+    too_large = isinstance(value, int | float) and LARGEST < abs(value) < math.inf
+    return f" of at most {LARGEST:g} either way" if too_large else ""
 
 
 def _float_hint(value: Any) -> str:

@@ -2,13 +2,17 @@
 
 import json
 import tomllib
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from jaxscan.errors import InputError
 from jaxscan.files.kinds import kind_in_words
 from jaxscan.files.table import Table, show
+
+# A list of a hundred thousand photographs has three million letters.
+_LONGEST: Final = 8 << 20
 
 
 def read_toml(path: Path, wanted: str = "another file") -> Table:
@@ -59,7 +63,8 @@ def parse_file(path: Path, kind: str, parse: Callable[[str], Any], wanted: str =
     """
     try:
         # utf-8-sig: editors on Windows put a byte order mark before the text. Newlines come out plain.
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(_LONGEST + 1)
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such file: check the path") from error
     except IsADirectoryError as error:
@@ -72,6 +77,11 @@ def parse_file(path: Path, kind: str, parse: Callable[[str], Any], wanted: str =
         ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}): check its permissions") from error
+    if len(text) > _LONGEST:
+        _refuse_other_kind(path, kind, wanted)
+        raise InputError(
+            f"{path}: is longer than {_LONGEST >> 20} million letters, as no {kind} file is: name {wanted}"
+        )
     if not text.strip():
         raise InputError(f"{path}: is empty, but a {kind} file is expected: write it again")
     try:
@@ -93,7 +103,6 @@ def _refuse_other_kind(path: Path, kind: str, wanted: str) -> None:
 def _without_twins(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) != len(pairs):
-        keys = [key for key, _ in pairs]
-        twin = next(key for key in keys if keys.count(key) > 1)
+        twin = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
         raise InputError(f'{path}: the key "{twin}" stands twice in one object: keep one of them')
     return values

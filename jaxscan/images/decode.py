@@ -11,7 +11,6 @@ import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -22,45 +21,44 @@ from jaxtyping import UInt
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
+from jaxscan.images.headers import (
+    JPEG_END,
+    JPEG_START,
+    MOST_PIXELS,
+    PNG_END,
+    PNG_START,
+    Header,
+    check_size,
+    read_header,
+)
+from jaxscan.npy import NPY_START, NpyHeader, read_npy, read_npy_header
 
 Image = UInt[np.ndarray, "rows columns *rgb"]
 # Numbers of a 16-bit photograph for one grey level, a number of an 8-bit one: 65535 / 255.
 NUMBERS_PER_LEVEL: Final = 257
 
-_PNG_START = b"\x89PNG\r\n\x1a\n"
-_PNG_END = b"IEND\xaeB`\x82"
-_NPY_START = b"\x93NUMPY"
-_JPEG_START = b"\xff\xd8\xff"
-_JPEG_END = b"\xff\xd9"
-# Start-of-frame markers hold the size; the codes left out are tables and reserved ones.
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_JPEG_SCAN = 0xDA
 # Enough for the metadata and thumbnail that a camera puts before the size.
 _HEADER_BYTES = 1 << 18
-
-
-@dataclass(frozen=True)
-class _Header:
-    """What a PNG or JPEG says of itself before its pixels begin."""
-
-    size: tuple[int, int]
-    channels: int
-    pixels_at: int
+_FORMATS: Final = "a PNG, JPEG, TIFF, BMP, PNM or WebP"
 
 
 def read_image(path: str | os.PathLike[str], out: Image | None = None) -> Image:
     """A photograph, uint8 or uint16 as stored; grey stays grey, and an alpha channel is dropped.
 
     Args:
-        path: a PNG, JPEG, TIFF or the like, or an array in NumPy's own format.
+        path: a PNG, JPEG, TIFF, BMP, PNM or WebP, or an array in NumPy's own format, of at most `MOST_PIXELS`.
         out: where to put it, where its shape and depth are the photograph's; it is then what is returned.
 
     Raises:
-        InputError: the file is missing, is not an image, is cut off, or has pixels that are not 8 or 16 bit integers.
+        InputError: the file is missing, is not an image, is cut off, has more pixels than a photograph has, or has
+            pixels that are not 8 or 16 bit integers.
     """
-    data = _read_bytes(Path(path))
-    header = _whole(path, data)
-    image = _decoded(path, data, header, out)
+    return decode_image(path, _read_bytes(Path(path)), out)
+
+
+def decode_image(path: str | os.PathLike[str], data: bytes, out: Image | None = None) -> Image:
+    """As `read_image`, of a file's bytes; `path` names it in errors."""
+    image = _array(path, data) if data.startswith(NPY_START) else _decoded(path, data, _whole(path, data), out)
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: its pixels are {image.dtype}: save it with 8 or 16 bits a channel")
     if out is None or image is out or image.shape != out.shape or image.dtype != out.dtype:
@@ -69,39 +67,43 @@ def read_image(path: str | os.PathLike[str], out: Image | None = None) -> Image:
     return out
 
 
-def _whole(path: str | os.PathLike[str], data: bytes) -> _Header | None:
-    """What `_header` returns; an error when there is nothing, or no end."""
+def _whole(path: str | os.PathLike[str], data: bytes) -> Header:
+    """The header; an error where there is nothing, no photograph, one too large, or no end."""
     if not data:
         raise InputError(f"{path}: the file is empty: copy or record it again")
-    header = _header(data)
-    if header is not None:
-        end = _PNG_END if data.startswith(_PNG_START) else _JPEG_END
-        # Bytes after the end marker are allowed: some cameras append a preview.
-        if data.rfind(end) < header.pixels_at:
-            raise InputError(f"{path}: the image is cut off after {len(data)} bytes: copy or record it again")
+    header = read_header(data)
+    if header is None:
+        raise InputError(f"{path}: is not an image that can be decoded: give {_FORMATS}")
+    check_size(path, header.size)
+    end = PNG_END if data.startswith(PNG_START) else JPEG_END
+    # Bytes after the end marker are allowed: some cameras append a preview.
+    cut = header.channels and data.rfind(end) < header.pixels_at
+    if cut or len(data) < header.least_bytes:
+        raise InputError(f"{path}: the image is cut off after {len(data)} bytes: copy or record it again")
     return header
 
 
-def _decoded(path: str | os.PathLike[str], data: bytes, header: _Header | None, out: Image | None) -> Image:
-    if data.startswith(_JPEG_START) and header is not None and header.channels in (1, 3):
+def _decoded(path: str | os.PathLike[str], data: bytes, header: Header, out: Image | None) -> Image:
+    if data.startswith(JPEG_START) and header.channels in (1, 3):
         # Straight to where it is wanted; what this decoder finds fault with, the other may still read.
         with contextlib.suppress(ValueError):
             return _decode_jpeg(data, header, out)
-    if data.startswith(_NPY_START):
-        return _array(path, data)
     keep = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    known_colour = header is not None and header.channels >= 3
+    known_colour = header.channels >= 3
     colour = cv2.IMREAD_COLOR_RGB if known_colour else cv2.IMREAD_ANYCOLOR
-    with _quiet():
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), keep | colour)
-    if image is None:
-        raise InputError(f"{path}: is not an image that can be decoded: give a PNG, JPEG, TIFF or the like")
+    try:
+        with _quiet():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), keep | colour)
+    except cv2.error as error:
+        raise InputError(f"{path}: is not an image that can be decoded ({error.err}): give {_FORMATS}") from error
+    if image is None or image.shape[1::-1] != header.size:
+        raise InputError(f"{path}: is not an image that can be decoded: give {_FORMATS}")
     if image.ndim == 3 and not known_colour:
         image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     return image
 
 
-def _decode_jpeg(data: bytes, header: _Header, out: Image | None) -> Image:
+def _decode_jpeg(data: bytes, header: Header, out: Image | None) -> Image:
     columns, rows = header.size
     shape = (rows, columns) if header.channels == 1 else (rows, columns, 3)
     if out is None or out.shape != shape or out.dtype != np.uint8 or not out.flags.c_contiguous:
@@ -111,17 +113,22 @@ def _decode_jpeg(data: bytes, header: _Header, out: Image | None) -> Image:
 
 
 def _array(path: str | os.PathLike[str], data: bytes) -> Image:
-    try:
-        image = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise InputError(f"{path}: is no whole NumPy array ({error}): write it again") from error
-    if (image.ndim != 2 and (image.ndim != 3 or image.shape[2] != 3)) or 0 in image.shape:
-        raise InputError(f"{path}: is an array of shape {image.shape}: give (rows, columns) or (rows, columns, 3)")
-    return image
+    file = io.BytesIO(data)
+    header = read_npy_header(os.fspath(path), file)
+    check_size(path, _array_size(path, header))
+    return read_npy(os.fspath(path), file, header, len(data) - file.tell())
+
+
+def _array_size(path: str | os.PathLike[str], header: NpyHeader) -> tuple[int, int]:
+    """Columns and rows."""
+    shape = header.shape
+    if (len(shape) != 2 and (len(shape) != 3 or shape[2] != 3)) or 0 in shape:
+        raise InputError(f"{path}: is an array of shape {shape}: give (rows, columns) or (rows, columns, 3)")
+    return shape[1], shape[0]
 
 
 def image_size(path: str | os.PathLike[str], to_its_end: bool = False) -> tuple[int, int]:
-    """Columns and rows of a photograph; a PNG or JPEG is not decoded.
+    """Columns and rows of a photograph; it is not decoded.
 
     Args:
         path: as of `read_image`.
@@ -130,11 +137,16 @@ def image_size(path: str | os.PathLike[str], to_its_end: bool = False) -> tuple[
     Raises:
         InputError: as `read_image`.
     """
-    header = _whole(path, _read_bytes(Path(path))) if to_its_end else _header(_read_bytes(Path(path), _HEADER_BYTES))
-    if header is not None:
+    data = _read_bytes(Path(path), -1 if to_its_end else _HEADER_BYTES)
+    if data.startswith(NPY_START):
+        size = _array_size(path, read_npy_header(os.fspath(path), io.BytesIO(data)))
+        check_size(path, size)
+        return size
+    if not to_its_end and (header := read_header(data)) is not None:
+        check_size(path, header.size)
         return header.size
-    rows, columns = read_image(path).shape[:2]
-    return columns, rows
+    # What has its header further on, as a TIFF may, is read whole.
+    return _whole(path, data if to_its_end or len(data) < _HEADER_BYTES else _read_bytes(Path(path))).size
 
 
 def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows columns 3"]]:
@@ -151,8 +163,13 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with _quiet():
         capture = cv2.VideoCapture(os.fspath(path))
-        # Some files open that hold no frame.
-        there, first = capture.read()
+        # The size is known before the first frame is decoded; some files open that hold none.
+        size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        fits = 0 <= size[0] * size[1] <= MOST_PIXELS
+        there, first = capture.read() if fits else (False, np.zeros((0, 0, 3), np.uint8))
+    if not fits:
+        capture.release()
+        check_size(path, size)
     if not there:
         capture.release()
         raise InputError(f"{path}: is not a video that can be decoded: convert it to MP4 or AVI")
@@ -220,32 +237,6 @@ def _read_bytes(path: Path, limit: int = -1) -> bytes:
         raise InputError(f"{path}: is a folder: name an image in it") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}): check its permissions and its disk") from error
-
-
-def _header(data: bytes) -> _Header | None:
-    """Size and channels of a PNG or JPEG; None of any other format, or when the header itself is damaged."""
-    if data.startswith(_PNG_START) and len(data) >= 26:
-        columns, rows = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
-        # Colour types 0 and 4 are grey; 2, 3 (palette) and 6 are colour.
-        return _Header((columns, rows), 1 if data[25] in (0, 4) else 3, 26)
-    return _jpeg_header(data) if data.startswith(_JPEG_START) else None
-
-
-def _jpeg_header(data: bytes) -> _Header | None:
-    """Walk from marker to marker, past a thumbnail's own end marker, to where the pixels begin."""
-    at, size, channels = 2, None, 0
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        if marker == 0xFF:
-            at += 1
-            continue
-        if marker in _JPEG_FRAMES and at + 10 <= len(data):
-            rows, columns = (int.from_bytes(data[at + i : at + i + 2], "big") for i in (5, 7))
-            size, channels = (columns, rows), data[at + 9]
-        if marker == _JPEG_SCAN:
-            break
-        at += 2 + length
-    return None if size is None else _Header(size, channels, at)
 
 
 @contextmanager

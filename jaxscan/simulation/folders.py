@@ -30,6 +30,7 @@ from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableI
 from jaxscan.geometry import Pose
 from jaxscan.images import StripeSettings, write_image
 from jaxscan.images.jpeg import write_jpeg
+from jaxscan.npy import read_npz
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Rig
 from jaxscan.simulation import rig_2003
@@ -293,9 +294,14 @@ def read_scan_truth(folder: Path, which: str = "") -> ScanTruth:
     path = folder / f"{scan_name(which)}.npz"
     if not path.is_file():
         raise InputError(f"{path}: there is no such file: name the folder truth of a simulation")
-    with np.load(path) as arrays:
-        axes = {name: arrays[name] for name in arrays.files if name not in ("position", "points")}
-        return ScanTruth(axes, arrays["position"], arrays["points"], which)
+    arrays = read_npz(path, lambda name: True)
+    position, points = arrays.pop("position", np.zeros(0)), arrays.pop("points", np.zeros(0))
+    if position.ndim != 2 or points.shape != (*position.shape, 3):
+        raise InputError(
+            f'{path}: "position" and "points" have the shapes {position.shape} and {points.shape}, not (frames, '
+            "columns) and as many points: simulate again"
+        )
+    return ScanTruth(arrays, position, points, which)
 
 
 def _write(path: Path, image: np.ndarray, quality: int) -> None:

@@ -1,5 +1,6 @@
 """`calibrate` on observations whose truth is known: recovery within the predicted covariance, and what it refuses."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -304,6 +305,21 @@ def beside(view):
     stripe = view.stripes[0]
     pixels = np.stack([np.arange(640.0), np.full(640, 1.0)], axis=-1)
     return replace(view, stripes=(replace(stripe, pixels=pixels),))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda corners: np.where(np.arange(54)[:, None] == 5, 1e300, corners), "a corner at 1e+300 px, where no"),
+        (lambda corners: np.full_like(corners, 200.0), "its 54 corners lie in one place of the photograph"),
+        (lambda corners: corners * [1.0, 0.0], "its 54 corners lie in one place of the photograph, or on one line"),
+    ],
+)
+def test_a_photograph_of_absurd_corners_is_left_out_by_name(session, spoil, said):
+    """Where all have such corners, it is said of each; they were singular matrices."""
+    spoilt = tuple(replace(view, corners=spoil(view.corners)) for view in session.views)
+    with pytest.raises(InputError, match=f"left out: {re.escape('view-3: ' + said)}"):
+        calibrate(replace(session, views=(*session.views[:2], spoilt[2], *spoilt[3:])))
 
 
 def test_a_photograph_with_few_corners_is_named_where_too_few_are_left(session):

@@ -166,7 +166,7 @@ def test_what_is_no_range_image(tmp_path):
         "some": 'no array "',
         "types": '"valid" is float64',
         "travel": '"per_step" has the shape',
-        "objects": "not a whole NPZ",
+        "objects": "no NumPy array of plain numbers",
         "plain": "not a whole NPZ",
         "short": "not a whole NPZ",
         "flipped": "not a whole NPZ",

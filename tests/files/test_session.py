@@ -244,7 +244,8 @@ BAD = {
     "too few corners": ([BOARD.replace("[9, 6]", "[9, 1]"), VIEWS], ["[board] inner_corners = [9, 1]", "3 or more"]),
     "no size": (["[board]\ninner_corners = [9, 6]", VIEWS], ["[board] square_mm", "is missing"]),
     "negative size": ([BOARD.replace("10.0", "-1"), VIEWS], ["[board] square_mm = -1", "positive"]),
-    "size in other units": ([BOARD.replace("10.0", "1e300"), VIEWS], ["[board] square_mm = 1e+300", "to 100000"]),
+    "size in other units": ([BOARD.replace("10.0", "1e9"), VIEWS], ["[board] square_mm = 1000000000.0", "to 100000"]),
+    "size of no world": ([BOARD.replace("10.0", "1e300"), VIEWS], ["[board] square_mm = 1e+300", "at most 1e+18"]),
     "size not a number": ([BOARD.replace("10.0", "nan"), VIEWS], ["[board] square_mm = NaN", "finite"]),
     "size as text": ([BOARD.replace("10.0", '"10"'), VIEWS], ['[board] square_mm = "10"', "number"]),
     "unknown dictionary": (

@@ -16,6 +16,7 @@ from hardware.cameras.folder import FolderCamera
 from hardware.cameras.genicam import GenICamCamera
 from hardware.cameras.gphoto import GPhotoCamera
 from hardware.cameras.opencv import OpenCvCamera
+from hardware.devices import read_photograph
 from hardware.errors import CameraError, NoAnswerError
 
 RED = np.zeros((48, 64, 3), np.uint8)
@@ -71,21 +72,21 @@ def test_photographs_in_their_order_and_by_their_steps(tmp_path: Path):
     paths = [tmp_path / f"{name}.png" for name in (2, 10)]
     for path in paths:
         cv2.imwrite(str(path), cv2.cvtColor(RED // int(path.stem), cv2.COLOR_RGB2BGR))
-    camera = FolderCamera(paths)
+    camera = FolderCamera(paths, read_photograph)
     assert isinstance(camera, CameraDriver)
     camera.open()
     assert [int(camera.expose({"stage": i}).image[0, 0, 0]) for i in range(2)] == [100, 20]
     with pytest.raises(CameraError, match="2 in all"):
         camera.expose({"stage": 2})
-    camera = FolderCamera(paths, positions=[{"stage": 500}, {"stage": 0}])
+    camera = FolderCamera(paths, read_photograph, positions=[{"stage": 500}, {"stage": 0}])
     assert [int(camera.expose({"stage": i}).image[0, 0, 0]) for i in (500, 0, 500)] == [100, 20, 100]
     with pytest.raises(CameraError, match="step 1000"):
         camera.expose({"stage": 1000})
     paths[0].write_bytes(b"")
-    with pytest.raises(CameraError, match="can be decoded"):
+    with pytest.raises(CameraError, match="file is empty"):
         camera.expose({"stage": 500})
     with pytest.raises(CameraError, match="no photographs"):
-        FolderCamera([]).open()
+        FolderCamera([], read_photograph).open()
 
 
 def test_extras_that_are_not_installed(monkeypatch: pytest.MonkeyPatch):

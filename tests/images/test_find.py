@@ -1,4 +1,5 @@
 import cv2
+import jax
 import numpy as np
 import pytest
 import render
@@ -257,3 +258,12 @@ def test_the_boards_under_the_stage_are_all_found(data):
         assert view is not None, path.name
         assert view.ambiguous
         assert np.isfinite(view.corners).all()
+
+
+def test_boards_are_found_the_same_in_float64_mode(x64):
+    image = to_bytes(photograph())
+    found = find_board(BOARD, image)
+    with jax.enable_x64(False):
+        other = find_board(BOARD, image)
+    np.testing.assert_array_equal(found.corners, other.corners)
+    np.testing.assert_array_equal(found.sigma, other.sigma)

@@ -4,10 +4,12 @@ import subprocess
 import sys
 import warnings
 
+import jax
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from jaxscan.detectors import DETECTORS
 from jaxscan.errors import InputError
 from jaxscan.images import StripeSettings, detect_stripe, read_image
 
@@ -326,3 +328,15 @@ def test_flanks_of_a_burnt_out_stripe_tell_whether_the_laser_is_a_bell(parts, od
     stripe = detect_stripe(bytes_of(levels), GREY)
     assert stripe.burnt.mean() > 0.95
     assert stripe.odd.all() == odd
+
+
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_stripes_are_the_same_in_float64_mode(x64, detector):
+    """A float32 carry of a loop became float64 where the caller had x64 on."""
+    images = np.stack([bytes_of(grey_levels(TILTED, 1.5, 200, noise=3.0, seed=i)) for i in range(2)])
+    found = detect_stripe(images, GREY, detector=detector)
+    with jax.enable_x64(False):
+        other = detect_stripe(images, GREY, detector=detector)
+    for name in ("position", "sigma", "strength"):
+        assert getattr(found, name).dtype == np.float32
+        np.testing.assert_array_equal(getattr(found, name), getattr(other, name))

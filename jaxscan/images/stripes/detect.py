@@ -38,6 +38,7 @@ from jaxscan.images.stripes.surroundings import ambient_levels, sample, surround
 from jaxscan.images.stripes.survey import LEAST_SIGNAL, light_of, survey
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.images.stripes.windows import Sensor, gather_windows
+from jaxscan.precision import float32
 
 # Frames that are looked at together.
 FRAMES_AT_ONCE: Final = 16
@@ -143,7 +144,8 @@ def detect_stripe(
         # The last piece begins early enough to be as long as the others, for another length would compile anew.
         begin = max(0, min(first, len(frames) - length))
         some, inner = slice(begin, begin + length), slice(first - begin, None)
-        with jax.default_device(device):
+        # Both hold for the thread that they are set in.
+        with jax.default_device(device), float32():
             found = _detect(
                 frames[some],
                 dark if dark is None or len(dark) == 1 else dark[some],
