@@ -131,7 +131,7 @@ def test_it_is_written_and_read_and_said(tmp_path):
     assert "motion.stage.play.0" in back.covariance.names
     (facts,) = axis_facts(back.rig, back.covariance)
     assert facts["play_mm"] == pytest.approx(0.05, abs=0.005)
-    assert any(line.startswith("a play of 0.0") for line in path_in_words(facts))
+    assert any(line.startswith("farther on by 0.0") for line in path_in_words(facts))
 
 
 def test_the_model_that_is_chosen_has_it_where_there_is_some():
