@@ -17,7 +17,7 @@ from jaxscan.simulation.drawn_stage import DrawnStage
 
 _SEEDS, _FEW, _GOAL = 16, 3, 1.15
 # A z-score of a few sessions says little.
-_FOR_Z = 64
+_FOR_Z = 128
 _THERE, _BACK = 16, 15
 _KIND = "linear_with_play"
 _PLAYS = (0.05, 0.2)

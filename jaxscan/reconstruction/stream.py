@@ -146,7 +146,9 @@ class Scanner:
                 names, motor steps; or the step count of the stage.
             laser: which, and how its stripe is looked for; the default is one red laser, and a point for each column.
             background: the scene with the laser off.
-            batch: how many photographs are waited for before they are looked at; the points do not depend on it.
+            batch: how many photographs are waited for before they are looked at; the points do not depend on it, but
+                for those of an axis with play until it first moves: unless that is in the same batch they stand in the
+                middle of the play.
 
         Raises:
             InputError: a photograph is not of the rig's size, or unlike the first, or its positions are not those of

@@ -177,4 +177,4 @@ def path_in_words(facts: Facts) -> Iterator[str]:
         yield f"ahead of its steps and behind by {value('wave_mm', '.3g')} mm, with a period of {steps} steps"
     for key, unit in (("play_mm", " mm"), ("play_deg", "°")):
         if key in facts:
-            yield f"a play of {value(key, '.3g')}{unit}"
+            yield f"farther on by {value(key, '.3g')}{unit} where it is approached by falling steps, its play"

@@ -13,7 +13,7 @@ axes without play do not look at it. `runs` finds it from the positions in the o
 """
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -91,9 +91,12 @@ class _WithPlay(eqx.Module):
 
     base: ClassVar[type[Any]]
     play: tuple[Leaf] = eqx.field(kw_only=True)
+    if TYPE_CHECKING:
+        # Of the kind without.
+        axis: str
 
     @classmethod
-    def of(cls, plain: AxisMotion, play: Leaf | float = 0.0) -> Any:
+    def from_plain(cls, plain: AxisMotion, play: Leaf | float = 0.0) -> Any:
         """A motion without play, and its play (motor steps)."""
         numbers = {name: getattr(plain, name) for name in plain.numbers}
         return cls(**numbers, play=(jnp.asarray(play, dtype=float),), axis=plain.axis)  # type: ignore[call-arg]
@@ -107,12 +110,12 @@ class _WithPlay(eqx.Module):
         middle: Float[np.ndarray, "3"],
     ) -> Any:
         """As the kind without play, from which the solve finds it."""
-        return cls.of(cls.base.fitted(axis, positions, poses, middle))
+        return cls.from_plain(cls.base.fitted(axis, positions, poses, middle))
 
     @classmethod
     def at_rest(cls, axis: str) -> Any:
         """One that does not move."""
-        return cls.of(cls.base.at_rest(axis))
+        return cls.from_plain(cls.base.at_rest(axis))
 
     def idle(self) -> Float[A, "ways numbers"]:
         """Those of the kind without play."""

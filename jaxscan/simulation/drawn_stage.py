@@ -149,7 +149,7 @@ class DrawnStage(Line):
         bow = 0.5 * curve * length**2 * side
         found = ScrewOnGuide.create(step, bow, turn, np.array(self.origin), wave, period, self.axis)
         play = float(self.play[0])
-        return ScrewOnGuideWithPlay.of(found, play / float(length)) if play else found
+        return ScrewOnGuideWithPlay.from_plain(found, play / float(length)) if play else found
 
 
 def _leaves(vector: Float[np.ndarray, "3"]) -> _Vector:

@@ -131,7 +131,7 @@ def test_it_is_written_and_read_and_said(tmp_path):
     assert "motion.stage.play.0" in back.covariance.names
     (facts,) = axis_facts(back.rig, back.covariance)
     assert facts["play_mm"] == pytest.approx(0.05, abs=0.005)
-    assert any(line.startswith("a play of 0.0") for line in path_in_words(facts))
+    assert any(line.startswith("farther on by 0.0") for line in path_in_words(facts))
 
 
 def test_the_model_that_is_chosen_has_it_where_there_is_some():
@@ -161,7 +161,7 @@ def _seen(known, pose, random, name):
 def test_a_turntable_has_it_too():
     known = synthetic.observations(9, n_stage=0, noise=synthetic.Noise(0.03))
     random, steps = np.random.default_rng(9), np.r_[0:400:25, 390:0:-25].astype(float)
-    true = RotaryWithPlay.of(Rotary.create([0.0, 0.0015, 0.0004], [0.0, 5.0, 340.0]), 4.0)
+    true = RotaryWithPlay.from_plain(Rotary.create([0.0, 0.0015, 0.0004], [0.0, 5.0, 340.0]), 4.0)
     board = Pose(np.array([0.1, -0.3, 0.05]), np.array([-24.0, -18.0, 345.0]))
     pose = true.pose({"turntable": steps, run_of("turntable"): runs(steps)}) @ board
     pose = Pose(np.asarray(pose.rotation), np.asarray(pose.translation))

@@ -80,6 +80,18 @@ def test_everything_that_the_format_has(folder):
     assert read.lasers == (StripeSettings(color="green", columns=False),)
 
 
+def test_the_kind_of_a_turntables_motion(folder):
+    turn = TURN + "steps = [0, 400, 200]\n"
+    assert session(folder, BOARD, VIEWS, turn).turntable.motion == "rotary"
+    read = session(folder, BOARD, VIEWS, turn + 'motion = "rotary_with_play"')
+    assert read.turntable.motion == "rotary_with_play"
+    write_session(read)
+    assert read_session(folder) == read
+    said = refusal(folder, BOARD, VIEWS, turn + 'motion = "linear"')
+    assert "[turntable] motion" in said
+    assert "rotary, rotary_with_play" in said
+
+
 def test_a_turntable_there_and_back(folder):
     parts = BOARD, VIEWS, '[turntable]\nimages = "stage/*.png"\nsteps_per_image = 400\nstage_step = -1000'
     read = session(folder, *parts)

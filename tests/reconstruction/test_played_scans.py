@@ -23,11 +23,11 @@ GREY = StripeSettings("grey")
 STEPS = (*range(0, 4000, STEP), *range(3900, 0, -STEP))
 
 
-def scanner(play=PLAY, per_step=PER_STEP):
+def scanner(play: float | None = PLAY, per_step=PER_STEP):
     with float64():
         camera = Camera.create((COLUMNS, ROWS), np.array([600.0, 600.0]), np.array([20.0, 48.0]))
         stage = Linear.create(per_step)
-        part = stage if play is None else LinearWithPlay.of(stage, play)
+        part = stage if play is None else LinearWithPlay.from_plain(stage, play)
         rig = as_numpy(Rig(camera, (LightPlane.create(np.array([0.0, -0.005, 1 / 300])),), part))
     names = tuple(parameter_names(rig))
     variances = np.where([".play." in name for name in names], 4.0, 1e-12)

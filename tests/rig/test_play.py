@@ -55,7 +55,7 @@ def test_photographs_as_they_come_have_the_same_runs():
 def test_the_load_is_where_the_slack_leaves_it(play):
     steps = np.concatenate([np.arange(0, 200, 11), np.arange(190, 20, -9), np.arange(25, 100, 40)]).astype(float)
     with float64():
-        part = as_numpy(LinearWithPlay.of(Linear.create(STEP), play))
+        part = as_numpy(LinearWithPlay.from_plain(Linear.create(STEP), play))
     at = as_numpy(part.pose({"stage": steps, run_of("stage"): runs(steps)})).translation
     expected = crossing(steps, play, -play / 2)[:, None] * STEP
     np.testing.assert_allclose(at, expected, atol=1e-12)
@@ -65,7 +65,7 @@ def test_the_load_is_where_the_slack_leaves_it(play):
 def test_a_kind_with_play_is_the_one_without_where_its_load_stands(kind):
     with float64():
         plain = PLAINS[kind]()
-        part = MOTIONS[kind_with_play(kind)].of(plain, 50.0)  # type: ignore[attr-defined]
+        part = MOTIONS[kind_with_play(kind)].from_plain(plain, 50.0)  # type: ignore[attr-defined]
         n = np.array([1000.0, 1000.0, 1000.0])
         found = as_numpy(part.pose({part.axis: n, run_of(part.axis): np.array([500, -500, 0])}))
         expected = as_numpy(plain.pose({part.axis: np.array([975.0, 1025.0, 1000.0])}))
@@ -83,7 +83,8 @@ def test_its_derivative_is_that_of_finite_differences(play, run):
         run *= 10
 
     def place(p):
-        return LinearWithPlay.of(Linear.create(STEP), p).pose({"stage": 100.0, run_of("stage"): run}).translation
+        part = LinearWithPlay.from_plain(Linear.create(STEP), p)
+        return part.pose({"stage": 100.0, run_of("stage"): run}).translation
 
     with float64():
         exact = jax.jacfwd(place)(play)
@@ -95,4 +96,4 @@ def test_its_derivative_is_that_of_finite_differences(play, run):
 def test_no_axis_may_be_called_as_a_run_is():
     assert is_run(run_of("stage"))
     assert not is_run("stage")
-    assert RotaryWithPlay.of(PLAINS["rotary"](), 3.0).amount(1.0)[1] == "degrees"
+    assert RotaryWithPlay.from_plain(PLAINS["rotary"](), 3.0).amount(1.0)[1] == "degrees"
