@@ -203,6 +203,11 @@ KEPT: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "yaml, 400 000 deep": ("ros", lambda: _ros("narrow_stereo", "[" * 400_000), "nested too deeply"),
     "text without end": ("ros", lambda: b"a: 1 # " + b"x" * (9 << 20), "longer than 8 million letters"),
     "json, the last of many keys twice": ("rig 2", _one_key_late, "stands twice"),
+    "mrcal, four million numbers": (
+        "mrcal",
+        lambda: b"{'a': [" + b"1," * 4_000_000 + b"]}",
+        "more than 500000 letters outside of quotes",
+    ),
     "npy, a header that is cut off": ("npy", lambda: _npy("{'descr': '<u2', 'fort"), "plain numbers"),
     "npy, a header of nothing": ("npy", lambda: _npy("", length=9), "cut off"),
     "npy, a file of eight bytes": ("npy", lambda: b"\x93NUMPY\1\0", "cut off"),
