@@ -9,6 +9,7 @@ from jaxtyping import Float, Float64
 from jaxscan.calibration.observations import Observations, View
 from jaxscan.errors import InputError
 from jaxscan.files.camera_file import BoardView, CameraFile
+from jaxscan.files.table import LARGEST
 from jaxscan.images import Board
 
 
@@ -51,6 +52,8 @@ def observations_from(content: CameraFile, path: Path) -> Observations:
 def _board(view: BoardView, path: Path) -> Board:
     """The grid of one photograph."""
     points, image = view.points, view.name
+    if not (np.abs(points) <= LARGEST).all():
+        raise InputError(f"{path}: {image}: its X has a number that is not finite, or too large: save the file again")
     turned = np.stack([points[:, 0], points[0, 1] - points[:, 1], points[:, 2]], axis=-1)
     columns = int(np.argmax(turned[:, 1] != 0)) or 1
     pitch = float(turned[1, 0] - turned[0, 0]) if len(turned) > 1 else 0.0

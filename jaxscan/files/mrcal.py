@@ -9,6 +9,8 @@ Source: mrcal, "Camera model file formats", and its parsers of them.
 """
 
 import ast
+import re
+import warnings
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,6 +33,9 @@ from jaxscan.rig import Camera
 MODELS: Final = {"LENSMODEL_PINHOLE": 0, "LENSMODEL_OPENCV4": 4, "LENSMODEL_OPENCV5": 5, "LENSMODEL_OPENCV8": 8}
 # The first is written; the others are older.
 _MODEL_KEYS: Final = ("lensmodel", "lens_model", "distortion_model")
+# Python takes a kilobyte for each number; what mrcal packs into quotes, the inputs of the solve, is one value.
+_MOST_OUTSIDE_QUOTES: Final = 500_000
+_QUOTED: Final = re.compile(r"'[^'\n]*'|\"[^\"\n]*\"")
 _POSES: Final = ("extrinsics", "rt_cam_ref")
 
 
@@ -71,8 +76,12 @@ def _leanest(path: Path, camera: Camera) -> tuple[str, list[float]]:
 
 def _dictionary(path: Path) -> Table:
     def parse(text: str) -> Any:
+        if len(_QUOTED.sub("", text)) > _MOST_OUTSIDE_QUOTES:
+            raise ValueError(f"it has more than {_MOST_OUTSIDE_QUOTES} letters outside of quotes")
         try:
-            return ast.literal_eval(text.strip())
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", SyntaxWarning)
+                return ast.literal_eval(text.strip())
         except (SyntaxError, TypeError, MemoryError) as error:
             raise ValueError(str(error) or type(error).__name__) from error
 

@@ -21,16 +21,7 @@ from jaxtyping import UInt
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
-from jaxscan.images.headers import (
-    JPEG_END,
-    JPEG_START,
-    MOST_PIXELS,
-    PNG_END,
-    PNG_START,
-    Header,
-    check_size,
-    read_header,
-)
+from jaxscan.images.headers import JPEG_START, MOST_PIXELS, Header, check_size, is_whole, read_header
 from jaxscan.npy import NPY_START, NpyHeader, read_npy, read_npy_header
 
 Image = UInt[np.ndarray, "rows columns *rgb"]
@@ -75,10 +66,7 @@ def _whole(path: str | os.PathLike[str], data: bytes) -> Header:
     if header is None:
         raise InputError(f"{path}: is not an image that can be decoded: give {_FORMATS}")
     check_size(path, header.size)
-    end = PNG_END if data.startswith(PNG_START) else JPEG_END
-    # Bytes after the end marker are allowed: some cameras append a preview.
-    cut = header.channels and data.rfind(end) < header.pixels_at
-    if cut or len(data) < header.least_bytes:
+    if not is_whole(data, header):
         raise InputError(f"{path}: the image is cut off after {len(data)} bytes: copy or record it again")
     return header
 

@@ -19,9 +19,8 @@ from jaxscan.errors import InputError
 MOST_PIXELS: Final = 200_000_000
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
-PNG_END: Final = b"IEND\xaeB`\x82"
 JPEG_START: Final = b"\xff\xd8\xff"
-JPEG_END: Final = b"\xff\xd9"
+_JPEG_END: Final = b"\xff\xd9"
 # Start-of-frame markers hold the size; the codes left out are tables and reserved ones.
 _JPEG_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_SCAN: Final = 0xDA
@@ -67,6 +66,29 @@ def read_header(data: bytes) -> Header | None:
     elif found := _PNM.match(data):
         size = int(found[1]), int(found[2])
     return None if size is None else Header(size)
+
+
+def is_whole(data: bytes, header: Header) -> bool:
+    """Whether a PNG or JPEG ends where it says, and is as long as its pixels take; of other formats nothing is known.
+
+    Bytes after the end are allowed: some cameras append a preview.
+    """
+    if data.startswith(PNG_START):
+        ended = _png_ends(data)
+    else:
+        ended = not header.channels or data.rfind(_JPEG_END) >= header.pixels_at
+    return ended and len(data) >= header.least_bytes
+
+
+def _png_ends(data: bytes) -> bool:
+    """Whether chunk follows chunk up to the last: libpng allocates what a chunk says of its length."""
+    at = len(PNG_START)
+    while at + 12 <= len(data):
+        length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        at += 12 + length
+        if kind == b"IEND":
+            return at <= len(data)
+    return False
 
 
 def check_size(path: str | os.PathLike[str], size: tuple[int, int]) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scipy.io
 
 from tests import foreign_samples
 from tests.fuzz.seeds import RIG_1, RIG_2
@@ -174,6 +175,13 @@ def _inflating() -> bytes:
     return b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + element * 200
 
 
+def _endless_board() -> bytes:
+    file, board = io.BytesIO(), foreign_samples.board()
+    board[0] = np.inf
+    scipy.io.savemat(file, {"nx": 640.0, "ny": 480.0, "X_1": board, "x_1": np.ones((2, 54)), "n_ima": 1.0})
+    return file.getvalue()
+
+
 def _one_key_late() -> bytes:
     keys = ", ".join(f'"k{i}": 0' for i in range(200_000))
     return f'{{{keys}, "k199999": 1}}'.encode()
@@ -195,6 +203,11 @@ KEPT: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "yaml, 400 000 deep": ("ros", lambda: _ros("narrow_stereo", "[" * 400_000), "nested too deeply"),
     "text without end": ("ros", lambda: b"a: 1 # " + b"x" * (9 << 20), "longer than 8 million letters"),
     "json, the last of many keys twice": ("rig 2", _one_key_late, "stands twice"),
+    "mrcal, four million numbers": (
+        "mrcal",
+        lambda: b"{'a': [" + b"1," * 4_000_000 + b"]}",
+        "more than 500000 letters outside of quotes",
+    ),
     "npy, a header that is cut off": ("npy", lambda: _npy("{'descr': '<u2', 'fort"), "plain numbers"),
     "npy, a header of nothing": ("npy", lambda: _npy("", length=9), "cut off"),
     "npy, a file of eight bytes": ("npy", lambda: b"\x93NUMPY\1\0", "cut off"),
@@ -208,6 +221,11 @@ KEPT: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "truth, no archive": ("truth", lambda: b"PK nothing", "not a whole NPZ file"),
     "png, 2 GB": ("png", lambda: _png(26_000, 26_000), "200 million"),
     "png, more than the file can hold": ("png", lambda: _png(10_000, 10_000), "cut off"),
+    "png, a chunk of 4 GB": (
+        "png",
+        lambda: (whole := _png(32, 24, bytes(97 * 24)))[:33] + b"\xff\xff\0\1" + whole[37:],
+        "cut off",
+    ),
     "png, no pixels": ("png", lambda: _png(0, 5), "0 × 5 pixels"),
     "jpeg, 65535 × 65535": ("jpeg", lambda: _jpeg(65_535, 65_535), "200 million"),
     "jpeg, more than the file can hold": ("jpeg", lambda: _jpeg(10_000, 10_000), "cut off"),
@@ -247,6 +265,7 @@ KEPT: dict[str, tuple[str, Callable[[], bytes], str]] = {
         ),
         "not a finite number",
     ),
+    "mat, a board that ends nowhere": ("bouguet", _endless_board, "its X has a number that is not finite"),
     "mat, 200 variables of 60 MB": ("bouguet", _inflating, "unfold to more than"),
     "rig, a focal length of 1e-320": ("rig 2", lambda: _rig(camera__focal=[1e-320, 690.0]), "from 0.001 to 1e+09"),
     "rig 1, a focal length of 1e-320": ("rig 1", lambda: _rig(RIG_1, camera__focal=[700.0, 1e-320]), "from 0.001"),
