@@ -21,7 +21,7 @@ from hardware.lab.protocol import HEAD_S, Seldom, protocol_of
 from jaxscan.errors import InputError
 
 _GRACE_S: Final = 3
-# Connections that the system keeps until they are accepted, and that are accepted in one go.
+# Connections that the system keeps until they are accepted.
 _BACKLOG: Final = 512
 _TURN_S: Final = 0.001
 _SELDOM: Final = Seldom()
