@@ -25,8 +25,8 @@ from benchmarks.metric import Metric
 from benchmarks.stop_loads import LOADS
 
 # Stops under each load, and photographs of the scan.
-_STOPS, _QUICK_STOPS = 400, 12
-_FRAMES, _QUICK_FRAMES = 12, 3
+_STOPS, _QUICK_STOPS = 200, 12
+_FRAMES, _QUICK_FRAMES = 5, 3
 # Watchers, cloud requests at a time, sign-ins a second, sockets that say half a request.
 _SIZES = {"watchers": 200, "clouds": 50, "sign-ins": 100, "half-open": 2000}
 _QUICK_SIZES = {"watchers": 20, "clouds": 10, "sign-ins": 20, "half-open": 200}
@@ -142,10 +142,14 @@ def _scan(url: str, tokens: list[str], folder: Path, project: str, frames: int) 
         order = {"kind": "scan", "project": project, "frames": frames, "apart": 200, "settle_s": 0}
         answer = operator.post("/api/jobs", json=order)
         answer.raise_for_status()
-        number = answer.json()["id"]
-        while (job := operator.get(f"/api/jobs/{number}").json())["ended_s"] is None:
-            operator.put("/api/lock").raise_for_status()
+        job = answer.json()
+        while job["ended_s"] is None:
             time.sleep(0.1)
+            try:
+                operator.put("/api/lock").raise_for_status()
+                job = operator.get(f"/api/jobs/{job['id']}").raise_for_status().json()
+            except httpx.HTTPError as error:
+                print(f"stop: the operator of {project}: {type(error).__name__}: {error}", file=sys.stderr)
         operator.delete("/api/lock")
     if job["state"] != "done":
         print(f"stop: the scan {project} ended as {job['state']}: {job['message']}", file=sys.stderr)

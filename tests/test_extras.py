@@ -32,6 +32,7 @@ IMPORTED = {
 }
 COMES_WITH = {
     "starlette": "fastapi",
+    "h11": "uvicorn",
     "pydantic": "fastapi",
     "markupsafe": "jinja2",
     "dask": "distributed",

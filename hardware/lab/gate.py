@@ -27,6 +27,8 @@ _MOST, _SHARE = 1000, 0.8
 # Descriptors that connections leave to files, devices and the database.
 _SPARE: Final = 256
 _SAID_S: Final = 60.0
+# Connections that are accepted before any is read.
+_IN_A_ROW: Final = 16
 _NO_MORE: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _FULL: Final = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
@@ -165,7 +167,17 @@ class Listening(socket.socket):
     def __init__(self, bound: socket.socket, gate: Gate, tls: bool):
         super().__init__(bound.family, bound.type, bound.proto, bound.detach())
         self.gate, self.tls = gate, tls
+        self._in_a_row = 0
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection."""
+        """The next connection.
+
+        Raises:
+            BlockingIOError: there is none, or the loop should first read what the last ones say: a crowd that came
+                together would else be the end of one among them before a word of it was read.
+        """
+        self._in_a_row += 1
+        if self._in_a_row > _IN_A_ROW:
+            self._in_a_row = 0
+            raise BlockingIOError
         return self.gate.accept(self)

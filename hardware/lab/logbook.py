@@ -84,8 +84,9 @@ class Logbook:
     def latest(self) -> list[Job]:
         """The last hundred, latest first."""
         rows = self._database.read(f"SELECT * FROM jobs ORDER BY id DESC LIMIT {_MOST_LISTED}")
+        found = {row["id"]: _job(row) for row in rows}
         with self._come:
-            found = {row["id"]: _job(row) for row in rows} | self._unsaved
+            found |= self._unsaved
         return [found[number] for number in sorted(found, reverse=True)[:_MOST_LISTED]]
 
     def one(self, number: int) -> Job:

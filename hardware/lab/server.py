@@ -21,9 +21,10 @@ from hardware.lab.protocol import HEAD_S, Seldom, protocol_of
 from jaxscan.errors import InputError
 
 _GRACE_S: Final = 3
-# Connections that the system keeps until they are accepted, and that are accepted in one go.
+# Connections that the system keeps until they are accepted.
 _BACKLOG: Final = 512
 _TURN_S: Final = 0.001
+_SELDOM: Final = Seldom()
 
 
 def bind(host: str, port: int, tls: bool, insecure: bool) -> socket.socket:
@@ -115,7 +116,7 @@ class Server(uvicorn.Server):
             )
         )
         self._lab, self._listening, self._ready, self._gate = lab, listening, ready, gate
-        logging.getLogger("uvicorn.error").addFilter(Seldom())
+        logging.getLogger("uvicorn.error").addFilter(_SELDOM)
         host, port = listening.getsockname()[:2]
         self.url = f"http{'s' if cert else ''}://{f'[{host}]' if ':' in host else host}:{port}/"
 

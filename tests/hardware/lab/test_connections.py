@@ -6,6 +6,7 @@ import resource
 import socket
 import subprocess
 import sys
+import threading
 import time
 import zipfile
 from collections.abc import Iterator
@@ -51,6 +52,27 @@ def test_sockets_that_say_half_a_request_keep_nobody_out(tmp_path: Path):
             with served.client(Authorization=administrator.headers["Authorization"]) as newcomer:
                 assert newcomer.post("/api/stop").status_code == 200
         assert ended(operator, operator.post("/api/jobs", json=scan("cup", 3)))["state"] == "done"
+    served.end()
+
+
+def test_a_crowd_that_comes_at_once(tmp_path: Path):
+    """Somebody in the midst of it is heard: all of them wait in the system's queue while the server is busy."""
+    served = serve(tmp_path / "lab", server={"connections": 200})
+    token = served.program(ADMINISTRATOR).headers["Authorization"]
+    stop = f"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {token}\r\nContent-Length: 0\r\n\r\n"
+    loop, busy, done = served.lab.hub._loop, threading.Event(), threading.Event()
+    assert loop is not None
+
+    def be_busy() -> None:
+        busy.set()
+        done.wait(60)
+
+    loop.call_soon_threadsafe(be_busy)
+    busy.wait(20)
+    with silent(served.address, 180), silent(served.address, 1, stop.encode()) as (line,), silent(served.address, 220):
+        done.set()
+        line.settimeout(20)
+        assert line.recv(100).startswith(b"HTTP/1.1 200")
     served.end()
 
 

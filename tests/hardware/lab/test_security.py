@@ -176,6 +176,15 @@ def test_many_addresses_of_one_network_are_one(accounts: tuple[Accounts, Clock])
     assert not tried(made, OPERATOR, PASSWORD, "2001:db8:1::1")
 
 
+def test_so_many_sessions_and_no_more(accounts: tuple[Accounts, Clock]):
+    made, clock = accounts
+    tokens = []
+    for _ in range(52):
+        tokens.append(made.sign_in(OPERATOR, PASSWORD, "here"))
+        clock.now_s += 1
+    assert [made.of_session(token) is not None for token in tokens] == [False] * 2 + [True] * 50
+
+
 def test_what_another_process_changes_is_seen(served: Served):
     """`scanner user`, while the server runs: a token that it makes is good at once, and one that it ends is not."""
     folder = served.lab.projects.path("x").parents[1]
