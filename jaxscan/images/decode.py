@@ -30,6 +30,9 @@ NUMBERS_PER_LEVEL: Final = 257
 
 # Enough for the metadata and thumbnail that a camera puts before the size.
 _HEADER_BYTES = 1 << 18
+# So many bytes of any video have one that is not of a text in ASCII or UTF-8.
+_OF_A_HEADER = 64
+_OF_TEXT = {*b"\t\n\f\r", *range(0x20, 0x7F), *b"\xef\xbb\xbf"}
 _FORMATS: Final = "a PNG, JPEG, TIFF, BMP, PNM or WebP"
 
 
@@ -147,6 +150,9 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: there is no such file: check the name")
+    # FFmpeg would go on to the files and addresses that a playlist names, whatever the playlist is called.
+    if _is_text(path):
+        raise InputError(f"{path}: is not a video that can be decoded, but text: convert it to MP4 or AVI")
     # FFmpeg under OpenCV has its own voice, which the environment sets alone, and only before the first is opened.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with _quiet():
@@ -162,6 +168,15 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
         capture.release()
         raise InputError(f"{path}: is not a video that can be decoded: convert it to MP4 or AVI")
     return _frames(path, capture, first)
+
+
+def _is_text(path: str | os.PathLike[str]) -> bool:
+    """Whether a file begins as text does; no container of a video does."""
+    try:
+        with open(path, "rb") as file:
+            return bool(begin := file.read(_OF_A_HEADER)) and set(begin) <= _OF_TEXT
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}): check the permissions") from error
 
 
 def _frames(

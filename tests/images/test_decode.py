@@ -111,6 +111,19 @@ def test_of_what_is_no_video_ffmpeg_prints_nothing(tmp_path, opened):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("begin", ["ffconcat version 1.0\nfile scan.avi\n", "#EXTM3U\n#EXTINF:10,\nscan.avi\n"])
+def test_a_playlist_is_no_video(tmp_path, begin, capfd):
+    """FFmpeg opened what it named: another file, or an address."""
+    writer = cv2.VideoWriter(str(tmp_path / "scan.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    (tmp_path / "list.mp4").write_text(begin)
+    with pytest.raises(InputError, match=r"list\.mp4: is not a video .* but text"):
+        read_video(tmp_path / "list.mp4")
+    assert len(list(read_video(tmp_path / "scan.avi"))) == 1
+    assert capfd.readouterr().err == ""
+
+
 def test_writing_to_a_format_that_cannot_hold_it(tmp_path):
     with pytest.raises(InputError, match="16 bits"):
         write_image(tmp_path / "deep.jpg", ramp((4, 5), np.uint16))
