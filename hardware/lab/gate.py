@@ -28,7 +28,7 @@ _MOST, _SHARE = 1000, 0.8
 _SPARE: Final = 256
 _SAID_S: Final = 60.0
 # Connections that are accepted before any is read.
-_IN_A_ROW: Final = 64
+_IN_A_ROW: Final = 16
 _NO_MORE: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _FULL: Final = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
