@@ -5,6 +5,7 @@ bounded by `_EACH_SECOND` messages of a kind to all watchers together.
 """
 
 import asyncio
+import random
 import threading
 from collections.abc import AsyncIterator
 from typing import Final
@@ -67,7 +68,8 @@ class Hub:
                         seen[kind] = number
                         yield kind, number, data
                 await changed.wait()
-                await asyncio.sleep(max(_FASTEST_S, self.streams / _EACH_SECOND))
+                # Not all at the same time: whoever asks for something comes in between.
+                await asyncio.sleep(max(_FASTEST_S, self.streams / _EACH_SECOND) * random.uniform(0.75, 1.25))
         finally:
             self.streams -= 1
 

@@ -22,7 +22,7 @@ from jaxscan.errors import InputError
 
 _GRACE_S: Final = 3
 # Connections that the system keeps until they are accepted.
-_BACKLOG: Final = 512
+_BACKLOG: Final = 2048
 _TURN_S: Final = 0.001
 _SELDOM: Final = Seldom()
 

@@ -33,6 +33,7 @@ class Throttle:
         self._mutex = threading.Lock()
         self._times: defaultdict[str, list[float]] = defaultdict(list)
         self._come = 0
+        self._said: set[str] = set()
         for row in database.read("SELECT key, time_s FROM attempts ORDER BY time_s"):
             self._times[row["key"]].append(row["time_s"])
 
@@ -91,7 +92,10 @@ class Throttle:
                 for row in rows:
                     self._database(sql, *row)
         except sqlite3.Error as error:
-            _LOG.warning("tries to sign in cannot be kept now: %s", error)
+            # Once for each kind of fault: a log that says it for each try fills a disk too.
+            if str(error) not in self._said:
+                self._said.add(str(error))
+                _LOG.warning("tries to sign in cannot be kept now: %s", error)
 
 
 def _limits(name: str, address: str, browser: str) -> dict[str, tuple[int, float]]:

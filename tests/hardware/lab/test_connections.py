@@ -57,7 +57,7 @@ def test_sockets_that_say_half_a_request_keep_nobody_out(tmp_path: Path):
 
 def test_a_crowd_that_comes_at_once(tmp_path: Path):
     """Somebody in the midst of it is heard: all of them wait in the system's queue while the server is busy."""
-    served = serve(tmp_path / "lab", server={"connections": 200})
+    served = serve(tmp_path / "lab", server={"connections": 400})
     token = served.program(ADMINISTRATOR).headers["Authorization"]
     stop = f"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {token}\r\nContent-Length: 0\r\n\r\n"
     loop, busy, done = served.lab.hub._loop, threading.Event(), threading.Event()
@@ -69,7 +69,7 @@ def test_a_crowd_that_comes_at_once(tmp_path: Path):
 
     loop.call_soon_threadsafe(be_busy)
     busy.wait(20)
-    with silent(served.address, 180), silent(served.address, 1, stop.encode()) as (line,), silent(served.address, 220):
+    with silent(served.address, 340), silent(served.address, 1, stop.encode()) as (line,), silent(served.address, 400):
         done.set()
         line.settimeout(20)
         assert line.recv(100).startswith(b"HTTP/1.1 200")
