@@ -95,7 +95,7 @@ class ScanFolder:
 
     @staticmethod
     def create(folder: Path, plan: Plan) -> "ScanFolder":
-        """Begin a scan in a folder that is new or empty.
+        """Begin a scan in a folder that is new or empty; what a beginning that was cut off has left is cleared away.
 
         Raises:
             InputError: the folder holds something, or cannot be made.
@@ -105,12 +105,14 @@ class ScanFolder:
         except OSError as error:
             raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
         with exclusive(folder / _LOCK, str(folder)):
-            if any(path.name != _LOCK for path in folder.iterdir()):
+            if holds_something(folder):
                 begun = (folder / PLAN_FILE).exists()
                 hint = "go on with it by --resume" if begun else "name a folder that is new or empty"
                 raise InputError(f"{folder}: is not empty: {hint}")
+            for path in (*folder.glob(".*.part"), folder / SCAN_FILE):
+                path.unlink(missing_ok=True)
             check_writable(folder / SCAN_FILE)
-            (folder / _FRAMES).mkdir()
+            (folder / _FRAMES).mkdir(exist_ok=True)
             # The scan first: a folder with a plan has one that reads.
             exposures_s = None if plan.exposure_s is None else ()
             axes = dict.fromkeys(plan.axes, ())
@@ -202,6 +204,19 @@ class ScanFolder:
         done = replace(self.done, checks=(*self.done.checks, check))
         write_scan(done)
         self.done = done
+
+
+def holds_something(folder: Path) -> bool:
+    """Whether there is more in a folder than what a scan leaves that was cut off before it was planned."""
+    files = {path for path in folder.rglob("*") if not (path.is_dir() and not path.is_symlink())}
+    others = {path for path in files if path.suffix != ".part"} - {folder / _LOCK, folder / SCAN_FILE}
+    folders = {path for path in folder.iterdir() if path not in files} - {folder / _FRAMES}
+    if others or folders:
+        return True
+    try:
+        return (folder / SCAN_FILE) in files and bool(read_listed(folder).frames)
+    except InputError:
+        return True
 
 
 def _begun(folder: Path) -> tuple[Plan, Scan]:

@@ -16,7 +16,7 @@ from hardware.lab.archive import archive
 from hardware.lab.database import make_private
 from hardware.lab.orders import PROJECT
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
-from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder
+from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder, holds_something
 from jaxscan.errors import InputError, JaxscanError
 from jaxscan.files.scan import SCAN_FILE, Scan, read_listed
 
@@ -120,18 +120,16 @@ class Projects:
         return archive(path, {SCAN_FILE: listed}, [*plan, *scan.frames, *scan.backgrounds])
 
     def begin(self, name: str, plan: Plan) -> ScanFolder:
-        """A project for a scan; what a beginning that was cut off has left is cleared away, and so is this one's.
+        """A project for a scan; what this beginning leaves is cleared away if it is cut off.
 
         Raises:
             InputError: there is something in it, or the disk.
         """
         path = self.path(name)
-        if path.is_dir() and not _holds(path):
-            shutil.rmtree(path)
         try:
             return ScanFolder.create(path, plan)
         except (JaxscanError, OSError):
-            if path.is_dir() and not _holds(path):
+            if path.is_dir() and not holds_something(path):
                 shutil.rmtree(path, ignore_errors=True)
             raise
 
@@ -198,19 +196,6 @@ class Projects:
             return Project(name=path.name, frames=len(read_listed(path).frames), changed_s=changed_s)
         except InputError as error:
             return Project(name=path.name, frames=0, changed_s=changed_s, problem=within(path, error))
-
-
-def _holds(folder: Path) -> bool:
-    """Whether anything was photographed or planned in it."""
-    if (folder / PLAN_FILE).exists():
-        return True
-    files = [path for path in folder.rglob("*") if not path.is_dir() and path.suffix != ".part"]
-    if files != [folder / SCAN_FILE]:
-        return bool(files)
-    try:
-        return bool(read_listed(folder).frames)
-    except InputError:
-        return True
 
 
 def _digest(rig: "RigFile") -> bytes:

@@ -12,7 +12,10 @@ from hardware.cli.main import main
 from hardware.errors import SettingsError
 from hardware.scan_plan import Plan, ScanFolder
 from hardware.stages.line import Line
+from jaxscan.errors import InputError
 from jaxscan.exclusive import InUseError
+from jaxscan.files.scan import Scan, write_scan
+from jaxscan.images import StripeSettings
 
 HOLDER = """
 import sys
@@ -62,3 +65,29 @@ def test_frames_that_another_process_took_meanwhile_are_not_taken_again(tmp_path
     with late.held():
         assert len(late.done.frames) == 2
         assert not late.left
+
+
+@pytest.mark.parametrize("left", [(), ("frames",), ("frames", "scan"), ("part",), ("frames", "scan", "part")])
+def test_what_a_beginning_that_was_cut_off_leaves_is_no_scan(tmp_path: Path, left: tuple[str, ...]):
+    """A folder with a scan of no frames and without a plan took no other scan."""
+    cup = tmp_path / "cup"
+    cup.mkdir()
+    (cup / ".scan.lock").write_text("")
+    if "frames" in left:
+        (cup / "frames").mkdir()
+    if "scan" in left:
+        write_scan(Scan(cup / "scan.toml", StripeSettings(), axes={"stage": ()}))
+    if "part" in left:
+        (cup / ".plan.json.1234.part").write_text("{")
+    ScanFolder.create(cup, Plan({"stage": (0, 10)}))
+    assert sorted(path.name for path in cup.iterdir()) == ["frames", "plan.json", "scan.toml"]
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "frames/0000.png", "other/", "scan.toml"])
+def test_what_is_no_beginning_is_kept(tmp_path: Path, name: str):
+    path = tmp_path / "cup" / name
+    path.parent.mkdir(parents=True)
+    path.mkdir() if name.endswith("/") else path.write_text("mine")
+    with pytest.raises(InputError, match="is not empty: name a folder that is new or empty"):
+        ScanFolder.create(tmp_path / "cup", Plan({"stage": (0, 10)}))
+    assert path.exists()
