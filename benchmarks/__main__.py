@@ -53,6 +53,7 @@ SUITES = {
     "sensors": "sensors that are tilted: points over an upright one's, σ, kernel",
     "left_over": "faults without a term: the rig within 3 of its widened sigma",
     "models": "the model that is chosen for sessions of ten kinds, and what choosing costs",
+    "splined": "a splined lens over what no formula follows: rays, points, σ, and what it costs a lens that one does",
     "sheets": "sheets of light that are not flat: points over a flat sheet's, what is named, kernel and step",
     "stages": "stages that are no lines: points over a line's, what is named, false names, cost",
     "turntable": "a turntable from photographs of the board: axis, angle and place against their σ; scans posed by it",

@@ -140,6 +140,9 @@ _STEEPEST_TILT: Final = math.pi / 2
 
 def _camera(table: Table, unknown: list[str]) -> Camera:
     lens = read_lens(table, _CAMERA_KEYS, unknown)
+    fault = getattr(lens, "fault", lambda: None)()
+    if fault is not None:
+        raise table.error(*fault)
     focal = table.numbers("focal", 2)
     if min(focal) <= 0:
         raise table.error("focal", "must be two positive numbers of pixels")

@@ -13,8 +13,9 @@ from jaxscan.rig.linear import Linear
 from jaxscan.rig.motion import AxisMotion
 from jaxscan.rig.opencv_lens import LADDER
 from jaxscan.rig.rotary import Rotary
+from jaxscan.rig.splined import Splined
 
-LENSES: Final[dict[str, type[Lens]]] = {**LADDER, Fisheye.kind: Fisheye}
+LENSES: Final[dict[str, type[Lens]]] = {**LADDER, Fisheye.kind: Fisheye, Splined.kind: Splined}
 LIGHTS: Final[dict[str, type[Light]]] = {kind.kind: kind for kind in (LightPlane, BowedSheet)}
 # From the room to the object: lines carry turns.
 MOTIONS: Final[dict[str, type[AxisMotion]]] = {kind.kind: kind for kind in (Linear, Guide, Screw, ScrewOnGuide, Rotary)}
