@@ -91,6 +91,7 @@ NOT_QUICK = {
     "sensors",
     "left_over",
     "models",
+    "splined",
     "sheets",
     "stages",
     "batch",

@@ -24,6 +24,7 @@ from jaxscan.calibration.lens_field import with_field
 from jaxscan.errors import ObservabilityError, SolveError
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Rig
+from jaxscan.rig.covariance import projection_jacobian
 from jaxscan.rig.projection import pixel_rays, project_points
 from jaxscan.rig.splined import KNOTS
 
@@ -93,11 +94,18 @@ def covered(seeds: Sequence[int]) -> list[Metric]:
 
 
 def in_sigma(found: Calibration, true: Float[np.ndarray, "rays 3"]) -> Float[np.ndarray, "coordinates"]:
-    """How far the pixels of true rays, turned to the camera's frame, are from where they are, in σ."""
+    """How far the pixels of true rays, turned to the camera's frame, are from where they are, in σ.
+
+    What a turn does is taken out of both.
+    """
     turned = true @ _turn(pixel_rays(found.rig.camera, _PIXELS), true).T
-    seen = project_points(found.rig.camera, turned).pixels
-    sigma = np.sqrt(np.diagonal(found.covariance.of_projected(found.rig, turned), axis1=1, axis2=2))
-    return ((seen - _PIXELS) / sigma).ravel()
+    seen = project_points(found.rig.camera, turned)
+    turns = np.stack([np.cross(axis, turned) for axis in np.eye(3)], axis=-1)
+    Q = np.linalg.qr((seen.by_point @ turns).reshape(-1, 3))[0]
+    J = projection_jacobian(found.rig, turned).reshape(len(Q), -1)
+    J, off = J - Q @ (Q.T @ J), (seen.pixels - _PIXELS).ravel()
+    variance = np.einsum("ri,ij,rj->r", J, found.covariance.of_leaves(found.rig), J, optimize=True)
+    return (off - Q @ (Q.T @ off)) / np.sqrt(variance)
 
 
 def _kernel(quick: bool) -> list[Metric]:

@@ -15,6 +15,7 @@ from jaxscan.calibration.implicit import BlockArrowSolver
 from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt
 from jaxscan.calibration.residuals import Noise
 from jaxscan.rig import System
+from jaxscan.rig.splined import Splined
 
 MAX_STEPS = 200
 # A step that would move the estimate by less than 1e-6 of its standard deviation is not taken.
@@ -100,7 +101,9 @@ def as_arrow(
         if prior is not None:
             known.append(prior.root @ (jnp.where(free, y.shared, start) - prior.mean))
         if noise.field is not None:
-            known.append(noise.field.residuals(now.rig.camera.lens))
+            lens = now.rig.camera.lens
+            assert isinstance(lens, Splined)
+            known.append(noise.field.residuals(lens))
         return Arrow(jnp.concatenate(known), blocks)
 
     return Arrow(start, system.poses), back, residual
@@ -132,7 +135,7 @@ def solve(
     sparsity = None if noise.field is None else field_sparsity(system, groups)
     solution = optx.least_squares(
         lambda y, _: residual(y),
-        BlockArrowLevenbergMarquardt(_NEGLIGIBLE, first_damping, sparsity),
+        BlockArrowLevenbergMarquardt(_NEGLIGIBLE, first_damping, sparsity=sparsity),
         y0,
         max_steps=MAX_STEPS,
         adjoint=optx.ImplicitAdjoint(BlockArrowSolver()),

@@ -16,7 +16,7 @@ from jaxscan.calibration.block_arrow import Sparsity
 from jaxscan.calibration.residuals import Blocks, corner_errors, photograph_poses
 from jaxscan.rig import Camera, System
 from jaxscan.rig.spline import MORE_THAN_CELLS
-from jaxscan.rig.splined import CELLS, FIELD_NUMBERS
+from jaxscan.rig.splined import CELLS, FIELD_NUMBERS, Splined
 from jaxscan.rig.tilted_sensor import off_sensor
 
 _REACH, _WINDOW = 2, 5
@@ -66,6 +66,7 @@ def _depends(
 def _place(camera: Camera, pixel: Float[Array, "2"]) -> Float[Array, "2"]:
     """Where a pixel stands on the lens's grid, in cells."""
     lens = camera.lens
+    assert isinstance(lens, Splined)
     xd = off_sensor(camera.tilt, (pixel - jnp.stack(camera.principal)) / jnp.stack(camera.focal))
     low, high = jnp.stack(lens.extent[:2]), jnp.stack(lens.extent[2:])
     return jnp.clip((lens.unshifted(xd) - low) / (high - low), 0, 1) * jnp.asarray(CELLS, xd.dtype)

@@ -27,7 +27,7 @@ from jaxscan.calibration.observations import Observations
 from jaxscan.errors import InputError
 from jaxscan.precision import as_jax
 from jaxscan.rig import Camera, System
-from jaxscan.rig.opencv_lens import Brown
+from jaxscan.rig.opencv_lens import Brown, OpenCVLens
 from jaxscan.rig.spline import MORE_THAN_CELLS, basis
 from jaxscan.rig.splined import CELLS, FIELD_NUMBERS, KNOTS, Splined, fields_of_numbers, grid_over
 
@@ -72,6 +72,7 @@ def base_of(lens: str) -> str:
 
 def with_field(camera: Camera) -> Camera:
     """A camera of OpenCV's terms with a field on top, without shifts yet, over its image; inside `float64`."""
+    assert isinstance(camera.lens, OpenCVLens)
     extent = grid_over(camera.image_size, camera.focal, camera.principal, camera.tilt).tolist()
     return replace(camera, lens=Splined.on_top(camera.lens, extent))
 
@@ -199,6 +200,7 @@ def _root(camera: Camera, free: Collection[str], reach: float) -> Float[np.ndarr
 
 def _shared(camera: Camera, free: Collection[str]) -> Float[np.ndarray, "fields knots"]:
     """What of the field's RMS over its grid each of the other numbers' fields can do, made orthogonal."""
+    assert isinstance(camera.lens, Splined)
     extent = np.array([float(leaf) for leaf in camera.lens.extent])
     x, y = (each.ravel() for each in np.meshgrid(*(np.linspace(extent[i], extent[i + 2], _PLACES) for i in (0, 1))))
     fields = fields_of_numbers(x, y)

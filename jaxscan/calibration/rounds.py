@@ -29,7 +29,7 @@ from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, arrow_preci
 from jaxscan.precision import as_jax, as_numpy
 from jaxscan.rig import System
 from jaxscan.rig.board_shape import BENDS
-from jaxscan.rig.splined import FIELD_NUMBERS
+from jaxscan.rig.splined import FIELD_NUMBERS, Splined
 from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
@@ -187,9 +187,12 @@ def _restated(outcome: Outcome, groups: tuple[Blocks, ...], old: Noise, new: Noi
     if old.field is not None and new.field is not None:
         # With another prior its residuals are others: what was known is a block without unknowns of its own.
         J = _of_field(outcome.system, new.field, J)
-        r = np.asarray(new.field.residuals(outcome.system.rig.camera.lens))
+        lens = outcome.system.rig.camera.lens
+        assert isinstance(lens, Splined)
+        r = np.asarray(new.field.residuals(lens))
         value, blocks, r, J = [*value, r[None]], [*blocks, J[None]], r[:0], J[:0]
-    return as_numpy((Arrow(r, tuple(value)), Jacobian(J, tuple(blocks))))
+    r, value, J, blocks = as_jax((r, tuple(value), J, tuple(blocks)))
+    return as_numpy((Arrow(r, value), Jacobian(J, blocks)))
 
 
 def _of_field(system: System, field: FieldPrior, J: Float[np.ndarray, "rows shared"]) -> np.ndarray:
