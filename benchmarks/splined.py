@@ -26,7 +26,7 @@ from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.rig import Rig
 from jaxscan.rig.covariance import projection_jacobian
 from jaxscan.rig.projection import pixel_rays, project_points
-from jaxscan.rig.splined import KNOTS
+from jaxscan.rig.splined import KNOTS, Splined
 
 _SEEDS, _COVERED = 3, 20
 _LENSES: Final = ("brown", "rational", "splined")
@@ -114,6 +114,7 @@ def _kernel(quick: bool) -> list[Metric]:
     with float64():
         splined = with_field(as_float64(camera))
         random, lens = np.random.default_rng(0), splined.lens
+        assert isinstance(lens, Splined)
         x, y = ([_SHIFT_PX / _FOCAL * value for value in random.normal(size=KNOTS)] for _ in range(2))
         splined = as_numpy(replace(splined, lens=replace(lens, shift_x=tuple(x), shift_y=tuple(y))))
     for count in (10**6,) if quick else (10**6, 10**7):
@@ -144,7 +145,7 @@ def _errors(found: Calibration, rig: Rig, true: Float[np.ndarray, "rays 3"]) -> 
     back = own @ turn
     rays = _FOCAL * (back / back[:, 2:] - true)[:, :2]
     points, truth = (
-        x / (x @ np.array([float(leaf) for leaf in each.lights[0].plane]))[:, None]
+        x / (x @ np.array([float(leaf) for leaf in jax.tree.leaves(each.lights[0])]))[:, None]
         for x, each in ((own, found.rig), (true, rig))
     )
     there = (truth[:, 2] > _DEPTHS_MM[0]) & (truth[:, 2] < _DEPTHS_MM[1])

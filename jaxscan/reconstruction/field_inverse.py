@@ -82,8 +82,7 @@ def field_inverse(lens: Splined, xd: Float[np.ndarray, "n 2"], focal: float) -> 
     shifts = np.array([lens.shift_x, lens.shift_y], float).reshape(2, *(n + MORE_THAN_CELLS for n in CELLS[::-1]))
     scale = np.array(CELLS) / (extent[2:] - extent[:2])
     for corrections in _CORRECTIONS:
-        arrays = (jnp.asarray(array) for array in (extent[:2], scale, shifts))
-        found = FieldInverse(*arrays, terms, corrections)
+        found = FieldInverse(jnp.asarray(extent[:2]), jnp.asarray(scale), jnp.asarray(shifts), terms, corrections)
         rays = np.stack(_over_image(found, *jnp.asarray(xd.T)), axis=1)
         error = focal * np.linalg.norm((rays - exact)[there], axis=1)
         # What the terms' inverse does not reach is not there.
