@@ -142,15 +142,18 @@ def triangulation(
     swept: bool = False,
     light: Light | None = None,
     tilt: tuple[float, ...] = (),
+    camera: Camera | None = None,
 ) -> Callable[[], jax.Array]:
     """What triangulates pixels that are on the device, into a buffer there that is used again and again.
 
     With a light that is swept, each frame has a plane of its own; another light takes the place of the rig's. The
-    sensor may be tilted, rad.
+    sensor may be tilted, rad; another camera takes the place of the rig's.
     """
     dtype = pixels[0].dtype.name
     whole, n_frames = rig(640, 480, lens, motion), len(pixels[0])
     whole = replace(whole, camera=replace(whole.camera, tilt=tilt))
+    if camera is not None:
+        whole = replace(whole, camera=camera)
     if light is not None:
         whole = Rig(whole.camera, (as_numpy(light),), whole.motion)
     ready, inputs = Kernel.create(whole, dtype=dtype), [jnp.asarray(x) for x in pixels]

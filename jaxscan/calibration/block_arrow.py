@@ -13,11 +13,13 @@ Eliminating the blocks leaves the Schur complement S = U − Σ W_b V_b⁻¹ W_b
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from jaxscan.elimination import solve_blocks
 
@@ -194,11 +196,41 @@ def jacobian_columns(product: Callable[[Arrow], Arrow], like: Arrow) -> Jacobian
     return _columns(jax.vmap(product, out_axes=-1)(_directions(like)), like)
 
 
-def linearise(residual: Callable[[Arrow], Arrow], y: Arrow) -> tuple[Arrow, Jacobian]:
+class Sparsity(eqx.Module):
+    """Which shared unknowns a block's residuals do not depend on: many local ones cost no more than a few.
+
+    Shared unknowns of one class have one Jacobian-vector product together, for no residual depends on two of them
+    (A. R. Curtis, M. J. D. Powell, J. K. Reid 1974). The residuals of shared unknowns alone may depend on any.
+
+    Attributes:
+        depends: for each group (blocks, residuals, shared), whether a residual may depend on an unknown.
+        classes: of each shared unknown the number of its class.
+    """
+
+    depends: tuple[Bool[Array, "_ _ _"], ...]
+    classes: tuple[int, ...] = eqx.field(static=True)
+
+    def seeds(self) -> Float[np.ndarray, "classes shared"]:
+        """A direction for each class."""
+        return np.eye(max(self.classes) + 1)[:, list(self.classes)]
+
+
+def linearise(residual: Callable[[Arrow], Arrow], y: Arrow, sparsity: Sparsity | None = None) -> tuple[Arrow, Jacobian]:
     """Residual and Jacobian at y."""
     both = jax.vmap(lambda along: jax.jvp(residual, (y,), (along,)), out_axes=(None, -1))
-    value, columns = both(_directions(y))
-    return value, _columns(columns, y)
+    if sparsity is None:
+        value, columns = both(_directions(y))
+        return value, _columns(columns, y)
+    seeds = jnp.asarray(sparsity.seeds(), y.shared.dtype)
+    few = _directions(Arrow(seeds[:, 0], y.blocks))
+    value, columns = both(replace(few, shared=few.shared[:, : len(seeds)] @ seeds))
+    own, at = _columns(columns, Arrow(seeds[:, 0], y.blocks)), np.array(sparsity.classes)
+    blocks = tuple(
+        jnp.concatenate([jnp.where(depends, J[..., at], 0.0), J[..., len(seeds) :]], axis=-1)
+        for J, depends in zip(own.blocks, sparsity.depends, strict=True)
+    )
+    shared = jax.jacfwd(lambda shared: residual(Arrow(shared, y.blocks)).shared)(y.shared)
+    return value, Jacobian(shared, blocks)
 
 
 def _directions(like: Arrow) -> Arrow:

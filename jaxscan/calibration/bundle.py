@@ -10,10 +10,12 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
+from jaxscan.calibration.field_sparsity import field_sparsity
 from jaxscan.calibration.implicit import BlockArrowSolver
 from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt
 from jaxscan.calibration.residuals import Noise
 from jaxscan.rig import System
+from jaxscan.rig.splined import Splined
 
 MAX_STEPS = 200
 # A step that would move the estimate by less than 1e-6 of its standard deviation is not taken.
@@ -95,9 +97,14 @@ def as_arrow(
     def residual(y: Arrow) -> Arrow:
         now = back(y)
         blocks = tuple(group.residuals(now, poses, noise) for poses, group in zip(now.poses, groups, strict=True))
-        if prior is None:
-            return Arrow(jnp.zeros(0, y.shared.dtype), blocks)
-        return Arrow(prior.root @ (jnp.where(free, y.shared, start) - prior.mean), blocks)
+        known = [jnp.zeros(0, y.shared.dtype)]
+        if prior is not None:
+            known.append(prior.root @ (jnp.where(free, y.shared, start) - prior.mean))
+        if noise.field is not None:
+            lens = now.rig.camera.lens
+            assert isinstance(lens, Splined)
+            known.append(noise.field.residuals(lens))
+        return Arrow(jnp.concatenate(known), blocks)
 
     return Arrow(start, system.poses), back, residual
 
@@ -125,9 +132,10 @@ def solve(
             has come down to them nothing moves along its long valleys.
     """
     y0, back, residual = as_arrow(system, free, groups, noise, prior)
+    sparsity = None if noise.field is None else field_sparsity(system, groups)
     solution = optx.least_squares(
         lambda y, _: residual(y),
-        BlockArrowLevenbergMarquardt(_NEGLIGIBLE, first_damping),
+        BlockArrowLevenbergMarquardt(_NEGLIGIBLE, first_damping, sparsity=sparsity),
         y0,
         max_steps=MAX_STEPS,
         adjoint=optx.ImplicitAdjoint(BlockArrowSolver()),

@@ -22,6 +22,7 @@ from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
 from jaxscan.calibration.foretold import foretold
 from jaxscan.calibration.held import held_parameters
+from jaxscan.calibration.lens_field import FieldPrior, base_of, check_enough_for_field, first_field, with_field
 from jaxscan.calibration.observations import Kept, Observations, Unused
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.calibration.refusals import (
@@ -45,6 +46,7 @@ from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import LIGHTS, BoardShape, Camera, Light, LightPlane, Rig, System
 from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES
+from jaxscan.rig.splined import Splined
 
 # σ of the bends to begin with, as a share of the board.
 _FIRST_BEND = 5e-4
@@ -74,7 +76,7 @@ def calibrate(
 
     Args:
         observations: corners and stripes.
-        lens: a kind of lens: none, radial1, radial2, radial3, brown, rational, fisheye, or one
+        lens: a kind of lens: none, radial1, radial2, radial3, brown, rational, fisheye, splined, or one
             that was registered.
         principal_point: "free", or "centre" to hold it at the image centre.
         start: a camera to start from; its lens takes the place of `lens`. Without it a closed-form start is used.
@@ -134,7 +136,10 @@ def calibrate(
         check_enough(usable)
         unused = Unused(usable.left_out)
         check_views_for(board_shape, len(usable.views))
-        camera = as_float64(start) if start else first_camera(usable, lens)
+        kind = start.lens.kind if start else lens
+        if kind == Splined.kind:
+            check_enough_for_field(usable)
+        camera = as_float64(start) if start else first_camera(usable, base_of(lens))
         if tilted and not camera.tilt:
             camera = replace(camera, tilt=(jnp.zeros(()), jnp.zeros(())))
         terms, bends = BOARD_SHAPES[board_shape]
@@ -146,15 +151,25 @@ def calibrate(
         system = System(Rig(camera, lights, no_motion_yet(usable)), (), shape)
         views = view_blocks(usable)
         groups = (views, sequence_blocks(usable)) if usable.sequences else (views,)
+        held = held | system.rig.given()
         free = _free(system, held, ("camera",))
         poses = (first_poses(camera, views), *(far_away(len(group.points)) for group in groups[1:]))
         poses = tuple(_with_bends(each, bends) for each in poses)
         corners = _corners_of_views(groups)
         rounds = partial(refine, reject=judge, weigh=not plain)
         of_camera = partial(rounds, begins=lambda solve: advance(f"camera, round {solve}"))
-        refined = of_camera(replace(system, poses=poses), free, corners, _first_noise(usable, bends))
+        noise = replace(_first_noise(usable, bends), field=_first_field(system, free))
+        refined = of_camera(replace(system, poses=poses), free, corners, noise)
         if judge and (elsewhere := better_poses(refined.system, corners, refined.noise)) is not None:
             refined = of_camera(elsewhere, free, corners, refined.noise)
+        if kind != camera.lens.kind:
+            # A field of shifts on top of the terms, on a grid over the image as these see it.
+            camera = with_field(refined.system.rig.camera)
+            system = replace(refined.system, rig=replace(refined.system.rig, camera=camera))
+            held = held | system.rig.given()
+            free = _free(system, held, ("camera",))
+            noise = replace(refined.noise, field=_first_field(system, free))
+            refined = of_camera(system, free, corners, noise)
         check_solved(refined, usable, free)
 
         if usable.lasers or usable.sequences:
@@ -262,6 +277,12 @@ def _free(system: System, held: set[str], parts: tuple[str, ...]) -> Bool[Array,
     """Which shared parameters are refined: those of some parts of the rig that are not held, and the board's shape."""
     names = system.shared_names()
     return as_jax(np.array([name.startswith((*parts, "shape")) and name not in held for name in names]))
+
+
+def _first_field(system: System, free: Bool[Array, "shared"]) -> FieldPrior | None:
+    """What is known of a lens's field to begin with, where it has one."""
+    names = np.array(system.shared_names())[np.asarray(free)]
+    return first_field(system.rig.camera, set(names))
 
 
 def _with_bends(poses: Float[Array, "blocks 6"], bends: bool) -> Float[Array, "blocks size"]:

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree, Scalar
 
-from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, linearise
+from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, Sparsity, linearise
 
 # λ to begin with, where nothing is known of how near the start is.
 FIRST_DAMPING = 1e-4
@@ -67,10 +67,12 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
         negligible: a fall of ‖r‖² that is not worth a step. Where residuals are in units of their σ it is the square of
             a distance in standard deviations; the default suits residuals of any unit.
         first_damping: λ to begin with.
+        sparsity: which residuals depend on which shared unknowns; None where all may on all.
     """
 
     negligible: float = 0.0
     first_damping: float = FIRST_DAMPING
+    sparsity: Sparsity | None = None
 
     rtol: float = 0.0
     atol: float = 0.0
@@ -81,7 +83,7 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
     ) -> LevenbergMarquardtState:
         """A state whose first proposal is to stay, where anything is better than what is known."""
         nothing, infinite = jax.tree.map(jnp.zeros_like, y), jnp.array(jnp.inf, y.shared.dtype)
-        shapes = jax.eval_shape(lambda y: linearise(lambda y: fn(y, args)[0], y), y)
+        shapes = jax.eval_shape(lambda y: linearise(lambda y: fn(y, args)[0], y, self.sparsity), y)
         return LevenbergMarquardtState(
             normal=NormalEquations.unknown(y),
             largest=nothing,
@@ -99,7 +101,7 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
     ) -> tuple[Arrow, LevenbergMarquardtState, None]:
         """Try the proposed step, take it if ‖r‖² falls, and propose the next."""
         tried = eqx.apply_updates(y, state.proposed)
-        last = linearise(lambda y: fn(y, args)[0], tried)
+        last = linearise(lambda y: fn(y, args)[0], tried, self.sparsity)
         normal = NormalEquations.create(*last)
         first, fell = jnp.isinf(state.normal.total), normal.total < state.normal.total
         ratio = (state.normal.total - normal.total) / state.predicted

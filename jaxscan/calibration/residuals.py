@@ -10,6 +10,7 @@ and spoil the estimate.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxscan.calibration.lens_field import FieldPrior
 from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.precision import as_jax
 from jaxscan.rig import Light, Rig, System
@@ -106,12 +108,14 @@ class Noise(eqx.Module):
         stripe: σ of a stripe point of weight 1, pixels.
         robustness: 1 / c of the pseudo-Huber loss (P. Charbonnier et al. 1994), c in σ; 0 is least squares.
         bend: σ of the bulges that each board has besides the shape of all, mm; None where it has none.
+        field: what is known of the shifts of a lens that has a field of them; None where it has none.
     """
 
     corner: Float[Array, ""]
     stripe: Float[Array, ""]
     robustness: Float[Array, ""]
     bend: Float[Array, ""] | None = None
+    field: FieldPrior | None = None
 
     @staticmethod
     def create(corner: float = 1.0, stripe: float = 1.0, robustness: float = 0.0, bend: float | None = None) -> "Noise":
@@ -120,8 +124,9 @@ class Noise(eqx.Module):
         return Noise(*as_jax([np.asarray(number, np.float64) for number in numbers]))
 
     def of(self, corner: float, stripe: float, robustness: float = 0.0) -> "Noise":
-        """With other σ of corners and stripe points, and the same of the bends."""
-        return Noise.create(corner, stripe, robustness, None if self.bend is None else float(self.bend))
+        """With other σ of corners and stripe points, and the same of the bends and of a lens's field."""
+        bend = None if self.bend is None else float(self.bend)
+        return replace(Noise.create(corner, stripe, robustness, bend), field=self.field)
 
     def robust(self, robustness: float = 1.0) -> "Noise":
         """The same σ with a loss that trusts large residuals less."""

@@ -23,11 +23,13 @@ from jaxscan.calibration.bends import likeliest_bend, reduced
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.calibration.bundle import Factor, Outcome, solve
 from jaxscan.calibration.correlation import integrated_correlation
+from jaxscan.calibration.lens_field import FieldPrior, likeliest_field, settled_field
 from jaxscan.calibration.residuals import Blocks, Noise, block_errors
 from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, arrow_precision
 from jaxscan.precision import as_jax, as_numpy
 from jaxscan.rig import System
 from jaxscan.rig.board_shape import BENDS, half_diagonal_of
+from jaxscan.rig.splined import FIELD_NUMBERS, Splined
 from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
@@ -134,6 +136,8 @@ def refine(
         settled = single.of(float(single.corner), float(single.stripe) * tau**0.5)
         if noise.bend is not None:
             settled = replace(settled, bend=as_jax(np.asarray(_bend(outcome, candidates, float(noise.bend)))))
+        if noise.field is not None:
+            settled = replace(settled, field=_field(outcome, system, free, groups, noise, settled))
         kept = _weighted(believed, photographs, single, tau) if weigh else candidates
         if reject:
             kept = _keep(kept, errors, _at_least(single, _median_noise(groups, errors, single)))
@@ -142,6 +146,7 @@ def refine(
         calm = _same(groups, kept) and (not two_kinds or abs(ratio - 1) < _SIGMA_SETTLED)
         if noise.bend is not None and settled.bend is not None:
             calm = calm and abs(float(settled.bend) / float(noise.bend) - 1) < _SCALES_SETTLED
+        calm = calm and settled_field(noise.field, settled.field, _SCALES_SETTLED)
         open_ended = outcome.result != optx.RESULTS.successful or known.eigenvalues[0] < UNDETERMINED
         futile = futile + 1 if open_ended else 0
         if calm or futile >= _MAX_FUTILE or solves >= _MAX_SOLVES:
@@ -175,15 +180,53 @@ def _restated(outcome: Outcome, groups: tuple[Blocks, ...], old: Noise, new: Noi
     ]
     scales += [np.ones(1)] * (len(outcome.value.blocks) - len(groups))
     value, blocks = (
-        as_jax(tuple(s[:, *axes] * np.asarray(rows) for s, rows in zip(scales, parts.blocks, strict=True)))
+        [s[:, *axes] * np.asarray(rows) for s, rows in zip(scales, parts.blocks, strict=True)]
         for parts, axes in ((outcome.value, ()), (outcome.jacobian, (None,)))
     )
-    return as_numpy((replace(outcome.value, blocks=value), replace(outcome.jacobian, blocks=blocks)))
+    r, J = np.asarray(outcome.value.shared), np.asarray(outcome.jacobian.shared)
+    if old.field is not None and new.field is not None:
+        # With another prior its residuals are others: what was known is a block without unknowns of its own.
+        J = _of_field(outcome.system, new.field, J)
+        lens = outcome.system.rig.camera.lens
+        assert isinstance(lens, Splined)
+        r = np.asarray(new.field.residuals(lens))
+        value, blocks, r, J = [*value, r[None]], [*blocks, J[None]], r[:0], J[:0]
+    r, value, J, blocks = as_jax((r, tuple(value), J, tuple(blocks)))
+    return as_numpy((Arrow(r, value), Jacobian(J, blocks)))
+
+
+def _of_field(system: System, field: FieldPrior, J: Float[np.ndarray, "rows shared"]) -> np.ndarray:
+    """The derivatives of what is known of a lens's field, of those shared numbers that were free."""
+    at = [i for i, name in enumerate(system.shared_names()) if name.startswith(FIELD_NUMBERS)]
+    found = np.zeros((len(at), J.shape[1]))
+    found[:, at] = np.where(np.any(J[:, at] != 0, axis=0), np.asarray(field.root) / float(field.sigma), 0.0)
+    return found
+
+
+def _field(
+    outcome: Outcome,
+    system: System,
+    free: Bool[Array, "shared"],
+    groups: tuple[Blocks, ...],
+    old: Noise,
+    new: Noise,
+) -> FieldPrior:
+    """What is known of a lens's field, by a solve with other noise."""
+    assert old.field is not None
+    value, jacobian = _restated(outcome, groups, old, new)
+    # Without what was taken to be known of it.
+    value, jacobian = replace(value, blocks=value.blocks[:-1]), replace(jacobian, blocks=jacobian.blocks[:-1])
+    bend = 0.0 if new.bend is None else float(new.bend)
+    found = reduced(value, jacobian, len(groups) if bend else 0, bend)
+    return likeliest_field(old.field, system, np.asarray(free), found, bend)
 
 
 def _bend(outcome: Outcome, candidates: tuple[Blocks, ...], sigma: float) -> float:
     """The σ of the bends by a solve with another, mm."""
     value, jacobian = as_numpy((outcome.value, outcome.jacobian))
+    if len(value.shared):
+        value = replace(value, blocks=(*value.blocks, value.shared[None]))
+        jacobian = replace(jacobian, blocks=(*jacobian.blocks, jacobian.shared[None]))
     half_diagonal = half_diagonal_of(np.asarray(candidates[0].points[0]))
     return likeliest_bend(reduced(value, jacobian, len(candidates), sigma), half_diagonal)
 

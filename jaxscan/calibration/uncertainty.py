@@ -6,12 +6,15 @@ h = J Σ Jᵀ of a residual is the share of itself that it determines: redundanc
 freedom, and give each kind of observation its own σ (F. R. Helmert's variance components).
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, linearise
 from jaxscan.calibration.bundle import Factor, Prior, as_arrow
+from jaxscan.calibration.field_sparsity import field_sparsity
 from jaxscan.calibration.residuals import Noise
 from jaxscan.elimination import solve_blocks
 from jaxscan.rig import System
@@ -47,9 +50,10 @@ def precision(
     prior: Prior | None = None,
 ) -> Precision:
     """The covariance at a solution, for least squares (whatever robustness `noise` carries)."""
-    noise = Noise(noise.corner, noise.stripe, jnp.zeros_like(noise.robustness), noise.bend)
+    noise = replace(noise, robustness=jnp.zeros_like(noise.robustness))
     y, _, residual = as_arrow(system, free, groups, noise, prior)
-    return arrow_precision(*linearise(residual, y))
+    sparsity = None if noise.field is None else field_sparsity(system, groups)
+    return arrow_precision(*linearise(residual, y, sparsity))
 
 
 @eqx.filter_jit

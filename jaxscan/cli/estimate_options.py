@@ -118,8 +118,9 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lens",
         metavar="LENS",
-        help="none, radial1, radial2, radial3, brown, rational or fisheye, in place of the session's (default: "
-        "radial1); --camera brings its own",
+        help="none, radial1, radial2, radial3, brown, rational, fisheye or splined, in place of the session's "
+        "(default: radial1); splined has a smooth field of shifts on top of brown's terms, for a lens that no formula "
+        "follows; --camera brings its own",
     )
     parser.add_argument(
         "--hold",

@@ -141,6 +141,9 @@ _STEEPEST_TILT: Final = math.pi / 2
 
 def _camera(table: Table, unknown: list[str]) -> Camera:
     lens = read_lens(table, _CAMERA_KEYS, unknown)
+    fault = getattr(lens, "fault", lambda: None)()
+    if fault is not None:
+        raise table.error(*fault)
     focal = table.numbers("focal", 2)
     check_focal(table, "focal", focal)
     size = table.size("image_size")

@@ -1,7 +1,7 @@
 """The inverse of a lens and a sensor without iterations: what takes a distorted ray to the undistorted one.
 
-OpenCV's lens terms have theirs (`opencv_inverse`). Of any other lens the exact inverse is computed at pixels all over
-the image, and followed, by least squares, by
+OpenCV's lens terms have theirs (`opencv_inverse`), and so has a field of shifts on top (`field_inverse`). Of any other
+lens the exact inverse is computed at pixels all over the image, and followed, by least squares, by
 
     x = S(|x_d|²) x_d + P(x_d),
 
@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 
 from jaxscan.errors import InputError
 from jaxscan.precision import Leaf, as_float64, float64
+from jaxscan.reconstruction.field_inverse import FieldInverse, field_inverse
 from jaxscan.reconstruction.opencv_inverse import (
     FIT_GOAL_PX,
     FIT_LIMIT_PX,
@@ -36,6 +37,7 @@ from jaxscan.reconstruction.opencv_inverse import (
 )
 from jaxscan.rig import Camera, Lens
 from jaxscan.rig.opencv_lens import OpenCVLens
+from jaxscan.rig.splined import Splined
 from jaxscan.rig.tilted_sensor import off_sensor
 
 # Pixels along each side of the image at which the inverse is compared with the exact one.
@@ -48,6 +50,8 @@ _SYMMETRIC = tuple((degree, None) for degree in range(LOWEST_DEGREE, HIGHEST_DEG
 _LOWEST_OF_TILT = 5
 # By how much its divisor is taken to differ over the image, where it differs by nothing.
 _LEAST_HALF = 1e-9
+# Of more numbers none are named.
+_MOST_NAMED = 16
 _WITH_REST = tuple((HIGHEST_DEGREE, rest) for rest in (3, 5, 7, 9))
 
 
@@ -83,7 +87,7 @@ class TiltedInverse(eqx.Module):
     along: Float[Array, "3"]
     across: Float[Array, "3"]
     reciprocal: Float[Array, "coefficients"]
-    lens: LensInverse | FittedInverse
+    lens: LensInverse | FittedInverse | FieldInverse
 
     def __call__(self, xt: Float[Array, ""], yt: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Undistorted coordinates; NaN beyond the reach of the lens, where nothing holds."""
@@ -91,7 +95,7 @@ class TiltedInverse(eqx.Module):
         return self.lens(self.along[0] * xt * i, (self.along[1] * xt + self.along[2] * yt) * i)
 
 
-def lens_inverse(camera: Camera) -> LensInverse | FittedInverse | TiltedInverse:
+def lens_inverse(camera: Camera) -> LensInverse | FittedInverse | FieldInverse | TiltedInverse:
     """The inverse of a camera's lens and sensor over its image, in float64.
 
     Raises:
@@ -110,18 +114,27 @@ def lens_inverse(camera: Camera) -> LensInverse | FittedInverse | TiltedInverse:
             raise InputError(
                 f"the sensor is tilted by {angles}, so far that a part of it sees nothing: calibrate again"
             )
-        found = opencv_inverse(lens, xd, focal) if isinstance(lens, OpenCVLens) else _fitted(lens, xd, focal)
+        found = _inverse(lens, xd, focal)
         if found is not None:
             return _tilted(found, tilt, xt, focal) if tilt else found
-    values = " and ".join(f"{name} {[float(leaf) for leaf in getattr(lens, name)]}" for name in lens.numbers)
+    few = [name for name, count in lens.numbers.items() if count <= _MOST_NAMED]
+    values = " and ".join(f"{name} {[float(leaf) for leaf in getattr(lens, name)]}" for name in few)
     raise InputError(
         f"the inverse of the lens {lens.kind} with {values} is not smooth over the image, no polynomial follows it: "
         "calibrate with a simpler lens"
     )
 
 
+def _inverse(
+    lens: Lens, xd: Float[np.ndarray, "n 2"], focal: float
+) -> LensInverse | FittedInverse | FieldInverse | None:
+    if isinstance(lens, OpenCVLens):
+        return opencv_inverse(lens, xd, focal)
+    return field_inverse(lens, xd, focal) if isinstance(lens, Splined) else _fitted(lens, xd, focal)
+
+
 def _tilted(
-    lens: LensInverse | FittedInverse, tilt: Sequence[Leaf], xt: Float[np.ndarray, "n 2"], focal: float
+    lens: LensInverse | FittedInverse | FieldInverse, tilt: Sequence[Leaf], xt: Float[np.ndarray, "n 2"], focal: float
 ) -> TiltedInverse:
     """With the way from the sensor to the lens before it; 1 / w to the last degree that its pixels ask for."""
     (cx, sx), (cy, sy) = ((np.cos(float(angle)), np.sin(float(angle))) for angle in tilt)

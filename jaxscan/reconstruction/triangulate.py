@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.precision import Leaf, float64
+from jaxscan.reconstruction.field_inverse import FieldInverse
 from jaxscan.reconstruction.lens_inverse import FittedInverse, TiltedInverse, lens_inverse
 from jaxscan.reconstruction.opencv_inverse import LensInverse
 from jaxscan.rig import Light, Motion, Positions, Rig
@@ -39,7 +40,7 @@ class Kernel(eqx.Module):
 
     principal: Float[Array, "2"]
     inverse_focal: Float[Array, "2"]
-    lens: LensInverse | FittedInverse | TiltedInverse
+    lens: LensInverse | FittedInverse | FieldInverse | TiltedInverse
     light: Light
 
     @staticmethod

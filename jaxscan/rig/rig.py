@@ -82,9 +82,10 @@ class Rig(eqx.Module):
         return {str(names[np.argmax(np.abs(way))]) for way in idle_ways(self)}
 
     def given(self) -> set[str]:
-        """Parameters that a solve takes as they are, without covariance: what a kind of motion names as `given`."""
+        """Parameters that a solve takes as they are, without covariance: what a kind of part names as `given`."""
         names = parameter_names(self)
         stems = [f"motion.{part.axis}.{name}." for part in self.motion.parts() for name in getattr(part, "given", ())]
+        stems += [f"camera.{name}." for name in getattr(self.camera.lens, "given", ())]
         return {name for name in names if name.startswith(tuple(stems))}
 
     def pose(self, q: Positions) -> Pose:

@@ -57,7 +57,7 @@ def test_a_lens_that_was_registered(folder):
     asked = BOARD, VIEWS, '[camera]\nlens = "division"\nhold = ["camera.division.0"]'
     with registered(Division):
         assert session(folder, *asked).camera == CameraSettings("division", hold=("camera.division.0",))
-    with pytest.raises(InputError, match=r"\[camera\] lens = \"division\": must be one of none, .*, fisheye$"):
+    with pytest.raises(InputError, match=r"\[camera\] lens = \"division\": must be one of none, .*, splined$"):
         session(folder, *asked)
 
 
