@@ -121,13 +121,13 @@ def session_through(
         depth = random.uniform(*distances)
         t = depth * np.array([*(random.uniform(-1, 1, 2) * spread), 1.0]) - R @ points.mean(axis=0)
         corners = field.moved(project(camera, points @ R.T + t)) + noise.corner * random.normal(size=(len(points), 2))
-        inside = ((corners > _BORDER_PX) & (corners < size - 1 - _BORDER_PX)).all(axis=1)
+        inside = np.all((corners > _BORDER_PX) & (corners < size - 1 - _BORDER_PX), axis=1, keepdims=True)
         stripes = ()
         if laser:
             stripe = _stripe(camera, field, R, t, board)
             stripe[:, 1] += noise.stripe * random.normal(size=len(stripe))
             stripes = (StripePoints(stripe, half_width_px=1e-6),)
-        seen.append(View(f"view-{i}", np.where(inside[:, None], corners, np.nan), stripes=stripes))
+        seen.append(View(f"view-{i}", np.where(inside, corners, np.nan), stripes=stripes))
     lights = (LightPlane.create(_OMEGA),) if laser else ()
     with float64():
         rig = as_numpy(Rig(camera, lights))
