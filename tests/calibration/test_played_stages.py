@@ -54,6 +54,7 @@ def test_it_is_found_within_its_sigma_and_named(play_mm):
     assert not line.sheet_curves
 
 
+@pytest.mark.long
 def test_it_is_found_beside_a_bow_and_a_screw():
     seen = session(1, play_mm=0.1, of={"sag_mm": 0.1, "wave_mm": 0.05, "phase": 1.0})
     (shape,) = calibrate(seen).stage_shapes
@@ -74,6 +75,7 @@ def test_the_first_photograph_may_have_been_approached_from_either_side(side):
     assert all("approached by falling steps" in note for note in said)
 
 
+@pytest.mark.long
 def test_three_passes_that_begin_by_falling_steps():
     pass_ = np.linspace(0, stages.TRAVEL, 8)
     steps = np.concatenate([pass_[::-1], pass_[1:] - 900.0, pass_[::-1][1:]])

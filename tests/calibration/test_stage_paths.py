@@ -167,6 +167,7 @@ def test_even_steps_do_not_tell_a_period_from_its_aliases():
     np.testing.assert_allclose(np.array(known.rig.axis("stage").wave), [0.0421, 0.0270], atol=0.005)
 
 
+@pytest.mark.long
 def test_a_turntable_on_a_guide():
     of = stages.stage(**GUIDE)
     session = stages.session(3, of, laser=False)
