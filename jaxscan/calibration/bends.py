@@ -12,6 +12,7 @@ K = (Q_bb + I / σ²)⁻¹ of each board,
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -38,6 +39,29 @@ class Reduced:
 
     Q: Float[np.ndarray, "blocks columns columns"]
     bulges: int
+
+    @cached_property
+    def flat(self) -> Float[np.ndarray, "others others"]:
+        """Those of [shared, residual] for bulges of zero, of all blocks together."""
+        rest = self._rest()
+        return self.Q.sum(axis=0)[np.ix_(rest, rest)]
+
+    @cached_property
+    def bends(self) -> tuple[Float[np.ndarray, "bends"], Float[np.ndarray, "bends others"]]:
+        """Of each block's bulges the directions that do not go together: what is told of each, λ, and with what else.
+
+        So the sum over all blocks is one product for each σ: Σ σ² / (1 + σ² λ) c cᵀ.
+        """
+        if not self.bulges:
+            return np.zeros(0), np.zeros((0, self.Q.shape[-1]))
+        own = np.setdiff1d(np.arange(self.Q.shape[-1]), self._rest())
+        size, U = np.linalg.eigh(self.Q[:, own[:, None], own])
+        cross = U.mT @ self.Q[:, own[:, None], self._rest()]
+        return np.maximum(size, 0.0).ravel(), cross.reshape(size.size, -1)
+
+    def _rest(self) -> np.ndarray:
+        count = self.Q.shape[-1]
+        return np.r_[: count - 1 - self.bulges, count - 1]
 
 
 def without_poses(
@@ -86,23 +110,14 @@ def marginal(groups: Sequence[Reduced], sigma: float) -> Float[np.ndarray, "colu
     """The normal equations of [shared, residual] for bends of a σ: S, g and Q_rr − Σ Q_rb K Q_br."""
     total = np.zeros(())
     for group in groups:
-        Q, k = group.Q, group.bulges
-        n = Q.shape[-1] - 1 - k
-        rest = np.r_[:n, n + k]
-        cross = Q[:, n : n + k][:, :, rest]
-        taken = sigma**2 * cross.mT @ np.linalg.solve(_of_bends(group, sigma), cross)
-        total = total + (Q[:, rest][:, :, rest] - taken).sum(axis=0)
+        size, cross = group.bends
+        total = total + group.flat - cross.T @ ((sigma**2 / (1 + sigma**2 * size))[:, None] * cross)
     return total
-
-
-def _of_bends(group: Reduced, sigma: float) -> Float[np.ndarray, "blocks bulges bulges"]:
-    n = group.Q.shape[-1] - 1 - group.bulges
-    return np.eye(group.bulges) + sigma**2 * group.Q[:, n:-1, n:-1]
 
 
 def deviance(groups: Sequence[Reduced], sigma: float) -> float:
     """−2 log of the restricted likelihood of a σ of the bends, but for a constant."""
-    penalty = sum(float(np.linalg.slogdet(_of_bends(group, sigma))[1].sum()) for group in groups)
+    penalty = sum(float(np.log1p(sigma**2 * group.bends[0]).sum()) for group in groups)
     total = marginal(groups, sigma)
     S, g = total[:-1, :-1], total[:-1, -1]
     known = np.diagonal(S) > 0
