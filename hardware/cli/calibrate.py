@@ -94,13 +94,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             turntable_at=args.turntable_at or 0,
             stripe=settings.stripe,
         )
-    moved = {f"{axis}_images": len(sequence.images) for axis, sequence in session.sequences.items()}
+    counts = session.counts
     return {
         "path": str(args.folder),
         "views": len(session.views.boards),
-        "stage_images": 0,
-        "turntable_images": 0,
-    } | moved
+        "stage_images": counts.get(STAGE, 0),
+        "turntable_images": counts.get(TURNTABLE, 0),
+    }
 
 
 class _Terminal:

@@ -11,7 +11,9 @@ from hardware.lab.archive import archive
 from hardware.lab.database import make_private
 from hardware.lab.projects import must_hold, named, within
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
+from hardware.places import TURNTABLE
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 
 if TYPE_CHECKING:
     from jaxscan.files.session import Session
@@ -110,11 +112,10 @@ class Calibrations:
             return Calibration(
                 name=path.name, views=0, stage_images=0, turntable_images=0, changed_s=changed_s, problem=str(refusal)
             )
-        moved = {f"{axis}_images": len(sequence.images) for axis, sequence in session.sequences.items()}
         return Calibration(
             name=path.name,
             views=len(session.views.boards),
-            stage_images=moved.get("stage_images", 0),
-            turntable_images=moved.get("turntable_images", 0),
+            stage_images=session.counts.get(STAGE, 0),
+            turntable_images=session.counts.get(TURNTABLE, 0),
             changed_s=changed_s,
         )

@@ -92,7 +92,7 @@ class PageOperator:
         self._permit()
         session = sight.session
         views = len(session.views.boards)
-        self._taken = views + sum(len(sequence.images) for sequence in session.sequences.values())
+        self._taken = views + sum(session.counts.values())
         self._tell(
             board_seen=sight.corners is not None, covered=sight.covered.tolist(), tilted=sight.tilted, views=views
         )

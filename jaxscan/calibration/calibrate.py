@@ -40,6 +40,7 @@ from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import refine
 from jaxscan.calibration.second_poses import better_poses
 from jaxscan.calibration.stage_kinds import begun, first_approach, shape_parameters, with_kinds
+from jaxscan.calibration.stage_paths import courses
 from jaxscan.calibration.widening import widened
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
@@ -204,8 +205,9 @@ def calibrate(
                 check_solved(refined, usable, free)
         advance("uncertainty")
         result = assemble(refined, free, usable, held, unused, tuple(factors))
-        stages = stage_shapes(refined, result)
-        paths = rows_of_shapes(refined, result, stages) if stages else None
+        by_axis = courses(result)
+        stages = stage_shapes(refined, result, by_axis)
+        paths = rows_of_shapes(refined, result, by_axis, stages) if stages else None
         curves = sheet_curves(refined, paths)
         flatness = board_flatness(refined, result, curves, paths)
         each = ByPhotograph.create(refined, usable, np.ones(2))

@@ -143,7 +143,7 @@ def unseen(session: Session) -> Observations:
 
 def photograph_count(session: Session) -> int:
     """How many poses `observe` looks at."""
-    return len(session.views.boards) + sum(len(sequence.images) for sequence in session.sequences.values())
+    return len(session.views.boards) + sum(session.counts.values())
 
 
 def _stripe_of(laser: StripeSettings) -> str:

@@ -133,6 +133,11 @@ class Session:
         each = zip(SEQUENCES, (self.stage, self.turntable), strict=True)
         return {axis: sequence for axis, sequence in each if sequence is not None}
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many photographs of the board there are on each axis."""
+        return {axis: len(sequence.images) for axis, sequence in self.sequences.items()}
+
     def photographs(self) -> list[Path]:
         """All its photographs: of the board, on stage and turntable, of the stripes."""
         stripes = (self.views.stripes or {}).values()

@@ -172,11 +172,8 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
 
 def _is_text(path: str | os.PathLike[str]) -> bool:
     """Whether a file begins as text does; no container of a video does."""
-    try:
-        with open(path, "rb") as file:
-            return bool(begin := file.read(_OF_A_HEADER)) and set(begin) <= _OF_TEXT
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}): check the permissions") from error
+    begin = _read_bytes(Path(path), _OF_A_HEADER)
+    return bool(begin) and set(begin) <= _OF_TEXT
 
 
 def _frames(

@@ -74,10 +74,6 @@ class Guide(Line):
         """One that does not move."""
         return cls.create(np.zeros(3), axis=axis)
 
-    def parts(self) -> "tuple[Guide]":
-        """Itself."""
-        return (self,)
-
     def pose(self, q: Positions) -> Pose:
         """The turn n · turn about the centre, then n · per_step + n² · bow."""
         n = q.get(self.axis, 0.0)
@@ -126,10 +122,6 @@ class Screw(Line):
     def at_rest(cls, axis: str) -> "Screw":
         """One that does not move."""
         return cls.create(np.zeros(3), axis=axis)
-
-    def parts(self) -> "tuple[Screw]":
-        """Itself."""
-        return (self,)
 
     def pose(self, q: Positions) -> Pose:
         """The translation n · per_step, and the wave along it."""
@@ -194,10 +186,6 @@ class ScrewOnGuide(Line):
     def at_rest(cls, axis: str) -> "ScrewOnGuide":
         """One that does not move."""
         return cls.of(Guide.at_rest(axis), Screw.at_rest(axis))
-
-    def parts(self) -> "tuple[ScrewOnGuide]":
-        """Itself."""
-        return (self,)
 
     def pose(self, q: Positions) -> Pose:
         """The turn n · turn about the centre, then n · per_step + n² · bow, and the wave along per_step."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -33,6 +33,10 @@ class Line(eqx.Module):
 
     per_step: tuple[Leaf, Leaf, Leaf]
     axis: str = eqx.field(static=True, default="stage", kw_only=True)
+
+    def parts(self) -> tuple[Any]:
+        """Itself."""
+        return (self,)
 
     @classmethod
     def shape(cls) -> tuple[str, ...]:

@@ -47,10 +47,6 @@ class Linear(Line):
         """One that does not move."""
         return cls.create(np.zeros(3), axis)
 
-    def parts(self) -> "tuple[Linear]":
-        """Itself."""
-        return (self,)
-
     def pose(self, q: Positions) -> Pose:
         """The translation n · per_step."""
         shift = per_steps(q.get(self.axis, 0.0), self.per_step)

@@ -103,10 +103,6 @@ class DrawnStage(Line):
         """Refused, as `fitted`."""
         raise InputError(f"the {axis} is drawn, not found: calibrate it as one of the kinds of a stage's motion")
 
-    def parts(self) -> "tuple[DrawnStage]":
-        """Itself."""
-        return (self,)
-
     def pose(self, q: Positions) -> Pose[np.ndarray]:
         """The carriage on its circle, brought back to the identity at step 0."""
         n = np.asarray(q.get(self.axis, 0.0), np.float64)

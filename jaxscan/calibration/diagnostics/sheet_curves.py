@@ -248,7 +248,6 @@ def _beside_the_blocks(
     )
     at = np.concatenate([at_corners, stripes.places.reshape(len(J), striped, 2)], axis=1)
     bends = away[..., None] * np.moveaxis(basis(at[..., 0], at[..., 1], N_TERMS), 0, -1)
-    beside = beside[:, : J.shape[1]]
     columns = np.concatenate([J[..., :shared], beside, bends, stripes.rows(J.shape[1]), r[..., None]], axis=-1)
     Q = np.linalg.qr(own)[0]
     return columns - Q @ (np.swapaxes(Q, 1, 2) @ columns)

@@ -8,7 +8,7 @@ solve, and none is said where one step between two photographs explains more. Pl
 direction of approach; there must be photographs of both.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +18,7 @@ from jaxscan.calibration.diagnostics.board_flatness import beside_shape
 from jaxscan.calibration.flatness import BY_CHANCE
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
-from jaxscan.calibration.stage_paths import Course, Fit, Periods, courses, find_period, fitted
+from jaxscan.calibration.stage_paths import Course, Fit, Periods, find_period, fitted
 from jaxscan.calibration.stage_shape import StageShape
 from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
 from jaxscan.rig.line import Line
@@ -42,15 +42,16 @@ _NAMES = {
 }
 
 
-def stage_shapes(refined: Refined, calibration: Calibration) -> tuple[StageShape, ...]:
+def stage_shapes(refined: Refined, calibration: Calibration, by_axis: Mapping[str, Course]) -> tuple[StageShape, ...]:
     """Of each axis that moves its load otherwise than it was taken to, how.
 
     Args:
         refined: where the rounds ended.
         calibration: the same, assembled.
+        by_axis: its `courses`.
     """
     found = []
-    for axis, course in courses(calibration).items():
+    for axis, course in by_axis.items():
         part = calibration.rig.axis(axis)
         if isinstance(part, Line) and (shape := _shape(refined, calibration, part, course)) is not None:
             found.append(shape)
@@ -238,14 +239,15 @@ def stage_rows(
         shapes: of each axis its course, the period of its wave where it has one, and whether it has play.
     """
     shared = refined.last[1].shared.shape[1]
+    widths = [6 + 2 * (period is not None) + played for _, period, played in shapes]
     found = []
     for i, (group, J) in enumerate(zip(refined.groups, refined.last[1].blocks, strict=False)):
         # Behind corners and stripe stands what is known of the boards' bends.
         J = np.asarray(J)[:, : group.corners[0].size + group.stripe_used[0].size, shared : shared + 6]
         columns = [np.zeros((*J.shape[:2], 0))]
         corners, stripes = 2 * group.corners.shape[2], group.stripe_used.shape[2]
-        for course, period, played in shapes if i else ():
-            path = np.zeros((*J.shape[:2], 6 + 2 * (period is not None) + played))
+        for (course, period, played), width in zip(shapes, widths, strict=True) if i else ():
+            path = np.zeros((*J.shape[:2], width))
             for b, sequence in enumerate(calibration.observations.sequences):
                 if sequence.axis != course.axis:
                     continue
@@ -264,16 +266,14 @@ def stage_rows(
                     path[b, : len(of_row), -1] = -ahead * each / 2
             columns.append(path)
         if not i:
-            widths = [6 + 2 * (period is not None) + played for _, period, played in shapes]
             columns += [np.zeros((*J.shape[:2], width)) for width in widths]
         found.append(np.concatenate(columns, axis=2))
     return found
 
 
 def rows_of_shapes(
-    refined: Refined, calibration: Calibration, shapes: Sequence[StageShape]
+    refined: Refined, calibration: Calibration, by_axis: Mapping[str, Course], shapes: Sequence[StageShape]
 ) -> list[Float[np.ndarray, "blocks residuals columns"]]:
     """`stage_rows` of those that were named."""
-    by_axis = courses(calibration)
     found = [(by_axis[shape.axis], shape.period_steps, bool(shape.play_mm)) for shape in shapes]
     return stage_rows(refined, calibration, found)
