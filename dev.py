@@ -5,15 +5,21 @@ into it the versions that `constraints.txt` pins.
 """
 
 import argparse
+import contextlib
 import hashlib
 import os
+import platform
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
+
+# Compiled functions that no run has read for so long are deleted, s.
+_KEPT_S = 14 * 24 * 3600
 
 # command: what it needs installed, what it runs, what it is for
 COMMANDS = {
@@ -55,15 +61,38 @@ def main() -> int:
 
 
 def _compiled_once() -> dict[str, str]:
-    """The environment, and where JAX keeps what one test or benchmark has compiled for the others."""
-    kept = {"JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    """The environment, and where JAX keeps what one test or benchmark has compiled for the others, and for later runs.
+
+    What is compiled depends on versions and on the processor, so each combination has a folder of its own, outside the
+    checkout: a fresh clone need not compile again. What no run has read for two weeks is deleted.
+    """
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxscan" / "tests"
+    folder = base / hashlib.sha256(b"".join((*_pins(), sys.version.encode(), _processor()))).hexdigest()[:16]
+    for path in base.glob("*/*"):
+        with contextlib.suppress(OSError):  # another run may have deleted it
+            if time.time() - path.stat().st_atime > _KEPT_S:
+                path.unlink()
+    kept = {"JAX_COMPILATION_CACHE_DIR": str(folder), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     return kept | dict(os.environ)
+
+
+def _pins() -> list[bytes]:
+    return [(ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt")]
+
+
+def _processor() -> bytes:
+    """What code is compiled for: on Linux the processor's features, elsewhere its name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    features = next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    return f"{platform.machine()} {platform.processor()} {features}".encode()
 
 
 def set_up(extra: str) -> None:
     """Install the package with one of its extras, unless that was done for these very pins."""
-    pins = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt"))
-    done = VENV / f".installed-{extra}-{hashlib.sha256(pins).hexdigest()[:16]}"
+    done = VENV / f".installed-{extra}-{hashlib.sha256(b''.join(_pins())).hexdigest()[:16]}"
     if done.exists():
         return
     if not (BIN / "pip").exists():
