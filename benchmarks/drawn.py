@@ -14,6 +14,9 @@ from jaxscan.rig import Camera, Rig
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.profile import true_profile
 
+# Half as many photographs of the board on the turntable as are simulated: a draw takes half the time.
+_TURNTABLE_VIEWS = 16
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -51,8 +54,8 @@ def exact_turn(rig: Rig, seed: int, columns_apart: int | None = None) -> BoardSe
         seed: of where the board lies.
         columns_apart: from one stripe point to the next; None for no stripes.
     """
-    turns = rig_2003.TURNS_APART * np.arange(rig_2003.TURNTABLE_VIEWS)
-    steps = np.full(len(turns), float(rig_2003.TURNTABLE_STAGE_STEP))
+    turns = rig_2003.turns_of(_TURNTABLE_VIEWS)
+    steps = np.full(len(turns), float(rig_2003.turntable_stage_step(rig)))
     boards = rig_2003.turned_boards(rig, rig_2003.turntable_pose(rig, seed), turns)
     rotations = np.stack([board.rotation for board in boards])
     translations = np.stack([board.translation for board in boards]) + rig_2003.stage_travel(rig, steps)

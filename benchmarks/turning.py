@@ -39,6 +39,8 @@ from jaxscan.surface.side import side_of_image
 _SPECKLE: Final = 0.3
 # Motor steps from frame to frame: 356 frames of a turn, and 100 in the quick form.
 _APART, _APART_QUICK = 9, 32
+# Photographs of the board on the turntable: the motor takes them by itself.
+_TURNTABLE_VIEWS: Final = 64
 
 
 def measure(quick: bool) -> list[Metric]:
@@ -56,7 +58,7 @@ def _measured(seed: int, quick: bool) -> list[Metric]:
         here = Path(folder)
         speckled = {"speckle": _SPECKLE}
         boards = replace(rig_2003.BOARD_LIGHTING, **speckled)
-        simulate_session(here / "session", seed, rig=true, lighting=boards)
+        simulate_session(here / "session", seed, rig=true, lighting=boards, turntable_views=_TURNTABLE_VIEWS)
         observations = observe(read_session(here / "session"))
         found = calibrate(observations)
         axes = rig_2003.turning_axes(_APART_QUICK if quick else _APART)
@@ -95,7 +97,7 @@ def _of_two_lasers(seed: int, quick: bool) -> list[Metric]:
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
         boards = replace(rig_2003.BOARD_LIGHTING, speckle=_SPECKLE)
-        simulate_session(here / "session", seed, rig=true, lighting=boards)
+        simulate_session(here / "session", seed, rig=true, lighting=boards, turntable_views=_TURNTABLE_VIEWS)
         found = calibrate(observe(read_session(here / "session"))).rig_file()
         for i, laser in enumerate(true.lights):
             simulate_scan(here / laser.name, true, scene, seed, laser=i, axes=axes, lighting=light)

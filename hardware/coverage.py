@@ -10,7 +10,8 @@ from jaxscan.images import Board
 
 ON_STAGE: Final = "fix the board on the stage so that it stays in view over the whole travel, and step aside"
 ON_TURNTABLE: Final = (
-    "lay the board on the turntable, about its middle, fix it so that it stays in view as it turns, and step aside"
+    "lean the board on the turntable, about its middle and tilted by some 40°, fix it so that it stays in view as it "
+    "turns, and step aside"
 )
 # The image is looked at in so many columns and rows of cells.
 _CELLS: Final = (4, 3)

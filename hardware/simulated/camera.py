@@ -59,8 +59,8 @@ class SimulatedWorld:
         self.lighting = rig_2003.BOARD_LIGHTING
         self.view = (2, 0)
 
-    def lay_board(self) -> None:
-        """Lay the board on the turntable."""
+    def lean_board(self) -> None:
+        """Lean the board against something on the turntable."""
         pose = rig_2003.turntable_pose(self.rig, self.seed)
         self.scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
         self.lighting = rig_2003.BOARD_LIGHTING

@@ -21,7 +21,7 @@ class SimulatedOperator:
         if wish == ON_STAGE:
             self._world.put_board()
         elif wish == ON_TURNTABLE:
-            self._world.lay_board()
+            self._world.lean_board()
         else:
             self._world.hold_board(self._next % self._views, self._views)
             self._next += 1

@@ -101,6 +101,7 @@ def simulate_session(
     rig: Rig | None = None,
     views: int | None = None,
     stage_views: int | None = None,
+    turntable_views: int | None = None,
     steps_apart: int = STEPS_APART,
     lighting: Lighting = rig_2003.BOARD_LIGHTING,
     sensor: Sensor = rig_2003.SENSOR,
@@ -112,7 +113,7 @@ def simulate_session(
 ) -> SessionTruth:
     """Write a calibration session of the simulated rig of 2003: boards with the stripe, and a board on the stage.
 
-    Of a rig with a turntable also a board on that.
+    Of a rig with a turntable also a board that leans on that.
 
     Args:
         folder: gets `session.toml`, `boards/`, `stage/` and `turntable/`; is made if it is not there.
@@ -120,7 +121,8 @@ def simulate_session(
         rig: another rig than that of the seed; with several lasers the stripes are photographed separately.
         views: how many poses, the first of them the same whatever their number; 11 if None.
         stage_views: how many photographs of the board on the stage; 31 if None.
-        steps_apart: motor steps from one of these to the next.
+        turntable_views: how many photographs of the board on the turntable, if the rig has one; 32 if None.
+        steps_apart: motor steps from one photograph on the stage to the next.
         lighting: of the boards with a stripe; the stage photographs have the same without the laser. Boards are matt.
         sensor: of all photographs.
         hand: how still it holds the boards of the views; those on stage and turntable do not shake.
@@ -168,10 +170,10 @@ def simulate_session(
         shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, q={name: each[i] for name, each in come.items()})
         for i in range(len(steps))
     ]
-    lying = rig_2003.turntable_pose(rig, seed) if "turntable" in rig.axes() else None
-    turns = tuple(rig_2003.TURNS_APART * i for i in range(rig_2003.TURNTABLE_VIEWS)) if lying else ()
-    on_stage, turned = rig_2003.TURNTABLE_STAGE_STEP, []
-    for i, pose in enumerate(rig_2003.turned_boards(rig, lying, np.array(turns)) if lying else ()):
+    leaning = rig_2003.turntable_pose(rig, seed) if "turntable" in rig.axes() else None
+    turns = tuple(rig_2003.turns_of(turntable_views or rig_2003.TURNTABLE_VIEWS).tolist()) if leaning else ()
+    on_stage, turned = rig_2003.turntable_stage_step(rig) if leaning else 0, []
+    for i, pose in enumerate(rig_2003.turned_boards(rig, leaning, np.array(turns)) if leaning else ()):
         scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
         turned.append(shoot(f"turntable/{i:02d}", scene, _TURNTABLE_NOISE, i, q={STAGE: on_stage}))
     stripes = {name: tuple(paths) for name, paths in stripe_images.items()} if separate and rig.lights else None
@@ -186,7 +188,7 @@ def simulate_session(
             image_size=rig.camera.image_size,
         )
     )
-    return SessionTruth(rig, seed, boards, stage, steps, lying, turns)
+    return SessionTruth(rig, seed, boards, stage, steps, leaning, turns)
 
 
 def simulate_scan(
@@ -268,7 +270,7 @@ def write_truth(folder: Path, session: SessionTruth, *scans: ScanTruth) -> None:
     if session.turntable is not None:
         values["turntable"] = _pose_values(session.turntable, ...)
         values["turntable_steps"] = list(session.turntable_steps)
-        values["turntable_stage_step"] = rig_2003.TURNTABLE_STAGE_STEP
+        values["turntable_stage_step"] = rig_2003.turntable_stage_step(session.rig)
     with replacing(folder / TRUE_SESSION, "w") as file:
         json.dump(values, file, indent=2)
     for scan in scans:

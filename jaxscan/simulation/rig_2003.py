@@ -6,7 +6,8 @@ axis; a sheet of σ 0.25 mm; 11 poses of a board of 9 × 6 inner corners of 16 m
 0.6 rad about x and y, with the stripe across them; 31 photographs of that board on the stage, 2000 steps apart; a scan
 of 37 frames from step 0, 2000 steps apart. With two lasers the second shines from below onto the line of the platform
 where the first does. A turntable, on request, stands on the platform of the stage: 3200 steps a turn about an axis 2°
-off the platform's normal; 16 photographs of the board lying on it, 200 steps apart, with the stage at step 18000.
+off the platform's normal; 32 photographs of the board leaning on it by 0.7 rad, 100 steps apart, with the stage where
+the board is in the middle of the image.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from typing import Final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Num
+from jaxtyping import Array, Float, Int, Num
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
@@ -35,9 +36,7 @@ IMAGE_SIZE: Final = (640, 480)
 BOARD: Final = Board.checkerboard((9, 6), 16.0)
 BOARD_VIEWS: Final = 11
 STAGE_VIEWS: Final = 31
-TURNTABLE_VIEWS: Final = 16
-TURNS_APART: Final = 200
-TURNTABLE_STAGE_STEP: Final = 18000
+TURNTABLE_VIEWS: Final = 32
 SCAN_FRAMES: Final = 37
 STEPS_APART: Final = 2000
 SCREW_STEPS: Final = 3200.0
@@ -65,6 +64,12 @@ _SCREW_PHASE = 1.0
 TURN_APART: Final = 20
 # How far the turntable's axis, and the middle of the board on it, may stand from where they should, mm.
 _OFF_AXIS = 3.0
+# The board on the turntable leans, rad, so that the camera sees it tilted another way at every angle: that tells the
+# focal length, which a board that lies flat hardly does.
+_LEAN = 0.7
+# Where the stage may stand meanwhile, and at how many angles that is asked.
+_STAGE_STEPS_TRIED = (10_000, 60_000, 2000)
+_TURNS_TRIED = 16
 # Makes the second sheet about as steep as the first, (0, 0.00494, 0.00268) 1/mm.
 _BEYOND_PLATFORM = 0.6
 
@@ -209,23 +214,44 @@ def with_turntable(rig: Rig, seed: int) -> Rig:
 
 
 def turntable_pose(rig: Rig, seed: int) -> Pose:
-    """The pose, in the object frame and at the turntable's step 0, of the board that lies on it: in view all around."""
+    """The pose (object frame, turntable at step 0) of the board that leans on the turntable, in view all around."""
     random = np.random.default_rng([2003, seed, 4])
-    R, origin = platform(rig)
-    # The board's z points away from the camera, into the platform.
-    lying = R @ np.diag([1.0, -1.0, -1.0])
-    moved = stage_travel(rig, np.array([TURNTABLE_STAGE_STEP]))
+    moved = stage_travel(rig, np.array([turntable_stage_step(rig)]))
     while True:
-        askew = vector_to_matrix(random.uniform(-_STAGE_TILT, _STAGE_TILT, 3) * [0.2, 0.2, 1])
-        aside = np.array([*random.uniform(-_OFF_AXIS, _OFF_AXIS, 2), 0.0])
-        rotation = matrix_to_vector(lying @ askew)
-        _, translation = _about_middle(rotation, origin + R @ (np.array([0.0, OBJECT_Y, 0.0]) + aside))
-        pose = Pose(rotation, translation)
+        askew = random.uniform(-_STAGE_TILT, _STAGE_TILT, 3) * [0.2, 0.2, 1]
+        pose = _leaning(rig, askew, random.uniform(-_OFF_AXIS, _OFF_AXIS, 2))
         if all(
             in_view(rig.camera, at.matrix(), at.translation + moved)
-            for at in turned_boards(rig, pose, TURNS_APART * np.arange(TURNTABLE_VIEWS))
+            for at in turned_boards(rig, pose, turns_of(TURNTABLE_VIEWS))
         ):
             return pose
+
+
+def turntable_stage_step(rig: Rig) -> int:
+    """Where the stage stands meanwhile: the board is as far within the image, all around, as can be."""
+    boards = turned_boards(rig, _leaning(rig, np.zeros(3), np.zeros(2)), turns_of(_TURNS_TRIED))
+    at_start = np.concatenate([_outline() @ at.matrix().T + at.translation for at in boards])
+    steps = np.arange(*_STAGE_STEPS_TRIED)
+    corners = at_start + stage_travel(rig, steps)[:, None]
+    pixels = _pixels(rig.camera, corners)
+    inside = np.minimum(pixels, np.asarray(rig.camera.image_size) - 1 - pixels).min(axis=(1, 2))
+    return int(steps[inside.argmax()])
+
+
+def _leaning(rig: Rig, askew: Float[np.ndarray, "3"], aside: Float[np.ndarray, "2"]) -> Pose:
+    """The board leaning on the turntable, turned by so much (rad) and so far (mm) from where it should be."""
+    R, origin = platform(rig)
+    # The board's z points away from the camera, into the platform; the edge of its outer squares stands on it.
+    leaning = R @ np.diag([1.0, -1.0, -1.0]) @ vector_to_matrix(np.array([_LEAN, 0.0, 0.0]))
+    height = np.sin(_LEAN) * (np.ptp(BOARD.points()[:, 1]) / 2 + BOARD.pitch_mm)
+    rotation = matrix_to_vector(leaning @ vector_to_matrix(askew))
+    middle = origin + R @ np.array([aside[0], OBJECT_Y + aside[1], height])
+    return Pose(rotation, _about_middle(rotation, middle)[1])
+
+
+def turns_of(views: int) -> Int[np.ndarray, "views"]:
+    """Motor steps of the turntable at photographs of the board all around: evenly, the first at 0."""
+    return STEPS_PER_TURN // views * np.arange(views)
 
 
 def turned_boards(rig: Rig, pose: Pose, steps: Num[np.ndarray, "images"]) -> list[Pose]:
@@ -340,14 +366,22 @@ def _about_middle(
 
 def in_view(camera: Camera, R: Float[np.ndarray, "3 3"], translations: Float[np.ndarray, "places 3"]) -> bool:
     """Whether the pattern, with the squares around its points, is within the image at each place."""
-    points = BOARD.points()
-    low, high = points.min(axis=0) - BOARD.pitch_mm, points.max(axis=0) + BOARD.pitch_mm
-    outline = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
-    corners = (outline @ R.T)[None] + translations[:, None]
-    with float64():
-        pixels = np.asarray(_project(camera, jnp.asarray(corners.reshape(-1, 3))))
+    pixels = _pixels(camera, _outline() @ R.T + translations[:, None])
     inside = (pixels > -0.5 + _BORDER_PX) & (pixels < np.asarray(camera.image_size) - 0.5 - _BORDER_PX)
     return bool(inside.all())
+
+
+def _outline() -> Float[np.ndarray, "4 3"]:
+    """The corners of the pattern with the squares around its points, in the board's frame, mm."""
+    points = BOARD.points()
+    low, high = points.min(axis=0) - BOARD.pitch_mm, points.max(axis=0) + BOARD.pitch_mm
+    return np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
+
+
+def _pixels(camera: Camera, points: Float[np.ndarray, "*of 3"]) -> Float[np.ndarray, "*of 2"]:
+    with float64():
+        seen = np.asarray(_project(camera, jnp.asarray(points.reshape(-1, 3))))
+    return seen.reshape(*points.shape[:-1], 2)
 
 
 @jax.jit

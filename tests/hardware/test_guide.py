@@ -46,21 +46,21 @@ def test_covered_cells_are_drawn_where_they_are() -> None:
 def test_the_board_on_the_turntable_of_the_simulated_scanner(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its corners are where the true rig sees the board that lies on the table, turned by so many steps."""
+    """Its corners are where the true rig sees the board that leans on the table, turned by so many steps."""
     monkeypatch.chdir(tmp_path)
     argv = ["calibrate", "session", "--views", "3", "--stage-frames", "2", "--stage-apart", "30000"]
-    assert main([*argv, "--turntable-frames", "3", "--turntable-at", "18000"]) == 0
+    assert main([*argv, "--turntable-frames", "3", "--turntable-at", "48000"]) == 0
     captured = capsys.readouterr()
     assert "3 views of the board, 2 along the stage, 3 on the turntable" in captured.out
-    assert "lay the board on the turntable" in captured.err
+    assert "lean the board on the turntable" in captured.err
     session = read_session(tmp_path / "session")
     table = session.turntable
     assert table is not None
-    assert (table.steps, table.stage_step) == ((0, 1067, 2133), 18000)
+    assert (table.steps, table.stage_step) == ((0, 1067, 2133), 48000)
     rig = rig_2003.with_turntable(rig_2003.simulated_rig(0), 0)
-    lying = rig_2003.turntable_pose(rig, 0)
-    moved = rig_2003.stage_travel(rig, np.array([18000]))
-    poses = rig_2003.turned_boards(rig, lying, np.array(table.steps))
+    leaning = rig_2003.turntable_pose(rig, 0)
+    moved = rig_2003.stage_travel(rig, np.array([48000]))
+    poses = rig_2003.turned_boards(rig, leaning, np.array(table.steps))
     for path, pose in zip(table.images, poses, strict=True):
         found = find_board(session.board, read_image(path))
         assert found is not None

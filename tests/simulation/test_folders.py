@@ -62,8 +62,8 @@ def test_a_board_on_the_turntable(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     truth = folders.simulate_session(tmp_path / "session", 1, rig=rig)
     session = read_session(tmp_path / "session")
     assert session.turntable is not None
-    assert session.turntable.steps == truth.turntable_steps == (0, 200, 400)
-    assert session.turntable.stage_step == rig_2003.TURNTABLE_STAGE_STEP
+    assert session.turntable.steps == truth.turntable_steps == (0, 1066, 2132)
+    assert session.turntable.stage_step == rig_2003.turntable_stage_step(rig)
     folders.write_truth(tmp_path / "truth", truth)
     values = json.loads((tmp_path / "truth" / "session.json").read_text())
     assert truth.turntable is not None
