@@ -35,7 +35,7 @@ from jaxscan.simulation.folders import simulate_session
 from jaxscan.simulation.shapes import figure
 from jaxscan.surface.register import register
 from jaxscan.surface.side import side_of_image
-from jaxscan.surface.turntable import turntable_poses
+from jaxscan.surface.turntable import turntable_of, turntable_poses
 
 _NOISE: Final = Noise(corner=0.05, stripe=0.1)
 # What 99.9 % of all means of a normal error stay within, in its σ.
@@ -118,14 +118,6 @@ def normalised_square(calibration: Calibration, error: Float[np.ndarray, "6"]) -
 def numbers(turntable: Rotary) -> Float[np.ndarray, "6"]:
     """Its rotation vector of one step, then its centre."""
     return np.array([float(x) for x in (*turntable.per_step, *turntable.centre)])
-
-
-def turntable_of(rig: Rig) -> Rotary:
-    """The turntable of a rig that has one."""
-    turntable = rig.axis("turntable")
-    if not isinstance(turntable, Rotary):
-        raise ValueError(f"the turntable is {turntable.kind}")
-    return turntable
 
 
 def used(rig: Rig, calibration: Calibration) -> list[Metric]:

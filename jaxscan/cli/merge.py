@@ -178,15 +178,13 @@ def _start(args: argparse.Namespace) -> "tuple[Sequence[Pose] | None, Sequence[f
         return [poses[0].inverse() @ T for T in poses], None
     if not args.steps:
         return None, args.turn
+    from jaxscan.errors import said_of
     from jaxscan.files.rig_file import read_rig
-    from jaxscan.rig import Rotary
-    from jaxscan.surface.turntable import turntable_poses
+    from jaxscan.surface.turntable import turntable_of, turntable_poses
 
-    turns = [part for part in read_rig(args.rig).rig.motion.parts() if isinstance(part, Rotary)]
-    if len(turns) != 1:
-        has = f"{len(turns)} axes that turn" if turns else "no turntable"
-        raise InputError(f"{args.rig}: has {has}: find it with --fit-turntable, or give --turn")
-    return turntable_poses(turns[0], args.steps), None
+    rig = read_rig(args.rig).rig
+    with said_of(args.rig):
+        return turntable_poses(turntable_of(rig), args.steps), None
 
 
 def _side(path: Path, args: argparse.Namespace, advance: Any) -> "Side":

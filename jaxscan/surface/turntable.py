@@ -20,7 +20,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.geometry.turn import axis_point, rate_of_turn
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Covariance, Rotary
+from jaxscan.rig import Covariance, Rig, Rotary
 from jaxscan.rig.motion import normal_motion
 from jaxscan.rig.rig import motion_normal_jacobian
 from jaxscan.surface.register import Registration
@@ -91,6 +91,19 @@ def fit_turntable(registration: Registration, steps: Sequence[float]) -> Turntab
     full = motion_normal_jacobian(found) @ full
     covariance = max(misfit, 1.0) ** 2 * full @ np.linalg.inv((weight @ J).T @ (weight @ J)) @ full.T
     return TurntableFit(turntable, Covariance(_NAMES, (covariance + covariance.T) / 2), misfit)
+
+
+def turntable_of(rig: Rig) -> Rotary:
+    """The axis of a rig about which its load turns.
+
+    Raises:
+        InputError: there is none, or more than one.
+    """
+    turns = [part for part in rig.motion.parts() if isinstance(part, Rotary)]
+    if len(turns) != 1:
+        has = f"{len(turns)} axes that turn" if turns else "no turntable"
+        raise InputError(f"has {has}: find it with --fit-turntable, or give --turn")
+    return turns[0]
 
 
 def turntable_poses(turntable: Rotary, steps: Sequence[float]) -> list[Pose]:
