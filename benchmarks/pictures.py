@@ -1,6 +1,6 @@
 """`python -m benchmarks.pictures`: the pictures of README and docs.
 
-`cup.png`: a cup by the pipeline of 2003 and by ours, coloured by the distance from the true surface, and one profile of
+`scan.png`: a scan beside one of its photographs. `cup.png`: a cup by the pipeline of 2003 and by ours, coloured by the distance from the true surface, and one profile of
 each. `views.png`: the error of a scan against the number of board views in the calibration, by each pipeline.
 `placing.png`: σ of a point against the angle between laser and camera, and σ of a stripe against its width.
 """
@@ -21,11 +21,16 @@ from benchmarks.found import Found
 from benchmarks.pipelines import MATLAB, OURS, PIPELINES, Taken, matlab
 from benchmarks.stripes import profile
 from jaxscan.calibration import Observations
+from jaxscan.cli import demo
+from jaxscan.cli.calibrate import calibrate_session
 from jaxscan.cli.compiled import keep_compiled
+from jaxscan.cli.reconstruct import reconstruct_scan
+from jaxscan.cli.simulate import simulate_into
 from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.reconstruction import read_range_image
 from jaxscan.reconstruction.point_sigma import ray_jacobian
 from jaxscan.rig import Camera, LightPlane, Rig
-from jaxscan.simulation import rig_2003
+from jaxscan.simulation import rig_2003, shapes
 from jaxscan.simulation.accuracy import cloud_errors
 from jaxscan.simulation.distance import distance
 from jaxscan.view.matplotlib_setup import pyplot
@@ -59,6 +64,8 @@ def main() -> None:
     args = command_line().parse_args()
     keep_compiled()
     args.output.mkdir(parents=True, exist_ok=True)
+    if args.only in (None, "scan"):
+        draw_one_scan(args.output / "scan.png")
     if args.only in (None, "cup"):
         draw_cup(args.output / "cup.png")
     if args.only in (None, "views"):
@@ -70,10 +77,23 @@ def main() -> None:
 def command_line() -> argparse.ArgumentParser:
     """What may be asked for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__)
-    parser.add_argument("--only", choices=("cup", "views", "placing"), help="one of them")
+    parser.add_argument("--only", choices=("scan", "cup", "views", "placing"), help="one of them")
     parser.add_argument("--seeds", type=int, default=10, help="of the second picture (default: 10)")
     parser.add_argument("-o", "--output", type=Path, default=HERE, metavar="DIR", help="default: docs/pictures")
     return parser
+
+
+def draw_one_scan(path: Path, apart: int = 500) -> None:
+    """The panda of the demo, with four times as many photographs, by a rig that was calibrated from photographs."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "world"
+        light = {"speckle": rig_2003.SPECKLE}
+        simulate_into(out, 0, shapes.panda(rig_2003.OBJECT_Y), "panda", light=light, apart=apart)
+        rig = calibrate_session([out / "session"], out / "rig.json").rig
+        reconstruct_scan(out / "scan", out / "rig.json", [out / "panda.npz"])
+        image, floor = demo.object_alone(read_range_image(out / "panda.npz"))
+        demo.draw_picture(out, "panda", image, floor, rig)
+        path.write_bytes((out / "panda.png").read_bytes())
 
 
 def draw_cup(path: Path, seed: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""The errors that jaxscan raises on purpose: each text names the file, the value and the mend."""
+"""The errors that jaxscan raises on purpose: each text names the file, the value, and how to fix it."""
 
 import os
 from collections.abc import Iterator

@@ -16,7 +16,7 @@ from jaxscan.errors import InputError
 from jaxscan.extras import EXTRAS
 from jaxscan.simulation.mesh import Mesh
 from jaxscan.surface.scattered import poisson_surface
-from jaxscan.view import plots, surface_plots
+from jaxscan.view import surface_plots
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -50,7 +50,6 @@ BEHIND = {
     "jaxscan/simulation/mesh.py": "mesh-scenes",
     "jaxscan/view/calibration_plots.py": "plots",
     "jaxscan/view/matplotlib_setup.py": "plots",
-    "jaxscan/view/plots.py": "plots",
     "jaxscan/view/surface_plots.py": "plots",
     "hardware/cameras/genicam.py": "genicam",
     "hardware/cameras/gphoto.py": "gphoto2",
@@ -122,7 +121,6 @@ USES = [
     ("plots", "compare none.ply none.stl --png OUT/m.png"),
     ("plots", "view none.ply --png OUT/m.png"),
     ("plots", "calibrate none -o OUT/rig.json --report OUT/report"),
-    ("plots", "demo -o OUT/demo"),
     ("plots", "inspect OUT/image.npz --png OUT/m.png"),
     ("viewer", "view none.ply"),
     ("poisson", "mesh none.npz -o OUT/m.stl --method poisson"),
@@ -160,7 +158,6 @@ FUNCTIONS = [
     ("plots", lambda: surface_plots.draw_range("m.png", None)),
     ("plots", lambda: surface_plots.draw_comparison("m.png", None, "")),
     ("plots", lambda: surface_plots.draw_exhibit("m.png", None, "", "")),
-    ("plots", lambda: plots.draw_scan("m.png", *[None] * 4, "")),
     ("poisson", lambda: poisson_surface(None, None)),
     ("mesh-scenes", lambda: Mesh.create(None)),
 ]

@@ -75,7 +75,7 @@ class Steps:
 
     @property
     def turns(self) -> bool:
-        """It does."""
+        """Whether the shape can be recognised when it is turned about the vertical: true."""
         return True
 
     def nearest(
@@ -181,7 +181,7 @@ class Solid:
 
     @property
     def turns(self) -> bool:
-        """It does."""
+        """Whether the shape can be recognised when it is turned about the vertical: true."""
         return True
 
     def nearest(

@@ -116,7 +116,7 @@ class Choice:
         if not self.added:
             return f"{self.model.in_words()}, as asked: nothing that the photographs show asks for more"
         each = [
-            f"{trial.of}, since {trial.why}; photographs that were held out are foretold better by it "
+            f"{trial.of}, since {trial.why}; photographs that were held out are predicted better by it "
             f"(−2 log p is lower by {trial.gain:.3g} ± {trial.error:.2g} each)"
             for trial in self.added
         ]

@@ -78,12 +78,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     check_outputs([args.output])
     if args.camera is None and (args.hold_camera or args.camera_name or args.free):
         raise InputError(
-            "--hold-camera, --camera-name and --free speak of the camera of a file: name it with --camera FILE"
+            "--hold-camera, --camera-name and --free need the camera of a file: name it with --camera FILE"
         )
     if args.hold_camera and args.free:
         free = ", ".join(name for names in args.free for name in names)
         raise InputError(
-            f"--hold-camera keeps all of the camera, --free {free} seeks a part of it: leave out one of them"
+            f"--hold-camera keeps all of the camera, --free {free} estimates a part of it: leave out one of them"
         )
     optics = optics_asked(args)
     if optics and not args.report:
@@ -165,6 +165,7 @@ def solve_sessions(
     from jaxscan.calibration import calibrate, calibrate_by_evidence
     from jaxscan.calibration.board_views import observations_from
     from jaxscan.calibration.held import held_parameters
+    from jaxscan.calibration.known_scale import scale_note
     from jaxscan.calibration.model import Model
     from jaxscan.calibration.observations import join
     from jaxscan.calibration.observe import observe, photograph_count, unseen
@@ -208,14 +209,14 @@ def solve_sessions(
             "add [laser] to session.toml, or leave out these options"
         )
     if estimate.sheet and not joined.lasers:
-        raise InputError(f"{paths[0]}: has no [laser], and --sheet speaks of one's light: add [laser], or leave it out")
+        raise InputError(f"{paths[0]}: has no [laser], and --sheet needs one: add [laser], or leave --sheet out")
     start = _start(camera, name, settings[0], contents[0].image_size) if camera else None
     asked, lens = settings[0], start.lens.kind if start else settings[0].lens
     tilted = asked.tilt or bool(start and start.tilt)
     if hold and asked.tilt and start is not None and not start.tilt:
         raise InputError(
-            f"{camera}: its sensor is not tilted, and --hold-camera keeps it so; --tilt, or tilt under [camera], seeks "
-            "a tilt: leave out one of them"
+            f"{camera}: its sensor is not tilted, and --hold-camera keeps it so; --tilt, or tilt under [camera], "
+            "estimates a tilt: leave out one of them"
         )
     holding = camera_parameters(lens, tilted=tilted) if hold else asked.hold
     held_parameters(holding, lens, asked.principal_point, has_start=start is not None, tilted=tilted)
@@ -238,8 +239,11 @@ def solve_sessions(
     with progress("solving", unit="step") as advance:
         if estimate.chooses:
             fixed = estimate.fixed() | ({"lens"} if start else set())
-            return calibrate_by_evidence(observations, model, fixed=fixed, advance=advance.says, **rest)
-        return calibrate(observations, **model.asked(), **rest, plain=estimate.plain, advance=advance.says)
+            found = calibrate_by_evidence(observations, model, fixed=fixed, advance=advance.says, **rest)
+        else:
+            found = calibrate(observations, **model.asked(), **rest, plain=estimate.plain, advance=advance.says)
+    note = scale_note(found, [content for content in contents if isinstance(content, Session)])
+    return replace(found, notes=(*found.notes, note)) if note else found
 
 
 def _sheets(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], estimate: Estimate) -> tuple[str, ...]:
@@ -283,9 +287,7 @@ def _stage_motion(
     }
     if not stages:
         if estimate.stage_motion is not None:
-            raise InputError(
-                f"{paths[0]}: has no [stage], and --motion speaks of one's photographs: add [stage], or leave it out"
-            )
+            raise InputError(f"{paths[0]}: has no [stage], and --motion needs one: add [stage], or leave --motion out")
         return {}, {}
     asked = {path: (estimate.stage_motion or stage.motion, stage.screw_steps) for path, stage in stages.items()}
     (first, (motion, screw)), *others = asked.items()

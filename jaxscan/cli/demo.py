@@ -1,13 +1,23 @@
 """`jaxscan demo`: the whole way on a simulated scanner, with no hardware and nothing to prepare."""
 
 import argparse
+import sys
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.extras import extra
+if TYPE_CHECKING:
+    import numpy as np
 
-HELP: Final = "simulate a scanner, calibrate it, scan a cup, and compare with the truth"
+    from jaxscan.reconstruction import RangeImage
+    from jaxscan.rig import Rig
+    from jaxscan.surface.floor import Floor
+
+HELP: Final = "simulate a scanner, calibrate it, scan a panda, and compare with the truth"
 EXAMPLE: Final = "jaxscan demo -o jaxscan-demo"
+
+_STEPS: Final = 5
+# Motor steps from frame to frame: 1 mm.
+_APART: Final = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, default=Path("jaxscan-demo"), metavar="DIR", help="default: ./jaxscan-demo"
     )
     parser.add_argument(
-        "--turntable", action="store_true", help="scan a figure once all around on a turntable, in place of a cup"
+        "--turntable", action="store_true", help="scan a figure once all around on a turntable instead of the panda"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the simulated rig, poses and noise (default: 0)")
 
@@ -25,35 +35,51 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Simulate, calibrate, reconstruct, compare, draw."""
     import time
 
-    extra("plots")
     begin = time.monotonic()
+    out, name, object_ = args.output, "panda", "a panda"
+    if args.turntable:
+        name, object_ = "figure", "a figure"
     from jaxscan.cli.simulate import check_folder, simulate_into
 
-    check_folder(args.output, args.seed)
+    check_folder(out, args.seed)
+    _say(1, f"photograph a calibration board, and {object_} as it passes through the laser's light (simulated)")
     from jaxscan.simulation.rig_2003 import OBJECT_Y, SPECKLE
-    from jaxscan.simulation.shapes import cup, figure
+    from jaxscan.simulation.shapes import figure, panda
 
-    out, name = args.output, "figure" if args.turntable else "cup"
-    bodies = figure(OBJECT_Y) if args.turntable else cup(OBJECT_Y)
-    light = {"speckle": SPECKLE}
-    scene, _, (truth,) = simulate_into(out, args.seed, bodies, name, light=light, turntable=args.turntable)
+    bodies = figure(OBJECT_Y) if args.turntable else panda(OBJECT_Y)
+    scene, _, (truth,) = simulate_into(
+        out,
+        args.seed,
+        bodies,
+        name,
+        light={"speckle": SPECKLE},
+        turntable=args.turntable,
+        apart=None if args.turntable else _APART,
+    )
     from jaxscan.cli.calibrate import calibrate_session
+    from jaxscan.cli.progress import progress
     from jaxscan.cli.reconstruct import reconstruct_scan
-    from jaxscan.images import draw_stripe, read_image
+
+    _say(2, "calibrate: find camera, lens, laser plane and motion from the photographs of the board, all together")
+    calibration = calibrate_session([out / "session"], out / "rig.json")
+    _say(3, f"reconstruct: turn the photographs of {object_} into points, each with its uncertainty")
+    reconstruct_scan(out / "scan", out / "rig.json", [out / f"{name}.ply", out / f"{name}.npz"])
     from jaxscan.reconstruction import read_range_image
     from jaxscan.simulation.accuracy import cloud_errors
-    from jaxscan.simulation.distance import distance
-    from jaxscan.view.plots import draw_scan
 
-    calibrate_session([out / "session"], out / "rig.json")
-    reconstruct_scan(out / "scan", out / "rig.json", [out / f"{name}.ply", out / f"{name}.npz"])
     image = read_range_image(out / f"{name}.npz")
-    errors = cloud_errors(scene, truth.points, image.points, image.valid)
-    off = distance(scene, image.points.reshape(-1, 3)).reshape(image.valid.shape)
-    title = f"{int(image.valid.sum())} points, {errors.absolute:.3f} mm RMS from the true surface"
-    frame = len(image.valid) // 2
-    photograph = draw_stripe(read_image(out / "scan" / "frames" / f"{frame:03d}.png"), image.pixels[frame], True)
-    draw_scan(out / f"{name}.png", photograph, image.points, image.valid, off, title)
+    _say(4, "compare the points with the true surface, which only a simulation knows")
+    with progress("comparing", unit="part") as advance:
+        errors = cloud_errors(scene, truth.points, image.points, image.valid)
+        advance()
+    _say(5, f"join the points to a surface, and draw it beside a photograph: {out / f'{name}.png'}")
+    with progress("joining and drawing", 3, "part") as advance:
+        image, floor = object_alone(image)
+        advance()
+        _write_surface(out / f"{name}.stl", image)
+        advance()
+        draw_picture(out, name, image, floor, calibration.rig)
+        advance()
     return {
         "kind": "demo",
         "path": str(out),
@@ -64,17 +90,75 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def _say(step: int, what: str) -> None:
+    """Say what is done next, on standard error, where the progress bars are."""
+    print(f"{step}/{_STEPS} {what}", file=sys.stderr, flush=True)
+
+
+def object_alone(image: "RangeImage") -> "tuple[RangeImage, Floor]":
+    """The scan without stray points and without the floor, and the floor."""
+    from jaxscan.surface.clean import clean
+    from jaxscan.surface.floor import find_floor, stands_on
+    from jaxscan.surface.links import sampling
+
+    cleaned = clean(image, sampling(image)).image
+    floor = find_floor(cleaned)
+    return cleaned.where(stands_on(cleaned, floor)), floor
+
+
+def _write_surface(path: Path, image: "RangeImage") -> None:
+    """Write the triangles of a scan."""
+    import trimesh
+
+    from jaxscan.files.mesh import write_trimesh
+    from jaxscan.surface.triangles import grid_surface
+
+    surface = grid_surface(image)
+    write_trimesh(path, trimesh.Trimesh(surface.vertices, surface.triangles, process=False))
+
+
+def draw_picture(out: Path, name: str, image: "RangeImage", floor: "Floor", rig: "Rig") -> None:
+    """Draw the scan beside the photograph from the middle of it."""
+    from jaxscan.images import read_image
+    from jaxscan.view.scan_picture import draw_scan
+
+    frames = sorted((out / "scan" / "frames").iterdir())
+    frame = int(image.valid.sum(axis=1).argmax())
+    colours = _colours(frames, image, rig) if image.moving == ("stage",) else None
+    draw_scan(out / f"{name}.png", read_image(frames[frame]), image.pixels[frame], image, floor.up, colours)
+
+
+def _colours(frames: list[Path], image: "RangeImage", rig: "Rig") -> "np.ndarray":
+    """The points' colours from the first photograph and the last, in which the stripe is beside the object."""
+    import numpy as np
+
+    from jaxscan.images import read_image
+    from jaxscan.precision import as_numpy
+    from jaxscan.reconstruction.point_colours import point_colours
+
+    colours = np.full(image.points.shape, np.nan)
+    for i in (0, len(frames) - 1):
+        pose = as_numpy(rig.pose({axis: np.float64(steps[i]) for axis, steps in image.positions.items()}))
+        own = point_colours(rig.camera, pose, image.points[image.valid], read_image(frames[i]), image.pixels[i])
+        known = np.isfinite(own).all(axis=1)
+        lacking = np.flatnonzero(image.valid)[known & np.isnan(colours[image.valid]).any(axis=1)]
+        colours.reshape(-1, 3)[lacking] = own[known & np.isnan(colours[image.valid]).any(axis=1)]
+    brightest = np.nanpercentile(colours, 99) if np.isfinite(colours).any() else 255.0
+    return np.clip(235.0 / brightest * colours, 0.0, 255.0)
+
+
 def describe(result: dict[str, Any]) -> str:
     """What came out, and where it is."""
+    import shutil
+
     errors, out, name = result["errors"], result["path"], result["object"]
+    command = "jaxscan" if shutil.which("jaxscan") else sys.argv[0]
     return "\n".join(
         [
-            f"a {name} of {result['points']} points, scanned by a simulated scanner that was calibrated from "
-            "photographs:",
-            f"  {errors['absolute']:.3f} mm RMS from the true surface, "
-            f"{errors['absolute_after_fit']:.3f} mm after a rigid fit",
-            f"  {100 * errors['completeness']:.1f} % of what an ideal camera sees",
-            f"  {out}/rig.json, {out}/{name}.ply, {out}/{name}.npz; look at {out}/{name}.png",
-            f"  {result['seconds']:.0f} s",
+            f"the {name}: {result['points']} points, {errors['absolute']:.3f} mm RMS from the true surface "
+            f"({errors['absolute_after_fit']:.3f} mm after a rigid fit), "
+            f"{100 * errors['completeness']:.1f} % of what an ideal camera sees, in {result['seconds']:.0f} s",
+            f"files: {out}/{name}.png (look at this first), {out}/{name}.stl, {out}/{name}.ply, {out}/rig.json",
+            f"see it in the browser: {command} view {out}/{name}.stl",
         ]
     )

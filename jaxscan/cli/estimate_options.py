@@ -112,7 +112,7 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="auto (the default): begin with what the session says of lens, board, sheet and stage, and add what the "
         "photographs ask for: more terms of the lens, a board that bends, a sheet that is bowed, a stage that is no "
-        "line. It is added where photographs that were held out are foretold better with it, and the result says what "
+        "line. It is added where photographs that were held out are predicted better with it, and the result says what "
         "and why; what an option names stays as it is. given: only what session and options say",
     )
     parser.add_argument(
@@ -128,7 +128,7 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         type=_names,
         default=[],
         metavar="NAME[,NAME]",
-        help="do not seek this parameter of the camera, named as in rig.json: camera.focal.0 and .1, "
+        help="do not estimate this parameter of the camera, named as in rig.json: camera.focal.0 and .1, "
         "camera.principal.0 and .1; camera.radial.0 to .5 are k1 to k6, camera.tangential.0 and .1 are p1 and p2. It "
         "keeps the value of --camera; without one a lens term is held at 0. `--lens brown` is OpenCV's default, "
         "k1 k2 p1 p2 k3; with `--hold camera.radial.2` it is that of Bouguet's "
@@ -140,7 +140,7 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         type=_names,
         default=[],
         metavar="NAME[,NAME]",
-        help="seek a lens term although it is 0 in the file of --camera, where it was mostly held, or the session "
+        help="estimate a lens term although it is 0 in the file of --camera, where it was mostly held, or the session "
         "holds it; without this it stays 0",
     )
     parser.add_argument(

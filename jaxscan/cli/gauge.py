@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("laser", "stage"),
         nargs="*",
         default=("stage",),
-        help="what the boards are believed of beside the camera (default: stage; the laser is taken to have been "
-        "moved since). With laser and stage the gauge only adds what it tells",
+        help="which results of the board calibration are kept, beside the camera (default: stage; the laser is "
+        "assumed to have moved since). With laser and stage the gauge only adds information",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG", help="the refined rig to write")
 

@@ -29,6 +29,7 @@ from typing import Any, Final, NoReturn, Protocol
 from jaxscan.errors import InputError, JaxscanError
 
 COMMANDS: Final = {
+    "board": "jaxscan.cli.board",
     "calibrate": "jaxscan.cli.calibrate",
     "reconstruct": "jaxscan.cli.reconstruct",
     "batch": "jaxscan.cli.batch",

@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cube", type=finite, metavar="MM", help="distance of the vertices (default: 0.7 of the points')"
     )
-    parser.add_argument("--simplify", type=int, metavar="N", help="to so many triangles, by the extra simplify")
+    parser.add_argument("--simplify", type=int, metavar="N", help="reduce the mesh to N triangles (extra simplify)")
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw the surface")
 
 

@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", type=Path, help="whose light delaunay looks along (default: at right angles to the floor)"
     )
     parser.add_argument("--quads", action="store_true", help="write .ply with quadrilaterals where the grid has them")
-    parser.add_argument("--simplify", type=int, metavar="N", help="to so many triangles, by the extra simplify")
+    parser.add_argument("--simplify", type=int, metavar="N", help="reduce the mesh to N triangles (extra simplify)")
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw the mesh")
 
 

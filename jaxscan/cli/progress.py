@@ -18,8 +18,9 @@ from jaxscan.deadline import HOW_TO_GO_ON, patience_s
 Item = TypeVar("Item")
 
 _PULSE_S: Final = 0.5
-# Without a terminal a line is printed so often.
-_LINE_S: Final = 15.0
+# Without a terminal a line is printed this often: at first, and in work that takes longer than a minute.
+_LINE_S, _LATER_LINE_S = 4.0, 15.0
+_LATER_S: Final = 60.0
 # What is stuck uses less of one core than this.
 _IDLE: Final = 0.01
 
@@ -54,6 +55,10 @@ class Progress:
         units = f"{self._unit}{'' if number == 1 else 's'}"
         return f"{self._words}: {self._count}{total} {units}{doing}, {time.monotonic() - self._begin:.1f} s"
 
+    def _line_s(self) -> float:
+        """Seconds from one line to the next."""
+        return _LINE_S if time.monotonic() - self._begin < _LATER_S else _LATER_LINE_S
+
     def watch(self, ended: threading.Event, limit: float) -> None:
         """Keep the bar moving, or print lines, until the block has ended; end the program where it is stuck."""
         printed = time.monotonic()
@@ -61,7 +66,7 @@ class Progress:
         while not ended.wait(_PULSE_S):
             if not self._bar.disable:
                 self._bar.refresh()
-            elif time.monotonic() - printed > _LINE_S:
+            elif time.monotonic() - printed > self._line_s():
                 printed = time.monotonic()
                 print(self.line(), file=sys.stderr, flush=True)
             # Counted and not read from a clock: a process that was stopped, by Ctrl-Z for one, is not stuck.

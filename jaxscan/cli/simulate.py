@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from jaxscan.simulation.hand import Hand
 
 HELP: Final = "photographs of a known world: a calibration session, a scan, and their truth"
-EXAMPLE: Final = "jaxscan simulate world --seed 3 --object cup"
+EXAMPLE: Final = "jaxscan simulate world --seed 3"
 
-_OBJECTS: Final = ("cup", "sphere", "box", "stair", "figure")
+_OBJECTS: Final = ("panda", "cup", "sphere", "box", "stair", "figure")
 _MOST_SIDES: Final = 36
 # A line laser's sheet is not off its plane by more at 100 mm to either side.
 _MOST_BOW_MM: Final = 5.0
@@ -32,9 +32,10 @@ _SIDES_APART: Final = 1_000_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("out", type=Path, metavar="OUT", help="the folder to make, with session, scan and truth in it")
+    parser.add_argument("--force", action="store_true", help="replace a simulation that is in OUT already")
     parser.add_argument("--seed", type=int, default=0, help="of rig, poses and noise (default: 0)")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--object", choices=_OBJECTS, default="cup", help="what is scanned (default: cup)")
+    what.add_argument("--object", choices=_OBJECTS, default="panda", help="what is scanned (default: panda)")
     what.add_argument("--mesh", type=Path, metavar="FILE", help="scan this triangle mesh instead, in mm and with z up")
     parser.add_argument(
         "--sides",
@@ -114,8 +115,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=finite,
         default=0.0,
         metavar="MM",
-        help="curve the sheet of light, as a line lens does that is not square to its beam: off its plane by so many "
-        "mm at 100 mm to either side, 350 mm away, and along each of its rays in proportion to the distance from "
+        help="curve the sheet of light, as a line lens does that is not square to its beam: off its plane by MM at "
+        "100 mm to either side, 350 mm away, and along each of its rays in proportion to the distance from "
         "the laser (default: 0, flat)",
     )
     parser.add_argument(
@@ -123,7 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=finite,
         default=0.0,
         metavar="MM",
-        help="bow the guide of the stage: its middle by so many mm off the line through the ends of the photographs' "
+        help="bow the guide of the stage: its middle by MM off the line through the ends of the photographs' "
         "60 mm, and the carriage turns as it follows (default: 0, straight)",
     )
     parser.add_argument(
@@ -131,7 +132,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=finite,
         default=0.0,
         metavar="MM",
-        help="let the screw of the stage be ahead of its steps and behind them by up to so many mm in each of its "
+        help="let the screw of the stage be ahead of its steps and behind them by up to MM in each of its "
         "turns (default: 0)",
     )
     parser.add_argument(
@@ -154,7 +155,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=finite,
         default=0.0,
         metavar="MM",
-        help="hold the boards by hand: while a photograph is exposed the board moves and turns by up to so many mm, in "
+        help="hold the boards by hand: while a photograph is exposed the board moves and turns by up to MM, in "
         "a direction of its own in each, so that corners and stripe are smeared; with --stripes or --lasers 2 it moves "
         "on from one photograph of a pose to the next. At 10 mm/s that is 0.1 in 1/100 s, 0.3 in 1/30 s; boards on "
         "stage and turntable stay still (default: 0)",
@@ -182,6 +183,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Render the photographs and write them with their truth."""
     check_folder(args.out, args.seed)
+    if args.out.is_dir() and any(args.out.iterdir()) and not args.force:
+        raise InputError(f"{args.out}: holds a simulation already: name another folder, or replace it with --force")
     if not 1 <= args.sides <= _MOST_SIDES:
         raise InputError(f"--sides {args.sides}: give 1 to {_MOST_SIDES}")
     if args.apart is not None and args.apart < 1:

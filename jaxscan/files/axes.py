@@ -52,7 +52,7 @@ def read_axes(scan: Table, n_frames: int | None) -> tuple[Positions, Rules]:
         axis.
 
     Raises:
-        InputError: file, key, value and the mend.
+        InputError: file, key, value, and how to fix it.
     """
     if "axes" in scan:
         for key in ("steps", "steps_per_frame"):

@@ -69,7 +69,7 @@ def read_rig(path: str | os.PathLike[str]) -> RigFile:
     Keys that this version does not know are passed over with a `PassedOverWarning` that names them.
 
     Raises:
-        InputError: whatever is wrong with the file: what it is, the key, and the mend.
+        InputError: whatever is wrong with the file: what it is, the key, and how to fix it.
     """
     return _decode(read_json(Path(path), "the rig.json that `jaxscan calibrate` wrote"))
 

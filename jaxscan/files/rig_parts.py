@@ -57,7 +57,7 @@ def _coefficients(table: Table, kind: type[Any], key: str) -> tuple[float, ...]:
     count = kind.numbers[key]
     values = table.numbers(key) if count or key in table else ()
     if len(values) != count:
-        here = f'the lens "{kind.kind}" has {count} {key} coefficients, here are {len(values)}: mend either'
+        here = f'the lens "{kind.kind}" has {count} {key} coefficients, here are {len(values)}: correct one of them'
         raise table.error(key, here)
     return values
 

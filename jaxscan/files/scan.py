@@ -81,7 +81,7 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
     Frames that lie beside the listed ones but are not listed are passed over with a `PassedOverWarning`.
 
     Raises:
-        InputError: whatever is wrong: file, key, value and the mend. That all photographs are of one size is not
+        InputError: whatever is wrong: file, key, value, and how to fix it. That all photographs are of one size is not
             looked at here: whoever decodes them sees it (or `common_size`, for the price of opening each).
     """
     scan, by_list = _read(Path(path))

@@ -7,6 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
+import tomli_w
+
+from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.listing import common_size, files_of, files_or_gaps
 from jaxscan.files.settings import (
@@ -27,6 +30,20 @@ from jaxscan.rig.line import Line
 SESSION_FILE: Final = "session.toml"
 # Axes of which it can have photographs of the board, each a table.
 SEQUENCES: Final = ("stage", "turntable")
+
+# What follows the board in a file to be filled in.
+_BLANK: Final = """
+[views]
+boards = "boards/*"           # the board in your hand, in 10 to 15 poses, with the laser on
+
+[stage]
+images = "stage/*"            # the board fixed on the stage, at 5 places or more along its travel
+steps_per_image = 2000        # motor steps from one to the next; or steps = [0, 2000, 5000]
+# mm_per_step = 0.001         # where you know it: it checks the size of the squares
+
+[laser]
+color = "red"                 # red, green, blue or grey
+"""
 
 _BOARD_KEYS: Final = {
     "checkerboard": ("inner_corners", "square_mm"),
@@ -77,6 +94,7 @@ class StageImages:
             on, or None where there is none; empty where no stripe is looked for. It may be the same photograph.
         motion: the kind of its motion, one of `stage_motions`.
         screw_steps: steps of one turn of its screw, where they are known; of use where the motion has a screw.
+        mm_per_step: travel for one motor step where it is known otherwise, mm: it checks the size of the squares.
     """
 
     images: tuple[Path, ...]
@@ -84,6 +102,7 @@ class StageImages:
     stripes: Mapping[str, tuple[Path | None, ...]] = field(default_factory=dict, kw_only=True)
     motion: str = field(default=Linear.kind, kw_only=True)
     screw_steps: float | None = field(default=None, kw_only=True)
+    mm_per_step: float | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -167,7 +186,7 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
         whole: whether each photograph is read to its end, so that one that is cut off is refused.
 
     Raises:
-        InputError: whatever is wrong: file, key, value and the mend.
+        InputError: whatever is wrong: file, key, value, and how to fix it.
     """
     table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", *SEQUENCES, "laser"))
     (board, shape), camera = _board(table), _camera(table)
@@ -241,6 +260,7 @@ def write_session(session: Session) -> None:
     if (stage := session.stage) is not None:
         values["stage"] |= {"motion": stage.motion} if stage.motion != Linear.kind else {}
         values["stage"] |= {"screw_steps": stage.screw_steps} if stage.screw_steps is not None else {}
+        values["stage"] |= {"mm_per_step": stage.mm_per_step} if stage.mm_per_step is not None else {}
     if session.turntable is not None:
         values["turntable"]["stage_step"] = session.turntable.stage_step
         turn = session.turntable.motion
@@ -248,6 +268,16 @@ def write_session(session: Session) -> None:
     if lasers:
         values["laser"] = lasers[0] if len(lasers) == 1 else lasers
     write_toml(session.path, values)
+
+
+def write_blank_session(path: Path, board: Board) -> None:
+    """Write a `session.toml` for a board, with the names that photographs usually have, to be filled in.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with replacing(path, "w") as file:
+        file.write(tomli_w.dumps({"board": _board_values(board)}) + _BLANK)
 
 
 def _check_each_shows_one_pose(session: Session) -> None:
@@ -333,13 +363,16 @@ def _camera(table: Table) -> CameraSettings:
 def _stage(table: Table, lasers: Sequence[StripeSettings]) -> StageImages | None:
     if "stage" not in table:
         return None
-    stage = table.table("stage", "[stage] ").only(*_SEQUENCE_KEYS, "motion", "screw_steps")
+    stage = table.table("stage", "[stage] ").only(*_SEQUENCE_KEYS, "motion", "screw_steps", "mm_per_step")
     images, steps, stripes = _sequence(stage, lasers, "two", 2)
     motion = stage.string("motion", Linear.kind, stage_motions())
     screw = stage.number("screw_steps") if "screw_steps" in stage else None
     if screw is not None and screw <= 0:
         raise stage.error("screw_steps", "must be the steps of one turn of the screw, above 0")
-    return StageImages(images, steps, stripes=stripes, motion=motion, screw_steps=screw)
+    known = stage.number("mm_per_step") if "mm_per_step" in stage else None
+    if known is not None and known <= 0:
+        raise stage.error("mm_per_step", "must be the millimetres of one motor step, above 0")
+    return StageImages(images, steps, stripes=stripes, motion=motion, screw_steps=screw, mm_per_step=known)
 
 
 def _turntable(table: Table, lasers: Sequence[StripeSettings]) -> TurntableImages | None:

@@ -10,6 +10,8 @@ buried within another body) are dropped, and the nearest of the rest is it.
   points nearer to the edge than about a third of its radius of curvature; no wrong point can come of it further away,
   for what is not on the boundary is dropped. An edge is no nearer than either of its surfaces, so only those are tried
   whose surfaces are both nearer than what has been found.
+- Where two bodies meet in a crease, the same between a surface of the one and a surface of the other: seen from within,
+  the nearest points of both may be buried.
 - Boxes, plates and meshes have candidates of their own, which include their corners.
 """
 
@@ -24,7 +26,7 @@ from jaxscan.precision import float64
 from jaxscan.simulation.mesh import Mesh
 from jaxscan.simulation.plate import Plate
 from jaxscan.simulation.scene import Scene
-from jaxscan.simulation.solids import Box, Shape, Solid
+from jaxscan.simulation.solids import Box, Shape, Solid, Union
 from jaxscan.simulation.vector import Vec
 
 # A candidate further than this from the boundary is none, mm.
@@ -67,7 +69,34 @@ def _distance(scene: Scene, points: Float[np.ndarray, "points 3"]) -> Float[np.n
     for shape, rest in zip(shapes, others, strict=True):
         if isinstance(shape, Solid) and not isinstance(shape, Plate | Box):
             _lower_by_edges(best, shape, rest, points)
+    _lower_by_creases(best, [shape for shape in shapes if isinstance(shape, Solid)], points)
     return best
+
+
+def _lower_by_creases(
+    best: Float[np.ndarray, "points"], solids: list[Solid], points: Float[np.ndarray, "points 3"]
+) -> None:
+    """Put the distance to a line where two solids meet wherever it is less than what has been found.
+
+    In such a crease the nearest points of either may lie within the other. As on an edge, none but solids that are both
+    nearer than what has been found are tried.
+    """
+    lots = _lots(np.arange(len(points)))
+    heights = [
+        np.concatenate([np.asarray(_height(s, _filled(points[lot])))[: len(lot)] for lot in lots]) for s in solids
+    ]
+    for (i, a), (j, b) in combinations(enumerate(solids), 2):
+        near = np.flatnonzero(np.maximum(np.abs(heights[i]), np.abs(heights[j])) < best)
+        rest = tuple(solid for solid in solids if solid is not a and solid is not b)
+        for some in _lots(near):
+            lower = best[some]
+            _lower_by_edges(lower, Union(a, b), rest, points[some])
+            best[some] = lower
+
+
+@jax.jit
+def _height(solid: Solid, x: Float[Array, "points 3"]) -> Float[Array, "points"]:
+    return solid.height(Vec(x[:, 0], x[:, 1], x[:, 2]))
 
 
 def _lots(items: Int[np.ndarray, "items"]) -> list[Int[np.ndarray, "some"]]:

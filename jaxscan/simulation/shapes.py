@@ -103,6 +103,33 @@ def stair(
     return tuple(steps)
 
 
+def panda(y: float) -> tuple[Body, ...]:
+    """A panda on its back, 66 mm from ears to feet: known at sight, and without deep shadows.
+
+    Its colours are nearly neutral, as a red laser wants them: what is red in the light of the room looks like a stripe.
+    """
+
+    def ball(x: float, up: float, high: float, radius: float, colour: Sequence[float]) -> Body:
+        return Body(Sphere(np.array([x, y + up, high]), radius), np.asarray(colour, float))
+
+    def pair(x: float, up: float, high: float, radius: float, colour: Sequence[float]) -> tuple[Body, Body]:
+        return ball(-x, up, high, radius, colour), ball(x, up, high, radius, colour)
+
+    white, black, pad = (0.84, 0.83, 0.81), (0.26, 0.26, 0.27), (0.62, 0.58, 0.57)
+    return (
+        ball(0.0, -8.0, 11.0, 17.0, white),
+        ball(0.0, 15.0, 13.5, 14.0, white),
+        *pair(11.5, 26.5, 12.0, 6.0, black),
+        ball(0.0, 11.0, 22.0, 6.6, white),
+        ball(0.0, 12.8, 26.2, 2.9, black),
+        *pair(5.6, 18.6, 21.6, 4.4, black),
+        *pair(16.5, -1.0, 11.0, 6.5, black),
+        *pair(22.5, -6.0, 10.0, 6.5, black),
+        *pair(13.5, -25.0, 9.0, 8.0, black),
+        *pair(13.5, -25.5, 12.5, 5.8, pad),
+    )
+
+
 def figure(y: float, albedo: float = 0.6) -> tuple[Body, ...]:
     """A figure without any symmetry, to be scanned from several sides: plinth, body, head with a hat, arms, a bag."""
 

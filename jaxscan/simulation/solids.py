@@ -330,6 +330,29 @@ class Difference(Solid):
         return Difference(self.a.moved(R, translation), self.b.moved(R, translation))
 
 
+class Union(Solid):
+    """Two solids taken together."""
+
+    a: Solid
+    b: Solid
+
+    def pieces(self, rays: Rays) -> list[Interval]:
+        """Those of both; where they overlap they are not joined."""
+        return self.a.pieces(rays) + self.b.pieces(rays)
+
+    def surfaces(self, x: Vec) -> list[Surface]:
+        """Those of both."""
+        return self.a.surfaces(x) + self.b.surfaces(x)
+
+    def height(self, x: Vec) -> Float[Array, "*any"]:
+        """Outside of both."""
+        return jnp.minimum(self.a.height(x), self.b.height(x))
+
+    def moved(self, R: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> "Union":
+        """Both move."""
+        return Union(self.a.moved(R, translation), self.b.moved(R, translation))
+
+
 def _roots(a: Number, b: Number, discriminant: Number) -> Interval:
     """The roots of a t² + 2 b t + c with b² − a c given; an empty interval where there are none."""
     real = discriminant > 0

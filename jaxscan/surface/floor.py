@@ -155,7 +155,7 @@ def stands_on(image: RangeImage, floor: Floor, linked: Links | None = None) -> B
     kept = above & (count[label] >= _FEWEST)
     if not kept.any():
         raise InputError(
-            f"nothing stands on the floor: of {int(image.valid.sum())} points none hangs together with others more "
+            f"nothing stands on the floor: of {int(image.valid.sum())} points none is joined to others more "
             f"than {_HIGH * floor.sigma_mm:.2g} mm above it: keep the floor if it is what you want"
         )
     return kept

@@ -23,7 +23,7 @@ _SCALE, _SCALE_SIGMA = 0.01, 5.0
 _WORSE = 1.5
 _TILT_SPREAD_DEG, _IMAGE_SHARE, _REACH = 30.0, 0.5, 0.6
 # Notes of what was seen that say more than how the board is read.
-_GRAVE_NOTES = "second board", "columns =", "color =", "bell-shaped"
+_GRAVE_NOTES = "second board", "columns =", "color =", "bell-shaped", "mm_per_step ="
 _STRIPE_VIEWS, _DEPTH_RATIO, _STAGE_IMAGES = 4, 1.15, 5
 
 
@@ -67,7 +67,7 @@ def _suspect(suspect: Suspect) -> Box:
             "stop",
             f"{what}.",
             "Its step count in session.toml may be wrong, the board may have come loose, or the photograph is "
-            "mirrored, turned, or of another camera, zoom or focus: look at it, and mend its step count or leave it "
+            "mirrored, turned, or of another camera, zoom or focus: look at it, and correct its step count or leave it "
             "out.",
         )
     return Box(
@@ -76,8 +76,8 @@ def _suspect(suspect: Suspect) -> Box:
         "It may be of another camera, zoom or focus, show another board or a reflection of the stripe, or be blurred: "
         "look at it, and leave it out or take it again."
         if rejected
-        else "It is blurred, the board was bent or moved, or the camera focused anew: leave it out or take it again, "
-        "with autofocus off.",
+        else "It is blurred, the board was bent or moved, or the camera was focused again: leave it out or take it "
+        "again, with autofocus off.",
     )
 
 
@@ -152,8 +152,7 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
         return [
             Box(
                 "care",
-                "There are too few photographs to solve two halves apart, so nothing but the residuals speaks for the "
-                "σ.",
+                "There are too few photographs to solve two halves apart, so only the residuals support the σ.",
                 "Take at least six views of the board, four of them with the stripe.",
             )
         ]
@@ -161,7 +160,7 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
         return [
             Box(
                 "care",
-                "A half of the photographs gives no rig by itself, so nothing but the residuals speaks for the σ.",
+                "A half of the photographs gives no rig by itself, so only the residuals support the σ.",
                 "Take more views of the board, tilted in different directions, with the stripe at different distances.",
             )
         ]

@@ -132,7 +132,7 @@ def test_terms_that_a_file_has_as_zero_stay_zero_and_can_be_freed(saved, tmp_pat
     assert "stayed 0" not in capsys.readouterr().out
     assert float(read_rig(rig).rig.camera.lens.radial[2]) != 0.0
     assert main([*argv, "--free", K3, "--hold-camera"]) == 2
-    assert f"--free {K3} seeks a part of it" in capsys.readouterr().err
+    assert f"--free {K3} estimates a part of it" in capsys.readouterr().err
     assert main([*argv, "--free", "camera.radial.0"]) == 2
     assert f"has the terms {K3} as 0" in capsys.readouterr().err
 

@@ -150,3 +150,14 @@ def test_a_stage_with_play_is_photographed_there_and_back(
     assert float(part.play[0]) * part.amount(1.0)[0] == pytest.approx(0.1)
     steps = np.array(read_session(out / "session").stage.steps)  # type: ignore[union-attr]
     assert set(np.sign(np.diff(steps))) == {1, -1}
+
+
+def test_a_simulation_is_replaced_when_it_is_asked_for_alone(few_photographs: None, tmp_path: Path) -> None:
+    out = tmp_path / "world"
+    simulate.run(parse(str(out), "--object", "box"))
+    before = (out / "truth" / "rig.json").read_bytes()
+    with pytest.raises(InputError, match="holds a simulation already: name another folder, or replace it with --force"):
+        simulate.run(parse(str(out), "--object", "box", "--seed", "1"))
+    assert (out / "truth" / "rig.json").read_bytes() == before
+    simulate.run(parse(str(out), "--object", "box", "--seed", "1", "--force"))
+    assert (out / "truth" / "rig.json").read_bytes() != before

@@ -502,7 +502,7 @@ def test_a_sheet_of_the_command_line_takes_the_place_of_the_sessions(folder):
     assert Estimate(sheet="bowed").sheets(read) == ("bowed", "bowed")
     assert Estimate(sheet="plane").sheets(dataclasses.replace(read, sheets=("plane", "bowed"))) == ("plane", "plane")
     without = session(folder, BOARD, VIEWS)
-    with pytest.raises(InputError, match=r"has no \[laser\], and --sheet speaks of one's light"):
+    with pytest.raises(InputError, match=r"has no \[laser\], and --sheet needs one"):
         solve_sessions([without.path], estimate=Estimate(sheet="bowed"))
     parser = argparse.ArgumentParser()
     add_estimate_arguments(parser)
@@ -534,7 +534,7 @@ def test_sessions_of_one_rig_have_one_motion(folder, tmp_path, photographs):
 
 def test_a_motion_of_the_command_line_needs_a_stage(folder):
     without = session(folder, BOARD, VIEWS)
-    with pytest.raises(InputError, match=r"has no \[stage\], and --motion speaks of one's photographs"):
+    with pytest.raises(InputError, match=r"has no \[stage\], and --motion needs one"):
         solve_sessions([without.path], estimate=Estimate(stage_motion="guide"))
     parser = argparse.ArgumentParser()
     add_estimate_arguments(parser)

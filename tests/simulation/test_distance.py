@@ -8,7 +8,7 @@ import pytest
 from jaxscan.simulation.distance import distance
 from jaxscan.simulation.scene import Body, Scene
 from jaxscan.simulation.shapes import box, cup, floor, grey, sphere, stair
-from jaxscan.simulation.solids import Cylinder
+from jaxscan.simulation.solids import Cylinder, Sphere
 
 
 def points(n: int, low: list[float], high: list[float], seed: int = 0) -> np.ndarray:
@@ -77,3 +77,21 @@ def test_what_is_buried_does_not_count() -> None:
 def test_not_a_number_stays_one() -> None:
     x = np.array([[0.0, 0.0, 5.0], [np.nan, 0.0, 0.0]])
     np.testing.assert_array_equal(distance(Scene((floor((-9, -9), (9, 9)),)), x), [5.0, np.nan])
+
+
+def test_inside_a_crease_the_line_where_two_bodies_meet_is_nearest() -> None:
+    # Two balls of 10 mm, 12 mm apart, meet in a circle of radius 8 mm in the plane x = 0.
+    scene = Scene(tuple(Body(Sphere(np.array([x, 0.0, 0.0]), 10.0), grey(0.5)) for x in (-6.0, 6.0)))
+    random = np.random.default_rng(5)
+    angle, x, r = random.uniform(0, 2 * np.pi, 2000), random.uniform(-0.5, 0.5, 2000), random.uniform(7.0, 9.0, 2000)
+    found = distance(scene, np.column_stack([x, r * np.cos(angle), r * np.sin(angle)]))
+    crease = np.hypot(x, r - 8)
+    expected = crease.copy()
+    for centre in (-6.0, 6.0):
+        away = np.hypot(x - centre, r)
+        # The nearest point of this ball, unless the other one buries it.
+        foot = centre + 10 * (x - centre) / away, 10 * r / away
+        free = np.hypot(foot[0] + centre, foot[1]) > 10
+        expected = np.where(free, np.minimum(expected, np.abs(away - 10)), expected)
+    assert (expected == crease).sum() > 200
+    np.testing.assert_allclose(found, expected, atol=1e-6)

@@ -1,0 +1,46 @@
+"""A second scale: the millimetres of a motor step that are known otherwise, against those that the squares give.
+
+All lengths scale with the size of the squares. A screw's pitch is known from its maker, so the travel of the stage for
+one step tells whether the board is as large as `session.toml` says.
+"""
+
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+
+from jaxscan.calibration.result import Calibration
+from jaxscan.files.session import Session
+
+# A board that is measured with a ruler, and a screw, are better than this; and so many σ are no noise.
+_SHARE: Final = 0.01
+_SIGMAS: Final = 5.0
+
+
+def scale_note(calibration: Calibration, sessions: Iterable[Session]) -> str | None:
+    """What to say where `mm_per_step` of a session contradicts its board; None where it does not, or is not given.
+
+    Args:
+        calibration: what was found.
+        sessions: what it was found from, all of one rig.
+    """
+    stages = [(session.board, session.stage.mm_per_step) for session in sessions if session.stage]
+    known = next(((board, mm) for board, mm in stages if mm is not None), None)
+    axis = calibration.rig.axes().get("stage")
+    if known is None or axis is None:
+        return None
+    board, given = known
+    step = np.array([float(x) for x in getattr(axis, "per_step")])
+    found = float(np.linalg.norm(step))
+    names = [f"motion.stage.per_step.{i}" for i in range(3)]
+    matrix, order = calibration.covariance.matrix, list(calibration.covariance.names)
+    at = [order.index(name) for name in names]
+    sigma = float(np.sqrt(step @ np.asarray(matrix)[np.ix_(at, at)] @ step)) / found
+    if abs(found - given) < max(_SHARE * given, _SIGMAS * sigma):
+        return None
+    size = "pitch_mm" if board.kind == "circles" else "square_mm"
+    return (
+        f"by the board one motor step is {found:.4g} mm, but mm_per_step = {given:g} under [stage]. One of the two "
+        f"scales is wrong: with {size} = {board.pitch_mm * given / found:.4g} in place of {board.pitch_mm:g} they "
+        "would agree. Measure ten squares with a ruler, and check the screw's pitch and the steps of a turn"
+    )

@@ -1,0 +1,85 @@
+"""A scan beside the photograph that it came from: one picture, without any extra."""
+
+import os
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.images import draw_stripe, write_image
+from jaxscan.images.decode import Image
+from jaxscan.images.shaded import beside, cut_out, draw_surface
+from jaxscan.reconstruction import RangeImage
+from jaxscan.surface.triangles import grid_surface
+
+_SIZE: Final = (640, 560)
+_MARGIN: Final = 0.12
+# From where the surface is looked at: this far above the floor, and this far round from the camera's own side.
+_ELEVATION, _AZIMUTH = np.radians(60.0), np.radians(-4.0)
+# Clay, for what no photograph gives a colour.
+_CLAY: Final = (205.0, 190.0, 170.0)
+
+
+def draw_scan(
+    path: str | os.PathLike[str],
+    photograph: Image,
+    stripe: Float[np.ndarray, "columns"],
+    image: RangeImage,
+    up: Float[np.ndarray, "3"],
+    colours: Float[np.ndarray, "frames columns 3"] | None = None,
+) -> None:
+    """Draw a photograph of the scan, with its stripe, and beside it the surface of the scan, shaded.
+
+    Args:
+        path: the PNG to write.
+        photograph: one frame.
+        stripe: the row in which its stripe was found in each column, NaN for none, px.
+        image: the points of the object alone.
+        up: unit vector, object frame: what is up in the picture of the surface.
+        colours: red, green and blue of each point, 0 to 255, NaN where not known; all of clay if None.
+
+    Raises:
+        InputError: hardly any point has neighbours, or the file cannot be written.
+    """
+    surface = grid_surface(image)
+    vertices = surface.vertices.astype(np.float64)
+    paint = np.full((len(vertices), 3), np.nan) if colours is None else colours.reshape(-1, 3)[surface.place]
+    paint = np.where(np.isfinite(paint), paint, _CLAY)
+    right = np.array([1.0, 0.0, 0.0])
+    right = np.cos(_AZIMUTH) * _across(right, up) + np.sin(_AZIMUTH) * np.cross(up, _across(right, up))
+    toward = np.sin(_ELEVATION) * up + np.cos(_ELEVATION) * np.cross(right, up)
+    above = np.cross(toward, right)
+    flat = np.stack([vertices @ right, -vertices @ above], axis=-1)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    scale = (1 - 2 * _MARGIN) * min(np.array(_SIZE) / (high - low))
+    corners = scale * (flat - (low + high) / 2) + np.array(_SIZE) / 2
+    light = toward + 0.7 * above - 0.6 * right
+    normals = _vertex_normals(vertices, surface.triangles, toward)
+    shaded = draw_surface(
+        corners, -vertices @ toward, normals, surface.triangles, paint, light / np.linalg.norm(light), _SIZE
+    )
+    shown = draw_stripe(photograph, np.full_like(stripe, np.nan), True)
+    found = image.pixels[image.valid]
+    across = np.flatnonzero(image.valid.any(axis=0))
+    box = np.array([[across[0], found.min()], [across[-1], found.max()]], float)
+    grown = _MARGIN / (1 - 2 * _MARGIN) * (box[1] - box[0])
+    write_image(path, beside(cut_out(shown, box[0] - grown, box[1] + grown, _SIZE), shaded))
+
+
+def _across(vector: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The unit vector at right angles to `up` that is nearest to a vector."""
+    level = vector - (vector @ up) * up
+    return level / np.linalg.norm(level)
+
+
+def _vertex_normals(
+    vertices: Float[np.ndarray, "vertices 3"], triangles: np.ndarray, toward: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "vertices 3"]:
+    """Unit normals at the vertices: the mean of those of their triangles, weighted by area."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    own = np.cross(b - a, c - a)
+    total = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(total, triangles[:, k], own)
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+    return total if (total @ toward).mean() > 0 else -total
