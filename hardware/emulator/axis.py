@@ -77,6 +77,11 @@ class Axis:
         """When the move under way ends, at its target or at a switch."""
         return self._began_s + self._move.when(self._reach) if self._reach > 0 else self._began_s
 
+    @property
+    def meets_switch(self) -> bool:
+        """Whether the move under way, or the last, was sent beyond a switch."""
+        return self._target is not None and self._reach < self._move.distance
+
     def at_switch(self, now_s: float) -> int:
         """−1 at the lower switch, 1 at the upper one, 0 between them."""
         motor = self.motor(now_s)

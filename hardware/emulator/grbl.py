@@ -3,6 +3,7 @@
 `?`, `!`, jog cancel and reset are obeyed at once.
 """
 
+import math
 from collections.abc import Mapping
 
 from hardware.emulator.axis import Axis
@@ -18,10 +19,29 @@ class Grbl(LineController):
     def __init__(self, axes: Mapping[str, Axis], steps_per_mm: float = 250.0):
         super().__init__(axes, steps_per_mm, b"\r\n", _PULL_OFF_MM)
         self._alarm = True
+        # After a switch was met in mid-move nothing but a reset is heard.
+        self._deaf = False
         self._power = 0.0
+        # Soft limits, hard limits, homing, pull-off.
+        self.settings = {20: "0", 21: "1", 22: "1", 27: f"{_PULL_OFF_MM:.3f}"}
+
+    def wakes_at_s(self) -> float:
+        """When the homing goes on, or a switch is met."""
+        meets_s = [axis.rests_at_s() for axis in self.axes.values() if axis.meets_switch]
+        return min(super().wakes_at_s(), *meets_s, math.inf) if self.settings[21] == "1" else super().wakes_at_s()
+
+    def wake(self, now_s: float) -> bytes:
+        """The homing goes on, or a hard limit ends all moves."""
+        if self._homing is not None:
+            return super().wake(now_s)
+        self._halt(now_s)
+        self._alarm = self._deaf = True
+        return self._say("ALARM:1") + self._say("[MSG:Reset to continue]")
 
     def _at_once(self, byte: int, now_s: float) -> bytes | None:
         moving = any(axis.moving(now_s) for axis in self.axes.values())
+        if self._deaf and byte != _RESET:
+            return b""
         if byte == _STATUS:
             return b"" if self._homing is not None else self._status(now_s)
         if byte in (_HOLD, _JOG_CANCEL):
@@ -30,6 +50,7 @@ class Grbl(LineController):
             return b""
         if byte == _RESET:
             self._alarm |= moving
+            self._deaf = False
             self._halt(now_s)
             self._homing, self.laser = None, False
             self._line.clear()
@@ -60,6 +81,8 @@ class Grbl(LineController):
         if plain == "$G":
             code = "M3" if self.laser else "M5"
             return self._say(f"[GC:G0 G54 G17 G21 G90 G94 {code} M9 T0 F0 S{self._power:.0f}]") + self._say("ok")
+        if plain == "$$":
+            return b"".join(self._say(f"${key}={value}") for key, value in self.settings.items()) + self._say("ok")
         if plain.startswith("$J="):
             return self._say(self._jog(plain[3:], now_s))
         if plain.startswith("$"):

@@ -24,6 +24,7 @@ class Marlin(LineController):
         self._feed = 1500.0
         self._sent_mm = dict.fromkeys(axes, 0.0)
         self._trusted: set[str] = set()
+        self._limits = True
 
     def _at_once(self, byte: int, now_s: float) -> bytes | None:
         self._lately = (self._lately + bytes([byte]))[-len(_STOP) :]
@@ -65,7 +66,7 @@ class Marlin(LineController):
             for letter in set(self.axes) & set(found):
                 # Its limits hold for an axis that has been homed.
                 top = self.axes[letter].length / self.steps_per_mm if letter in self._trusted else math.inf
-                bottom = 0.0 if letter in self._trusted else -math.inf
+                bottom = 0.0 if letter in self._trusted and self._limits else -math.inf
                 self._sent_mm[letter] = min(max(found[letter][0], bottom), top)
                 self._go(letter, self._sent_mm[letter], self._feed, now_s)
         elif code == "M114":
@@ -73,9 +74,15 @@ class Marlin(LineController):
             counts = {letter: axis.counter(now_s) for letter, axis in self.axes.items()}
             place = " ".join(f"{letter}:{counts.get(letter, 0)}" for letter in "XYZ")
             return self._say(f"{sent} Count {place}") + self._say("ok")
+        elif code == "M119":
+            places = {letter: axis.at_switch(now_s) for letter, axis in self.axes.items()}
+            lines = (f"{letter.lower()}_min: {'TRIGGERED' if at < 0 else 'open'}" for letter, at in places.items())
+            return b"".join(map(self._say, ("Reporting endstop status", *lines, "ok")))
+        elif code == "M211":
+            self._limits = found.get("S", [1])[0] != 0
         elif code in ("M106", "M107"):
             self.laser = code == "M106"
-        elif code not in ("M110", "M410", "G90", "G21"):
+        elif code not in ("M110", "M120", "M121", "M410", "G90", "G21"):
             return self._say(f'echo:Unknown command: "{text}"') + self._say("ok")
         return self._say("ok")
 

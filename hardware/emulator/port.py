@@ -2,7 +2,8 @@
 
     emulator://bistep?speed=20&echo=1&drop=0.001&garble=0.001&pull_s=3&seed=7
 
-`speed` is how many times faster than real time runs, 0 (the default) for as fast as it can; `echo` is the BiStep2A04's;
+`speed` is how many times faster than real time runs, 0 (the default) for as fast as it can; `echo` is the BiStep2A04's,
+`steps_per_mm` GRBL's (250 by default) and Marlin's (80);
 `length`, `start`, `play` and `stall_rate` are those of `Axis`, `y_length` and so on those of a second axis, Y, of GRBL
 and Marlin; everything else is in `Faults`.
 """
@@ -44,7 +45,13 @@ def emulated(url: str) -> tuple[Any, Faults, Clock]:
     speed = values.pop("speed", 0.0)
     axis = Axis(**{key: values.pop(key) for key in _AXIS if key in values})
     second = Axis(**{key: values.pop(f"y_{key}") for key in _AXIS if f"y_{key}" in values and parts.netloc != "bistep"})
-    special = {"echo": bool(values.pop("echo"))} if "echo" in values and parts.netloc == "bistep" else {}
+    special: dict[str, Any] = {}
+    if "echo" in values and parts.netloc == "bistep":
+        special = {"echo": bool(values.pop("echo"))}
+    if "steps_per_mm" in values and parts.netloc != "bistep":
+        special = {"steps_per_mm": values.pop("steps_per_mm")}
+        if not special["steps_per_mm"]:
+            raise ValueError(f'"{url}": steps_per_mm = 0: give more than 0')
     known = [field.name for field in fields(Faults)]
     if unknown := set(values) - set(known):
         raise ValueError(f'"{url}": unknown: {", ".join(sorted(unknown))}; there are {", ".join((*_AXIS, *known))}')

@@ -14,7 +14,7 @@ from hardware.errors import (
 )
 from hardware.frame import Frame
 from hardware.places import Place
-from hardware.protocols import StageDriver
+from hardware.protocols import StageDriver, Verifiable
 from hardware.safety import left_on, safely
 from hardware.scan import Devices
 
@@ -121,6 +121,19 @@ class PermittedStage:
     def position(self) -> int:
         """Where it stands."""
         return self._stage.position()
+
+    @property
+    def verifiable(self) -> bool:
+        """Whether it can find out that steps were lost."""
+        return isinstance(self._stage, Verifiable) and self._stage.verifiable
+
+    def verify(self) -> int:
+        """Let it meet its switch again."""
+        self._permit()
+        assert isinstance(self._stage, Verifiable)
+        off = self._stage.verify()
+        self._arrived(self._stage.position())
+        return off
 
     def check(self) -> None:
         """See that it answers."""

@@ -30,6 +30,7 @@ _SAID_S: Final = 60.0
 # Connections that are accepted before any is read.
 _IN_A_ROW: Final = 16
 _NO_MORE: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+TIMED_OUT: Final = b"HTTP/1.1 408 Request Timeout\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 _FULL: Final = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
@@ -86,7 +87,7 @@ class Gate:
             OSError: there is none, or no room: to be asked again.
         """
         try:
-            line, peer = socket.socket.accept(listening)
+            line, peer = listening.take()
         except OSError as error:
             if error.errno in _NO_MORE:
                 self._turn_away(listening, error)
@@ -144,8 +145,7 @@ class Gate:
         self._say("no descriptors are left (%s): connections are turned away", error)
         self._drop(None)
         os.close(self._spare)
-        with contextlib.suppress(OSError):
-            socket.socket.accept(listening)[0].close()
+        listening.turn_away()
         with contextlib.suppress(OSError):
             self._spare = os.open(os.devnull, os.O_RDONLY)
 
@@ -168,6 +168,19 @@ class Listening(socket.socket):
         super().__init__(bound.family, bound.type, bound.proto, bound.detach())
         self.gate, self.tls = gate, tls
         self._in_a_row = 0
+
+    def take(self) -> tuple[socket.socket, Any]:
+        """The next connection that the system has.
+
+        Raises:
+            OSError: there is none.
+        """
+        return super().accept()
+
+    def turn_away(self) -> None:
+        """End the next connection unheard."""
+        with contextlib.suppress(OSError):
+            self.take()[0].close()
 
     def accept(self) -> tuple[socket.socket, Any]:
         """The next connection.

@@ -3,6 +3,7 @@
 Pages and programs stay far below; a loop that has gone wild, or somebody who means it, is told to wait.
 """
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -43,10 +44,12 @@ class _Held:
 
 
 class Limits:
-    """Counts requests; to be used in one thread."""
+    """Counts requests, from any thread."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic):
         self._now_s = now_s
+        # Held for a few assignments.
+        self._mutex = threading.Lock()
         self._held: dict[str, _Held] = {}
 
     @contextmanager
@@ -56,25 +59,29 @@ class Limits:
         Raises:
             Refusal: there are too many; says when to ask again.
         """
-        now_s = self._now_s()
-        held = self._held.pop(whose, None) or _Held(limit.at_once, now_s)
-        # The one that was used last is at the end.
-        self._held[whose] = held
-        while len(self._held) > _MOST_KNOWN:
-            self._held.pop(next(iter(self._held)))
-        held.left = min(limit.at_once, held.left + (now_s - held.seen_s) * limit.each_second)
-        held.seen_s = now_s
-        if held.left < 1:
-            wait_s = max(1.0, (1 - held.left) / limit.each_second)
-            raise Refusal(TOO_MANY, f"more than {limit.each_second:g} requests a second: wait", wait_s)
-        if held.open >= limit.open:
-            raise Refusal(TOO_MANY, f"{held.open} requests of yours wait for their answers already", 1.0)
-        held.left -= 1
-        if stays:
-            yield
-            return
-        held.open += 1
+        held = self._counted(whose, limit, stays)
         try:
             yield
         finally:
-            held.open -= 1
+            if not stays:
+                with self._mutex:
+                    held.open -= 1
+
+    def _counted(self, whose: str, limit: Limit, stays: bool) -> _Held:
+        with self._mutex:
+            now_s = self._now_s()
+            held = self._held.pop(whose, None) or _Held(limit.at_once, now_s)
+            # The one that was used last is at the end.
+            self._held[whose] = held
+            while len(self._held) > _MOST_KNOWN:
+                self._held.pop(next(iter(self._held)))
+            held.left = min(limit.at_once, held.left + (now_s - held.seen_s) * limit.each_second)
+            held.seen_s = now_s
+            if held.left < 1:
+                wait_s = max(1.0, (1 - held.left) / limit.each_second)
+                raise Refusal(TOO_MANY, f"more than {limit.each_second:g} requests a second: wait", wait_s)
+            if held.open >= limit.open:
+                raise Refusal(TOO_MANY, f"{held.open} requests of yours wait for their answers already", 1.0)
+            held.left -= 1
+            held.open += not stays
+            return held

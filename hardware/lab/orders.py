@@ -77,6 +77,12 @@ class Scan(_Work):
     frames: int = Field(ge=1, le=_MOST_FRAMES)
     settle_s: float = Field(0.2, ge=0, le=60, description="wait before each photograph, s")
     dark: bool = Field(False, description="with each photograph one with the laser off")
+    verify: int | None = Field(
+        0,
+        ge=0,
+        description="after how many photographs axes that can meet their switches again, to see whether steps were "
+        "lost; 0 for at the end alone, null for never",
+    )
 
 
 class Calibrate(_Work):

@@ -8,14 +8,13 @@ from typing import Any, Final, Literal
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from hardware.lab.gate import Gate
+from hardware.lab.gate import TIMED_OUT, Gate
 
 # A request's header from its first byte (or a connection's beginning), its body, and TLS's first words.
 HEAD_S: Final = 10.0
 BODY_S: Final = 20.0
 # An answer of which nothing more can be sent.
 SEND_S: Final = 30.0
-_TIMED_OUT: Final = b"HTTP/1.1 408 Request Timeout\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
 class Protocol(H11Protocol):
@@ -86,7 +85,7 @@ class Protocol(H11Protocol):
         if self.transport.is_closing():
             return
         if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
-            self.transport.write(_TIMED_OUT)
+            self.transport.write(TIMED_OUT)
         self.transport.close()
 
 

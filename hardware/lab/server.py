@@ -1,19 +1,22 @@
 """Where the lab listens: on this machine alone, unless told otherwise, and elsewhere over TLS."""
 
 import asyncio
+import contextlib
 import ipaddress
 import logging
 import socket
 import ssl
 import sys
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import uvicorn
 
 from hardware.lab.app import make_app
+from hardware.lab.doorway import Doorway, can_be
 from hardware.lab.front import own_names
 from hardware.lab.gate import Gate, Listening
 from hardware.lab.lab import Lab
@@ -74,6 +77,9 @@ def check_tls(cert: Path | None, key: Path | None) -> bool:
 class Server(uvicorn.Server):
     """Uvicorn, which ends the watchers' streams when it ends.
 
+    Behind a door, what asks for Stop and what says that the operator is there have a loop and a thread of their own,
+    and every answer ends its connection: so whatever is asked next comes by the door again.
+
     Args:
         lab: what is served.
         listening: where.
@@ -97,25 +103,31 @@ class Server(uvicorn.Server):
         connections: int | None = None,
         **deadlines: float,
     ):
-        gate = Gate(proxies, connections)
-        listening = Listening(listening, gate, cert is not None)
-        super().__init__(
-            uvicorn.Config(
-                make_app(lab, own_names(names)),
-                http=protocol_of(gate, **deadlines),
-                ws="none",
-                log_level="warning",
-                access_log=False,
-                server_header=False,
-                proxy_headers=bool(proxies),
-                forwarded_allow_ips=list(proxies),
-                backlog=_BACKLOG,
-                timeout_graceful_shutdown=_GRACE_S,
-                ssl_certfile=cert,
-                ssl_keyfile=key,
+        doorway = cert is None and can_be()
+        how: dict[str, Any] = {
+            "app": make_app(lab, own_names(names)),
+            "ws": "none",
+            "log_level": "warning",
+            "access_log": False,
+            "server_header": False,
+            "proxy_headers": bool(proxies),
+            "forwarded_allow_ips": list(proxies),
+            "backlog": _BACKLOG,
+            "timeout_graceful_shutdown": _GRACE_S,
+            "ssl_certfile": cert,
+            "ssl_keyfile": key,
+            "headers": [("Connection", "close")] if doorway else [],
+        }
+        gate, first = Gate(proxies, connections), Gate(proxies, connections)
+        super().__init__(uvicorn.Config(http=protocol_of(gate, **deadlines), **how))
+        self._lab, self._listening, self._ready, self._gates = lab, listening, ready, (gate, first)
+        self._how_listened = gate, first, deadlines.get("head_s", HEAD_S), proxies, connections, _BACKLOG
+        self._shut: Callable[[], object] = lambda: None
+        self._first = None
+        if doorway:
+            self._first = uvicorn.Server(
+                uvicorn.Config(http=protocol_of(first, **deadlines), **{**how, "lifespan": "off"})
             )
-        )
-        self._lab, self._listening, self._ready, self._gate = lab, listening, ready, gate
         logging.getLogger("uvicorn.error").addFilter(_SELDOM)
         host, port = listening.getsockname()[:2]
         self.url = f"http{'s' if cert else ''}://{f'[{host}]' if ':' in host else host}:{port}/"
@@ -124,7 +136,20 @@ class Server(uvicorn.Server):
         """Serve until told to end."""
         # Threads that compile hold the interpreter in turns: short ones, or Stop waits for several.
         sys.setswitchinterval(_TURN_S)
-        asyncio.run(self.serve([self._listening]))
+        if self._first is None:
+            asyncio.run(self.serve([Listening(self._listening, self._gates[0], self.config.is_ssl)]))
+            return
+        with contextlib.closing(Doorway(self._listening, *self._how_listened)) as doorway:
+            self._shut = doorway.shut
+            thread = threading.Thread(
+                target=asyncio.run, args=(self._first.serve([doorway.urgent]),), name="first", daemon=True
+            )
+            thread.start()
+            try:
+                asyncio.run(self.serve([doorway.crowd]))
+            finally:
+                self._first.should_exit = True
+                thread.join()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to listen, and say so."""
@@ -138,6 +163,8 @@ class Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End the streams first: they would not end by themselves."""
+        self._shut()
         self._lab.hub.close()
         await super().shutdown(sockets)
-        self._gate.close()
+        for gate in self._gates:
+            gate.close()

@@ -352,7 +352,7 @@ class Worker:
         words = ""
         try:
             with self._bench.devices() as devices:
-                self._do(run, folder, devices)
+                words = self._do(run, folder, devices)
         except StoppedError as error:
             state, words = run.ends_as, run.ended_by or str(error)
         except (HardwareError, JaxscanError) as error:
@@ -369,7 +369,8 @@ class Worker:
             run.update(state=state, message=self._projects.without_place(words), ended_s=ended_s)
             self._run = None
 
-    def _do(self, run: Run, folder: ScanFolder | None, devices: Devices) -> None:
+    def _do(self, run: Run, folder: ScanFolder | None, devices: Devices) -> str:
+        """The work itself; what is to be said of it, though it is done."""
         work, camera, laser = run.job.work, devices.camera, devices.laser
 
         def permit() -> None:
@@ -389,7 +390,7 @@ class Worker:
         if isinstance(work, Home):
             for name in axes if work.axis is None else (work.axis,):
                 axes[name].home()
-            return
+            return ""
         if isinstance(work, Move):
             ensure_homed({work.axis: axes[work.axis]})
             axes[work.axis].move_to(work.step)
@@ -397,9 +398,11 @@ class Worker:
             self._audience.show(check(devices))
         if folder is not None and isinstance(work, Shoot | Scan):
             self._audience.begin(work.project, folder)
-            take(folder, Devices(camera, axes, laser), run.control, taken)
+            verify = work.verify if isinstance(work, Scan) else None
+            return "; ".join(take(folder, Devices(camera, axes, laser), run.control, taken, verify=verify))
         if isinstance(work, Calibrate):
             self._calibrate(run, work, Devices(camera, axes, laser), permit)
+        return ""
 
     def _calibrate(self, run: Run, work: Calibrate, devices: Devices, permit: Callable[[], object]) -> None:
         from hardware.guide import guided_session

@@ -16,7 +16,6 @@ Stopping is a reset: the one order that is a single byte, and after which nothin
 """
 
 import re
-from dataclasses import replace
 from typing import NoReturn
 
 from hardware.errors import NoAnswerError, PositionUncertainError
@@ -33,8 +32,6 @@ _LEGS = 3
 _ANSWER_S = 0.1
 _BETWEEN_S = 0.1
 _FAR = 50_000
-# By so much slower is the switch met when it is to be seen whether steps were lost.
-_SLOWER = 4
 
 
 class BiStep2A04(SerialStage):
@@ -157,10 +154,8 @@ class BiStep2A04(SerialStage):
         return self.travel.reference == SWITCH
 
     def _switch_met_at(self) -> int:
-        # A motor that lost steps on its way up would lose as many on its way down, and the count would be right.
-        slow = replace(self.travel, rate_steps_s=max(self.travel.rate_steps_s / _SLOWER, 1.0))
-        self._set_pace(slow)
-        return self._against_switch(slow)
+        self._set_pace(self._slow)
+        return self._against_switch(self._slow)
 
     def _find_switch(self) -> None:
         travel = self.travel

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from hardware.errors import NoAnswerError, PositionUncertainError, SettingsError
 from hardware.stages.serial_stage import SerialStage
-from hardware.stages.travel_settings import Travel
+from hardware.stages.travel_settings import SWITCH, Travel
 
 _ASKED = 6
 _BETWEEN_S = 0.1
@@ -31,10 +31,12 @@ class Report:
     Attributes:
         state: `STILL`, `MOVING`, or `LOST`: it stands, but its count may be wrong.
         count: its own, in its own steps.
+        at_switch: whether it says that the axis is on a switch; False where it does not speak of that.
     """
 
     state: str
     count: int
+    at_switch: bool = False
 
 
 class GcodeStage(SerialStage):
@@ -167,11 +169,32 @@ class GcodeStage(SerialStage):
         raise NoAnswerError(
             f"{self.name}: {abs(end - start)} steps at {self.travel.rate_steps_s:g} steps/s take "
             f"{move.duration_s:.1f} s, and after {clock.now_s() - sent_s:.1f} s it does not stand still: check "
-            "cable, rate and acceleration (GRBL $120, Marlin M201), and that no alarm is left"
+            "cable, rate, acceleration (GRBL $120, Marlin M201) and steps_per_mm (GRBL $100, Marlin M92), and that no "
+            "alarm is left"
         )
 
+    @property
+    def verifiable(self) -> bool:
+        """Where there is a switch."""
+        return self.travel.reference == SWITCH
+
+    def _against_switch(self) -> float:
+        """Send it slowly down, further than the switch can be; when the way to the last place would be over, s."""
+        distance = self.travel.span + self.travel.span // 10
+        self._send_to(self._own_settled() - self._way * distance, self._slow.rate_steps_s)
+        return self.line.clock.now_s() + self._slow.allowed_s(distance)
+
+    def _not_met(self) -> NoAnswerError:
+        return NoAnswerError(
+            f"{self.name}: driving slowly down, the switch was not met: check the switch, and the direction of the motor"
+        )
+
+    def _steps(self, own: int) -> int:
+        """A step count from the controller's own."""
+        return round((own - self._own_at_switch) * self._way) + self.travel.switch
+
     def _settled(self) -> int:
-        return round((self._own_settled() - self._own_at_switch) * self._way) + self.travel.switch
+        return self._steps(self._own_settled())
 
     def _own_settled(self) -> int:
         last = None
@@ -210,9 +233,8 @@ class GcodeStage(SerialStage):
     def _mm(self, own: int) -> float:
         return own / abs(self._per_mm)
 
-    @property
-    def _feed_mm_min(self) -> float:
-        return 60 * self.travel.rate_steps_s / abs(self._per_mm)
+    def _feed_mm_min(self, rate_steps_s: float | None) -> float:
+        return 60 * (rate_steps_s or self.travel.rate_steps_s) / abs(self._per_mm)
 
     @abstractmethod
     def _wake(self) -> None:
@@ -223,8 +245,8 @@ class GcodeStage(SerialStage):
         """The controller's own homing, to its end."""
 
     @abstractmethod
-    def _send_to(self, own: int) -> None:
-        """Order a move to one of the controller's own counts."""
+    def _send_to(self, own: int, rate_steps_s: float | None = None) -> None:
+        """Order a move to one of the controller's own counts, at the axis's rate or another."""
 
     @abstractmethod
     def _report(self) -> "Report | None":

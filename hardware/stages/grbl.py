@@ -5,18 +5,26 @@ is a soft reset: a single byte that ends a homing too, and switches the laser of
 """
 
 import re
+from functools import cached_property
 
 from hardware.errors import NoAnswerError, SettingsError
 from hardware.stages.gcode import LETTERS, LOST, MOVING, STILL, GcodeStage, Report
 from hardware.stages.kinds import register_stage
 
-_STATUS = re.compile(rb"<(\w+)(?::\d)?\|MPos:([^<>|]+)[^<>]*>")
+_STATUS = re.compile(rb"<(\w+)(?::\d)?\|MPos:([^<>|]+)([^<>]*)>")
 _PLACE = re.compile(rb"-?\d+\.\d+")
+_PINS = re.compile(rb"\|Pn:(\w+)")
 _OK = re.compile(rb"(ok|error:\d+|ALARM:\d+)\r?\n")
 # Nothing but the answer itself: `$X` instead of `$H` would say more.
 _BARE_OK = re.compile(rb"^\s*ok\r?\n")
 _MODES = re.compile(rb"\[GC:[^\[\]]*\b(M[345])\b[^\[\]]* S(\d+)(?:\.\d+)?\]")
 _RESET = b"\x18"
+# Soft limits, hard limits, homing, and by how many millimetres homing pulls off its switch.
+_SETTING = re.compile(rb"\$(20|21|22|27)=(\d+(?:\.\d+)?)\r?\n")
+_SETTINGS = re.compile(rb"\$22=.*\$27=.*\nok\r?\n", re.DOTALL)
+_ASKED = 6
+_SILENT = 3
+_LOOK_S = 0.1
 
 
 class Grbl(GcodeStage):
@@ -53,9 +61,55 @@ class Grbl(GcodeStage):
                 "that no alarm is left"
             )
 
-    def _send_to(self, own: int) -> None:
+    @property
+    def verifiable(self) -> bool:
+        """Where its hard limits stop it at its switch ($21=1), and no soft limit before ($20=0)."""
+        said = self._settings
+        return super().verifiable and (said.get(20), said.get(21), said.get(22)) == (0, 1, 1) and 27 in said
+
+    @cached_property
+    def _settings(self) -> dict[int, float]:
+        """Those of the controller that matter here, as two answers agree on them; none where no two do."""
+        last: dict[int, float] = {}
+        with self._busy:
+            for _ in range(_ASKED):
+                self.line.forget()
+                self.line.send(b"$$\r\n")
+                answer = self.line.expect(_SETTINGS, 4, given_up=self._stopping.is_set)
+                self._check_stop()
+                said = {} if answer is None else dict(_SETTING.findall(answer.string))
+                found = {int(number): float(value) for number, value in said.items()}
+                if found and found == last:
+                    return found
+                last = found
+        return {}
+
+    def _switch_met_at(self) -> int:
+        # A hard limit ends the jog at once, in an alarm in which only a reset is heard. Its count stays.
+        until_s, silent = self._against_switch(), 0
+        while silent < _SILENT:
+            report = self._report()
+            silent = 0 if report is not None and report.state == MOVING else silent + 1
+            if self.line.clock.now_s() > until_s:
+                raise self._not_met()
+            self._pause(_LOOK_S)
+        self._halt()
+        last = None
+        for _ in range(_ASKED):
+            self._pause(_LOOK_S)
+            report = self._report()
+            if report is not None and report == last:
+                break
+            last = report
+        if report is None or report != last or not report.at_switch:
+            raise self._not_met()
+        # Homing ends where it has pulled off.
+        return self._steps(report.count) + round(self._settings[27] * abs(self._per_mm))
+
+    def _send_to(self, own: int, rate_steps_s: float | None = None) -> None:
         self.line.forget()
-        order = b"$J=G90G21%s%.3fF%.1f\r\n" % (self.letter.encode(), self._mm(own), self._feed_mm_min)
+        feed = self._feed_mm_min(rate_steps_s)
+        order = b"$J=G90G21%s%.3fF%.1f\r\n" % (self.letter.encode(), self._mm(own), feed)
         self.line.send(order)
         self.line.expect(_OK, len(order), given_up=self._stopping.is_set)
         self._check_stop()
@@ -77,7 +131,9 @@ class Grbl(GcodeStage):
         # A number beside which a comma was lost, or that was garbled itself.
         if index >= len(places) or not _PLACE.fullmatch(places[index]):
             return None
-        return Report(state, round(float(places[index]) * abs(self._per_mm)))
+        pins = _PINS.search(status[3])
+        at_switch = pins is not None and self.letter.encode() in pins[1]
+        return Report(state, round(float(places[index]) * abs(self._per_mm)), at_switch)
 
     def _switched(self, on: bool) -> bool:
         self.line.forget()

@@ -12,6 +12,9 @@ _ANSWER = re.compile(rb"(?:^|\n)ok\b[^\n]*\n")
 # The first number is where an axis was sent, the second where it is, in steps; what stands beside them has to be whole.
 _PLACE = rb"%b:(-?\d+\.\d+) [A-Z]:[^\n]* Count %b%b: ?(-?\d+)%b[^\n]*\n(?:[^\n]*\n)*?ok\b[^\n]*\n"
 _SENT_AGAIN = 5
+_LOOK_S = 0.1
+# A count that is the same so often in a row is that of a motor that stands.
+_STILL = 4
 
 
 class Marlin(GcodeStage):
@@ -44,8 +47,42 @@ class Marlin(GcodeStage):
         if not self._obeyed(b"G28 %b" % self.letter.encode(), 2 * self.travel.allowed_s(self.travel.span)):
             raise NoAnswerError(f"{self.name}: G28 {self.letter} was not answered: check switch, cable and baud rate")
 
-    def _send_to(self, own: int) -> None:
-        self._obeyed(b"G1 %b%.4f F%.1f" % (self.letter.encode(), self._mm(own), self._feed_mm_min))
+    def _switch_met_at(self) -> int:
+        met = self._steps(self._met())
+        # Where homing ends is no constant of the firmware: beside its switch by as much as is found right after it.
+        self._home_once()
+        home = self._own_settled()
+        away = home + self._way * self.travel.approach
+        self._send_to(away, self._slow.rate_steps_s)
+        self._pause(self._slow.allowed_s(self.travel.approach))
+        if self._own_settled() != away:
+            raise self._not_met()
+        return met - self._way * (self._met() - home)
+
+    def _met(self) -> int:
+        """Drive slowly against the switch, which stops it for once: the controller's own count there."""
+        if not self._obeyed(b"M211 S0") or not self._obeyed(b"M120"):
+            raise NoAnswerError(f"{self.name}: M211 and M120 were not answered: check cable and baud rate")
+        until_s, last, still = self._against_switch(), None, 0
+        while still < _STILL:
+            self._pause(_LOOK_S)
+            report = self._report()
+            if report is not None:
+                still = still + 1 if report.count == last else 0
+                last = report.count
+            if self.line.clock.now_s() > until_s:
+                raise self._not_met()
+        switch = re.compile(rb"%b_(?:min|max): ?TRIGGERED[^\n]*\n" % self.letter.lower().encode())
+        if last is None or self._ask(b"M119", switch) is None:
+            raise self._not_met()
+        # Homing looks to its switch by itself; for all else this is as before.
+        if not self._obeyed(b"M121") or not self._obeyed(b"M211 S1"):
+            raise NoAnswerError(f"{self.name}: M121 and M211 were not answered: check cable and baud rate")
+        return last
+
+    def _send_to(self, own: int, rate_steps_s: float | None = None) -> None:
+        feed = self._feed_mm_min(rate_steps_s)
+        self._obeyed(b"G1 %b%.4f F%.1f" % (self.letter.encode(), self._mm(own), feed))
 
     def _report(self) -> Report | None:
         place = self._ask(b"M114", self._place)

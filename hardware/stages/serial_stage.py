@@ -8,6 +8,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 from hardware.errors import (
     HardwareError,
@@ -22,6 +23,9 @@ from hardware.stages.line import Line
 from hardware.stages.travel_settings import HERE, Travel
 
 _HOMINGS = 3
+# By so much slower is the switch met when it is to be seen whether steps were lost: a motor that lost steps on its way
+# up would lose as many on its way down, and the count would be right.
+_SLOWER = 4
 # How long `stop` waits for the thread that moves to notice.
 _NOTICE_S = 5.0
 _SLICE_S = 0.1
@@ -273,8 +277,13 @@ class SerialStage(ABC):
     def _find_switch(self) -> None:
         """Leave the stage standing on its switch, with a count of `travel.switch` there."""
 
+    @property
+    def _slow(self) -> Travel:
+        """Way and pace when the switch is met to see whether steps were lost."""
+        return replace(self.travel, rate_steps_s=max(self.travel.rate_steps_s / _SLOWER, 1.0))
+
     def _switch_met_at(self) -> int:
-        """Drive slowly against the switch: the count there, by what was counted so far."""
+        """Drive slowly against the switch: the count where homing would leave the axis, by what was counted so far."""
         raise NotImplementedError
 
     @abstractmethod
