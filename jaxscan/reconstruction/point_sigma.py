@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Real
 
 from jaxscan.calibration.blocks import bucket
-from jaxscan.precision import as_float64, float64
+from jaxscan.precision import as_float64, batches_of, float64
 from jaxscan.rig import Covariance, Motion, Positions, Rig
 from jaxscan.rig.light import inverse_depths
 from jaxscan.rig.motion import origin_shift
@@ -71,6 +71,32 @@ def point_covariance(
         rig=of_rig @ covariance.of_leaves(rig) @ np.swapaxes(of_rig, 1, 2),
         pixel=stripe_sigma_px**2 * of_pixel[:, :, None] * of_pixel[:, None, :],
     )
+
+
+def point_jacobians(
+    rig: Rig,
+    laser: str,
+    pixels: Float[np.ndarray, "points 2"],
+    q: PositionsOfPoints,
+    columns: bool,
+) -> tuple[Float[np.ndarray, "points 3 leaves"], Float[np.ndarray, "points 3"]]:
+    """How each point of the object frame moves with the rig's leaves, in their order, and with the stripe's position.
+
+    The arguments are those of `point_covariance`; mm for each unit of the parameters, mm for each pixel. Points come
+    in batches of one size, so that any number of them shares one compiled function.
+    """
+    with float64():
+        exact, padded = as_float64(rig), {axis: _batches(np.asarray(steps, np.float64)) for axis, steps in q.items()}
+        parts = [
+            _jacobians(exact, laser, *_as_arrays(batch, {axis: steps[i] for axis, steps in padded.items()}, columns))
+            for i, batch in enumerate(batches_of(pixels))
+        ]
+    of_rig, of_pixel = (np.concatenate([np.asarray(part[k]) for part in parts])[: len(pixels)] for k in (0, 1))
+    return of_rig, of_pixel
+
+
+def _batches(steps: Float[np.ndarray, "points"]) -> Float[np.ndarray, "batches size"]:
+    return batches_of(steps[:, None])[..., 0]
 
 
 def point_sigma(

@@ -159,11 +159,24 @@ def error_direction(image: RangeImage) -> Float[np.ndarray, "frames columns 3"]:
     else:
         full = image.valid.sum(axis=0) > 1
         held = np.median(np.nanstd(ray[:, full], axis=0)[:, :2], axis=0).argmin()
-        across = np.zeros_like(ray)
-        across[..., held], across[..., 2] = 1.0, -ray[..., held]
-        e = np.cross(normal, across)
+        e = along_line(normal, ray, int(held))
     e = e @ image.from_camera().matrix().swapaxes(-1, -2)
     return e / np.linalg.norm(e, axis=-1, keepdims=True)
+
+
+def along_line(
+    normal: Float[np.ndarray, "*points 3"], ray: Float[np.ndarray, "*points 3"], held: int
+) -> Float[np.ndarray, "*points 3"]:
+    """Along the line in which the sheet meets the plane of an image column (or row), camera frame; of any length.
+
+    Args:
+        normal: of the sheet.
+        ray: (x, y, 1) of each point.
+        held: which of x and y stays the same along the column (0) or the row (1).
+    """
+    across = np.zeros_like(ray)
+    across[..., held], across[..., 2] = 1.0, -ray[..., held]
+    return np.cross(normal, across)
 
 
 def _sheet_normal(

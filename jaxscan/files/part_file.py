@@ -1,0 +1,271 @@
+"""`part.toml`: what is to be measured on a part: features, where their points lie, and dimensions with tolerances."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from jaxscan.files.settings import toml_in
+from jaxscan.files.table import Table
+from jaxscan.files.text import read_toml
+from jaxscan.files.units import UNITS
+
+PART_FILE: Final = "part.toml"
+
+FITTED: Final = ("plane", "ball", "cylinder", "cone")
+IN_A_SECTION: Final = ("circle", "line")
+OF_TWO_PLANES: Final = ("edge", "slot")
+# What a feature can stand for where distances and angles are taken.
+_PLACES: Final = ("plane", "slot", "ball", "circle", "cylinder", "cone", "line", "edge")
+_DIRECTED: Final = ("plane", "slot", "cylinder", "cone", "line", "edge")
+_FLAT: Final = ("plane", "slot")
+_ROUND: Final = ("ball", "cylinder", "circle")
+
+# Of each kind of dimension: which kinds of feature it is of, one tuple for each feature.
+DIMENSIONS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
+    "radius": (_ROUND,),
+    "diameter": (_ROUND,),
+    "cone_angle": (("cone",),),
+    "width": (("slot",),),
+    "distance": (_PLACES, _PLACES),
+    "angle": (_DIRECTED, _DIRECTED),
+    "step": (_FLAT, _FLAT),
+    "flush": (("plane",), ("plane",)),
+    "gap": (("plane", "edge", "line"), ("plane", "edge", "line")),
+    "flatness": (("plane",),),
+    "roundness": (("ball", "cylinder", "cone", "circle"),),
+    "straightness": (("line",),),
+    "volume": (("surface",), ("plane",)),
+    "profile": (("surface",),),
+}
+ANGLES: Final = ("angle", "cone_angle")
+
+
+@dataclass(frozen=True)
+class Region:
+    """Where points are looked for, object frame, mm: a box, or a ball.
+
+    Attributes:
+        low: the box's corner of least coordinates; the ball's centre.
+        high: the box's other corner; None for a ball.
+        radius: of the ball.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float] | None = None
+    radius: float = 0.0
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A feature of a part.
+
+    Attributes:
+        name: by which dimensions call it.
+        kind: plane, ball, cylinder, cone, surface, section, circle, line, edge or slot.
+        region: where its points lie; None for what is made of other features.
+        grow: whether it takes in what goes on beyond the region.
+        of: the two planes of an edge or a slot; the section of a circle or a line.
+        point: of a section's plane, mm.
+        normal: of a section's plane.
+    """
+
+    name: str
+    kind: str
+    region: Region | None = None
+    grow: bool = False
+    of: tuple[str, ...] = ()
+    point: tuple[float, float, float] | None = None
+    normal: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A dimension of a part.
+
+    Attributes:
+        name: of the dimension.
+        kind: one of `DIMENSIONS`.
+        of: the features.
+        nominal: mm, degrees or mm³; None where nothing is asked of it.
+        tolerance: how far below and above the nominal it may be; None without one.
+        reference: of a profile, the mesh.
+        fit: of a profile, whether the points are moved onto the mesh first.
+    """
+
+    name: str
+    kind: str
+    of: tuple[str, ...]
+    nominal: float | None = None
+    tolerance: tuple[float, float] | None = None
+    reference: Path | None = None
+    fit: bool = False
+
+    @property
+    def unit(self) -> str:
+        """Of its value: mm, ° or mm³."""
+        return "°" if self.kind in ANGLES else "mm³" if self.kind == "volume" else "mm"
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is to be measured.
+
+    Attributes:
+        path: the file.
+        name: of the part.
+        features: in an order in which each comes after those that it is made of.
+        dimensions: in the file's order.
+    """
+
+    path: Path
+    name: str
+    features: tuple[Feature, ...]
+    dimensions: tuple[Dimension, ...]
+
+
+def read_part(path: str | os.PathLike[str]) -> Part:
+    """Read and check `part.toml`.
+
+    Args:
+        path: of the file, or of the folder that it lies in.
+
+    Raises:
+        InputError: whatever is wrong with it: the file, the key, and how to fix it.
+    """
+    top = read_toml(toml_in(Path(path), PART_FILE), f"the {PART_FILE} that lists features and dimensions")
+    top.only("part", "feature", "dimension")
+    about = top.table("part", "[part] ") if "part" in top else Table(top.path, "[part] ", {})
+    about.only("name", "units")
+    scale = UNITS[about.string("units", "mm", tuple(UNITS))]
+    name = about.string("name") if "name" in about else top.path.resolve().parent.name or "part"
+    features: dict[str, Feature] = {}
+    for table in _tables(top, "feature"):
+        feature = _feature(table, features, scale)
+        features[feature.name] = feature
+    if not features:
+        raise top.error("feature", "is missing: add a table [[feature]] with name, kind and box or ball")
+    dimensions: dict[str, Dimension] = {}
+    for table in _tables(top, "dimension"):
+        dimension = _dimension(table, features, scale)
+        if dimension.name in dimensions:
+            raise table.error("name", "two dimensions have this name: give each its own")
+        dimensions[dimension.name] = dimension
+    return Part(top.path, name, tuple(features.values()), tuple(dimensions.values()))
+
+
+def _tables(top: Table, key: str) -> list[Table]:
+    values = top.sequence(key, f"tables [[{key}]]") if key in top else []
+    for i, value in enumerate(values):
+        if not isinstance(value, dict):
+            raise top.error(key, f"entry {i} is no table: write [[{key}]] above its lines")
+    names = [value.get("name") for value in values]
+    named = [f"{name!r}" if isinstance(name, str) and name else str(i + 1) for i, name in enumerate(names)]
+    return [Table(top.path, f"[[{key}]] {name} ", value) for name, value in zip(named, values, strict=True)]
+
+
+def _feature(table: Table, known: dict[str, Feature], scale: float) -> Feature:
+    kinds = (*FITTED, "surface", "section", *IN_A_SECTION, *OF_TWO_PLANES)
+    kind = table.string("kind", choices=kinds)
+    name = table.string("name")
+    if name in known:
+        raise table.error("name", "two features have this name: give each its own")
+    if kind in OF_TWO_PLANES:
+        table.only("name", "kind", "of")
+        return Feature(name, kind, of=_features(table, known, (("plane",), ("plane",))))
+    if kind == "section":
+        table.only("name", "kind", "point", "normal", "box", "ball")
+        normal = table.numbers("normal", 3)
+        if not any(normal):
+            raise table.error("normal", "has no direction: give that in which the section's plane faces")
+        point = _triple(table.numbers("point", 3), scale)
+        region = _region(table, scale) if "box" in table or "ball" in table else None
+        return Feature(name, kind, region, point=point, normal=_triple(normal))
+    if kind in IN_A_SECTION:
+        table.only("name", "kind", "section", "box", "ball")
+        of = table.string("section")
+        if of not in known or known[of].kind != "section":
+            raise table.error("section", "no section of this name stands above: write the section first")
+        region = _region(table, scale) if "box" in table or "ball" in table else None
+        return Feature(name, kind, region, of=(of,))
+    table.only("name", "kind", "box", "ball", *(("grow",) if kind != "surface" else ()))
+    return Feature(name, kind, _region(table, scale), table.boolean("grow", False))
+
+
+def _region(table: Table, scale: float) -> Region:
+    if ("box" in table) == ("ball" in table):
+        raise table.error("box", "give one of box = [[x, y, z], [x, y, z]] and ball = [x, y, z, radius], in mm")
+    if "ball" in table:
+        *centre, radius = table.numbers("ball", 4)
+        if not radius > 0:
+            raise table.error("ball", "its radius, the fourth number, must be more than 0")
+        return Region(_triple(centre, scale), None, scale * radius)
+    corners = table.sequence("box", "two corners")
+    inner = Table(table.path, f"{table.prefix}box: ", {f"corner {i}": each for i, each in enumerate(corners, 1)})
+    if len(corners) != 2:
+        raise table.error("box", "must hold two corners, [x, y, z] each: that of the least numbers, then the other")
+    low, high = inner.numbers("corner 1", 3), inner.numbers("corner 2", 3)
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise table.error("box", "each number of the second corner must be more than that of the first")
+    return Region(_triple(low, scale), _triple(high, scale))
+
+
+def _dimension(table: Table, features: dict[str, Feature], scale: float) -> Dimension:
+    kind, name = table.string("kind", choices=tuple(DIMENSIONS)), table.string("name")
+    of_profile = ("reference", "fit") if kind == "profile" else ()
+    table.only("name", "kind", "of", "nominal", "tolerance", *of_profile)
+    of = _features(table, features, DIMENSIONS[kind])
+    factor = 1.0 if kind in ANGLES else scale**3 if kind == "volume" else scale
+    form = kind in ("flatness", "roundness", "straightness", "profile")
+    if form and "nominal" in table:
+        raise table.error("nominal", f"a {kind} has none, it is 0: leave it out, and give the tolerance alone")
+    nominal = 0.0 if form else factor * table.number("nominal") if "nominal" in table else None
+    tolerance = None
+    if "tolerance" in table:
+        if nominal is None:
+            raise table.error("nominal", "is missing: a tolerance is about a nominal value, so give both")
+        tolerance = _tolerance(table, form)
+        tolerance = factor * tolerance[0], factor * tolerance[1]
+    reference = None
+    if kind == "profile":
+        reference = table.path.parent / table.string("reference")
+        if not reference.is_file():
+            raise table.error("reference", f"there is no file {reference}: give the mesh, relative to the part file")
+    fit = kind == "profile" and table.boolean("fit", False)
+    return Dimension(name, kind, of, nominal, tolerance, reference, fit)
+
+
+def _tolerance(table: Table, form: bool) -> tuple[float, float]:
+    """Below and above; one number is for both."""
+    value = table.values["tolerance"]
+    if isinstance(value, list) and not form:
+        low, high = table.numbers("tolerance", 2)
+    else:
+        high = table.number("tolerance")
+        low = 0.0 if form else -high
+    if not low < high:
+        raise table.error("tolerance", "must be a number above 0, or two of which the second is larger")
+    return low, high
+
+
+def _features(table: Table, known: dict[str, Feature], kinds: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """The features that `of` names, one of each of these kinds."""
+    value = table.values.get("of")
+    names = [value] if isinstance(value, str) else table.sequence("of", "names of features")
+    if len(names) != len(kinds):
+        raise table.error("of", f"must name {len(kinds)} feature{'s' if len(kinds) > 1 else ''}")
+    for name, allowed in zip(names, kinds, strict=True):
+        if not isinstance(name, str) or name not in known:
+            there = ", ".join(known) or "none"
+            raise table.error("of", f"no feature above is called {name!r}: those above are {there}")
+        if known[name].kind not in allowed:
+            raise table.error("of", f'"{name}" is a {known[name].kind}, but one of {", ".join(allowed)} is needed')
+    if len(set(names)) < len(names):
+        raise table.error("of", "names one feature twice: name two")
+    return tuple(names)
+
+
+def _triple(values: Sequence[float], scale: float = 1.0) -> tuple[float, float, float]:
+    x, y, z = (scale * value for value in values)
+    return x, y, z

@@ -1,0 +1,179 @@
+"""Dimensions between shapes: functions of the shapes alone, so that their derivatives follow by moving these.
+
+A plane stands for itself at the middle of its points, a ball and a circle for their centre, a cylinder and a cone for
+their axis, an edge for the line in which two planes meet, a slot for the plane midway between two.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.errors import InputError
+from jaxscan.files.part_file import Dimension, Feature
+from jaxscan.measurement.shapes import Ball, Circle, Cone, Plane, Shape, Vector
+
+# Axes at a larger angle have a common perpendicular; others are compared at the middle of the second.
+_SKEW: Final = np.radians(10.0)
+# Planes at a smaller angle have no edge, at a larger one no width, between them.
+_PARALLEL: Final = np.radians(5.0)
+_FACING: Final = np.radians(30.0)
+
+
+@dataclass(frozen=True)
+class Place:
+    """What a feature stands for: a point, a line or a plane.
+
+    Attributes:
+        point: on it, mm.
+        direction: of a line; None for a point and a plane.
+        normal: of a plane; None for a point and a line.
+    """
+
+    point: Vector
+    direction: Vector | None = None
+    normal: Vector | None = None
+
+
+def place_of(shape: Shape) -> Place:
+    """Of a fitted shape."""
+    if isinstance(shape, Plane):
+        return Place(shape.point, normal=shape.axis)
+    return Place(shape.point) if isinstance(shape, Ball | Circle) else Place(shape.point, direction=shape.axis)
+
+
+def edge_of(a: Plane, b: Plane) -> Place:
+    """The line in which two planes meet, at its point nearest to the middle between theirs.
+
+    Raises:
+        InputError: they are nearly parallel.
+    """
+    if angle_between(place_of(a), place_of(b)) < np.degrees(_PARALLEL):
+        raise InputError("its two planes are parallel within 5°, so that they have no edge: name two that meet")
+    direction = np.cross(a.axis, b.axis)
+    direction /= np.linalg.norm(direction)
+    middle = (a.point + b.point) / 2
+    A = np.stack([a.axis, b.axis, direction])
+    point = np.linalg.solve(A, [a.axis @ a.point, b.axis @ b.point, direction @ middle])
+    return Place(point, direction=direction)
+
+
+def slot_of(a: Plane, b: Plane) -> Place:
+    """The plane midway between two that face each other, or are the two sides of a rib.
+
+    Raises:
+        InputError: they are not parallel within 30°.
+    """
+    if angle_between(place_of(a), place_of(b)) > np.degrees(_FACING):
+        raise InputError("its two planes are at more than 30° to each other: name the two sides of one slot or rib")
+    other = b.axis if a.axis @ b.axis > 0 else -b.axis
+    normal = a.axis + other
+    return Place((a.point + b.point) / 2, normal=normal / np.linalg.norm(normal))
+
+
+def width_of(a: Plane, b: Plane) -> float:
+    """From the middle of one side to that of the other, along the normal midway, mm."""
+    normal = slot_of(a, b).normal
+    assert normal is not None
+    # Each side is taken where the line along the normal through the middle of all points meets it.
+    middle = (a.point + b.point) / 2
+    ends = [float((each.point - middle) @ each.axis / (normal @ each.axis)) for each in (a, b)]
+    return abs(ends[1] - ends[0])
+
+
+def distance_between(a: Place, b: Place) -> float:
+    """Of two places, mm, at the middle of the second where they are parallel."""
+    if a.normal is not None:
+        return abs(float((b.point - a.point) @ a.normal))
+    if b.normal is not None:
+        return abs(float((a.point - b.point) @ b.normal))
+    apart = b.point - a.point
+    if a.direction is not None and b.direction is not None:
+        common = np.cross(a.direction, b.direction)
+        if np.linalg.norm(common) > np.sin(_SKEW):
+            return abs(float(apart @ common / np.linalg.norm(common)))
+    direction = a.direction if a.direction is not None else b.direction
+    if direction is None:
+        return float(np.linalg.norm(apart))
+    return float(np.linalg.norm(apart - (apart @ direction) * direction))
+
+
+def angle_between(a: Place, b: Place) -> float:
+    """Of two lines or planes, or of a line and a plane, 0° to 90°."""
+    first = a.direction if a.direction is not None else a.normal
+    second = b.direction if b.direction is not None else b.normal
+    assert first is not None
+    assert second is not None
+    # By sine and cosine both: a right angle and none are told as well as any.
+    angle = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), abs(float(first @ second)))))
+    return angle if (a.direction is None) == (b.direction is None) else 90.0 - angle
+
+
+def step_between(a: Place, b: Place) -> float:
+    """How high the middle of the second plane is over the first, mm."""
+    assert a.normal is not None
+    return float((b.point - a.point) @ a.normal)
+
+
+def flush_between(a: Plane, b: Plane, seam: Vector) -> float:
+    """How high the second plane is over the first at a place between them, along the first's normal, mm."""
+    on_first = float((a.point - seam) @ a.axis)
+    on_second = float((b.point - seam) @ b.axis) / float(a.axis @ b.axis)
+    return on_second - on_first
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """The shapes that were fitted, and what is made of them.
+
+    Attributes:
+        fitted: by name.
+        made: features of two planes, by name.
+        seams: for each flush dimension, the place where it is taken.
+    """
+
+    fitted: dict[str, Shape]
+    made: dict[str, Feature]
+    seams: dict[str, Vector]
+
+    def moved(self, name: str, by: Float[np.ndarray, "numbers"]) -> "Shapes":
+        """With the numbers of one shape changed."""
+        return replace(self, fitted={**self.fitted, name: self.fitted[name].moved(by)})
+
+    def place(self, name: str) -> Place:
+        """What a feature stands for."""
+        if name in self.fitted:
+            return place_of(self.fitted[name])
+        feature = self.made[name]
+        a, b = (self.plane(each) for each in feature.of)
+        return edge_of(a, b) if feature.kind == "edge" else slot_of(a, b)
+
+    def plane(self, name: str) -> Plane:
+        """A feature that is a plane."""
+        shape = self.fitted[name]
+        assert isinstance(shape, Plane)
+        return shape
+
+    def fitted_of(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """The fitted shapes that features are made of."""
+        parts = [self.made[name].of if name in self.made else (name,) for name in names]
+        return tuple(dict.fromkeys(name for part in parts for name in part))
+
+    def value(self, dimension: Dimension) -> float:
+        """Of a dimension that shapes alone determine."""
+        kind, of = dimension.kind, dimension.of
+        if kind in ("radius", "diameter"):
+            radius = float(self.fitted[of[0]].radius)  # type: ignore[attr-defined]  # the reader has seen to the kind
+            return radius if kind == "radius" else 2 * radius
+        if kind == "cone_angle":
+            cone = self.fitted[of[0]]
+            assert isinstance(cone, Cone)
+            return float(np.degrees(2 * cone.half_angle))
+        if kind == "width":
+            return width_of(*(self.plane(name) for name in self.made[of[0]].of))
+        if kind == "flush":
+            return flush_between(self.plane(of[0]), self.plane(of[1]), self.seams[dimension.name])
+        a, b = (self.place(name) for name in of)
+        of_two = {"angle": angle_between, "step": step_between}
+        return of_two.get(kind, distance_between)(a, b)

@@ -1,0 +1,113 @@
+"""Form: how far a surface is from its shape, patch by patch, and what of that errors alone would show.
+
+The lowest and the highest of n points are noise, and lie the further apart the more points there are. So points are
+first averaged in patches: mⱼ = fⱼ + eⱼ, f the surface's own deviation and e what is left of all errors. The deviation
+is F = max m − min m. Errors change it by no more than their own range, |F − (max f − min f)| ≤ max e − min e, and this
+range has a known distribution: the noise of patch j has the variance s² τ σⱼ² / nⱼ, and the rig's part that the fit
+has not taken up is (1 − J G) D δθ (`fit`), averaged likewise. So F ± R₉₅, with R₉₅ the 95th percentile of the range of
+errors, holds the surface's deviation with at least 95 %. Waves that are shorter than a patch are not seen.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxscan.measurement.fit import Fit, few, moved_by_rig
+from jaxscan.measurement.scanned import Scanned
+
+_PATCHES: Final = 6
+_ALONG: Final = 16
+_FEWEST: Final = 10
+_DRAWINGS: Final = 4000
+_OF_RIG: Final = 2000
+_SEED: Final = 2003
+CONFIDENCE: Final = 0.95
+
+Patches = Int[np.ndarray, "points"]
+
+
+@dataclass(frozen=True)
+class Form:
+    """A form deviation.
+
+    Attributes:
+        value: mm.
+        uncertainty: half of the interval that holds the surface's own with at least 95 %, mm; None where the points'
+            errors are not known.
+        patches: of how many means.
+    """
+
+    value: float
+    uncertainty: float | None
+    patches: int
+
+
+def form_of(scanned: Scanned, fit: Fit) -> Form:
+    """How far the surface is from a shape that was fitted to it."""
+    patch = patches(scanned.points[fit.used], scanned.place is not None and scanned.image is None)
+    left = None
+    if fit.by_rig is not None:
+        some = few(len(fit.used), _OF_RIG)
+        x = scanned.points[fit.used[some]]
+        left = some, moved_by_rig(scanned, fit.shape, fit.used[some]) + fit.shape.jacobian(x) @ fit.by_rig
+    noise = fit.scale * np.sqrt(fit.tau) * fit.spread
+    return deviation(scanned, fit.residuals, patch, noise, left, np.ptp)
+
+
+def deviation(
+    scanned: Scanned,
+    off: Float[np.ndarray, "points"],
+    patch: Patches,
+    noise: Float[np.ndarray, "points"],
+    by_rig: tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some leaves"]] | None,
+    size: Callable[..., Float[np.ndarray, "*drawings"]],
+) -> Form:
+    """The deviation of means over patches.
+
+    Args:
+        scanned: whose points they are.
+        off: of each point, mm.
+        patch: in which it lies, −1 for none.
+        noise: σ of each, such that those of a patch may be taken for independent, mm.
+        by_rig: some of the points, and how what is off of them follows the rig's leaves.
+        size: what of the means is the deviation, over the last axis.
+    """
+    count = np.bincount(patch[patch >= 0])
+    full = np.flatnonzero(count >= min(_FEWEST, count.max()))
+    means = np.bincount(patch[patch >= 0], off[patch >= 0])[full] / count[full]
+    value = float(size(means, axis=-1))
+    if by_rig is None or scanned.covariance is None:
+        return Form(value, None, len(full))
+    sigma = np.sqrt(np.bincount(patch[patch >= 0], noise[patch >= 0] ** 2)[full]) / count[full]
+    random = np.random.default_rng(_SEED)
+    errors = sigma * random.normal(size=(_DRAWINGS, len(full)))
+    some, D = by_rig
+    mean = np.stack([D[patch[some] == k].mean(axis=0) if (patch[some] == k).any() else D[0] * 0 for k in full])
+    values, vectors = np.linalg.eigh(scaled(scanned.covariance)[0])
+    root = scaled(scanned.covariance)[1][:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    errors += random.normal(size=(_DRAWINGS, len(root))) @ (mean @ root).T
+    return Form(value, float(np.quantile(size(errors, axis=-1), CONFIDENCE)), len(full))
+
+
+def scaled(
+    covariance: Float[np.ndarray, "leaves leaves"],
+) -> tuple[Float[np.ndarray, "leaves leaves"], Float[np.ndarray, "leaves"]]:
+    """The correlations of a covariance and the σ: a rig's numbers are of very different sizes."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    apart = np.where(sigma > 0, sigma, 1.0)
+    return covariance / apart[:, None] / apart, sigma
+
+
+def patches(x: Float[np.ndarray, "points 3"], along: bool) -> Patches:
+    """Pieces of a surface of about equal size: squares across its two longest extents; pieces of a line, in order."""
+    if along:
+        return (np.arange(len(x)) * _ALONG) // len(x)
+    middle = x - x.mean(axis=0)
+    flat = middle @ np.linalg.eigh(middle.T @ middle)[1][:, :0:-1]
+    low, extent = flat.min(axis=0), np.ptp(flat, axis=0)
+    counts = np.clip(np.round(_PATCHES * np.sqrt(extent / extent[::-1])), 2, _PATCHES**2 / 2).astype(int)
+    cell = np.minimum(((flat - low) / extent * counts).astype(int), counts - 1)
+    return cell[:, 0] * counts[1] + cell[:, 1]

@@ -1,0 +1,310 @@
+"""From a surface and a part to its dimensions: features are fitted, dimensions follow, each with its interval.
+
+A dimension h(p₁, p₂ …) of the numbers of some shapes has the variance Σ hᵢ cov(pᵢ) hᵢᵀ + b Σ bᵀ, with hᵢ = ∂h/∂pᵢ, the
+points' part of each shape by itself, and b = Σ hᵢ Bᵢ how it follows the rig, Bᵢ = ∂pᵢ/∂θ: errors of the rig that two
+features share may cancel in their distance, and are seen to. The interval is that of Student's t, with the degrees of
+freedom of the points' part (B. L. Welch, 1947).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from scipy.stats import t as students_t
+
+from jaxscan.errors import InputError, said_of
+from jaxscan.files.part_file import FITTED, IN_A_SECTION, OF_TWO_PLANES, Dimension, Feature, Part
+from jaxscan.measurement.dimensions import Shapes, edge_of, slot_of
+from jaxscan.measurement.fit import Fit, few, fit_shape
+from jaxscan.measurement.form import CONFIDENCE, Form, form_of
+from jaxscan.measurement.profile import profile_of
+from jaxscan.measurement.scanned import Scanned
+from jaxscan.measurement.section import outline
+from jaxscan.measurement.seen import seen_part
+from jaxscan.measurement.shapes import Plane, Shape
+from jaxscan.measurement.verdict import Verdict, verdict
+from jaxscan.measurement.volume import volume_above
+
+# Numbers of a shape are moved by so much for derivatives, mm.
+_MOVE: Final = 1e-4
+_SEAM: Final = 3000
+_FORMS: Final = ("flatness", "roundness", "straightness")
+# What errors make of an angle near 0° is never below 0°.
+_FEW_SIGMAS: Final = 3.0
+
+
+@dataclass(frozen=True)
+class MeasuredFeature:
+    """A feature as it was found.
+
+    Attributes:
+        feature: what was asked for.
+        fit: the fitted shape; None for what is not fitted.
+        scanned: the points it was fitted to: all, or a section's outline.
+        points: how many are of it.
+        left_out: how many of its region are not.
+        notes: sentences about it.
+        problem: why there is none; "" where there is.
+    """
+
+    feature: Feature
+    fit: Fit | None
+    scanned: Scanned | None
+    points: int
+    left_out: int
+    notes: tuple[str, ...] = ()
+    problem: str = ""
+
+    @property
+    def shape(self) -> Shape | None:
+        """As it was fitted."""
+        return None if self.fit is None else self.fit.shape
+
+
+@dataclass(frozen=True)
+class MeasuredDimension:
+    """A dimension as it was measured; mm, degrees or mm³, as `dimension.unit` says.
+
+    Attributes:
+        dimension: what was asked for.
+        value: None where it could not be measured.
+        uncertainty: half of the interval that holds the true value with 95 %; None without one.
+        sigma: standard uncertainty of the value; None where there is none, or for a form.
+        sigma_rig: the part of it that the rig has, which no number of points makes smaller.
+        by_rig: the derivative by each of the rig's parameters, by name.
+        form_mm: of its features' points, from the lowest to the highest, the largest of them.
+        points: of its features.
+        left_out: of their regions.
+        verdict: by its tolerance; None without one.
+        notes: sentences about it.
+        problem: why it could not be measured; "" where it could.
+    """
+
+    dimension: Dimension
+    value: float | None
+    uncertainty: float | None = None
+    sigma: float | None = None
+    sigma_rig: float | None = None
+    by_rig: Mapping[str, float] = field(default_factory=dict)
+    form_mm: float | None = None
+    points: int = 0
+    left_out: int = 0
+    verdict: Verdict | None = None
+    notes: tuple[str, ...] = ()
+    problem: str = ""
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """What holds the true value with 95 %; of what cannot be below 0 it begins there."""
+        if self.value is None or self.uncertainty is None:
+            return None
+        low = self.value - self.uncertainty
+        signed = self.dimension.kind in ("step", "flush", "volume")
+        return low if signed else max(low, 0.0), self.value + self.uncertainty
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What was measured of a part.
+
+    Attributes:
+        part: what was asked for.
+        features: in the part's order.
+        dimensions: in the part's order.
+        notes: sentences about all of it, such as why nothing has an interval.
+    """
+
+    part: Part
+    features: tuple[MeasuredFeature, ...]
+    dimensions: tuple[MeasuredDimension, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What could not be measured, and why."""
+        features = [f"{each.feature.name}: {each.problem}" for each in self.features if each.problem]
+        return (*features, *(f"{each.dimension.name}: {each.problem}" for each in self.dimensions if each.problem))
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Of the whole part: conforming if every toleranced dimension is; None where none has a tolerance."""
+        verdicts = [each.verdict for each in self.dimensions if each.verdict]
+        if not verdicts:
+            return None
+        worst: tuple[Verdict, ...] = ("not conforming", "not decided", "conforming")
+        return next(each for each in worst if each in verdicts)
+
+
+def measure(scanned: Scanned, part: Part) -> Measurement:
+    """Measure a part.
+
+    What cannot be measured is told of in `problem` of the feature or dimension, and the others are measured.
+
+    Args:
+        scanned: its surface, by `scanned_image` or `scanned_points`.
+        part: by `read_part`.
+    """
+    features: dict[str, MeasuredFeature] = {}
+    for feature in part.features:
+        try:
+            features[feature.name] = _feature(scanned, feature, features)
+        except InputError as error:
+            features[feature.name] = MeasuredFeature(feature, None, None, 0, 0, problem=str(error))
+    shapes = Shapes(
+        {name: each.shape for name, each in features.items() if each.shape is not None},
+        {name: each.feature for name, each in features.items() if each.feature.kind in OF_TWO_PLANES},
+        {},
+    )
+    dimensions = []
+    for dimension in part.dimensions:
+        try:
+            measured = _dimension(scanned, dimension, features, shapes)
+        except InputError as error:
+            measured = MeasuredDimension(dimension, None, problem=str(error))
+        if dimension.tolerance is not None and dimension.nominal is not None:
+            low, high = (dimension.nominal + off for off in dimension.tolerance)
+            measured = replace(measured, verdict=verdict(measured.interval, (low, high)))
+        dimensions.append(measured)
+    notes = (f"measured without intervals: {scanned.why_not}",) if scanned.why_not else ()
+    return Measurement(part, tuple(features.values()), tuple(dimensions), notes)
+
+
+def _feature(scanned: Scanned, feature: Feature, before: Mapping[str, MeasuredFeature]) -> MeasuredFeature:
+    of = [_sound(before[name]) for name in feature.of]
+    if feature.kind in OF_TWO_PLANES:
+        a, b = (each.shape for each in of)
+        assert isinstance(a, Plane)
+        assert isinstance(b, Plane)
+        (edge_of if feature.kind == "edge" else slot_of)(a, b)
+        return MeasuredFeature(feature, None, None, sum(e.points for e in of), sum(e.left_out for e in of))
+    if feature.kind == "section":
+        cut = outline(scanned, feature)
+        return MeasuredFeature(feature, None, cut, len(cut.points), 0)
+    if feature.kind == "surface":
+        inside = scanned.within(feature.region)
+        if not len(inside):
+            raise InputError(
+                "no point lies in its region: enlarge the box or ball, or see that it is in the object frame, in mm "
+                "(`jaxscan inspect` says how far the points reach)"
+            )
+        return MeasuredFeature(feature, None, scanned.part(inside), len(inside), 0)
+    assert feature.kind in (*FITTED, *IN_A_SECTION)
+    source, normal = scanned, None
+    if feature.kind in IN_A_SECTION:
+        cut, asked = of[0].scanned, of[0].feature.normal
+        assert cut is not None
+        source, normal = cut, np.asarray(asked) / np.linalg.norm(np.asarray(asked))
+    fit = fit_shape(source, feature.kind, source.within(feature.region), grow=feature.grow, normal=normal)
+    notes = seen_part(fit.shape, source.points[fit.used])
+    return MeasuredFeature(feature, fit, source, len(fit.used), fit.left_out, notes)
+
+
+def _sound(feature: MeasuredFeature) -> MeasuredFeature:
+    if feature.problem:
+        raise InputError(f'"{feature.feature.name}" could not be measured: {feature.problem}')
+    return feature
+
+
+def _dimension(
+    scanned: Scanned, dimension: Dimension, features: Mapping[str, MeasuredFeature], shapes: Shapes
+) -> MeasuredDimension:
+    of = [_sound(features[name]) for name in dimension.of]
+    base = MeasuredDimension(
+        dimension,
+        None,
+        points=sum(each.points for each in of),
+        left_out=sum(each.left_out for each in of),
+        notes=tuple(dict.fromkeys(note for each in of for note in each.notes)),
+    )
+    if dimension.kind in _FORMS:
+        fit, source = of[0].fit, of[0].scanned
+        assert fit is not None
+        assert source is not None
+        return _of_form(base, form_of(source, fit), fit.form_mm)
+    if dimension.kind == "profile":
+        assert of[0].scanned is not None
+        with said_of(str(dimension.reference)):
+            form, largest, notes = profile_of(of[0].scanned, dimension)
+        return replace(_of_form(base, form, largest), notes=(*base.notes, *notes))
+    if dimension.kind == "volume":
+        source, plane = of[0].scanned, of[1]
+        assert source is not None
+        assert plane.fit is not None
+        found = volume_above(source, plane.fit, plane.scanned)
+        own, b = found.own, found.by_rig
+        base = replace(base, value=found.value, notes=(*base.notes, *found.notes))
+        return _with_interval(scanned, base, own, np.inf, b)
+    names = shapes.fitted_of(dimension.of)
+    if dimension.kind == "flush":
+        shapes = replace(shapes, seams={dimension.name: _seam(of)})
+    slopes = {name: _slope(shapes, name, dimension) for name in names}
+    fits = {name: features[name].fit for name in names}
+    own, freedom, b = 0.0, 0.0, None
+    for name, fit in fits.items():
+        assert fit is not None
+        part = float(slopes[name] @ fit.own @ slopes[name])
+        own, freedom = own + part, freedom + part**2 / fit.freedom
+        if fit.by_rig is not None:
+            follows = slopes[name] @ fit.by_rig
+            b = follows if b is None else b + follows
+    forms = [fit.form_mm for fit in fits.values() if fit is not None]
+    base = replace(base, value=shapes.value(dimension), form_mm=max(forms))
+    return _with_interval(scanned, base, own, freedom, b)
+
+
+def _of_form(base: MeasuredDimension, form: Form, largest: float) -> MeasuredDimension:
+    note = f"of means over {form.patches} patches: shorter waves are not seen"
+    return replace(base, value=form.value, uncertainty=form.uncertainty, form_mm=largest, notes=(*base.notes, note))
+
+
+def _with_interval(
+    scanned: Scanned, base: MeasuredDimension, own: float, squares: float, b: Float[np.ndarray, "leaves"] | None
+) -> MeasuredDimension:
+    """With the interval of a variance `own` of the points, of so much Σ part² / freedom, and of the rig's part.
+
+    Infinite squares stand for a variance that is known.
+    """
+    if b is None or scanned.covariance is None:
+        return base
+    rig = max(float(b @ scanned.covariance @ b), 0.0)
+    total = own + rig
+    freedom = total**2 / squares if squares > 0 and np.isfinite(squares) else np.inf
+    k = float(students_t.ppf((1 + CONFIDENCE) / 2, max(freedom, 1.0)))
+    sigma = float(np.sqrt(total))
+    notes = base.notes
+    if base.dimension.kind == "angle" and base.value is not None and base.value < _FEW_SIGMAS * sigma:
+        notes = (*notes, "so small an angle is an upper bound: errors never make it negative")
+    return replace(
+        base,
+        uncertainty=k * sigma,
+        sigma=sigma,
+        sigma_rig=float(np.sqrt(rig)),
+        by_rig=dict(zip(scanned.parameters, b.tolist(), strict=True)),
+        notes=notes,
+    )
+
+
+def _slope(shapes: Shapes, name: str, dimension: Dimension) -> Float[np.ndarray, "numbers"]:
+    """How a dimension changes with the numbers of a shape."""
+    slope = np.zeros(shapes.fitted[name].numbers)
+    for k in range(len(slope)):
+        by = np.zeros(len(slope))
+        by[k] = _MOVE
+        up, down = (shapes.moved(name, way * by).value(dimension) for way in (1.0, -1.0))
+        slope[k] = (up - down) / (2 * _MOVE)
+    return slope
+
+
+def _seam(of: list[MeasuredFeature]) -> Float[np.ndarray, "3"]:
+    """Midway between the points of two features that are nearest to each other, mm."""
+    clouds = []
+    for each in of:
+        assert each.fit is not None
+        assert each.scanned is not None
+        clouds.append(each.scanned.points[each.fit.used[few(len(each.fit.used), _SEAM)]])
+    away, index = KDTree(clouds[1]).query(clouds[0])
+    nearest = int(np.argmin(away))
+    return (clouds[0][nearest] + clouds[1][np.asarray(index)[nearest]]) / 2

@@ -1,0 +1,271 @@
+"""Shapes that are fitted: signed distances of points from each, and how they change with its numbers.
+
+Each shape has numbers of its own about where it stands, all in mm (turns are times a length `size`, about that of its
+points), so that the normal equations of a fit are well conditioned. `moved` takes them from 0. With a the axis, d from
+a point of it to x, h = a · d, ρ = |d − h a| and w = (d − h a) / ρ, the distances are
+
+    plane n · d    ball |d| − R    cylinder ρ − R    cone (ρ − R) cos φ − h sin φ    circle ρ − R    line m · d
+
+(C. M. Shakarji, "Least-squares fitting algorithms of the NIST algorithm testing system", 1998). Circle and line lie in
+a plane that is given.
+"""
+
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from jaxtyping import Float
+
+Points = Float[np.ndarray, "points 3"]
+Vector = Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape.
+
+    Attributes:
+        point: of a plane or line a point on it, of a ball or circle the centre, of the others a point of the axis, mm.
+        axis: unit: a plane's normal, a cylinder's or cone's axis (of a cone that in which it widens), the normal of a
+            circle's plane, a line's direction. Of a ball it says nothing.
+        size: about that of its points, mm.
+    """
+
+    # How many numbers it has, and how many points determine them.
+    numbers: ClassVar[int]
+    point: Vector
+    axis: Vector
+    size: float
+
+    @abstractmethod
+    def distances(self, x: Points) -> Float[np.ndarray, "points"]:
+        """Signed distances of points, mm."""
+
+    @abstractmethod
+    def gradient(self, x: Points) -> Points:
+        """How the distances change with the points: unit vectors."""
+
+    @abstractmethod
+    def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
+        """How the distances change with the numbers."""
+
+    @abstractmethod
+    def moved(self, by: Float[np.ndarray, "numbers"]) -> Self:
+        """The shape with its numbers changed."""
+
+    def placed(self, x: Points) -> Self:
+        """The same with its own point in the middle of these points, and their size."""
+        middle = x.mean(axis=0)
+        size = max(float(np.sqrt(((x - middle) ** 2).sum(axis=1).mean())), 1e-9)
+        return replace(self, size=size, **self._with_middle(middle))
+
+    def _with_middle(self, middle: Vector) -> dict[str, Any]:
+        return {"point": self.point + self.axis * float(self.axis @ (middle - self.point))}
+
+    def _turned(self, by: Float[np.ndarray, "2"]) -> Vector:
+        u, v = across(self.axis)
+        axis = self.axis + (by[0] * u + by[1] * v) / self.size
+        return axis / np.linalg.norm(axis)
+
+    def _about_axis(
+        self, x: Points
+    ) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"], Points, Float[np.ndarray, "points 2"]]:
+        """h, ρ, w, and the parts of w along the two directions across the axis."""
+        d = x - self.point
+        h = d @ self.axis
+        w = d - h[:, None] * self.axis
+        rho = np.linalg.norm(w, axis=1)
+        w /= np.maximum(rho, 1e-300)[:, None]
+        return h, rho, w, w @ np.stack(across(self.axis), axis=1)
+
+
+@dataclass(frozen=True)
+class Plane(Shape):
+    """A plane; its numbers: two turns, and how far it is moved along its normal."""
+
+    numbers: ClassVar[int] = 3
+
+    def distances(self, x: Points) -> Float[np.ndarray, "points"]:
+        """Along the normal."""
+        return (x - self.point) @ self.axis
+
+    def gradient(self, x: Points) -> Points:
+        """The normal."""
+        return np.broadcast_to(self.axis, x.shape)
+
+    def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
+        """Of distances by the numbers."""
+        u, v = across(self.axis)
+        d = x - self.point
+        return np.stack([d @ u / self.size, d @ v / self.size, np.full(len(x), -1.0)], axis=1)
+
+    def moved(self, by: Float[np.ndarray, "numbers"]) -> "Plane":
+        """Turned about its point, then moved."""
+        return Plane(self.point + by[2] * self.axis, self._turned(by[:2]), self.size)
+
+    def _with_middle(self, middle: Vector) -> dict[str, Any]:
+        return {"point": middle - self.axis * float(self.axis @ (middle - self.point))}
+
+
+@dataclass(frozen=True)
+class Ball(Shape):
+    """A ball; its numbers: of the centre, then the radius."""
+
+    numbers: ClassVar[int] = 4
+    radius: float = 0.0
+
+    def distances(self, x: Points) -> Float[np.ndarray, "points"]:
+        """From its surface, positive outside."""
+        return np.linalg.norm(x - self.point, axis=1) - self.radius
+
+    def gradient(self, x: Points) -> Points:
+        """Away from the centre."""
+        d = x - self.point
+        return d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300)
+
+    def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
+        """Of distances by the numbers."""
+        return np.concatenate([-self.gradient(x), np.full((len(x), 1), -1.0)], axis=1)
+
+    def moved(self, by: Float[np.ndarray, "numbers"]) -> "Ball":
+        """Moved, and grown."""
+        return Ball(self.point + by[:3], self.axis, self.size, self.radius + by[3])
+
+    def _with_middle(self, middle: Vector) -> dict[str, Any]:
+        return {}
+
+
+@dataclass(frozen=True)
+class Cylinder(Shape):
+    """A cylinder; its numbers: two of its place, two turns, the radius."""
+
+    numbers: ClassVar[int] = 5
+    radius: float = 0.0
+
+    def distances(self, x: Points) -> Float[np.ndarray, "points"]:
+        """From its surface, positive outside."""
+        return self._about_axis(x)[1] - self.radius
+
+    def gradient(self, x: Points) -> Points:
+        """Away from the axis."""
+        return self._about_axis(x)[2]
+
+    def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
+        """Of distances by the numbers."""
+        h, _, _, parts = self._about_axis(x)
+        return np.concatenate([-parts, -parts * h[:, None] / self.size, np.full((len(x), 1), -1.0)], axis=1)
+
+    def moved(self, by: Float[np.ndarray, "numbers"]) -> "Cylinder":
+        """Moved across its axis, turned, and grown."""
+        u, v = across(self.axis)
+        return Cylinder(self.point + by[0] * u + by[1] * v, self._turned(by[2:4]), self.size, self.radius + by[4])
+
+
+@dataclass(frozen=True)
+class Cone(Shape):
+    """A cone; its numbers: two of its place, two turns, the radius at its point, and half its opening angle."""
+
+    numbers: ClassVar[int] = 6
+    radius: float = 0.0
+    half_angle: float = 0.0
+
+    def distances(self, x: Points) -> Float[np.ndarray, "points"]:
+        """From its surface, positive outside."""
+        h, rho, _, _ = self._about_axis(x)
+        return (rho - self.radius) * np.cos(self.half_angle) - h * np.sin(self.half_angle)
+
+    def gradient(self, x: Points) -> Points:
+        """Across its surface, outwards."""
+        return np.cos(self.half_angle) * self._about_axis(x)[2] - np.sin(self.half_angle) * self.axis
+
+    def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
+        """Of distances by the numbers."""
+        h, rho, _, parts = self._about_axis(x)
+        c, s = np.cos(self.half_angle), np.sin(self.half_angle)
+        turns = -parts * ((h * c + rho * s) / self.size)[:, None]
+        by_angle = (-(rho - self.radius) * s - h * c) / self.size
+        return np.concatenate([-c * parts, turns, np.stack([np.full(len(x), -c), by_angle], axis=1)], axis=1)
+
+    def moved(self, by: Float[np.ndarray, "numbers"]) -> "Cone":
+        """Moved across its axis, turned, grown, and opened."""
+        u, v = across(self.axis)
+        point, angle = self.point + by[0] * u + by[1] * v, self.half_angle + by[5] / self.size
+        return Cone(point, self._turned(by[2:4]), self.size, self.radius + by[4], angle)
+
+    def placed(self, x: Points) -> "Cone":
+        """With its radius at the new point."""
+        placed = super().placed(x)
+        along = float(self.axis @ (placed.point - self.point))
+        return replace(placed, radius=self.radius + along * np.tan(self.half_angle))
+
+    @property
+    def apex(self) -> Vector:
+        """Its tip, mm."""
+        return self.point - self.axis * (self.radius / np.tan(self.half_angle))
+
+
+@dataclass(frozen=True)
+class Circle(Shape):
+    """A circle in a plane that is given; its numbers: two of the centre, the radius."""
+
+    numbers: ClassVar[int] = 3
+    radius: float = 0.0
+
+    def distances(self, x: Points) -> Float[np.ndarray, "points"]:
+        """In the plane, positive outside."""
+        return self._about_axis(x)[1] - self.radius
+
+    def gradient(self, x: Points) -> Points:
+        """Away from the centre."""
+        return self._about_axis(x)[2]
+
+    def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
+        """Of distances by the numbers."""
+        return np.concatenate([-self._about_axis(x)[3], np.full((len(x), 1), -1.0)], axis=1)
+
+    def moved(self, by: Float[np.ndarray, "numbers"]) -> "Circle":
+        """Moved in the plane, and grown."""
+        u, v = across(self.axis)
+        return Circle(self.point + by[0] * u + by[1] * v, self.axis, self.size, self.radius + by[2])
+
+
+@dataclass(frozen=True)
+class Line(Shape):
+    """A line in a plane that is given; its numbers: how far it is moved in the plane, and a turn.
+
+    Attributes:
+        normal: of the plane.
+    """
+
+    numbers: ClassVar[int] = 2
+    normal: Vector = None  # type: ignore[assignment]  # a line without one is not made
+
+    @property
+    def aside(self) -> Vector:
+        """Across the line, in the plane."""
+        return np.cross(self.normal, self.axis)
+
+    def distances(self, x: Points) -> Float[np.ndarray, "points"]:
+        """In the plane."""
+        return (x - self.point) @ self.aside
+
+    def gradient(self, x: Points) -> Points:
+        """Across the line."""
+        return np.broadcast_to(self.aside, x.shape)
+
+    def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
+        """Of distances by the numbers."""
+        return np.stack([np.full(len(x), -1.0), -((x - self.point) @ self.axis) / self.size], axis=1)
+
+    def moved(self, by: Float[np.ndarray, "numbers"]) -> "Line":
+        """Moved across itself, and turned in the plane."""
+        axis = self.axis + by[1] / self.size * self.aside
+        return Line(self.point + by[0] * self.aside, axis / np.linalg.norm(axis), self.size, self.normal)
+
+
+def across(axis: Vector) -> tuple[Vector, Vector]:
+    """Two unit vectors at right angles to an axis and to each other."""
+    u = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    u /= np.linalg.norm(u)
+    return u, np.cross(axis, u)

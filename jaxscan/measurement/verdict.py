@@ -1,0 +1,20 @@
+"""Verdicts by ISO 14253-1: a tolerance is narrowed by the uncertainty before a part passes, widened before it fails."""
+
+from typing import Literal
+
+Verdict = Literal["conforming", "not conforming", "not decided"]
+
+
+def verdict(interval: tuple[float, float] | None, limits: tuple[float, float]) -> Verdict:
+    """Whether a dimension conforms to its limits.
+
+    Args:
+        interval: that holds the true value with 95 %; None where it is not known, and nothing is decided.
+        limits: the least and the largest value that are allowed.
+    """
+    if interval is None:
+        return "not decided"
+    low, high = interval
+    if limits[0] <= low and high <= limits[1]:
+        return "conforming"
+    return "not conforming" if high < limits[0] or low > limits[1] else "not decided"
