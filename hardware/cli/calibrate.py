@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 HELP: Final = "take a calibration session: what to do with the board next, then the axes by themselves"
 EXAMPLE: Final = (
     "scanner calibrate session --board 9x6 --square 16\n"
-    "  scanner calibrate session --turntable-frames 16 --turntable-at 18000\n"
+    "  scanner calibrate session --turntable-frames 32 --turntable-at 48000\n"
     "  scanner calibrate session --show live.png   # a live picture, for a viewer that follows its file"
 )
 _STAGE_FRAMES: Final = 31
