@@ -16,7 +16,7 @@ from hardware.stages import BiStep2A04, Grbl, Marlin, Travel
 TRAVEL = Travel(rate_steps_s=800, ramp_steps_s2=2000, last=12000, switch=-1000, backlash=200)
 _KINDS = ("bistep", "bistep", "bistep", "grbl", "marlin")
 # Where the motor is, from the switch, at the count of `TRAVEL.switch`: GRBL pulls off by a millimetre.
-_AT_SWITCH = {"bistep": 0, "grbl": 250, "marlin": 0}
+AT_SWITCH = {"bistep": 0, "grbl": 250, "marlin": 0}
 # Words that an error has when it cannot know.
 _MAY = "MAY STILL BE"
 _LONGEST_S = 600.0
@@ -111,7 +111,7 @@ def run(kind: str, url: str, places: list[int], seed: int = 0) -> Outcome:
     def check(count: int) -> None:
         nonlocal believed
         believed += 1
-        true = port.axis.load(port.clock.now_s()) - _AT_SWITCH[kind] + TRAVEL.switch
+        true = port.axis.load(port.clock.now_s()) - AT_SWITCH[kind] + TRAVEL.switch
         if abs(true - count) > 0.01:
             wrong.append((count, true))
 

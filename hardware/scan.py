@@ -5,7 +5,8 @@ A scan may be paused, aborted, killed or unplugged at any moment: what it has re
 """
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -88,7 +89,8 @@ def take(
         control: for another thread to pause or end it.
         taken: called with each frame's file once it is durable.
         verify: after how many frames the axes that can are to meet their switches again, and at the end; 0 for at the
-            end alone, None for never. What was found is written into `scan.toml`.
+            end alone, None for never. What was found is written into `scan.toml`; frames that were to be verified and
+            were not are marked there too.
 
     Returns:
         Why some frames were not verified, where that was asked for and a bad line forbade it.
@@ -113,7 +115,7 @@ def take(
     unverified: list[str] = []
     if not folder.left:
         return unverified
-    with folder.held(), safely(axes, laser):
+    with folder.held(), _marking(folder, bool(verified)), safely(axes, laser):
         if plan.exposure_s is not None:
             camera.configure(plan.exposure_s, plan.gain)
         ensure_homed({name: axes[name] for name in plan.axes})
@@ -151,6 +153,27 @@ def verifiable(axes: Mapping[str, StageDriver], names: Iterable[str]) -> dict[st
     return {name: axis for name, axis in asked.items() if isinstance(axis, Verifiable) and axis.verifiable}
 
 
+@contextmanager
+def _marking(folder: ScanFolder, verified: bool) -> Iterator[None]:
+    """Where frames are verified, mark those that were taken before, and those that the block leaves, unverified."""
+    if not verified:
+        yield
+        return
+    _mark(folder)
+    try:
+        yield
+    finally:
+        with suppress(InputError):
+            _mark(folder)
+
+
+def _mark(folder: ScanFolder) -> None:
+    """Mark the frames of which no check tells."""
+    told = max((check.last + 1 for check in folder.done.checks), default=0)
+    if told < len(folder.done.frames):
+        folder.check(PlaceCheck(told, len(folder.done.frames) - 1, unverified=True))
+
+
 def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int) -> list[str]:
     """Let the axes meet their switches again, and write down what that shows of the frames from one on.
 
@@ -164,6 +187,7 @@ def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int
             raise
         except HardwareError as error:
             axis.home()
+            folder.check(PlaceCheck(first, last, unverified=True))
             return [f"frames {first} to {last} are not verified: {error}"]
     lost = {name: steps for name, steps in off.items() if abs(steps) > _MEETS_AGAIN}
     folder.check(PlaceCheck(first, last, lost))

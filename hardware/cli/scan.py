@@ -185,7 +185,7 @@ def _at(args: argparse.Namespace) -> dict[str, int]:
 def describe(result: dict[str, Any]) -> str:
     """What there is, and what to do with it."""
     axes = ", ".join(_from_to(*axis) for axis in result["axes"].items())
-    verified = sum(check["last"] - check["first"] + 1 for check in result["checks"] if "off" not in check)
+    verified = sum(check["last"] - check["first"] + 1 for check in result["checks"] if len(check) == 2)
     places = "all verified" if verified == result["frames"] else f"{verified} of {result['frames']} verified"
     return (
         f"{result['path']}: {result['frames']} frames, {axes}; places: {places}\n"

@@ -48,6 +48,12 @@ class Axis:
         self._move = Trapezoid(0, self.rate, self.ramp)
         self._target, self._reach = None, 0.0
 
+    def push(self, steps: float, now_s: float) -> None:
+        """Move shaft and load by hand, at rest: nothing that counts notices."""
+        self.halt(now_s)
+        self._motor += steps
+        self._load += steps
+
     def define(self, count: float, now_s: float) -> None:
         """Call the present place so; a move under way goes on to the count that it was sent to."""
         target = self._target if self.moving(now_s) else None

@@ -11,11 +11,11 @@ import os
 import select
 import socket
 import subprocess
-import sys
 import threading
 from typing import Any, Final
 
 from hardware.lab.gate import Gate, Listening
+from hardware.lab.processes import begin
 
 _LOG: Final = logging.getLogger(__name__)
 _AGAIN_S, _ENDED_S = 0.5, 5.0
@@ -88,8 +88,7 @@ class Doorway:
         self._sockets = (listening, *its)
         numbers = [one.fileno() for one in self._sockets]
         how = {"sockets": numbers, "head_s": head_s, "proxies": proxies, "connections": connections}
-        self._argv = [sys.executable, "-m", "hardware.lab.door", json.dumps(how)]
-        self._numbers = numbers
+        self._how, self._numbers = json.dumps(how), numbers
         self._closed = threading.Event()
         self.child = self._begin()
         self._thread = threading.Thread(target=self._watch, name="door", daemon=True)
@@ -108,9 +107,7 @@ class Doorway:
             one.close()
 
     def _begin(self) -> "subprocess.Popen[bytes]":
-        # It finds this package where this process has found it.
-        env = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
-        return subprocess.Popen(self._argv, pass_fds=self._numbers, env=env, stdin=subprocess.DEVNULL)
+        return begin("hardware.lab.door", self._how, pass_fds=self._numbers, stdin=subprocess.DEVNULL)
 
     def _watch(self) -> None:
         while True:

@@ -6,9 +6,13 @@ It waits for no request, no queue of other work, no database, and no lock but th
 import queue
 import threading
 from concurrent.futures import Future
+from typing import Final
 
 from hardware.lab.badges import Visitor
 from hardware.lab.worker import Worker
+
+
+_MOMENT_S: Final = 0.5
 
 
 class Emergency:
@@ -20,6 +24,8 @@ class Emergency:
 
     def __init__(self, worker: Worker):
         self._worker = worker
+        self._done = threading.Event()
+        self._done.set()
         self._orders: queue.SimpleQueue[tuple[str, Future[str]] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="stop", daemon=True)
         self._thread.start()
@@ -34,8 +40,13 @@ class Emergency:
         """
         self._worker.may_stop(visitor)
         future: Future[str] = Future()
+        self._done.clear()
         self._orders.put((visitor.name, future))
         return future
+
+    def give_way(self) -> None:
+        """Wait, for a moment at most, while a Stop is carried out: for threads that take turns with it."""
+        self._done.wait(_MOMENT_S)
 
     def close(self) -> None:
         """End."""
@@ -58,3 +69,5 @@ class Emergency:
             else:
                 for _, future in orders:
                     future.set_result(words)
+            # One that is ordered just now is found next, and gives way to nobody for that moment.
+            self._done.set()

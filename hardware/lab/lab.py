@@ -139,6 +139,7 @@ class Lab:
             self._workers = (self.clouds, self.downloads, self.lists, self.sign_ins)
             for workers in self._workers:
                 undo.callback(workers.close)
+            undo.callback(self.projects.close)
             for name, look, every_s in (
                 ("lease", self.lock.expire, lease_s / _LOOKS),
                 ("badges", self.accounts.badges.tend, _BADGES_S),

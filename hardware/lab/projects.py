@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from hardware.lab.archive import archive
 from hardware.lab.database import make_private
 from hardware.lab.orders import PROJECT
+from hardware.lab.reconstructor import Reconstructor
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
 from hardware.scan_plan import PLAN_FILE, Plan, ScanFolder, holds_something
 from jaxscan.errors import InputError, JaxscanError
@@ -51,8 +52,8 @@ class Projects:
     def __init__(self, folder: Path, rig: "RigFile | None" = None):
         self._home, self._folder, self._clouds = folder, folder / "projects", folder / "clouds"
         self._rig = rig
-        self._rig_digest = b"" if rig is None else _digest(rig)
-        self._reconstructing = threading.Lock()
+        self._rig_text = "" if rig is None else _text(rig)
+        self._reconstructing, self._reconstructor = threading.Lock(), Reconstructor()
         for made in (self._folder, self._clouds):
             make_private(made)
 
@@ -142,7 +143,8 @@ class Projects:
         scan = self.scan(name)
         if self._rig is None:
             raise Refusal(CONFLICT, "no rig is loaded: start the server with scanner serve --rig rig.json")
-        made_of = hashlib.sha256(self._rig_digest)
+        # A rig as its file has it, and the program that reconstructs.
+        made_of = hashlib.sha256((self._rig_text + version("jaxscan")).encode())
         for file in (scan.path, *scan.frames, *scan.backgrounds):
             found = file.stat()
             made_of.update(f"{file.name} {found.st_size} {found.st_mtime_ns}\n".encode())
@@ -158,15 +160,16 @@ class Projects:
         path = self.cloud_file(name)
         with self._reconstructing:
             if not path.exists():
-                from jaxscan import reconstruct, write_points
-
-                assert self._rig is not None
                 try:
-                    write_points(path, reconstruct(self._rig, self.scan(name)))
+                    self._reconstructor.make(self._rig_text, self.path(name), path)
                 except JaxscanError as error:
                     raise Refusal(CONFLICT, within(self.path(name), error)) from error
                 self._forget_clouds(name, path)
         return path
+
+    def close(self) -> None:
+        """Make no more points."""
+        self._reconstructor.close()
 
     def remove(self, name: str) -> None:
         """Remove one, photographs and all.
@@ -198,13 +201,13 @@ class Projects:
             return Project(name=path.name, frames=0, changed_s=changed_s, problem=within(path, error))
 
 
-def _digest(rig: "RigFile") -> bytes:
-    """Of a rig as its file has it, and of the program that reconstructs."""
+def _text(rig: "RigFile") -> str:
+    """A rig as its file has it."""
     from jaxscan import write_rig
 
     with tempfile.TemporaryDirectory() as folder:
         write_rig(Path(folder) / "rig.json", rig)
-        return hashlib.sha256((Path(folder) / "rig.json").read_bytes() + version("jaxscan").encode()).digest()
+        return (Path(folder) / "rig.json").read_text()
 
 
 def named(parent: Path, name: str) -> Path:

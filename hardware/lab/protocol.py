@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import time
+from collections.abc import Callable
 from typing import Any, Final, Literal
 
 import h11
@@ -28,8 +29,13 @@ class Protocol(H11Protocol):
     body_s = BODY_S
     send_s = SEND_S
 
+    @staticmethod
+    def give_way() -> None:
+        """Let what cannot wait go first."""
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """It begins."""
+        self.give_way()
         super().connection_made(transport)  # pyright: ignore[reportArgumentType]
         self._peer = transport.get_extra_info("peername")
         self._phase, self._deadline, self._sending = "", None, None
@@ -37,6 +43,7 @@ class Protocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Something has come."""
+        self.give_way()
         super().data_received(data)
         self._look()
 
@@ -89,9 +96,17 @@ class Protocol(H11Protocol):
         self.transport.close()
 
 
-def protocol_of(gate: Gate, **seconds: float) -> type[Protocol]:
-    """The protocol of a server's connections; with other deadlines if need be."""
+def protocol_of(gate: Gate, give_way: Callable[[], object] | None = None, **seconds: float) -> type[Protocol]:
+    """The protocol of a server's connections.
+
+    Args:
+        gate: through which they have come.
+        give_way: called before anything is done for one of them; waits as long as something else cannot.
+        seconds: other deadlines, if need be.
+    """
     values: dict[str, Any] = {"gate": gate, **seconds}
+    if give_way is not None:
+        values["give_way"] = staticmethod(give_way)
     return type("LabProtocol", (Protocol,), values)
 
 

@@ -119,7 +119,8 @@ class Server(uvicorn.Server):
             "headers": [("Connection", "close")] if doorway else [],
         }
         gate, first = Gate(proxies, connections), Gate(proxies, connections)
-        super().__init__(uvicorn.Config(http=protocol_of(gate, **deadlines), **how))
+        give_way = lab.emergency.give_way if doorway else None
+        super().__init__(uvicorn.Config(http=protocol_of(gate, give_way, **deadlines), **how))
         self._lab, self._listening, self._ready, self._gates = lab, listening, ready, (gate, first)
         self._how_listened = gate, first, deadlines.get("head_s", HEAD_S), proxies, connections, _BACKLOG
         self._shut: Callable[[], object] = lambda: None

@@ -67,7 +67,8 @@ def _scan(facts: Facts) -> Iterator[Line]:
     yield "background", {0: "none", 1: "one photograph for all frames"}.get(count, "one photograph for each frame")
     if facts["checks"]:
         wrong = [check for check in facts["checks"] if "off" in check]
-        right = sum(check["last"] - check["first"] + 1 for check in facts["checks"] if check not in wrong)
+        sound = [check for check in facts["checks"] if not {"off", "unverified"} & set(check)]
+        right = sum(check["last"] - check["first"] + 1 for check in sound)
         yield (
             "places",
             f"{right} frames verified"

@@ -14,11 +14,13 @@ class PlaceCheck:
     Attributes:
         first, last: the frames that it tells of, counted from 0: those since the check before, or since homing.
         off: by how many motor steps the count of an axis was off, by the axis's name; empty where all were right.
+        unverified: whether there was to be a check, and the scan ended, or the line was too bad, before it was made.
     """
 
     first: int
     last: int
     off: Mapping[str, int] = field(default_factory=dict)
+    unverified: bool = False
 
 
 def read_checks(table: Table, frames: int | None) -> tuple[PlaceCheck, ...]:
@@ -35,19 +37,27 @@ def read_checks(table: Table, frames: int | None) -> tuple[PlaceCheck, ...]:
     for number, values in enumerate(table.sequence("checks", "tables") if "checks" in table else ()):
         if not isinstance(values, dict):
             raise table.error("checks", "give tables, as { first = 0, last = 119, off = { stage = 35 } }")
-        check = Table(table.path, f"{table.prefix}checks {number + 1}: ", values).only("first", "last", "off")
+        check = Table(table.path, f"{table.prefix}checks {number + 1}: ", values).only("first", "last", "off", "unverified")
         first, last = check.whole("first"), check.whole("last")
         if not 0 <= first <= last or (frames is not None and last >= frames):
             raise check.error("last", f"is of frames {first} to {last}: give frames of the scan, counted from 0")
         off = check.table("off", "off.") if "off" in check else None
-        checks.append(PlaceCheck(first, last, {} if off is None else {axis: off.whole(axis) for axis in off.values}))
+        unverified = check.boolean("unverified", False)
+        checks.append(
+            PlaceCheck(first, last, {} if off is None else {axis: off.whole(axis) for axis in off.values}, unverified)
+        )
     return tuple(checks)
 
 
 def check_values(checks: Sequence[PlaceCheck]) -> list[dict[str, Any]]:
     """As `read_checks` reads them."""
     return [
-        {"first": check.first, "last": check.last, **({"off": dict(check.off)} if check.off else {})}
+        {
+            "first": check.first,
+            "last": check.last,
+            **({"off": dict(check.off)} if check.off else {}),
+            **({"unverified": True} if check.unverified else {}),
+        }
         for check in checks
     ]
 
@@ -55,6 +65,11 @@ def check_values(checks: Sequence[PlaceCheck]) -> list[dict[str, Any]]:
 def doubts(checks: Sequence[PlaceCheck]) -> Iterator[str]:
     """What is said of frames whose places are doubtful."""
     for check in checks:
+        if check.unverified:
+            yield (
+                f"frames {check.first} to {check.last} were to be verified and were not: the scan ended, or its line was "
+                "bad, before the switch was met again. If the motor lost steps, nothing says so"
+            )
         off = " and ".join(f"{abs(steps)} steps of the {axis}" for axis, steps in check.off.items())
         if off:
             yield (

@@ -65,9 +65,7 @@ def test_frames_between_two_checks(tmp_path: Path):
     def taken(path: Path, frame: object) -> None:
         if len(folder.done.frames) == 5:
             # A hand pushes the load.
-            axis = stage.line.port.axis
-            axis._motor -= 30
-            axis._load -= 30
+            stage.line.port.axis.push(-30, stage.line.port.clock.now_s())
 
     with pytest.raises(PositionUncertainError, match="frames 3 to 5 are marked"):
         take(folder, scanner, taken=taken, verify=3)

@@ -8,6 +8,8 @@ import pytest
 
 import jaxscan
 from hardware.lab.projects import Projects
+from hardware.lab.reconstructor import Reconstructor
+from hardware.lab.refusal import Refusal
 from jaxscan.images import write_image
 
 
@@ -20,12 +22,11 @@ def rig_of(distance: float) -> jaxscan.RigFile:
 def test_what_a_cloud_is_made_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     made: list[object] = []
 
-    def count(rig: jaxscan.RigFile, scan: object) -> int:
+    def count(made_by: Reconstructor, rig: str, scan: Path, to: Path) -> None:
         made.append((rig, scan))
-        return len(made)
+        to.write_text(str(len(made)))
 
-    monkeypatch.setattr(jaxscan, "reconstruct", count, raising=False)
-    monkeypatch.setattr(jaxscan, "write_points", lambda path, n: path.write_text(str(n)), raising=False)
+    monkeypatch.setattr(Reconstructor, "make", count)
     folder = tmp_path / "projects" / "cup"
     (folder / "frames").mkdir(parents=True)
     listing = '[scan]\nframes = ["frames/0.png"]\nsteps = [0]\n'
@@ -43,3 +44,27 @@ def test_what_a_cloud_is_made_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     os.utime(folder / "frames" / "0.png", ns=(1, 1))
     assert second.cloud("cup").read_text() == "4"
     assert len(list((tmp_path / "clouds").iterdir())) == 1
+
+
+def test_points_are_made_by_a_process_of_their_own(tmp_path: Path):
+    """It is begun again when it was killed, and says what is wrong with a scan."""
+    folder = tmp_path / "projects" / "cup"
+    (folder / "frames").mkdir(parents=True)
+    (folder / "scan.toml").write_text('[scan]\nframes = ["frames/0.png"]\nsteps = [0]\n')
+    image = np.full((64, 80, 3), 20, np.uint8)
+    rows = np.arange(64)[:, None]
+    image[..., 0] += (200 * np.exp(-((rows - 40 - 3 * np.sin(np.arange(80) / 12)) ** 2) / 8)).astype(np.uint8)
+    write_image(folder / "frames" / "0.png", image)
+    projects = Projects(tmp_path, rig_of(250.0))
+    try:
+        cloud = projects.cloud("cup")
+        assert cloud.read_bytes().startswith(b"ply")
+        child = projects._reconstructor._child
+        assert child is not None
+        child.kill()
+        child.wait()
+        write_image(folder / "frames" / "0.png", image[:32])
+        with pytest.raises(Refusal, match="32"):
+            projects.cloud("cup")
+    finally:
+        projects.close()

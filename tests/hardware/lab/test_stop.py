@@ -15,6 +15,7 @@ from serving import ADMINISTRATOR, LEASE_S, OPERATOR, VIEWER, Served, ended, job
 
 import jaxscan
 from hardware.lab.database import DATABASE
+from hardware.lab.reconstructor import Reconstructor
 
 # A machine with other work is slow; whatever is held up here stays so until the test lets it go, and so fails.
 SOON_S = 10.0
@@ -66,7 +67,7 @@ def stops(served: Served, operator: httpx.Client, administrator: httpx.Client) -
 @pytest.mark.timeout(300)
 def test_clouds_that_viewers_ask_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     dam = Dam()
-    monkeypatch.setattr(jaxscan, "reconstruct", dam.hold, raising=False)
+    monkeypatch.setattr(Reconstructor, "make", dam.hold)
     camera = jaxscan.Camera.create((80, 64), (60.0, 60.0), (39.5, 31.5))
     rig = jaxscan.Rig(
         camera, (jaxscan.LightPlane.create((0.0, -0.004, 0.003)),), jaxscan.Linear.create((0.0, 0.0009, -0.0004))
