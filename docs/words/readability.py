@@ -15,7 +15,7 @@ _NO_PROSE = (
     re.compile(r"^```.*?^```$", re.M | re.S),
     re.compile(r"<!--.*?-->", re.S),
     re.compile(r"^ {4,}\S.*$", re.M),
-    re.compile(r"^#.*$", re.M),
+    re.compile(r"^(?:#|::: ).*$", re.M),
     re.compile(r"^\|.*$", re.M),
     re.compile(r"!\[[^\]]*\]\([^)]*\)"),
     re.compile(r"``?[^`]+``?"),
