@@ -23,9 +23,10 @@ _KEPT_S = 14 * 24 * 3600
 
 # command: what it needs installed, what it runs, what it is for
 COMMANDS = {
-    "demo": ("plots", ["jaxscan", "demo"], "simulate a scanner, calibrate it, scan a cup, compare with the truth"),
+    "demo": ("viewer", ["jaxscan", "demo"], "simulate a scanner, calibrate it, scan a panda, compare with the truth"),
     "test": ("dev", ["pytest"], "run the tests"),
-    "lint": ("dev", ["ruff", "check"], "check the style"),
+    "lint": ("dev", ["ruff", "check"], "check the style, then the words"),
+    "words": ("dev", ["python", "docs/words"], "check spelling, phrases, and how easy the pages are to read"),
     "format": ("dev", ["ruff", "format"], "put the style right"),
     "types": ("dev", ["pyright"], "check the types"),
     "contract": ("dev", ["lint-imports"], "check which part imports which"),
@@ -57,7 +58,11 @@ def main() -> int:
         return 1
     # What a user's own command compiles belongs to the user's cache, where the next command looks for it.
     env = _compiled_once() if extra == "dev" else None
-    return subprocess.run([BIN / command[0], *command[1:], *args.rest], cwd=ROOT, env=env).returncode
+    status = subprocess.run([BIN / command[0], *command[1:], *args.rest], cwd=ROOT, env=env).returncode
+    if args.command == "lint" and not args.rest:
+        _, words, _ = COMMANDS["words"]
+        status = subprocess.run([BIN / words[0], *words[1:]], cwd=ROOT).returncode or status
+    return status
 
 
 def _compiled_once() -> dict[str, str]:

@@ -1,6 +1,8 @@
 """`python -m benchmarks.pictures`: the pictures of README and docs.
 
-`scan.png`: a scan beside one of its photographs. `cup.png`: a cup by the pipeline of 2003 and by ours, coloured by the distance from the true surface, and one profile of
+`scan.png`: a scan beside one of its photographs.
+
+`cup.png`: a cup by the pipeline of 2003 and by ours, coloured by the distance from the true surface, and one profile of
 each. `views.png`: the error of a scan against the number of board views in the calibration, by each pipeline.
 `placing.png`: σ of a point against the angle between laser and camera, and σ of a stripe against its width.
 """

@@ -18,6 +18,7 @@ EXTRAS: Final = {
         "; or say it with --turn, --steps or --poses",
         ("kiss_matcher",),
     ),
+    "exchange": ("to read or write .e57 or .laz", "; or use .ply", ("laspy", "lazrs", "pye57")),
     "cluster": ("to hand scans to a scheduler", "", ("distributed",)),
     "lab": ("the lab server", "", ("argon2", "fastapi", "jinja2", "uvicorn")),
 }

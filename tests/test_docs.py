@@ -169,7 +169,9 @@ def follow(page: Path) -> list[str]:
 
 def test_what_the_readme_says(world: Path, guided: Path):
     """Its commands, then its Python snippet, which does the same."""
-    assert follow(ROOT / "README.md") == ["calibrate", "reconstruct"]
+    assert follow(ROOT / "README.md") == ["board", "calibrate", "reconstruct", "mesh"]
+    for name in ("board.pdf", "cup.npz", "cup.stl"):
+        assert (guided / name).stat().st_size > 1000
     by_command = (guided / "rig.json").read_bytes(), (guided / "cup.ply").read_bytes()
     (snippet,) = blocks(ROOT / "README.md", "python")
     exec(compile(snippet, "README.md", "exec"), {})
@@ -186,28 +188,26 @@ def test_the_first_scan(world: Path, guided: Path):
     shutil.copy(world / "rig.json", guided)
     shutil.copytree(world / "report", guided / "report")
     ran = follow(page)
-    assert ran == ["inspect", "calibrate", "inspect", "inspect", "reconstruct", "inspect", "mesh"]
-    for name in ("report/report.html", "stripe.png", "cup.ply", "cup.stl", "cup-mesh.png"):
+    assert ran == ["board", "inspect", "calibrate", "inspect", "inspect", "reconstruct", "inspect", "mesh"]
+    for name in ("board.pdf", "report/report.html", "stripe.png", "cup.ply", "cup.stl", "cup-mesh.png"):
         assert (guided / name).stat().st_size > 1000
-    (snippet,) = blocks(page, "python")
-    exec(compile(snippet, page.name, "exec"), {})
-    drawn = (guided / "board.svg").read_text()
-    assert drawn.count("<rect") == 35
-    assert 'width="160mm" height="112mm"' in drawn
 
 
-def test_the_board_that_is_drawn_is_the_one_that_is_configured():
-    """What is printed, what session.toml says and what the guide's command says are one board, and it fits on A4."""
-    page = ROOT / "docs" / "first-scan.md"
-    across, down, mm = map(int, re.findall(r"across, down, mm = (\d+), (\d+), (\d+)", page.read_text())[0])
-    for text in (text for text in blocks(page, "toml") if "[board]" in text):
-        board = tomllib.loads(text)["board"]
-        assert board == {"inner_corners": [across - 1, down - 1], "square_mm": mm}
-    (command,) = (line for line in commands(page) if line.startswith("scanner calibrate"))
-    args = PARSERS["scanner"].parse_args(shlex.split(command)[1:])
-    assert (args.board, args.square) == (f"{across - 1}x{down - 1}", mm)
-    assert mm * across < 297
-    assert mm * down < 210
+@pytest.mark.parametrize("name", ["README.md", "docs/first-scan.md"])
+def test_the_board_that_is_drawn_is_the_one_that_is_configured(name: str, tmp_path: Path):
+    """What is printed, what session.toml says and what the guide's commands say are one board."""
+    page = ROOT / name
+    (drawing,) = (line for line in commands(page) if line.startswith("jaxscan board"))
+    args = PARSERS["jaxscan"].parse_args([*shlex.split(drawing)[1:], "--session", str(tmp_path / "session")])
+    args.output = [tmp_path / "board.pdf"]
+    args.command.run(args)
+    (configured,) = (tomllib.loads(text)["board"] for text in blocks(page, "toml") if "[board]" in text)
+    printed = tomllib.loads((tmp_path / "session" / "session.toml").read_text())["board"]
+    assert printed == {"kind": "checkerboard", **configured}
+    for command in (line for line in commands(page) if line.startswith("scanner calibrate")):
+        taken = PARSERS["scanner"].parse_args(shlex.split(command)[1:])
+        columns, rows = configured["inner_corners"]
+        assert (taken.board, taken.square) == (f"{columns}x{rows}", configured["square_mm"])
 
 
 @pytest.mark.usefixtures("own_kinds")

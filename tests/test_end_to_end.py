@@ -174,6 +174,29 @@ def test_frames_without_a_stripe(world: Path, tmp_path: Path, capsys: pytest.Cap
     assert not out.exists()
 
 
+def test_the_colour_that_shows_a_stripe_is_named(
+    world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A red laser whose folder says green, in a scan and in a session."""
+    scan, session = tmp_path / "scan", tmp_path / "session"
+    for name, folders in (("scan", ["frames"]), ("session", ["boards", "stage"])):
+        (tmp_path / name).mkdir()
+        for folder in folders:
+            (tmp_path / name / folder).symlink_to(world / name / folder)
+    (scan / "scan.toml").write_text(
+        '[scan]\nframes = "frames/*.png"\nsteps_per_frame = 2000\n[laser]\ncolor = "green"\n'
+    )
+    out = ["--rig", str(world / "rig.json"), "-o", str(tmp_path / "out.ply")]
+    assert main(["reconstruct", str(scan), *out]) == 2
+    assert 'no stripe was found in any of 5 frames, but with color = "red" there is one' in capsys.readouterr().err
+    text = (world / "session" / "session.toml").read_text()
+    (session / "session.toml").write_text(text.replace('color = "red"', 'color = "blue"'))
+    assert 'color = "blue"' in (session / "session.toml").read_text()
+    assert main(["calibrate", str(session), "-o", str(tmp_path / "rig.json")]) == 2
+    said = capsys.readouterr().err
+    assert 'no stripe was found with color = "blue", but with color = "red" there is one: set this' in said
+
+
 def test_a_video_is_read_frame_by_frame(world: Path, tmp_path: Path) -> None:
     writer = cv2.VideoWriter(str(tmp_path / "scan.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (640, 480))
     for i in range(3):

@@ -40,7 +40,12 @@ COMES_WITH = {
     "mpl_toolkits": "matplotlib",
 }
 PACKAGES = {
-    name: {IMPORTED.get(package := line.split(">=")[0], package) for line in lines}
+    name: {
+        IMPORTED.get(package, package)
+        for line in lines
+        # laspy[lazrs] is two packages.
+        for package in line.split(">=")[0].removesuffix("]").split("[")
+    }
     for name, lines in PROJECT["optional-dependencies"].items()
     if name not in ("docs", "dev")
 }
@@ -51,6 +56,7 @@ BEHIND = {
     "jaxscan/view/calibration_plots.py": "plots",
     "jaxscan/view/matplotlib_setup.py": "plots",
     "jaxscan/view/surface_plots.py": "plots",
+    "jaxscan/files/exchange.py": "exchange",
     "hardware/cameras/genicam.py": "genicam",
     "hardware/cameras/gphoto.py": "gphoto2",
     "hardware/lab": "lab",
@@ -128,6 +134,8 @@ USES = [
     ("simplify", "mesh none.npz -o OUT/m.stl --simplify 100"),
     ("simplify", "merge a.npz b.npz --turn 90 -o OUT/m.stl --simplify 100"),
     ("features", "merge a.npz b.npz -o OUT/m.stl"),
+    ("exchange", "reconstruct none --rig none.json -o OUT/m.e57"),
+    ("exchange", "reconstruct none --rig none.json -o OUT/m.laz"),
     ("mesh-scenes", "simulate OUT/world --mesh none.stl"),
     ("cluster", "batch none --rig none.json -o OUT/clouds --scheduler tcp://127.0.0.1:1"),
     ("lab", "serve --data OUT/lab"),

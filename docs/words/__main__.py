@@ -44,6 +44,7 @@ BANNED = {
     r"\bas good as none\b": "no use",
 }
 _BANNED = [(re.compile(pattern, re.IGNORECASE), better) for pattern, better in BANNED.items()]
+_ANY = re.compile("|".join(BANNED), re.IGNORECASE)
 # Pages that are rewritten together with what they describe.
 _LATER = ("hardware.md", "lab.md", "limitations.md", "security.md", "benchmarks.md")
 # What codespell takes for misspelt.
@@ -106,7 +107,7 @@ def messages(source: str) -> Iterator[tuple[int, str]]:
 
 
 def _found(text: str) -> Iterator[str]:
-    for pattern, better in _BANNED:
+    for pattern, better in _BANNED if _ANY.search(text) else ():
         if found := pattern.search(text):
             yield f'"{found[0]}": write {better}'
 

@@ -15,7 +15,7 @@ _NO_PROSE = (
     re.compile(r"^```.*?^```$", re.M | re.S),
     re.compile(r"<!--.*?-->", re.S),
     re.compile(r"^ {4,}\S.*$", re.M),
-    re.compile(r"^#.*$", re.M),
+    re.compile(r"^(?:#|::: ).*$", re.M),
     re.compile(r"^\|.*$", re.M),
     re.compile(r"!\[[^\]]*\]\([^)]*\)"),
     re.compile(r"``?[^`]+``?"),
@@ -25,6 +25,7 @@ _ITEM = re.compile(r"^\s*(?:[-*]|\d+\.)\s+", re.M)
 # A number's point ends no sentence, nor does that of these.
 _NO_END = re.compile(r"(?<=\d)\.(?=\d)|\b(?:e\.g|i\.e|cf|vs|etc|[A-Z])\.(?=\s+\S)")
 _WORD = re.compile(r"[^\W\d_]+(?:['’-][^\W\d_]+)*")
+_SILENT = re.compile(r"[^aeiouyl]e$|[aeiouy]le$|[^aeiouytd]ed$|[^aeiouycgsxzh]es$|[^cs]hes$")
 _VOWELS = re.compile(r"[aeiouyäöüéè]+")
 
 
@@ -70,10 +71,7 @@ def syllables_of(word: str) -> int:
     for part in re.split(r"['’-]", word.lower()):
         groups = len(_VOWELS.findall(part))
         # made, makes, walked; not table, boxes, painted
-        if re.search(r"[^aeiouyl]e$|[aeiouy]le$|[^aeiou]{2,}le$(?<![^aeiouy]le)", part):
-            groups -= 1
-        elif re.search(r"[^aeiouytd]ed$", part) or re.search(r"[^aeiouycgsxzh]es$|[^cs]hes$", part):
-            groups -= 1
+        groups -= bool(_SILENT.search(part))
         # ma-te-ri-al, mil-li-on-s are two; sta-tion, spe-cial are one
         groups += len(re.findall(r"i(?:a|o|u)(?!u)(?<![tcsg]i[ao])|ua(?=[lt])|eo(?=m)|(?<=[^aeiou])ying$", part))
         count += max(groups, 1 if part else 0)

@@ -30,7 +30,7 @@ def scale_note(calibration: Calibration, sessions: Iterable[Session]) -> str | N
     if known is None or axis is None:
         return None
     board, given = known
-    step = np.array([float(x) for x in getattr(axis, "per_step")])
+    step = np.array([float(x) for x in axis.per_step])
     found = float(np.linalg.norm(step))
     names = [f"motion.stage.per_step.{i}" for i in range(3)]
     matrix, order = calibration.covariance.matrix, list(calibration.covariance.names)

@@ -28,6 +28,7 @@ from jaxscan.images import (
 from jaxscan.images.board import LEAST_POINTS
 from jaxscan.images.light import no_bell
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
+from jaxscan.images.stripes.other_colour import colour_that_shows
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
@@ -115,6 +116,7 @@ def observe(
             "of them and take these photographs again"
         )
     notes += [note for said in (_across, _miscoloured, _no_bell) for note in said(session.lasers, views)]
+    notes += _in_another_colour(session, photographs, views)
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts
         notes.append(
@@ -178,6 +180,24 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
         said = miscoloured(found, laser)
         if said is not None:
             notes.append(f"the {_stripe_of(laser)} {said}")
+    return notes
+
+
+def _in_another_colour(session: Session, photographs: Sequence[_Photograph], views: Sequence[View]) -> list[str]:
+    """Of which lasers no stripe was found in any view, and under which colour there is one."""
+    notes = []
+    for i, laser in enumerate(session.lasers):
+        own = [stripe for view in views for stripe in view.stripes if stripe.laser == i]
+        if not own or any(np.isfinite(stripe.pixels).any() for stripe in own):
+            continue
+        lit = session.views.boards if session.views.stripes is None else session.views.stripes[laser.name]
+        with_board = [path for path, seen in zip(lit, photographs, strict=True) if seen.found is not None and path]
+        shown = colour_that_shows(map(read_image, with_board[:_TRIED]), laser)
+        if shown is not None:
+            notes.append(
+                f'no {_stripe_of(laser)} was found with color = "{laser.color}", but with color = "{shown}" there '
+                "is one: set this under [laser]"
+            )
     return notes
 
 
@@ -300,6 +320,8 @@ def _not_found(session: Session, photographs: Sequence[_Photograph], what: str) 
     return [f"{name}: the board of {columns} x {rows} points was not found" for name in missing]
 
 
+# Photographs in which other colours are tried.
+_TRIED = 3
 _CHECK = (
     "check [board] (inner corners are where four squares meet, one fewer than the squares in a row), that the whole "
     "board is in view, and that the photographs are sharp"

@@ -29,6 +29,8 @@ EXAMPLE: Final = (
     "  jaxscan calibrate calib_data.mat --lens brown --hold camera.radial.2 --plain"
 )
 
+# Up to this many photographs that were left out for one reason have a line each.
+_NAMED: Final = 2
 _PAGES: Final = ("report.html", "report.json")
 
 
@@ -448,14 +450,30 @@ def describe(result: dict[str, Any]) -> str:
 
     # What the rig's file warns of is among what the verdict does.
     lines = [in_words({**result, "warnings": []})]
-    lines += [f"left out: {line}" for line in result["left_out"]]
+    lines += [f"left out: {line}" for line in _by_reason(result["left_out"])]
     if rejected := result["rejected"]:
         of = "1 photograph" if len(rejected) == 1 else f"{len(rejected)} photographs"
         lines.append(f"rejected as outliers: some points of {of}, listed by --report and --json")
-    lines += [f"note: {line}" for line in result["notes"]]
+    warned = {box["statement"] for box in result["warnings"]}
+    lines += [f"note: {line}" for line in result["notes"] if f"{line[:1].upper()}{line[1:]}." not in warned]
     if result["report"]:
         lines.append(f"report: {result['report']['html']}, {result['report']['json']}")
     lines += [f"warning: {box['statement']} {box['advice']}".rstrip() for box in result["warnings"]]
     verdict = result["verdict"]
     lines += [f"verdict: {verdict['statement']}", f"what limits it: {verdict['limits']}"]
     return "\n".join([*lines, f"photograph next: {verdict['next']}"])
+
+
+def _by_reason(left_out: Sequence[str]) -> list[str]:
+    """What was left out, photographs with one reason in one line."""
+    names: dict[str, list[str]] = {}
+    for line in left_out:
+        name, _, reason = line.partition(": ")
+        names.setdefault(reason, []).append(name)
+    lines = []
+    for reason, each in names.items():
+        if len(each) <= _NAMED or not reason:
+            lines += [f"{name}: {reason}" if reason else name for name in each]
+        else:
+            lines.append(f"{len(each)} photographs: {reason} ({each[0]} … {each[-1]}; all of them with --json)")
+    return lines

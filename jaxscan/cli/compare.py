@@ -19,7 +19,12 @@ EXAMPLE: Final = "jaxscan compare cup.ply cup-cad.stl --fit -o difference.ply --
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("cloud", type=Path, metavar="CLOUD", help="points (.ply, .npz), or a mesh, whose corners count")
+    parser.add_argument(
+        "cloud",
+        type=Path,
+        metavar="CLOUD",
+        help="points (.ply, .npz, .xyz, .pcd, .e57, .laz), or a mesh, whose corners count",
+    )
     parser.add_argument(
         "reference",
         type=Path,
@@ -127,10 +132,10 @@ def read_points(path: Path) -> "np.ndarray":
         if not image.valid.any():
             raise InputError(f"{path}: has no points: check that the photographs show the stripe")
         return image.points[image.valid].astype(np.float64)
-    if path.suffix.lower() == ".ply":
-        from jaxscan.files.cloud import read_ply
+    from jaxscan.files.exchange import CLOUDS, read_cloud
 
-        return read_ply(path).points.astype(np.float64)
+    if path.suffix.lower() in CLOUDS:
+        return read_cloud(path).points.astype(np.float64)
     from jaxscan.files.mesh import read_mesh
 
     return np.asarray(read_mesh(path).vertices)
@@ -147,8 +152,12 @@ def read_reference(path: Path, units: str | None = None) -> "Reference":
     def in_mm(points: np.ndarray) -> np.ndarray:
         return in_millimetres(str(path), points, units, "--reference-units")
 
+    from jaxscan.files.exchange import EXCHANGE
+
     if path.suffix.lower() == ".npz":
         return CloudReference(read_points(path))
+    if path.suffix.lower() in EXCHANGE:
+        return CloudReference(in_mm(read_points(path)))
     if path.suffix.lower() == ".ply":
         from jaxscan.files.cloud import cloud_of
         from jaxscan.files.mesh import has_faces, mesh_of

@@ -25,7 +25,9 @@ _ENDINGS: Final = (".stl", ".obj", ".ply", ".glb", ".npz")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("points", type=Path, metavar="POINTS", help="a range image (.npz), or a cloud (.ply)")
+    parser.add_argument(
+        "points", type=Path, metavar="POINTS", help="a range image (.npz), or a cloud (.ply, .xyz, .pcd, .e57, .laz)"
+    )
     add_outputs_argument(parser, "MESH", ".stl, .obj, .ply, .glb, or what is left of the range image, .npz", False)
     add_units_argument(parser, "a cloud (.ply)")
     parser.add_argument(
@@ -80,11 +82,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
                 return result
             mesh, cloud, quads = _of_image(image, args, result)
         else:
-            from jaxscan.files.cloud import read_ply
+            from jaxscan.files.exchange import read_cloud
             from jaxscan.files.units import cloud_in_millimetres
 
             image, floor, quads = None, None, None
-            cloud = cloud_in_millimetres(str(args.points), read_ply(args.points), args.units)
+            cloud = cloud_in_millimetres(str(args.points), read_cloud(args.points), args.units)
             mesh = _of_cloud(cloud, args)
         if args.simplify is not None:
             mesh = simplified(mesh, args.simplify)
@@ -130,13 +132,15 @@ def _check(args: argparse.Namespace) -> None:
     if args.plateaus and args.floor == "keep":
         raise InputError("--plateaus: heights are above the floor: leave --floor keep out")
     ending = args.points.suffix.lower()
-    if ending not in (".npz", ".ply"):
-        raise InputError(f"{args.points}: give a range image (.npz) or a cloud (.ply)")
+    from jaxscan.files.exchange import CLOUDS
+
+    if ending != ".npz" and ending not in CLOUDS:
+        raise InputError(f"{args.points}: give a range image (.npz) or a cloud ({', '.join(CLOUDS)})")
     check_units(args.points, args.units)
     for path in args.output:
         if path.suffix.lower() not in _ENDINGS:
             raise InputError(f"{path}: the ending is not known: write {', '.join(_ENDINGS)}")
-    if ending == ".ply":
+    if ending != ".npz":
         given = [name for name in ("crop", "every", "grid", "fill", "raw", "quads", "plateaus") if getattr(args, name)]
         given += ["floor"] if args.floor not in ("auto", "keep") else []
         given += ["-o .npz"] if any(path.suffix.lower() == ".npz" for path in args.output) else []

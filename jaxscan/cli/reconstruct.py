@@ -19,7 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("scan", type=Path, metavar="SCAN", help="a folder with scan.toml, or that file")
     parser.add_argument("--rig", type=Path, required=True, help="the rig, as jaxscan calibrate writes it")
-    add_outputs_argument(parser, "POINTS", ".ply (points) or .npz (the organised range image)")
+    add_outputs_argument(
+        parser,
+        "POINTS",
+        ".ply (points) or .npz (the organised range image); also .xyz, .pcd, and with the extra exchange .e57 and .laz",
+    )
     add_detector_argument(parser)
     add_choice_argument(parser)
     parser.add_argument(
@@ -34,9 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read rig and scan, find the stripe in every frame, triangulate, and write the points."""
     from jaxscan.files.cloud import check_ending
+    from jaxscan.files.exchange import check_exchange
 
     for path in args.output:
         check_ending(path)
+        check_exchange(path)
     check_outputs(args.output)
     done, scanner = reconstruct_scan(
         args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime, depths_of(args)

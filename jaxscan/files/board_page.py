@@ -82,7 +82,8 @@ def in_words(board: Board) -> str:
     """The board in one line, as it is printed on the page."""
     columns, rows = board.counts
     if board.kind == "circles":
-        return f"circles {columns} x {rows}, pitch_mm = {board.pitch_mm:g}, diameter {circle_diameter(board):g} mm (jaxscan)"
+        diameter = f"diameter {circle_diameter(board):g} mm"
+        return f"circles {columns} x {rows}, pitch_mm = {board.pitch_mm:g}, {diameter} (jaxscan)"
     if board.kind == "charuco":
         return (
             f"ChArUco, squares {columns + 1} x {rows + 1}, square_mm = {board.pitch_mm:g}, "

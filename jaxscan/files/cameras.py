@@ -25,7 +25,8 @@ def read_camera(
         image_size: columns and rows, where the file (OpenCV's need not) has none.
 
     Raises:
-        InputError: whatever is wrong with the file, or a term of its model that jaxscan has not: the key, and how to fix it.
+        InputError: whatever is wrong with the file, or a term of its model that jaxscan has not: the key, and
+            how to fix it.
     """
     return read_camera_file(path, name=name, image_size=image_size).the_camera(Path(path))
 

@@ -16,6 +16,10 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import writing_ply_file
 
 COLOURS: Final = ("red", "green", "blue")
+# What else may be known of a point, by the names that a PLY file has for it.
+_NUMBERS: Final = ("sigma", "sigma_pixel", "strength")
+# Points can be written to these: clouds, and the organised range image.
+_WRITTEN: Final = (".ply", ".npz", ".xyz", ".pcd", ".e57", ".laz", ".las")
 # Ten thousand kilometres: vertices in one place are found on a grid of whole numbers, which ends at nine times this.
 _FARTHEST_MM: Final = 1e10
 _NEEDS_SURFACE: Final = (".stl", ".obj", ".glb", ".gltf", ".off", ".3mf")
@@ -30,16 +34,18 @@ class Cloud:
         sigma: standard deviation along the ray, rig and pixel together (mm), where it is known.
         sigma_pixel: the pixel's part of it (mm), where it is known.
         colours: red, green, blue, where they are known.
+        strength: of the stripe above its surroundings, grey levels, where it is known.
     """
 
     points: Float32[np.ndarray, "points 3"]
     sigma: Float32[np.ndarray, "points"] | None = None
     sigma_pixel: Float32[np.ndarray, "points"] | None = None
     colours: UInt8[np.ndarray, "points 3"] | None = None
+    strength: Float32[np.ndarray, "points"] | None = None
 
 
 def check_ending(path: str | os.PathLike[str]) -> str:
-    """The ending of a file that points can be written to: ".ply" (a cloud) or ".npz" (an organised range image).
+    """The ending of a file that points can be written to: a cloud's, or ".npz" (an organised range image).
 
     Raises:
         InputError: another ending.
@@ -47,8 +53,11 @@ def check_ending(path: str | os.PathLike[str]) -> str:
     ending = Path(path).suffix.lower()
     if ending in _NEEDS_SURFACE:
         raise InputError(f"{path}: {ending} holds a surface, and these are points without one: write .ply or .npz")
-    if ending not in (".ply", ".npz"):
-        raise InputError(f'{path}: the ending "{ending}" is not known: write .ply (a cloud) or .npz (a range image)')
+    if ending not in _WRITTEN:
+        others = ", ".join(_WRITTEN[2:])
+        raise InputError(
+            f'{path}: the ending "{ending}" is not known: write .ply (a cloud) or .npz (a range image); or {others}'
+        )
     return ending
 
 
@@ -90,7 +99,7 @@ def writing_ply(path: str | os.PathLike[str]) -> Iterator[Callable[[Cloud], None
 def vertices_of(cloud: Cloud) -> Element:
     """The points, and what is known of each, as an element of a PLY file."""
     columns: dict[str, Column] = dict(zip("xyz", cloud.points.T, strict=True))
-    columns |= {name: known for name in ("sigma", "sigma_pixel") if (known := getattr(cloud, name)) is not None}
+    columns |= {name: known for name in _NUMBERS if (known := getattr(cloud, name)) is not None}
     if cloud.colours is not None:
         columns |= dict(zip(COLOURS, cloud.colours.T, strict=True))
     return Element(len(cloud.points), columns)
@@ -127,6 +136,7 @@ def cloud_of(path: str | os.PathLike[str], content: Ply) -> Cloud:
         sigma=known("sigma"),
         sigma_pixel=known("sigma_pixel"),
         colours=np.stack([numbers[name] for name in COLOURS], axis=-1) if coloured else None,
+        strength=known("strength"),
     )
 
 

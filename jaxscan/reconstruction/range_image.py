@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
-from jaxscan.files.cloud import Cloud, check_ending, writing_ply
+from jaxscan.files.cloud import Cloud, check_ending
+from jaxscan.files.exchange import writing_cloud
 from jaxscan.files.range_npz import RangeArrays, read_range_npz, writing_range_npz
 from jaxscan.files.range_scanner import read_scanner, scanner_arrays
 from jaxscan.geometry import Pose
@@ -194,6 +195,7 @@ class RangeImage:
             points=self.points[self.valid],
             sigma=self.sigma[self.valid] if known else None,
             sigma_pixel=self.sigma_pixel[self.valid] if known else None,
+            strength=self.strength[self.valid],
         )
 
     def arrays(self) -> RangeArrays:
@@ -223,7 +225,7 @@ def read_range_image(path: str | os.PathLike[str]) -> RangeImage:
 
 
 def write_points(path: str | os.PathLike[str], image: RangeImage) -> None:
-    """Write the valid points as .ply, or the whole range image as .npz, by the path's ending.
+    """Write the valid points as .ply or another cloud, or the whole range image as .npz, by the path's ending.
 
     Raises:
         InputError: another ending, no points, or the file cannot be written.
@@ -235,8 +237,8 @@ def write_points(path: str | os.PathLike[str], image: RangeImage) -> None:
 @contextmanager
 def writing_points(path: str | os.PathLike[str]) -> Iterator[Callable[[RangeImage], None]]:
     """Write a range image that comes some frames at a time, as `write_points`: the block is given what adds them."""
-    if check_ending(path) == ".ply":
-        with writing_ply(path) as add_cloud:
+    if check_ending(path) != ".npz":
+        with writing_cloud(path) as add_cloud:
             yield lambda image: add_cloud(image.cloud())
     else:
         with writing_range_npz(path) as add_arrays:

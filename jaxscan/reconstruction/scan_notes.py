@@ -2,6 +2,11 @@
 
 from typing import Final
 
+import numpy as np
+
+from jaxscan.files.scan import Scan
+from jaxscan.images.decode import read_image
+from jaxscan.images.stripes.other_colour import colour_that_shows
 from jaxscan.images.stripes.validity import Verdict
 
 # Why a line in which something is bright has no point, as programs are told.
@@ -13,6 +18,8 @@ REASONS: Final = {
 }
 # Below this part of the points nothing is said of those that are left out.
 _WORTH_A_NOTE: Final = 0.02
+# Frames in which other colours are tried.
+_TRIED: Final = 3
 
 
 def left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float, float] | None) -> list[str]:
@@ -31,3 +38,12 @@ def left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float
             "noise: expose longer, open the lens, or take the laser nearer"
         )
     return notes
+
+
+def in_another_colour(scan: Scan) -> str:
+    """What to add where a scan shows no stripe of its laser's colour, but one of another; empty for no other."""
+    if not scan.frames:
+        return ""
+    some = np.unique(np.linspace(0, len(scan.frames) - 1, _TRIED + 2).astype(int)[1:-1])
+    shown = colour_that_shows([read_image(scan.frames[i]) for i in some], scan.laser)
+    return "" if shown is None else f', but with color = "{shown}" there is one'

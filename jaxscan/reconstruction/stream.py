@@ -30,7 +30,7 @@ from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
-from jaxscan.reconstruction.scan_notes import REASONS, left_out_notes
+from jaxscan.reconstruction.scan_notes import REASONS, in_another_colour, left_out_notes
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
@@ -121,8 +121,8 @@ class Scanner:
         light = watch.notes(scan.exposures_s is not None, bool(scan.backgrounds))
         if not seen:
             raise InputError(
-                f"{scan.path}: no stripe was found in any of {frames} frames: check [laser] color "
-                f'("{scan.laser.color}") and columns ({str(scan.laser.columns).lower()}), and look at one with '
+                f"{scan.path}: no stripe was found in any of {frames} frames{in_another_colour(scan)}: check [laser] "
+                f'color ("{scan.laser.color}") and columns ({str(scan.laser.columns).lower()}), and look at one with '
                 "jaxscan inspect SCAN --frame 0 --png" + "".join(f"; {note}" for note in notes + light)
             )
         self.notes += notes + light

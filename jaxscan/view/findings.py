@@ -143,7 +143,8 @@ def _imprecise(calibration: Calibration, factor: float, volumes: tuple[WorkingVo
 
 def _notes(calibration: Calibration) -> list[Box]:
     notes = [note for note in calibration.notes if any(grave in note for grave in _GRAVE_NOTES)]
-    return [Box("care", note[0].upper() + note[1:] + ".") for note in notes]
+    # With a wrong scale everything is wrong.
+    return [Box("stop" if "mm_per_step =" in note else "care", note[0].upper() + note[1:] + ".") for note in notes]
 
 
 def _halves(diagnostics: Diagnostics) -> list[Box]:

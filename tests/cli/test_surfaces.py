@@ -185,7 +185,7 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("mesh none.npz -o x.stl", "none.npz: has no points"),
         ("mesh bare.npz -o x.stl", "bare.npz: nothing stands on the floor"),
         ("mesh gone.npz -o x.stl", "gone.npz: there is no such file"),
-        ("mesh box.obj -o x.stl", "box.obj: give a range image (.npz) or a cloud (.ply)"),
+        ("mesh box.obj -o x.stl", "box.obj: give a range image (.npz) or a cloud (.ply, .xyz, .pcd, .e57, .laz, .las)"),
         ("mesh block.npz -o x.step", "x.step: the ending is not known"),
         ("mesh block.ply -o x.npz", "needs the order of a range image"),
         ("mesh block.ply -o x.stl --fill 3", "--fill needs the order of a range image"),
