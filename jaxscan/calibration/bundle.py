@@ -20,6 +20,10 @@ from jaxscan.rig.splined import Splined
 MAX_STEPS = 200
 # A step that would move the estimate by less than 1e-6 of its standard deviation is not taken.
 _NEGLIGIBLE = 1e-12
+# Of a field's hundreds of coefficients rounding leaves 3e-12.
+_NEGLIGIBLE_OF_FIELD = 1e-8
+# Smooth shifts of many coefficients together move only once λ is small against those of each by itself.
+_FIRST_DAMPING_OF_FIELD = 1e-8
 
 
 @runtime_checkable
@@ -132,10 +136,13 @@ def solve(
             has come down to them nothing moves along its long valleys.
     """
     y0, back, residual = as_arrow(system, free, groups, noise, prior)
-    sparsity = None if noise.field is None else field_sparsity(system, groups)
+    sparsity, negligible = None, _NEGLIGIBLE
+    if noise.field is not None:
+        sparsity, negligible = field_sparsity(system, groups), _NEGLIGIBLE_OF_FIELD
+        first_damping = min(first_damping, _FIRST_DAMPING_OF_FIELD)
     solution = optx.least_squares(
         lambda y, _: residual(y),
-        BlockArrowLevenbergMarquardt(_NEGLIGIBLE, first_damping, sparsity=sparsity),
+        BlockArrowLevenbergMarquardt(negligible, first_damping, sparsity=sparsity),
         y0,
         max_steps=MAX_STEPS,
         adjoint=optx.ImplicitAdjoint(BlockArrowSolver()),

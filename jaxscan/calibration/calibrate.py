@@ -22,7 +22,14 @@ from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
 from jaxscan.calibration.foretold import foretold
 from jaxscan.calibration.held import held_parameters
-from jaxscan.calibration.lens_field import FieldPrior, base_of, check_enough_for_field, first_field, with_field
+from jaxscan.calibration.lens_field import (
+    FieldPrior,
+    base_of,
+    check_enough_for_field,
+    first_field,
+    held_beside_field,
+    with_field,
+)
 from jaxscan.calibration.observations import Kept, Observations, Unused
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.calibration.refusals import (
@@ -152,7 +159,7 @@ def calibrate(
         system = System(Rig(camera, lights, no_motion_yet(usable)), (), shape)
         views = view_blocks(usable)
         groups = (views, sequence_blocks(usable)) if usable.sequences else (views,)
-        held = held | system.rig.given()
+        held = held | system.rig.given() | held_beside_field(camera)
         free = _free(system, held, ("camera",))
         poses = (first_poses(camera, views), *(far_away(len(group.points)) for group in groups[1:]))
         poses = tuple(_with_bends(each, bends) for each in poses)
@@ -167,7 +174,7 @@ def calibrate(
             # A field of shifts on top of the terms, on a grid over the image as these see it.
             camera = with_field(refined.system.rig.camera)
             system = replace(refined.system, rig=replace(refined.system.rig, camera=camera))
-            held = held | system.rig.given()
+            held = held | system.rig.given() | held_beside_field(camera)
             free = _free(system, held, ("camera",))
             noise = replace(refined.noise, field=_first_field(system, free))
             refined = of_camera(system, free, corners, noise)

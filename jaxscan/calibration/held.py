@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from jaxscan.errors import InputError
 from jaxscan.rig.camera import camera_parameters, lens_parameters
 
-_PRINCIPAL = ("camera.principal.0", "camera.principal.1")
+PRINCIPAL_POINT = ("camera.principal.0", "camera.principal.1")
 _TILT = {"camera.tilt.0", "camera.tilt.1"}
 
 
@@ -33,10 +33,10 @@ def held_parameters(
         raise InputError(
             f'hold names {", ".join(unknown)}: {beyond}a camera with the lens "{lens}" has {", ".join(known)}'
         )
-    centred = set(_PRINCIPAL) if principal_point == "centre" else set()
+    centred = set(PRINCIPAL_POINT) if principal_point == "centre" else set()
     if not has_start:
         for name in set(hold) - centred:
-            if name in _PRINCIPAL:
+            if name in PRINCIPAL_POINT:
                 raise InputError(
                     f'hold names {name}, but there is no start whose value it could keep: principal_point = "centre" '
                     "holds it at the centre of the image; for another place give a camera to start from"

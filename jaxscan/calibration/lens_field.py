@@ -9,8 +9,10 @@ numbers are eliminated, Q and h, and the precision P / σ² of c, P = L Lᵀ,
     −2 log L = Σ log(1 + σ² λ) − Σ σ² g² / (1 + σ² λ)        L⁻¹ Q L⁻ᵀ = V diag(λ) Vᵀ,  g = Vᵀ L⁻¹ h.
 
 What the other numbers of the camera can do, and what a turn of the camera can, is nothing that the field should: its
-share in their fields, over the grid, is held at nearly nothing. So focal lengths, principal point and terms are those
-of the lens without a field that comes nearest, and the camera's frame is the same.
+share in their fields, over the grid, is held at nearly nothing. So focal lengths and terms are those of the lens
+without a field that comes nearest, and the camera's frame is the same. The principal point stays where it stood
+without a field: a turn of the camera, which the boards' poses follow, and the field do what it would. Free, it is
+tied to them along a valley that is not straight, in which Gauss-Newton's steps come a seventh nearer each.
 """
 
 from collections.abc import Collection
@@ -23,6 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.bends import Reduced, marginal
+from jaxscan.calibration.held import PRINCIPAL_POINT
 from jaxscan.calibration.observations import Observations
 from jaxscan.errors import InputError
 from jaxscan.precision import as_jax
@@ -75,6 +78,11 @@ def with_field(camera: Camera) -> Camera:
     assert isinstance(camera.lens, OpenCVLens)
     extent = grid_over(camera.image_size, camera.focal, camera.principal, camera.tilt).tolist()
     return replace(camera, lens=Splined.on_top(camera.lens, extent))
+
+
+def held_beside_field(camera: Camera) -> set[str]:
+    """The names of what stays where it is when a lens has a field."""
+    return set(PRINCIPAL_POINT) if isinstance(camera.lens, Splined) else set()
 
 
 def first_field(camera: Camera, free: Collection[str]) -> FieldPrior | None:

@@ -142,7 +142,8 @@ def _missing_terms(missing: MissingTerms | None) -> list[Box]:
 
 def _held_terms(calibration: Calibration) -> list[str]:
     """The terms of the lens that were not sought."""
-    return [n for n in lens_parameters(calibration.rig.camera.lens.kind) if n not in calibration.covariance.names]
+    sought = {*calibration.covariance.names, *calibration.rig.given()}
+    return [n for n in lens_parameters(calibration.rig.camera.lens.kind) if n not in sought]
 
 
 def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
@@ -162,19 +163,18 @@ def _camera_model(calibration: Calibration, diagnostics: Diagnostics) -> list[Bo
                 f"{richer[0].upper()}{richer[1:]}; if that does not help, see whether the boards are flat.",
             )
         )
-    cells = diagnostics.over_image
-    with np.errstate(invalid="ignore"):
-        large = np.nanmax(
-            np.abs(cells.mean_px) / cells.error_px, axis=-1, initial=0.0, where=np.isfinite(cells.error_px)
+    if not boxes and diagnostics.over_image.left_out(calibration.corner_sigma_px):
+        share = diagnostics.over_image.share_off(calibration.corner_sigma_px)
+        splined = (
+            ' Where no formula helps, lens = "splined" follows what is left.'
+            if calibration.rig.camera.lens.kind in LADDER
+            else ""
         )
-        clear = (large > _ERRORS) & (np.linalg.norm(cells.mean_px, axis=-1) > 2 * _SHARE * calibration.corner_sigma_px)
-    share = float(clear.sum() / max(np.isfinite(cells.mean_px[..., 0]).sum(), 1))
-    if share > 0.1 and not boxes:
         boxes.append(
             Box(
                 "care",
                 f"In {100 * share:.0f} % of the image the corners are off in the same direction in every photograph.",
-                f"The model of the camera misses something: {richer}, and see whether the boards are flat.",
+                f"The model of the camera misses something: {richer}, and see whether the boards are flat.{splined}",
             )
         )
     return boxes

@@ -17,6 +17,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.rig.opencv_lens import LADDER, Rational
 from jaxscan.rig.projection import lens_leaves, project_points
 from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.splined import Splined
 
 # What is clear: so seldom by chance, moving something by so many of its σ, or explaining this share of χ².
 _BY_CHANCE, _MOVES, _EXPLAINS = 1e-4, 2.0, 0.05
@@ -56,9 +57,12 @@ class MissingTerms:
 def missing_terms(calibration: Calibration) -> MissingTerms | None:
     """What the residuals say of richer lenses and of held terms; None where there are none or the camera was held.
 
-    A lens that is none of OpenCV's has no richer one.
+    A lens that is none of OpenCV's has no richer one, and of one with a field of shifts the field does what its terms
+    would.
     """
     lens_now = calibration.rig.camera.lens.kind
+    if lens_now == Splined.kind:
+        return None
     leaves_of = partial(lens_leaves, tilted=bool(calibration.rig.camera.tilt))
     own_leaves = leaves_of(lens_now)
     richer = [lens for lens in _TRIED if (leaves_of(lens) & ~own_leaves).any()] if lens_now in LADDER else []

@@ -15,6 +15,8 @@ from jaxscan.calibration.result import Calibration, PhotographFit
 
 _RADIUS_BINS = 8
 _HISTOGRAM = np.linspace(-4.5, 4.5, 46)
+# A cell is off by so many standard errors, and by so many σ of a corner; so many of the cells by chance never are.
+_ERRORS, _OFF_IN_SIGMA, _SHARE_OFF = 5.0, 0.5, 0.1
 _FEWEST_IN_A_CELL = 5
 
 
@@ -100,6 +102,18 @@ class OverImage:
     mean_px: Float[np.ndarray, "cell_rows cell_columns 2"]
     error_px: Float[np.ndarray, "cell_rows cell_columns 2"]
     count: Int[np.ndarray, "cell_rows cell_columns"]
+
+    def share_off(self, corner_sigma_px: float) -> float:
+        """The share of the cells with corners in which these are clearly off in one direction."""
+        with np.errstate(invalid="ignore"):
+            errors = np.abs(self.mean_px) / self.error_px
+            large = np.nanmax(errors, axis=-1, initial=0.0, where=np.isfinite(self.error_px))
+            off = (large > _ERRORS) & (np.linalg.norm(self.mean_px, axis=-1) > _OFF_IN_SIGMA * corner_sigma_px)
+        return float(off.sum() / max(np.isfinite(self.mean_px[..., 0]).sum(), 1))
+
+    def left_out(self, corner_sigma_px: float) -> bool:
+        """Whether the camera leaves out what moves corners alike in all photographs: a field over the image."""
+        return self.share_off(corner_sigma_px) > _SHARE_OFF
 
 
 @dataclass(frozen=True)
