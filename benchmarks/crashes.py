@@ -1,5 +1,4 @@
-"""Programs that are killed, cables that are pulled, disks that are full, at random moments: what is lost, what is
-there twice, and whether the next order works.
+"""Programs that are killed, cables that are pulled, disks that fill: what is lost or there twice, and what goes on.
 
 Scans and the disk go through the command line, the lab through a server that is a process of its own, the batch through
 `jaxscan batch`; a cable is pulled from an emulated controller of each kind.
@@ -232,7 +231,8 @@ def kill_batch(folder: Path, count: int) -> list[Struck]:
         made = now
     subprocess.run(batch_command(folder, "killed"), **quiet)
     now = _made(folder)
-    same = {name: (folder / "killed" / name).read_bytes() for name in now} == whole and len(whole) == names - len(broken)
+    same = {name: (folder / "killed" / name).read_bytes() for name in now} == whole
+    same = same and len(whole) == names - len(broken)
     twice = sum(now.get(name) != at for name, at in made.items())
     return [*found[:-1], found[-1]._replace(doubled=found[-1].doubled + twice, failed=not same)]
 

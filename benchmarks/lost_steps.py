@@ -98,7 +98,8 @@ def session(seed: int, kind: str | None = None, *, sound: bool = False) -> Sessi
     with tempfile.TemporaryDirectory() as name:
         folder = ScanFolder.create(Path(name) / "cup", Plan({"stage": places}, settle_s=0.0))
         try:
-            take(folder, Devices(camera, {"stage": stage}, SimulatedLaser()), taken=taken, verify=random_.choice((0, 2)))
+            devices = Devices(camera, {"stage": stage}, SimulatedLaser())
+            take(folder, devices, taken=taken, verify=random_.choice((0, 2)))
         except HardwareError as refused:
             error = str(refused)
         count, checks = len(folder.done.frames), folder.done.checks
