@@ -46,6 +46,7 @@ SUITES = {
     "lasers": "two lasers on one camera, calibrated in one solve: do their clouds agree within σ?",
     "next_pose": "three photographs as suggested against three more like those there are, really added and solved",
     "hardware": "serial sessions with faults, scans killed and resumed, a simulated scanner from hardware to points",
+    "crashes": "programs killed, cables pulled, disks full at 140 moments: lost, doubled, the next order",
     "lost_steps": "motors that stall, loads that are pushed, bad lines: wrong places that no check marks",
     "lab": "the lab server: 200 watchers and one operator, and what watching costs the scan",
     "stop": "POST /api/stop under watchers, clouds, sign-ins, half-open sockets, a full disk and a batch job",

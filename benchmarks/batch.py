@@ -31,20 +31,20 @@ def measure(quick: bool) -> list[Metric]:
 
 def killed_and_resumed(folder: Path, count: int) -> list[Metric]:
     """Kill a batch when half of its results are there, run it again, and compare with one that was let alone."""
-    broken = _scans(folder / "scans", count)
+    broken = make_scans(folder / "scans", count)
     write_rig(folder / "rig.json", RigFile(rig(_COLUMNS, _ROWS)))
     begin = time.perf_counter()
-    whole = _command(folder, "whole")
+    whole = batch_command(folder, "whole")
     if subprocess.run(whole, capture_output=True).returncode != 1:
         raise RuntimeError("a batch with broken scans must end with status 1")
     seconds = time.perf_counter() - begin
-    child = subprocess.Popen(_command(folder, "killed"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    child = subprocess.Popen(batch_command(folder, "killed"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while len(list((folder / "killed").glob("*.ply"))) < count // 2 and child.poll() is None:
         time.sleep(0.01)
     child.send_signal(signal.SIGKILL)
     child.wait()
     before = {path.name: path.stat().st_mtime_ns for path in (folder / "killed").glob("*.ply")}
-    again = subprocess.run(_command(folder, "killed"), capture_output=True, text=True)
+    again = subprocess.run(batch_command(folder, "killed"), capture_output=True, text=True)
     reasons = sum(again.stderr.count(f"{name}/1.png") > 0 for name in broken)
     results = sorted((folder / "killed").glob("*.ply"))
     twice = sum(path.stat().st_mtime_ns != before[path.name] for path in results if path.name in before)
@@ -70,7 +70,7 @@ def worker_killed(folder: Path) -> list[Metric]:
     settings = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     cluster: Any
     with LocalCluster(**settings) as cluster:
-        command = [*_command(folder, "cluster"), "--scheduler", cluster.scheduler_address]
+        command = [*batch_command(folder, "cluster"), "--scheduler", cluster.scheduler_address]
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         expected = len(list((folder / "whole").glob("*.ply")))
         while len(list((folder / "cluster").glob("*.ply"))) < expected // 10 and child.poll() is None:
@@ -86,12 +86,13 @@ def worker_killed(folder: Path) -> list[Metric]:
     ]
 
 
-def _command(folder: Path, out: str) -> list[str]:
+def batch_command(folder: Path, out: str) -> list[str]:
+    """The batch of a folder's scans."""
     program = [sys.executable, "-m", "jaxscan.cli.main"]
     return [*program, "batch", str(folder / "scans"), "--rig", str(folder / "rig.json"), "-o", str(folder / out)]
 
 
-def _scans(folder: Path, count: int) -> list[str]:
+def make_scans(folder: Path, count: int) -> list[str]:
     """So many scans, of which three have a photograph that was cut short; their names."""
     random = np.random.default_rng(0)
     row = np.arange(_ROWS)[:, None]

@@ -1,10 +1,12 @@
 """Scans killed by SIGKILL at random moments, then gone on with: what was reported as taken, and what comes of it."""
 
 import random
+import resource
 import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,8 +69,16 @@ def command(folder: Path, scan: Path, resume: bool = False) -> list[str]:
     return ["scan", str(scan), "--scanner", str(folder / "scanner.toml"), *what]
 
 
-def kill_and_resume(folder: Path, seed: int) -> Killed:
-    """Begin a scan, kill it, look, go on with it, compare."""
+def fill_disk(child: "subprocess.Popen[str]") -> None:
+    """Let no file of a process grow any more, and wait until it has ended for that."""
+    resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (1, resource.prlimit(child.pid, resource.RLIMIT_FSIZE)[1]))
+    child.wait(60)
+
+
+def kill_and_resume(
+    folder: Path, seed: int, strike: "Callable[[subprocess.Popen[str]], object]" = subprocess.Popen.kill
+) -> Killed:
+    """Begin a scan, kill it or strike it otherwise, look, go on with it, compare."""
     random_ = random.Random(seed)
     scan = folder / f"killed-{seed}"
     argv = [sys.executable, "-m", "hardware.cli.main", *command(folder, scan)]
@@ -79,7 +89,8 @@ def kill_and_resume(folder: Path, seed: int) -> Killed:
         time.sleep(0.001)
     time.sleep(random_.uniform(0, _LATEST_S))
     running = child.poll() is None
-    child.kill()
+    if running:
+        strike(child)
     lines += child.stderr.read().splitlines()
     child.wait()
     child.stderr.close()

@@ -56,15 +56,15 @@ class _Camera:
         """Nothing to do."""
 
 
-def _serve(folder: Path) -> None:
-    """Serve until terminated; says where, and the tokens of operator, administrator and viewer."""
+def _serve(folder: Path, projects: int = PROJECTS) -> None:
+    """Serve until terminated, with so many projects; says where, and tokens of operator, administrator and viewer."""
     travel = Travel()
     stage = SimulatedStage(travel)
     stage.line.clock = stage.line.port.clock = PacedClock(_FASTER)
     devices = Devices(_Camera(), {"stage": stage}, SimulatedLaser())
     camera = Camera.create((_COLUMNS, _ROWS), (120.0, 120.0), (79.5, 59.5))
     rig = Rig(camera, (LightPlane.create((0.0, -0.004, 0.003)),), Linear.create((0.0, 0.0009, -0.0004)))
-    for i in range(PROJECTS):
+    for i in range(projects):
         project = folder / "lab" / "projects" / f"kept{i}"
         (project / "frames").mkdir(parents=True)
         names = [f"frames/{j:04d}.png" for j in range(_PHOTOGRAPHS)]
@@ -75,7 +75,7 @@ def _serve(folder: Path) -> None:
     raise_limit()
     lab = Lab(folder / "lab", lambda: devices, Habits({"stage": travel}), RigFile(rig))
     names = ("operator", "administrator", "viewer")
-    for name in names:
+    for name in set(names).difference(account.name for account in lab.accounts.everybody()):
         lab.accounts.add(name, secrets.token_hex(), name == "administrator")
     tokens = [lab.accounts.make_token_for(name) for name in names]
     listening = bind("127.0.0.1", 0, tls=False, insecure=False)
@@ -87,4 +87,4 @@ def _serve(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    _serve(Path(sys.argv[1]))
+    _serve(Path(sys.argv[1]), *map(int, sys.argv[2:]))

@@ -11,7 +11,6 @@ from typing import Final
 from hardware.lab.badges import Visitor
 from hardware.lab.worker import Worker
 
-
 _MOMENT_S: Final = 0.5
 
 

@@ -1,6 +1,6 @@
-"""Points of projects, made in a process of its own: what compiles and computes takes no turn at the interpreter that
-stops the scanner, and no memory of the server's.
+"""Points of projects, made in a process of their own.
 
+What compiles and computes there takes no turn at the interpreter that stops the scanner, and no memory of the server's.
 `python -m hardware.lab.reconstructor` reads orders line by line, and ends with the server that writes them.
 """
 

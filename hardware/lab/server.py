@@ -123,11 +123,11 @@ class Server(uvicorn.Server):
         super().__init__(uvicorn.Config(http=protocol_of(gate, give_way, **deadlines), **how))
         self._lab, self._listening, self._ready, self._gates = lab, listening, ready, (gate, first)
         self._how_listened = gate, first, deadlines.get("head_s", HEAD_S), proxies, connections, _BACKLOG
-        self._shut: Callable[[], object] = lambda: None
+        self._doorway: Doorway | None = None
         self._first = None
         if doorway:
             self._first = uvicorn.Server(
-                uvicorn.Config(http=protocol_of(first, **deadlines), **{**how, "lifespan": "off"})
+                uvicorn.Config(http=protocol_of(first, None, **deadlines), **{**how, "lifespan": "off"})
             )
         logging.getLogger("uvicorn.error").addFilter(_SELDOM)
         host, port = listening.getsockname()[:2]
@@ -141,7 +141,7 @@ class Server(uvicorn.Server):
             asyncio.run(self.serve([Listening(self._listening, self._gates[0], self.config.is_ssl)]))
             return
         with contextlib.closing(Doorway(self._listening, *self._how_listened)) as doorway:
-            self._shut = doorway.shut
+            self._doorway = doorway
             thread = threading.Thread(
                 target=asyncio.run, args=(self._first.serve([doorway.urgent]),), name="first", daemon=True
             )
@@ -164,7 +164,8 @@ class Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End the streams first: they would not end by themselves."""
-        self._shut()
+        if self._doorway is not None:
+            self._doorway.shut()
         self._lab.hub.close()
         await super().shutdown(sockets)
         for gate in self._gates:

@@ -186,7 +186,7 @@ class GcodeStage(SerialStage):
 
     def _not_met(self) -> NoAnswerError:
         return NoAnswerError(
-            f"{self.name}: driving slowly down, the switch was not met: check the switch, and the direction of the motor"
+            f"{self.name}: driving slowly down, the switch was not met: check the switch, and the motor's direction"
         )
 
     def _steps(self, own: int) -> int:

@@ -98,13 +98,11 @@ class Grbl(GcodeStage):
         for _ in range(_ASKED):
             self._pause(_LOOK_S)
             report = self._report()
-            if report is not None and report == last:
-                break
+            if report is not None and report.at_switch and report == last:
+                # Homing ends where it has pulled off.
+                return self._steps(report.count) + round(self._settings[27] * abs(self._per_mm))
             last = report
-        if report is None or report != last or not report.at_switch:
-            raise self._not_met()
-        # Homing ends where it has pulled off.
-        return self._steps(report.count) + round(self._settings[27] * abs(self._per_mm))
+        raise self._not_met()
 
     def _send_to(self, own: int, rate_steps_s: float | None = None) -> None:
         self.line.forget()

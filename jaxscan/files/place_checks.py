@@ -37,7 +37,8 @@ def read_checks(table: Table, frames: int | None) -> tuple[PlaceCheck, ...]:
     for number, values in enumerate(table.sequence("checks", "tables") if "checks" in table else ()):
         if not isinstance(values, dict):
             raise table.error("checks", "give tables, as { first = 0, last = 119, off = { stage = 35 } }")
-        check = Table(table.path, f"{table.prefix}checks {number + 1}: ", values).only("first", "last", "off", "unverified")
+        check = Table(table.path, f"{table.prefix}checks {number + 1}: ", values)
+        check = check.only("first", "last", "off", "unverified")
         first, last = check.whole("first"), check.whole("last")
         if not 0 <= first <= last or (frames is not None and last >= frames):
             raise check.error("last", f"is of frames {first} to {last}: give frames of the scan, counted from 0")
@@ -67,8 +68,8 @@ def doubts(checks: Sequence[PlaceCheck]) -> Iterator[str]:
     for check in checks:
         if check.unverified:
             yield (
-                f"frames {check.first} to {check.last} were to be verified and were not: the scan ended, or its line was "
-                "bad, before the switch was met again. If the motor lost steps, nothing says so"
+                f"frames {check.first} to {check.last} were to be verified and were not: the scan ended, or its line "
+                "was bad, before the switch was met again. If the motor lost steps, nothing says so"
             )
         off = " and ".join(f"{abs(steps)} steps of the {axis}" for axis, steps in check.off.items())
         if off:

@@ -1,19 +1,19 @@
 """Steps that a motor loses: the switch is met again, and the frames since are marked."""
 
-import contextlib
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.lost_steps import KINDS, Session, session
 from hardware.cli.main import main
-from hardware.errors import PositionUncertainError
+from hardware.errors import CameraError, PositionUncertainError, SettingsError
 from hardware.scan import Devices, take
 from hardware.scan_plan import Plan, ScanFolder
 from hardware.simulated.laser import SimulatedLaser
 from hardware.simulated.stage import SimulatedStage
-from hardware.stages import Travel
+from hardware.stages import Grbl, Marlin, Travel
 from jaxscan.errors import InputError
 from jaxscan.files.place_checks import PlaceCheck, doubts
 from jaxscan.files.scan import read_scan, write_scan
@@ -74,34 +74,75 @@ def test_frames_between_two_checks(tmp_path: Path):
     assert read_scan(tmp_path / "cup").checks[-1] == PlaceCheck(6, 6)
 
 
-def test_sessions_as_they_come_leave_no_wrong_place_unmarked(tmp_path: Path):
-    """Rates at which motors stall, places and pushes as they come: what is not marked was taken where it says."""
-    random = np.random.default_rng(0)
-    wrong = unmarked = 0
-    for session in range(60):
-        stall = float(random.choice([1e6, 250.0, 400.0, 600.0, 790.0]))
-        scanner = devices(stall_rate=stall, play=int(random.integers(0, 200)))
-        stage = scanner.axes["stage"]
-        assert isinstance(stage, SimulatedStage)
-        places = tuple(map(int, random.permutation(np.arange(20))[: random.integers(1, 5)] * 1000))
-        folder = ScanFolder.create(tmp_path / str(session), Plan({"stage": places}, settle_s=0.0))
-        true: list[float] = []
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sound_motor_is_found_to_be(kind: str):
+    """Without a fault every photograph of every controller is verified."""
+    for seed in range(2):
+        found = session(seed, kind, sound=True)
+        assert (found.error, found.wrong, found.right) == ("", 0, found.photographs)
 
-        def taken(path: Path, frame: object, true: list[float] = true, stage: SimulatedStage = stage) -> None:
-            true.append(stage.true_position())
 
-        with contextlib.suppress(PositionUncertainError):
-            take(folder, scanner, taken=taken, verify=0)
-        checks = folder.done.checks
-        off = np.abs(np.array(true) - places[: len(true)]) > 4
-        marked = np.ones(len(true), bool)
-        for check in checks:
-            if not check.off:
-                marked[check.first : check.last + 1] = False
-        wrong += int(off.sum())
-        unmarked += int((off & ~marked).sum())
-    assert wrong > 20
-    assert unmarked == 0
+def test_sessions_as_they_come_leave_no_wrong_place_unmarked():
+    """Rates at which motors stall, loads that are pushed, bad lines, three controllers."""
+    check([session(seed) for seed in range(30)])
+
+
+@pytest.mark.long
+def test_five_hundred_sessions_leave_no_wrong_place_unmarked():
+    check([session(seed) for seed in range(500)])
+
+
+def check(found: list[Session]) -> None:
+    assert sum(one.wrong for one in found) > len(found) // 3
+    assert {one.kind for one in found if one.wrong} == {one.kind for one in found if one.right} == set(KINDS)
+    # Neither called right, nor in a scan that says nothing of them.
+    assert [one for one in found if one.called_right or one.unchecked] == []
+
+
+@pytest.mark.parametrize("kind", [Grbl, Marlin])
+@pytest.mark.parametrize("lost", [0, 30, -300])
+def test_controllers_that_define_their_count_by_homing(kind: type[Grbl | Marlin], lost: int):
+    per_mm, at_switch = (250, 250) if kind is Grbl else (80, 0)
+    stage = kind(f"emulator://{kind.__name__.lower()}?length=22000&play=100", TRAVEL, steps_per_mm=per_mm)
+    assert stage.verifiable
+    stage.home()
+    stage.move_to(5000)
+    port = stage.line.port
+    port.axis.push(-lost, port.clock.now_s())
+    assert stage.verify() == pytest.approx(lost, abs=1)
+    # It counts anew, and its own limits hold again.
+    stage.move_to(3000)
+    assert port.axis.load(port.clock.now_s()) == 3000 + at_switch - TRAVEL.switch
+    assert stage.verify() == 0
+
+
+@pytest.mark.parametrize(("key", "value"), [(20, "1"), (21, "0"), (22, "0")])
+def test_grbl_whose_limits_do_not_let_it(key: int, value: str, tmp_path: Path):
+    stage = Grbl("emulator://grbl?length=22000", TRAVEL, steps_per_mm=250)
+    stage.line.port.controller.settings[key] = value
+    assert not stage.verifiable
+    with pytest.raises(SettingsError, match="cannot be verified"):
+        stage.verify()
+    folder = ScanFolder.create(tmp_path / "cup", Plan({"stage": (0, 1000)}, settle_s=0.0))
+    laser = SimulatedLaser()
+    take(folder, Devices(GreyCamera(SimulatedStage(TRAVEL), laser), {"stage": stage}, laser), verify=0)
+    assert folder.done.checks == ()
+
+
+def test_what_was_to_be_verified_and_was_not_is_marked(tmp_path: Path):
+    """A scan that ends early says so of its frames, also after it was gone on with."""
+    scanner = devices()
+    folder = ScanFolder.create(tmp_path / "cup", Plan({"stage": (0, 1000, 2000)}))
+    assert isinstance(scanner.camera, GreyCamera)
+    scanner.camera.fails_at = 2000
+    with pytest.raises(CameraError):
+        take(folder, scanner, verify=0)
+    assert read_scan(tmp_path / "cup").checks == (PlaceCheck(0, 1, unverified=True),)
+    (said,) = doubts(folder.done.checks)
+    assert "frames 0 to 1 were to be verified and were not" in said
+    scanner.camera.fails_at = -1
+    take(ScanFolder.resume(tmp_path / "cup"), scanner, verify=0)
+    assert read_scan(tmp_path / "cup").checks == (PlaceCheck(0, 1, unverified=True), PlaceCheck(2, 2))
 
 
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -83,6 +83,7 @@ class Served:
     lab: Lab
     url: str
     camera: StripeCamera
+    server: Server
     end: Callable[[], None]
     clients: list[httpx.Client] = field(default_factory=list)
 
@@ -211,7 +212,7 @@ def serve(
             client.close()
         lab.close()
 
-    served = Served(lab, serving.url, camera, end)
+    served = Served(lab, serving.url, camera, serving, end)
     return served
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import resource
 import socket
 import subprocess
@@ -19,6 +20,9 @@ from serving import ADMINISTRATOR, OPERATOR, VIEWER, Served, ended, scan, serve,
 from test_disk import SERVE
 
 from hardware.lab import front
+from hardware.lab.door import Door, _Caller
+from hardware.lab.doorway import can_be
+from hardware.lab.gate import Gate, Listening
 from hardware.lab.limits import Limit, Limits
 from hardware.lab.refusal import Refusal
 from jaxscan.images import write_image
@@ -74,6 +78,90 @@ def test_a_crowd_that_comes_at_once(tmp_path: Path):
         line.settimeout(20)
         assert line.recv(100).startswith(b"HTTP/1.1 200")
     served.end()
+
+
+@contextlib.contextmanager
+def blocked(served: Served) -> Iterator[None]:
+    """The loop that serves everybody does nothing at all."""
+    loop, busy, done = served.lab.hub._loop, threading.Event(), threading.Event()
+    assert loop is not None
+    loop.call_soon_threadsafe(lambda: (busy.set(), done.wait(60)))
+    busy.wait(20)
+    try:
+        yield
+    finally:
+        done.set()
+
+
+@pytest.mark.skipif(not can_be(), reason="there is no door on this system")
+def test_stop_and_renewal_while_the_loop_of_everybody_stands(tmp_path: Path):
+    served = serve(tmp_path / "lab")
+    operator, administrator, viewer = (served.program(name) for name in (OPERATOR, ADMINISTRATOR, VIEWER))
+    operator.post("/api/lock", json={}).raise_for_status()
+    browser = served.browser(ADMINISTRATOR)
+    with blocked(served):
+        for _ in range(3):
+            assert operator.put("/api/lock", timeout=10).status_code == 204
+            assert administrator.post("/api/stop", timeout=10).status_code == 200
+            assert browser.post("/api/stop", timeout=10).status_code == 200
+        # Who may not is told so there too, and so is who is not known.
+        assert viewer.post("/api/stop", timeout=10).status_code == 403
+        assert viewer.put("/api/lock", timeout=10).status_code == 403
+        with served.client(Authorization="Bearer made-up") as stranger:
+            assert stranger.post("/api/stop", timeout=10).status_code == 401
+        with served.client(Host="evil.example") as other:
+            assert other.post("/api/stop", timeout=10).status_code == 421
+        with pytest.raises(httpx.TimeoutException):
+            viewer.get("/api/me", timeout=0.5)
+    assert viewer.get("/api/me").status_code == 200
+    served.end()
+
+
+@pytest.mark.skipif(not can_be(), reason="there is no door on this system")
+def test_a_door_that_is_killed_is_begun_again(tmp_path: Path):
+    served = serve(tmp_path / "lab")
+    viewer = served.program(VIEWER)
+    door = served.server._doorway
+    assert door is not None
+    first = door.child
+    first.kill()
+    assert until(lambda: viewer.get("/api/me").status_code == 200)
+    assert door.child.pid != first.pid
+    served.end()
+    assert door.child.wait(10) is not None
+
+
+@pytest.mark.skipif(not can_be(), reason="there is no door on this system")
+def test_an_address_that_asks_for_stop_all_the_time_takes_the_way_of_everybody():
+    public, behind = ("198.51.100.7", 1), ("127.0.0.1", 1)
+    listening = socket.socket()
+    listening.bind(("127.0.0.1", 0))
+    here, ends = zip(*(socket.socketpair() for _ in range(2)), strict=True)
+    with contextlib.ExitStack() as opened:
+        for one in (*here, *ends):
+            opened.enter_context(contextlib.closing(one))
+        gate = Gate(("127.0.0.1",))
+        opened.callback(gate.close)
+        door = Door(opened.enter_context(Listening(listening, gate, tls=False)), *ends, 10.0, ("127.0.0.1",))
+
+        def urgent(peer: tuple[str, int], said: bytes = b"POST /api/stop HTTP/1.1\r\n\r\n") -> bool:
+            line = socket.socket()
+            handed = door._urgently(_Caller(line, peer, 0.0), said)
+            line.close()
+            if handed:
+                _, numbers, _, _ = socket.recv_fds(here[1], 1, 1)
+                for number in numbers:
+                    os.close(number)
+            return handed
+
+        told = [urgent(public) for _ in range(300)]
+        assert told[:200] == [True] * 200
+        assert not all(told)
+        # Another one, and whoever else comes by the same proxy, does not wait for it.
+        assert urgent(("198.51.100.8", 1))
+        said = b"POST /api/stop HTTP/1.1\r\nX-Forwarded-For: 203.0.113.9, 198.51.100.7, 127.0.0.1\r\n\r\n"
+        assert not urgent(behind, said)
+        assert urgent(behind, said.replace(b"198.51.100.7", b"198.51.100.9"))
 
 
 def ended_by_the_server(line: socket.socket, within_s: float = 30.0) -> bytes:
