@@ -62,6 +62,7 @@ SUITES = {
     "play": "play of a stage by its direction of approach: points over a line's, what is named, false names, z, cost",
     "turntable": "a turntable from photographs of the board: axis, angle and place against their σ; scans posed by it",
     "turning": "scans of a figure while it turns: against the true rig and the makers' recipe, the seam, σ",
+    "measure": "dimensions of drawn parts: coverage of their intervals, bias, false accepts, a million points",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
@@ -101,6 +102,7 @@ NOT_QUICK = {
     "stages",
     "play",
     "batch",
+    "measure",
     "lab",
     "growth",
 }

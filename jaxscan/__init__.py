@@ -25,11 +25,14 @@ if TYPE_CHECKING:
     from jaxscan.errors import InputError, JaxscanError, ObservabilityError, SolveError
     from jaxscan.files.cameras import read_camera, write_camera
     from jaxscan.files.cloud import Cloud, read_ply, write_ply
+    from jaxscan.files.part_file import Part, read_part
     from jaxscan.files.rig_file import RigFile, read_rig, write_rig
     from jaxscan.files.scan import Scan, read_scan
     from jaxscan.files.session import Session, read_session
     from jaxscan.geometry import Pose
     from jaxscan.images import Board
+    from jaxscan.measurement.measure import Measurement, measure
+    from jaxscan.measurement.scanned import scanned_image, scanned_points
     from jaxscan.reconstruction import RangeImage, Scanner, read_range_image, reconstruct, write_points, write_stream
     from jaxscan.reconstruction.next_photographs import next_photographs
     from jaxscan.rig import BowedSheet, Camera, Chain, Covariance, Fixed, LightPlane, Linear, Rig, Rotary, System
@@ -63,6 +66,12 @@ _HOME = {
     "Cloud": "jaxscan.files.cloud",
     "read_ply": "jaxscan.files.cloud",
     "write_ply": "jaxscan.files.cloud",
+    "Part": "jaxscan.files.part_file",
+    "read_part": "jaxscan.files.part_file",
+    "Measurement": "jaxscan.measurement.measure",
+    "measure": "jaxscan.measurement.measure",
+    "scanned_image": "jaxscan.measurement.scanned",
+    "scanned_points": "jaxscan.measurement.scanned",
     "Covariance": "jaxscan.rig",
     "RigFile": "jaxscan.files.rig_file",
     "read_rig": "jaxscan.files.rig_file",
@@ -116,9 +125,11 @@ __all__ = [
     "Kept",
     "LightPlane",
     "Linear",
+    "Measurement",
     "Model",
     "ObservabilityError",
     "Observations",
+    "Part",
     "Pose",
     "RangeImage",
     "Rig",
@@ -137,10 +148,12 @@ __all__ = [
     "calibrate_by_evidence",
     "clean",
     "find_floor",
+    "measure",
     "merge",
     "next_photographs",
     "observe",
     "read_camera",
+    "read_part",
     "read_ply",
     "read_range_image",
     "read_rig",
@@ -149,6 +162,8 @@ __all__ = [
     "reconstruct",
     "refit",
     "register",
+    "scanned_image",
+    "scanned_points",
     "side_of_image",
     "stands_on",
     "verdict",

@@ -1,11 +1,19 @@
 """`jaxscan batch`: every scan of a tree to points."""
 
 import argparse
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_choice_argument, add_depths_argument, add_detector_argument, depths_of
+from jaxscan.errors import InputError
 from jaxscan.extras import extra
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from jaxscan.files.part_file import Part
+    from jaxscan.reconstruction.batch import Task
 
 HELP: Final = "reconstruct every scan of a tree, here or on a cluster, and go on where it stopped"
 EXAMPLE: Final = "jaxscan batch scans --rig rig.json -o clouds"
@@ -34,6 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--again", action="store_true", help="also what is there already, younger than scan, rig and options"
     )
+    parser.add_argument(
+        "--measure",
+        type=Path,
+        metavar="PART",
+        help="measure each scan by this part.toml: a line for each in OUT/measured.csv, and control charts in "
+        "OUT/measured.png where matplotlib is installed; takes --ending .npz",
+    )
     add_detector_argument(parser)
     add_choice_argument(parser)
     add_depths_argument(parser)
@@ -45,6 +60,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     if args.scheduler:
         extra("cluster")
+    if args.measure and args.ending != ".npz":
+        raise InputError(
+            f"--measure {args.measure}: intervals need range images, and --ending is {args.ending}: add --ending .npz"
+        )
+    part = None
+    if args.measure:
+        from jaxscan.files.part_file import read_part
+
+        part = read_part(args.measure)
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
@@ -68,6 +92,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
                     made = {"path": str(outcome.task.output), "points": outcome.points}
                     done.append({**of, **made, "notes": list(outcome.notes)})
                 advance(1)
+    measured = {} if part is None else _measured(args, tasks, part)
     return {
         "kind": "batch",
         "path": str(args.output),
@@ -76,7 +101,40 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "done": done,
         "failed": failed,
         "warnings": warnings,
+        **measured,
     }
+
+
+def _measured(args: argparse.Namespace, tasks: "Sequence[Task]", part: "Part") -> dict[str, Any]:
+    """Every scan that is there, as `jaxscan measure` has it; the table and the charts are written."""
+    import sys
+
+    from jaxscan.cli.measure import read_surface
+    from jaxscan.files.measured_csv import write_scans_csv
+    from jaxscan.measurement.measure import measure
+    from jaxscan.measurement.rows import rows_of
+
+    scans, verdicts = {}, {}
+    for task in tasks:
+        if not task.output.exists():
+            continue
+        try:
+            found = measure(read_surface(task.output, args.rig)[0], part)
+        except InputError as error:
+            print(f"jaxscan: {error}", file=sys.stderr)
+            continue
+        scans[task.name], verdicts[task.name] = rows_of(found), found.verdict
+    written = []
+    if scans:
+        write_scans_csv(args.output / "measured.csv", scans)
+        written.append(str(args.output / "measured.csv"))
+        if find_spec("matplotlib") is not None and part.dimensions:
+            from jaxscan.view.measured_part import control_charts
+
+            control_charts(args.output / "measured.png", scans)
+            written.append(str(args.output / "measured.png"))
+    dimensions = [{"scan": scan, "verdict": verdicts[scan], "dimensions": rows} for scan, rows in scans.items()]
+    return {"measured": dimensions, "written": written}
 
 
 def describe(result: dict[str, Any]) -> str:
@@ -88,8 +146,22 @@ def describe(result: dict[str, Any]) -> str:
             + (f", {kept} were there already" if kept else "")
             + (f", {len(failed)} failed:" if failed else ""),
             *(f"  {one['scan']}: {one['reason']}" for one in failed),
+            *_table(result),
             *(["run the same command again to try these again"] if failed else []),
             *(f"note: {one['scan']}: {note}" for one in result["done"] for note in one["notes"]),
             *(f"warning: {warning}." for warning in result["warnings"]),
         ]
     )
+
+
+def _table(result: dict[str, Any]) -> list[str]:
+    """What was measured: of each scan a line, and where the table and the charts are."""
+    if not result.get("measured"):
+        return []
+    from jaxscan.cli.measure import in_words
+
+    lines = []
+    for each in result["measured"]:
+        cells = "; ".join(f"{row['name']} {in_words(row).partition(';')[0]}" for row in each["dimensions"])
+        lines.append(f"  {each['scan']}: {cells}")
+    return [*lines, f"written: {', '.join(result['written'])}"]

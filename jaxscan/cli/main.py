@@ -36,6 +36,7 @@ COMMANDS: Final = {
     "mesh": "jaxscan.cli.mesh",
     "merge": "jaxscan.cli.merge",
     "compare": "jaxscan.cli.compare",
+    "measure": "jaxscan.cli.measure",
     "view": "jaxscan.cli.view",
     "gauge": "jaxscan.cli.gauge",
     "inspect": "jaxscan.cli.inspect",

@@ -49,7 +49,7 @@ def edge_of(a: Plane, b: Plane) -> Place:
     Raises:
         InputError: they are nearly parallel.
     """
-    if angle_between(place_of(a), place_of(b)) < np.degrees(_PARALLEL):
+    if np.linalg.norm(np.cross(a.axis, b.axis)) < np.sin(_PARALLEL):
         raise InputError("its two planes are parallel within 5°, so that they have no edge: name two that meet")
     direction = np.cross(a.axis, b.axis)
     direction /= np.linalg.norm(direction)
@@ -65,7 +65,7 @@ def slot_of(a: Plane, b: Plane) -> Place:
     Raises:
         InputError: they are not parallel within 30°.
     """
-    if angle_between(place_of(a), place_of(b)) > np.degrees(_FACING):
+    if np.linalg.norm(np.cross(a.axis, b.axis)) > np.sin(_FACING):
         raise InputError("its two planes are at more than 30° to each other: name the two sides of one slot or rib")
     other = b.axis if a.axis @ b.axis > 0 else -b.axis
     normal = a.axis + other
@@ -100,13 +100,15 @@ def distance_between(a: Place, b: Place) -> float:
 
 
 def angle_between(a: Place, b: Place) -> float:
-    """Of two lines or planes, or of a line and a plane, 0° to 90°."""
+    """Of two planes, as they face, 0° to 180°; of two lines, or a line and a plane, 0° to 90°."""
     first = a.direction if a.direction is not None else a.normal
     second = b.direction if b.direction is not None else b.normal
     assert first is not None
     assert second is not None
+    cosine = float(first @ second)
+    cosine = cosine if a.direction is None and b.direction is None else abs(cosine)
     # By sine and cosine both: a right angle and none are told as well as any.
-    angle = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), abs(float(first @ second)))))
+    angle = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), cosine)))
     return angle if (a.direction is None) == (b.direction is None) else 90.0 - angle
 
 

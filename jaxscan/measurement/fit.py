@@ -7,12 +7,10 @@ does to the distance of point i, the numbers follow a small error δ of the dist
 
 Every point has noise of its own, δᵢ = σᵢ εᵢ; with the rig's errors δθ all of them move, δ = D δθ, Dᵢ = gᵢ ∂xᵢ/∂θ. So
 
-    cov p = s² τ (Jᵀ W J)⁻¹ + (G D) Σ (G D)ᵀ,
+    cov p = s² G C Gᵀ + (G D) Σ (G D)ᵀ,    Cᵢⱼ = σᵢ ρᵢⱼ σⱼ,
 
 Σ the rig's covariance; the second part does not shrink with the number of points. s² is what the residuals say of the
-noise, in units of σ². τ is how many points are worth one: errors of neighbours along a stripe, and of neighbouring
-frames, are alike (speckle), so τ = τ_columns τ_frames, each the integrated correlation of the residuals along one axis
-of the grid.
+noise, in units of σ², and ρ how alike errors of neighbours are, along a stripe and from frame to frame (`alike`).
 """
 
 from dataclasses import dataclass, replace
@@ -22,8 +20,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import ndimage
 
-from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.errors import InputError
+from jaxscan.measurement.alike import Alike
 from jaxscan.measurement.guess import guess
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import Plane, Shape, Vector
@@ -31,25 +29,30 @@ from jaxscan.robust import NORMAL_MAD
 
 # Points further than so many robust σ from the shape are not of it.
 _LIMIT: Final = 4.0
-_ROUNDS, _STEPS = 30, 50
+_ROUNDS, _STEPS, _HALVES = 15, 50, 12
+# Steps to where a point's line meets the shape, and how many σ it may come.
+_NEWTON, _FAR = 2, 8.0
 # A step that moves nothing by more than this part of the shape's size is the last.
-_STILL: Final = 1e-13
+# Float32 coordinates have no more digits than the second; before the last fit the third will do.
+_STILL, _ENOUGH, _ROUGHLY = 1e-13, 1e-6, 1e-4
 # The least that a σ across the surface is of that along the ray: where light grazes, other errors count.
 _BEST: Final = 0.3
 FEWEST: Final = 20
 # Of how many points the rig's part is taken: it is smooth over the surface.
 _OF_RIG: Final = 2000
-# How many lines of the grid tell of correlation along them.
-_LINES: Final = 64
+# Who is of a shape is settled by at most so many.
+_OF_ROUNDS: Final = 5000
 _GROWTHS: Final = 10
 # A residual below this part of the size is rounding, of float32 coordinates.
 _ROUNDING: Final = 1e-7
 _SINGULAR: Final = 1e-12
+# The least part of the noise that is taken to be left in the residuals.
+_LEFT: Final = 0.2
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted shape, and how well its numbers are known.
+    """A fitted shape.
 
     Attributes:
         shape: the shape.
@@ -57,10 +60,6 @@ class Fit:
         left_out: how many points of the region are not of it.
         residuals: signed distances of the points that are used, mm.
         spread: σ of these by the stripe alone, relative to each other, mm.
-        scale: s, what the residuals are in units of that.
-        tau: how many points are worth one.
-        own: covariance of the shape's numbers by the points' own noise, mm².
-        by_rig: how the numbers move with the rig's leaves; None without a rig.
     """
 
     shape: Shape
@@ -68,10 +67,6 @@ class Fit:
     left_out: int
     residuals: Float[np.ndarray, "used"]
     spread: Float[np.ndarray, "used"]
-    scale: float
-    tau: float
-    own: Float[np.ndarray, "numbers numbers"]
-    by_rig: Float[np.ndarray, "numbers leaves"] | None = None
 
     @property
     def rms_mm(self) -> float:
@@ -83,10 +78,24 @@ class Fit:
         """From the lowest point to the highest, noise and all."""
         return float(np.ptp(self.residuals))
 
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom of the scale: independent points beyond the shape's numbers."""
-        return max(len(self.used) / self.tau - self.shape.numbers, 1.0)
+
+@dataclass(frozen=True)
+class Known:
+    """How well the numbers of a fitted shape are known.
+
+    Attributes:
+        scale: s, what the residuals are in units of the points' σ.
+        tau: how many points are worth one.
+        freedom: of the scale: independent points beyond the shape's numbers.
+        own: covariance of the shape's numbers by the points' own noise, mm².
+        by_rig: how the numbers move with the rig's leaves; None without a rig.
+    """
+
+    scale: float
+    tau: float
+    freedom: float
+    own: Float[np.ndarray, "numbers numbers"]
+    by_rig: Float[np.ndarray, "numbers leaves"] | None
 
 
 def fit_shape(
@@ -125,10 +134,10 @@ def fit_shape(
             break
     used = candidates[inside]
     _enough(len(used), len(candidates))
-    shape, spread = _least_squares(scanned, shape, used)
-    shape = _facing(scanned, shape, used)
+    shape = _facing(scanned, _least_squares(scanned, shape, used), used)
+    off = _off(scanned, shape, used)
     left_out = int((~np.isin(region, used)).sum())
-    return _known(scanned, shape, used, left_out, spread)
+    return Fit(shape, used, left_out, off.distance, off.spread)
 
 
 def _enough(count: int, of: int | None = None) -> None:
@@ -144,21 +153,23 @@ def _settled(
     scanned: Scanned, shape: Shape, candidates: Int[np.ndarray, "candidates"]
 ) -> tuple[Shape, np.ndarray, float]:
     """Rounds of least squares without outliers: the shape, who is of it, and σ in units of the points' own."""
-    x = scanned.points[candidates]
-    inside = np.ones(len(x), bool)
+    some = candidates[few(len(candidates), _OF_ROUNDS)]
+    inside = np.ones(len(some), bool)
     sigma = 0.0
     for _ in range(_ROUNDS):
-        spread = _spread(scanned, shape, candidates)
-        off = np.abs(shape.distances(x)) / spread
-        sigma = max(NORMAL_MAD * float(np.median(off[inside])), _ROUNDING * shape.size / float(np.median(spread)))
+        found = _off(scanned, shape, some, nearest=True)
+        off = np.abs(found.distance) / found.spread
+        least = _ROUNDING * shape.size / float(np.median(found.spread))
+        sigma = max(NORMAL_MAD * float(np.median(off[inside])), least)
         now = off <= _LIMIT * sigma
         if now.sum() < FEWEST:
             break
-        shape = _least_squares(scanned, shape, candidates[now])[0]
+        shape = _least_squares(scanned, shape, some[now], nearest=True)
         if (now == inside).all():
             break
         inside = now
-    return shape, inside, sigma
+    of_all = _off(scanned, shape, candidates, nearest=True)
+    return shape, np.abs(of_all.distance) <= _LIMIT * sigma * of_all.spread, sigma
 
 
 def _grown(scanned: Scanned, shape: Shape, seeds: Int[np.ndarray, "seeds"], sigma: float) -> Int[np.ndarray, "grown"]:
@@ -166,7 +177,8 @@ def _grown(scanned: Scanned, shape: Shape, seeds: Int[np.ndarray, "seeds"], sigm
     assert scanned.place is not None
     assert scanned.image is not None
     every = np.arange(len(scanned.points))
-    near = np.abs(shape.distances(scanned.points)) <= _LIMIT * sigma * _spread(scanned, shape, every)
+    off = _off(scanned, shape, every, nearest=True)
+    near = np.abs(off.distance) <= _LIMIT * sigma * off.spread
     mask = np.zeros(scanned.image.valid.shape, bool)
     frames, columns = scanned.place.T
     mask[frames[near], columns[near]] = True
@@ -176,46 +188,72 @@ def _grown(scanned: Scanned, shape: Shape, seeds: Int[np.ndarray, "seeds"], sigm
     return every[near & np.isin(label[frames, columns], of_seeds[of_seeds > 0])]
 
 
-def _spread(scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some"]:
-    """σ of the distances by the stripe alone, mm; 1 for all where nothing is known of it."""
+@dataclass(frozen=True)
+class _Off:
+    """How far points are off a shape.
+
+    Attributes:
+        foot: where on the shape each belongs.
+        distance: along the gradient there, mm.
+        spread: σ of this by the stripe alone, relative to each other, mm.
+    """
+
+    foot: Float[np.ndarray, "points 3"]
+    distance: Float[np.ndarray, "points"]
+    spread: Float[np.ndarray, "points"]
+
+
+def _off(scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"], nearest: bool = False) -> _Off:
+    """How far some points are off a shape; `nearest` for what is nearly so, and sooner.
+
+    An error of the stripe moves a point along a line that is known. So it belongs to where this line meets the shape,
+    and is off by how far it has come: on a ball the distance to the nearest point would be more for errors outwards
+    than for those inwards, by σ² / R, and the weights would follow the errors. Where the line grazes it is the nearest.
+    """
+    x = scanned.points[some]
+    distance = shape.distances(x)
     if scanned.stripe is None or scanned.sigma is None:
-        return np.ones(len(some))
-    across = np.abs((shape.gradient(scanned.points[some]) * scanned.stripe[some]).sum(axis=1))
-    return np.maximum(across, _BEST * scanned.sigma[some])
+        return _Off(x, distance, np.ones(len(x)))
+    stripe, least = scanned.stripe[some], _BEST * scanned.sigma[some]
+    if nearest:
+        return _Off(x, distance, np.maximum(np.abs((shape.gradient(x) * stripe).sum(axis=1)), least))
+    foot, t, steep = x, np.zeros(len(x)), np.ones(len(x), bool)
+    for _ in range(_NEWTON):
+        slope = (shape.gradient(foot) * stripe).sum(axis=1)
+        steep = np.abs(slope) > least
+        t = np.where(steep, np.clip(t + shape.distances(foot) / np.where(steep, slope, 1.0), -_FAR, _FAR), 0.0)
+        foot = x - t[:, None] * stripe
+    slope = (shape.gradient(foot) * stripe).sum(axis=1)
+    along = steep & (np.abs(slope) > least) & (np.abs(t) < _FAR)
+    foot = np.where(along[:, None], foot, x)
+    return _Off(foot, np.where(along, t * slope, distance), np.maximum(np.abs(slope), least))
 
 
-def _least_squares(
-    scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]
-) -> tuple[Shape, Float[np.ndarray, "used"]]:
-    """Gauss's steps to the least weighted sum of squares, the weights those where it stands at first; and these σ."""
+def _least_squares(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"], nearest: bool = False) -> Shape:
+    """Gauss's steps to the least weighted sum of squares, the weights those where it stands at first."""
+    still = _STILL if scanned.stripe is None else _ROUGHLY if nearest else _ENOUGH
     x = scanned.points[used]
     shape = shape.placed(x)
-    spread = _spread(scanned, shape, used)
-    least, weight = np.inf, 1 / spread[:, None]
+    off = _off(scanned, shape, used, nearest)
+    least, weight = np.inf, 1 / off.spread[:, None]
     for _ in range(_STEPS):
-        A, b = shape.jacobian(x) * weight, shape.distances(x) * weight[:, 0]
+        A, b = shape.jacobian(off.foot) * weight, off.distance * weight[:, 0]
         step = -np.linalg.lstsq(A.T @ A, A.T @ b, rcond=_SINGULAR)[0]
-        taken, after = _shortened(shape, x, step, weight[:, 0], float(b @ b))
-        if taken is None:
+        before = float(b @ b)
+        for _ in range(_HALVES):
+            moved = shape.moved(step)
+            off = _off(scanned, moved, used, nearest)
+            after = float(((off.distance * weight[:, 0]) ** 2).sum())
+            if after <= before * (1 + 1e-12):
+                break
+            step = step / 2
+        else:
             break
-        shape = taken
-        if np.abs(step).max() <= _STILL * shape.size or not after < least:
+        shape = moved
+        if np.abs(step).max() <= still * shape.size or not after < least:
             break
         least = after
-    return shape.placed(x), spread
-
-
-def _shortened(
-    shape: Shape, x: np.ndarray, step: np.ndarray, weight: np.ndarray, before: float
-) -> tuple[Shape | None, float]:
-    """The shape after the step, or a half or a quarter of it …, whichever does not make the sum of squares larger."""
-    for _ in range(12):
-        moved = shape.moved(step)
-        after = float(((moved.distances(x) * weight) ** 2).sum())
-        if after <= before * (1 + 1e-12):
-            return moved, after
-        step = step / 2
-    return None, before
+    return shape.placed(x)
 
 
 def _facing(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]) -> Shape:
@@ -226,25 +264,35 @@ def _facing(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]) -> Sh
     return replace(shape, axis=-shape.axis) if shape.axis @ (camera - shape.point) < 0 else shape
 
 
-def _known(
-    scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"], left_out: int, spread: Float[np.ndarray, "used"]
-) -> Fit:
-    """With the covariance of its numbers."""
-    x = scanned.points[used]
-    residuals = shape.distances(x)
-    A = shape.jacobian(x) / spread[:, None]
-    scale = float(np.sqrt(((residuals / spread) ** 2).sum() / max(len(x) - shape.numbers, 1)))
-    place = None if scanned.place is None else scanned.place[used]
-    tau = 1.0 if place is None else correlation(place, residuals / spread)
-    normal = A.T @ A
-    if np.linalg.eigvalsh(normal)[0] <= _SINGULAR * np.trace(normal):
+def known(scanned: Scanned, fit: Fit, alike: Alike, least: float = 0.0) -> Known:
+    """How well a fit determines the shape's numbers.
+
+    Args:
+        scanned: what it was fitted to.
+        fit: the fit.
+        alike: how alike neighbours' errors are in the scan.
+        least: the least scale, by what other features of the scan say.
+
+    Raises:
+        InputError: the points do not determine the shape.
+    """
+    shape, x = fit.shape, scanned.points[fit.used]
+    A = shape.jacobian(x) / fit.spread[:, None]
+    values = np.linalg.eigvalsh(A.T @ A)
+    if values[0] <= _SINGULAR * values[-1]:
         raise InputError("its points do not determine it: they may lie on a line, or in one place; enlarge the region")
-    own = scale**2 * tau * np.linalg.inv(normal)
+    place = None if scanned.place is None else scanned.place[fit.used]
+    tau = alike.tau(scanned.image is None)
+    # What the fit has taken up is `numbers` of the independent points, which are fewer than there are.
+    left = len(x) * max(1 - shape.numbers * tau / len(x), _LEFT)
+    scale = max(float(np.sqrt(((fit.residuals / fit.spread) ** 2).sum() / left)), least)
+    follows = np.linalg.solve(A.T @ A, A.T)
+    own = scale**2 * alike.variance(place, follows, scanned.image is None)
     by_rig = None
     if scanned.by_rig is not None:
         some = few(len(x), _OF_RIG)
-        by_rig = response(shape, x[some], spread[some]) @ moved_by_rig(scanned, shape, used[some])
-    return Fit(shape, used, left_out, residuals, spread, scale, tau, own, by_rig)
+        by_rig = response(shape, x[some], fit.spread[some]) @ moved_by_rig(scanned, shape, fit.used[some])
+    return Known(scale, tau, max(len(x) / tau - shape.numbers, 1.0), own, by_rig)
 
 
 def response(
@@ -265,20 +313,3 @@ def moved_by_rig(scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"]) 
 def few(count: int, most: int) -> Int[np.ndarray, "some"]:
     """Evenly chosen numbers below a count, at most so many."""
     return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(int)
-
-
-def correlation(place: Int[np.ndarray, "points 2"], errors: Float[np.ndarray, "points"]) -> float:
-    """τ of errors on a grid: the product of those along its two axes."""
-    first = place.min(axis=0)
-    shape = tuple(place.max(axis=0) - first + 1)
-    grid, there = np.zeros(shape), np.zeros(shape, bool)
-    i, j = (place - first).T
-    grid[i, j], there[i, j] = errors, True
-    tau = 1.0
-    for values, mask in ((grid, there), (grid.T, there.T)):
-        # The fullest lines, of those that hold more than a point or two.
-        full = np.argsort(-mask.sum(axis=1), kind="stable")[:_LINES]
-        full = full[mask[full].sum(axis=1) > 2]
-        if len(full):
-            tau *= integrated_correlation(list(values[full]), list(mask[full]))
-    return tau

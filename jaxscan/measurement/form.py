@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.measurement.fit import Fit, few, moved_by_rig
+from jaxscan.measurement.fit import Fit, Known, few, moved_by_rig
 from jaxscan.measurement.scanned import Scanned
 
 _PATCHES: Final = 6
@@ -45,15 +45,15 @@ class Form:
     patches: int
 
 
-def form_of(scanned: Scanned, fit: Fit) -> Form:
+def form_of(scanned: Scanned, fit: Fit, found: Known) -> Form:
     """How far the surface is from a shape that was fitted to it."""
     patch = patches(scanned.points[fit.used], scanned.place is not None and scanned.image is None)
     left = None
-    if fit.by_rig is not None:
+    if found.by_rig is not None:
         some = few(len(fit.used), _OF_RIG)
         x = scanned.points[fit.used[some]]
-        left = some, moved_by_rig(scanned, fit.shape, fit.used[some]) + fit.shape.jacobian(x) @ fit.by_rig
-    noise = fit.scale * np.sqrt(fit.tau) * fit.spread
+        left = some, moved_by_rig(scanned, fit.shape, fit.used[some]) + fit.shape.jacobian(x) @ found.by_rig
+    noise = found.scale * np.sqrt(found.tau) * fit.spread
     return deviation(scanned, fit.residuals, patch, noise, left, np.ptp)
 
 
@@ -104,10 +104,11 @@ def scaled(
 def patches(x: Float[np.ndarray, "points 3"], along: bool) -> Patches:
     """Pieces of a surface of about equal size: squares across its two longest extents; pieces of a line, in order."""
     if along:
-        return (np.arange(len(x)) * _ALONG) // len(x)
+        return (np.arange(len(x)) * int(np.clip(len(x) // _FEWEST, 2, _ALONG))) // len(x)
     middle = x - x.mean(axis=0)
     flat = middle @ np.linalg.eigh(middle.T @ middle)[1][:, :0:-1]
     low, extent = flat.min(axis=0), np.ptp(flat, axis=0)
-    counts = np.clip(np.round(_PATCHES * np.sqrt(extent / extent[::-1])), 2, _PATCHES**2 / 2).astype(int)
+    across = np.sqrt(np.clip(len(x) / (2 * _FEWEST), 4, _PATCHES**2))
+    counts = np.clip(np.round(across * np.sqrt(extent / extent[::-1])), 2, _PATCHES**2 / 2).astype(int)
     cell = np.minimum(((flat - low) / extent * counts).astype(int), counts - 1)
     return cell[:, 0] * counts[1] + cell[:, 1]

@@ -14,10 +14,10 @@ from jaxscan.errors import InputError
 from jaxscan.geometry.robust_plane import planes_through
 from jaxscan.measurement.shapes import Ball, Circle, Cone, Cylinder, Line, Plane, Points, Shape, Vector, across
 
-_TRIALS: Final = 300
-_SAMPLE: Final = 1500
+_TRIALS: Final = 150
+_SAMPLE: Final = 800
 _SEED: Final = 2003
-_AROUND: Final = 40
+_AROUND: Final = 30
 # A cone with half an opening angle below this is a cylinder, above its complement a plane.
 _LEAST_ANGLE: Final = np.radians(0.5)
 _NO_AXIS: Final = np.array([0.0, 0.0, 1.0])

@@ -6,7 +6,7 @@ features share may cancel in their distance, and are seen to. The interval is th
 freedom of the points' part (B. L. Welch, 1947).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -17,8 +17,9 @@ from scipy.stats import t as students_t
 
 from jaxscan.errors import InputError, said_of
 from jaxscan.files.part_file import FITTED, IN_A_SECTION, OF_TWO_PLANES, Dimension, Feature, Part
+from jaxscan.measurement.alike import Alike, Place, how_alike
 from jaxscan.measurement.dimensions import Shapes, edge_of, slot_of
-from jaxscan.measurement.fit import Fit, few, fit_shape
+from jaxscan.measurement.fit import Fit, Known, few, fit_shape, known
 from jaxscan.measurement.form import CONFIDENCE, Form, form_of
 from jaxscan.measurement.profile import profile_of
 from jaxscan.measurement.scanned import Scanned
@@ -48,6 +49,7 @@ class MeasuredFeature:
         left_out: how many of its region are not.
         notes: sentences about it.
         problem: why there is none; "" where there is.
+        known: how well the shape's numbers are known; None for what is not fitted.
     """
 
     feature: Feature
@@ -57,6 +59,7 @@ class MeasuredFeature:
     left_out: int
     notes: tuple[str, ...] = ()
     problem: str = ""
+    known: Known | None = None
 
     @property
     def shape(self) -> Shape | None:
@@ -153,6 +156,17 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
             features[feature.name] = _feature(scanned, feature, features)
         except InputError as error:
             features[feature.name] = MeasuredFeature(feature, None, None, 0, 0, problem=str(error))
+    alike = how_alike(_left(features.values()))
+    # Surfaces first: of their many points the scale is better known than of an outline's few.
+    for outlines in (False, True):
+        scales = [each.known.scale for each in features.values() if each.known is not None]
+        least = float(np.median(scales)) if outlines and scales else 0.0
+        for name, each in features.items():
+            if each.fit is not None and each.scanned is not None and (each.scanned.image is None) == outlines:
+                try:
+                    features[name] = replace(each, known=known(each.scanned, each.fit, alike, least))
+                except InputError as error:
+                    features[name] = replace(each, problem=str(error), fit=None)
     shapes = Shapes(
         {name: each.shape for name, each in features.items() if each.shape is not None},
         {name: each.feature for name, each in features.items() if each.feature.kind in OF_TWO_PLANES},
@@ -161,7 +175,7 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
     dimensions = []
     for dimension in part.dimensions:
         try:
-            measured = _dimension(scanned, dimension, features, shapes)
+            measured = _dimension(scanned, dimension, features, shapes, alike)
         except InputError as error:
             measured = MeasuredDimension(dimension, None, problem=str(error))
         if dimension.tolerance is not None and dimension.nominal is not None:
@@ -202,6 +216,16 @@ def _feature(scanned: Scanned, feature: Feature, before: Mapping[str, MeasuredFe
     return MeasuredFeature(feature, fit, source, len(fit.used), fit.left_out, notes)
 
 
+def _left(features: Iterable[MeasuredFeature]) -> list[tuple[Place, Float[np.ndarray, "points"]]]:
+    """What is left of fits to the grid, in units of σ: of surfaces, or where there are none of outlines."""
+    of_surfaces, of_outlines = [], []
+    for each in features:
+        if each.fit is not None and each.scanned is not None and each.scanned.place is not None:
+            left = each.scanned.place[each.fit.used], each.fit.residuals / each.fit.spread
+            (of_surfaces if each.scanned.image is not None else of_outlines).append(left)
+    return of_surfaces or of_outlines
+
+
 def _sound(feature: MeasuredFeature) -> MeasuredFeature:
     if feature.problem:
         raise InputError(f'"{feature.feature.name}" could not be measured: {feature.problem}')
@@ -209,7 +233,7 @@ def _sound(feature: MeasuredFeature) -> MeasuredFeature:
 
 
 def _dimension(
-    scanned: Scanned, dimension: Dimension, features: Mapping[str, MeasuredFeature], shapes: Shapes
+    scanned: Scanned, dimension: Dimension, features: Mapping[str, MeasuredFeature], shapes: Shapes, alike: Alike
 ) -> MeasuredDimension:
     of = [_sound(features[name]) for name in dimension.of]
     base = MeasuredDimension(
@@ -223,7 +247,8 @@ def _dimension(
         fit, source = of[0].fit, of[0].scanned
         assert fit is not None
         assert source is not None
-        return _of_form(base, form_of(source, fit), fit.form_mm)
+        assert of[0].known is not None
+        return _of_form(base, form_of(source, fit, of[0].known), fit.form_mm)
     if dimension.kind == "profile":
         assert of[0].scanned is not None
         with said_of(str(dimension.reference)):
@@ -233,7 +258,8 @@ def _dimension(
         source, plane = of[0].scanned, of[1]
         assert source is not None
         assert plane.fit is not None
-        found = volume_above(source, plane.fit, plane.scanned)
+        assert plane.known is not None
+        found = volume_above(source, plane.fit, plane.known, alike)
         own, b = found.own, found.by_rig
         base = replace(base, value=found.value, notes=(*base.notes, *found.notes))
         return _with_interval(scanned, base, own, np.inf, b)
@@ -241,18 +267,19 @@ def _dimension(
     if dimension.kind == "flush":
         shapes = replace(shapes, seams={dimension.name: _seam(of)})
     slopes = {name: _slope(shapes, name, dimension) for name in names}
-    fits = {name: features[name].fit for name in names}
-    own, freedom, b = 0.0, 0.0, None
-    for name, fit in fits.items():
+    own, squares, b, forms = 0.0, 0.0, None, []
+    for name in names:
+        fit, found = features[name].fit, features[name].known
         assert fit is not None
-        part = float(slopes[name] @ fit.own @ slopes[name])
-        own, freedom = own + part, freedom + part**2 / fit.freedom
-        if fit.by_rig is not None:
-            follows = slopes[name] @ fit.by_rig
+        assert found is not None
+        part = float(slopes[name] @ found.own @ slopes[name])
+        own, squares = own + part, squares + part**2 / found.freedom
+        forms.append(fit.form_mm)
+        if found.by_rig is not None:
+            follows = slopes[name] @ found.by_rig
             b = follows if b is None else b + follows
-    forms = [fit.form_mm for fit in fits.values() if fit is not None]
     base = replace(base, value=shapes.value(dimension), form_mm=max(forms))
-    return _with_interval(scanned, base, own, freedom, b)
+    return _with_interval(scanned, base, own, squares, b)
 
 
 def _of_form(base: MeasuredDimension, form: Form, largest: float) -> MeasuredDimension:

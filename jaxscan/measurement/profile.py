@@ -6,7 +6,8 @@ from jaxtyping import Float, Int
 from jaxscan.errors import InputError
 from jaxscan.files.mesh import read_mesh
 from jaxscan.files.part_file import Dimension
-from jaxscan.measurement.fit import correlation, few
+from jaxscan.measurement.alike import how_alike
+from jaxscan.measurement.fit import few
 from jaxscan.measurement.form import Form, deviation, patches
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.surface.fit import rigid_fit_to
@@ -50,7 +51,7 @@ def profile_of(scanned: Scanned, dimension: Dimension) -> tuple[Form, float, tup
         count = np.maximum(np.bincount(patch, minlength=patch.max() + 1), 1)
         rest = off - (np.bincount(patch, off, minlength=len(count)) / count)[patch]
         scale = float(np.sqrt(((rest / across) ** 2).mean()))
-        tau = correlation(scanned.place, rest / across) if scanned.place is not None else 1.0
+        tau = how_alike([(scanned.place, rest / across)]).tau() if scanned.place is not None else 1.0
         noise = scale * np.sqrt(tau) * across
         some = few(len(points), _OF_RIG)
         moved = some, np.einsum("pi,pil->pl", normal[some], scanned.by_rig(some))

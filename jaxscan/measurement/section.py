@@ -5,7 +5,7 @@ a and b, and so that it stays in the plane: where both move by δ,
 
     δx = (1 − (b − a) mᵀ / (m · (b − a))) δ,
 
-m the plane's normal. Of a and b's own noise it has √((1 − t)² + t²) times one's.
+m the plane's normal. Of its own noise it has no more than a or b has.
 """
 
 from dataclasses import replace
@@ -60,7 +60,6 @@ def _of_grid(scanned: Scanned, point: Float[np.ndarray, "3"], normal: Float[np.n
     a, b, way = a[near], b[near], way[near]
     t = height[a] / (height[a] - height[b])
     slide = np.eye(3) - way[:, :, None] * normal / (way @ normal)[:, None, None]
-    noise = np.sqrt((1 - t) ** 2 + t**2)
     order = np.stack([np.zeros(len(a), int), np.arange(len(a))], axis=1)
     by_rig = scanned.by_rig
 
@@ -68,7 +67,7 @@ def _of_grid(scanned: Scanned, point: Float[np.ndarray, "3"], normal: Float[np.n
         assert by_rig is not None
         return slide[some] @ by_rig(a[some])
 
-    stripe = None if scanned.stripe is None else (slide @ scanned.stripe[a][..., None])[..., 0] * noise[:, None]
+    stripe = None if scanned.stripe is None else (slide @ scanned.stripe[a][..., None])[..., 0]
     return replace(
         scanned,
         points=scanned.points[a] + t[:, None] * way,

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.errors import InputError
-from jaxscan.measurement.fit import Fit
+from jaxscan.measurement.alike import Alike
+from jaxscan.measurement.fit import Fit, Known
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import across
 
@@ -37,13 +38,14 @@ class Volume:
     notes: tuple[str, ...]
 
 
-def volume_above(scanned: Scanned, plane: Fit, on: Scanned | None) -> Volume:
+def volume_above(scanned: Scanned, plane: Fit, known: Known, alike: Alike) -> Volume:
     """Of a surface above a fitted plane.
 
     Args:
         scanned: the surface's points, with their places in the range image.
         plane: the plane.
-        on: what the plane was fitted to.
+        known: how well its numbers are known.
+        alike: how alike neighbours' errors are in the scan.
 
     Raises:
         InputError: the points have no order, or are no neighbours.
@@ -68,18 +70,19 @@ def volume_above(scanned: Scanned, plane: Fit, on: Scanned | None) -> Volume:
         np.add.at(by_point, corners[:, k], slope)
     value = float((mean * area).sum())
     notes = ("what the scan has not seen, such as undercuts, counts as the triangles over it do",)
-    if scanned.by_rig is None or scanned.stripe is None or plane.by_rig is None or on is None:
+    if scanned.by_rig is None or scanned.stripe is None or known.by_rig is None:
         return Volume(value, 0.0, None, notes)
     # By the plane: heights, and by its turns the areas as seen along its normal too.
     by_plane = plane.shape.jacobian(P.mean(axis=1)).T @ area
     turned = sign * (mean[:, None] * np.cross(P[:, 1] - P[:, 0], P[:, 2] - P[:, 0])).sum(axis=0) / 2
     by_plane[:2] += np.stack(across(n)) @ turned / plane.shape.size
-    own = plane.scale**2 * plane.tau * float(((by_point * scanned.stripe).sum(axis=1) ** 2).sum())
-    own += float(by_plane @ plane.own @ by_plane)
+    weights = (by_point * scanned.stripe).sum(axis=1)
+    own = known.scale**2 * float(alike.variance(scanned.place, weights[None])[0, 0])
+    own += float(by_plane @ known.own @ by_plane)
     matters = np.flatnonzero(np.abs(by_point).sum(axis=1) > 0)
     every = max(1, len(matters) // _OF_RIG)
     some = matters[::every]
-    by_rig = every * np.einsum("pi,pil->l", by_point[some], scanned.by_rig(some)) + by_plane @ plane.by_rig
+    by_rig = every * np.einsum("pi,pil->l", by_point[some], scanned.by_rig(some)) + by_plane @ known.by_rig
     return Volume(value, own, by_rig, notes)
 
 

@@ -85,7 +85,7 @@ def draw_range(
             bar.ax.set_yticklabels(["kept", *RULES])
         elif title != "shaded":
             figure.colorbar(shown, ax=ax, label=unit, shrink=0.8)
-    _save(plt, figure, path)
+    save_figure(plt, figure, path)
 
 
 def draw_mesh(
@@ -144,7 +144,7 @@ def draw_mesh(
         ax.autoscale_view()
         ax.set(aspect="equal", xlabel="mm", ylabel="mm")
     figure.suptitle(title)
-    _save(plt, figure, path)
+    save_figure(plt, figure, path)
 
 
 def draw_exhibit(path: str | os.PathLike[str], shown: Exhibit, colour: str, title: str) -> None:
@@ -188,7 +188,7 @@ def draw_exhibit(path: str | os.PathLike[str], shown: Exhibit, colour: str, titl
             ax.legend(loc="lower left")
     figure.colorbar(dots, ax=axes[-1], label=f"{colour}, {UNITS[colour]}", shrink=0.8)
     figure.suptitle(title)
-    _save(plt, figure, path)
+    save_figure(plt, figure, path)
 
 
 def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title: str) -> None:
@@ -222,7 +222,7 @@ def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title:
     right.hist(np.clip(micrometres, -1.5 * limit, 1.5 * limit), bins=80, color="0.4")
     right.set(xlabel="signed distance / µm", ylabel="points")
     figure.suptitle(title)
-    _save(plt, figure, path)
+    save_figure(plt, figure, path)
 
 
 def _look(up: Float[np.ndarray, "3"], turn: float) -> tuple[Float[np.ndarray, "3"], ...]:
@@ -237,7 +237,8 @@ def _look(up: Float[np.ndarray, "3"], turn: float) -> tuple[Float[np.ndarray, "3
     return across, np.cross(toward, across), toward
 
 
-def _save(plt: Any, figure: Any, path: str | os.PathLike[str]) -> None:
+def save_figure(plt: Any, figure: Any, path: str | os.PathLike[str]) -> None:
+    """A matplotlib figure as a PNG, whole or not at all; it is closed."""
     with replacing(path) as file:
         figure.savefig(file, format="png", dpi=90)
     plt.close(figure)

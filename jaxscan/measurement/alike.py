@@ -1,0 +1,118 @@
+"""How alike the errors of neighbours are: the correlation ρ(k, l) over lags of k frames and l columns.
+
+Speckle, a detector that smooths, and a surface's own grain are shared by neighbours, so that a thousand points are
+worth fewer. ρ is the autocorrelation of what is left of all fits of a scan together, by FFT over the grid of frames and
+columns, up to where it is lost in its own noise. The variance of Σ gᵢ εᵢ, g the weights on the grid, is Σ gᵢ ρᵢⱼ gⱼ: by
+FFT again. For weights that vary slowly it is τ Σ gᵢ², τ = Σ ρ(k, l) (A. Sokal, 1997).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+# Autocorrelation is taken of at most so many frames and columns of a feature, and up to so many of them apart.
+_WINDOW: Final = 384
+_MOST: Final = 48
+# A correlation below the first, or below so many times its own σ, 1 / √n, is lost.
+_LOST: Final = 0.03
+_NOISE: Final = 2.0
+
+Grid = Float[np.ndarray, "frames columns"]
+Place = Int[np.ndarray, "points 2"]
+
+
+@dataclass(frozen=True)
+class Alike:
+    """The correlation of neighbours' errors.
+
+    Attributes:
+        rho: at lags −k … k of frames and −l … l of columns; 1 in the middle.
+    """
+
+    rho: Float[np.ndarray, "lags lags"]
+
+    def along(self, outline: bool) -> Float[np.ndarray, "lags lags"]:
+        """Of the grid; or of an outline, whose points are neighbours along a frame or a column, whichever is more."""
+        if not outline:
+            return self.rho
+        frame, column = (n // 2 for n in self.rho.shape)
+        lines = self.rho[frame], self.rho[:, column]
+        return max(lines, key=np.sum)[None]
+
+    def tau(self, outline: bool = False) -> float:
+        """How many points are worth one, where what is asked of them varies slowly."""
+        return max(float(self.along(outline).sum()), 1.0)
+
+    def variance(
+        self, place: Place | None, weights: Float[np.ndarray, "sums points"], outline: bool = False
+    ) -> Float[np.ndarray, "sums sums"]:
+        """The covariance of sums of the points' errors, of σ 1 each; without places the errors are independent."""
+        rho = self.along(outline)
+        if place is None or rho.size == 1:
+            return weights @ weights.T
+        shape, (i, j) = _box(place)
+        fields = np.zeros((len(weights), *shape))
+        fields[:, i, j] = weights
+        size = [_fast(n + m) for n, m in zip(shape, rho.shape, strict=True)]
+        spread = np.fft.irfft2(np.fft.rfft2(fields, size) * np.fft.rfft2(_wrapped(rho, size), size), size)
+        covariance = weights @ spread[:, i, j].T
+        # An estimated ρ need not be positive definite: never below a tenth of what independent errors have.
+        values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+        least = 0.1 * np.einsum("ki,kl,li->i", vectors, weights @ weights.T, vectors)
+        return (vectors * np.maximum(values, least)) @ vectors.T
+
+
+INDEPENDENT: Final = Alike(np.ones((1, 1)))
+
+
+def how_alike(errors: Sequence[tuple[Place, Float[np.ndarray, "points"]]]) -> Alike:
+    """From what is left of fits, each on its own piece of the grid, in units of σ."""
+    size = 2 * _MOST + 1
+    total, pairs = np.zeros((size, size)), np.zeros((size, size))
+    for place, values in errors:
+        near = (np.abs(place - np.median(place, axis=0).astype(int)) < _WINDOW // 2).all(axis=1)
+        shape, (i, j) = _box(place[near])
+        grid, there = np.zeros(shape), np.zeros(shape)
+        # Of one feature as of another, whatever their scales.
+        grid[i, j], there[i, j] = values[near] / max(float(np.sqrt((values[near] ** 2).mean())), 1e-300), 1.0
+        total += _lags(grid)
+        pairs += _lags(there)
+    if not pairs[_MOST, _MOST] > 0:
+        return INDEPENDENT
+    rho = np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0) / (total[_MOST, _MOST] / pairs[_MOST, _MOST])
+    ends = []
+    for along, count in ((rho[_MOST:, _MOST], pairs[_MOST:, _MOST]), (rho[_MOST, _MOST:], pairs[_MOST, _MOST:])):
+        lost = np.flatnonzero(along <= np.maximum(_LOST, _NOISE / np.sqrt(np.maximum(count, 1.0))))
+        ends.append(int(lost[0]) - 1 if len(lost) else _MOST)
+    frames, columns = ends
+    return Alike(rho[_MOST - frames : _MOST + frames + 1, _MOST - columns : _MOST + columns + 1])
+
+
+def _lags(grid: Grid) -> Float[np.ndarray, "lags lags"]:
+    """Σ of products at each lag."""
+    size = [_fast(max(n + _MOST + 1, 2 * _MOST + 1)) for n in grid.shape]
+    sums = np.fft.irfft2(np.abs(np.fft.rfft2(grid, size)) ** 2, size)
+    lags = np.arange(-_MOST, _MOST + 1)
+    return sums[np.ix_(lags, lags)]
+
+
+def _fast(n: int) -> int:
+    """The next power of two."""
+    return 1 << (n - 1).bit_length()
+
+
+def _wrapped(rho: Float[np.ndarray, "lags lags"], size: Sequence[int]) -> Grid:
+    """With its middle at the origin of a grid of this size."""
+    grid = np.zeros(tuple(size))
+    lags = [np.arange(n) - n // 2 for n in rho.shape]
+    grid[np.ix_(*lags)] = rho
+    return grid
+
+
+def _box(place: Place) -> tuple[tuple[int, ...], Int[np.ndarray, "2 points"]]:
+    """The size of the box around places of the grid, and the places in it."""
+    first = place.min(axis=0)
+    return tuple((place.max(axis=0) - first + 1).tolist()), (place - first).T

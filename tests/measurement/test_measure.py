@@ -1,0 +1,209 @@
+"""Dimensions of a drawn part: values, intervals of noise and of the rig, verdicts, and what cannot be measured."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks.measured_parts import Scene, as_image, at, drawn_rig, implicit, scan
+from jaxscan.errors import InputError
+from jaxscan.files.part_file import Dimension, Feature, Part, Region
+from jaxscan.files.rig_file import RigFile
+from jaxscan.measurement.measure import measure
+from jaxscan.measurement.scanned import scanned_image, scanned_points
+from jaxscan.measurement.verdict import verdict
+from jaxscan.rig import Covariance
+from jaxscan.rig.rig import parameter_names
+from jaxscan.simulation import rig_2003
+
+RIG = rig_2003.simulated_rig(0)
+SIGMAS = (0.2, 0.2, 0.1, 0.1, 4e-4, 5e-7, 1e-6, 1e-6, 1e-7, 1e-7, 2e-7)
+KNOWN = RigFile(RIG, Covariance(tuple(parameter_names(RIG)), np.diag(np.square(SIGMAS))))
+Y, STEPS = 12.0, np.arange(2000.0, 22000.0, 500.0)
+TRUTH = {"radius": 9.0, "step": 4.0, "distance": float(np.hypot(40, 1)), "angle": 0.0}
+
+
+def level(x):
+    """A dome of 9 mm radius, a step of 4 mm, and a floor."""
+    ball = np.linalg.norm(x - np.array([-30.0, Y, 3.0]), axis=1) - 9.0
+    step = np.maximum(x[:, 2] - 4.0, 20.0 - x[:, 0])
+    return np.minimum(np.minimum(ball, step), x[:, 2])
+
+
+def around(x, z, radius):
+    return Region(at(x, Y, z), None, radius)
+
+
+PART = Part(
+    Path("part.toml"),
+    "drawn",
+    (
+        Feature("ball", "ball", around(-30.0, 5.0, 8.5)),
+        Feature("low", "plane", around(10.0, 0.0, 8.0)),
+        Feature("high", "plane", around(30.0, 4.0, 8.0)),
+        Feature("cut", "section", around(30.0, 4.0, 9.0), point=at(0.0, Y, 0.0), normal=(0.0, 0.9, -0.42)),
+        Feature("line", "line", of=("cut",)),
+        Feature("none", "plane", around(0.0, 100.0, 3.0)),
+    ),
+    (
+        Dimension("radius", "radius", ("ball",), 9.0, (-0.5, 0.5)),
+        Dimension("step", "step", ("low", "high"), 4.0, (-0.001, 0.001)),
+        Dimension("angle", "angle", ("low", "high")),
+        Dimension("flatness", "flatness", ("high",), 0.0, (0.0, 1.0)),
+        Dimension("line over low", "distance", ("line", "low")),
+        Dimension("no distance", "distance", ("none", "ball"), 1.0, (-1.0, 1.0)),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene(implicit(level, STEPS), STEPS, PART, TRUTH)
+
+
+@pytest.fixture(scope="module")
+def drawn(scene):
+    """Forty drawings with noise, and forty with next to none, which leaves the rig's part."""
+    found = {}
+    for share in (1.0, 1e-3):
+        found[share] = []
+        for seed in range(40):
+            random = np.random.default_rng([5, seed])
+            own = drawn_rig(random, KNOWN)
+            found[share].append(measure(scanned_image(scan(scene, own, random, share), own), PART))
+    return found
+
+
+@pytest.mark.parametrize("share", [1.0, 1e-3])
+@pytest.mark.parametrize("name", ["radius", "step"])
+def test_errors_are_as_large_as_is_said(drawn, share, name):
+    each = [next(d for d in m.dimensions if d.dimension.name == name) for m in drawn[share]]
+    off = np.array([(d.value - TRUTH[name]) / d.sigma for d in each])
+    assert 0.7 < np.sqrt(np.mean(off**2)) < 1.35
+    assert np.mean([d.interval[0] <= TRUTH[name] <= d.interval[1] for d in each]) >= 0.85
+    rig = np.mean([d.sigma_rig / d.sigma for d in each])
+    assert rig > 0.95 if share < 1 else rig < 0.5
+
+
+def test_what_more_points_do_not_improve_is_the_rigs_part(scene):
+    random = np.random.default_rng(3)
+    own = drawn_rig(random, KNOWN)
+    image = scan(scene, own, random)
+    fine, coarse = (measure(scanned_image(x, own), PART).dimensions[0] for x in (image, image[:, ::2]))
+    assert coarse.points == pytest.approx(fine.points / 2, rel=0.1)
+    assert coarse.sigma_rig == pytest.approx(fine.sigma_rig, rel=0.02)
+    assert coarse.by_rig["camera.focal.0"] == pytest.approx(fine.by_rig["camera.focal.0"], rel=0.1)
+
+
+def test_the_derivative_by_the_rig_is_that_of_another_rig(scene):
+    """The step, measured with a rig of which one number is another."""
+    found = measure(scanned_image(as_image(scene.position, STEPS, RIG), KNOWN), PART).dimensions[1]
+    move = 3e-5
+    plane = RIG.lights[0].plane + np.array([0.0, 0.0, move])
+    other = replace_light(plane)
+    moved = measure(scanned_image(as_image(scene.position, STEPS, other), replace(KNOWN, rig=other)), PART).dimensions[
+        1
+    ]
+    assert found.by_rig["lights.0.plane.2"] == pytest.approx((moved.value - found.value) / move, rel=0.03)
+
+
+def replace_light(plane):
+    import equinox as eqx
+
+    return eqx.tree_at(lambda rig: rig.lights[0].plane, RIG, plane)
+
+
+def test_verdicts_and_what_is_left_unmeasured(drawn):
+    found = drawn[1.0][0]
+    by_name = {d.dimension.name: d for d in found.dimensions}
+    assert by_name["radius"].verdict == "conforming"
+    assert by_name["step"].verdict == "not decided"
+    assert by_name["flatness"].verdict == "conforming"
+    lost = by_name["no distance"]
+    assert lost.value is None
+    assert lost.verdict == "not decided"
+    assert '"none" could not be measured: 0 points lie in its region, 20 or more' in lost.problem
+    assert found.verdict == "not decided"
+    assert len(found.problems) == 2
+    assert by_name["line over low"].value == pytest.approx(4.0, abs=0.5)
+    assert by_name["angle"].notes[-1].startswith("so small an angle is an upper bound")
+
+
+@pytest.mark.parametrize(
+    ("interval", "words"),
+    [
+        ((9.9, 10.1), "conforming"),
+        ((9.8, 10.2), "conforming"),
+        ((9.7, 10.1), "not decided"),
+        ((10.3, 10.4), "not conforming"),
+        ((9.0, 9.7), "not conforming"),
+        ((9.0, 11.0), "not decided"),
+        (None, "not decided"),
+    ],
+)
+def test_guard_bands(interval, words):
+    assert verdict(interval, (9.8, 10.2)) == words
+
+
+def test_a_small_piece_of_a_ball_is_told(scene):
+    own = drawn_rig(np.random.default_rng(1), KNOWN)
+    image = scan(scene, own, np.random.default_rng(1))
+    small = Feature("ball", "ball", around(-30.0, 12.0, 4.0))
+    part = replace(PART, features=(small,), dimensions=PART.dimensions[:1])
+    (radius,) = measure(scanned_image(image, own), part).dimensions
+    assert "of the ball was seen" in radius.notes[0]
+    whole = measure(scanned_image(image, own), PART).dimensions[0]
+    assert radius.uncertainty > 4 * whole.uncertainty
+
+
+def test_growing_goes_on_over_the_face(scene):
+    own = drawn_rig(np.random.default_rng(1), KNOWN)
+    image = scan(scene, own, np.random.default_rng(1))
+    grown = Feature("high", "plane", around(30.0, 4.0, 5.0), grow=True)
+    part = replace(PART, features=(grown,), dimensions=())
+    (face,) = measure(scanned_image(image, own), part).features
+    x = (image.points[image.valid].astype(float) - np.array(at(0, 0, 0))) @ rig_2003.platform(RIG)[0]
+    assert face.points == pytest.approx((x[:, 0] > 20.5).sum(), rel=0.05)
+
+
+def test_without_a_rig_or_sigma_there_are_no_intervals_and_that_is_said(scene):
+    image = as_image(scene.position, STEPS, RIG)
+    for scanned, words in (
+        (scanned_image(image), "no rig is given"),
+        (scanned_image(image, RigFile(RIG)), "the rig has no covariance"),
+        (scanned_points(image.points[image.valid]), "a cloud does not say how its points were made"),
+    ):
+        found = measure(scanned, PART)
+        radius = found.dimensions[0]
+        assert radius.value == pytest.approx(9.0, abs=2e-4)
+        assert radius.interval is None
+        assert radius.verdict == "not decided"
+        assert words in found.notes[0]
+
+
+def test_another_rig_is_refused(scene):
+    image = as_image(scene.position, STEPS, RIG)
+    other = rig_2003.simulated_rig(1)
+    with pytest.raises(InputError, match="not where this rig would see the stripe"):
+        scanned_image(image, replace(KNOWN, rig=other))
+
+
+def test_a_profile_against_a_mesh(scene, tmp_path):
+    image = as_image(scene.position, STEPS, RIG)
+    R, origin = rig_2003.platform(RIG)
+    box = trimesh.creation.box(bounds=[[20, -60, -10], [90, 90, 4]])
+    box.apply_transform(np.block([[R, origin[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]))
+    box.export(tmp_path / "box.stl")
+    surface = Feature("face", "surface", around(30.0, 4.0, 8.0))
+    asked = Dimension("profile", "profile", ("face",), 0.0, (0.0, 0.1), tmp_path / "box.stl")
+    part = replace(PART, features=(surface,), dimensions=(asked,))
+    (profile,) = measure(scanned_image(image, KNOWN), part).dimensions
+    assert profile.value < 1e-3
+    assert profile.uncertainty > 0.001
+    box.apply_scale(0.1)
+    box.export(tmp_path / "box.stl")
+    (profile,) = measure(scanned_image(image, KNOWN), part).dimensions
+    assert profile.value is None
+    assert "lies" in profile.problem or "mm across" in profile.problem
