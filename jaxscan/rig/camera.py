@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Real
 
 from jaxscan.errors import InputError
 from jaxscan.precision import Leaf
+from jaxscan.rig.batches import over_batch
 from jaxscan.rig.kinds import LENSES, lens_of_kind
 from jaxscan.rig.lens import Lens, undistort, undistorted_change
 from jaxscan.rig.tilted_sensor import change_off_sensor, off_sensor, onto_sensor
@@ -88,19 +89,38 @@ class Camera(eqx.Module):
         names = lens_parameters(self.lens.kind)
         return tuple(name for name, term in zip(names, terms, strict=True) if float(term) == 0)
 
-    def project(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
-        """A point of the camera frame (mm) to its pixel (u, v); NaN for a point that is not in front of the camera."""
+    def project(self, point: Real[ArrayLike, "*batch xyz"]) -> Float[Array, "*batch 2"]:
+        """Points of the camera frame (mm) to their pixels (u, v); NaN for a point that is not in front of the camera.
+
+        Args:
+            point: one, of shape (3,), or any number of them, (…, 3).
+
+        Raises:
+            InputError: the last axis is not x, y, z.
+        """
+        return over_batch(self._project, 3, "Camera.project takes points x, y, z", point)
+
+    def _project(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
         in_front = point[2] > 0
         depth = jnp.where(in_front, point[2], 1.0)
         x = onto_sensor(self.tilt, self.lens.distort(point[:2] / depth))
         pixel = jnp.stack(self.focal) * x + jnp.stack(self.principal)
         return jnp.where(in_front, pixel, jnp.nan)
 
-    def ray(self, pixel: Float[Array, "2"]) -> Float[Array, "3"]:
-        """A pixel (u, v) to its ray (x, y, 1); NaN outside the lens's invertible range.
+    def ray(self, pixel: Real[ArrayLike, "*batch uv"]) -> Float[Array, "*batch 3"]:
+        """Pixels (u, v) to their rays (x, y, 1); NaN outside the lens's invertible range.
 
         The inverse is converged, and its derivative with respect to pixel and lens is exact.
+
+        Args:
+            pixel: one, of shape (2,), or any number of them, (…, 2).
+
+        Raises:
+            InputError: the last axis is not u, v.
         """
+        return over_batch(self._ray, 2, "Camera.ray takes pixels u, v", pixel)
+
+    def _ray(self, pixel: Float[Array, "2"]) -> Float[Array, "3"]:
         x = undistort(self.lens, off_sensor(self.tilt, self._on_sensor(pixel)))
         return jnp.concatenate([x, jnp.ones_like(x[:1])])
 

@@ -5,13 +5,15 @@ from typing import Final
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Float64
+from jaxtyping import Array, ArrayLike, Bool, Float, Float64, Real
 
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
+from jaxscan.rig.batches import over_batch
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.light import Light, meet
 from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
@@ -92,13 +94,42 @@ class Rig(eqx.Module):
         """T_camera_object at positions of the axes (motor steps); one that is not named stands at 0."""
         return self.motion.pose(q)
 
-    def triangulate(self, pixel: Float[Array, "2"], q: Positions, light: str = "") -> Float[Array, "3"]:
-        """A stripe pixel (u, v) at positions of the axes to the point of the object frame (mm): M(q)⁻¹ (x z).
+    def triangulate(
+        self, pixel: Real[ArrayLike, "*batch uv"], q: Positions, light: str = ""
+    ) -> Float[Array, "*batch 3"]:
+        """Stripe pixels (u, v) at positions of the axes to points of the object frame (mm): M(q)⁻¹ (x z).
 
         z is the depth at which the pixel's ray x meets the sheet. The plain statement of what `reconstruction` does at
         speed; NaN where the pixel cannot see the sheet.
+
+        Args:
+            pixel: one, of shape (2,), or any number of them, (…, 2).
+            q: motor steps of each axis: a number that holds for all pixels, or one for each.
+            light: which laser; may be left out where there is one.
+
+        Raises:
+            InputError: the last axis is not u, v; an axis has neither one position nor one for each pixel; no such
+                laser.
         """
-        return self.pose(q).inverse().apply(meet(self.light(light), self.camera.ray(pixel)))
+        sheet = self.light(light)
+
+        def one(pixel: Array, q: Positions) -> Array:
+            return self.pose(q).inverse().apply(meet(sheet, self.camera.ray(pixel)))
+
+        batch = jnp.shape(pixel)[:-1]
+        if batch:
+            q = {axis: _for_each(axis, steps, batch) for axis, steps in q.items()}
+        return over_batch(one, 2, "Rig.triangulate takes pixels u, v", pixel, q)
+
+
+def _for_each(axis: str, steps: ArrayLike, batch: tuple[int, ...]) -> Array:
+    """The position of an axis at each pixel."""
+    if jnp.shape(steps) not in ((), batch):
+        raise InputError(
+            f'the axis "{axis}" has positions of shape {jnp.shape(steps)}, and the pixels have {(*batch, 2)}: give one '
+            f"number for all, or an array of shape {batch}"
+        )
+    return jnp.broadcast_to(jnp.asarray(steps, float), batch)
 
 
 def parameter_names(rig: Rig) -> list[str]:

@@ -1,5 +1,7 @@
 """Sides brought together: recovery of known poses within their predicted σ, derivatives, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -75,6 +77,16 @@ def test_all_sides_together_within_the_predicted_covariance(sides, truth):
     assert found.closure_mm < 0.01
     assert found.sigma(0) == (0.0, 0.0)
     assert 0 < found.sigma(2)[0] < np.radians(0.1)
+
+
+@pytest.mark.parametrize("claimed", [0.5, 2.0])
+def test_residuals_that_are_larger_than_their_sigma_widen_the_covariance(sides, truth, claimed):
+    """With σ given as half of it the residuals say so; with twice it nothing is made smaller on their word alone."""
+    honest = register(sides[:3], truth[:3])
+    found = register([replace(each, sigma=claimed * each.sigma) for each in sides[:3]], truth[:3])
+    assert found.variance == pytest.approx(honest.variance / claimed**2, rel=0.15)
+    ratio = np.sqrt(np.diagonal(found.covariance) / np.diagonal(honest.covariance))
+    np.testing.assert_allclose(ratio, 1.0 if claimed < 1 else claimed, rtol=0.25)
 
 
 def test_rounds_that_run_out_are_said(sides, truth):
