@@ -29,7 +29,9 @@ def test_a_field_is_found_and_its_sigma_holds():
     z = np.abs(in_sigma(calibration, rays_of(camera_of(), field, _PIXELS)))
     assert (z < 3).mean() > 0.95
     assert calibration.corner_sigma_px < 0.055
-    assert not any("extent" in name for name in calibration.covariance.names)
+    assert not any("extent" in name or "principal" in name for name in calibration.covariance.names)
+    # Along a valley that is not straight it took hundreds.
+    assert calibration.steps <= 12
 
 
 def test_products_of_many_coefficients_are_the_jacobian():

@@ -44,6 +44,16 @@ def test_means_over_the_image():
     assert np.isnan(found.mean_px[5, 7]).all()
 
 
+@pytest.mark.parametrize(("alike", "left"), [(0.4, True), (0.0, False)])
+def test_corners_that_are_off_alike_in_all_photographs_are_a_field(alike, left):
+    random = np.random.default_rng(0)
+    pixels = random.uniform([0, 0], [640, 480], (3000, 2))
+    errors = alike * np.cos(pixels / 60) + 0.3 * random.normal(size=(3000, 2))
+    found = statistics.over_image(CornerResiduals(pixels, errors, np.ones(3000)), (640, 480))
+    assert found.left_out(0.3) is left
+    assert (found.share_off(0.3) > 0.3) is left
+
+
 def test_photographs_are_the_fits_the_worst_first(calibration):
     found = statistics.photographs(calibration)
     assert len(found) == 16
