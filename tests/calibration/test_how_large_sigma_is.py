@@ -97,7 +97,7 @@ def test_errors_that_are_tied_along_the_stripe_have_their_tau(solved) -> None:
 
 
 def test_the_rig_is_off_by_its_sigma(solved) -> None:
-    """χ² for each number: 60 numbers of the light plane, 220 in all; without τ that of the plane would be about 9."""
+    """χ² for each number: 60 numbers of the light plane, 220 in all; without τ both are about 2.4."""
     names = list(synthetic.TRUTH)
     truth = np.array([synthetic.TRUTH[name] for name in names])
     squares, plane = [], []
@@ -111,7 +111,6 @@ def test_the_rig_is_off_by_its_sigma(solved) -> None:
         squares.append(error @ np.linalg.solve(covariance, error) / len(error))
         own = slice(5, 8)
         plane.append(error[own] @ np.linalg.solve(covariance[own, own], error[own]) / 3)
-    print(np.mean(plane), np.mean(squares))
     # The mean of 20 χ² of 3 has a scatter of 0.18, of 11 of 0.10.
     assert 0.5 < np.mean(plane) < 1.8
     assert 0.7 < np.mean(squares) < 1.45
