@@ -33,7 +33,7 @@ SUITES = {
     "coherence": "which of several stripes: the share of lines in which each rule takes the true one",
     "simulated": "the simulated rig of 2003: predicted against actual error, clouds, joint against sequential",
     "accuracy": "the same photographs through the pipeline of 2003, makers' recipe, careful OpenCV and ours",
-    "headline": "the table of the README: four pipelines on the same photographs, with speckle and without",
+    "headline": "the comparison's first table: four pipelines on the same photographs, with speckle and without",
     "speed": "reconstruction and calibration against the pipeline of 2003 in Octave",
     "montecarlo": "predicted against actual scatter of everything that is estimated, and against the Cramér-Rao bound",
     "montecarlo_turning": "the same of a rig with a turntable, and of points scanned while it turns",

@@ -1,4 +1,4 @@
-"""The table of the README: four pipelines on the same photographs, with speckle and without.
+"""The first table of docs/comparison.md: four pipelines on the same photographs, with speckle and without.
 
     python -m benchmarks.headline --keep headline.json     twenty seeds, and what is kept is not done again
     python -m benchmarks.headline --quick                  three seeds
@@ -64,7 +64,9 @@ def main() -> None:
 
 def command_line() -> argparse.ArgumentParser:
     """What may be asked for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.headline", description="The table of the README.")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.headline", description="The first table of docs/comparison.md."
+    )
     parser.add_argument("--seeds", type=int, default=SEEDS, help=f"how many (default: {SEEDS})")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} seeds")
     parser.add_argument(
@@ -132,7 +134,7 @@ def report(found: Kept) -> list[Metric]:
 
 
 def markdown(of_seeds: Mapping[str, Mapping[str, Mapping[str, float]]]) -> list[str]:
-    """The table as the README has it, and below it the bound."""
+    """The table as docs/comparison.md has it, and below it the bound."""
     lines = ["| | " + " | ".join(COLUMNS.values()) + " |", "|---" * (1 + len(COLUMNS)) + "|"]
     for name, words in {**ROWS, _BOUND: "what noise alone leaves"}.items():
         cells = [_cell(_median(of_seeds, name, figure)) for figure in COLUMNS]

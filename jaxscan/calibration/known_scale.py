@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.files.session import Session
+from jaxscan.rig.line import Line
 
 # A board that is measured with a ruler, and a screw, are better than this; and so many σ are no noise.
 _SHARE: Final = 0.01
@@ -27,7 +28,7 @@ def scale_note(calibration: Calibration, sessions: Iterable[Session]) -> str | N
     stages = [(session.board, session.stage.mm_per_step) for session in sessions if session.stage]
     known = next(((board, mm) for board, mm in stages if mm is not None), None)
     axis = calibration.rig.axes().get("stage")
-    if known is None or axis is None:
+    if known is None or not isinstance(axis, Line):
         return None
     board, given = known
     step = np.array([float(x) for x in axis.per_step])

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import IO, Any, Final
 
 import numpy as np
 
@@ -157,7 +157,7 @@ def _writing_pcd(path: Path) -> Iterator[Callable[[Cloud], None]]:
             file.write(b"%-*d" % (_DIGITS, count))
 
 
-def _pcd_header(file: BinaryIO, known: tuple[str, ...]) -> tuple[int, int]:
+def _pcd_header(file: IO[bytes], known: tuple[str, ...]) -> tuple[int, int]:
     """Write the header, and return where the number of points is to stand, twice."""
     n = 3 + len(known)
     lines = [
@@ -292,7 +292,7 @@ def _read_las(path: Path) -> Cloud:
     except Exception as error:  # laspy's and lazrs's own classes, struct.error, and more
         raise InputError(f"{path}: cannot be read as LAS ({error}): check the file") from error
     names = set(file.point_format.dimension_names)
-    known = {name: np.asarray(file[name], np.float32) for name in _KNOWN if name in names}
+    known: dict[str, Any] = {name: np.asarray(file[name], np.float32) for name in _KNOWN if name in names}
     if {"red", "green", "blue"} <= names:
         rgb = np.stack([np.asarray(file[name]) for name in ("red", "green", "blue")], axis=-1)
         known["colours"] = (rgb // 257).astype(np.uint8)

@@ -43,7 +43,7 @@ def point_colours(
     seen = pose.apply(np.asarray(points, np.float64))
     pixels = project_points(camera, seen).pixels
     rows, width = photograph.shape[:2]
-    inside = ((pixels > -0.5) & (pixels < [width - 0.5, rows - 0.5])).all(axis=1)
+    inside = np.all((pixels > -0.5) & (pixels < [width - 0.5, rows - 0.5]), axis=1)
     at = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(int)
     nearest = np.full((rows, width), np.inf)
     np.minimum.at(nearest, (at[inside, 1], at[inside, 0]), seen[inside, 2])
