@@ -9,7 +9,6 @@ import contextlib
 import hashlib
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -20,6 +19,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 
+from benchmarks.full_disk import full
 from benchmarks.lab_processes import bearer
 from benchmarks.metric import Metric
 from benchmarks.stop_loads import LOADS
@@ -48,7 +48,7 @@ def measure(quick: bool) -> list[Metric]:
                     if not quick or load in ("nothing", "clouds", "all"):
                         scans[load] = _scan(url, tokens, folder, load, frames)
                     if load in ("all", "full disk"):
-                        under.enter_context(_full(pid))
+                        under.enter_context(full(pid))
                     times, failed = _stops(url, tokens[1], stops)
                 errors += failed
                 everything += times if load != "nothing" else []
@@ -98,17 +98,6 @@ def _loaded(url: str, tokens: list[str], loads: list[str], sizes: dict[str, int]
     finally:
         child.terminate()
         child.communicate()
-
-
-@contextlib.contextmanager
-def _full(pid: int) -> Iterator[None]:
-    """No file of the server grows any more."""
-    before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-    resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, before[1]))
-    try:
-        yield
-    finally:
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
 
 
 def _stops(url: str, token: str, count: int) -> tuple[list[float], int]:
