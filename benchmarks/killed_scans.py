@@ -1,7 +1,7 @@
 """Scans killed by SIGKILL at random moments, then gone on with: what was reported as taken, and what comes of it."""
 
+import contextlib
 import random
-import resource
 import subprocess
 import sys
 import time
@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.full_disk import full
 from hardware.cli.main import main
 from jaxscan.files.axes import STAGE
 from jaxscan.files.scan import SCAN_FILE, Scan, read_scan, write_scan
@@ -71,8 +72,8 @@ def command(folder: Path, scan: Path, resume: bool = False) -> list[str]:
 
 def fill_disk(child: "subprocess.Popen[str]") -> None:
     """Let no file of a process grow any more, and wait until it has ended for that."""
-    resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (1, resource.prlimit(child.pid, resource.RLIMIT_FSIZE)[1]))
-    child.wait(60)
+    with contextlib.suppress(ProcessLookupError), full(child.pid):
+        child.wait(60)
 
 
 def kill_and_resume(

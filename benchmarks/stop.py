@@ -1,15 +1,15 @@
 """Stop under load: how long POST /api/stop takes while others do what they can, and what becomes of a scan meanwhile.
 
 The server is a process of its own, on a loopback port, with the simulated scanner; the load is another process. Each
-Stop comes on a connection of its own, as somebody who has just come would press it, or on one that is kept. While a
-scan runs under the load nobody stops it; its photographs are compared with those of one that was let alone.
+Stop comes on a connection of its own, for every answer ends one. In turn with it an idle server is told to stop, which
+shows how much of the time is the machine's and the client's. While a scan runs under the load nobody stops it; its
+photographs are compared with those of one that was let alone.
 """
 
 import contextlib
 import hashlib
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -20,6 +20,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 
+from benchmarks.full_disk import full
 from benchmarks.lab_processes import bearer
 from benchmarks.metric import Metric
 from benchmarks.stop_loads import LOADS
@@ -40,7 +41,10 @@ def measure(quick: bool) -> list[Metric]:
     metrics, scans, errors, everything = [], {}, 0, []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        with _server(folder) as (pid, url, tokens):
+        (folder / "idle").mkdir()
+        with _server(folder) as (pid, url, tokens), _server(folder / "idle") as (_, beside, other):
+            # A scan connects its devices, which Stop then has to stop there too.
+            _scan(beside, other, folder / "idle", "first", frames)
             for load in ("nothing", *LOADS, "all"):
                 with contextlib.ExitStack() as under:
                     if load != "nothing":
@@ -48,8 +52,8 @@ def measure(quick: bool) -> list[Metric]:
                     if not quick or load in ("nothing", "clouds", "all"):
                         scans[load] = _scan(url, tokens, folder, load, frames)
                     if load in ("all", "full disk"):
-                        under.enter_context(_full(pid))
-                    times, failed = _stops(url, tokens[1], stops)
+                        under.enter_context(full(pid))
+                    times, idle, failed = _stops((url, tokens[1]), (beside, other[1]), stops)
                 errors += failed
                 everything += times if load != "nothing" else []
                 p50, p99, p999 = np.percentile(times, (50, 99, 99.9))
@@ -58,6 +62,8 @@ def measure(quick: bool) -> list[Metric]:
                     Metric(f"stop.{key}.p50", p50, "s"),
                     Metric(f"stop.{key}.p99", p99, "s"),
                     Metric(f"stop.{key}.p99.9", p999, "s", "shown", _GOAL_S),
+                    # What the machine and this client take of it: another server, which nobody else asks for anything.
+                    Metric(f"stop.{key}.idle_server.slowest", max(idle), "s"),
                 ]
     same = [scans[load] == scans["nothing"] for load in scans if load != "nothing"]
     return [
@@ -100,38 +106,34 @@ def _loaded(url: str, tokens: list[str], loads: list[str], sizes: dict[str, int]
         child.communicate()
 
 
-@contextlib.contextmanager
-def _full(pid: int) -> Iterator[None]:
-    """No file of the server grows any more."""
-    before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-    resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, before[1]))
-    try:
-        yield
-    finally:
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+def _stops(server: tuple[str, str], idle: tuple[str, str], count: int) -> tuple[list[float], list[float], int]:
+    """How long each took, s, of a server and, in turn, of an idle one; and how many failed.
 
-
-def _stops(url: str, token: str, count: int) -> tuple[list[float], int]:
-    """How long each took, s, every second one on a connection of its own; and how many failed."""
-    times, failed = [], 0
-    how = {"base_url": url, "headers": bearer(token), "timeout": 30, "trust_env": False}
-    with httpx.Client(**how) as kept:
-        for i in range(count):
-            begin_s = time.monotonic()
-            try:
-                if i % 2:
-                    answer = kept.post("/api/stop")
-                else:
-                    with httpx.Client(**how, verify=False) as one:
-                        begin_s = time.monotonic()
-                        answer = one.post("/api/stop")
-                failed += answer.status_code != 200
-            except httpx.HTTPError as error:
-                print(f"stop: {type(error).__name__}: {error}", file=sys.stderr)
-                failed += 1
-            times.append(time.monotonic() - begin_s)
+    Args:
+        server: its address, and the token of an administrator.
+        idle: the same of the idle one.
+        count: of orders to each.
+    """
+    times: tuple[list[float], list[float]] = ([], [])
+    failed = 0
+    with contextlib.ExitStack() as opened:
+        clients = [
+            opened.enter_context(
+                httpx.Client(base_url=url, headers=bearer(token), timeout=30, trust_env=False, verify=False)
+            )
+            for url, token in (server, idle)
+        ]
+        for _ in range(count):
+            for client, own in zip(clients, times, strict=True):
+                begin_s = time.monotonic()
+                try:
+                    failed += client.post("/api/stop").status_code != 200
+                except httpx.HTTPError as error:
+                    print(f"stop: {type(error).__name__}: {error}", file=sys.stderr)
+                    failed += 1
+                own.append(time.monotonic() - begin_s)
             time.sleep(0.01)
-    return times, failed
+    return *times, failed
 
 
 def _scan(url: str, tokens: list[str], folder: Path, project: str, frames: int) -> list[str]:

@@ -1,8 +1,9 @@
-"""Long work in threads of its own: few at a time, a queue with an end, and behind everything that cannot wait."""
+"""Long work in threads of its own: few at a time, and a queue with an end.
+
+They have the priority of all others: one of lower priority that is put off while it has the interpreter puts off Stop.
+"""
 
 import asyncio
-import contextlib
-import os
 import threading
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -12,7 +13,6 @@ from typing import Any, Final, TypeVar
 from hardware.lab.refusal import FULL, TOO_MANY, Refusal
 
 T = TypeVar("T")
-_NICER: Final = 10
 _END: Final = object()
 
 
@@ -29,7 +29,7 @@ class Workers:
 
     def __init__(self, what: str, threads: int, most: int, each: int, again_s: float = 5.0):
         self._what, self._most, self._each, self._again_s = what, most, each, again_s
-        self._pool = ThreadPoolExecutor(threads, what, initializer=step_back)
+        self._pool = ThreadPoolExecutor(threads, what)
         self._mutex = threading.Lock()
         self._held: Counter[str] = Counter()
 
@@ -85,9 +85,3 @@ class Workers:
     def close(self) -> None:
         """Begin nothing more; what is under way is not waited for."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-
-
-def step_back() -> None:
-    """Let this thread have the processor after those that cannot wait; where threads have no such order, nothing."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICER)

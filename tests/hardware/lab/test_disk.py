@@ -12,6 +12,7 @@ import httpx
 import pytest
 from serving import ADMINISTRATOR, OPERATOR, csrf_of, ended, job_of, scan, sign_in, until
 
+from benchmarks.full_disk import full
 from jaxscan.files.scan import read_scan
 from jaxscan.images import read_image
 
@@ -52,17 +53,6 @@ def server(folder: Path) -> Iterator[tuple[int, httpx.Client, httpx.Client]]:
 
 
 @contextmanager
-def full(pid: int, folder: Path) -> Iterator[None]:
-    """No file of the process grows any more."""
-    before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-    resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, before[1]))
-    try:
-        yield
-    finally:
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
-
-
-@contextmanager
 def read_only(pid: int, folder: Path) -> Iterator[None]:
     """The projects lie on a disk that can only be read."""
     projects = str(folder / "projects")
@@ -81,7 +71,7 @@ def read_only(pid: int, folder: Path) -> Iterator[None]:
 
 @pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="only Linux limits another process")
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("broken", [full, read_only])
+@pytest.mark.parametrize("broken", [lambda pid, folder: full(pid), read_only], ids=["full", "read_only"])
 def test_a_disk_that_fails_in_mid_scan(tmp_path: Path, broken):
     folder = tmp_path / "lab"
     with server(folder) as (pid, operator, administrator):
@@ -119,7 +109,7 @@ def test_a_disk_that_fails_in_mid_scan(tmp_path: Path, broken):
 
 @pytest.mark.timeout(300)
 def test_nobody_is_shut_out_by_a_full_disk(tmp_path: Path):
-    with server(tmp_path / "lab") as (pid, operator, administrator), full(pid, tmp_path):
+    with server(tmp_path / "lab") as (pid, operator, administrator), full(pid):
         for client in (operator, administrator):
             assert client.get("/api/me").status_code == 200
         with httpx.Client(base_url=operator.base_url, timeout=30, trust_env=False) as browser:
