@@ -141,6 +141,8 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
             assert jaxscan.read_scan(path).listed == 5
         elif "[board]" in text:
             assert len(jaxscan.read_session(path).views.boards) == 6
+        elif "[[feature]]" in text:
+            assert jaxscan.read_part(path).dimensions
         else:
             assert read_scanner(path).path == path
 

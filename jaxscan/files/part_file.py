@@ -2,9 +2,12 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
 
 from jaxscan.files.settings import toml_in
 from jaxscan.files.table import Table
@@ -55,6 +58,24 @@ class Region:
     low: tuple[float, float, float]
     high: tuple[float, float, float] | None = None
     radius: float = 0.0
+
+    def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The corners of the box around it."""
+        if self.high is not None:
+            return self.low, self.high
+        return tuple(x - self.radius for x in self.low), tuple(x + self.radius for x in self.low)
+
+    def wider(self, by: float) -> "Region":
+        """Grown to all sides by so many millimetres."""
+        if self.high is None:
+            return replace(self, radius=self.radius + by)
+        return Region(_triple([x - by for x in self.low]), _triple([x + by for x in self.high]))
+
+    def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
+        """Which points lie in it."""
+        if self.high is not None:
+            return ((points >= self.low) & (points <= self.high)).all(axis=1)
+        return ((points - np.asarray(self.low)) ** 2).sum(axis=1) <= self.radius**2
 
 
 @dataclass(frozen=True)

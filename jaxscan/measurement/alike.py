@@ -19,6 +19,9 @@ _MOST: Final = 48
 # A correlation below the first, or below so many times its own σ, 1 / √n, is lost.
 _LOST: Final = 0.03
 _NOISE: Final = 2.0
+_ROUNDS: Final = 4
+# The largest part of the noise that a fit is taken to have taken up.
+_MOST_TAKEN: Final = 0.3
 
 Grid = Float[np.ndarray, "frames columns"]
 Place = Int[np.ndarray, "points 2"]
@@ -68,27 +71,39 @@ class Alike:
 INDEPENDENT: Final = Alike(np.ones((1, 1)))
 
 
-def how_alike(errors: Sequence[tuple[Place, Float[np.ndarray, "points"]]]) -> Alike:
-    """From what is left of fits, each on its own piece of the grid, in units of σ."""
-    size = 2 * _MOST + 1
-    total, pairs = np.zeros((size, size)), np.zeros((size, size))
-    for place, values in errors:
+def how_alike(errors: Sequence[tuple[Place, Float[np.ndarray, "points"], int]]) -> Alike:
+    """From what is left of fits, each on its own piece of the grid, in units of σ, with how many numbers were fitted.
+
+    k numbers fitted to n points take up k τ / n of the variance, and lower the correlation at all lags by as much: that
+    is given back, in rounds, for τ follows from it.
+    """
+    parts = []
+    for place, values, numbers in errors:
         near = (np.abs(place - np.median(place, axis=0).astype(int)) < _WINDOW // 2).all(axis=1)
         shape, (i, j) = _box(place[near])
         grid, there = np.zeros(shape), np.zeros(shape)
         # Of one feature as of another, whatever their scales.
         grid[i, j], there[i, j] = values[near] / max(float(np.sqrt((values[near] ** 2).mean())), 1e-300), 1.0
-        total += _lags(grid)
-        pairs += _lags(there)
+        parts.append((_lags(grid), _lags(there), numbers / len(values)))
+    pairs = sum((part[1] for part in parts), np.zeros((2 * _MOST + 1, 2 * _MOST + 1)))
     if not pairs[_MOST, _MOST] > 0:
         return INDEPENDENT
-    rho = np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0) / (total[_MOST, _MOST] / pairs[_MOST, _MOST])
-    ends = []
-    for along, count in ((rho[_MOST:, _MOST], pairs[_MOST:, _MOST]), (rho[_MOST, _MOST:], pairs[_MOST, _MOST:])):
-        lost = np.flatnonzero(along <= np.maximum(_LOST, _NOISE / np.sqrt(np.maximum(count, 1.0))))
-        ends.append(int(lost[0]) - 1 if len(lost) else _MOST)
-    frames, columns = ends
-    return Alike(rho[_MOST - frames : _MOST + frames + 1, _MOST - columns : _MOST + columns + 1])
+    ends, tau, rho = None, 0.0, pairs
+    for _ in range(_ROUNDS):
+        taken = [min(tau * share, _MOST_TAKEN) for _, _, share in parts]
+        total = sum((t * (1 - up) + up * p for (t, p, _), up in zip(parts, taken, strict=True)), np.zeros_like(pairs))
+        rho = np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0) / (total[_MOST, _MOST] / pairs[_MOST, _MOST])
+        # The lags are those of the first round: with what is given back, noise would never be lost.
+        ends = ends or (_end(rho[_MOST:, _MOST], pairs[_MOST:, _MOST]), _end(rho[_MOST, _MOST:], pairs[_MOST, _MOST:]))
+        rho = rho[_MOST - ends[0] : _MOST + ends[0] + 1, _MOST - ends[1] : _MOST + ends[1] + 1]
+        tau = float(rho.sum())
+    return Alike(rho)
+
+
+def _end(along: Float[np.ndarray, "lags"], pairs: Float[np.ndarray, "lags"]) -> int:
+    """The last lag of an axis before the correlation is lost in its noise."""
+    lost = np.flatnonzero(along <= np.maximum(_LOST, _NOISE / np.sqrt(np.maximum(pairs, 1.0))))
+    return int(lost[0]) - 1 if len(lost) else _MOST
 
 
 def _lags(grid: Grid) -> Float[np.ndarray, "lags lags"]:

@@ -21,6 +21,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 
 from jaxscan.errors import InputError
+from jaxscan.files.part_file import Region
 from jaxscan.measurement.alike import Alike
 from jaxscan.measurement.guess import guess
 from jaxscan.measurement.scanned import Scanned
@@ -105,6 +106,7 @@ def fit_shape(
     *,
     grow: bool = False,
     normal: Vector | None = None,
+    region: Region | None = None,
 ) -> Fit:
     """Fit a shape to the points of a region.
 
@@ -114,6 +116,8 @@ def fit_shape(
         candidates: the numbers of the region's points.
         grow: go on with what hangs together with them in the range image.
         normal: of the plane of a circle or a line.
+        region: where they lie. Whether a point near its border belongs to it is then asked of its place on the shape,
+            which errors do not move; else those that errors have brought in would be kept, and the others not.
 
     Raises:
         InputError: there are too few points, they determine no such shape, or there is no grid to grow along.
@@ -121,8 +125,13 @@ def fit_shape(
     _enough(len(candidates))
     if grow and (scanned.place is None or scanned.image is None):
         raise InputError("grow = true needs a range image (.npz), whose points have an order: enlarge the region")
-    region = candidates
-    shape, inside, sigma = _settled(scanned, guess(kind, scanned.points[region], normal), region)
+    given = candidates
+    shape, inside, sigma = _settled(scanned, guess(kind, scanned.points[given], normal), given)
+    if region is not None and scanned.stripe is not None and not grow:
+        reach = _FAR * sigma * float(np.median(np.linalg.norm(scanned.stripe[given], axis=1)))
+        candidates = scanned.within(region.wider(reach))
+        off = _off(scanned, shape, candidates)
+        inside = (np.abs(off.distance) <= _LIMIT * sigma * off.spread) & region.holds(off.foot)
     for _ in range(_GROWTHS if grow else 0):
         grown = _grown(scanned, shape, candidates[inside], sigma)
         before = int(inside.sum())
@@ -136,7 +145,7 @@ def fit_shape(
     _enough(len(used), len(candidates))
     shape = _facing(scanned, _least_squares(scanned, shape, used), used)
     off = _off(scanned, shape, used)
-    left_out = int((~np.isin(region, used)).sum())
+    left_out = int((~np.isin(given, used)).sum())
     return Fit(shape, used, left_out, off.distance, off.spread)
 
 

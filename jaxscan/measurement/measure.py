@@ -211,17 +211,18 @@ def _feature(scanned: Scanned, feature: Feature, before: Mapping[str, MeasuredFe
         cut, asked = of[0].scanned, of[0].feature.normal
         assert cut is not None
         source, normal = cut, np.asarray(asked) / np.linalg.norm(np.asarray(asked))
-    fit = fit_shape(source, feature.kind, source.within(feature.region), grow=feature.grow, normal=normal)
+    inside, region = source.within(feature.region), feature.region
+    fit = fit_shape(source, feature.kind, inside, grow=feature.grow, normal=normal, region=region)
     notes = seen_part(fit.shape, source.points[fit.used])
     return MeasuredFeature(feature, fit, source, len(fit.used), fit.left_out, notes)
 
 
-def _left(features: Iterable[MeasuredFeature]) -> list[tuple[Place, Float[np.ndarray, "points"]]]:
+def _left(features: Iterable[MeasuredFeature]) -> list[tuple[Place, Float[np.ndarray, "points"], int]]:
     """What is left of fits to the grid, in units of σ: of surfaces, or where there are none of outlines."""
     of_surfaces, of_outlines = [], []
     for each in features:
         if each.fit is not None and each.scanned is not None and each.scanned.place is not None:
-            left = each.scanned.place[each.fit.used], each.fit.residuals / each.fit.spread
+            left = each.scanned.place[each.fit.used], each.fit.residuals / each.fit.spread, each.fit.shape.numbers
             (of_surfaces if each.scanned.image is not None else of_outlines).append(left)
     return of_surfaces or of_outlines
 

@@ -51,7 +51,7 @@ def profile_of(scanned: Scanned, dimension: Dimension) -> tuple[Form, float, tup
         count = np.maximum(np.bincount(patch, minlength=patch.max() + 1), 1)
         rest = off - (np.bincount(patch, off, minlength=len(count)) / count)[patch]
         scale = float(np.sqrt(((rest / across) ** 2).mean()))
-        tau = how_alike([(scanned.place, rest / across)]).tau() if scanned.place is not None else 1.0
+        tau = how_alike([(scanned.place, rest / across, len(count))]).tau() if scanned.place is not None else 1.0
         noise = scale * np.sqrt(tau) * across
         some = few(len(points), _OF_RIG)
         moved = some, np.einsum("pi,pil->pl", normal[some], scanned.by_rig(some))

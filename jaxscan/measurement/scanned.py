@@ -28,6 +28,8 @@ from jaxscan.surface.side import along_line
 _OFF_PX: Final = 0.5
 _OFF_SHEET: Final = 2e-3
 _CHECKED: Final = 500
+# Points so far outside of a region may belong to it, but for their errors.
+_BEYOND_MM: Final = 2.0
 
 ByRig = Callable[[Int[np.ndarray, "some"]], Float[np.ndarray, "some 3 leaves"]]
 
@@ -67,13 +69,9 @@ class Scanned:
         """The numbers of the points in a region; all without one."""
         if region is None:
             return np.arange(len(self.points))
-        low = np.asarray(region.low)
-        if region.high is not None:
-            inside = np.flatnonzero((self.points[:, 2] >= low[2]) & (self.points[:, 2] <= region.high[2]))
-            near = self.points[inside]
-            return inside[((near >= low) & (near <= region.high)).all(axis=1)]
-        inside = np.flatnonzero(np.abs(self.points[:, 2] - low[2]) <= region.radius)
-        return inside[((self.points[inside] - low) ** 2).sum(axis=1) <= region.radius**2]
+        low, high = region.bounds()
+        inside = np.flatnonzero((self.points[:, 2] >= low[2]) & (self.points[:, 2] <= high[2]))
+        return inside[region.holds(self.points[inside])]
 
     def part(self, some: Int[np.ndarray, "some"]) -> "Scanned":
         """Some of the points."""
@@ -162,9 +160,7 @@ def _looked_for(image: RangeImage, part: Part) -> RangeImage:
     inside = np.zeros(image.valid.shape, bool)
     for region in regions:
         assert region is not None
-        low = np.asarray(region.low, np.float32)
-        high = np.asarray(region.high, np.float32) if region.high else low + np.float32(region.radius)
-        low = low if region.high else low - np.float32(region.radius)
+        low, high = (np.asarray(corner, np.float32) for corner in region.wider(_BEYOND_MM).bounds())
         box = image.valid.copy()
         for axis in range(3):
             values = image.points[..., axis]

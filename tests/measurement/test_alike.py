@@ -10,7 +10,7 @@ GRID = np.argwhere(np.ones((120, 150), bool))
 
 
 def of(noise):
-    return how_alike([(GRID, noise.ravel())])
+    return how_alike([(GRID, noise.ravel(), 0)])
 
 
 def test_white_noise_is_independent():
