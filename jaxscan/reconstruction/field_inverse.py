@@ -99,8 +99,8 @@ def field_inverse(lens: Splined, xd: Float[np.ndarray, "n 2"], focal: float) -> 
     first = np.linalg.lstsq(basis(extent, CELLS, xd), xd - unshifted)[0].T
     scale = np.array(CELLS) / (extent[2:] - extent[:2])
     for corrections in _CORRECTIONS:
-        arrays = (extent[:2], scale, first.reshape(grid), shifts.reshape(grid))
-        found = FieldInverse(*map(jnp.asarray, arrays), terms, corrections)
+        low, cells, *splines = map(jnp.asarray, (extent[:2], scale, first.reshape(grid), shifts.reshape(grid)))
+        found = FieldInverse(low, cells, splines[0], splines[1], terms, corrections)
         rays = np.stack(_over_image(found, *jnp.asarray(xd.T)), axis=1)
         error = focal * np.linalg.norm((rays - exact)[there], axis=1)
         # What the terms' inverse does not reach is not there.
