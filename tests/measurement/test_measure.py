@@ -82,7 +82,7 @@ def drawn(scene):
 def test_errors_are_as_large_as_is_said(drawn, share, name):
     each = [next(d for d in m.dimensions if d.dimension.name == name) for m in drawn[share]]
     off = np.array([(d.value - TRUTH[name]) / d.sigma for d in each])
-    assert 0.65 < np.sqrt(np.mean(off**2)) < 1.4
+    assert 0.7 < np.sqrt(np.mean(off**2)) < 1.35
     assert np.mean([d.interval[0] <= TRUTH[name] <= d.interval[1] for d in each]) >= 0.85
     rig = np.mean([d.sigma_rig / d.sigma for d in each])
     assert rig > 0.95 if share < 1 else rig < 0.5
