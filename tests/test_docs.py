@@ -40,8 +40,9 @@ PARSERS = {
 OTHERS = ("pip ", ". ", "dask ")
 # What a guide shows and this test does not run: it never ends, or wants scans that are not there.
 NOT_RUN = ("jaxscan view", "jaxscan merge", "scanner", "python3 dev.py")
-# Snippets that want more than a folder of photographs: a lab server and its token; a calibration (below).
-COMPILED_ALONE = ("lab.md", "solve.md")
+# Snippets that want more than a folder of photographs: a lab server and its token; a scan that was reconstructed, which
+# `tests/cli/test_measure_command.py` has; a calibration (below).
+COMPILED_ALONE = ("lab.md", "measure.md", "solve.md")
 
 
 def blocks(page: Path, language: str) -> list[str]:

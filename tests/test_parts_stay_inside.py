@@ -13,7 +13,7 @@ FAST_INVERSE = "jaxscan/reconstruction/opencv_inverse.py"
 PARTS = {"light", "lights", "motion", "axis", "sheet", "sheets", "link", "part", "lens"}
 KINDS = {"Light", "Lens", "Motion", "AxisMotion", "LightPlane", "Linear", "Rotary", "Chain", "Fixed"}
 # Called as a part, and none: the light of a photograph, the move that a comparison finds, the name of an axis, a lens
-# or a kind of sheet that was asked for.
+# or a kind of sheet that was asked for, the part that a batch measures.
 OTHERS = {
     "image.light",
     "self.light",
@@ -24,6 +24,7 @@ OTHERS = {
     "args.axis",
     "args.lens",
     "args.sheet",
+    "jaxscan/cli/batch.py: part",
     "jaxscan/cli/facts.py: light",
     "jaxscan/surface/compare.py: motion",
 }

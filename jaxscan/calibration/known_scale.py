@@ -7,10 +7,9 @@ one step tells whether the board is as large as `session.toml` says.
 from collections.abc import Iterable
 from typing import Final
 
-import numpy as np
-
 from jaxscan.calibration.result import Calibration
 from jaxscan.files.session import Session
+from jaxscan.rig.facts import step_of
 from jaxscan.rig.line import Line
 
 # A board that is measured with a ruler, and a screw, are better than this; and so many σ are no noise.
@@ -31,12 +30,7 @@ def scale_note(calibration: Calibration, sessions: Iterable[Session]) -> str | N
     if known is None or not isinstance(axis, Line):
         return None
     board, given = known
-    step = np.array([float(x) for x in axis.per_step])
-    found = float(np.linalg.norm(step))
-    names = [f"motion.stage.per_step.{i}" for i in range(3)]
-    matrix, order = calibration.covariance.matrix, list(calibration.covariance.names)
-    at = [order.index(name) for name in names]
-    sigma = float(np.sqrt(step @ np.asarray(matrix)[np.ix_(at, at)] @ step)) / found
+    found, sigma = step_of(axis, calibration.covariance)
     if abs(found - given) < max(_SHARE * given, _SIGMAS * sigma):
         return None
     size = "pitch_mm" if board.kind == "circles" else "square_mm"

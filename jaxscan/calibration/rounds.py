@@ -215,7 +215,7 @@ def _field(
     assert old.field is not None
     value, jacobian = _restated(outcome, groups, old, new)
     # Without what was taken to be known of it.
-    value, jacobian = replace(value, blocks=value.blocks[:-1]), replace(jacobian, blocks=jacobian.blocks[:-1])
+    value, jacobian = (eqx.tree_at(lambda x: x.blocks, each, each.blocks[:-1]) for each in (value, jacobian))
     bend = 0.0 if new.bend is None else float(new.bend)
     found = reduced(value, jacobian, len(groups) if bend else 0, bend)
     return likeliest_field(old.field, system, np.asarray(free), found, bend)

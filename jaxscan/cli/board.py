@@ -21,7 +21,7 @@ _COUNTS: Final = {"checkerboard": "9x6", "circles": "9x6", "charuco": "10x7"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    add_outputs_argument(parser, "PAGE", ".pdf or .svg, true to size: print it at 100 %")
+    add_outputs_argument(parser, "PAGE", ".pdf or .svg, true to size: print it at 100 %%")
     parser.add_argument("--kind", choices=tuple(_COUNTS), default="checkerboard", help="default: checkerboard")
     parser.add_argument(
         "--board",

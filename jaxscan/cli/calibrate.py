@@ -244,7 +244,8 @@ def solve_sessions(
             found = calibrate_by_evidence(observations, model, fixed=fixed, advance=advance.says, **rest)
         else:
             found = calibrate(observations, **model.asked(), **rest, plain=estimate.plain, advance=advance.says)
-    note = scale_note(found, [content for content in contents if isinstance(content, Session)])
+    scaled = [content for content in contents if isinstance(content, Session) and content.stage is not None]
+    note = scale_note(found, scaled) if scaled else None
     return replace(found, notes=(*found.notes, note)) if note else found
 
 

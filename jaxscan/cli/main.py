@@ -166,7 +166,7 @@ def parser_of(program: Program) -> argparse.ArgumentParser:
         command: Any = importlib.import_module(module)
         sub = commands.add_parser(
             name,
-            help=command.HELP,
+            help=command.HELP.replace("%", "%%"),
             description=command.HELP[0].upper() + command.HELP[1:] + ".",
             epilog=f"example:\n  {command.EXAMPLE}",
             formatter_class=argparse.RawDescriptionHelpFormatter,

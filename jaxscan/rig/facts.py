@@ -93,6 +93,15 @@ def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.nda
     return {}
 
 
+def step_of(line: Line, covariance: Covariance) -> tuple[float, float]:
+    """Length of one motor step along a line, and its σ, to first order, mm."""
+    step = np.asarray(line.per_step, np.float64)
+    order = list(covariance.names)
+    at = [order.index(f"motion.{line.axis}.per_step.{i}") for i in range(len(step))]
+    length = float(np.linalg.norm(step))
+    return length, float(np.sqrt(step @ np.asarray(covariance.matrix)[np.ix_(at, at)] @ step)) / length
+
+
 def _of_play(part: AxisMotion, covariance: Covariance | None) -> Facts:
     """By how much farther on its load stands when it is approached by falling steps than by rising ones."""
     if "play" not in part.numbers:

@@ -76,7 +76,8 @@ def test_photographs_are_shown_with_profile_and_points(tmp_path: Path, monkeypat
     client.post("/api/lock", json={})
     ended(client, client.post("/api/jobs", json={"kind": "shoot", "project": "one", "step": 1000, "settle_s": 0}))
     (tmp_path / "one.ply").write_bytes(client.get("/api/projects/one/cloud.ply").raise_for_status().content)
-    assert np.abs(jaxscan.read_ply(tmp_path / "one.ply").points - cloud[COLUMNS:]).max() < 1e-3
+    # Made by another process, with the default detector.
+    assert np.abs(jaxscan.read_ply(tmp_path / "one.ply").points - points).max() < 0.05
     served.end()
 
 
