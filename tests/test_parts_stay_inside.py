@@ -26,6 +26,7 @@ OTHERS = {
     "args.sheet",
     "jaxscan/cli/batch.py: part",
     "jaxscan/cli/facts.py: light",
+    "jaxscan/measurement/scanned.py: part",
     "jaxscan/surface/compare.py: motion",
 }
 

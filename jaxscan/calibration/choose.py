@@ -18,7 +18,6 @@ from jaxtyping import Float
 from jaxscan.calibration.calibrate import calibrate
 from jaxscan.calibration.diagnostics.ladder import climb
 from jaxscan.calibration.diagnostics.missing_terms import missing_terms
-from jaxscan.calibration.diagnostics.residual_statistics import corner_residuals, over_image
 from jaxscan.calibration.model import Choice, Model, Trial
 from jaxscan.calibration.observations import Kept, Observations
 from jaxscan.calibration.result import Calibration
@@ -28,7 +27,6 @@ from jaxscan.rig.board_shape import rounded_mm
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER, is_off_centre
 from jaxscan.rig.projection import pixel_rays
-from jaxscan.rig.splined import Splined
 
 # A model is taken where it foretells photographs better by so many standard errors.
 _STANDARD_ERRORS = 2.0
@@ -128,21 +126,6 @@ def _of_stages(found: Calibration) -> str:
 
 
 def _lenses(found: Calibration, model: Model) -> Iterator[tuple[Model, str]]:
-    """The lens of the ladder that views not seen support, and others that may do as well or better.
-
-    Where none of the ladder is left that does, and corners are off alike in all photographs, a field on top of it.
-    """
-    formulas = list(_formulas(found, model))
-    yield from formulas
-    if not formulas and model.lens in LADDER:
-        left = over_image(corner_residuals(found), found.observations.image_size)
-        if left.left_out(found.corner_sigma_px):
-            share = left.share_off(found.corner_sigma_px)
-            why = f"in {100 * share:.0f} % of the image corners are off in the same direction in every photograph"
-            yield replace(model, lens=Splined.kind), why
-
-
-def _formulas(found: Calibration, model: Model) -> Iterator[tuple[Model, str]]:
     """The lens of the ladder that views not seen support, and others that may do as well or better."""
     missing = missing_terms(found)
     if missing is None or not missing.clear or missing.freed:

@@ -6,10 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.drawn_fields import Field, camera_of, session_through
 from benchmarks.models import session
 from jaxscan.calibration import Model, calibrate, calibrate_by_evidence
-from jaxscan.calibration.diagnostics import missing_terms
 from jaxscan.calibration.model import Choice, Trial
 
 PLAIN = Model(lights=("plane",))
@@ -49,17 +47,6 @@ def test_the_kind_that_was_drawn_is_chosen(kind, model):
         assert trial.gain > 2 * trial.error
         assert trial.of in result.choice.sentence
     json.dumps(result.choice.as_data())
-
-
-@pytest.mark.long
-def test_a_field_that_formulas_leave_is_followed_by_a_splined_lens():
-    _, observations = session_through(camera_of(), Field.random(0, 0.5), 0)
-    result = chosen(observations)
-    assert result.choice.model == replace(PLAIN, lens="splined")
-    (trial,) = result.choice.added
-    assert trial.gain > 20 * trial.error
-    assert "off in the same direction in every photograph" in trial.why
-    assert missing_terms(result) is None
 
 
 def test_what_is_fixed_stays_and_is_named():

@@ -85,7 +85,8 @@ def test_errors_are_as_large_as_is_said(drawn, share, name):
     assert 0.7 < np.sqrt(np.mean(off**2)) < 1.35
     assert np.mean([d.interval[0] <= TRUTH[name] <= d.interval[1] for d in each]) >= 0.85
     rig = np.mean([d.sigma_rig / d.sigma for d in each])
-    assert rig > 0.95 if share < 1 else rig < 0.5
+    # What a wrong rig does to the form of the dome stands in its residuals too, and is counted there once more.
+    assert rig > {"radius": 0.85, "step": 0.99}[name] if share < 1 else rig < 0.5
 
 
 def test_what_more_points_do_not_improve_is_the_rigs_part(scene):
