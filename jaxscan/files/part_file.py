@@ -74,7 +74,7 @@ class Region:
     def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
         """Which points lie in it."""
         if self.high is not None:
-            return ((points >= self.low) & (points <= self.high)).all(axis=1)
+            return np.asarray(((points >= self.low) & (points <= self.high)).all(axis=1))
         return ((points - np.asarray(self.low)) ** 2).sum(axis=1) <= self.radius**2
 
 
