@@ -68,6 +68,7 @@ SUITES = {
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
 NOT_QUICK = {
     "crashes",
+    "lost_steps",
     "stop",
     "board_shape",
     "concurrency",
