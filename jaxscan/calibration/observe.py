@@ -34,6 +34,8 @@ from jaxscan.images.stripes.other_colour import colour_that_shows
 _SMEAR_PX = 1.0
 # A stripe is looked for the wrong way where it is so many times as long across as along.
 _STEEP = 2.0
+# Photographs in which other colours are tried.
+_TRIED = 3
 
 
 @dataclass(frozen=True)
@@ -320,8 +322,6 @@ def _not_found(session: Session, photographs: Sequence[_Photograph], what: str) 
     return [f"{name}: the board of {columns} x {rows} points was not found" for name in missing]
 
 
-# Photographs in which other colours are tried.
-_TRIED = 3
 _CHECK = (
     "check [board] (inner corners are where four squares meet, one fewer than the squares in a row), that the whole "
     "board is in view, and that the photographs are sharp"

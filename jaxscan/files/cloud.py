@@ -78,22 +78,33 @@ def writing_ply(path: str | os.PathLike[str]) -> Iterator[Callable[[Cloud], None
     Raises:
         InputError: there were no points, a coordinate is not finite, or the file cannot be written.
     """
-    points = 0
-    with writing_ply_file(path, "vertex", ("comment units mm",)) as add_rows:
-
-        def add(cloud: Cloud) -> None:
-            nonlocal points
-            if not np.isfinite(cloud.points).all():
-                raise InputError(
-                    f"{path}: a point has a coordinate that is not a finite number: leave missing points out"
-                )
-            if len(cloud.points):
-                points += len(cloud.points)
-                add_rows(vertices_of(cloud))
-
+    with (
+        writing_ply_file(path, "vertex", ("comment units mm",)) as add_rows,
+        adding_points(path, lambda cloud: add_rows(vertices_of(cloud))) as add,
+    ):
         yield add
-        if not points:
-            raise InputError(f"{path}: there are no points to write: check that the photographs show the stripe")
+
+
+@contextmanager
+def adding_points(path: str | os.PathLike[str], write: Callable[[Cloud], None]) -> Iterator[Callable[[Cloud], None]]:
+    """Points on their way to a file of any format: the block is given what writes some of them, if there are any.
+
+    Raises:
+        InputError: there were no points at the end of the block, or a coordinate is not finite.
+    """
+    points = 0
+
+    def add(cloud: Cloud) -> None:
+        nonlocal points
+        if not np.isfinite(cloud.points).all():
+            raise InputError(f"{path}: a point has a coordinate that is not a finite number: leave missing points out")
+        if len(cloud.points):
+            points += len(cloud.points)
+            write(cloud)
+
+    yield add
+    if not points:
+        raise InputError(f"{path}: there are no points to write: check that the photographs show the stripe")
 
 
 def vertices_of(cloud: Cloud) -> Element:

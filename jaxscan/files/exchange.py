@@ -24,7 +24,7 @@ import numpy as np
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
-from jaxscan.files.cloud import Cloud, check_points, read_ply, writing_ply
+from jaxscan.files.cloud import Cloud, adding_points, check_points, read_ply, writing_ply
 
 EXCHANGE: Final = (".xyz", ".pcd", ".e57", ".laz", ".las")
 CLOUDS: Final = (".ply", *EXCHANGE)
@@ -84,23 +84,8 @@ def writing_cloud(path: str | os.PathLike[str]) -> Iterator[Callable[[Cloud], No
             yield add
         return
     check_exchange(path)
-    points = 0
-    writing = _WRITERS[ending]
-    with writing(Path(path)) as add_points:
-
-        def add_some(cloud: Cloud) -> None:
-            nonlocal points
-            if not np.isfinite(cloud.points).all():
-                raise InputError(
-                    f"{path}: a point has a coordinate that is not a finite number: leave missing points out"
-                )
-            if len(cloud.points):
-                points += len(cloud.points)
-                add_points(cloud)
-
-        yield add_some
-        if not points:
-            raise InputError(f"{path}: there are no points to write: check that the photographs show the stripe")
+    with _WRITERS[ending](Path(path)) as write, adding_points(path, write) as add:
+        yield add
 
 
 def write_cloud(path: str | os.PathLike[str], cloud: Cloud) -> None:
