@@ -225,9 +225,9 @@ def kill_batch(folder: Path, count: int) -> list[Struck]:
         child.send_signal(signal.SIGKILL)
         child.wait()
         now = _made(folder)
-        torn = sum((folder / "killed" / name).read_bytes() != whole[name] for name in now)
+        half_written = sum((folder / "killed" / name).read_bytes() != whole[name] for name in now)
         gone, twice = sum(name not in now for name in made), sum(now.get(name) != at for name, at in made.items())
-        found.append(Struck(met, torn + gone, twice, False))
+        found.append(Struck(met, half_written + gone, twice, False))
         made = now
     subprocess.run(batch_command(folder, "killed"), **quiet)
     now = _made(folder)

@@ -100,7 +100,7 @@ def rigs(calibration: Calibration, gauges: Sequence[Gauge], random: np.random.Ge
         adjustment=eqx.tree_at(lambda a: a.start.rig.lights, calibration.adjustment, rig.lights),
     )
     fits = {
-        "boards_and_block": refine_by_gauge(calibration, gauges, doubt=()),
+        "boards_and_block": refine_by_gauge(calibration, gauges, trust=("laser", "stage")),
         "pushed.block": refine_by_gauge(turned.rig_file(), gauges[:1]),
         "pushed.block_twice": refine_by_gauge(turned.rig_file(), gauges),
         "pushed.boards_and_block_twice": refine_by_gauge(turned, gauges),

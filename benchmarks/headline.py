@@ -46,7 +46,7 @@ _BOUND: Final = "bound"
 _FRAMES_APART: Final = 6
 
 # Of each contrast, of each seed, of each pipeline: its errors by name, mm.
-Kept = dict[str, dict[str, dict[str, dict[str, float]]]]
+Stored = dict[str, dict[str, dict[str, dict[str, float]]]]
 
 
 def main() -> None:
@@ -84,10 +84,10 @@ def measure(quick: bool) -> list[Metric]:
     return report(measured(range(QUICK_SEEDS if quick else SEEDS)))
 
 
-def measured(seeds: Sequence[int], keep: Path | None = None) -> Kept:
+def measured(seeds: Sequence[int], keep: Path | None = None) -> Stored:
     """The errors of all pipelines on these seeds; those that are kept are not measured again."""
-    stored: Kept = json.loads(keep.read_text()) if keep is not None and keep.exists() else {}
-    found: Kept = {}
+    stored: Stored = json.loads(keep.read_text()) if keep is not None and keep.exists() else {}
+    found: Stored = {}
     for contrast in CONTRASTS:
         for seed in seeds:
             of_contrast = stored.setdefault(_key(contrast), {})
@@ -119,7 +119,7 @@ def of_a_seed(seed: int, contrast: float) -> dict[str, dict[str, float]]:
     }
 
 
-def report(found: Kept) -> list[Metric]:
+def report(found: Stored) -> list[Metric]:
     """Print a table for each contrast, and what misses a goal; the figures."""
     metrics = []
     for contrast in CONTRASTS:

@@ -45,7 +45,7 @@ from jaxscan.simulation import Scene, distance, rig_2003
 from jaxscan.simulation.drawn import drawn_scan, noisy_scan
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.shapes import figure
-from jaxscan.surface.coarse import arrange
+from jaxscan.surface.coarse_register import coarse_register
 from jaxscan.surface.merged import Merged, merge, merge_closed
 from jaxscan.surface.register import Registration, moved_apart, register
 from jaxscan.surface.side import Side, side_of_image
@@ -172,7 +172,7 @@ def joined(stem: str, sides: list[Side], truth: list[Pose], scene: Scene) -> lis
     """Registered from wrong angles and from none, chained, merged."""
     told = [45.0 * k + wrong for k, wrong in enumerate(np.random.default_rng(0).uniform(-10, 10, VIEWS))]
     begin = time.perf_counter()
-    found = register(sides, arrange(sides, told))
+    found = register(sides, coarse_register(sides, told))
     seconds = time.perf_counter() - begin
     chained, last = chain(sides, truth), own_pair(sides[-1], sides[0], truth[-1].inverse())
     off, off_chained = errors(found.poses, truth, found.centre), errors(chained, truth, found.centre)
@@ -196,7 +196,7 @@ def joined(stem: str, sides: list[Side], truth: list[Pose], scene: Scene) -> lis
 def by_features(stem: str, sides: list[Side], found: Registration) -> list[Metric]:
     """How far the poses that features lead to are from those that the angles led to."""
     try:
-        again = register(sides, arrange(sides))
+        again = register(sides, coarse_register(sides))
     except InputError as error:
         print(f"  {error}")
         return []

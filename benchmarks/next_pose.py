@@ -19,7 +19,7 @@ from benchmarks.metric import Metric
 from benchmarks.simulated import rig_errors
 from jaxscan.calibration import Calibration, Observations, View, calibrate
 from jaxscan.geometry import Pose
-from jaxscan.reconstruction.next_photographs import next_photographs, wanted
+from jaxscan.reconstruction.next_best_views import next_best_views, wanted
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volume
 from jaxscan.rig import Rig
 from jaxscan.simulation import rig_2003
@@ -39,13 +39,13 @@ class Compared:
     Attributes:
         errors: actual, over the drawings.
         sigmas: predicted by the calibrations, RMS over the drawings.
-        foretold: σ that was foretold for the suggested views before they were taken.
+        predicted: σ that was predicted for the suggested views before they were taken.
         seconds: that the suggestion took.
     """
 
     errors: dict[str, float]
     sigmas: dict[str, float]
-    foretold: float
+    predicted: float
     seconds: float
 
 
@@ -64,7 +64,7 @@ def _metrics(name: str, each: list[Compared]) -> list[Metric]:
 
     errors = {kind: float(np.median([e.errors[kind] for e in each])) for kind in each[0].errors}
     better = float((against_random("errors", "suggested") < 1).mean())
-    foretold = np.array([e.foretold / e.sigmas["suggested"] for e in each])
+    predicted = np.array([e.predicted / e.sigmas["suggested"] for e in each])
     return [
         *(Metric(f"{name}.error.{kind}", error, "mm") for kind, error in errors.items()),
         *(
@@ -80,7 +80,7 @@ def _metrics(name: str, each: list[Compared]) -> list[Metric]:
             for kind in ("suggested", "held_by_hand")
         ),
         Metric(f"{name}.error.sessions_in_which_suggested_is_better", better),
-        Metric(f"{name}.sigma.foretold_over_found", float(np.median(foretold))),
+        Metric(f"{name}.sigma.predicted_over_found", float(np.median(predicted))),
         Metric(f"{name}.seconds_later", float(np.median([e.seconds for e in each[1:]])), "s"),
     ]
 
@@ -92,7 +92,7 @@ def compare(seed: int, views: int) -> Compared:
     random = np.random.default_rng([2003, seed, views])
     begin = calibrate(redrawn(exact, NOISE, random))
     clock = time.monotonic()
-    planned = next_photographs(begin, _volumes(begin), count=_ADDED)
+    planned = next_best_views(begin, _volumes(begin), count=_ADDED)
     seconds = time.monotonic() - clock
     like_these = rig_2003.board_poses(truth, 1000 + seed, _DRAWINGS * _ADDED)
     solved: dict[str, list[Calibration]] = {"none": [], "suggested": [], "held_by_hand": [], "random": []}
@@ -109,7 +109,7 @@ def compare(seed: int, views: int) -> Compared:
     return Compared(
         errors={kind: _rms([rig_errors(c.rig, truth).points for c in each]) for kind, each in solved.items()},
         sigmas={kind: _rms([_median_sigma(c) for c in each]) for kind, each in solved.items()},
-        foretold=planned.medians[-1],
+        predicted=planned.medians[-1],
         seconds=seconds,
     )
 

@@ -28,7 +28,7 @@ from jaxscan.calibration import Calibration, calibrate
 from jaxscan.calibration.observe import observe
 from jaxscan.files.session import read_session
 from jaxscan.rig import Rig, Rotary
-from jaxscan.rig.turn_facts import turn_facts
+from jaxscan.rig.turn_summary import turn_summary
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.drawn import drawn_scan
 from jaxscan.simulation.folders import simulate_session
@@ -80,8 +80,8 @@ def against_truth(stem: str, found: list[tuple[Rig, Calibration]]) -> list[Metri
         R, origin = rig_2003.platform(rig)
         middle = origin + R @ np.array([0.0, rig_2003.OBJECT_Y, 0.0])
         own, true = numbers(table), numbers(true_table)
-        told = turn_facts(table, calibration.covariance, middle)
-        truth = turn_facts(true_table, None, middle)
+        told = turn_summary(table, calibration.covariance, middle)
+        truth = turn_summary(true_table, None, middle)
         axis = np.array(told.axis_direction)
         tilt = np.degrees(np.linalg.norm(np.cross(axis, truth.axis_direction)))
         place = np.array(truth.through_mm) - told.through_mm

@@ -1,7 +1,7 @@
 """Where to hold the board next: the photograph that makes points known best, before it is taken.
 
 What a photograph of the board at some pose would tell of the rig does not depend on what is seen in it, only on where
-corners and stripe would be seen. So the covariance *after* it is known before it is taken. `next_photographs` looks for
+corners and stripe would be seen. So the covariance *after* it is known before it is taken. `next_best_views` looks for
 the pose that makes the mean variance of a point in the working volume least, then for the next one: docs/next-pose.md.
 """
 
@@ -11,7 +11,7 @@ import photographs
 import jaxscan
 
 calibration = photographs.calibration()
-planned = jaxscan.next_photographs(calibration, count=2)
+planned = jaxscan.next_best_views(calibration, count=2)
 
 print(f"median σ of a point now: {planned.median_now:.3f} {planned.unit}")
 for number, (pose, median) in enumerate(zip(planned.poses, planned.medians, strict=True), start=1):

@@ -1,9 +1,9 @@
 """Eight scans of a figure, turned by hand in between, as one surface.
 
 Each scan is cleaned, its floor is found and taken away, and what stands on it becomes a *side*: points with normals,
-and σ of each along its normal. `arrange` finds about where the sides stand to each other, from angles that may be wrong
-by 10°; `register` brings all of them together in one least-squares problem over every pair that overlaps, and gives the
-covariance of all poses; `merge` makes the surface on which every point weighs by its σ.
+and σ of each along its normal. `coarse_register` finds about where the sides stand to each other, from angles that may
+be wrong by 10°; `register` brings all of them together in one least-squares problem over every pair that overlaps, and
+gives the covariance of all poses; `merge` makes the surface on which every point weighs by its σ.
 
 The scans are drawn here: the stripe where an ideal camera would see it, with a noise of 0.03 pixels. Range images of
 photographs, `jaxscan.reconstruct(rig, jaxscan.read_scan(…))`, take the same path, and on the command line it is
@@ -29,7 +29,7 @@ for k in range(SIDES):
     sides.append(jaxscan.side_of_image(f"side {k}", image))
     print(f"{sides[-1].name}: {len(sides[-1].points)} points of the figure")
 
-starts = jaxscan.arrange(sides, [TURN * k for k in range(SIDES)])
+starts = jaxscan.coarse_register(sides, [TURN * k for k in range(SIDES)])
 found = jaxscan.register(sides, starts)
 for k, side in enumerate(sides[1:], start=1):
     turn, shift = found.sigma(k)

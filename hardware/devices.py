@@ -106,7 +106,7 @@ def read_scanner(path: Path | None) -> ScannerSettings:
         path: the file; None for `scanner.toml` in the working folder, if it is there.
 
     Raises:
-        InputError: whatever is wrong: file, key, value and the mend.
+        InputError: whatever is wrong: file, key, value and the fix.
     """
     if path is None and not Path(SCANNER_FILE).is_file():
         return ScannerSettings()

@@ -15,7 +15,7 @@ from typing import Any, Final
 from hardware.frame import Frame
 from hardware.places import Axes, Place, axes_of, places_of
 from jaxscan.atomic import check_writable, replacing
-from jaxscan.errors import InputError, said_of
+from jaxscan.errors import InputError, error_context
 from jaxscan.exclusive import exclusive
 from jaxscan.files.axes import STAGE, is_axis_name
 from jaxscan.files.listing import common_size
@@ -260,7 +260,7 @@ def _read_plan(path: Path) -> Plan:
     laser = table.table("laser", "laser.").only("color", "columns", "name").values
     values: dict[str, Any] = {key: table.values[key] for key in keys if key in table}
     try:
-        with said_of(path):
+        with error_context(path):
             return Plan(**values | {"axes": axes, "laser": StripeSettings(**laser)})
     except TypeError as error:
         raise InputError(f"{path}: is not what a scan writes ({error}): begin another scan") from error

@@ -4,6 +4,7 @@ The names below are the public ones; the rest promises nothing. They are importe
 `jaxscan --help` does not wait for JAX.
 """
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
         Adjustment,
         BoardSequence,
         Calibration,
-        Kept,
+        InlierMask,
         Model,
         Observations,
         StripePoints,
@@ -34,10 +35,10 @@ if TYPE_CHECKING:
     from jaxscan.measurement.measure import Measurement, measure
     from jaxscan.measurement.scanned import scanned_image, scanned_points
     from jaxscan.reconstruction import RangeImage, Scanner, read_range_image, reconstruct, write_points, write_stream
-    from jaxscan.reconstruction.next_photographs import next_photographs
+    from jaxscan.reconstruction.next_best_views import next_best_views
     from jaxscan.rig import BowedSheet, Camera, Chain, Covariance, Fixed, LightPlane, Linear, Rig, Rotary, System
     from jaxscan.surface.clean import clean
-    from jaxscan.surface.coarse import arrange
+    from jaxscan.surface.coarse_register import coarse_register
     from jaxscan.surface.floor import find_floor, stands_on
     from jaxscan.surface.merged import merge
     from jaxscan.surface.register import register
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Adjustment": "jaxscan.calibration",
     "Calibration": "jaxscan.calibration",
-    "Kept": "jaxscan.calibration",
+    "InlierMask": "jaxscan.calibration",
     "Observations": "jaxscan.calibration",
     "BoardSequence": "jaxscan.calibration",
     "StripePoints": "jaxscan.calibration",
@@ -88,7 +89,7 @@ _HOME = {
     "reconstruct": "jaxscan.reconstruction",
     "write_points": "jaxscan.reconstruction",
     "write_stream": "jaxscan.reconstruction",
-    "next_photographs": "jaxscan.reconstruction.next_photographs",
+    "next_best_views": "jaxscan.reconstruction.next_best_views",
     "BowedSheet": "jaxscan.rig",
     "Camera": "jaxscan.rig",
     "LightPlane": "jaxscan.rig",
@@ -99,7 +100,7 @@ _HOME = {
     "Fixed": "jaxscan.rig",
     "System": "jaxscan.rig",
     "clean": "jaxscan.surface.clean",
-    "arrange": "jaxscan.surface.coarse",
+    "coarse_register": "jaxscan.surface.coarse_register",
     "find_floor": "jaxscan.surface.floor",
     "stands_on": "jaxscan.surface.floor",
     "merge": "jaxscan.surface.merged",
@@ -120,9 +121,9 @@ __all__ = [
     "Cloud",
     "Covariance",
     "Fixed",
+    "InlierMask",
     "InputError",
     "JaxscanError",
-    "Kept",
     "LightPlane",
     "Linear",
     "Measurement",
@@ -143,14 +144,14 @@ __all__ = [
     "System",
     "Verdict",
     "View",
-    "arrange",
     "calibrate",
     "calibrate_by_evidence",
     "clean",
+    "coarse_register",
     "find_floor",
     "measure",
     "merge",
-    "next_photographs",
+    "next_best_views",
     "observe",
     "read_camera",
     "read_part",
@@ -175,7 +176,19 @@ __all__ = [
 ]
 
 
+# Old names, found for one version.
+_RENAMED = {"Kept": "InlierMask", "arrange": "coarse_register", "next_photographs": "next_best_views"}
+
+
 def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        new = _RENAMED[name]
+        warnings.warn(
+            f"jaxscan.{name} is now jaxscan.{new}; the old name goes with the next version",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        name = new
     if name not in _HOME:
         raise AttributeError(f"module 'jaxscan' has no attribute '{name}'")
     return getattr(import_module(_HOME[name]), name)

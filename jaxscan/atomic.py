@@ -119,11 +119,11 @@ def _sync(folder: Path) -> None:
 
 def _refusal(path: str | os.PathLike[str], error: OSError) -> InputError:
     full = "make room, or choose another disk"
-    mend = {
+    fix = {
         errno.ENOSPC: full,
         errno.EDQUOT: full,
         errno.EFBIG: full,
         errno.EIO: "choose another disk",
         errno.ENAMETOOLONG: "choose a shorter name",
     }.get(error.errno or 0, "choose a folder that you may write to")
-    return InputError(f"{path}: cannot be written ({error.strerror or error}): {mend}")
+    return InputError(f"{path}: cannot be written ({error.strerror or error}): {fix}")

@@ -26,7 +26,7 @@ class StalledError(JaxscanError):
 
 
 @contextmanager
-def said_of(where: str | os.PathLike[str]) -> Iterator[None]:
+def error_context(where: str | os.PathLike[str]) -> Iterator[None]:
     """Put the file, and the key, before the text of an `InputError`, unless it names them already."""
     try:
         yield

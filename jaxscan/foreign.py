@@ -12,7 +12,7 @@ _LONGEST_SHOWN: Final = 200
 
 
 @contextmanager
-def foreign(path: str | os.PathLike[str], problem: str, mend: str) -> Iterator[None]:
+def foreign(path: str | os.PathLike[str], problem: str, fix: str) -> Iterator[None]:
     """Turn whatever a library raises about a file into an `InputError` that names it; its warnings are dropped.
 
     Not for threads: Python's filters of warnings are one for the whole process.
@@ -20,7 +20,7 @@ def foreign(path: str | os.PathLike[str], problem: str, mend: str) -> Iterator[N
     Args:
         path: the file.
         problem: what could not be done with it: "cannot be read as a mesh".
-        mend: what to do about it.
+        fix: what to do about it.
 
     Raises:
         InputError: the library raised something; its own words are in the text.
@@ -33,4 +33,4 @@ def foreign(path: str | os.PathLike[str], problem: str, mend: str) -> Iterator[N
         raise
     except Exception as error:  # each library has its own
         said = " ".join(str(error).split())[:_LONGEST_SHOWN] or type(error).__name__
-        raise InputError(f"{path}: {problem} ({said}): {mend}") from error
+        raise InputError(f"{path}: {problem} ({said}): {fix}") from error

@@ -165,7 +165,7 @@ FUNCTIONS = [
     ("plots", lambda: surface_plots.draw_mesh("m.png", *[None] * 3, "")),
     ("plots", lambda: surface_plots.draw_range("m.png", None)),
     ("plots", lambda: surface_plots.draw_comparison("m.png", None, "")),
-    ("plots", lambda: surface_plots.draw_exhibit("m.png", None, "", "")),
+    ("plots", lambda: surface_plots.draw_view_data("m.png", None, "", "")),
     ("poisson", lambda: poisson_surface(None, None)),
     ("mesh-scenes", lambda: Mesh.create(None)),
 ]

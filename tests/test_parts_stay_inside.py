@@ -25,7 +25,7 @@ OTHERS = {
     "args.lens",
     "args.sheet",
     "jaxscan/cli/batch.py: part",
-    "jaxscan/cli/facts.py: light",
+    "jaxscan/cli/summary.py: light",
     "jaxscan/measurement/scanned.py: part",
     "jaxscan/surface/compare.py: motion",
 }

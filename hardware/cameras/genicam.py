@@ -116,10 +116,10 @@ class GenICamCamera:
         return self._acquirer
 
     @staticmethod
-    def _try(seconds: float, work: Callable[[], Any], mend: str) -> Any:
+    def _try(seconds: float, work: Callable[[], Any], fix: str) -> Any:
         try:
             return within(seconds, work, "GenICam camera")
         except HardwareError:
             raise
         except Exception as error:  # its exceptions are the maker's, and of many families
-            raise CameraError(f"GenICam camera: {error}: {mend}") from error
+            raise CameraError(f"GenICam camera: {error}: {fix}") from error

@@ -87,11 +87,11 @@ class GPhotoCamera:
             raise CameraError("the camera is not open: open it first")
         return self._camera
 
-    def _try(self, seconds: float, work: Any, mend: str) -> Any:
+    def _try(self, seconds: float, work: Any, fix: str) -> Any:
         try:
             return within(seconds, work, "gphoto2 camera")
         except self._gp.GPhoto2Error as error:
-            raise CameraError(f"gphoto2 camera: {error}: {mend}") from error
+            raise CameraError(f"gphoto2 camera: {error}: {fix}") from error
 
 
 def _number(text: str) -> float | None:

@@ -4,7 +4,7 @@ from jaxscan.calibration.adjustment import Adjustment, refit
 from jaxscan.calibration.calibrate import calibrate
 from jaxscan.calibration.choose import calibrate_by_evidence
 from jaxscan.calibration.model import Choice, Model
-from jaxscan.calibration.observations import BoardSequence, Kept, Observations, StripePoints, View
+from jaxscan.calibration.observations import BoardSequence, InlierMask, Observations, StripePoints, View
 from jaxscan.calibration.result import Calibration, PhotographFit
 
 __all__ = [
@@ -12,7 +12,7 @@ __all__ = [
     "BoardSequence",
     "Calibration",
     "Choice",
-    "Kept",
+    "InlierMask",
     "Model",
     "Observations",
     "PhotographFit",

@@ -77,7 +77,7 @@ class ByPhotograph:
 
     def inverse(self) -> Float[np.ndarray, "unknowns unknowns"]:
         """Of the sum of all, T⁻¹: the covariance of the unknowns."""
-        return inverse_where_told(self.total())[0]
+        return inverse_where_determined(self.total())[0]
 
     def total(self) -> Float[np.ndarray, "unknowns unknowns"]:
         """T, the normal equations of all."""
@@ -120,7 +120,7 @@ def rows_of(
     return rows, np.repeat([*scales, 1.0], [corners, stripe, len(rest)])
 
 
-def inverse_where_told(
+def inverse_where_determined(
     M: Float[np.ndarray, "*each n n"], least: float = _ROUNDING, scale: Float[np.ndarray, "*each n"] | None = None
 ) -> tuple[Float[np.ndarray, "*each n n"], Int[np.ndarray, "*each"]]:
     """The inverse in the directions that there are, and how many.

@@ -20,8 +20,8 @@ from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
 from jaxscan.calibration.first_camera import first_camera
 from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
-from jaxscan.calibration.foretold import foretold
 from jaxscan.calibration.held import held_parameters
+from jaxscan.calibration.leave_one_out import leave_one_out
 from jaxscan.calibration.lens_field import (
     FieldPrior,
     base_of,
@@ -30,8 +30,9 @@ from jaxscan.calibration.lens_field import (
     held_beside_field,
     with_field,
 )
-from jaxscan.calibration.observations import Kept, Observations, Unused
+from jaxscan.calibration.observations import InlierMask, Observations, Unused
 from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
+from jaxscan.calibration.pose_ambiguity import resolve_pose_ambiguity
 from jaxscan.calibration.refusals import (
     FEWEST_STRIPES,
     check_enough,
@@ -45,7 +46,6 @@ from jaxscan.calibration.refusals import (
 from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import refine
-from jaxscan.calibration.second_poses import better_poses
 from jaxscan.calibration.stage_kinds import begun, first_approach, shape_parameters, with_kinds
 from jaxscan.calibration.stage_paths import courses
 from jaxscan.calibration.widening import widened
@@ -71,7 +71,7 @@ def calibrate(
     tilted: bool = False,
     board_shape: str = "flat",
     plain: bool = False,
-    keep: Sequence[Kept] | None = None,
+    keep: Sequence[InlierMask] | None = None,
     light: str | Sequence[str] = LightPlane.kind,
     motion: Mapping[str, str] | None = None,
     periods: Mapping[str, float] | None = None,
@@ -168,7 +168,7 @@ def calibrate(
         of_camera = partial(rounds, begins=lambda solve: advance(f"camera, round {solve}"))
         noise = replace(_first_noise(usable, bends), field=_first_field(system, free))
         refined = of_camera(replace(system, poses=poses), free, corners, noise)
-        if judge and (elsewhere := better_poses(refined.system, corners, refined.noise)) is not None:
+        if judge and (elsewhere := resolve_pose_ambiguity(refined.system, corners, refined.noise)) is not None:
             refined = of_camera(elsewhere, free, corners, refined.noise)
         if kind != camera.lens.kind:
             # A field of shifts on top of the terms, on a grid over the image as these see it.
@@ -232,7 +232,8 @@ def calibrate(
     return replace(
         result,
         kept=tuple(
-            Kept.none(view) if lacking(view, observations.board) else next(kept) for view in observations.photographs()
+            InlierMask.none(view) if lacking(view, observations.board) else next(kept)
+            for view in observations.photographs()
         ),
         plain=plain,
         notes=(*result.notes, *approached, *unclear_bows(result.rig, result.covariance), *((_PLAIN,) if plain else ())),
@@ -245,18 +246,18 @@ def calibrate(
         flatness=flatness,
         sheet_curves=curves,
         change=change,
-        untold_periods=tuple(aliases),
+        undetermined_periods=tuple(aliases),
         stage_shapes=stages,
         off_grid=off_grid,
         drift=drift,
         formal_covariance=formal,
-        foretold=foretold(refined, each),
+        held_out=leave_one_out(refined, each),
     )
 
 
 def _sentences(statements: Iterable[tuple[str, str]]) -> Iterator[str]:
     """What is the case and what to do, without the last full stop, as warnings are."""
-    return (f"{what}. {mend}".removesuffix(".") for what, mend in statements)
+    return (f"{what}. {fix}".removesuffix(".") for what, fix in statements)
 
 
 def _first_lights(

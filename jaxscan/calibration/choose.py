@@ -3,7 +3,7 @@
 What the residuals of a solve show of a term that was not sought (a board that bends, a sheet that is curved, a lens
 that is not followed, a stage that is no line) is told without another solve, and so rarely by chance alone that a
 session which needs no term pays for none. What is told is solved with, and takes the place of the simpler model where
-the other photographs foretell each one better with it than without: −2 log of the density has to fall by more than two
+the other photographs predict each one better with it than without: −2 log of the density has to fall by more than two
 of its standard errors, from photograph to photograph. Both are solved on the same observations, those that the richer
 model keeps.
 """
@@ -19,7 +19,7 @@ from jaxscan.calibration.calibrate import calibrate
 from jaxscan.calibration.diagnostics.ladder import climb
 from jaxscan.calibration.diagnostics.missing_terms import missing_terms
 from jaxscan.calibration.model import Choice, Model, Trial
-from jaxscan.calibration.observations import Kept, Observations
+from jaxscan.calibration.observations import InlierMask, Observations
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.rig import BowedSheet, LightPlane
@@ -28,7 +28,7 @@ from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER, is_off_centre
 from jaxscan.rig.projection import pixel_rays
 
-# A model is taken where it foretells photographs better by so many standard errors.
+# A model is taken where it predicts photographs better by so many standard errors.
 _STANDARD_ERRORS = 2.0
 # No session asks for more models one after the other.
 _MOST = 6
@@ -171,7 +171,7 @@ class _Tried:
 
     @property
     def clear(self) -> bool:
-        """Whether photographs are foretold better."""
+        """Whether photographs that were left out are predicted better."""
         return _falls(self.falls)
 
     def trial(self, simpler: Model, taken: bool) -> Trial:
@@ -189,10 +189,10 @@ def _tried(model: Model, why: str, simpler: Model, found: Calibration, solved: C
         poor = found if _same(rich.kept, found.kept) else solved(simpler, keep=rich.kept)
     except (InputError, ObservabilityError, SolveError) as error:
         return _Tried(model, why, np.zeros(0), None, str(error))
-    return _Tried(model, why, poor.foretold - rich.foretold, rich)
+    return _Tried(model, why, poor.held_out - rich.held_out, rich)
 
 
-def _same(a: Sequence[Kept], b: Sequence[Kept]) -> bool:
+def _same(a: Sequence[InlierMask], b: Sequence[InlierMask]) -> bool:
     return all(
         np.array_equal(one.corners, other.corners)
         and all(np.array_equal(x, y) for x, y in zip(one.stripes, other.stripes, strict=True))

@@ -44,7 +44,7 @@ class Drift:
     @property
     def statement(self) -> tuple[str, str]:
         """What is the case and what to do."""
-        what, mend = _WORDS[self.kind]
+        what, fix = _WORDS[self.kind]
         of = f' of laser "{self.laser}"' if self.laser else ""
         moved = f"; it moves {self.parameter} by {self.shift_in_sigma:.1f} of its σ, which is widened by that"
-        return f"{what.format(self.by)}{of}{moved}", f"{mend}; then photograph again."
+        return f"{what.format(self.by)}{of}{moved}", f"{fix}; then photograph again."

@@ -1,14 +1,14 @@
-"""`refine_by_gauge`: objects of known shape, scanned, put right the light planes and the stage of a rig.
+"""`refine_by_gauge`: scans of objects of known shape correct the light planes and the stage of a rig.
 
 Unknown are the rig and where each gauge stood. The stripe points of their scans give residuals in detector pixels
 (`gauge_residuals`). What the boards had to say of the rig comes in either as they left it, the rig's own mean and
 covariance as a prior; or, with a finished calibration, as its corners and stripes themselves, in one solve. Of a part
-that is doubted (a laser that was pushed) the prior is all but forgotten, and the photographs tell nothing.
+that is not trusted (a laser that was pushed) the prior is very wide, and the photographs are not used.
 
 Nearest points of the shapes, outliers, σ and the solve take turns until they stand still.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -48,8 +48,10 @@ _FIRST_DAMPING = 1e-12
 _SETTLED = 0.01
 _SMALLEST_SIGMA = 1e-3
 _SMALLEST_TOLERANCE = 0.02
-# A doubted part is known to this share of itself: a laser pushed by some 3 degrees.
-_DOUBT = 0.05
+# What a gauge can correct, and how well it is known where it is not trusted, as a share of itself: a laser that was
+# pushed by some 3 degrees.
+_CORRECTED = frozenset({"laser", "stage"})
+_NOT_TRUSTED = 0.05
 
 
 @dataclass(frozen=True)
@@ -104,24 +106,25 @@ class GaugeFit:
 
 
 def refine_by_gauge(
-    known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequence[str] = ("laser",)
+    known: RigFile | Calibration, gauges: Sequence[Gauge], trust: Sequence[str] = ("stage",)
 ) -> GaugeFit:
     """Refine a rig so that scanned objects have the shapes that they are known to have.
 
     Args:
-        known: a rig, with its covariance where there is one; without it, what is not doubted is held. Or a calibration,
+        known: a rig, with its covariance where there is one; without it, what is trusted is held. Or a calibration,
             whose photographs then take part in the solve themselves, at its inliers, weights and σ.
         gauges: one gauge in several places, or several.
-        doubt: parts of the rig whose values are hardly to be trusted: "laser", those that lit the gauges, and "stage".
+        trust: parts of the rig whose values hold as well as their covariance says: "laser", those that lit the gauges,
+            and "stage". Of the others the known values are only a rough start.
 
     Raises:
         InputError: a shape is not found in its scan, or too few points lie on it.
         SolveError: no minimum was reached.
     """
-    if unknown := set(doubt) - {"laser", "stage"}:
-        raise InputError(f'doubt names {", ".join(sorted(unknown))}: a gauge can put right "laser" and "stage"')
+    if unknown := set(trust) - _CORRECTED:
+        raise InputError(f'trust names {", ".join(sorted(unknown))}: a gauge corrects "laser" and "stage"')
     with float64():
-        boards = _boards(known, gauges, doubt)
+        boards = _boards(known, gauges, _CORRECTED - set(trust))
         rig = boards.system.rig
         seen = stripe_points(gauges, rig)
         seen = _laid_in(gauges, rig, seen)
@@ -138,8 +141,8 @@ def refine_by_gauge(
         at = np.flatnonzero(known_of)
         matrix = with_normal_numbers(np.asarray(fitted.precision.covariance), refined, boards.free)
         covariance = Covariance(tuple(names[i] for i in at), matrix[np.ix_(at, at)])
-        shift = np.asarray(boards.believed.root) @ (
-            np.asarray(ravel_pytree(refined)[0]) - np.asarray(boards.believed.mean)
+        shift = np.asarray(boards.prior_all.root) @ (
+            np.asarray(ravel_pytree(refined)[0]) - np.asarray(boards.prior_all.mean)
         )
         return GaugeFit(
             rig=as_numpy(refined.normal()),
@@ -159,7 +162,7 @@ class _Boards:
         groups: the photographs.
         noise: their σ.
         prior: what is known without them.
-        believed: all that is known without the gauges, whether by photographs or not.
+        prior_all: all that is known without the gauges, by photographs or otherwise.
     """
 
     system: System
@@ -167,75 +170,75 @@ class _Boards:
     groups: tuple[Blocks, ...]
     noise: Noise
     prior: Prior
-    believed: Prior
+    prior_all: Prior
 
 
-def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], doubt: Sequence[str]) -> _Boards:
+def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], free: Set[str]) -> _Boards:
     content = known if isinstance(known, RigFile) else known.rig_file()
     rig = as_float64(content.rig)
-    lit = {rig.lights.index(rig.light(gauge.scan.laser)) for gauge in gauges} if "laser" in doubt else set()
+    lit = {rig.lights.index(rig.light(gauge.scan.laser)) for gauge in gauges} if "laser" in free else set()
     stems = [f"lights.{i}." for i in sorted(lit)]
     line = f"motion.stage.{Line.of_the_line}."
-    # Its way alone: how it differs from a line is as the photographs told it.
-    stems += [line] if "stage" in doubt else []
-    roughly, doubted = _roughly(rig, stems)
-    told, free = _told(content, doubted)
+    # Its direction alone: how it differs from a line is as the photographs determined it.
+    stems += [line] if "stage" in free else []
+    roughly, wide = _roughly(rig, stems)
+    known_well, free_leaves = _trusted(content, wide)
     mean = jnp.asarray([float(leaf) for leaf in jax.tree.leaves(rig)])
-    believed = Prior(mean, jnp.asarray(np.concatenate([roughly, told])))
+    prior_all = Prior(mean, jnp.asarray(np.concatenate([roughly, known_well])))
     if isinstance(known, RigFile):
         unit = Noise.create()
-        return _Boards(System(rig, ()), jnp.asarray(free), (), unit, believed, believed)
+        return _Boards(System(rig, ()), jnp.asarray(free_leaves), (), unit, prior_all, prior_all)
     adjustment = jax.tree.map(jnp.asarray, known.adjustment)
     pushed = jnp.asarray([i in lit for i in range(len(rig.lights))])
     groups = tuple(
         replace(
             group,
-            corner_used=group.corner_used & (not group.q or "stage" not in doubt),
-            stripe_used=group.stripe_used & ~pushed[group.stripe_light] & (not group.q or "stage" not in doubt),
+            corner_used=group.corner_used & (not group.q or "stage" not in free),
+            stripe_used=group.stripe_used & ~pushed[group.stripe_light] & (not group.q or "stage" not in free),
         )
         for group in adjustment.groups
     )
     corner, stripe = known.corner_sigma_px, (known.stripe_sigma_px or 1.0) * (known.stripe_correlation or 1.0) ** 0.5
     noise = adjustment.noise.of(corner, stripe)
-    if "stage" in doubt:
-        # Where the stage stood tells where the others did: of none a photograph is read, and they stay.
+    if "stage" in free:
+        # The other axes are known through where the stage stood: no photograph of them is used, and they are held.
         others = [n.startswith("motion.") and not n.startswith(line) for n in parameter_names(rig)]
-        free[np.array(others)] = False
+        free_leaves[np.array(others)] = False
     # The calibration's own solution, but for the numbers of the rig that say nothing of their own.
     system = System(rig, adjustment.start.poses, adjustment.start.shape)
     # Of the board's shape, which stands behind the rig, the photographs tell.
     terms = len(jax.tree.leaves(system.shape))
     prior = Prior(jnp.pad(mean, (0, terms)), jnp.pad(jnp.asarray(roughly), ((0, 0), (0, terms))))
-    free = np.pad(free, (0, terms), constant_values=True)
-    return _Boards(system, jnp.asarray(free), groups, noise, prior, believed)
+    free_leaves = np.pad(free_leaves, (0, terms), constant_values=True)
+    return _Boards(system, jnp.asarray(free_leaves), groups, noise, prior, prior_all)
 
 
 def _roughly(rig: Rig, stems: Sequence[str]) -> tuple[Float[np.ndarray, "rows leaves"], Bool[np.ndarray, "leaves"]]:
-    """The root of the precision of what is doubted, the leaves whose names begin so; and which these are."""
+    """The root of the precision of what is not trusted, the leaves whose names begin so; and which these are."""
     names = parameter_names(rig)
     values = np.array([float(leaf) for leaf in jax.tree.leaves(rig)])
     precisions = np.zeros(len(names))
     for stem in stems:
         at = [i for i, name in enumerate(names) if name.startswith(stem)]
-        precisions[at] = 1 / (_DOUBT * np.linalg.norm(values[at])) if at else 0.0
+        precisions[at] = 1 / (_NOT_TRUSTED * np.linalg.norm(values[at])) if at else 0.0
     return np.diag(precisions)[precisions > 0], precisions > 0
 
 
-def _told(
-    content: RigFile, doubted: Bool[np.ndarray, "leaves"]
+def _trusted(
+    content: RigFile, wide: Bool[np.ndarray, "leaves"]
 ) -> tuple[Float[np.ndarray, "rows leaves"], Bool[np.ndarray, "leaves"]]:
     """The root of the precision of all else, by the rig's covariance; and what of the rig is not held."""
     if content.covariance is None:
-        return np.zeros((0, len(doubted))), doubted
+        return np.zeros((0, len(wide))), wide
     full = content.covariance.of_leaves(content.rig)
     J = held_jacobian(content.rig)
     full = J @ full @ J.T
-    at = np.flatnonzero((np.diagonal(full) > 0) & ~doubted)
+    at = np.flatnonzero((np.diagonal(full) > 0) & ~wide)
     scale = np.sqrt(np.diagonal(full)[at])
     L = np.linalg.cholesky(full[np.ix_(at, at)] / np.outer(scale, scale))
-    root = np.zeros((len(at), len(doubted)))
+    root = np.zeros((len(at), len(wide)))
     root[:, at] = np.linalg.inv(L) / scale
-    return root, doubted | (np.diagonal(full) > 0)
+    return root, wide | (np.diagonal(full) > 0)
 
 
 def _laid_in(gauges: Sequence[Gauge], rig: Rig, seen: GaugePoints) -> GaugePoints:
@@ -271,7 +274,7 @@ def _fit(
 ) -> _Fitted:
     """Nearest points, outliers, σ and the solve in turn.
 
-    Which points are believed is decided in mm at first, so that a rig that reads everything some per cent wrong is not
+    Which points are prior_all is decided in mm at first, so that a rig that reads everything some per cent wrong is not
     left with the few points that happen to fit. While the rig is held that tolerance stays, for the misfit does too;
     else it halves from round to round, until 4 σ decide.
     """

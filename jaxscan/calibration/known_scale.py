@@ -9,8 +9,8 @@ from typing import Final
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.files.session import Session
-from jaxscan.rig.facts import step_of
 from jaxscan.rig.line import Line
+from jaxscan.rig.summary import step_of
 
 # A board that is measured with a ruler, and a screw, are better than this; and so many σ are no noise.
 _SHARE: Final = 0.01

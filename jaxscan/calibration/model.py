@@ -69,7 +69,7 @@ class Trial:
         model: it.
         of: what it has beyond the simpler one, in words.
         why: what asked for it, in words.
-        gain: by how much −2 log of the density falls at which a photograph is foretold by the others, in the mean of
+        gain: by how much −2 log of the density falls at which the others predict a photograph, in the mean of
             all photographs; NaN where it was not solved.
         error: the standard error of that, from photograph to photograph.
         taken: whether it took the place of the simpler one.

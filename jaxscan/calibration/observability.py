@@ -1,4 +1,4 @@
-"""Does the data determine what was asked? And if not, which direction is missing, why, and what would mend it."""
+"""Does the data determine what was asked? And if not, which direction is missing, why, and how to fix it."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ _LARGEST_TILT_SIGMA = 0.1
 _VECTORS = ("lights", "motion")
 # Shares of a direction below this are not worth a word.
 _WORTH_NAMING = 0.3
-# Corners that fit no better than this (px) contradict the model: no photograph more would mend that.
+# Corners that fit no better than this (px) contradict the model: no photograph more would change that.
 _ROUGH_PX = 1.0
 # Boards whose normals differ by less do not show perspective.
 _SMALLEST_TILT_SPREAD_DEG = 20.0
@@ -164,10 +164,10 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage, corner_px: float)
         axis = name.split(".")[1]
         cover = coverage.axes[axis]
         way = f"by {cover.way:.2f} {cover.unit}" if cover.way is not None else "by an unknown way"
-        mend = "Turn it by 30° and more, all around where it can be seen"
+        fix = "Turn it by 30° and more, all around where it can be seen"
         return (
             f"the {axis} moved the board {way} over {cover.photographs} photographs. "
-            f"{mend if cover.unit == 'degrees' else 'Photograph it along the whole travel'}"
+            f"{fix if cover.unit == 'degrees' else 'Photograph it along the whole travel'}"
         )
     if coverage.tilt_spread_deg < _SMALLEST_TILT_SPREAD_DEG:
         return (

@@ -101,7 +101,7 @@ class BoardSequence:
 
 
 @dataclass(frozen=True)
-class Kept:
+class InlierMask:
     """Which corners and stripe points of one photograph take part.
 
     Attributes:
@@ -113,9 +113,9 @@ class Kept:
     stripes: tuple[Bool[np.ndarray, "_"], ...] = ()
 
     @staticmethod
-    def none(view: View) -> "Kept":
+    def none(view: View) -> "InlierMask":
         """Nothing of a photograph."""
-        return Kept(np.zeros(len(view.corners), bool), tuple(np.zeros(len(s.pixels), bool) for s in view.stripes))
+        return InlierMask(np.zeros(len(view.corners), bool), tuple(np.zeros(len(s.pixels), bool) for s in view.stripes))
 
     def of(self, view: View) -> View:
         """The photograph with NaN in place of all else."""
@@ -263,7 +263,7 @@ class Observations:
         lines = [f"note: {note}" for note in self.notes] + [f"left out: {line}" for line in self.left_out[:_NAMED]]
         return "".join(f"\n  {line}" for line in (*lines, *([f"left out: {more} more"] if more > 0 else [])))
 
-    def only(self, keep: Sequence[Kept]) -> "Observations":
+    def only(self, keep: Sequence[InlierMask]) -> "Observations":
         """The same with NaN in place of all that is not kept.
 
         Args:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxscan.calibration.observations import BoardSequence, Observations, StripePoints, View
 from jaxscan.deadline import Workers, result_of
 from jaxscan.detectors import DEFAULT, Detector
-from jaxscan.errors import InputError, said_of
+from jaxscan.errors import InputError, error_context
 from jaxscan.files.session import Session, StageImages, TurntableImages
 from jaxscan.files.settings import relative_name
 from jaxscan.images import (
@@ -260,7 +260,7 @@ def _look(
     stripes = []
     for i, (laser, own) in enumerate(zip(session.lasers, lit, strict=True)):
         if own is not None:
-            with said_of(path):
+            with error_context(path):
                 stripes.append(stripe_points(image if own == path else read_image(own), laser, i, detector))
     return found, tuple(stripes), _second(session.board, image, found)
 

@@ -41,8 +41,8 @@ class OffGrid:
             f"photographs, in a way that no shape of the board follows. σ is wider for it, {self.parameter} by the "
             f"factor {self.ratio:.2g}"
         )
-        mend = (
+        fix = (
             "Print the pattern on something stiff, glue it down without folds, and measure its squares along both "
             "directions: a print that is stretched by 0.2 % does this."
         )
-        return ((what, mend),)
+        return ((what, fix),)

@@ -17,7 +17,7 @@ from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.drifted import Drift
 from jaxscan.calibration.flatness import BoardFlatness
 from jaxscan.calibration.model import Choice
-from jaxscan.calibration.observations import Kept, Observations, Unused, View
+from jaxscan.calibration.observations import InlierMask, Observations, Unused, View
 from jaxscan.calibration.off_grid import OffGrid
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.calibration.rounds import Refined
@@ -97,15 +97,15 @@ class Calibration:
         plain: whether every observation took part with the same weight.
         sheet_curves: of sheets of light that were taken as flat and are clearly curved.
         change: what is another before and behind one of the photographs.
-        untold_periods: of screws whose period could be another by the photographs, sentences without their full stops.
+        undetermined_periods: of screws whose period the photographs leave open, sentences without their full stops.
         stage_shapes: of axes whose path is not what it was taken for, how it differs.
         off_grid: errors of the board's points that all photographs share.
         drift: what goes on slowly from the first photograph to the last.
         choice: how the model was chosen, where it was.
         formal_covariance: that of the rig's parameters by noise alone; `covariance` has what `off_grid` and
             `drift` add.
-        foretold: of each photograph, in the order of `Observations.in_order`, −2 log of the density at which the others
-            foretell it; empty where it was not asked.
+        held_out: of each photograph, in the order of `Observations.in_order`, −2 log of the density at which the others
+            predict it; empty where it was not asked.
     """
 
     rig: Rig
@@ -128,7 +128,7 @@ class Calibration:
     rejected: tuple[str, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
-    kept: tuple[Kept, ...]
+    kept: tuple[InlierMask, ...]
     adjustment: Adjustment
     solves: int
     settled: bool
@@ -137,13 +137,13 @@ class Calibration:
     plain: bool = False
     sheet_curves: tuple[SheetCurve, ...] = ()
     change: Change | None = None
-    untold_periods: tuple[str, ...] = ()
+    undetermined_periods: tuple[str, ...] = ()
     stage_shapes: tuple[StageShape, ...] = ()
     off_grid: OffGrid | None = None
     drift: Drift | None = None
     choice: Choice | None = None
     formal_covariance: Covariance | None = None
-    foretold: Float[np.ndarray, "photographs"] = field(default_factory=lambda: np.zeros(0))
+    held_out: Float[np.ndarray, "photographs"] = field(default_factory=lambda: np.zeros(0))
 
     def rig_file(self) -> RigFile:
         """What `write_rig` writes."""
@@ -245,13 +245,13 @@ class Calibration:
         if self.shape_covariance is None:
             return {}
         bent, sigma = self.board_bent_by()
-        facts: dict[str, object] = {
+        summary: dict[str, object] = {
             "board_shape": self.board_shape,
             "board_bent_mm": bent,
             "board_bent_sigma_mm": sigma,
         }
-        facts["board_terms_mm"] = [float(term) for term in jax.tree.leaves(self.system.shape)]
-        return facts | ({} if self.bend_sigma_mm is None else {"board_bends_sigma_mm": self.bend_sigma_mm})
+        summary["board_terms_mm"] = [float(term) for term in jax.tree.leaves(self.system.shape)]
+        return summary | ({} if self.bend_sigma_mm is None else {"board_bends_sigma_mm": self.bend_sigma_mm})
 
     def _stripe_depths(self) -> list[float] | None:
         """The nearest and the farthest depth of a stripe on a board, along the optical axis, mm."""
@@ -364,14 +364,14 @@ def _moved_back(motion: Motion, poses: Float[Array, "blocks 6"], reference: dict
     return jax.vmap(each)(poses, reference)
 
 
-def _kept(observations: Observations, refined: Refined) -> tuple[Kept, ...]:
+def _kept(observations: Observations, refined: Refined) -> tuple[InlierMask, ...]:
     """What took part in the last solve, photograph by photograph."""
     masks = [(np.asarray(group.corner_used), np.asarray(group.stripe_used)) for group in refined.groups]
     kept = []
     for view, group, i, k in photographs_in_blocks(observations):
         corners, stripe = (mask[i, k] for mask in masks[group])
         ends = np.cumsum([len(seen.pixels) for seen in view.stripes])
-        kept.append(Kept(corners, tuple(np.split(stripe[: ends[-1]], ends[:-1])) if view.stripes else ()))
+        kept.append(InlierMask(corners, tuple(np.split(stripe[: ends[-1]], ends[:-1])) if view.stripes else ()))
     return tuple(kept)
 
 

@@ -107,12 +107,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         bool(optics),
     )
     judged = write_report(calibration, pages[0], pages[1], optics) if pages else judge_calibration(calibration)
-    from jaxscan.cli.facts import rig_facts
+    from jaxscan.cli.summary import rig_summary
     from jaxscan.view.report import plain
 
     said = plain(judged)
     return {
-        **rig_facts(args.output),
+        **rig_summary(args.output),
         "left_out": list(calibration.left_out),
         "rejected": list(calibration.rejected),
         "notes": list(calibration.notes),
@@ -447,10 +447,10 @@ def _make_folder(path: Path) -> None:
 
 def describe(result: dict[str, Any]) -> str:
     """The rig in words, what was left out and found amiss, and at the end the verdict in three lines."""
-    from jaxscan.cli.words import in_words
+    from jaxscan.cli.format_summary import format_summary
 
     # What the rig's file warns of is among what the verdict does.
-    lines = [in_words({**result, "warnings": []})]
+    lines = [format_summary({**result, "warnings": []})]
     lines += [f"left out: {line}" for line in _by_reason(result["left_out"])]
     if rejected := result["rejected"]:
         of = "1 photograph" if len(rejected) == 1 else f"{len(rejected)} photographs"

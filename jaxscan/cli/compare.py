@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         extra("plots")
     read = [path for path in (args.cloud, args.reference) if path]
     check_outputs([args.output] if args.output else [], args.png, read)
-    from jaxscan.errors import said_of
+    from jaxscan.errors import error_context
     from jaxscan.files.units import in_millimetres
     from jaxscan.surface.compare import region
 
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     result: dict[str, Any] = {"kind": "comparison", "path": str(args.cloud)}
     if args.reference is not None:
         result |= _compared(points, args)
-    with said_of(args.cloud):
+    with error_context(args.cloud):
         regions = [region(points, pick[:3], pick[3]) for pick in args.region]
     result["regions"] = [
         {
@@ -95,11 +95,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
-    from jaxscan.errors import said_of
+    from jaxscan.errors import error_context
     from jaxscan.surface.compare import compare
 
     reference = read_reference(args.reference, args.reference_units)
-    with said_of(f"{args.cloud} against {args.reference}"):
+    with error_context(f"{args.cloud} against {args.reference}"):
         found = compare(points, reference, fit=args.fit, within_mm=args.within)
     figures = found.figures()
     if args.output:

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.atomic import check_writable
 
     check_writable(args.target)
-    from jaxscan.cli.facts import camera_facts
+    from jaxscan.cli.summary import camera_summary
     from jaxscan.files.cameras import format_of, lost, read_camera_file, write_camera_file
 
     if form == format_of(args.source) == "rig":
@@ -39,11 +39,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if gone:
         title = FORMATS[form].title
         warnings.warn(f"{args.target}: {title} has no place for {', '.join(gone)}", PassedOverWarning, stacklevel=1)
-    return {**camera_facts(args.target, None, content.image_size), "left_out": gone}
+    return {**camera_summary(args.target, None, content.image_size), "left_out": gone}
 
 
 def describe(result: dict[str, Any]) -> str:
     """What was written, in words."""
-    from jaxscan.cli.words import in_words
+    from jaxscan.cli.format_summary import format_summary
 
-    return in_words(result)
+    return format_summary(result)

@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         known = content = read_rig(args.rig)
     gauges = [_look(content, scan, shape) for scan, shape in zip(scans, shapes, strict=True)]
     with progress("fitting the gauge", 1, "rig") as advance:
-        fit = refine_by_gauge(known, gauges, [part for part in ("laser", "stage") if part not in args.trust])
+        fit = refine_by_gauge(known, gauges, args.trust)
         advance(1)
     # A light plane that the gauge has found anew is not the one that was warned of.
     kept = content.fit if "laser" in args.trust else {k: v for k, v in content.fit.items() if k != "warnings"}

@@ -6,8 +6,8 @@ from typing import Any, Final
 
 from jaxscan.cli.camera_options import add_camera_arguments
 from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
+from jaxscan.cli.format_summary import format_summary
 from jaxscan.cli.options import add_optics_arguments, optics_asked
-from jaxscan.cli.words import in_words
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 from jaxscan.files.formats import ENDINGS
@@ -58,15 +58,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"{path}: --name and --image-size are for cameras of other programs, not for a {kind}")
     if args.png is not None and kind == "range image":
         extra("plots")
-    from jaxscan.cli import facts
+    from jaxscan.cli import summary
 
     read = {
-        "session": facts.session_facts,
-        "scan": facts.scan_facts,
-        "rig": facts.rig_facts,
-        "PLY": facts.ply_facts,
-        "mesh": facts.mesh_facts,
-        "range image": facts.range_facts,
+        "session": summary.session_summary,
+        "scan": summary.scan_summary,
+        "rig": summary.rig_summary,
+        "PLY": summary.ply_summary,
+        "mesh": summary.mesh_summary,
+        "range image": summary.range_summary,
     }
     optics = optics_asked(args)
     if (optics is None) != (args.rig is None) or (optics is not None and kind != "range image"):
@@ -74,9 +74,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             f"{path}: --rig, --f-number, --wavelength-nm and --pixel-um go together, and with a range image (.npz): "
             "give all four, or none"
         )
-    result = facts.camera_facts(path, args.name, args.image_size) if kind == "camera" else read[kind](path)
+    result = summary.camera_summary(path, args.name, args.image_size) if kind == "camera" else read[kind](path)
     if optics is not None:
-        result["speckle_limit"] = facts.speckle_limit_facts(path, args.rig, optics)
+        result["speckle_limit"] = summary.speckle_limit_summary(path, args.rig, optics)
     if args.png is not None:
         from jaxscan.cli import picture
         from jaxscan.cli.compiled import keep_compiled
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 def describe(result: dict[str, Any]) -> str:
     """The result in words."""
-    return in_words(result)
+    return format_summary(result)
 
 
 def _kind(path: Path) -> tuple[str, Path]:

@@ -75,7 +75,7 @@ def read_surface(path: Path, rig: Path | None = None, units: str | None = None) 
     """
     import numpy as np
 
-    from jaxscan.errors import said_of
+    from jaxscan.errors import error_context
     from jaxscan.files.units import in_millimetres
     from jaxscan.measurement.scanned import scanned_image, scanned_points
 
@@ -84,7 +84,7 @@ def read_surface(path: Path, rig: Path | None = None, units: str | None = None) 
         from jaxscan.reconstruction import read_range_image
 
         known = read_rig(rig) if rig else None
-        with said_of(path):
+        with error_context(path):
             scanned = scanned_image(read_range_image(path), known)
         return scanned, [f"{rig}: {warning}" for warning in known.warnings] if known else []
     if path.suffix.lower() == ".ply":

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     keep_compiled()
     from jaxscan.cli.progress import progress
-    from jaxscan.surface.coarse import arrange, check_fits
+    from jaxscan.surface.coarse_register import check_fits, coarse_register
     from jaxscan.surface.merged import merge, merge_closed
     from jaxscan.surface.register import register
 
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     with progress("reading", len(args.scans), "scan") as advance:
         sides = [_side(path, args, advance) for path in args.scans]
     with progress("registering", 3, "step") as advance:
-        starts = arrange(sides, degrees, known)
+        starts = coarse_register(sides, degrees, known)
         advance(1)
         registration = register(sides, starts)
         check_fits(sides, registration)
@@ -178,17 +178,17 @@ def _start(args: argparse.Namespace) -> "tuple[Sequence[Pose] | None, Sequence[f
         return [poses[0].inverse() @ T for T in poses], None
     if not args.steps:
         return None, args.turn
-    from jaxscan.errors import said_of
+    from jaxscan.errors import error_context
     from jaxscan.files.rig_file import read_rig
     from jaxscan.surface.turntable import turntable_of, turntable_poses
 
     rig = read_rig(args.rig).rig
-    with said_of(args.rig):
+    with error_context(args.rig):
         return turntable_poses(turntable_of(rig), args.steps), None
 
 
 def _side(path: Path, args: argparse.Namespace, advance: Any) -> "Side":
-    from jaxscan.errors import said_of
+    from jaxscan.errors import error_context
     from jaxscan.surface.side import side_of_cloud, side_of_image
 
     name = str(path)
@@ -199,7 +199,7 @@ def _side(path: Path, args: argparse.Namespace, advance: Any) -> "Side":
         side = side_of_cloud(name, cloud_in_millimetres(name, read_ply(path), args.units))
     else:
         image = _image(path, args)
-        with said_of(path):
+        with error_context(path):
             if not image.valid.any():
                 raise InputError("has no points: check that the photographs show the stripe")
             side = side_of_image(name, image, cleaned=not args.raw, on_floor=args.floor == "auto")
@@ -258,7 +258,7 @@ def _registered(sides: "list[Side]", starts: "list[Pose]", found: "Registration"
 def _turntable(args: argparse.Namespace, registration: "Registration") -> dict[str, Any]:
     from dataclasses import asdict
 
-    from jaxscan.rig.turn_facts import turn_facts
+    from jaxscan.rig.turn_summary import turn_summary
     from jaxscan.surface.turntable import fit_turntable
 
     fit = fit_turntable(registration, args.fit_turntable)
@@ -267,7 +267,7 @@ def _turntable(args: argparse.Namespace, registration: "Registration") -> dict[s
 
         write_rig(args.write_rig, fit.on(read_rig(args.rig)))
     return {
-        **asdict(turn_facts(fit.turntable, fit.covariance, registration.centre)),
+        **asdict(turn_summary(fit.turntable, fit.covariance, registration.centre)),
         "misfit_in_sigma": fit.misfit,
         "rig": str(args.write_rig) if args.write_rig else None,
     }
@@ -337,11 +337,11 @@ def describe(result: dict[str, Any]) -> str:
         for scan in scans[1:]
     ]
     if "turntable" in result:
-        from jaxscan.cli.words import turn_in_words
+        from jaxscan.cli.format_summary import format_turn
 
         found = result["turntable"]
         lines.append(
-            f"  turntable  {', '.join(turn_in_words(found))}; the poses are off it by {found['misfit_in_sigma']:.1f} σ"
+            f"  turntable  {', '.join(format_turn(found))}; the poses are off it by {found['misfit_in_sigma']:.1f} σ"
         )
     if result["picture"]:
         lines.append(f"  picture    {result['picture']}")

@@ -69,11 +69,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read, clean, take the floor away, join and write."""
     _check(args)
     check_outputs(args.output, args.png, [args.points])
-    from jaxscan.errors import said_of
+    from jaxscan.errors import error_context
 
     result: dict[str, Any] = {"kind": "mesh", "path": [str(path) for path in args.output]}
     meshed = bool(args.output or args.png)
-    with said_of(args.points):
+    with error_context(args.points):
         if args.points.suffix.lower() == ".npz":
             from jaxscan.reconstruction import read_range_image
 
@@ -232,10 +232,10 @@ def _floor(image: "RangeImage", how: str) -> "Floor | None":
     if how == "auto":
         return find_floor(image)
     if Path(how).suffix.lower() == ".npz":
-        from jaxscan.errors import said_of
+        from jaxscan.errors import error_context
         from jaxscan.reconstruction import read_range_image
 
-        with said_of(how):
+        with error_context(how):
             return floor_from_scan(read_range_image(how))
     try:
         picks = [numbers(3)(pick) for pick in how.split(":")]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from jaxscan.atomic import check_writable
 from jaxscan.cli.options import check_outputs
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
-from jaxscan.errors import InputError, said_of
+from jaxscan.errors import InputError, error_context
 from jaxscan.files.scan import Scan, read_scan
 from jaxscan.files.session import Session, read_session
 from jaxscan.images import Stripe, StripeSettings, detect_stripe, find_board, read_image, read_video, write_image
@@ -76,7 +76,7 @@ def draw_range_image(path: Path, out: Path) -> dict[str, Any]:
 
     check_outputs([], out, [path])
     image = read_range_image(path)
-    with said_of(path):
+    with error_context(path):
         cleaned = clean(image)
         draw_range(out, image, removed=cleaned.removed)
     return {"path": str(out), "removed": cleaned.counts()}
@@ -107,7 +107,7 @@ def _lit(session: Session, laser: StripeSettings, index: int, photograph: Image)
 def _stripe(
     path: Path, image: Image, laser: StripeSettings, background: Image | None, detector: Detector, choice: Choice
 ) -> Stripe:
-    with said_of(path):
+    with error_context(path):
         return detect_stripe(image, laser, background, detector=detector, choice=choice)
 
 

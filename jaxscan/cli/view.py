@@ -28,16 +28,16 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
         raise InputError(f"--port {args.port}: give a number from 1 to 65535")
     extra("plots" if args.png else "viewer")
     check_outputs([], args.png, [args.file])
-    from jaxscan.errors import said_of
-    from jaxscan.view.exhibit import exhibit
+    from jaxscan.errors import error_context
+    from jaxscan.view.view_data import view_data
 
     rig = None
     if args.rig:
         from jaxscan.files.rig_file import read_rig
 
         rig = read_rig(args.rig).rig
-    shown = exhibit(args.file, rig)
-    with said_of(args.file):
+    shown = view_data(args.file, rig)
+    with error_context(args.file):
         colour = shown.colour(args.colour)
     result = {
         "kind": "view",
@@ -48,9 +48,9 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
         "colour": colour,
     }
     if args.png:
-        from jaxscan.view.surface_plots import draw_exhibit
+        from jaxscan.view.surface_plots import draw_view_data
 
-        draw_exhibit(args.png, shown, colour, args.file.name)
+        draw_view_data(args.png, shown, colour, args.file.name)
         return result | {"picture": str(args.png)}
     from jaxscan.view.viewer import HOST, serve
 

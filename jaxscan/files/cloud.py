@@ -151,7 +151,7 @@ def cloud_of(path: str | os.PathLike[str], content: Ply) -> Cloud:
     )
 
 
-def check_points(path: str | os.PathLike[str], points: Float[np.ndarray, "points 3"], what: str, mend: str) -> None:
+def check_points(path: str | os.PathLike[str], points: Float[np.ndarray, "points 3"], what: str, fix: str) -> None:
     """Refuse coordinates that are not finite, or so large that what is computed with them overflows.
 
     Raises:
@@ -161,7 +161,7 @@ def check_points(path: str | os.PathLike[str], points: Float[np.ndarray, "points
     if bad:
         raise InputError(
             f"{path}: {bad} of {len(points)} {what} have a coordinate that is not a finite number of at most "
-            f"{_FARTHEST_MM:g}: {mend}"
+            f"{_FARTHEST_MM:g}: {fix}"
         )
 
 

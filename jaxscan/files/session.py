@@ -191,8 +191,8 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", *SEQUENCES, "laser"))
     (board, shape), camera = _board(table), _camera(table)
     if "views" not in table:
-        mend = "add it, with boards = the photographs of the board held in the hand, in three poses or more"
-        raise table.error("views", f"is missing: {mend}; the camera is found from them")
+        fix = "add it, with boards = the photographs of the board held in the hand, in three poses or more"
+        raise table.error("views", f"is missing: {fix}; the camera is found from them")
     views = table.table("views", "[views] ").only("boards", "stripes")
     boards = files_of(views, "boards")
     if not boards:
@@ -288,9 +288,9 @@ def _check_each_shows_one_pose(session: Session) -> None:
         if pose != other:
             name = show(relative_name(path, session.path.parent))
             held = "view" in (pose[0], other[0]) and pose[0] != other[0]
-            mend = "leave it out of [views], which is for the board in the hand" if held else "name it for one of them"
+            fix = "leave it out of [views], which is for the board in the hand" if held else "name it for one of them"
             where = f"twice under {place}" if place == before else f"under {before} and under {place}"
-            raise InputError(f"{session.path}: {name} stands {where}, for two poses, and would count twice: {mend}")
+            raise InputError(f"{session.path}: {name} stands {where}, for two poses, and would count twice: {fix}")
 
 
 def _listed(session: Session) -> Iterator[tuple[str, tuple[str, int], Path]]:

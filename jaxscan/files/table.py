@@ -1,6 +1,6 @@
 """One table of a TOML or JSON file, read with the types and keys that the format has.
 
-Every value is asked for by key and type, and every error says file, key, value and mend. The keys a table may have are
+Every value is asked for by key and type, and every error says file, key, value and fix. The keys a table may have are
 stated first, so that a mistyped one is reported as what it is and not as the absence of the right one.
 """
 
@@ -43,7 +43,7 @@ class Table:
         return key in self.values
 
     def error(self, key: str, problem: str) -> InputError:
-        """The error for one key: file, key, value (where there is one), and the problem with its mend."""
+        """The error for one key: file, key, value (where there is one), and the problem with its fix."""
         shown = f" = {show(self.values[key])}" if key in self.values else ""
         return InputError(f"{self.path}: {self.prefix}{key}{shown}: {problem}")
 
@@ -59,8 +59,8 @@ class Table:
         """
         for key in self.unknown(known):
             near = difflib.get_close_matches(key, known, n=1)
-            mend = f'did you mean "{near[0]}"?' if near else f"the keys here are {', '.join(known)}"
-            raise self.error(key, f"unknown key; {mend}")
+            fix = f'did you mean "{near[0]}"?' if near else f"the keys here are {', '.join(known)}"
+            raise self.error(key, f"unknown key; {fix}")
         return self
 
     def table(self, key: str, prefix: str) -> "Table":

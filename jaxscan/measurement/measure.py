@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from scipy.stats import t as students_t
 
-from jaxscan.errors import InputError, said_of
+from jaxscan.errors import InputError, error_context
 from jaxscan.files.part_file import FITTED, IN_A_SECTION, OF_TWO_PLANES, Dimension, Feature, Part
 from jaxscan.measurement.alike import Alike, Place, how_alike
 from jaxscan.measurement.dimensions import Shapes, edge_of, slot_of
@@ -252,7 +252,7 @@ def _dimension(
         return _of_form(base, form_of(source, fit, of[0].known), fit.form_mm)
     if dimension.kind == "profile":
         assert of[0].scanned is not None
-        with said_of(str(dimension.reference)):
+        with error_context(str(dimension.reference)):
             form, largest, notes = profile_of(of[0].scanned, dimension)
         return replace(_of_form(base, form, largest), notes=(*base.notes, *notes))
     if dimension.kind == "volume":

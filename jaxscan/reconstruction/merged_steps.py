@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from jaxscan.errors import InputError, said_of
+from jaxscan.errors import InputError, error_context
 from jaxscan.files.scan import Scan
 from jaxscan.images.decode import Image
 from jaxscan.images.exposures import merge_exposures
@@ -68,7 +68,7 @@ def merged_steps(scan: Scan, batches: Iterable[Frames], size: int) -> Iterator[F
             group = groups.popleft()
             lit, dark = zip(*waiting[: len(group)], strict=True)
             waiting = waiting[len(group) :]
-            with said_of(f"{scan.path}: [scan] frames {group.start} to {group.stop - 1}"):
+            with error_context(f"{scan.path}: [scan] frames {group.start} to {group.stop - 1}"):
                 image, ground = merge_exposures(
                     np.stack(lit), exposures[group.start : group.stop], None if dark[0] is None else np.stack(dark)
                 )

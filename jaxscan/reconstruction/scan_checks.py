@@ -57,11 +57,11 @@ def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str
     for axis in moving:
         if axis not in axes:
             has = f"it has {', '.join(axes)}" if axes else "it has none"
-            mends = [f"calibrate with a [{axis}] sequence"] if axis in SEQUENCES else []
-            mends += ["name the axis as the rig does"] if axes else []
+            fixes = [f"calibrate with a [{axis}] sequence"] if axis in SEQUENCES else []
+            fixes += ["name the axis as the rig does"] if axes else []
             raise InputError(
                 f"{where} the {axis} moves between frames, but the rig has no such axis, {has}: "
-                f"{', or '.join(mends) or 'use a rig that has it'}"
+                f"{', or '.join(fixes) or 'use a rig that has it'}"
             )
     # What moves along a line is carried alike wherever another stage stands; a turn is not.
     parts = rig.motion.parts()

@@ -170,7 +170,7 @@ def spacetime_profiles(
 
     Args:
         geometry: of the rig.
-        sigma: about what standard deviation in frames the light's passage over a point has (`passage_of`).
+        sigma: about what standard deviation in frames the light's passage over a point has (`spacetime_geometry`).
         settings: the laser.
         batches: the scan's frames in their order, of any size: the points do not depend on it.
         detector: how the centre in time is measured.

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, DETECTORS, Choice, Detector
-from jaxscan.errors import InputError, said_of
+from jaxscan.errors import InputError, error_context
 from jaxscan.files.axes import STAGE
 from jaxscan.files.place_checks import doubts
 from jaxscan.files.rig_file import RigFile
@@ -27,13 +27,13 @@ from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
-from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
 from jaxscan.reconstruction.scan_notes import REASONS, in_another_colour, left_out_notes
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
+from jaxscan.reconstruction.spacetime_geometry import spacetime_geometry
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
 from jaxscan.reconstruction.turns import with_ends, with_runs
 from jaxscan.rig import Positions, Rig, played_axes, run_of
@@ -103,7 +103,7 @@ class Scanner:
                 no frames, or there is no stripe in any of them.
         """
         check_scan(self._content.rig, scan)
-        with said_of(scan.path):
+        with error_context(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
         self.notes, self.left_out = [*way_notes(self._content.rig, scan), *doubts(scan.checks)], {}
@@ -168,7 +168,7 @@ class Scanner:
     ) -> Iterator[Counted]:
         """Range images, and how many lines of each had which verdict."""
         rig = self._content.rig
-        passage = passage_of(rig, scan) if self._spacetime else None
+        passage = spacetime_geometry(rig, scan) if self._spacetime else None
         halo = HALO if self._choice == "coherent" else 0
         # Where a turn closes, its first frames have neighbours before them, and its last behind them.
         looked_at = halo if passage is None else half_window(passage[1])
@@ -204,7 +204,7 @@ class Scanner:
         """The stripe of each frame by itself, and its points."""
         looked = False
         for some in batches:
-            with said_of(scan.path):
+            with error_context(scan.path):
                 image, stripe = laser.range_image(some, scan.axis_names)
             if not looked and np.isfinite(image.pixels).any():
                 looked = True

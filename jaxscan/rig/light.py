@@ -72,7 +72,7 @@ class Light(Protocol):
         ...
 
     def fault(self, rays: Float[np.ndarray, "rays 3"]) -> tuple[str, str] | None:
-        """What is wrong with it for a camera with these rays: the number's name, and the fault with its mend."""
+        """What is wrong with it for a camera with these rays: the number's name, and the fault with its fix."""
         ...
 
 

@@ -91,7 +91,7 @@ class Splined(eqx.Module):
         return opencv_lens.Brown(self.radial, self.tangential)
 
     def fault(self) -> tuple[str, str] | None:
-        """What is wrong with its numbers, and how to mend it: the name of one, and words; None where nothing is."""
+        """What is wrong with its numbers, and how to fix it: the name of one, and words; None where nothing is."""
         low_x, low_y, high_x, high_y = (float(leaf) for leaf in self.extent)
         if low_x < high_x and low_y < high_y:
             return None

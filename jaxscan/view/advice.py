@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxscan.calibration import Observations
 from jaxscan.calibration.next_pose import NextPose
-from jaxscan.reconstruction.next_photographs import NextPhotographs
+from jaxscan.reconstruction.next_best_views import NextBestViews
 from jaxscan.reconstruction.working_volume import WorkingVolume
 from jaxscan.view import calibration_plots as plots
 from jaxscan.view.report import Figure, draw
@@ -31,7 +31,7 @@ class Advice:
     figures: tuple[Figure, ...] = ()
 
 
-def advise(planned: NextPhotographs, volumes: tuple[WorkingVolume, ...], observations: Observations) -> Advice:
+def advise(planned: NextBestViews, volumes: tuple[WorkingVolume, ...], observations: Observations) -> Advice:
     """In words and as a picture.
 
     Args:
@@ -56,7 +56,7 @@ def advise(planned: NextPhotographs, volumes: tuple[WorkingVolume, ...], observa
         "Where to hold the board, as the camera sees it (outline 1 first; dotted: the stripe on it), over the boards "
         "that there are (pale: their outermost points). A centimetre and five degrees beside is nearly as good."
     )
-    picture = draw("next-photographs", caption, plots.next_photographs(planned.poses, observations))
+    picture = draw("next-photographs", caption, plots.next_best_views(planned.poses, observations))
     return Advice((*limit, *words), (picture,))
 
 

@@ -233,7 +233,7 @@ def volume(each: WorkingVolume) -> Any:
     return figure
 
 
-def next_photographs(poses: Sequence[NextPose], observations: Observations) -> Any:
+def next_best_views(poses: Sequence[NextPose], observations: Observations) -> Any:
     """Outlines of the boards to photograph, numbered, over those that there are, in the frame of the image."""
     columns, rows = observations.image_size
     figure, axes = _figure(_WIDTH * 0.8 * rows / columns + 0.6)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import PARTS, Diagnostics, diagnose
-from jaxscan.reconstruction.next_photographs import NextPhotographs, next_photographs
+from jaxscan.reconstruction.next_best_views import NextBestViews, next_best_views
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volumes
 from jaxscan.rig import Covariance
 from jaxscan.rig.speckle_limit import Optics
@@ -36,7 +36,7 @@ def calibration_report(
     diagnostics = diagnose(calibration, advance)
     volumes = working_volumes(calibration)
     advance(1)
-    planned = next_photographs(calibration, volumes)
+    planned = next_best_views(calibration, volumes)
     advance(1)
     composed = compose(calibration, diagnostics, volumes, planned, optics)
     advance(1)
@@ -47,7 +47,7 @@ def compose(
     calibration: Calibration,
     diagnostics: Diagnostics,
     volumes: tuple[WorkingVolume, ...],
-    planned: NextPhotographs,
+    planned: NextBestViews,
     optics: Optics | None = None,
 ) -> tuple[Report, Verdict]:
     """Words, tables and figures from the numbers, and the verdict."""
@@ -95,7 +95,7 @@ def compose(
             "stage_shapes": calibration.stage_shapes,
             "diagnostics": diagnostics,
             "working_volumes": volumes,
-            "next_photographs": planned,
+            "next_best_views": planned,
         },
     )
     return report, judged

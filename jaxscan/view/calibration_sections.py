@@ -11,9 +11,9 @@ from jaxscan.images.light import Light
 from jaxscan.reconstruction.working_volume import WorkingVolume, volume_rays
 from jaxscan.rig import BowedSheet
 from jaxscan.rig.board_shape import shape_in_words
-from jaxscan.rig.facts import HALF_WIDTH_MM, axis_facts, light_facts, path_in_words
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.speckle_limit import Optics, limit_of
+from jaxscan.rig.summary import HALF_WIDTH_MM, axis_summary, format_path, light_summary
 from jaxscan.view import calibration_plots as plots
 from jaxscan.view.report import Section, Table, draw
 
@@ -67,7 +67,7 @@ def _shapes(calibration: Calibration) -> list[str]:
     if camera.tilt:
         degrees = np.degrees(np.linalg.norm([float(angle) for angle in camera.tilt]))
         said.append(f"The sensor is tilted by {degrees:.2f}° against the lens.")
-    for light in light_facts(calibration.rig, covariance, image_rays(camera)):
+    for light in light_summary(calibration.rig, covariance, image_rays(camera)):
         if "curved_mm" in light:
             which = f' of laser "{light["name"]}"' if light["name"] else ""
             error = "" if light["curved_mm_sigma"] is None else f" ± {light['curved_mm_sigma']:.2g}"
@@ -229,12 +229,12 @@ def stage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     """Which way it goes, step error and straightness."""
     rows = []
     words = tuple(
-        f"With rising step counts what stands on the {facts['axis']} moves {facts['way']}, as the camera sees it, by "
-        f"{facts['mm_per_1000_steps']:.5g} mm in 1000 steps. If it really moves the other way, the steps in "
+        f"With rising step counts what stands on the {summary['axis']} moves {summary['way']}, as the camera sees it, "
+        f"by {summary['mm_per_1000_steps']:.5g} mm in 1000 steps. If it really moves the other way, the steps in "
         "session.toml run backwards: nothing else shows that."
-        + "".join(f" It is {line}." for line in path_in_words(facts))
-        for facts in axis_facts(calibration.rig, calibration.covariance)
-        if "mm_per_1000_steps" in facts
+        + "".join(f" It is {line}." for line in format_path(summary))
+        for summary in axis_summary(calibration.rig, calibration.covariance)
+        if "mm_per_1000_steps" in summary
     )
     for s in diagnostics.stages:
         along = 1000 * np.sqrt((s.error_mm[:, 0] ** 2).mean())
@@ -301,13 +301,13 @@ def turntable(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         "in σ",
     )
     words = tuple(
-        f"With rising step counts the {facts['axis']} turns {facts['way']} as the camera sees it, by "
-        f"{facts['degrees_per_step']:.7g} ± {facts['degrees_per_step_sigma']:.2g}° a step, about the axis "
-        f"({_triple(facts['axis_direction'], 5)}) ± {facts['axis_sigma_deg']:.2g}° through "
-        f"({_triple(facts['through_mm'], 3)}) ± {facts['through_sigma_mm']:.2g} mm. "
+        f"With rising step counts the {summary['axis']} turns {summary['way']} as the camera sees it, by "
+        f"{summary['degrees_per_step']:.7g} ± {summary['degrees_per_step_sigma']:.2g}° a step, about the axis "
+        f"({_triple(summary['axis_direction'], 5)}) ± {summary['axis_sigma_deg']:.2g}° through "
+        f"({_triple(summary['through_mm'], 3)}) ± {summary['through_sigma_mm']:.2g} mm. "
         "If it really turns the other way, the steps in session.toml run backwards: nothing else shows that."
-        for facts in axis_facts(calibration.rig, calibration.covariance)
-        if "degrees_per_step" in facts
+        for summary in axis_summary(calibration.rig, calibration.covariance)
+        if "degrees_per_step" in summary
     )
     return Section(
         "The turntable",
@@ -331,7 +331,7 @@ def apart(diagnostics: Diagnostics) -> Section:
     for i, a in enumerate(each):
         paragraphs.append(
             f"{a.parts[0][0].upper()}{a.parts[0][1:]} ({a.views[0]} views) and {a.parts[1]} ({a.views[1]} views): "
-            f"they differ by {a.sigma_factor:.2f} times what their σ foretell (√(χ²/n), n = {len(a.names)}; by chance "
+            f"they differ by {a.sigma_factor:.2f} times what their σ predict (√(χ²/n), n = {len(a.names)}; by chance "
             f"as much or more in {_percent(a.p)} of cases)."
         )
         caption = (

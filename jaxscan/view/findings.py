@@ -103,7 +103,7 @@ def _sessions(diagnostics: Diagnostics) -> list[Box]:
         Box(
             "stop" if each.sigma_factor > _LARGE_FACTOR else "care",
             f"The sessions {each.parts[0]} and {each.parts[1]} disagree by {each.sigma_factor:.1f} times what their σ "
-            "foretell.",
+            "predict.",
             "Something moved or was refocused between them: calibrate them apart.",
         )
         for each in diagnostics.sessions
@@ -171,7 +171,7 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
     return [
         Box(
             "stop" if each.sigma_factor > _LARGE_FACTOR else "care",
-            f"Two halves of the photographs disagree by {each.sigma_factor:.1f} times what their σ foretell (most in "
+            f"Two halves of the photographs disagree by {each.sigma_factor:.1f} times what their σ predict (most in "
             f"{each.names[worst]}, {abs(each.differences_in_sigma[worst]):.1f} σ): read every σ as "
             f"{each.sigma_factor:.1f} times as large.",
             "Errors that do not average out are behind it: a board that is not flat or not held still, a camera that "

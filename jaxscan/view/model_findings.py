@@ -89,7 +89,7 @@ def _lens(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
         return [
             Box(
                 "care",
-                f'The lens "{tried.chosen}" is too simple: "{tried.supported}" foretells views that it has not seen to '
+                f'The lens "{tried.chosen}" is too simple: "{tried.supported}" predicts views that it has not seen to '
                 f"{supported.held_out_px:.3f} px instead of {chosen.held_out_px:.3f} px.",
                 f'Set lens = "{tried.supported}" under [camera] in session.toml.',
             )
@@ -103,7 +103,7 @@ def _lens(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
                 "care",
                 f'The lens "{tried.chosen}" is richer than the photographs support: beyond "{tried.supported}" its '
                 f"{terms} further term{'s' if terms > 1 else ''} only fit{'s' if terms == 1 else ''} noise. Views "
-                f"that it has not seen it foretells to {chosen.held_out_px:.3f} px, the simpler one to "
+                f"that it has not seen it predicts to {chosen.held_out_px:.3f} px, the simpler one to "
                 f"{supported.held_out_px:.3f} px, which is no clear difference.",
                 f'Set lens = "{tried.supported}" under [camera] in session.toml{unheld}, or hold the board '
                 "into the corners of the image, where the terms differ.",
@@ -186,13 +186,13 @@ def _board(calibration: Calibration) -> list[Box]:
     if found is None:
         return []
     level: Level = "stop" if found.session or found.shift_in_sigma > _MOVES_FAR else "care"
-    return [Box(level, f"{what}.", mend) for what, mend in found.statements]
+    return [Box(level, f"{what}.", fix) for what, fix in found.statements]
 
 
 def _off_grid(calibration: Calibration) -> list[Box]:
     """Points of the board that are not where they should be."""
     found = calibration.off_grid
-    return [] if found is None else [Box("care", f"{what}.", mend) for what, mend in found.statements]
+    return [] if found is None else [Box("care", f"{what}.", fix) for what, fix in found.statements]
 
 
 def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box]) -> list[Box]:
@@ -270,16 +270,16 @@ def _changed(calibration: Calibration) -> list[Box]:
     """What is another before and behind one of the photographs."""
     if calibration.change is None:
         return []
-    what, mend = calibration.change.statement
-    return [Box("stop", f"{what}.", mend)]
+    what, fix = calibration.change.statement
+    return [Box("stop", f"{what}.", fix)]
 
 
 def _drift(calibration: Calibration) -> list[Box]:
     """What goes on slowly from photograph to photograph."""
     if calibration.drift is None:
         return []
-    what, mend = calibration.drift.statement
-    return [Box("care", f"{what}.", mend)]
+    what, fix = calibration.drift.statement
+    return [Box("care", f"{what}.", fix)]
 
 
 def _curved(calibration: Calibration) -> dict[str, float]:
@@ -316,8 +316,8 @@ def _moved(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
 
 def _stage(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     shapes = calibration.stage_shapes
-    boxes = [Box("care", f"{what}.", mend) for shape in shapes for what, mend in shape.statements]
-    boxes += [Box("care", f"{untold}.", "") for untold in calibration.untold_periods]
+    boxes = [Box("care", f"{what}.", fix) for shape in shapes for what, fix in shape.statements]
+    boxes += [Box("care", f"{untold}.", "") for untold in calibration.undetermined_periods]
     named = [shape.axis for shape in shapes]
     for each in (stage for stage in diagnostics.stages if stage.axis not in named):
         if each.chi2_along > _STAGE:

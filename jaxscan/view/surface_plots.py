@@ -14,8 +14,8 @@ from jaxscan.surface.clean import RULES
 from jaxscan.surface.compare import Comparison
 from jaxscan.surface.floor import Floor, find_floor
 from jaxscan.surface.links import sampling
-from jaxscan.view.exhibit import UNITS, Exhibit
 from jaxscan.view.matplotlib_setup import pyplot
+from jaxscan.view.view_data import UNITS, ViewData
 
 # Values beyond these percentiles are shown in the colours of the ends.
 _SHOWN: Final = (1.0, 99.0)
@@ -147,7 +147,7 @@ def draw_mesh(
     save_figure(plt, figure, path)
 
 
-def draw_exhibit(path: str | os.PathLike[str], shown: Exhibit, colour: str, title: str) -> None:
+def draw_view_data(path: str | os.PathLike[str], shown: ViewData, colour: str, title: str) -> None:
     """What the viewer shows, from two sides, and where the scanner stood, as it is known.
 
     Args:

@@ -1,4 +1,4 @@
-"""An exhibit in the browser (extra `viewer`): viser on this machine alone, coordinates in float32."""
+"""What is shown in the browser (extra `viewer`): viser on this machine alone, coordinates in float32."""
 
 from typing import Any, Final
 
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.extras import extra
 from jaxscan.surface.colours import sequential
-from jaxscan.view.exhibit import UNITS, Exhibit
+from jaxscan.view.view_data import UNITS, ViewData
 
 HOST: Final = "127.0.0.1"
 # Of the colours' range, percentiles.
@@ -17,8 +17,8 @@ _SHOWN: Final = (1.0, 99.0)
 _CAMERA, _LIGHT, _TRAVEL = (60, 60, 60), (220, 40, 40), (40, 90, 200)
 
 
-def serve(shown: Exhibit, port: int, colour: str | None = None) -> Any:
-    """Show an exhibit at http://127.0.0.1:port until the server that is returned is stopped.
+def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
+    """Show what `view_data` read at http://127.0.0.1:port until the server that is returned is stopped.
 
     Args:
         shown: what to show.
@@ -102,6 +102,6 @@ def limits(values: Float[np.ndarray, "points"]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _words(shown: Exhibit, name: str, low: float, high: float) -> str:
+def _words(shown: ViewData, name: str, low: float, high: float) -> str:
     what = f"{len(shown.points)} points" if shown.triangles is None else f"{len(shown.triangles)} triangles"
     return f"{what}; {name} from {low:.3g} (dark) to {high:.3g} {UNITS[name]} (bright)"

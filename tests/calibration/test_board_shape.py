@@ -147,10 +147,10 @@ def test_a_bent_board_taken_as_flat_is_named_with_its_millimetres():
     assert found.bent
     assert found.bent_mm == pytest.approx(bent_by(TERMS)[0], rel=0.15)
     assert found.bends_mm == pytest.approx(EACH, rel=0.5)
-    (what, mend), *_ = found.statements
-    assert f"{what}. {mend}".removesuffix(".") in result.warnings
+    (what, fix), *_ = found.statements
+    assert f"{what}. {fix}".removesuffix(".") in result.warnings
     assert "The board is not flat: it is bent by 0." in what
-    assert "--board-shape bend" in mend
+    assert "--board-shape bend" in fix
 
 
 def found_bent(**but: object) -> BoardFlatness:
@@ -160,16 +160,16 @@ def found_bent(**but: object) -> BoardFlatness:
 
 def test_what_is_advised_can_be_done_with_the_views_that_there_are():
     for views, words in ((6, "Calibrate with"), (5, "Take 1 more view of the"), (3, "Take 3 more views of the")):
-        ((_, mend),) = found_bent(views=views).statements
-        assert mend.startswith(words)
-        assert "--board-shape bend" in mend
+        ((_, fix),) = found_bent(views=views).statements
+        assert fix.startswith(words)
+        assert "--board-shape bend" in fix
 
 
 def test_the_mean_of_two_boards_is_not_named_beside_them():
     """Of a flat board and of one bent by 0.8 mm it would be that "the board is bent by 0.35 mm"."""
-    ((what, mend),) = found_bent(session="tuesday", differs_mm=0.81).statements
+    ((what, fix),) = found_bent(session="tuesday", differs_mm=0.81).statements
     assert "session tuesday has another shape" in what
-    assert "apart" in mend
+    assert "apart" in fix
 
 
 def test_bulges_that_are_alike_are_said_to_be():

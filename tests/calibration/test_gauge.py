@@ -82,15 +82,15 @@ def test_another_block_then_reads_right(by_block, turned, true_rig):
     errors = {}
     for name, rig in (("turned", turned.rig), ("refined", by_block.rig)):
         content = RigFile(rig, turned.covariance)
-        # Nothing is doubted and nothing free but the pose: a fit of the levels to the points as this rig sees them.
-        fit = refine_by_gauge(content, [Gauge(other, Steps((0.0, *heights)))], doubt=())
+        # Everything is trusted and nothing free but the pose: a fit of the levels to the points as this rig sees them.
+        fit = refine_by_gauge(content, [Gauge(other, Steps((0.0, *heights)))], trust=("laser", "stage"))
         errors[name] = fit.gauges[0].rms_before_mm
     assert errors["refined"] < 0.06 < 2 * errors["refined"] < errors["turned"]
 
 
 def test_with_everything_trusted_the_gauge_only_adds(true_rig, turned, block):
     content = RigFile(true_rig, turned.covariance)
-    fit = refine_by_gauge(content, [Gauge(block, Steps((0.0, *HEIGHTS)))], doubt=())
+    fit = refine_by_gauge(content, [Gauge(block, Steps((0.0, *HEIGHTS)))], trust=("laser", "stage"))
     sigma = np.sqrt(np.diagonal(fit.covariance.matrix))
     assert (sigma <= SIGMA * (1 + 1e-9)).all()
     assert fit.from_prior_in_sigma < 4.0
@@ -130,9 +130,9 @@ def test_too_few_points_are_refused(turned, block):
         refine_by_gauge(turned, [Gauge(few, Steps())])
 
 
-def test_what_can_be_doubted(turned, block):
+def test_what_can_be_trusted(turned, block):
     with pytest.raises(InputError, match="camera"):
-        refine_by_gauge(turned, [Gauge(block, Steps())], doubt=("camera",))
+        refine_by_gauge(turned, [Gauge(block, Steps())], trust=("camera",))
 
 
 @pytest.mark.parametrize(
@@ -176,8 +176,8 @@ def values_of(rig):
 def test_boards_and_gauge_in_one_solve(calibration, block, true_rig):
     """Where both are near the minimum, the boards' photographs tell what their mean and covariance tell."""
     gauge = [Gauge(block, Steps((0.0, *HEIGHTS)))]
-    joint = refine_by_gauge(calibration, gauge, doubt=())
-    by_prior = refine_by_gauge(calibration.rig_file(), gauge, doubt=())
+    joint = refine_by_gauge(calibration, gauge, trust=("laser", "stage"))
+    by_prior = refine_by_gauge(calibration.rig_file(), gauge, trust=("laser", "stage"))
     sigma = np.sqrt(np.diagonal(joint.covariance.matrix))
     assert (sigma < np.sqrt(np.diagonal(calibration.covariance.matrix))).all()
     assert (np.abs(values_of(joint.rig) - values_of(true_rig)) < 4 * sigma).all()
@@ -187,7 +187,7 @@ def test_boards_and_gauge_in_one_solve(calibration, block, true_rig):
 
 
 @pytest.mark.long
-def test_boards_tell_nothing_of_a_part_that_is_doubted(calibration, turned, true_rig):
+def test_boards_tell_nothing_of_a_part_that_is_not_trusted(calibration, turned, true_rig):
     """The laser was pushed after the boards were photographed: their stripes lie on a sheet that is no more."""
     pushed = replace(true_rig, lights=turned.rig.lights)
     scan = scan_of(pushed, stair(37.0, HEIGHTS))

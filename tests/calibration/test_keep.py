@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxscan.calibration import Kept, calibrate
+from jaxscan.calibration import InlierMask, calibrate
 from jaxscan.errors import InputError
 
 
@@ -99,4 +99,4 @@ def test_a_mask_that_does_not_fit_is_refused(session, finished):
     with pytest.raises(InputError, match="keep has masks for 3 photographs"):
         calibrate(session, keep=finished.kept[:3])
     with pytest.raises(InputError, match="view-0: the mask of what to keep has 5 corners"):
-        calibrate(session, keep=(Kept(np.ones(5, bool)), *finished.kept[1:]))
+        calibrate(session, keep=(InlierMask(np.ones(5, bool)), *finished.kept[1:]))

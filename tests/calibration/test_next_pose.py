@@ -142,9 +142,9 @@ def test_sigma_falls_as_predicted(
 ):
     """The first is photographed and everything is solved anew, the σ of corners and stripes too, so they may move."""
     found = calibrate(replace(session, views=(*session.views, photographed(suggested[0], 0)))).covariance
-    foretold = suggested[0].covariance
-    np.testing.assert_allclose(np.sqrt(np.diagonal(foretold.matrix) / np.diagonal(found.matrix)), 1, atol=0.05)
-    assert sigma(calibration, foretold, wanted) == pytest.approx(sigma(calibration, found, wanted), rel=0.03)
+    predicted = suggested[0].covariance
+    np.testing.assert_allclose(np.sqrt(np.diagonal(predicted.matrix) / np.diagonal(found.matrix)), 1, atol=0.05)
+    assert sigma(calibration, predicted, wanted) == pytest.approx(sigma(calibration, found, wanted), rel=0.03)
     assert sigma(calibration, found, wanted) < 0.8 * sigma(calibration, calibration.covariance, wanted)
 
 

@@ -13,8 +13,8 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_file import read_rig, write_rig
 from jaxscan.geometry import Pose
 from jaxscan.rig import Linear, Rotary, run_of, runs
-from jaxscan.rig.facts import axis_facts, path_in_words
 from jaxscan.rig.play import RotaryWithPlay
+from jaxscan.rig.summary import axis_summary, format_path
 from tests.calibration import stages, synthetic
 
 KIND = "linear_with_play"
@@ -131,9 +131,9 @@ def test_it_is_written_and_read_and_said(tmp_path):
     assert jax.tree.leaves(back.rig) == jax.tree.leaves(found.rig)
     assert back.rig.axis("stage").kind == KIND
     assert "motion.stage.play.0" in back.covariance.names
-    (facts,) = axis_facts(back.rig, back.covariance)
-    assert facts["play_mm"] == pytest.approx(0.05, abs=0.005)
-    assert any(line.startswith("farther on by 0.0") for line in path_in_words(facts))
+    (summary,) = axis_summary(back.rig, back.covariance)
+    assert summary["play_mm"] == pytest.approx(0.05, abs=0.005)
+    assert any(line.startswith("farther on by 0.0") for line in format_path(summary))
 
 
 def test_the_model_that_is_chosen_has_it_where_there_is_some():
@@ -172,8 +172,8 @@ def test_a_turntable_has_it_too():
     found = calibrate(seen, motion={"turntable": "rotary_with_play"})
     sigma = found.covariance.sigma("motion.turntable.play.0")
     assert abs(float(found.rig.axis("turntable").play[0]) - 4.0) < 4 * sigma < 1.0
-    (facts,) = axis_facts(found.rig, found.covariance)
-    assert facts["play_deg"] == pytest.approx(4.0 * facts["degrees_per_step"], rel=0.2)
+    (summary,) = axis_summary(found.rig, found.covariance)
+    assert summary["play_deg"] == pytest.approx(4.0 * summary["degrees_per_step"], rel=0.2)
 
 
 def test_a_gantry_of_two_lines_has_the_scale_and_the_play_of_each():

@@ -59,8 +59,8 @@ def test_taken_for_a_line_it_is_named(solved):
     assert (shape.axis, shape.taken, shape.kind) == ("stage", "linear", kind)
     assert shape.p < 1e-6
     assert shape.travel_mm == pytest.approx(60, rel=0.01)
-    ((what, mend),) = shape.statements
-    assert mend == f"Calibrate with --motion {kind}."
+    ((what, fix),) = shape.statements
+    assert fix == f"Calibrate with --motion {kind}."
     assert any(warning.startswith(what) for warning in line.warnings)
     if "guide" in kind:
         assert abs(shape.bow_mm - 0.1) < 3 * shape.bow_sigma_mm < 0.06
@@ -157,11 +157,11 @@ def test_even_steps_do_not_tell_a_period_from_its_aliases():
     assert list(shape.aliases) == sorted(shape.aliases, reverse=True)
     assert "uneven steps" in shape.statements[0][0]
     found = calibrate(session, motion={"stage": "screw"})
-    (said,) = found.untold_periods
+    (said,) = found.undetermined_periods
     assert "screw_steps" in said
     assert said in found.warnings
     known = calibrate(session, motion={"stage": "screw"}, periods={"stage": 3200.0})
-    assert not known.untold_periods
+    assert not known.undetermined_periods
     assert float(known.rig.axis("stage").period[0]) == 3200
     assert "motion.stage.period.0" not in known.covariance.names
     np.testing.assert_allclose(np.array(known.rig.axis("stage").wave), [0.0421, 0.0270], atol=0.005)

@@ -38,7 +38,7 @@ def words(capsys, *argv: object) -> str:
     return capsys.readouterr().out
 
 
-def facts(capsys, *argv: object) -> dict:
+def summary(capsys, *argv: object) -> dict:
     return json.loads(words(capsys, *argv, "--json"))
 
 
@@ -50,7 +50,7 @@ def refusal(capsys, *argv: object) -> str:
 
 
 def test_a_rig_in_numbers(rig, capsys):
-    found = facts(capsys, rig)
+    found = summary(capsys, rig)
     (laser,) = found["lights"]
     assert (laser["name"], laser["kind"], laser["plane"]["value"]) == ("", "plane", RIG["laser"]["plane"])
     assert laser["angle_to_axis_deg"] == pytest.approx(30)
@@ -96,7 +96,7 @@ def test_a_rig_with_a_turntable(tmp_path, capsys):
     assert "axis (0.00000, 0.00000, -1.00000) ± 0.029° through (3.000, 4.000, 300.000) mm ± 0.15 mm" in said
     path.write_text(json.dumps(RIG | {"turntable": turntable}))
     assert "through (3.000, 4.000, 300.000) mm\n" in words(capsys, path)
-    found = facts(capsys, path)["motion"]
+    found = summary(capsys, path)["motion"]
     assert [(axis["axis"], axis["kind"]) for axis in found] == [("stage", "linear"), ("turntable", "rotary")]
     assert found[1]["through_sigma_mm"] is None
 
@@ -117,7 +117,7 @@ def test_an_unknown_key_is_said_on_standard_error(rig, capsys):
 def test_a_cloud(tmp_path, capsys):
     points = np.array([[0, 0, 1], [3, -2, 5]], np.float32)
     write_ply(tmp_path / "cup.ply", Cloud(points, sigma=np.array([0.25, 0.75], np.float32)))
-    found = facts(capsys, tmp_path / "cup.ply")
+    found = summary(capsys, tmp_path / "cup.ply")
     assert found["points"] == 2
     assert found["box_mm"] == [[0, -2, 1], [3, 0, 5]]
     assert found["sigma_mm"] == 0.5
@@ -129,7 +129,7 @@ def test_a_range_image(tmp_path, capsys):
     points = np.where(valid[..., None], np.full(3, 2, np.float32), np.float32(np.nan))
     unknown = np.full((1, 3), np.nan, np.float32)
     write_range_npz(tmp_path / "cup.npz", RangeArrays(points, unknown + 1, unknown, valid, np.array([-100_000])))
-    found = facts(capsys, tmp_path / "cup.npz")
+    found = summary(capsys, tmp_path / "cup.npz")
     assert found["points"] == 2
     assert found["sigma_mm"] is None
     assert "2, 66.7 % of frames × lines" in words(capsys, tmp_path / "cup.npz")
@@ -140,7 +140,7 @@ def test_what_a_range_image_knows_of_its_light(tmp_path, capsys):
     light = np.array([[2, 0.5, 0.18, 252], [np.nan] * 4], np.float32)
     points = np.ones((2, 3, 3), np.float32)
     write_range_npz(tmp_path / "cup.npz", RangeArrays(points, one, one, one > 0, np.arange(2), light=light))
-    assert facts(capsys, tmp_path / "cup.npz")["light"]["gain"] == 0.5
+    assert summary(capsys, tmp_path / "cup.npz")["light"]["gain"] == 0.5
     assert "read noise 2 grey levels, gain 0.5 grey levels for each electron, speckle contrast 0.18" in words(
         capsys, tmp_path / "cup.npz"
     )
@@ -162,7 +162,7 @@ def test_how_near_a_range_image_comes_to_the_limit_of_speckle(tmp_path, rig, cap
     )
     write_range_npz(tmp_path / "cup.npz", arrays)
     optics = ("--f-number", 4, "--wavelength-nm", 650, "--pixel-um", 5)
-    found = facts(capsys, tmp_path / "cup.npz", "--rig", rig, *optics)["speckle_limit"]
+    found = summary(capsys, tmp_path / "cup.npz", "--rig", rig, *optics)["speckle_limit"]
     expected = 0.2 * 0.00065 / (2 * math.pi * (3.475 / 8 / 300) * 0.5)
     assert found["limit_mm"] == pytest.approx(expected, rel=1e-4)
     assert found["times"] == pytest.approx(0.1 / expected, rel=1e-4)
@@ -195,7 +195,7 @@ def scan(tmp_path: Path) -> Path:
 
 
 def test_a_scan(scan, capsys):
-    found = facts(capsys, scan)
+    found = summary(capsys, scan)
     assert found["frames"] == 3
     assert found["axes"] == {"stage": {"count": 3, "first_step": 0, "last_step": -1000, "spacing": -500}}
     assert found["image_size"] == [64, 48]
@@ -207,7 +207,7 @@ def test_a_scan_on_several_axes(scan, capsys):
         (scan / "scan.toml").write_text("\n".join([f'[scan]\nframes = "{of}"\n[scan.axes]', *axes]))
 
     write("f*.png", "turntable = { start = 4, per_frame = 8 }", "stage = 20000", "lift = [0, 5, 0]")
-    assert facts(capsys, scan)["axes"] == {
+    assert summary(capsys, scan)["axes"] == {
         "turntable": {"count": 3, "first_step": 4, "last_step": 20, "spacing": 8},
         "stage": {"count": 3, "first_step": 20000, "last_step": 20000, "spacing": 0},
         "lift": {"count": 3, "first_step": 0, "last_step": 0, "spacing": None},
@@ -221,7 +221,7 @@ def test_a_scan_on_several_axes(scan, capsys):
         assert line in said
     (scan / "v.mp4").write_bytes(b"any")
     write("v.mp4", "turntable = { start = 4, per_frame = 8 }", "stage = 20000")
-    found = facts(capsys, scan)
+    found = summary(capsys, scan)
     assert found["frames"] is None
     assert found["axes"]["turntable"] == {"count": None, "first_step": 4, "last_step": None, "spacing": 8}
     said = words(capsys, scan)
@@ -249,7 +249,7 @@ def green(path: Path) -> np.ndarray:
 
 
 def test_the_stripe_is_drawn_where_it_is(scan, tmp_path, capsys):
-    found = facts(capsys, scan, "--frame", 2, "--png", tmp_path / "f2.png")
+    found = summary(capsys, scan, "--frame", 2, "--png", tmp_path / "f2.png")
     assert found["picture"] == {"path": str(tmp_path / "f2.png"), "stripe_points": 64, "of_columns": 64, "notes": []}
     rows = green(tmp_path / "f2.png")[:, 0]
     assert abs(rows.mean() - 22) < 0.2
@@ -266,18 +266,18 @@ def test_the_background_is_subtracted(scan, tmp_path, capsys):
         assert cv2.imwrite(str(scan / f"{name}.png"), image)
     for background, row in (("", 8), ('background = "dark.png"\n', 30)):
         (scan / "scan.toml").write_text(f'[scan]\nframes = "lit.png"\nsteps = [0]\n{background}')
-        assert facts(capsys, scan, "--png", tmp_path / "a.png")["picture"]["stripe_points"] == 64
+        assert summary(capsys, scan, "--png", tmp_path / "a.png")["picture"]["stripe_points"] == 64
         assert abs(green(tmp_path / "a.png")[:, 0].mean() - row) < 0.2
 
 
 def test_the_picture_is_named_after_folder_and_frame(scan, monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
-    assert facts(capsys, scan, "--frame", 1, "--png")["picture"]["path"] == "cup-1.png"
+    assert summary(capsys, scan, "--frame", 1, "--png")["picture"]["path"] == "cup-1.png"
     assert (tmp_path / "cup-1.png").is_file()
 
 
 def test_corners_and_stripe_of_a_real_view(data, tmp_path, capsys):
-    picture = facts(capsys, data / "etna-2", "--frame", 0, "--png", tmp_path / "v.png")["picture"]
+    picture = summary(capsys, data / "etna-2", "--frame", 0, "--png", tmp_path / "v.png")["picture"]
     assert (picture["corners"], picture["of_corners"]) == (42, 42)
     assert picture["lasers"][0]["stripe_points"] > 300
     assert cv2.imread(str(tmp_path / "v.png")).shape == (1024, 1280, 3)

@@ -166,15 +166,15 @@ def test_compare_with_a_mesh_and_with_a_cloud(folder, capsys):
 def test_inspect_meshes_clouds_and_views(folder, capsys):
     run(capsys, "mesh", folder / "block.npz", "-o", folder / "seen.ply", "-o", folder / "seen.stl")
     for ending in ("ply", "stl"):
-        facts = run(capsys, "inspect", folder / f"seen.{ending}")
-        assert facts["kind"] == "mesh"
-        assert facts["triangles"] == 3248
+        summary = run(capsys, "inspect", folder / f"seen.{ending}")
+        assert summary["kind"] == "mesh"
+        assert summary["triangles"] == 3248
         assert main(["inspect", str(folder / f"seen.{ending}")]) == 0
         assert "triangles" in capsys.readouterr().out
     assert run(capsys, "inspect", folder / "block.ply")["kind"] == "cloud"
-    facts = run(capsys, "inspect", folder / "block.npz", "--png", folder / "views.png")
-    assert facts["picture"]["path"] == str(folder / "views.png")
-    assert facts["picture"]["removed"] == {"mixed": 0, "grazing": 0, "isolated": 2}
+    summary = run(capsys, "inspect", folder / "block.npz", "--png", folder / "views.png")
+    assert summary["picture"]["path"] == str(folder / "views.png")
+    assert summary["picture"]["removed"] == {"mixed": 0, "grazing": 0, "isolated": 2}
     assert (folder / "views.png").stat().st_size > 10_000
 
 

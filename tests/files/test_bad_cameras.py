@@ -1,4 +1,4 @@
-"""What readers of other programs' cameras refuse: the text names the file, the key and the mend, whatever the bytes."""
+"""What readers of other programs' cameras refuse: the text names the file, the key and the fix, whatever the bytes."""
 
 import warnings
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Scans: what the format allows, and every mistake with its mend."""
+"""Scans: what the format allows, and every mistake with its fix."""
 
 import dataclasses
 from pathlib import Path

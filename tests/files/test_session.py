@@ -1,4 +1,4 @@
-"""Calibration sessions: what the format allows, and every mistake with its mend."""
+"""Calibration sessions: what the format allows, and every mistake with its fix."""
 
 import argparse
 import dataclasses

@@ -102,8 +102,8 @@ def test_an_edge_of_reflectance_along_the_stripe_is_seen():
     v = (np.arange(ROWS * fine) + 0.5)[:, None] / fine - 0.5
     light = np.exp(-0.5 * ((v - CENTRE) / s) ** 2)
     # Elsewhere in the photograph the stripe is whole.
-    torn = np.arange(COLUMNS) % 100 < 30
-    light = np.where(torn & (v > edge), 0.1, 1.0) * light
+    edged = np.arange(COLUMNS) % 100 < 30
+    light = np.where(edged & (v > edge), 0.1, 1.0) * light
     levels = 2000 + HEIGHT * light.reshape(ROWS, fine, COLUMNS).mean(axis=1)
     levels += HEIGHT / 100 * np.random.default_rng(3).standard_normal(levels.shape)
     image = np.rint(levels.clip(0)).astype(np.uint16)
@@ -112,8 +112,8 @@ def test_an_edge_of_reflectance_along_the_stripe_is_seen():
         for name in ("likelihood", "gravity")
     )
     assert np.isfinite(own).all()
-    assert np.sqrt(np.mean(own[torn] ** 2)) < 0.4 * np.sqrt(np.mean(gravity[torn] ** 2))
-    assert np.sqrt(np.mean(own[~torn] ** 2)) < 0.03
+    assert np.sqrt(np.mean(own[edged] ** 2)) < 0.4 * np.sqrt(np.mean(gravity[edged] ** 2))
+    assert np.sqrt(np.mean(own[~edged] ** 2)) < 0.03
 
 
 def test_where_every_line_has_an_edge_it_is_not_taken_for_noise():

@@ -29,10 +29,10 @@ def test_smooth_noise_is_worth_fewer_and_variances_follow():
         sums.append(weights @ noise.ravel())
         alike.append(of(noise))
     assert np.median([each.tau() for each in alike]) == pytest.approx(4 * np.pi * 2.0, rel=0.15)
-    foretold = np.mean([np.diag(each.variance(GRID, weights)) for each in alike], axis=0)
+    predicted = np.mean([np.diag(each.variance(GRID, weights)) for each in alike], axis=0)
     # Waves as short as the grain average out: weights that change have less.
-    np.testing.assert_allclose(foretold[1], np.var(sums, axis=0)[1], rtol=0.5)
-    assert foretold[1] < 0.45 * foretold[0]
+    np.testing.assert_allclose(predicted[1], np.var(sums, axis=0)[1], rtol=0.5)
+    assert predicted[1] < 0.45 * predicted[0]
 
 
 def test_without_places_errors_are_independent():

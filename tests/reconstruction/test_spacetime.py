@@ -13,8 +13,8 @@ from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import reconstruct, spacetime
 from jaxscan.reconstruction.frames import Frames
 from jaxscan.reconstruction.overlapping import overlapping
-from jaxscan.reconstruction.passage import passage_of
 from jaxscan.reconstruction.spacetime import Geometry, carried, spacetime_profiles
+from jaxscan.reconstruction.spacetime_geometry import spacetime_geometry
 from jaxscan.reconstruction.triangulate import FramePoses
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
@@ -67,7 +67,7 @@ def test_a_track_is_where_the_camera_sees_what_the_stage_carries(rig):
 
 
 def test_the_passage_is_as_long_as_the_sheet_is_thick(rig, scan):
-    _, sigma = passage_of(rig, scan)
+    _, sigma = spacetime_geometry(rig, scan)
     expected = SHEET_MM * np.linalg.norm(OMEGA) / abs(OMEGA @ PER_STEP) / STEP
     np.testing.assert_allclose(sigma, expected, rtol=0.15)
 
@@ -118,13 +118,13 @@ def points_of(rig, settings, frames, steps, sigma, dark=None):
 
 
 def test_points_do_not_depend_on_the_batches(rig, scan, frames, images):
-    _, sigma = passage_of(rig, scan)
+    _, sigma = spacetime_geometry(rig, scan)
     np.testing.assert_array_equal(points_of(rig, GREY, frames, scan.axes["stage"], sigma), images[1].points)
 
 
 def test_a_scan_of_another_length_compiles_nothing(rig, scan, frames, images):
     """Neither the last batch of a scan nor a shorter scan has shapes of its own."""
-    _, sigma = passage_of(rig, scan)
+    _, sigma = spacetime_geometry(rig, scan)
     whole = (carried, spacetime._track, spacetime._points, gather_passage, passage_windows)
     before = [each._cache_size() for each in whole]
     count = FRAMES - 3
@@ -138,7 +138,7 @@ def test_lines_that_are_rows(rig, scan, frames, images):
     with float64():
         camera = Camera.create((ROWS, COLUMNS), np.array([600.0, 600.0]), np.array([48.0, 20.0]))
         turned = as_numpy(Rig(camera, (LightPlane.create(OMEGA[[1, 0, 2]]),), Linear.create(PER_STEP[[1, 0, 2]])))
-    _, sigma = passage_of(rig, scan)
+    _, sigma = spacetime_geometry(rig, scan)
     rows = StripeSettings("grey", columns=False)
     points = points_of(turned, rows, np.ascontiguousarray(frames.swapaxes(1, 2)), scan.axes["stage"], sigma)
     np.testing.assert_allclose(points[..., [1, 0, 2]], images[1].points, atol=1e-3)
@@ -147,7 +147,7 @@ def test_lines_that_are_rows(rig, scan, frames, images):
 @pytest.mark.parametrize("photographs", [1, FRAMES])
 def test_a_red_laser_beside_a_lamp(rig, scan, frames, images, photographs):
     """A lamp twice as bright as the stripe, as orange as lamps are, stands beside it and over some of its lines."""
-    _, sigma = passage_of(rig, scan)
+    _, sigma = spacetime_geometry(rig, scan)
     v, u = np.mgrid[:ROWS, :COLUMNS]
     lamp = 40000 * np.exp(-0.5 * (((v - 52) / 8) ** 2 + ((u - 30) / 6) ** 2))
     dark = np.rint(lamp[..., None] * (1.0, 0.7, 0.4)).astype(np.uint16)
@@ -188,18 +188,18 @@ def test_overlapping_batches_have_every_frame_once_and_its_neighbours(size):
 )
 def test_steps_that_are_unfit_are_refused_in_words(rig, scan, steps, says):
     with pytest.raises(InputError, match=says):
-        passage_of(rig, replace(scan, axes={"stage": steps}))
+        spacetime_geometry(rig, replace(scan, axes={"stage": steps}))
 
 
 def test_too_few_frames_and_a_rig_without_a_stage_are_refused(rig, scan):
     with pytest.raises(InputError, match="12 frames: spacetime analysis looks at"):
-        passage_of(rig, replace(scan, frames=scan.frames[14:26], axes={"stage": scan.axes["stage"][14:26]}))
+        spacetime_geometry(rig, replace(scan, frames=scan.frames[14:26], axes={"stage": scan.axes["stage"][14:26]}))
     with pytest.raises(InputError, match='has no axis "stage"'):
-        passage_of(Rig(rig.camera, rig.lights), scan)
+        spacetime_geometry(Rig(rig.camera, rig.lights), scan)
 
 
 def test_a_scan_without_a_stripe_is_refused(rig, scan, tmp_path):
     path = tmp_path / "black.png"
     write_image(path, np.zeros((ROWS, COLUMNS), np.uint16))
     with pytest.raises(InputError, match="no stripe"):
-        passage_of(rig, replace(scan, frames=(path,) * FRAMES, path=Path("scan.toml")))
+        spacetime_geometry(rig, replace(scan, frames=(path,) * FRAMES, path=Path("scan.toml")))

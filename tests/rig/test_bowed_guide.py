@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, Covariance, Guide, Linear, Rig, Screw, ScrewOnGuide
-from jaxscan.rig.facts import axis_facts, path_in_words
 from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.summary import axis_summary, format_path
 
 PER_STEP = np.array([3e-5, 9e-4, -4e-4])
 BOW = np.array([1e-11, -5e-11, -1e-10])
@@ -126,21 +126,21 @@ def test_bow_and_wave_are_said_with_their_sigma():
     rig = rig_of(kinds()[2])
     names = [name for name in parameter_names(rig) if name.startswith("motion.")]
     variances = np.array([1e-24 if ".bow." in n else 1e-18 if ".turn." in n else 1e-6 for n in names])
-    (facts,) = axis_facts(rig, Covariance(tuple(names), np.diag(variances)))
+    (summary,) = axis_summary(rig, Covariance(tuple(names), np.diag(variances)))
     over = 100 / np.linalg.norm(PER_STEP)
-    assert facts["bowed_mm"] == pytest.approx(np.linalg.norm(BOW) * over**2 / 4)
-    assert facts["bowed_mm_sigma"] == pytest.approx(1e-12 * over**2 / 4)
-    assert facts["turn_mrad"] == pytest.approx(1e3 * np.linalg.norm(TURN) * over)
-    assert (facts["wave_mm"], facts["wave_mm_sigma"]) == pytest.approx((0.05, 1e-3))
-    assert (facts["period_steps"], facts["period_steps_sigma"]) == pytest.approx((2900, 1e-3))
-    said = list(path_in_words(facts))
+    assert summary["bowed_mm"] == pytest.approx(np.linalg.norm(BOW) * over**2 / 4)
+    assert summary["bowed_mm_sigma"] == pytest.approx(1e-12 * over**2 / 4)
+    assert summary["turn_mrad"] == pytest.approx(1e3 * np.linalg.norm(TURN) * over)
+    assert (summary["wave_mm"], summary["wave_mm_sigma"]) == pytest.approx((0.05, 1e-3))
+    assert (summary["period_steps"], summary["period_steps_sigma"]) == pytest.approx((2900, 1e-3))
+    said = list(format_path(summary))
     assert said[0].startswith("bowed by 0.28")
     assert said[1] == "ahead of its steps and behind by 0.05 ± 0.001 mm, with a period of 2900 ± 0.001 steps"
     held = Covariance(tuple(names[:-1]), np.diag(variances[:-1]))
-    (facts,) = axis_facts(rig, held)
-    assert facts["period_steps_sigma"] is None
-    (facts,) = axis_facts(rig_of(as_numpy(Linear.create(PER_STEP))), None)
-    assert not list(path_in_words(facts))
+    (summary,) = axis_summary(rig, held)
+    assert summary["period_steps_sigma"] is None
+    (summary,) = axis_summary(rig_of(as_numpy(Linear.create(PER_STEP))), None)
+    assert not list(format_path(summary))
 
 
 def test_screws_of_other_turns_differ():

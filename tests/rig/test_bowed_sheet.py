@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.cli.facts import rig_facts
-from jaxscan.cli.words import in_words
+from jaxscan.cli.format_summary import format_summary
+from jaxscan.cli.summary import rig_summary
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.precision import as_numpy, float64
@@ -91,7 +91,7 @@ def test_its_numbers_go_into_the_rig_file(tmp_path):
     text = (tmp_path / "rig.json").read_text()
     assert '"kind": "bowed"' in text
     assert '"bow": [' in text
-    assert "curved by 0.3" in in_words(rig_facts(tmp_path / "rig.json"))
+    assert "curved by 0.3" in format_summary(rig_summary(tmp_path / "rig.json"))
     back = read_rig(tmp_path / "rig.json").rig
     assert jax.tree.leaves(back) == jax.tree.leaves(rig(sheet()))
 

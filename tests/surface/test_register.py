@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.errors import InputError, ObservabilityError
 from jaxscan.geometry import Pose
-from jaxscan.surface.coarse import arrange, check_fits
+from jaxscan.surface.coarse_register import check_fits, coarse_register
 from jaxscan.surface.floor import find_floor, stands_on
 from jaxscan.surface.pairs import equations, match
 from jaxscan.surface.register import NotSettledWarning, register
@@ -65,7 +65,7 @@ def test_derivatives_against_finite_differences(sides, truth):
 
 def test_all_sides_together_within_the_predicted_covariance(sides, truth):
     rough = [arg - base for arg, base in zip(TURNS, (0.0, 9.0, -8.0, 10.0), strict=True)]
-    starts = arrange(sides, rough)
+    starts = coarse_register(sides, rough)
     found = register(sides, starts)
     check_fits(sides, found)
     assert len(found.pairs) == 6
@@ -114,7 +114,7 @@ def test_matches_that_flip_for_ever_are_no_drift(truth):
 
 def test_features_need_no_angle(sides, truth):
     pytest.importorskip("kiss_matcher", reason="kiss-matcher (extra features) is not installed")
-    for T, true in zip(arrange(sides), truth, strict=True):
+    for T, true in zip(coarse_register(sides), truth, strict=True):
         assert np.linalg.norm(off(T, true, sides[0].points.mean(axis=0))[3:]) < 0.02
 
 
@@ -122,7 +122,7 @@ def test_views_that_do_not_overlap_are_named(sides):
     x, y = scenes.grid()
     other = side("other.npz", scenes.seen(np.where(x**2 + y**2 < 60, 4 + np.sin(2 * x) + np.sin(3 * y), 0.0), NOISE))
     with pytest.raises(InputError, match=r"other\.npz: does not overlap with 0\.npz, 85\.npz"):
-        arrange([*sides[:2], other], [0.0, 85.0, 170.0])
+        coarse_register([*sides[:2], other], [0.0, 85.0, 170.0])
     with pytest.raises(InputError, match=r"85\.npz: does not overlap with 0\.npz"):
         register(sides[:2], (Pose.identity(), Pose(np.zeros(3), np.array([0.0, 50.0, 0.0]))))
 
@@ -133,7 +133,7 @@ def test_what_slides_is_not_guessed():
     dome = np.where(r2 < 81, np.sqrt(np.maximum(144.0 - r2, 0)) - 6, 0.0)
     balls = [side(f"{k}.npz", scenes.seen(dome, NOISE, seed=k)) for k in range(2)]
     with pytest.raises(ObservabilityError, match=r"1\.npz: slides"):
-        arrange(balls, [0.0, 45.0])
+        coarse_register(balls, [0.0, 45.0])
 
 
 def test_scans_of_one_place_are_tried_as_they_stand():
@@ -142,5 +142,5 @@ def test_scans_of_one_place_are_tried_as_they_stand():
     parts = [left.where(left.points[..., 0] < 2.5), right.where(right.points[..., 0] > -2.5)]
     here = [side(f"{k}.npz", part) for k, part in enumerate(parts)]
     assert np.linalg.norm(here[0].points.mean(axis=0) - here[1].points.mean(axis=0)) > 5.0
-    found = arrange(here, [0.0, 0.0])[1]
+    found = coarse_register(here, [0.0, 0.0])[1]
     assert np.linalg.norm(off(found, Pose.identity(), here[0].points.mean(axis=0))[3:]) < 0.05

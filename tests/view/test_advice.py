@@ -9,7 +9,7 @@ import pytest
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.next_pose import NextPose
 from jaxscan.geometry import Pose
-from jaxscan.reconstruction.next_photographs import NextPhotographs
+from jaxscan.reconstruction.next_best_views import NextBestViews
 from jaxscan.rig import Covariance
 from jaxscan.view.advice import advise, place
 
@@ -52,8 +52,8 @@ def test_places_in_words(changes, words):
     assert words in place(pose(**changes), (640, 480))
 
 
-def planned(*medians: float) -> NextPhotographs:
-    return NextPhotographs(tuple(pose() for _ in medians), "mm", 0.08, medians)
+def planned(*medians: float) -> NextBestViews:
+    return NextBestViews(tuple(pose() for _ in medians), "mm", 0.08, medians)
 
 
 def test_each_photograph_counts_those_before_it(calibration: Calibration):

@@ -38,7 +38,7 @@ def test_drawn_data_are_good_but_for_what_they_do_not_cover(calibration, diagnos
     assert re.search(
         r"^The board \d+ mm away .* would fall from 0.\d+ to 0.\d+ mm\.$", report.sections[2].paragraphs[0]
     )
-    assert len(report.numbers["next_photographs"].poses) == 3
+    assert len(report.numbers["next_best_views"].poses) == 3
 
 
 BOWED = np.arange(400.0), 1e-5 * (np.arange(400) - 200.0) ** 2
@@ -150,7 +150,7 @@ def test_the_worst_comes_first_and_makes_the_verdict(calibration, diagnostics, r
     changed = replace(diagnostics, halves=agreement(2.0), suspects=(SUSPECT,))
     boxes = findings(calibration, changed, ())
     assert [box.level for box in boxes] == sorted((box.level for box in boxes), key=["stop", "care"].index)
-    assert compose(calibration, changed, (), report.numbers["next_photographs"])[0].verdict.statement.startswith(
+    assert compose(calibration, changed, (), report.numbers["next_best_views"])[0].verdict.statement.startswith(
         "Do not use this calibration yet."
     )
 
@@ -223,7 +223,9 @@ def test_a_stage_that_is_no_line_is_said_once(calibration, diagnostics):
     off = replace(off, error_mm=off.error_mm + 20 * off.sigma_mm)
     diagnostics = replace(diagnostics, stages=(off,))
     assert "The stage is not straight" in words(calibration, diagnostics)
-    said = words(replace(calibration, stage_shapes=(SHAPE,), untold_periods=("Its period is a guess",)), diagnostics)
+    said = words(
+        replace(calibration, stage_shapes=(SHAPE,), undetermined_periods=("Its period is a guess",)), diagnostics
+    )
     assert "The stage is not straight" not in said
     assert "bowed by 0.1 ± 0.01 mm over 60 mm" in said
     assert "turns its load by 13 ± 0.4 mrad" in said

@@ -131,7 +131,7 @@ def test_the_json_has_the_shapes_of_boards_and_what_speaks_for_others(report):
     """Of a session whose boards bulge, and whose sheet is curved and was taken as flat."""
     seen = sheets.session(2, sheets.cone(0.3), board_mm=(0.3, -0.2))
     result = calibrate(seen, board_shape="bend")
-    composed = compose(result, diagnose(result, thorough=False), (), report.numbers["next_photographs"])[0]
+    composed = compose(result, diagnose(result, thorough=False), (), report.numbers["next_best_views"])[0]
     numbers = reports.plain(composed.numbers)
     assert numbers["board_shape"]["board_shape"] == "bend"
     assert numbers["board_shape"]["board_bent_mm"] == result.board_bent_by()[0]
@@ -150,7 +150,7 @@ def test_the_report_says_how_far_a_sensor_is_tilted_and_a_sheet_curved(report):
     """In degrees and mm over 200 mm; the parameters are radians and mm of a formula, and their table said px."""
     seen = sheets.session(2, sheets.cone(0.3))
     result = calibrate(seen, light="bowed", tilted=True)
-    composed = compose(result, diagnose(result, thorough=False), (), report.numbers["next_photographs"])[0]
+    composed = compose(result, diagnose(result, thorough=False), (), report.numbers["next_best_views"])[0]
     (rig,) = (section for section in composed.sections if section.title == "The rig")
     said = " ".join(rig.paragraphs)
     assert re.search(r"The sensor is tilted by \d\.\d\d° against the lens\.", said)

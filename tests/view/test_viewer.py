@@ -16,7 +16,7 @@ from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import write_points
 from jaxscan.simulation.rig_2003 import simulated_rig, turning_axes, with_turntable
-from jaxscan.view.exhibit import exhibit
+from jaxscan.view.view_data import view_data
 from jaxscan.view.viewer import HOST, coloured, serve
 from tests.surface.scenes import block
 
@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_what_is_shown(folder):
     image = block()
-    shown = exhibit(folder / "block.npz", simulated_rig(0))
+    shown = view_data(folder / "block.npz", simulated_rig(0))
     assert shown.points.dtype == np.float32
     assert set(shown.values) == {"height", "sigma", "strength"}
     np.testing.assert_allclose(np.median(shown.values["height"][shown.points[:, 2] < 297]), 5.0, atol=0.02)
@@ -42,7 +42,7 @@ def test_what_is_shown(folder):
     np.testing.assert_allclose(shown.setup.at.translation[[0, -1]], image.cameras()[[0, -1]])
     omega = [float(c) for c in simulated_rig(0).lights[0].plane]
     np.testing.assert_allclose(shown.setup.sheet @ omega, 1.0, atol=1e-9)
-    mesh = exhibit(folder / "block.ply")
+    mesh = view_data(folder / "block.ply")
     assert mesh.triangles is not None
     assert len(mesh.values["sigma"]) == len(mesh.points)
     assert mesh.setup is None
@@ -58,7 +58,7 @@ def test_a_turntable_is_gone_round_by_the_camera_and_its_light(tmp_path):
     points = np.einsum("fij,fcj->fci", at.matrix(), still.points) + at.translation[:, None]
     image = replace(still, points=points.astype(np.float32), positions=turn, motion=rig.motion)
     write_points(tmp_path / "turn.npz", image)
-    setup = exhibit(tmp_path / "turn.npz", rig).setup
+    setup = view_data(tmp_path / "turn.npz", rig).setup
     assert setup is not None
     np.testing.assert_allclose(setup.at.translation, at.translation)
     # On a circle, all around.
@@ -107,7 +107,7 @@ def test_in_a_browser(folder):
     pytest.importorskip("viser", reason="viser (extra viewer) is not installed")
     if not CHROMIUM:
         pytest.skip("chromium is not installed: no browser to look with")
-    server = serve(exhibit(folder / "block.npz", simulated_rig(0)), 8321, "strength")
+    server = serve(view_data(folder / "block.npz", simulated_rig(0)), 8321, "strength")
     try:
         assert server.get_host() == HOST == "127.0.0.1"
         with api.sync_playwright() as play:

@@ -24,7 +24,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.optimize import minimize
 
 from jaxscan.calibration.bends import without_poses
-from jaxscan.calibration.by_photograph import inverse_where_told
+from jaxscan.calibration.by_photograph import inverse_where_determined
 from jaxscan.calibration.off_grid import OffGrid
 from jaxscan.calibration.places import places_of_residuals
 from jaxscan.calibration.result import Calibration
@@ -104,7 +104,7 @@ class _Fields:
                 columns[:, :rows] = np.where(np.isfinite(each), each, 0.0).transpose(1, 2, 0)
             both = np.concatenate([J[..., :n], columns, r[..., None]], axis=-1)
             total += without_poses(J[..., n:], both).sum(axis=0)
-        inverse, _ = inverse_where_told(total[:n, :n])
+        inverse, _ = inverse_where_determined(total[:n, :n])
         tied = total[:n, n:-1]
         own = total[n:-1, n:-1] - tied.T @ inverse @ tied
         return _Fields(terms, inverse, tied, own, total[n:-1, -1] - tied.T @ inverse @ total[:n, -1])

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
-from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_told, rows_of
+from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_determined, rows_of
 from jaxscan.calibration.changed import Change
 from jaxscan.calibration.correlation import weights_anew
 from jaxscan.calibration.result import Calibration
@@ -191,7 +191,7 @@ class _Equations:
         seen = np.asarray(kind.seen)
         by = moved + np.where(seen[:, None] >= k, behind, 0.0)
         u = (self.each.g[seen] + np.einsum("pij,pj->pi", self.each.N[seen], by)) @ kind.D
-        own, ranks = inverse_where_told(kind.D.T @ self.each.N[seen] @ kind.D, _UNSEEN)
+        own, ranks = inverse_where_determined(kind.D.T @ self.each.N[seen] @ kind.D, _UNSEEN)
         degrees = int(ranks.sum() - 2 * d[0])
         if degrees < 1:
             return None
@@ -208,7 +208,7 @@ class _Equations:
         B = self.first[-1] - first
         s = (self.pull[-1] - self.pull[ks] - B @ (self.inverse @ self.total)) @ D
         known = np.minimum(*(np.diagonal(D.T @ part @ D, axis1=-2, axis2=-1) for part in (B, first)))
-        return s, *inverse_where_told(D.T @ (B - B @ self.inverse @ B) @ D, _UNSEEN, known)
+        return s, *inverse_where_determined(D.T @ (B - B @ self.inverse @ B) @ D, _UNSEEN, known)
 
 
 def _clearest(kinds: Sequence[Kind], equations: _Equations, by: Callable[[_Step], float]) -> _Step | None:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_told
+from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_determined
 from jaxscan.calibration.diagnostics.changes import Kind, kinds_of_change
 from jaxscan.calibration.drifted import Drift
 from jaxscan.calibration.result import Calibration
@@ -93,13 +93,13 @@ class _Course:
         B = np.einsum("p,pud->ud", t, tied)
         s = t @ each.g @ D - B.T @ inverse @ total
         alone = np.einsum("p,pud,ue->de", t * t, tied, D)
-        spread, rank = inverse_where_told(alone - B.T @ inverse @ B, _UNSEEN, np.diagonal(alone))
+        spread, rank = inverse_where_determined(alone - B.T @ inverse @ B, _UNSEEN, np.diagonal(alone))
         delta = -spread @ s
         moved = inverse @ B @ delta
         # What the drift leaves of each photograph's score.
         left = t[:, None] * (D @ delta) - inverse @ total - moved
         u = (each.g + np.einsum("pij,pj->pi", each.N, left)) @ D
-        own, ranks = inverse_where_told(D.T @ tied, _UNSEEN)
+        own, ranks = inverse_where_determined(D.T @ tied, _UNSEEN)
         degrees = int(ranks.sum() - 2 * rank)
         if degrees < 1 or not rank:
             return _Course(kind, delta, -np.inf, 0.0, moved, np.zeros_like(inverse))

@@ -23,9 +23,9 @@ from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.precision import as_numpy
 from jaxscan.rig import BowedSheet, Covariance, LightPlane, Motion, Rig
 from jaxscan.rig.board_shape import N_TERMS, basis, middle_and_half, places_on_board
-from jaxscan.rig.facts import HALF_WIDTH_MM, light_facts
 from jaxscan.rig.light import sheet_axes
 from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.summary import HALF_WIDTH_MM, light_summary
 
 # A bow of so many of its σ is one: noise shows it once in 2000 calibrations.
 _CLEAR = 3.5
@@ -64,7 +64,7 @@ class SheetCurve:
         which = f' of laser "{self.laser}"' if self.laser else ""
         return (
             f"The sheet of light{which} is curved by {abs(self.curve_mm):.2g} ± {self.sigma_mm:.1g} mm over "
-            f"{self.width_mm:g} mm, and was taken as flat: points will be off by up to as much. --sheet bowed mends it"
+            f"{self.width_mm:g} mm, and was taken as flat: points will be off by up to as much. --sheet bowed fixes it"
         )
 
 
@@ -108,7 +108,7 @@ def sheet_curves(
 def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
     """In words, which sheets were taken as bowed and may as well be flat; one note on each."""
     notes = []
-    for light in light_facts(rig, covariance, image_rays(rig.camera)):
+    for light in light_summary(rig, covariance, image_rays(rig.camera)):
         if light["kind"] != BowedSheet.kind:
             continue
         (bow,), (sigma,) = light["bow"]["value"], light["bow"]["sigma"]

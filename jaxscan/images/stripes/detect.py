@@ -57,7 +57,7 @@ _MOSTLY_BURNT = 0.3
 _ALL_BURNT = 0.75
 # ln of the standard deviation of the narrowest stripe in which an edge is measured, px.
 _NARROWEST_TORN = float(np.log(0.9))
-# Of torn lines so many are narrower than the stripe is.
+# This part of the lines with an edge is narrower than the stripe.
 _WHOLE = 0.9
 # Lines are measured in groups of so many, whatever the image: few sizes are compiled. Large ones cost less a line, by
 # what it takes two cores to begin together; those few that are looked at again would not fill them.
@@ -220,7 +220,7 @@ def _detect(
             return measured
         found = look(tuple(index[which] for index in at), half, model)
         # Where there is no edge in the stripe, what was measured without one stands.
-        taken = found.whole if model == "torn" else np.ones_like(found.whole)
+        taken = found.whole if model == "edge" else np.ones_like(found.whole)
         places = np.flatnonzero(which)[taken]
         return jax.tree.map(lambda old, new: _replaced(old, places, new[taken]), measured, found)
 
@@ -300,7 +300,7 @@ def _detect(
         mostly = (looked.burnt & looked.strong).sum(1) > _ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
         odd |= mostly & ~np.asarray(sensor.apart)[: len(odd)]
         flat = jax.tree.map(np.ravel, measured)
-        flat = look_again(flat, (*everywhere[:2], peak.ravel()), strained.ravel(), narrow, "torn")
+        flat = look_again(flat, (*everywhere[:2], peak.ravel()), strained.ravel(), narrow, "edge")
         flat = jax.tree.map(lambda x: x.reshape(peak.shape), flat)
         measured, with_edge = flat, flat.position != measured.position
     valid = verdict == Verdict.STRIPE
@@ -352,10 +352,10 @@ def _whole_width(
     ln_s: Float32[np.ndarray, "most"],
     width: Float[np.ndarray, "frames lines"],
     seen: Bool[np.ndarray, "frames lines"],
-    torn: Bool[np.ndarray, "frames"],
+    has_edge: Bool[np.ndarray, "frames"],
 ) -> Float32[np.ndarray, "most"]:
-    """Where most lines of a frame are torn, ln of its stripe's standard deviation: an edge makes lines narrower."""
-    for frame in np.flatnonzero(torn):
+    """Where most lines of a frame have an edge, ln of its stripe's standard deviation: an edge makes lines narrower."""
+    for frame in np.flatnonzero(has_edge):
         ln_s[frame] = np.log(np.quantile(width[frame, seen[frame]], _WHOLE) / FWHM)
     return ln_s
 

@@ -14,10 +14,10 @@ from jaxscan.detectors import DETECTORS, Detector
 from jaxscan.images.stripes import classical
 from jaxscan.images.stripes.classical import Estimate
 from jaxscan.images.stripes.likelihood import Misfit, likelihood
-from jaxscan.images.stripes.torn import torn
+from jaxscan.images.stripes.reflectance_edge import fit_reflectance_edge
 from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bump, outline
 
-Model = Literal["plain", "censored", "grained", "grained and censored", "torn"]
+Model = Literal["plain", "censored", "grained", "grained and censored", "edge"]
 
 Measure = Callable[[Windows, Outline, Sensor], Estimate]
 
@@ -66,7 +66,8 @@ class Measured(eqx.Module):
         whole: whether both its flanks are on the image and in the window, and a centre was found between them.
         cramped: whether a wider window would tell more.
         burnt: whether some pixel of the window is full.
-        strained: whether the pixels are off the detector's profile by more than noise; it may be torn.
+        strained: whether the pixels are off the detector's profile by more than noise: an edge of reflectance may run
+            through it.
         h3: the third Gauss-Hermite coefficient of what the profile leaves, in parts of its height; 0 of other
             detectors.
         h4: the fourth.
@@ -109,15 +110,15 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
     around, here = outline(r), sensor.of(frame)
     zero = jnp.zeros_like(around.top)
     misfit = Misfit(jnp.zeros_like(around.whole), zero, zero, zero)
-    if model == "torn":
-        found = torn(windows, around, here)
+    if model == "edge":
+        found = fit_reflectance_edge(windows, around, here)
     elif detector == "likelihood":
         found, misfit = likelihood(windows, around, here, "censored" in model, "grained" in model)
     else:
         found = _CLOSED[detector](windows, around, here)
     seen = bump(windows.neutral) if windows.neutral is not None else around
-    # Where a stripe is torn its centre may lie on the dark side, below half the height of what is seen.
-    between = (found.centre > around.start) & (found.centre < around.end) | (model == "torn")
+    # Where an edge runs through a stripe its centre may lie on the dark side, below half the height of what is seen.
+    between = (found.centre > around.start) & (found.centre < around.end) | (model == "edge")
     whole = around.whole & found.found & between
     relief = around.top - r.min(1, keepdims=True)
     cramped = (around.start < _MARGIN) | (around.end >= size - _MARGIN)

@@ -92,19 +92,19 @@ def mostly_torn(
         h4: likewise.
         seen: likewise.
     """
-    torn, even = np.zeros(len(seen), bool), np.zeros_like(seen)
+    has_edge, even = np.zeros(len(seen), bool), np.zeros_like(seen)
     some = np.flatnonzero(_alike(h3, seen) | _alike(h4, seen))
     if len(some):
         h3, h4, seen = h3[some], h4[some], seen[some]
         edges, odd = edges_and_profiles(h3, h4, seen, seen)
-        torn[some] = ~odd & (edges.sum(1) > _MOST * seen.sum(1))
+        has_edge[some] = ~odd & (edges.sum(1) > _MOST * seen.sum(1))
         known = seen & np.isfinite(h3) & np.isfinite(h4)
         n = np.maximum(_over(known.astype(np.float64), _HALF_WINDOWS[0]), 1)
         shape = sum((_over(np.where(known, h, 0.0).astype(np.float64), _HALF_WINDOWS[0]) / n) ** 2 for h in (h3, h4))
         shape = np.where(known, shape, np.inf)
         last = np.ceil(_LEAST * known.sum(1, keepdims=True)).astype(int)
         even[some] = known & (shape <= np.take_along_axis(np.sort(shape, axis=1), last, axis=1))
-    return torn, even
+    return has_edge, even
 
 
 def _alike(h: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames"]:

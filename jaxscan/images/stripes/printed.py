@@ -5,12 +5,12 @@ is the Gaussian g of standard deviation s₀ is moved by
 
     ∫ (v − c) g R / ∫ g R ≈ s₀² d ln R / dv
 
-A stripe narrower than a pixel or two is so blurred that its shape does not tell (`torn` measures wider ones). But the
-light of the room shows R in the same photograph, in the channels that are not the laser's; and a photograph with the
-laser off shows it in the laser's own. With the stripe's standard deviation s as it is seen, lens and pixel included,
-in place of s₀, the sum over the pixels gives the most that the centre can have been moved. How much of s is the
-sheet's own no photograph tells. So of the displacement d a part is taken for possible that lies anywhere from 0 to 1:
-its mean square, d² / 3, is added to σ².
+A stripe narrower than a pixel or two is so blurred that its shape does not show the edge (`fit_reflectance_edge`
+measures wider ones). But the light of the room shows R in the same photograph, in the channels that are not the
+laser's; and a photograph with the laser off shows it in the laser's own channel. With the stripe's standard deviation
+s as it is seen, lens and pixel included, in place of s₀, the sum over the pixels gives the most that the centre can
+have been moved. No photograph shows how much of s is the sheet's own. So any part of the displacement d, from 0 to 1,
+is taken as possible: its mean square, d² / 3, is added to σ².
 """
 
 from collections.abc import Callable

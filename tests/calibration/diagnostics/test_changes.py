@@ -124,7 +124,7 @@ def test_a_photograph_that_is_not_there_is_refused_with_those_that_are(option):
 
 
 @pytest.mark.parametrize(
-    ("kind", "laser", "says", "mend"),
+    ("kind", "laser", "says", "fix"),
     [
         ("focus", "", r"the focal length changed by \+0.3 %", "--since b"),
         ("image", "", r"by \+0.003 px to the right and -0.5 px down", "--since b"),
@@ -132,9 +132,9 @@ def test_a_photograph_that_is_not_there_is_refused_with_those_that_are(option):
         ("place", "", "the board turned by 0.003°", "Photograph the board along the axis once more"),
     ],
 )
-def test_words(kind, laser, says, mend):
+def test_words(kind, laser, says, fix):
     what, advice = Change(kind, (0.003, -0.5), "a", "b", "camera.focal.0", 7.25, laser).statement
     assert what.startswith("Between a and b ")
     assert what.endswith("camera.focal.0 moves by 7.2 of its σ")
     assert re.search(says, what)
-    assert mend in advice
+    assert fix in advice

@@ -16,9 +16,9 @@ def test_a_lens_that_warms_up_is_named_and_its_rig_lies_within_sigma(seed, by):
     result = calibrate(session)
     assert result.drift.kind == "focus"
     assert result.drift.by == pytest.approx(100 * by, abs=0.06)
-    what, mend = result.drift.statement
+    what, fix = result.drift.statement
     assert "focal length drifts" in what
-    assert "warm up" in mend
+    assert "warm up" in fix
     assert any("focal length drifts" in warning for warning in result.warnings)
     own = np.array([float(leaf) for leaf in jax.tree.leaves(result.rig)])
     for rig in (first, middle):

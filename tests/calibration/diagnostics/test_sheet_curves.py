@@ -22,7 +22,7 @@ def test_a_curved_sheet_is_named_with_its_millimetres(sag, tmp_path):
     assert not doubts or abs(sag) > 1
     assert warning.startswith(f"The sheet of light is curved by {abs(curve.curve_mm):.2g} ± ")
     assert "mm over 200 mm" in warning
-    assert "--sheet bowed mends it" in warning
+    assert "--sheet bowed fixes it" in warning
     write_rig(tmp_path / "rig.json", result.rig_file())
     assert read_rig(tmp_path / "rig.json").warnings == result.warnings
     boxes = model_findings(result, diagnose(result, thorough=False))

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from jaxscan.errors import InputError, said_of
+from jaxscan.errors import InputError, error_context
 from jaxscan.files.cloud import Cloud, cloud_of
 from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
 from jaxscan.files.ply_read import read_ply_file
@@ -45,7 +45,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Exhibit:
+class ViewData:
     """Something to look at.
 
     Attributes:
@@ -73,7 +73,7 @@ class Exhibit:
         return name or "height"
 
 
-def exhibit(path: Path, rig: Rig | None = None) -> Exhibit:
+def view_data(path: Path, rig: Rig | None = None) -> ViewData:
     """Read a range image (.npz), a cloud, or a mesh, with the rig that scanned it.
 
     Raises:
@@ -82,7 +82,7 @@ def exhibit(path: Path, rig: Rig | None = None) -> Exhibit:
     ending = path.suffix.lower()
     if ending == ".npz":
         image = read_range_image(path)
-        with said_of(path):
+        with error_context(path):
             return _of_image(image, rig)
     if ending != ".ply":
         mesh = read_mesh(path)
@@ -94,7 +94,7 @@ def exhibit(path: Path, rig: Rig | None = None) -> Exhibit:
     return _of_points(cloud_of(path, content), np.asarray(faces), rig)
 
 
-def _of_image(image: RangeImage, rig: Rig | None) -> Exhibit:
+def _of_image(image: RangeImage, rig: Rig | None) -> ViewData:
     if not image.valid.any():
         raise InputError("has no points: check that the photographs show the stripe")
     points = image.points[image.valid]
@@ -111,18 +111,18 @@ def _of_image(image: RangeImage, rig: Rig | None) -> Exhibit:
     at, every = image.from_camera(), max(1, len(image.valid) // _MOST_CAMERAS)
     some = np.append(np.arange(0, len(image.valid) - 1, every), len(image.valid) - 1)
     seen = image.seen()[image.valid]
-    return Exhibit(
+    return ViewData(
         points, up, values, None, _setup(seen, Pose(at.rotation[some], at.translation[some]), rig, image.sheets)
     )
 
 
-def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None) -> Exhibit:
+def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None) -> ViewData:
     up, height = _upright(cloud.points)
     values = {"height": height}
     sigma = cloud.sigma_pixel if cloud.sigma is None else cloud.sigma
     if sigma is not None:
         values["sigma"] = sigma.astype(np.float64)
-    return Exhibit(cloud.points, up, values, triangles, _setup(cloud.points, Pose(*np.zeros((2, 1, 3))), rig))
+    return ViewData(cloud.points, up, values, triangles, _setup(cloud.points, Pose(*np.zeros((2, 1, 3))), rig))
 
 
 def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "points"]]:

@@ -33,7 +33,7 @@ LARGEST_SCALE: Final = 5.0
 _CUBES, _SMALLEST_CUBE = (1.0, 1.5), 0.015
 
 
-def arrange(
+def coarse_register(
     sides: Sequence[Side], degrees: Sequence[float] | None = None, known: Sequence[Pose] | None = None
 ) -> list[Pose]:
     """T_first_side of each side, from pairs.

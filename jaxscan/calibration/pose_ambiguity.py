@@ -31,7 +31,7 @@ _FEW_KEPT = 0.75
 _BETTER = 1.0
 
 
-def better_poses(system: System, groups: tuple[Blocks, ...], noise: Noise) -> System | None:
+def resolve_pose_ambiguity(system: System, groups: tuple[Blocks, ...], noise: Noise) -> System | None:
     """The same camera with some views elsewhere, or None where no other pose fits better.
 
     Args:

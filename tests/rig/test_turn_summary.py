@@ -7,7 +7,7 @@ from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, Covariance, Rig, Rotary
 from jaxscan.rig.motion import normal_motion
 from jaxscan.rig.rig import held_jacobian, motion_normal_jacobian
-from jaxscan.rig.turn_facts import turn_facts
+from jaxscan.rig.turn_summary import turn_summary
 
 W, C = np.array([0.0002, -0.0008, -0.0018]), np.array([20.0, -40.0, 350.0])
 NAMES = tuple(f"motion.turntable.{part}.{i}" for part in ("per_step", "centre") for i in range(3))
@@ -76,17 +76,17 @@ def test_which_way_it_turns(axis, way):
 def test_its_facts_are_those_of_the_place_that_is_asked_for():
     turntable = table(*np.split(nearest(np.concatenate([W, C])), 2))
     angle = np.linalg.norm(W)
-    facts = turn_facts(turntable, None, C + 3.0)
-    assert facts.steps_per_turn == pytest.approx(2 * np.pi / angle)
-    assert facts.axis_sigma_deg is None
-    np.testing.assert_allclose(np.cross(np.array(facts.through_mm) - C, W), 0, atol=1e-12)
+    summary = turn_summary(turntable, None, C + 3.0)
+    assert summary.steps_per_turn == pytest.approx(2 * np.pi / angle)
+    assert summary.axis_sigma_deg is None
+    np.testing.assert_allclose(np.cross(np.array(summary.through_mm) - C, W), 0, atol=1e-12)
     # An axis that is known in direction alone to 1 mrad is known at 100 mm from its centre to 0.1 mm.
     u = W / angle
     across = np.eye(3) - np.outer(u, u)
     spread = np.zeros((6, 6))
     spread[:3, :3] = (1e-3 * angle) ** 2 * across
     far = np.array([float(x) for x in turntable.centre]) + 100.0 * u
-    facts = turn_facts(turntable, Covariance(NAMES, spread), far)
-    assert facts.axis_sigma_deg == pytest.approx(np.degrees(1e-3))
-    assert facts.through_sigma_mm == pytest.approx(0.1)
-    assert facts.degrees_per_step_sigma == pytest.approx(0.0, abs=1e-10)
+    summary = turn_summary(turntable, Covariance(NAMES, spread), far)
+    assert summary.axis_sigma_deg == pytest.approx(np.degrees(1e-3))
+    assert summary.through_sigma_mm == pytest.approx(0.1)
+    assert summary.degrees_per_step_sigma == pytest.approx(0.0, abs=1e-10)

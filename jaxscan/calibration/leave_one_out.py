@@ -1,4 +1,4 @@
-"""How well the other photographs foretell what each one shows: what models are compared by.
+"""How well the other photographs predict what each one shows: what models are compared by.
 
 With N_i and g_i the normal equations and the gradient of each photograph, its own pose eliminated, and T the sum of all
 N_i, what is shared stands without photograph i, to first order, at x_i = (T − N_i)⁻¹ g_i from where it stands with all.
@@ -9,15 +9,15 @@ the logarithms of the σ, and what bulges of its own are worth, that is −2 log
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_told
+from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_determined
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.board_shape import BENDS
 
 _POSE = 6
 
 
-def foretold(refined: Refined, each: ByPhotograph) -> Float[np.ndarray, "photographs"]:
-    """Of each photograph −2 log of the density at which the others foretell it, but for a constant.
+def leave_one_out(refined: Refined, each: ByPhotograph) -> Float[np.ndarray, "photographs"]:
+    """Of each photograph −2 log of the density at which the others predict it, but for a constant.
 
     A stripe point counts as much as its correlation with its neighbours leaves it.
 
@@ -25,7 +25,7 @@ def foretold(refined: Refined, each: ByPhotograph) -> Float[np.ndarray, "photogr
         refined: where the rounds ended.
         each: the normal equations of its photographs.
     """
-    inverse, _ = inverse_where_told(each.total() - each.N)
+    inverse, _ = inverse_where_determined(each.total() - each.N)
     x = np.einsum("pij,pj->pi", inverse, each.g)
     squares = each.square + 2 * (each.g * x).sum(axis=1) + np.einsum("pi,pij,pj->p", x, each.N, x)
     noise, tau = refined.noise, refined.stripe_correlation or 1.0

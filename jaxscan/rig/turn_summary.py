@@ -10,7 +10,7 @@ from jaxscan.rig.rotary import Rotary
 
 
 @dataclass(frozen=True)
-class TurnFacts:
+class TurnSummary:
     """A turntable in a person's numbers. A σ is None where there is no covariance.
 
     Attributes:
@@ -34,7 +34,7 @@ class TurnFacts:
     way: str
 
 
-def turn_facts(turntable: Rotary, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> TurnFacts:
+def turn_summary(turntable: Rotary, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> TurnSummary:
     """What is said of a turntable.
 
     At c + s u, u the unit axis, the axis stands off by P (δc + s δu) with P = I − u uᵀ.
@@ -59,7 +59,7 @@ def turn_facts(turntable: Rotary, covariance: Covariance | None, near: Float[np.
             float(np.degrees(np.sqrt(u @ known[:3, :3] @ u))),
             float(np.sqrt(np.linalg.eigvalsh(of_place)[-1])),
         ]
-    return TurnFacts(
+    return TurnSummary(
         axis_direction=tuple(u.tolist()),
         axis_sigma_deg=sigmas[0],
         degrees_per_step=float(np.degrees(angle)),

@@ -21,7 +21,7 @@ _FWHM = 2.354820
 _LEAST_SIGMA, _MOST_SIGMA = 0.7, 10.0
 
 
-def passage_of(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
+def spacetime_geometry(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
     """What spacetime analysis needs to know of a scan: its geometry, and for how many frames the light passes.
 
     Returns:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Calibration, calibrate
-from jaxscan.reconstruction.next_photographs import next_photographs, wanted
+from jaxscan.reconstruction.next_best_views import next_best_views, wanted
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volume
 from jaxscan.rig import Covariance
 from tests.calibration import synthetic
@@ -24,7 +24,7 @@ def volume_of(calibration: Calibration, covariance: Covariance) -> WorkingVolume
 
 def test_sigma_falls_photograph_by_photograph(calibration: Calibration):
     volume = volume_of(calibration, calibration.covariance)
-    planned = next_photographs(calibration, (volume,), count=2)
+    planned = next_best_views(calibration, (volume,), count=2)
     assert planned.unit == "mm"
     assert planned.median_now == pytest.approx(volume.median_mm, rel=1e-9)
     assert planned.median_now > planned.medians[0] > planned.medians[1]
@@ -42,6 +42,6 @@ def test_without_a_laser_pixels_are_wanted(calibration: Calibration):
     # A shift of the principal point is a shift of the pixel.
     u = aim.jacobian[::2, names.index("camera.principal.0")]
     np.testing.assert_allclose(u, 1, atol=1e-12)
-    planned = next_photographs(calibration, (), count=1)
+    planned = next_best_views(calibration, (), count=1)
     assert planned.medians[0] < planned.median_now
     assert planned.median_now < 0.5

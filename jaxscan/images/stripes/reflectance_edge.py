@@ -51,7 +51,7 @@ _MOST_UNEXPLAINED: Final = 0.3
 _SPECKLE: Final = 0.1**2
 
 
-class Torn(NamedTuple):
+class EdgeProfile(NamedTuple):
     """θ, for each line: b, ln A, ln s, ln ρ, e, c."""
 
     background: Lines
@@ -62,17 +62,17 @@ class Torn(NamedTuple):
     centre: Lines
 
 
-def torn(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
+def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
     """The centre of each stripe with an edge in it; `found` where there is one."""
-    # Where a whole stripe is torn, the residuals that shot noise and speckle were taken from are the edge's.
+    # Where an edge runs along a whole stripe, the residuals that shot noise and speckle were taken from are the edge's.
     zero = jnp.zeros_like(sensor.shot)
     sensor = replace(sensor, shot=zero, speckle=zero + _SPECKLE, grain=zero)
     plain = fit(windows, outline, sensor, censored=True, further_px=_FURTHER_PX)
     used, size = plain.used, windows.response.shape[1]
     s = jnp.exp(plain.profile.ln_s)
     zero = jnp.zeros_like(s)
-    mean = Torn(zero, plain.profile.ln_height, zero + sensor.ln_s, zero, plain.profile.centre, zero)
-    precision = Torn(
+    mean = EdgeProfile(zero, plain.profile.ln_height, zero + sensor.ln_s, zero, plain.profile.centre, zero)
+    precision = EdgeProfile(
         zero,
         zero + LN_HEIGHT_SPREAD**-2,
         zero + sensor.ln_s_spread**-2,
@@ -81,7 +81,7 @@ def torn(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
         zero,
     )
 
-    def marquardt(step: int, theta: Torn) -> Torn:
+    def marquardt(step: int, theta: EdgeProfile) -> EdgeProfile:
         height, jacobian = _pixels(theta, size)
         seen = weigh(theta.background, height, windows, used, sensor, censored=True)
         damped = [
@@ -91,11 +91,13 @@ def torn(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
         change = solve(factor(jacobian, seen.weight, damped), gradient(jacobian, seen.score, precision, theta, mean))
         far = _LONGEST * jnp.exp(theta.ln_s)
         longest = (jnp.inf, _LONGEST_LN, _LONGEST_LN / 2, _LONGEST_LN, far, far)
-        return Torn(*(now + jnp.clip(by, -most, most) for now, by, most in zip(theta, change, longest, strict=True)))
+        return EdgeProfile(
+            *(now + jnp.clip(by, -most, most) for now, by, most in zip(theta, change, longest, strict=True))
+        )
 
-    def from_start(start: jax.Array) -> tuple[Torn, Lines]:
+    def from_start(start: jax.Array) -> tuple[EdgeProfile, Lines]:
         side, place = start
-        theta = Torn(
+        theta = EdgeProfile(
             plain.profile.background,
             plain.profile.ln_height,
             jnp.maximum(plain.profile.ln_s, sensor.ln_s),
@@ -113,12 +115,12 @@ def torn(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
     starts = jnp.asarray([(side, place) for side in (1.0, -1.0) for place in _PLACES], jnp.float32)
     all_, misfits = jax.lax.map(from_start, starts)
     best = misfits.argmin(0)[None]
-    theta = Torn(*(jnp.take_along_axis(x, best, axis=0)[0] for x in all_))
+    theta = EdgeProfile(*(jnp.take_along_axis(x, best, axis=0)[0] for x in all_))
     misfit = jnp.take_along_axis(misfits, best, axis=0)[0]
     height, jacobian = _pixels(theta, size)
     seen = weigh(theta.background, height, windows, used, sensor, censored=True)
     without = _misfit(plain.profile.background, plain.height, windows, plain, sensor)
-    freedom = jnp.maximum((used & ~windows.full).sum(1, keepdims=True) - len(Torn._fields), 1)
+    freedom = jnp.maximum((used & ~windows.full).sum(1, keepdims=True) - len(EdgeProfile._fields), 1)
     f = (without - misfit) / 2 / (jnp.maximum(misfit, 1e-6) / freedom)
     sigma = jnp.sqrt(jnp.maximum(misfit / freedom, 1.0)) / factor(jacobian, seen.weight, precision)[-1][-1]
     explained = (f > _LEAST_F) & ((misfit < _MOST_LEFT * freedom) | (misfit < _MOST_UNEXPLAINED * without))
@@ -126,7 +128,7 @@ def torn(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
     return Estimate(theta.centre, sigma, FWHM * jnp.exp(theta.ln_s), jnp.isfinite(sigma) & explained & near)
 
 
-def _pixels(theta: Torn, size: int) -> tuple[Pixels, tuple[Pixels, ...]]:
+def _pixels(theta: EdgeProfile, size: int) -> tuple[Pixels, tuple[Pixels, ...]]:
     """μ − b and J of each pixel."""
     _, ln_height, ln_s, ln_ratio, edge, centre = theta
     s, bright, dark = jnp.exp(ln_s), jnp.exp(ln_ratio / 2), jnp.exp(-ln_ratio / 2)

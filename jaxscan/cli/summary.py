@@ -28,17 +28,17 @@ from jaxscan.images import StripeSettings
 from jaxscan.images.light import Light
 from jaxscan.reconstruction import read_range_image
 from jaxscan.rig import Camera, is_run
-from jaxscan.rig.facts import axis_facts, light_facts
 from jaxscan.rig.speckle_limit import Optics, limit_of
+from jaxscan.rig.summary import axis_summary, light_summary
 
-Facts = dict[str, Any]
+Summary = dict[str, Any]
 
 # How far points may be from the sheet, in parts of their distance, that a rig is theirs.
 _OFF_SHEET = 0.01
 
 
-def session_facts(path: Path) -> Facts:
-    """Facts of a calibration session."""
+def session_summary(path: Path) -> Summary:
+    """Summary of a calibration session."""
     session = read_session(path)
     board = session.board
     stripes = session.views.stripes
@@ -73,8 +73,8 @@ def session_facts(path: Path) -> Facts:
     }
 
 
-def scan_facts(path: Path) -> Facts:
-    """Facts of a scan."""
+def scan_summary(path: Path) -> Summary:
+    """Summary of a scan."""
     scan = read_scan(path)
     exposures = scan.exposures_s
     photographs = [*scan.frames, *scan.backgrounds]
@@ -96,8 +96,8 @@ def scan_facts(path: Path) -> Facts:
     }
 
 
-def rig_facts(path: Path) -> Facts:
-    """Facts of a rig. A `sigma` is a standard deviation, None where the file has none."""
+def rig_summary(path: Path) -> Summary:
+    """Summary of a rig. A `sigma` is a standard deviation, None where the file has none."""
     content = read_rig(path)
     rig, covariance = content.rig, content.covariance
 
@@ -106,15 +106,15 @@ def rig_facts(path: Path) -> Facts:
         "kind": "rig",
         "path": str(path),
         "camera": camera,
-        "lights": light_facts(rig, covariance, image_rays(rig.camera)),
-        "motion": axis_facts(rig, covariance),
+        "lights": light_summary(rig, covariance, image_rays(rig.camera)),
+        "motion": axis_summary(rig, covariance),
         "fit": {name: value for name, value in content.fit.items() if name != "warnings"},
         "warnings": list(content.warnings),
     }
 
 
-def camera_facts(path: Path, name: str | None = None, image_size: tuple[int, int] | None = None) -> Facts:
-    """Facts of a camera in the format of another program; `camera` is None where it holds corners alone."""
+def camera_summary(path: Path, name: str | None = None, image_size: tuple[int, int] | None = None) -> Summary:
+    """Summary of a camera in the format of another program; `camera` is None where it holds corners alone."""
     content = read_camera_file(path, name=name, image_size=image_size)
     camera = content.camera
     return {
@@ -129,8 +129,8 @@ def camera_facts(path: Path, name: str | None = None, image_size: tuple[int, int
     }
 
 
-def ply_facts(path: Path) -> Facts:
-    """Facts of a PLY file: of a mesh, of points, or of whatever elements it has."""
+def ply_summary(path: Path) -> Summary:
+    """Summary of a PLY file: of a mesh, of points, or of whatever elements it has."""
     content = read_ply_file(path)
     if has_faces(content):
         return _mesh(path, mesh_of(path, content), cloud_of(path, content))
@@ -149,12 +149,12 @@ def ply_facts(path: Path) -> Facts:
     }
 
 
-def mesh_facts(path: Path) -> Facts:
-    """Facts of a triangle mesh."""
+def mesh_summary(path: Path) -> Summary:
+    """Summary of a triangle mesh."""
     return _mesh(path, read_mesh(path))
 
 
-def _mesh(path: Path, mesh: trimesh.Trimesh, vertices: Cloud | None = None) -> Facts:
+def _mesh(path: Path, mesh: trimesh.Trimesh, vertices: Cloud | None = None) -> Summary:
     return {
         "kind": "mesh",
         "path": str(path),
@@ -170,8 +170,8 @@ def _mesh(path: Path, mesh: trimesh.Trimesh, vertices: Cloud | None = None) -> F
     }
 
 
-def range_facts(path: Path) -> Facts:
-    """Facts of an organised range image."""
+def range_summary(path: Path) -> Summary:
+    """Summary of an organised range image."""
     image = read_range_image(path)
     return {
         "kind": "range image",
@@ -189,7 +189,7 @@ def range_facts(path: Path) -> Facts:
     }
 
 
-def speckle_limit_facts(path: Path, rig_path: Path, optics: Optics) -> Facts:
+def speckle_limit_summary(path: Path, rig_path: Path, optics: Optics) -> Summary:
     """What speckle alone leaves of a range image's points, along their rays, and how near they come to it.
 
     Raises:
@@ -207,7 +207,7 @@ def speckle_limit_facts(path: Path, rig_path: Path, optics: Optics) -> Facts:
     return asdict(limit) | {"times": limit.times}
 
 
-def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Facts:
+def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Summary:
     return {
         "image_size": list(camera.image_size),
         "lens": camera.lens.kind,
@@ -217,16 +217,16 @@ def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Fact
     }
 
 
-def _values(name: str, leaves: Sequence[Any], sigma: Callable[[str], float | None] | None) -> Facts:
+def _values(name: str, leaves: Sequence[Any], sigma: Callable[[str], float | None] | None) -> Summary:
     sigmas = [sigma(f"{name}.{i}") for i in range(len(leaves))] if sigma else None
     return {"value": [float(leaf) for leaf in leaves], "sigma": sigmas}
 
 
-def _laser_settings(laser: StripeSettings) -> Facts:
+def _laser_settings(laser: StripeSettings) -> Summary:
     return {"name": laser.name, "color": laser.color, "columns": laser.columns}
 
 
-def _steps(steps: Sequence[int]) -> Facts:
+def _steps(steps: Sequence[int]) -> Summary:
     """How many, from where to where, and how far apart where that is always the same."""
     spacings = {b - a for a, b in pairwise(steps)}
     return {
@@ -237,7 +237,7 @@ def _steps(steps: Sequence[int]) -> Facts:
     }
 
 
-def _rule(rule: StepRule) -> Facts:
+def _rule(rule: StepRule) -> Summary:
     """As `_steps`, of frames that are not counted."""
     return {"count": None, "first_step": rule.start, "last_step": None, "spacing": rule.per_frame}
 

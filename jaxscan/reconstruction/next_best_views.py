@@ -43,7 +43,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class NextPhotographs:
+class NextBestViews:
     """What to photograph next.
 
     Attributes:
@@ -59,9 +59,9 @@ class NextPhotographs:
     medians: tuple[float, ...]
 
 
-def next_photographs(
+def next_best_views(
     calibration: Calibration, volumes: tuple[WorkingVolume, ...] | None = None, *, count: int = 3, seed: int = 0
-) -> NextPhotographs:
+) -> NextBestViews:
     """The poses of the board that would lower σ most.
 
     Args:
@@ -80,7 +80,7 @@ def next_photographs(
         return aim.median(covariance.of_leaves(calibration.rig))
 
     medians = tuple(median(pose.covariance) for pose in poses)
-    return NextPhotographs(poses, aim.unit, median(calibration.covariance), medians)
+    return NextBestViews(poses, aim.unit, median(calibration.covariance), medians)
 
 
 def wanted(calibration: Calibration, volumes: tuple[WorkingVolume, ...]) -> Wanted:

@@ -17,9 +17,9 @@ from jaxscan.rig.line import Line
 from jaxscan.rig.motion import AxisMotion
 from jaxscan.rig.rig import Rig
 from jaxscan.rig.rotary import Rotary
-from jaxscan.rig.turn_facts import turn_facts
+from jaxscan.rig.turn_summary import turn_summary
 
-Facts = dict[str, Any]
+Summary = dict[str, Any]
 
 # The width of a sheet over which its curve is said is twice this, mm.
 HALF_WIDTH_MM: Final = 100.0
@@ -27,7 +27,7 @@ HALF_WIDTH_MM: Final = 100.0
 BOWED_OVER_MM: Final = 100.0
 
 
-def light_facts(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> list[Facts]:
+def light_summary(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> list[Summary]:
     """Of each light its numbers, where it stands, and at which angles the camera looks at it.
 
     The triangulation angle is that between a ray of the camera and the sheet.
@@ -49,7 +49,7 @@ def light_facts(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray,
     ]
 
 
-def axis_facts(rig: Rig, covariance: Covariance | None) -> list[Facts]:
+def axis_summary(rig: Rig, covariance: Covariance | None) -> list[Summary]:
     """Of each axis, from the room to the object, its numbers, its way in words, and what belongs to its kind."""
     # Things are scanned in the middle of the view.
     inverse = [float(light.inverse_depth(np.array([[0.0, 0.0, 1.0]]))[0]) for light in rig.lights]
@@ -66,7 +66,9 @@ def axis_facts(rig: Rig, covariance: Covariance | None) -> list[Facts]:
     ]
 
 
-def _of_light_kind(stem: str, light: Light, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> Facts:
+def _of_light_kind(
+    stem: str, light: Light, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]
+) -> Summary:
     """Of a bowed sheet how far it is off its plane at the ends of 200 mm, where it is seen in the middle."""
     w, _, _ = inverse_depths(light, rays[len(rays) // 2][None])
     if not isinstance(light, BowedSheet) or not w[0] > 0:
@@ -80,9 +82,9 @@ def _of_light_kind(stem: str, light: Light, covariance: Covariance | None, rays:
     }
 
 
-def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> Facts:
+def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.ndarray, "3"]) -> Summary:
     if isinstance(part, Rotary):
-        return asdict(turn_facts(part, covariance, near)) | _of_play(part, covariance)
+        return asdict(turn_summary(part, covariance, near)) | _of_play(part, covariance)
     if isinstance(part, Line):
         return {
             "mm_per_1000_steps": part.amount(1000.0)[0],
@@ -102,7 +104,7 @@ def step_of(line: Line, covariance: Covariance) -> tuple[float, float]:
     return length, float(np.sqrt(step @ np.asarray(covariance.matrix)[np.ix_(at, at)] @ step)) / length
 
 
-def _of_play(part: AxisMotion, covariance: Covariance | None) -> Facts:
+def _of_play(part: AxisMotion, covariance: Covariance | None) -> Summary:
     """By how much farther on its load stands when it is approached by falling steps than by rising ones."""
     if "play" not in part.numbers:
         return {}
@@ -113,9 +115,9 @@ def _of_play(part: AxisMotion, covariance: Covariance | None) -> Facts:
     return {key: steps * amount, f"{key}_sigma": None if sigma is None else sigma * amount}
 
 
-def _of_path(part: Line, covariance: Covariance | None) -> Facts:
+def _of_path(part: Line, covariance: Covariance | None) -> Summary:
     """How far the middle of 100 mm of a bowed path is off the line through its ends, and how a screw is ahead."""
-    facts: Facts = {}
+    summary: Summary = {}
     steps = BOWED_OVER_MM / part.amount(1.0)[0]
     for name, key, by in (
         ("bow", "bowed_mm", steps**2 / 4),
@@ -123,14 +125,14 @@ def _of_path(part: Line, covariance: Covariance | None) -> Facts:
         ("wave", "wave_mm", 1.0),
     ):
         if name in part.numbers:
-            facts |= _length(part, name, key, by, covariance)
+            summary |= _length(part, name, key, by, covariance)
     if isinstance(part, Screw | ScrewOnGuide):
-        facts["period_steps"] = float(part.period[0])
-        facts["period_steps_sigma"] = covariance.sigma(f"motion.{part.axis}.period.0") if covariance else None
-    return facts
+        summary["period_steps"] = float(part.period[0])
+        summary["period_steps_sigma"] = covariance.sigma(f"motion.{part.axis}.period.0") if covariance else None
+    return summary
 
 
-def _length(part: Line, name: str, key: str, by: float, covariance: Covariance | None) -> Facts:
+def _length(part: Line, name: str, key: str, by: float, covariance: Covariance | None) -> Summary:
     """So many times the length of a part's vector, and its σ."""
     vector = np.array([float(leaf) for leaf in getattr(part, name)])
     length = float(np.linalg.norm(vector))
@@ -143,7 +145,7 @@ def _length(part: Line, name: str, key: str, by: float, covariance: Covariance |
     return {key: by * length, f"{key}_sigma": sigma}
 
 
-def _numbers(stem: str, part: Light | AxisMotion, covariance: Covariance | None) -> Facts:
+def _numbers(stem: str, part: Light | AxisMotion, covariance: Covariance | None) -> Summary:
     return {
         name: {
             "value": [float(leaf) for leaf in getattr(part, name)],
@@ -153,7 +155,7 @@ def _numbers(stem: str, part: Light | AxisMotion, covariance: Covariance | None)
     }
 
 
-def _sheet(light: Light, rays: Float[np.ndarray, "rays 3"]) -> Facts:
+def _sheet(light: Light, rays: Float[np.ndarray, "rays 3"]) -> Summary:
     middle = len(rays) // 2
     w, _, _ = inverse_depths(light, rays)
     # NaN, outside the lens's range, compares as not seen.
@@ -172,18 +174,18 @@ def _sheet(light: Light, rays: Float[np.ndarray, "rays 3"]) -> Facts:
     }
 
 
-def path_in_words(facts: Facts) -> Iterator[str]:
-    """How the path of an axis differs from a line or a turn, by its facts; nothing of one that does not."""
+def format_path(summary: Summary) -> Iterator[str]:
+    """How the path of an axis differs from a line or a turn, by its summary; nothing of one that does not."""
 
     def value(key: str, digits: str) -> str:
-        sigma = facts[f"{key}_sigma"]
-        return f"{facts[key]:{digits}}" + (f" ± {sigma:.2g}" if sigma is not None else "")
+        sigma = summary[f"{key}_sigma"]
+        return f"{summary[key]:{digits}}" + (f" ± {sigma:.2g}" if sigma is not None else "")
 
-    if "bowed_mm" in facts:
+    if "bowed_mm" in summary:
         yield f"bowed by {value('bowed_mm', '.3g')} mm over 100 mm, turning by {value('turn_mrad', '.3g')} mrad"
-    if "wave_mm" in facts:
+    if "wave_mm" in summary:
         steps = value("period_steps", ".7g")
         yield f"ahead of its steps and behind by {value('wave_mm', '.3g')} mm, with a period of {steps} steps"
     for key, unit in (("play_mm", " mm"), ("play_deg", "°")):
-        if key in facts:
+        if key in summary:
             yield f"farther on by {value(key, '.3g')}{unit} where it is approached by falling steps, its play"

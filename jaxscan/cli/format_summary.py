@@ -1,73 +1,73 @@
-"""The facts that `inspect` found, in words: one line for each, name and value."""
+"""What `inspect` found, as text: one line for each, name and value."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
 
-Facts = dict[str, Any]
+Summary = dict[str, Any]
 Line = tuple[str, str]
 
 # What is said of a camera besides its lens's terms.
 _PINHOLE = ("image_size", "lens", "focal", "principal", "tilt")
 
 
-def in_words(facts: Facts) -> str:
-    """The facts of any kind of file."""
-    lines = [*_WORDS[facts["kind"]](facts), *_picture(facts)]
+def format_summary(summary: Summary) -> str:
+    """The summary of any kind of file, as text."""
+    lines = [*_WORDS[summary["kind"]](summary), *_picture(summary)]
     width = max((len(name) for name, _ in lines), default=0)
-    return "\n".join([f"{facts['kind']} {facts['path']}", *(f"  {name:{width}}  {value}" for name, value in lines)])
+    return "\n".join([f"{summary['kind']} {summary['path']}", *(f"  {name:{width}}  {value}" for name, value in lines)])
 
 
-def _session(facts: Facts) -> Iterator[Line]:
-    board = facts["board"]
+def _session(summary: Summary) -> Iterator[Line]:
+    board = summary["board"]
     points = "centres of circles" if board["kind"] == "circles" else "inner corners"
     columns, rows = board["points"]
     shape = "" if board["shape"] == "flat" else f", whose shape is found too ({board['shape']})"
     yield "board", f"{board['kind']}, {columns} × {rows} {points}, {board['pitch_mm']:g} mm apart{shape}"
-    yield "views", f"{facts['views']} photographs of {_size(facts['image_size'])}"
-    for laser in facts["lasers"]:
+    yield "views", f"{summary['views']} photographs of {_size(summary['image_size'])}"
+    for laser in summary["lasers"]:
         where = "in the photographs of the board"
-        if facts["stripes"]:
-            where = f"in {facts['stripes'][laser['name']]} photographs of its own"
+        if summary["stripes"]:
+            where = f"in {summary['stripes'][laser['name']]} photographs of its own"
         sheet = "" if laser["sheet"] == "plane" else f", sheet {laser['sheet']}"
         yield _called("laser", laser), f"{_stripe(laser)}, {where}{sheet}"
-    if not facts["lasers"]:
+    if not summary["lasers"]:
         yield "laser", "none: the rig will have none"
-    stage = facts["stage"]
+    stage = summary["stage"]
     yield "stage", _stage(stage) if stage else "none: the rig will have none"
-    if turntable := facts["turntable"]:
+    if turntable := summary["turntable"]:
         yield "turntable", f"{turntable['count']} photographs, {_travel(turntable)}, at step {turntable['stage_step']}"
-    held = "found" if facts["principal_point"] == "free" else "held at the centre of the image"
-    also = f", {', '.join(facts['hold'])} held" if facts["hold"] else ""
-    tilt = ", tilt of the sensor found" if facts["tilt"] else ""
-    yield "camera", f"lens {facts['lens']}, principal point {held}{also}{tilt}"
+    held = "found" if summary["principal_point"] == "free" else "held at the centre of the image"
+    also = f", {', '.join(summary['hold'])} held" if summary["hold"] else ""
+    tilt = ", tilt of the sensor found" if summary["tilt"] else ""
+    yield "camera", f"lens {summary['lens']}, principal point {held}{also}{tilt}"
 
 
-def _stage(facts: Facts) -> str:
-    motion = "" if facts["motion"] == "linear" else f", its motion a {facts['motion'].replace('_', ' ')}"
-    turn = f", {facts['screw_steps']:g} steps to a turn of its screw" if facts["screw_steps"] else ""
-    return f"{facts['count']} photographs, {_travel(facts)}{motion}{turn}"
+def _stage(summary: Summary) -> str:
+    motion = "" if summary["motion"] == "linear" else f", its motion a {summary['motion'].replace('_', ' ')}"
+    turn = f", {summary['screw_steps']:g} steps to a turn of its screw" if summary["screw_steps"] else ""
+    return f"{summary['count']} photographs, {_travel(summary)}{motion}{turn}"
 
 
-def _scan(facts: Facts) -> Iterator[Line]:
-    if facts["name"]:
-        yield "name", facts["name"]
-    if facts["video"]:
-        yield "video", facts["video"]
-    if facts["frames"]:
-        yield "frames", str(facts["frames"])
-    elif facts["frames"] == 0:
+def _scan(summary: Summary) -> Iterator[Line]:
+    if summary["name"]:
+        yield "name", summary["name"]
+    if summary["video"]:
+        yield "video", summary["video"]
+    if summary["frames"]:
+        yield "frames", str(summary["frames"])
+    elif summary["frames"] == 0:
         yield "frames", "none: the scan was cut off before its first"
-    for name, steps in facts["axes"].items():
+    for name, steps in summary["axes"].items():
         if steps["count"] != 0:
             yield name, _positions(steps)
-    if facts["image_size"]:
-        yield "photographs", _size(facts["image_size"])
-    yield _called("laser", facts["laser"]), _stripe(facts["laser"])
-    count = facts["backgrounds"]
+    if summary["image_size"]:
+        yield "photographs", _size(summary["image_size"])
+    yield _called("laser", summary["laser"]), _stripe(summary["laser"])
+    count = summary["backgrounds"]
     yield "background", {0: "none", 1: "one photograph for all frames"}.get(count, "one photograph for each frame")
-    if facts["checks"]:
-        wrong = [check for check in facts["checks"] if "off" in check]
-        sound = [check for check in facts["checks"] if not {"off", "unverified"} & set(check)]
+    if summary["checks"]:
+        wrong = [check for check in summary["checks"] if "off" in check]
+        sound = [check for check in summary["checks"] if not {"off", "unverified"} & set(check)]
         right = sum(check["last"] - check["first"] + 1 for check in sound)
         yield (
             "places",
@@ -78,14 +78,14 @@ def _scan(facts: Facts) -> Iterator[Line]:
                 for check in wrong
             ),
         )
-    if facts["exposures_s"]:
-        low, high = facts["exposures_s"]
+    if summary["exposures_s"]:
+        low, high = summary["exposures_s"]
         yield "exposure", f"{low:g} s" if low == high else f"{low:g} to {high:g} s"
 
 
-def _rig(facts: Facts) -> Iterator[Line]:
-    yield from _intrinsics(facts["camera"])
-    for light in facts["lights"]:
+def _rig(summary: Summary) -> Iterator[Line]:
+    yield from _intrinsics(summary["camera"])
+    for light in summary["lights"]:
         yield (
             _called("light plane" if light["kind"] == "plane" else f"light, {light['kind']}", light),
             f"ω = {_values(light['plane'], '1/mm')}" if "plane" in light else "",
@@ -99,39 +99,39 @@ def _rig(facts: Facts) -> Iterator[Line]:
         if light["triangulation_angles_deg"]:
             low, high = light["triangulation_angles_deg"]
             yield "triangulation", f"rays meet the sheet at {low:.1f}° to {high:.1f}°"
-    if not facts["lights"]:
+    if not summary["lights"]:
         yield "light plane", "none"
-    for axis in facts["motion"]:
+    for axis in summary["motion"]:
         yield from _axis(axis)
-    if not facts["motion"]:
+    if not summary["motion"]:
         yield "motion", "none"
     from jaxscan.rig.board_shape import shape_in_words
 
-    if shape := shape_in_words(facts["fit"]):
+    if shape := shape_in_words(summary["fit"]):
         yield "board", shape
-    for name, value in facts["fit"].items():
+    for name, value in summary["fit"].items():
         if name.startswith("board_"):
             continue
         if name == "sigma_over_noise_alone":
             yield "σ", f"{min(value.values()):.2g} to {max(value.values()):.2g} times as wide as noise alone has it"
         else:
             yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
-    for warning in facts["warnings"]:
+    for warning in summary["warnings"]:
         yield "warning", f"{warning}."
 
 
-def _camera(facts: Facts) -> Iterator[Line]:
-    yield "format", facts["format"]
-    if facts["camera"]:
-        yield from _intrinsics(facts["camera"])
+def _camera(summary: Summary) -> Iterator[Line]:
+    yield "format", summary["format"]
+    if summary["camera"]:
+        yield from _intrinsics(summary["camera"])
     else:
-        yield "camera", f"none, photographs of {_size(facts['image_size'])}"
-    if facts["views"]:
-        yield "views", f"{facts['views']} photographs of the board, {facts['poses']} of them with their pose"
-        yield "corners", str(facts["corners"])
+        yield "camera", f"none, photographs of {_size(summary['image_size'])}"
+    if summary["views"]:
+        yield "views", f"{summary['views']} photographs of the board, {summary['poses']} of them with their pose"
+        yield "corners", str(summary["corners"])
 
 
-def _intrinsics(camera: Facts) -> Iterator[Line]:
+def _intrinsics(camera: Summary) -> Iterator[Line]:
     yield "camera", f"{_size(camera['image_size'])}, lens {camera['lens']}"
     yield "focal length", _values(camera["focal"], "px")
     yield "principal point", _values(camera["principal"], "px")
@@ -142,50 +142,53 @@ def _intrinsics(camera: Facts) -> Iterator[Line]:
             yield f"{name} terms", _values(terms)
 
 
-def _cloud(facts: Facts) -> Iterator[Line]:
-    yield "points", f"{facts['points']}{', coloured' if facts['colours'] else ''}"
-    yield from _extent(facts)
+def _cloud(summary: Summary) -> Iterator[Line]:
+    yield "points", f"{summary['points']}{', coloured' if summary['colours'] else ''}"
+    yield from _extent(summary)
 
 
-def _mesh(facts: Facts) -> Iterator[Line]:
-    yield "triangles", f"{facts['triangles']} between {facts['vertices']} vertices"
-    yield from _extent(facts)
-    yield "surface", f"{facts['area_mm2']:.6g} mm²" + ("" if facts["consistent"] else ", not all turned the same way")
-    yield "volume", f"{facts['volume_mm3']:.6g} mm³" if facts["closed"] else "none: it is open"
+def _mesh(summary: Summary) -> Iterator[Line]:
+    yield "triangles", f"{summary['triangles']} between {summary['vertices']} vertices"
+    yield from _extent(summary)
+    yield (
+        "surface",
+        f"{summary['area_mm2']:.6g} mm²" + ("" if summary["consistent"] else ", not all turned the same way"),
+    )
+    yield "volume", f"{summary['volume_mm3']:.6g} mm³" if summary["closed"] else "none: it is open"
 
 
-def _ply(facts: Facts) -> Iterator[Line]:
-    yield "format", facts["format"]
-    for name, (count, properties) in facts["elements"].items():
+def _ply(summary: Summary) -> Iterator[Line]:
+    yield "format", summary["format"]
+    for name, (count, properties) in summary["elements"].items():
         yield f"element {name}", f"{count}: {', '.join(properties)}"
 
 
-def _range_image(facts: Facts) -> Iterator[Line]:
-    cells = facts["frames"] * facts["columns"]
-    yield "frames", str(facts["frames"])
-    for axis, steps in facts["axes"].items():
+def _range_image(summary: Summary) -> Iterator[Line]:
+    cells = summary["frames"] * summary["columns"]
+    yield "frames", str(summary["frames"])
+    for axis, steps in summary["axes"].items():
         yield axis, _positions(steps)
-    if facts["sweeps"] > 1:
-        yield "sweeps", f"{facts['sweeps']}: in each the same axes move from frame to frame"
-    if facts["full_turn"]:
+    if summary["sweeps"] > 1:
+        yield "sweeps", f"{summary['sweeps']}: in each the same axes move from frame to frame"
+    if summary["full_turn"]:
         yield "turn", "once all around, or more: the last frame is beside the first"
-    yield "lines", f"{facts['columns']}: columns of the photographs, or rows"
-    yield "points", f"{facts['points']}, {100 * facts['points'] / max(cells, 1):.1f} % of frames × lines"
-    yield from _extent(facts)
-    if facts["strength"] is not None:
-        yield "strength", f"{facts['strength']:.1f} grey levels in the median"
-    if facts["light"] is not None:
+    yield "lines", f"{summary['columns']}: columns of the photographs, or rows"
+    yield "points", f"{summary['points']}, {100 * summary['points'] / max(cells, 1):.1f} % of frames × lines"
+    yield from _extent(summary)
+    if summary["strength"] is not None:
+        yield "strength", f"{summary['strength']:.1f} grey levels in the median"
+    if summary["light"] is not None:
         from jaxscan.images.light import Light
 
-        yield "light", Light(**facts["light"]).in_words()
-    if (limit := facts.get("speckle_limit")) is not None:
+        yield "light", Light(**summary["light"]).in_words()
+    if (limit := summary.get("speckle_limit")) is not None:
         from jaxscan.rig.speckle_limit import SpeckleLimit
 
         known = SpeckleLimit(limit["contrast"], limit["limit_mm"], limit["sigma_pixel_mm"])
         yield "limit of speckle", known.in_words()
 
 
-_WORDS: dict[str, Callable[[Facts], Iterator[Line]]] = {
+_WORDS: dict[str, Callable[[Summary], Iterator[Line]]] = {
     "session": _session,
     "scan": _scan,
     "rig": _rig,
@@ -197,8 +200,8 @@ _WORDS: dict[str, Callable[[Facts], Iterator[Line]]] = {
 }
 
 
-def _picture(facts: Facts) -> Iterator[Line]:
-    picture = facts.get("picture")
+def _picture(summary: Summary) -> Iterator[Line]:
+    picture = summary.get("picture")
     if picture is None:
         return
     found = []
@@ -216,37 +219,37 @@ def _picture(facts: Facts) -> Iterator[Line]:
         yield "note", f"{note}."
 
 
-def _extent(facts: Facts) -> Iterator[Line]:
-    if facts["box_mm"]:
+def _extent(summary: Summary) -> Iterator[Line]:
+    if summary["box_mm"]:
         import numpy as np
 
         from jaxscan.files.units import too_small
 
-        ranges = (f"{axis} {low:.1f} … {high:.1f}" for axis, low, high in zip("xyz", *facts["box_mm"], strict=True))
+        ranges = (f"{axis} {low:.1f} … {high:.1f}" for axis, low, high in zip("xyz", *summary["box_mm"], strict=True))
         yield "extent", f"{', '.join(ranges)} mm"
-        across = too_small(np.array(facts["box_mm"]))
+        across = too_small(np.array(summary["box_mm"]))
         if across is not None:
             yield "", f"{across:.3g} mm across: if its numbers are metres, other commands take --units m"
-    if facts["sigma_mm"] is not None:
-        yield "sigma", f"{facts['sigma_mm']:.4f} mm in the median"
-    if facts.get("sigma_pixel_mm") is not None:
-        known = "" if facts["sigma_mm"] is None else "of which "
-        yield "" if known else "sigma", f"{known}the pixel's part is {facts['sigma_pixel_mm']:.4f} mm"
+    if summary["sigma_mm"] is not None:
+        yield "sigma", f"{summary['sigma_mm']:.4f} mm in the median"
+    if summary.get("sigma_pixel_mm") is not None:
+        known = "" if summary["sigma_mm"] is None else "of which "
+        yield "" if known else "sigma", f"{known}the pixel's part is {summary['sigma_pixel_mm']:.4f} mm"
 
 
 def _size(size: list[int]) -> str:
     return f"{size[0]} × {size[1]} pixels"
 
 
-def _called(what: str, laser: Facts) -> str:
+def _called(what: str, laser: Summary) -> str:
     return f'{what} "{laser["name"]}"' if laser["name"] else what
 
 
-def _stripe(laser: Facts) -> str:
+def _stripe(laser: Summary) -> str:
     return f"{laser['color']}, one point for each image {'column' if laser['columns'] else 'row'}"
 
 
-def _travel(steps: Facts) -> str:
+def _travel(steps: Summary) -> str:
     if steps["count"] == 0:
         return "no steps"
     spacing = f", {steps['spacing']} apart" if steps["spacing"] is not None else ""
@@ -255,7 +258,7 @@ def _travel(steps: Facts) -> str:
     return f"steps {steps['first_step']} to {steps['last_step']}{spacing}"
 
 
-def _positions(steps: Facts) -> str:
+def _positions(steps: Summary) -> str:
     """Where an axis stood for the frames of a scan; how many these are need not be known."""
     if steps["count"] is None and steps["spacing"]:
         return f"from step {steps['first_step']}, {steps['spacing']} motor steps from one frame to the next"
@@ -264,42 +267,45 @@ def _positions(steps: Facts) -> str:
     return _travel(steps)
 
 
-def _axis(facts: Facts) -> Iterator[Line]:
+def _axis(summary: Summary) -> Iterator[Line]:
     """The motion of an axis."""
-    if "degrees_per_step" in facts:
-        yield from zip((facts["axis"], ""), turn_in_words(facts), strict=True)
-        yield from _path(facts)
-    elif "direction" in facts:
-        direction = ", ".join(f"{x:.4f}" for x in facts["direction"])
-        yield facts["axis"], f"{facts['mm_per_1000_steps']:.5g} mm for 1000 steps, {facts['way']}, along ({direction})"
-        yield from _path(facts)
+    if "degrees_per_step" in summary:
+        yield from zip((summary["axis"], ""), format_turn(summary), strict=True)
+        yield from _path(summary)
+    elif "direction" in summary:
+        direction = ", ".join(f"{x:.4f}" for x in summary["direction"])
+        yield (
+            summary["axis"],
+            f"{summary['mm_per_1000_steps']:.5g} mm for 1000 steps, {summary['way']}, along ({direction})",
+        )
+        yield from _path(summary)
     else:
-        yield facts["axis"], f"{facts['kind']}, {facts['way']}"
+        yield summary["axis"], f"{summary['kind']}, {summary['way']}"
 
 
-def _path(facts: Facts) -> Iterator[Line]:
-    from jaxscan.rig.facts import path_in_words
+def _path(summary: Summary) -> Iterator[Line]:
+    from jaxscan.rig.summary import format_path
 
-    return (("", line) for line in path_in_words(facts))
+    return (("", line) for line in format_path(summary))
 
 
-def turn_in_words(facts: Facts) -> tuple[str, str]:
-    """Angle and axis of a turntable: `TurnFacts` as a dictionary."""
+def format_turn(summary: Summary) -> tuple[str, str]:
+    """Angle and axis of a turntable: `TurnSummary` as a dictionary."""
 
     def sigma(key: str, unit: str) -> str:
-        return f" ± {facts[key]:.2g}{unit}" if facts[key] is not None else ""
+        return f" ± {summary[key]:.2g}{unit}" if summary[key] is not None else ""
 
     axis, through = (
-        ", ".join(f"{x:.{n}f}" for x in facts[key]) for key, n in (("axis_direction", 5), ("through_mm", 3))
+        ", ".join(f"{x:.{n}f}" for x in summary[key]) for key, n in (("axis_direction", 5), ("through_mm", 3))
     )
     return (
-        f"{facts['degrees_per_step']:.7g}°{sigma('degrees_per_step_sigma', '°')} a step, {facts['steps_per_turn']:.6g} "
-        f"steps a turn, {facts['way']} as the camera sees it",
+        f"{summary['degrees_per_step']:.7g}°{sigma('degrees_per_step_sigma', '°')} a step, "
+        f"{summary['steps_per_turn']:.6g} steps a turn, {summary['way']} as the camera sees it",
         f"axis ({axis}){sigma('axis_sigma_deg', '°')} through ({through}) mm{sigma('through_sigma_mm', ' mm')}",
     )
 
 
-def _values(part: Facts, unit: str = "") -> str:
+def _values(part: Summary, unit: str = "") -> str:
     """Numbers with their standard deviations, to the digits that these leave."""
     sigmas = part["sigma"] or [None] * len(part["value"])
     shown = []
