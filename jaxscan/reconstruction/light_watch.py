@@ -9,7 +9,7 @@ that is switched does not, and a lamp that flickers leaves bands of rows, for mo
 import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxscan.images import Stripe
 from jaxscan.images.light import no_bell
@@ -44,38 +44,40 @@ class LightWatch:
 
     def see(self, stripe: Stripe) -> None:
         """Take account of the next frames, in their order."""
-        for i in range(len(stripe.full)):
-            self._full.append(float(stripe.full[i]))
-            # How bright a full stripe is, is not seen.
-            told = stripe.valid[i] & ~stripe.burnt[i]
-            level, strength = stripe.surroundings[i], np.where(told, stripe.strength[i], np.nan)
-            self._level.append(float(level.mean()))
-            if stripe.valid[i].any():
-                self._correlation.append(float(stripe.correlation[i]))
-                self._odd.append(bool(stripe.odd[i]))
-            if self._before is not None:
-                self._compare(*self._before, level, strength)
-            self._before = level, strength
+        # How bright a full stripe is, is not seen.
+        known = stripe.valid & ~stripe.burnt
+        level, strength = stripe.surroundings, np.where(known, stripe.strength, np.nan)
+        self._full += stripe.full.tolist()
+        self._level += level.mean(axis=(1, 2)).tolist()
+        shown = stripe.valid.any(axis=1)
+        self._correlation += stripe.correlation[shown].tolist()
+        self._odd += stripe.odd[shown].tolist()
+        if self._before is not None:
+            level, strength = (
+                np.concatenate([old, new]) for old, new in zip(self._before, (level, strength), strict=True)
+            )
+        if len(level) > 1:
+            self._compare(level, strength)
+        self._before = level[-1:], strength[-1:]
 
     def _compare(
-        self,
-        level_before: Float[np.ndarray, "rows columns"],
-        strength_before: Float[np.ndarray, "lines"],
-        level: Float[np.ndarray, "rows columns"],
-        strength: Float[np.ndarray, "lines"],
+        self, level: Float[np.ndarray, "frames rows columns"], strength: Float[np.ndarray, "frames lines"]
     ) -> None:
-        both = np.isfinite(strength_before) & np.isfinite(strength)
-        told = both.sum() >= _LEAST_LINES
-        self._strength_rise.append(
-            float(np.median(np.log(strength[both] / strength_before[both]))) if told else math.nan
-        )
-        self._level_rise.append(_rise(level_before, level))
-        if abs(np.nan_to_num(self._level_rise[-1])) > math.log(_JUMP):
-            return
+        """Each frame with the one before it."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rise = np.log(strength[1:] / strength[:-1])
+        both = np.isfinite(strength[1:]) & np.isfinite(strength[:-1])
+        enough = both.sum(axis=1) >= _LEAST_LINES
+        self._strength_rise += np.where(enough, _median(rise, both), np.nan).tolist()
+        levels = _rises(level)
+        self._level_rise += levels.tolist()
+        by = np.nan_to_num(levels)
+        still = np.abs(by) <= math.log(_JUMP)
         # What rises everywhere alike is another exposure, or another lamp.
-        change, half = level - level_before * np.exp(np.nan_to_num(self._level_rise[-1])), level.shape[1] // 2
-        left, right = (np.median(part, axis=1) for part in (change[:, :half], change[:, half:]))
-        self._bands.append(float((left * right).mean()))
+        change = (level[1:] - level[:-1] * np.exp(by)[:, None, None])[still]
+        half = level.shape[2] // 2
+        left, right = (np.median(part, axis=2) for part in (change[..., :half], change[..., half:]))
+        self._bands += (left * right).mean(axis=1).tolist()
 
     def notes(self, exposures_known: bool, background: bool) -> list[str]:
         """What is wrong, and what to do.
@@ -164,16 +166,33 @@ class LightWatch:
         ]
 
 
-def _rise(before: Float[np.ndarray, "rows columns"], level: Float[np.ndarray, "rows columns"]) -> float:
-    """By how much levels rise everywhere, in logarithms: that of the quarter of the photograph that changes least.
+def _rises(level: Float[np.ndarray, "frames rows columns"]) -> Float[np.ndarray, "pairs"]:
+    """By how much levels rise everywhere from frame to frame, in logarithms: by the quarter that changes least.
 
-    0 where quarters disagree, for then something moves; NaN where fewer than three are lit.
+    0 where quarters of the photograph disagree, for then something moves; NaN where fewer than three are lit.
     """
-    lit = (before > _LEAST_LEVEL) | (level > _LEAST_LEVEL)
-    rise = np.log((level + 1) / (before + 1))
-    halves = [np.array_split(part, 2, axis=1) for each in (rise, lit) for part in np.array_split(each, 2)]
-    quarters = zip([*halves[0], *halves[1]], [*halves[2], *halves[3]], strict=True)
-    told = [float(np.median(rises[on])) for rises, on in quarters if on.sum() >= _LEAST_PIXELS]
-    if len(told) < _LEAST_QUARTERS:
-        return math.nan
-    return min(told, key=abs) if len(set(np.sign(told))) == 1 else 0.0
+    before, after = level[:-1], level[1:]
+    lit = (before > _LEAST_LEVEL) | (after > _LEAST_LEVEL)
+    rise = np.log((after + 1) / (before + 1))
+    quarters = [
+        [
+            np.reshape(part, (len(part), -1))
+            for rows in np.array_split(each, 2, axis=1)
+            for part in np.array_split(rows, 2, 2)
+        ]
+        for each in (rise, lit)
+    ]
+    found = np.stack([_median(*of) for of in zip(*quarters, strict=True)], axis=1)
+    lit_enough = np.stack([on.sum(axis=1) >= _LEAST_PIXELS for on in quarters[1]], axis=1)
+    least = np.take_along_axis(found, np.where(lit_enough, np.abs(found), np.inf).argmin(axis=1)[:, None], axis=1)[:, 0]
+    signs = np.sign(found)
+    agree = [(lit_enough <= (signs == sign)).all(axis=1) for sign in (-1, 0, 1)]
+    return np.where(lit_enough.sum(axis=1) < _LEAST_QUARTERS, np.nan, np.where(np.any(agree, axis=0), least, 0.0))
+
+
+def _median(values: Float[np.ndarray, "pairs some"], of: Bool[np.ndarray, "pairs some"]) -> Float[np.ndarray, "pairs"]:
+    """The median of some of the values of each row; NaN where there are none."""
+    ranked, count = np.sort(np.where(of, values, np.inf), axis=1), of.sum(axis=1)
+    at = np.stack([np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)], axis=1)
+    middle = np.take_along_axis(ranked, at, axis=1)
+    return np.where(count > 0, middle.mean(axis=1), np.nan)

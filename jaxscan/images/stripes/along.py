@@ -109,6 +109,8 @@ def _told(values: Lines, used: Bool[np.ndarray, "frames lines"], noise: Frames |
     few = np.maximum((used[:, _DISTANCES[-1] :] & used[:, : -_DISTANCES[-1]]).sum(axis=1), 1)
     far = gamma[:, len(_DISTANCES) // 2 :].mean(axis=1)
     sure = (gamma > 0).all(axis=1) & (far - gamma[:, 0] > _SURE * _SCATTER / np.sqrt(few) * far)
+    if not sure.any():
+        return V, rho
     gamma, few = gamma[sure, :, None], few[sure]
     k = _DISTANCES / _DISTANCES[-1]
     surface = np.stack([k, k**2, np.ones_like(k)], axis=1) / gamma

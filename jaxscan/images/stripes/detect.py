@@ -30,7 +30,7 @@ from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
 from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
-from jaxscan.images.stripes.likelihood import FWHM, ROUGH
+from jaxscan.images.stripes.likelihood import FEW_STEPS_CENSORED, FWHM, ROUGH, STEPS_CENSORED
 from jaxscan.images.stripes.printed import widened_by_print
 from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
 from jaxscan.images.stripes.smoothed import DISTANCES, noise_correlation, widening
@@ -205,24 +205,30 @@ def _detect(
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
     slim_frames = np.asarray(sensor.ln_s)[:count] < (_SLIM_LN_PX if detector == "likelihood" else -np.inf)
 
-    def look(at: Places, half: int, model: Model) -> Any:
+    def look(at: Places, half: int, model: Model, steps: int | None = None) -> Any:
         """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles anew."""
         found = []
         for group, count in _groups(*at, sizes=_GROUPS if model == "plain" else _GROUPS_AGAIN):
             windows = gather_windows(images, background, sensor, *group, color, columns, half)
-            found.append(
-                jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measure(windows, sensor, group[0], detector, model))
-            )
+            measured = measure(windows, sensor, group[0], detector, model, steps)
+            found.append(jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measured))
         return found[0] if len(found) == 1 else jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
-    def look_again(measured: Any, at: Places, which: np.ndarray, half: int, model: Model) -> Any:
+    def look_again(
+        measured: Any, at: Places, which: np.ndarray, half: int, model: Model, steps: int | None = None
+    ) -> Any:
         if not which.any():
             return measured
-        found = look(tuple(index[which] for index in at), half, model)
+        found = look(tuple(index[which] for index in at), half, model, steps)
         # Where there is no edge in the stripe, what was measured without one stands.
         taken = found.whole if model == "edge" else np.ones_like(found.whole)
         places = np.flatnonzero(which)[taken]
         return jax.tree.map(lambda old, new: _replaced(old, places, new[taken]), measured, found)
+
+    def look_at_burnt(measured: Any, at: Places, which: np.ndarray, half: int) -> Any:
+        """In few steps, which do for most; a group of lines takes as many as the slowest of them."""
+        measured = look_again(measured, at, which, half, "censored", FEW_STEPS_CENSORED)
+        return look_again(measured, at, which & ~measured.settled, half, "censored", STEPS_CENSORED)
 
     def first_look(at: Places) -> tuple[Any, np.ndarray]:
         """In short windows where the frame's stripe is slim, else in narrow ones; and where that is."""
@@ -239,7 +245,8 @@ def _detect(
         measured, slim = first_look(at) if begun is None else begun
         # In noise a longer window has a lower lowest point, by which what is faint stands out.
         doubtful = measured.cramped & (measured.relief > least[at[0]]) | (measured.strength < _FAINT * least[at[0]])
-        measured = look_again(measured, at, slim & doubtful, narrow, "plain")
+        slim = slim & ~doubtful
+        measured = look_again(measured, at, doubtful & slim_frames[at[0]], narrow, "plain")
         # A window inside a burnt-out stripe sees no background, but it sees one end of it.
         strong = (measured.relief > least[at[0]]) | (measured.cramped & measured.burnt)
         cramped = measured.cramped & strong & (wide > narrow)
@@ -247,8 +254,9 @@ def _detect(
         if detector == "likelihood":
             grained, rough = (strong & each for each in _speckled(sensor, at[0], measured.relief))
             plain, even = measured, ~(grained | rough)
-            measured = look_again(measured, at, cramped & even, wide, "censored")
-            measured = look_again(measured, at, burnt & even, narrow, "censored")
+            measured = look_at_burnt(measured, at, cramped & even, wide)
+            measured = look_at_burnt(measured, at, burnt & even & ~slim, narrow)
+            measured = look_at_burnt(measured, at, burnt & even & slim, short)
             measured = look_again(measured, at, cramped & ~even, wide, "grained and censored")
             measured = look_again(measured, at, (rough | grained & burnt) & ~cramped, narrow, "grained and censored")
             measured = look_again(measured, at, grained & ~(rough | burnt | cramped), narrow, "grained")

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.detectors import DETECTORS, Detector
 from jaxscan.images.stripes import classical
@@ -72,6 +72,7 @@ class Measured(eqx.Module):
             detectors.
         h4: the fourth.
         ln_light: ln of its height times its standard deviation; 0 of other detectors.
+        settled: whether more steps of the fit would change nothing; true of other detectors.
     """
 
     position: Float[Array, "groups lines"]
@@ -87,6 +88,7 @@ class Measured(eqx.Module):
     h3: Float[Array, "groups lines"]
     h4: Float[Array, "groups lines"]
     ln_light: Float[Array, "groups lines"]
+    settled: Bool[Array, "groups lines"]
 
     @property
     def thickness(self) -> Float[np.ndarray, "groups lines"]:
@@ -95,7 +97,14 @@ class Measured(eqx.Module):
 
 
 @partial(jax.jit, static_argnames=("detector", "model"))
-def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector, model: Model = "plain") -> Measured:
+def measure(
+    windows: Windows,
+    sensor: Sensor,
+    frame: Places,
+    detector: Detector,
+    model: Model = "plain",
+    steps: Int[Array, ""] | None = None,
+) -> Measured:
     """The stripe in each window.
 
     Args:
@@ -104,16 +113,17 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
         frame: of each window.
         detector: which.
         model: of the profile, for the likelihood fit.
+        steps: the most of that fit's steps; as many as the model may need by default.
     """
     r = windows.response
     size = r.shape[1]
     around, here = outline(r), sensor.of(frame)
     zero = jnp.zeros_like(around.top)
-    misfit = Misfit(jnp.zeros_like(around.whole), zero, zero, zero)
+    misfit = Misfit(jnp.zeros_like(around.whole), zero, zero, zero, jnp.ones_like(around.whole))
     if model == "edge":
         found = fit_reflectance_edge(windows, around, here)
     elif detector == "likelihood":
-        found, misfit = likelihood(windows, around, here, "censored" in model, "grained" in model)
+        found, misfit = likelihood(windows, around, here, "censored" in model, "grained" in model, steps)
     else:
         found = _CLOSED[detector](windows, around, here)
     seen = bump(windows.neutral) if windows.neutral is not None else around
@@ -139,4 +149,5 @@ def measure(windows: Windows, sensor: Sensor, frame: Places, detector: Detector,
         h3=misfit.h3[:, 0],
         h4=misfit.h4[:, 0],
         ln_light=misfit.ln_light[:, 0],
+        settled=misfit.settled[:, 0],
     )

@@ -33,7 +33,9 @@ from jaxscan.images.stripes.grain import innovations
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
-_STEPS, _STEPS_CENSORED = 2, 8
+_STEPS, STEPS_CENSORED = 2, 8
+# Of a stripe that is burnt out most lines reach it in this number, and the others are fitted once more.
+FEW_STEPS_CENSORED = 4
 # With correlated speckle so many follow: one comes within 0.04 σ of the minimum from there.
 _STEPS_GRAINED, _STEPS_GRAINED_CENSORED = 1, 3
 # The model holds about the stripe, not for what else is in the window: so many standard deviations, and pixels, beyond
@@ -42,8 +44,9 @@ REACH, REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
 LN_HEIGHT_SPREAD = 2.0
 # Squared contrast of speckle that makes a stripe ragged.
 ROUGH = 0.3**2
-# A step in c, of s, and in ln s and ln A, after which another one would lead nowhere.
-_ARRIVED = 0.01
+# A step in c, of s, and in ln s and ln A, after which another one would lead nowhere; and a last step that leads to
+# within its square of the minimum.
+_ARRIVED, _SETTLED = 0.01, 0.05
 # The longest step: in c, of s; in the logarithms.
 _LONGEST = 0.7
 FWHM = 2.354820
@@ -83,6 +86,7 @@ class Fit(NamedTuple):
         free: which of these are not full.
         factor: the Cholesky factor, row by row.
         inverse_sigma: 1 / σ of the centre, where the last step has led.
+        moved_by: how far the last step has led: the greatest of its parts in c, of s, and in ln s and ln A.
     """
 
     profile: Profile
@@ -95,6 +99,7 @@ class Fit(NamedTuple):
     free: Bool[Array, "groups window lines"]
     factor: list[list[Lines]]
     inverse_sigma: Lines
+    moved_by: Lines
 
 
 class Misfit(NamedTuple):
@@ -105,16 +110,23 @@ class Misfit(NamedTuple):
         h3: the third Gauss-Hermite coefficient of the residual, in parts of the height.
         h4: the fourth.
         ln_light: ln of A s: of all its light, but for a factor.
+        settled: whether more steps would change nothing.
     """
 
     strained: Bool[Array, "groups 1 lines"]
     h3: Lines
     h4: Lines
     ln_light: Lines
+    settled: Bool[Array, "groups 1 lines"]
 
 
 def likelihood(
-    windows: Windows, outline: Outline, sensor: Sensor, censored: bool, grained: bool = False
+    windows: Windows,
+    outline: Outline,
+    sensor: Sensor,
+    censored: bool,
+    grained: bool = False,
+    steps: int | Array | None = None,
 ) -> tuple[Estimate, Misfit]:
     """The maximum-likelihood centre of each stripe, and what its profile leaves.
 
@@ -127,9 +139,10 @@ def likelihood(
         sensor: its noise.
         censored: whether there are full pixels.
         grained: whether speckle goes on from pixel to pixel.
+        steps: the most of Newton's steps with independent pixels.
     """
     more = _STEPS_GRAINED_CENSORED if censored else _STEPS_GRAINED
-    found = fit(windows, outline, sensor, censored, grain_steps=more if grained else 0)
+    found = fit(windows, outline, sensor, censored, steps, grain_steps=more if grained else 0)
     squares = (found.standard**2).sum(1, keepdims=True)
     freedom = jnp.maximum(found.free.sum(1, keepdims=True) - len(Profile._fields), 0)
     scatter = (FREEDOM_OF_NOISE + squares) / (FREEDOM_OF_NOISE + freedom)
@@ -142,7 +155,8 @@ def likelihood(
     squares = (found.residual**2).sum(1, keepdims=True)
     strained = squares > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
     estimate = Estimate(profile.centre, sigma, FWHM * s, jnp.isfinite(sigma) & within)
-    return estimate, Misfit(strained, *_hermite(profile, found.residual), profile.ln_height + profile.ln_s)
+    light, settled = profile.ln_height + profile.ln_s, found.moved_by < _SETTLED
+    return estimate, Misfit(strained, *_hermite(profile, found.residual), light, settled)
 
 
 def _hermite(profile: Profile, residual: Pixels) -> tuple[Lines, Lines]:
@@ -160,7 +174,7 @@ def fit(
     outline: Outline,
     sensor: Sensor,
     censored: bool,
-    steps: int | None = None,
+    steps: int | Array | None = None,
     further_px: float = 0.0,
     grain_steps: int = 0,
 ) -> Fit:
@@ -210,21 +224,22 @@ def fit(
         # In even noise σ_c goes as √s / A.
         inverse_sigma = L[-1][-1] * jnp.exp(change[1] - change[2] / 2)
         left, standard = (jnp.where(free, value, 0.0) for value in (left, standard))
-        return Fit(moved, height, jacobian, seen.weight, left, standard, used, free, L, inverse_sigma)
+        by = jnp.abs(change[-1]) / jnp.exp(profile.ln_s)
+        for part in change[1:-1]:
+            by = jnp.maximum(by, jnp.abs(part))
+        return Fit(moved, height, jacobian, seen.weight, left, standard, used, free, L, inverse_sigma, by)
 
     if steps is None:
-        steps = _STEPS_CENSORED if censored else _STEPS
+        steps = STEPS_CENSORED if censored else _STEPS
     # The last step, of either kind, tells how well the profile is known.
     plain, grained = (steps, grain_steps - 1) if grain_steps else (steps - 1, 0)
 
     def moved(state: tuple[Array, Profile, Lines]) -> tuple[Array, Profile, Lines]:
         taken, now, far = state
-        then = step(now, False).profile
-        by = jnp.abs(then.centre - now.centre) / jnp.exp(now.ln_s)
-        by = jnp.maximum(by, jnp.maximum(jnp.abs(then.ln_s - now.ln_s), jnp.abs(then.ln_height - now.ln_height)))
+        found = step(now, False)
         # A line that has arrived stays, whatever the others that are looked at with it.
-        then = jax.tree.map(partial(jnp.where, far), then, now)
-        return taken + 1, then, far & ~(by < _ARRIVED)
+        then = jax.tree.map(partial(jnp.where, far), found.profile, now)
+        return taken + 1, then, far & ~(found.moved_by < _ARRIVED)
 
     everywhere = jnp.ones(start.centre.shape, bool)
     _, profile, _ = jax.lax.while_loop(

@@ -63,12 +63,21 @@ _SUMS: Final = (*(_pairs(k) for k in range(DISTANCES + 1)), _pairs(1, _BLOCK - 1
 
 
 @cache
+def _summed() -> Float[np.ndarray, "sums products"]:
+    """Which products of two pixels of a stretch each sum takes."""
+    masks = np.zeros((len(_SUMS), 2 * _BLOCK, 2 * _BLOCK))
+    for mask, pair in zip(masks, _SUMS, strict=True):
+        mask[pair] = 1.0
+    return masks.reshape(len(_SUMS), -1)
+
+
+@cache
 def _equations() -> Float[np.ndarray, "sums distances"]:
     """What a covariance of 1 at each distance adds to each sum of products of a stretch."""
     size = 2 * _BLOCK
     P, apart = _projection(size, _TREND), np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
     left = [P @ (apart == k) @ P for k in range(DISTANCES + 1)]
-    return np.array([[one[pair].sum() for one in left] for pair in _SUMS])
+    return np.stack([_summed() @ one.ravel() for one in left], axis=1)
 
 
 def noise_correlation(
@@ -112,8 +121,7 @@ def noise_correlation(
     z = stretches[read] @ _projection(2 * _BLOCK, _TREND).astype(np.float32)
     squares = (z * z).sum(axis=1)
     quiet = z[squares <= _QUIET * np.quantile(squares, _QUIETEST)]
-    products = quiet.T @ quiet / len(quiet)
-    *seen, across = [products[pair].sum() for pair in _SUMS]
+    *seen, across = _summed() @ (quiet.T @ quiet / len(quiet)).ravel()
     *equations, of_border = _equations()
     covariance = np.linalg.solve(equations, seen)
     if covariance[0] < _SEEN * rounding or covariance[1] < LEAST * covariance[0]:
