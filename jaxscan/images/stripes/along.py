@@ -34,6 +34,9 @@ _LESS = 0.93
 # The median of a normal number's square scatters by so much of itself over the root of how many there are; what is seen
 # is no chance from so many times that; a grain is needed beside what the surface may do from so many.
 _SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
+# Of the second differences of burnt-out lines this quantile is read, for a normal number so many σ; that scatters by
+# this part of itself over the same root.
+_USUAL, _USUAL_OVER_SIGMA, _SCATTER_OF_SIGMA = 0.8, 1.2816, 1.4
 # ln of the standard deviation of the narrowest stripe whose breadth is told by its pixels, px.
 _NARROW: Final = float(np.log(0.9))
 _TINY = 1e-12
@@ -88,6 +91,38 @@ def widened_by_flanks(sigma: Lines, breadth: Lines, burnt: Bool[np.ndarray, "fra
     sigma[some] = np.where(
         burnt[some], np.hypot(sigma[some], (np.sqrt(V) / 2).astype(np.float32)[:, None]), sigma[some]
     )
+    return sigma
+
+
+def widened_by_scatter(sigma: Lines, position: Lines, burnt: Bool[np.ndarray, "frames lines"], sensor: Sensor) -> Lines:
+    """σ of burnt-out lines by how much they scatter about their neighbours, where this is more than was predicted.
+
+    Of a narrow stripe that is burnt out only a pixel or two of each flank are seen, too few to read their speckle from:
+    this is asked in frames where none was.
+    On an even surface the second differences of the centre have the variance σ₋² + 4 σ² + σ₊². What four in five lines
+    of a frame stay below, in these units, says by how much σ is too small: as the error changes with the flanks' place
+    in the pixels, the median says too little. What is missing is added to each line alike. A surface that is itself
+    uneven from line to line makes σ too large.
+
+    Args:
+        sigma: of each line's centre, px; NaN where there is none.
+        position: the centre, px.
+        burnt: which lines are burnt out.
+        sensor: the noise.
+    """
+    known = burnt & np.isfinite(sigma) & np.isfinite(position)
+    variance = np.where(known, sigma, 0.0) ** 2
+    expected = np.sqrt(variance[:, :-2] + 4 * variance[:, 1:-1] + variance[:, 2:])
+    whole = known[:, :-2] & known[:, 1:-1] & known[:, 2:]
+    bends = np.abs(np.diff(np.where(known, position, 0.0), 2, axis=1))
+    sigma = sigma.copy()
+    unread = np.asarray(sensor.speckle)[: len(sigma)] == 0
+    for frame in np.flatnonzero(unread & (whole.sum(axis=1) >= _FEWEST)):
+        of = whole[frame]
+        by = np.quantile(bends[frame, of] / expected[frame, of], _USUAL) / _USUAL_OVER_SIGMA
+        if by > 1 + _SURE * _SCATTER_OF_SIGMA / np.sqrt(of.sum()):
+            missing = np.sqrt(by**2 - 1) * np.median(sigma[frame, known[frame]])
+            sigma[frame, known[frame]] = np.hypot(sigma[frame, known[frame]], np.float32(missing))
     return sigma
 
 

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int, Int8
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.images.stripe_settings import StripeSettings
-from jaxscan.images.stripes.along import widened_by_flanks, with_grain
+from jaxscan.images.stripes.along import widened_by_flanks, widened_by_scatter, with_grain
 from jaxscan.images.stripes.between import widened_between
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
@@ -318,6 +318,7 @@ def _detect(
     for i in smoothed:
         sigma[i] *= widening(correlation[i], sensor, int(i), width[i], measured.relief[i])
     sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
+    sigma = widened_by_scatter(sigma, position, measured.burnt, sensor)
     sigma = widened_between(sigma, position, width)
     seen_in = images, background, sensor, correlation, settings, short
     sigma = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(_groups, sizes=_GROUPS))
