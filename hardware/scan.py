@@ -18,7 +18,7 @@ from hardware.scan_plan import ScanFolder
 from jaxscan.errors import InputError
 from jaxscan.files.place_checks import PlaceCheck
 
-# A switch is met again within so many steps.
+# A switch is met again within this number of steps.
 _MEETS_AGAIN = 4
 
 

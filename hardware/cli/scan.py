@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=0,
         metavar="FRAMES",
-        help="meet the switch again at the end, and after each so many frames, to see whether the motor lost steps; if "
+        help="meet the switch again at the end, and after every FRAMES frames, to see whether the motor lost steps; if "
         "it did, the frames since the last check are marked in scan.toml (default: at the end, where an axis can)",
     )
     parser.add_argument("--no-verify", action="store_true", help="end where the last frame was taken, unverified")

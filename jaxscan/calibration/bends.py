@@ -20,7 +20,7 @@ from jaxtyping import Float
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM
 
-# σ is sought up to this share of the board's half diagonal, first in so many steps.
+# σ is searched up to this share of the board's half diagonal, first in this number of steps.
 _MOST_BEND = 0.05
 _STEPS = 33
 _NARROWINGS = 4

@@ -44,7 +44,7 @@ class ByPhotograph:
 
     @staticmethod
     def create(refined: Refined, observations: Observations, scales: Float[np.ndarray, "2"]) -> "ByPhotograph":
-        """From residuals and Jacobian of the last solve, those of corners and stripes so many times as large."""
+        """From residuals and Jacobian of the last solve; those of corners and stripes are multiplied by `scales`."""
         value, jacobian = refined.last
         n = jacobian.shared.shape[1]
         blocks = [(np.asarray(J), np.asarray(r)) for J, r in zip(jacobian.blocks, value.blocks, strict=True)]

@@ -28,7 +28,7 @@ from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER, is_off_centre
 from jaxscan.rig.projection import pixel_rays
 
-# A model is taken where it predicts photographs better by so many standard errors.
+# Limit, standard errors: a richer model must predict the photographs better by this.
 _STANDARD_ERRORS = 2.0
 # No session asks for more models one after the other.
 _MOST = 6

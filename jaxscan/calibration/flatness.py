@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bulges_in_words, rounded_mm
 
-# So seldom would chance alone show a shape; and by so many of its σ must it move something of the rig.
+# A shape counts if chance shows it no more often than this, and if it moves the rig by this number of σ.
 BY_CHANCE = 1e-4
 _MOVES = 1.0
 

@@ -12,7 +12,7 @@ from jaxscan.files.session import Session
 from jaxscan.rig.line import Line
 from jaxscan.rig.summary import step_of
 
-# A board that is measured with a ruler, and a screw, are better than this; and so many σ are no noise.
+# A board measured with a ruler, and a screw, are better than this share; more than this number of σ is not noise.
 _SHARE: Final = 0.01
 _SIGMAS: Final = 5.0
 

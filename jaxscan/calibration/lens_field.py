@@ -98,10 +98,10 @@ def first_field(camera: Camera, free: Collection[str]) -> FieldPrior | None:
 
 
 def check_enough_for_field(observations: Observations) -> None:
-    """Refuse corners that are too few for so many terms.
+    """Refuse a session with too few corners for the number of terms.
 
     Raises:
-        InputError: they are.
+        InputError: there are too few corners.
     """
     views = observations.views
     told = sum(2 * int(view.used().sum()) - 6 for view in views)

@@ -37,9 +37,9 @@ from jaxscan.rig import BoardShape, Covariance, Light, Rig, System
 from jaxscan.rig.board_shape import BENDS
 from jaxscan.rig.rig import parameter_names
 
-# Generations of so many places. Always as many, so that nothing compiles anew.
+# Number of generations, and of poses in each. Always the same number, so that nothing is compiled again.
 _GENERATIONS, _AT_ONCE = 60, 120
-# The stripe is summed over so many of its parts.
+# The stripe is summed over this number of its parts.
 _STRIPE_PARTS = 16
 # How far beyond the boards that there are the next one may be held, how far from the image's edge (as a share of its
 # width) it stays, and how far it may be tilted: corners are found as well up to 55°, and a hand wants room.

@@ -13,7 +13,7 @@ from jaxscan.errors import InputError
 from jaxscan.images import Board
 from jaxscan.rig import is_run, run_of, runs
 
-# Of what was left out an error names so many.
+# An error names at most this number of the items that were left out.
 _NAMED = 12
 
 

@@ -32,7 +32,7 @@ from jaxscan.images.stripes.other_colour import colour_that_shows
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
-# A stripe is looked for the wrong way where it is so many times as long across as along.
+# The stripe is searched in the wrong direction if it is this many times as long across as along.
 _STEEP = 2.0
 # Photographs in which other colours are tried.
 _TRIED = 3

@@ -19,7 +19,7 @@ from jaxscan.geometry import Pose
 from jaxscan.rig.projection import project_points
 
 FEWEST_CORNERS = 4
-# Corners beyond so many σ of their photograph, about its own place, have no say; asked so many times.
+# Corners beyond this number of σ from their photograph, at its own pose, are ignored; number of rounds.
 _LIMIT, _ROUNDS = 4.5, 3
 # Of the length of a vector of two normal numbers, in σ of one.
 _MEDIAN_LENGTH = 1.1774

@@ -31,7 +31,7 @@ from jaxscan.rig.light import distance
 from jaxscan.rig.rig import parameter_names, with_normal_numbers
 from jaxscan.robust import NORMAL_MAD
 
-# Stripe points so many σ off their light are another light's.
+# Stripe points this number of σ off their light belong to another light.
 _FAR_OFF = 6.0
 
 
@@ -322,7 +322,7 @@ def assemble(
 
 
 def _of_shape(refined: Refined, leaves: int) -> Covariance | None:
-    """The covariance of the board's shape, which stands behind that of so many leaves of the rig."""
+    """The covariance of the board's shape, which follows that of the rig's first `leaves` parameters."""
     names = tuple(refined.system.shared_names()[leaves:])
     return Covariance(names, np.asarray(refined.precision.covariance)[leaves:, leaves:]) if names else None
 

@@ -35,13 +35,13 @@ from jaxscan.robust import NORMAL_MAD
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
 CORNER_LIMIT = 4.5
 STRIPE_LIMIT = 4.0
-# A set of outliers that still changes by a point or two after so many solves changes nothing else.
+# If the set of outliers still changes by a point or two after this number of solves, nothing else changes.
 _MAX_SOLVES = 12
-# So many solves in a row without a minimum, or with a direction that the data leave open, and more will not help.
+# After this number of solves in a row without a minimum, or with an undetermined direction, more do not help.
 _MAX_FUTILE = 2
 _SIGMA_SETTLED = 0.01
-# A photograph's own σ² counts for its redundancy, that of all photographs for so many residuals more: about as many as
-# one photograph has, so that only what clearly differs counts clearly less.
+# A photograph's own σ² is weighted by its redundancy, that of all photographs by this number of residuals: about as
+# many as one photograph has, so that only what clearly differs counts clearly less.
 _PRIOR_RESIDUALS = 100.0
 _SCALES_SETTLED = 0.03
 # Which part of a corner's variance may be the same for all.

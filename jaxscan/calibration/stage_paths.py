@@ -20,7 +20,7 @@ from jaxscan.rig.play import FAR
 
 # No screw is finer, mm of travel for a turn.
 FINEST_MM = 0.25
-# Photographs must cover so many turns of a screw: less is a bow.
+# Photographs must cover this number of turns of a screw: less looks like a bow.
 FEWEST_TURNS = 1.5
 # Frequencies for each turn over the travel, and how the best is closed in on.
 _FINE, _CLOSER, _ZOOMS = 8, 21, 3

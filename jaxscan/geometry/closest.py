@@ -23,10 +23,10 @@ _POINTS_AT_ONCE, _PAIRS_AT_ONCE = 1 << 15, 1 << 16
 # Boxes in a node, and how many of a level are followed down for a first guess.
 _FAN: Final = 8
 _BEAM: Final = 8
-# A point further from all centres than so many times the root of the mean area is far.
+# A point is far if its distance from all centres exceeds this multiple of the root of the mean area.
 _NEAR: Final = 8.0
-# A side longer than so many times the root of the mean area is cut, as long as there are no more pieces than so many
-# beside twice the triangles.
+# A side longer than this multiple of the root of the mean area is cut, while there are no more pieces than twice the
+# triangles plus this number.
 _LONG: Final = 4.0
 _MOST_MORE: Final = 50_000
 

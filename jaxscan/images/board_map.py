@@ -36,7 +36,7 @@ _MOST_STEPS = 12
 _STEP_DONE = 0.2
 _FIRST_DAMPING, _MOST_DAMPING = 1e-4, 1e4
 _POLYNOMIAL_DEGREE = 4
-# Corners further off than so many times what is usual, and than this (px), do not count.
+# Corners are ignored if their error exceeds this multiple of the usual error, and this (px).
 _LIMIT = 4.0
 _LEAST_LIMIT_PX = 0.2
 _ROUNDS = 8

@@ -79,7 +79,7 @@ def find_board(board: Board, image: Image) -> BoardView | None:
 
 
 def shows_checkerboard(counts: tuple[int, int], image: Image) -> bool:
-    """Whether a checkerboard of so many inner corners is in the photograph."""
+    """Whether a checkerboard with these numbers of inner corners is in the photograph."""
     return _find_checkerboard(counts, to_grey(image)) is not None
 
 

@@ -65,7 +65,7 @@ _MOST_STEPS = (9, 4, 8)
 _STEP_DONE_PX = (1e-2, 1e-2, 3e-4)
 # One that still moves by more than this has not settled, px.
 _SETTLED_PX = 0.1
-# Tukey's biweight ends, and a pixel is left out, at so many times the root mean square of the residuals.
+# Tukey's biweight reaches zero, and a pixel is left out, at this multiple of the RMS of the residuals.
 _LIMIT = 4.0
 # A residual below this part of the contrast is the point spread's, not a stranger's.
 _LEAST_RESIDUAL = 0.04

@@ -10,7 +10,7 @@ from jaxscan.images.find import shows_checkerboard
 
 # Longer side, in pixels, at which it is looked for: a board that is not seen there is not mistaken for the first.
 _SIDE = 640
-# The board that was found is covered together with so many squares around its points.
+# The board that was found is covered, together with a border of this number of squares around its points.
 _MARGIN = 1.5
 
 

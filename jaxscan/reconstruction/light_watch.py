@@ -16,13 +16,13 @@ from jaxscan.images.light import no_bell
 
 # A note is worth it from these shares of the frames, and of a frame's pixels that are full.
 _MANY_FRAMES, _MANY_FULL = 0.5, 0.2
-# Levels jump from frame to frame by at least this factor; they are told where surroundings have so many grey levels.
+# Levels jump from frame to frame by at least this factor; decided where surroundings have at least this grey level.
 _JUMP, _LEAST_LEVEL = 1.3, 4.0
 # With an exposure the stripe changes by at least this part of what its surroundings do, in logarithms.
 _WITH_IT = 0.5
-# Without surroundings to tell, so many of the steps from frame to frame change the stripe's brightness by the factor.
+# Where there are no surroundings, at least this share of the steps between frames change the stripe by the factor.
 _MANY_JUMPS = 0.25
-# Bands are worth a note from this part of the level and so many grey levels on.
+# Bands are worth a note from this part of the level and this number of grey levels on.
 _BANDS, _LEAST_BANDS = 0.02, 1.5
 _LEAST_LINES, _LEAST_PAIRS, _LEAST_PIXELS, _LEAST_QUARTERS = 20, 3, 10, 3
 

@@ -18,7 +18,7 @@ from jaxscan.rig import Covariance
 from jaxscan.rig.covariance import projection_jacobian
 from jaxscan.rig.projection import pixel_rays
 
-# The image is looked at in so many columns and rows of pixels.
+# The image is divided into this number of columns and rows of pixels.
 _PIXELS = (16, 12)
 
 

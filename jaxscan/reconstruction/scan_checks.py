@@ -19,7 +19,7 @@ from jaxscan.rig import Rig
 
 # More full turns than these are a mistake.
 _MOST_TURNS: Final = 5
-# Of so many gaps more than half are no mistake in one of them.
+# The median gap is judged from this number on: one wrong gap is then less than half of them.
 _FEWEST_GAPS: Final = 3
 # Points further from the origin, mm, are not told apart by 0.01 mm as float32.
 _FARTHEST_MM: Final = 1e5

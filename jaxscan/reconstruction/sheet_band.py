@@ -20,7 +20,7 @@ from jaxscan.rig import Fixed
 
 # By how much the calibration's range of depths is widened, either way.
 WIDENED: Final = 1.5
-# The sheet's depth is looked at in every so many pixels of a line, and the band widened by as much.
+# The sheet's depth is computed at every Nth pixel of a line, and the band widened by as much.
 _EVERY: Final = 4
 
 

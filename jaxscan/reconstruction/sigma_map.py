@@ -33,7 +33,7 @@ from jaxscan.rig.rig import leaves_of
 _DEGREE: Final = 10
 # Pixels to each side of the image at which the maps are fitted.
 _GRID: Final = 24
-# A point further than so many times the nearest in view is beyond what any scanner measures.
+# A point further than this multiple of the nearest distance in view is beyond what any scanner measures.
 _FURTHEST: Final = 20.0
 
 

@@ -318,12 +318,12 @@ def _with_runs(frames: Frames, axes: Sequence[str], played: Mapping[str, Runs]) 
 
 
 def _part_of(own: range, done: int, count: int) -> slice:
-    """Which of so many frames, those from number `done` on, are a scan's own."""
+    """Which of the `count` frames from number `done` on are a scan's own."""
     return slice(min(max(own.start - done, 0), count), min(max(own.stop - done, 0), count))
 
 
 def _at_most(advance: Callable[[int], object], most: int) -> Callable[[int], object]:
-    """Tell of no more than so many."""
+    """Report progress, up to `most` frames in all."""
     left = most
 
     def told(by: int) -> None:

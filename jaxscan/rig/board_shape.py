@@ -32,7 +32,7 @@ N_TERMS: Final = 5
 BENDS: Final = 2
 # Bulges of less than this (mm) are none.
 LEAST_BEND_MM: Final = 1e-4
-# A shape's range is that on so many points each way.
+# A shape's range is taken over this number of points in each direction.
 _GRID = 21
 
 

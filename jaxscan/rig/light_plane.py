@@ -15,7 +15,7 @@ from jaxscan.precision import Leaf
 
 # A sheet nearer to the centre of projection than this (mm) is seen edge on: its depth is lost in rounding.
 _NEAREST = 1e-3
-# Random triples; a trial is judged by so many points: enough for a median.
+# Number of random triples; each trial is judged by this number of points: enough for a median.
 _TRIALS = 500
 _SAMPLE = 500
 

@@ -91,7 +91,7 @@ class AxisMotion(Motion, Protocol):
         ...
 
     def amount(self, steps: float) -> tuple[float, str]:
-        """How far it moves in so many steps, and in which unit: mm or degrees."""
+        """How far `steps` motor steps move it, and the unit: mm or degrees."""
         ...
 
 

@@ -32,7 +32,7 @@ FIELD_NUMBERS: Final = ("camera.shift_x.", "camera.shift_y.")
 # As a share of the image, on each side of it.
 _MARGIN: Final = 0.02
 _MAX_STEPS = 30
-# A rounding error of the shift is so many of that of the place.
+# The rounding error of the shift is this multiple of the rounding error of the position.
 _CLOSE = 64
 
 

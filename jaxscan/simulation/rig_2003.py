@@ -302,7 +302,7 @@ def scan_scene(rig: Rig, bodies: Sequence[Body]) -> Scene:
 
 
 def turning_axes(apart: int) -> dict[str, tuple[int, ...]]:
-    """A full turn of the turntable in frames so many of its motor steps apart, its axis under the sheet."""
+    """A full turn of the turntable in frames `apart` motor steps apart, its axis under the sheet."""
     turns = tuple(range(0, STEPS_PER_TURN, apart))
     return {"stage": (_UNDER_SHEET,) * len(turns), "turntable": turns}
 
@@ -315,7 +315,7 @@ def turned(bodies: Sequence[Body], degrees: float) -> tuple[Body, ...]:
 
 
 def turned_on(rig: Rig, bodies: Sequence[Body], steps: float) -> tuple[Body, ...]:
-    """What stands on the turntable, after so many of its motor steps, in the platform's frame."""
+    """What is on the turntable, after `steps` motor steps, in the platform's frame."""
     R, origin = platform(rig)
     T = turned_boards(rig, Pose.identity(), np.array([steps]))[0]
     turn = T.matrix()

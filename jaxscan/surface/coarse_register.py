@@ -29,7 +29,7 @@ _TRY_POINTS, _TRY_ROUNDS = 400, 12
 _REACH: Final = 0.15
 # The scatter of distances in units of their σ beyond which two sides do not fit.
 LARGEST_SCALE: Final = 5.0
-# Features are looked for in cubes of so many spacings, and at least of this part of the sides' size.
+# Features are searched in cubes of this number of spacings, but at least of this part of the sides' size.
 _CUBES, _SMALLEST_CUBE = (1.0, 1.5), 0.015
 
 

@@ -28,12 +28,12 @@ from jaxscan.surface.passages import passages
 # Of the fitted planes: how far they reach, in spacings, and at least, mm; how many points they are fitted to.
 _REACH, _SMALLEST_MM = 1.6, 1.0
 _AROUND, _FEWEST_AROUND = 32, 6
-# A point is level where its plane slopes by less than this beside so many of its σ; a plateau where all of it does.
+# A point is level where its plane slopes by less than this plus this number of its σ; a plateau where all of it does.
 _LEVEL, _SIGMAS = np.tan(np.radians(2.0)), 2.0
 _TILTED: Final = np.tan(np.radians(1.0))
 # No more points than this are looked at.
 _MOST: Final = 200_000
-# Squares of the means: so many of a plateau, of this size at most, mm.
+# Squares over which means are taken: about this number on a plateau, each at most this size, mm.
 _SQUARES, _LARGEST_MM = 9, 5.0
 _FEWEST_SQUARES: Final = 4
 _CONFIDENCE: Final = 0.95

@@ -30,7 +30,7 @@ from jaxscan.surface.floor import Floor, find_floor, stands_on
 from jaxscan.surface.links import Sampling, sampling
 from jaxscan.surface.triangles import Surface, even_points
 
-# Planes are laid through the points within so many spacings.
+# Planes are fitted to the points within this number of spacings.
 _AROUND: Final = 1.5
 _MOST_AROUND, _FEWEST_AROUND = 64, 6
 # A point whose neighbours' mean is off by more than this part of their reach has them on one side: it is on the rim.

@@ -31,7 +31,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.geometry import vector_to_matrix
 from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by, half_diagonal_of
 
-# σ and correlation are found anew so many times.
+# How many times σ and correlation are estimated again.
 _TIMES_ANEW = 3
 # Eigenvalues of the scaled normal equations below this share of the largest.
 _ROUNDING = 1e-11

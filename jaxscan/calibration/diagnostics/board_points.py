@@ -35,7 +35,7 @@ from jaxscan.rig.board_shape import BOARD_SHAPES, half_diagonal_of, places_on_bo
 _DEGREE: Final = 4
 # A variance component that raises −2 log L by less than this when it is left out is none: once in 10 000 by chance.
 _CLEAR = 13.8
-# σ is sought from the first share of the board's half diagonal up to the second, first in so many steps.
+# σ is searched from the first share of the board's half diagonal up to the second; first in this number of steps.
 _LEAST, _MOST, _STEPS = 1e-6, 0.1, 9
 # Degrees along columns and rows of what the shapes of `rig.board_shape` have, in the order of its terms.
 _OF_SHAPE: Final = ((2, 0), (0, 2), (1, 1), (2, 1), (1, 2))

@@ -28,7 +28,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.light import turned_and_moved
 from jaxscan.rig.system import System
 
-# So seldom would chance alone show a change; and by so many of its σ must it move something of the rig.
+# A change counts if chance shows it no more often than this, and if it moves the rig by this number of σ.
 _BY_CHANCE = 1e-4
 _MOVES = 1.0
 # Of each kind of change these many steps, the best by χ², are held against the scatter of the photographs.
@@ -41,7 +41,7 @@ _LEAST_SCATTER = 1e-9
 _FEWEST = 2
 # Beside a step of its own there is no other that lowers χ² by this share as much.
 _OTHERS = 0.25
-# σ and correlation are found anew so many times.
+# How many times σ and correlation are estimated again.
 _TIMES_ANEW = 3
 _POSE = 6
 

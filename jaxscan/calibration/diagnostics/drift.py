@@ -25,7 +25,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.light import turned_and_moved
 
-# So seldom would chance alone show a drift; and by so many of its σ must it move something of the rig.
+# A drift counts if chance shows it no more often than this, and if it moves the rig by this number of σ.
 _BY_CHANCE = 1e-4
 _MOVES = 1.0
 # Eigenvalues of scaled matrices of what drifts below this are rounding.

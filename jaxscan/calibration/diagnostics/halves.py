@@ -2,7 +2,7 @@
 
 With θ_a, θ_b from disjoint photographs and their covariances Σ_a, Σ_b, the difference has the covariance Σ_a + Σ_b and
 d² = (θ_a − θ_b)ᵀ (Σ_a + Σ_b)⁻¹ (θ_a − θ_b) follows χ² with as many degrees of freedom as there are parameters. √(d²/n)
-is then about 1; where it is not, the model is wrong, and predicted σ are to be read as so many times larger.
+is then about 1. Where it is larger, the model is wrong: multiply the predicted σ by √(d²/n).
 """
 
 import math

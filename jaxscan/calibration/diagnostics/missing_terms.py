@@ -19,7 +19,7 @@ from jaxscan.rig.projection import lens_leaves, project_points
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.splined import Splined
 
-# What is clear: so seldom by chance, moving something by so many of its σ, or explaining this share of χ².
+# Limits for a clear term: its probability by chance, its shift of the rig in σ, the share of χ² that it explains.
 _BY_CHANCE, _MOVES, _EXPLAINS = 1e-4, 2.0, 0.05
 # Eigenvalues of the scaled normal equations below this share of the largest.
 _ROUNDING = 1e-10

@@ -27,9 +27,9 @@ from jaxscan.rig.light import sheet_axes
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.summary import HALF_WIDTH_MM, light_summary
 
-# A bow of so many of its σ is one: noise shows it once in 2000 calibrations.
+# A bow above this number of its σ is real: noise shows it once in 2000 calibrations.
 _CLEAR = 3.5
-# One that was sought and is below so many may as well be none.
+# A bow that was estimated and is below this number of its σ is treated as none.
 _UNCLEAR = 3.0
 # A curve of less than this share of the distance is not worth a word: 0.02 mm over 200 mm at 400 mm.
 _WORTH = 5e-5

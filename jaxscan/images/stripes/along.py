@@ -31,8 +31,8 @@ _CORRELATIONS: Final = np.linspace(0.3, 0.9, 31)
 _FEWEST = 100
 # Neighbours differ by less than this part of what lines far apart do, at first sight.
 _LESS = 0.93
-# The median of a normal number's square scatters by so much of itself over the root of how many there are; what is seen
-# is no chance from so many times that; a grain is needed beside what the surface may do from so many.
+# The relative scatter of the median of n squares of normal numbers is this over √n. Correlation is significant from
+# `_SURE` times that; a grain is needed, beside the variation that the surface may have, from `_NEEDED` times that.
 _SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
 # ln of the standard deviation of the narrowest stripe whose breadth is told by its pixels, px.
 _NARROW: Final = float(np.log(0.9))

@@ -29,7 +29,7 @@ _CLOSED: Final[dict[str, Measure]] = {
     "parabola": classical.parabola,
     "threshold": classical.threshold,
 }
-# Beyond so many pixels from the window's end an outline is free of it.
+# An outline at least this number of pixels from the window's end is not affected by it.
 _MARGIN = 5
 # A stripe falls on both sides to less than half.
 _ONE_SIDED = 0.5

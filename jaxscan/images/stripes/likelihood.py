@@ -34,10 +34,11 @@ from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windo
 
 # Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
 _STEPS, _STEPS_CENSORED = 2, 8
-# With correlated speckle so many follow: one comes within 0.04 σ of the minimum from there.
+# With correlated speckle this number of steps follows: one comes within 0.04 σ of the minimum from there.
 _STEPS_GRAINED, _STEPS_GRAINED_CENSORED = 1, 3
-# The model holds about the stripe, not for what else is in the window: so many standard deviations, and pixels, beyond
-# where it falls to half its seen height. What lies further out holds 1 % of what is known of the centre.
+# The model holds around the stripe, not for the rest of the window: up to this number of standard deviations, plus
+# pixels, beyond the point where it falls to half its seen height. Pixels further out hold 1 % of the information on
+# the centre.
 REACH, REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
 LN_HEIGHT_SPREAD = 2.0
 # Squared contrast of speckle that makes a stripe ragged.
@@ -50,9 +51,9 @@ FWHM = 2.354820
 _HALF_MAXIMUM = 5.545177  # 8 ln 2
 _PIXEL_VARIANCE = 1 / 12
 _LEAST_S, _MOST_OVER = 0.35, 100.0
-# The fit's own scatter tells as much of its σ as so many degrees of freedom of the sensor's noise.
+# The fit's own scatter is weighted against this number of degrees of freedom of the sensor's noise.
 FREEDOM_OF_NOISE = 10.0
-# Pixels are strained that are off by this part of the peak, and by so many standard deviations.
+# Pixels are strained if the RMS residual exceeds `_STRAIN` times the noise and this part of the peak together.
 _USUAL_MISFIT, _STRAIN = 0.03, 1.5
 _ROOT_HALF, _ROOT_HALF_PI, _ROOT_2_OVER_PI = 0.70710678, 1.2533141, 0.79788456
 # Φ of less is 1e-9: there float32 has few digits of it left.

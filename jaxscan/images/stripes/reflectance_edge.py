@@ -42,7 +42,7 @@ _DAMPING, _LONGEST_LN, _LONGEST = 0.02, 0.7, 0.7
 _FURTHER_PX: Final = 2.0
 # The least F with 2 and some 5 degrees of freedom: one line in seven has it by chance, of those beside an edge.
 _LEAST_F: Final = 3.0
-# What the edge leaves unexplained, at the most so many times the sensor's own noise: photons and speckle leave more.
+# What the edge leaves unexplained is at most this multiple of the sensor's own noise: photons and speckle leave more.
 _MOST_LEFT: Final = 4.0
 # Or else this part of what the plain profile leaves: speckle leaves more than the sensor does.
 _MOST_UNEXPLAINED: Final = 0.3

@@ -50,8 +50,8 @@ _WITH_COLOURS: Final = 4
 # A channel that is interpolated to full resolution is full from this part of its greatest number on: what a JPEG
 # leaves of luma's detail is off by a few grey levels, and counts threefold.
 FULL_OF_LUMA: Final = 0.9
-# Chroma is at half resolution where its third differences within pairs are no more than so many times what rounding
-# makes of none, those across pairs so many times as large, told by at least so many.
+# Chroma is at half resolution where its third differences within pairs are at most this multiple of pure rounding, and
+# those across pairs are this multiple of those within; decided from at least this number of pairs.
 _OF_ROUNDING, _ACROSS, _TOLD_BY = 1.5, 3.0, 100
 # Of light that is whiter than this, in parts of the laser's own channel, the colour does not show.
 _MOST_WHITE: Final = 0.3
@@ -219,7 +219,7 @@ def detail_of(
 
     Args:
         levels: the three channels.
-        flank: so many pixels at either end of a window tell its background.
+        flank: number of pixels at either end of a window that give its background.
         half: whether the frame's colours are at half resolution.
         color: of the laser.
     """

@@ -27,18 +27,18 @@ from jaxscan.images.stripes.windows import Sensor
 DISTANCES: Final = 4
 # Noise is white below this correlation of neighbours.
 LEAST: Final = 0.15
-# About so many stretches of a photograph are looked at.
+# About this number of stretches of a photograph are looked at.
 _MOST_LOOKED_AT = 1024
 # Two blocks of a JPEG make a stretch.
 _BLOCK: Final = 8
 # A stretch is this far away from the stripe, px; its trend is a parabola.
 _AWAY_PX, _TREND = 16, 2
-# Stretches are read whose squares are up to so many times those at the lower quartile, of so many at the least: what is
-# louder has a pattern.
+# Stretches are read if their squares are at most this multiple of those at the lower quartile, if there are at least
+# this number: louder ones have a pattern.
 _QUIET, _QUIETEST, _FEWEST = 5.0, 0.25, 100
 # Of a JPEG of white noise neighbours across a border have less than this part of what all neighbours have in common.
 _OF_BLOCKS = 0.5
-# Noise is seen where it has so many times the variance of rounding.
+# Noise is visible if its variance is this multiple of the variance of rounding.
 _SEEN = 2.5
 _ROUNDING = 1 / 12
 # Widths and heights of stripes at which σ is worked out, in each photograph.

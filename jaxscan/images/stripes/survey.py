@@ -69,7 +69,7 @@ _TAIL = 0.1
 _CORE = 0.5
 # Up to this full width at half height the last five of 25 pixels are free of it: 2.5 px is 2.1 σ less than 8 px away.
 _CLEAR_WIDTH_PX = 5.0
-# A stripe stands above its background by more than so many times the noise: smoothed as it is, the greatest of a
+# A stripe exceeds its background by more than this multiple of the noise: smoothed as it is, the greatest of a
 # thousand rows of noise stands out by two or three σ.
 LEAST_SIGNAL = 4.7
 # Of a burnt-out stripe it is read where its lines have no more than this share of what they leave in common: drawn ones
@@ -81,7 +81,7 @@ _MAY_FILL = 0.55
 _LEAST_LUMA = 0.1
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
-# A line that leaves so many times as much as most is no sample of the noise.
+# A line whose residual exceeds this multiple of the usual is not a sample of the noise.
 _MOST_OF_USUAL = 8.0
 # How far ln s of a line may be from that of the others: no less than this, and before anything is known a factor of e.
 _LEAST_SPREAD, _UNKNOWN = 0.1, 1.0
@@ -111,8 +111,8 @@ def survey(
         color: of the laser, or grey.
         columns: whether lines are columns.
         half: half the window's length.
-        most: how many frames there may be: so many entries has each number of the answer, the last one repeated, so
-            that no number of frames compiles anew.
+        most: how many frames there may be. Each array has this number of entries, with the last one repeated, so that
+            no number of frames is compiled again.
         correlation: of each frame's noise, as `noise_correlation` tells it; 0 of frames whose noise is white, None
             where all are such.
     """
@@ -263,7 +263,7 @@ def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
 
 
 def greatest_numbers(bits: int) -> list[int]:
-    """What the greatest number of a sensor may be whose photographs have so many bits."""
+    """The possible greatest numbers of a sensor whose photographs have `bits` bits."""
     return [2**b - 1 for b in (*(d for d in _DEPTHS if d < bits), bits)]
 
 

@@ -8,19 +8,19 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.images.stripes.likelihood import FWHM
 
-# Points of a stripe follow one another within so many lines, off by no more than so much and a steep slope, and as
-# wide as one another within this factor.
+# Points of a stripe follow one another within this number of lines, within this distance and slope, and with widths
+# that agree within this factor.
 GAP, COMPANY_PX, STEEPEST = 4, 2.0, 4.0
 LN_WIDTHS: Final = float(np.log(2.5))
-# It is so much longer than it is thick, and longer than so many lines.
+# It is longer than this multiple of its thickness, and longer than this number of lines.
 _LONGER, _SHORTEST = 1.5, 2.5
 # Fewer points make a line only where they stand out by so much more than noise does: where a texture leaks into the
 # colour of the laser, noise has company.
 _FEW, _CLEAR = 6, 1.5
 # A lens's flare, and a JPEG's blocks of 16 pixels, echo the end of a bright stripe so faintly at the most, no further.
 _ECHO, _ECHO_PX = 1 / 8, 16
-# Where a surface ends it is half as bright as it is further in, whatever blurs it: what is dimmer is light spilt beyond
-# its end. So many lines further in are asked, and so many are left out at most.
+# Where a surface ends the stripe is half as bright as further in, whatever blurs it: dimmer light is spilt beyond its
+# end. It is compared with this number of lines further in, and at most this number are left out.
 _SPILT, _FURTHER_IN, _MOST_SPILT = 0.5, 2, 3
 
 
