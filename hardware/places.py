@@ -88,7 +88,7 @@ def check_scan(travels: Mapping[str, Travel], places: Sequence[Place]) -> None:
 
 
 def check_zero(travels: Mapping[str, Travel], names: Iterable[str], known: Iterable[str] = ()) -> None:
-    """See that a scan with photographs can be gone on with: an axis without a switch does not find its step 0 again.
+    """See that a scan with photographs can be continued: an axis without a switch does not find its step 0 again.
 
     Args:
         travels: of the scanner's axes.

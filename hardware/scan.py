@@ -84,7 +84,7 @@ def take(
     """Take the frames that are left, in order.
 
     Args:
-        folder: of a new scan, or of one to go on with.
+        folder: of a new scan, or of one to continue.
         devices: open; an axis of the scan that has no reference is homed first.
         control: for another thread to pause or end it.
         taken: called with each frame's file once it is durable.

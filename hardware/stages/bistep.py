@@ -102,7 +102,7 @@ class BiStep2A04(SerialStage):
 
     def _doubt(self, watch: "_Watch") -> NoReturn:
         raise PositionUncertainError(
-            f"{self.name}: the controller's count is not to be believed, {watch.doubt}: home it, and look after "
+            f"{self.name}: the controller's count is not to be trusted, {watch.doubt}: home it, and look after "
             "the cable if it happens again"
         )
 

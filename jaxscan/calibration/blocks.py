@@ -10,7 +10,7 @@ from jaxscan.calibration.residuals import Blocks
 from jaxscan.precision import as_jax
 from jaxscan.rig import is_run
 
-# So many boards are solved in milliseconds and compiled for in seconds.
+# This number of boards is solved in milliseconds, and compiled for in seconds.
 _LEAST = 12
 
 

@@ -38,11 +38,11 @@ from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ.
 _LIMIT: Final = 4.0
-# The first round believes a point that is off by no more than this: a rig may read a gauge some per cent wrong.
+# The first round trusts a point that is off by no more than this: a rig may read a gauge some per cent wrong.
 _ROUGHLY_MM, _ROUGHLY_SHARE = 0.3, 0.08
 _FEWEST_POINTS = 100
 _MAX_ROUNDS = 30
-# How far a pose is known by where the gauge was laid in, radians and mm.
+# How well the initial alignment of a gauge determines its pose, radians and mm.
 _TURN_TO, _NO_TURN, _SHIFT_TO = 0.1, 1e-6, 10.0
 _FIRST_DAMPING = 1e-12
 _SETTLED = 0.01
@@ -64,8 +64,8 @@ class GaugeReading:
         rejected: how many were seen on the gauge's surroundings, at grazing angles, or beyond 4 σ.
         stripe_sigma_px: σ of a stripe point, from the residuals.
         correlation: how many neighbouring points are worth one.
-        rms_before_mm: RMS distance of the points that took part from the gauge's surface, by the rig as it was, the
-            gauge laid in as well as it went.
+        rms_before_mm: RMS distance of the points that took part from the gauge's surface, by the rig as it was,
+            with the gauge aligned as well as possible.
         rms_after_mm: the same by the refined rig.
     """
 
@@ -129,7 +129,7 @@ def refine_by_gauge(
         seen = stripe_points(gauges, rig)
         seen = _laid_in(gauges, rig, seen)
         first = System(rig, (*boards.system.poses, seen.laid), boards.system.shape)
-        # The gauges are laid in first, with the rig as it is.
+        # The gauges are aligned first, with the rig as it is.
         laid = _fit(gauges, seen, first, boards, jnp.zeros_like(boards.free))
         fitted = _fit(gauges, seen, laid.system, boards, boards.free)
         refined = fitted.system.rig

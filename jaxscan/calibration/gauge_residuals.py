@@ -29,8 +29,8 @@ class GaugePoints(eqx.Module):
         normals: m, unit normals there.
         used: which points take part.
         weights: 1 / σ of each, 1/px.
-        laid: the pose at which each gauge was laid in: there it stays along what its shape leaves open (a plate may
-            slide in its plane).
+        laid: the pose at which each gauge was aligned: it keeps this in the directions that its shape leaves open (a
+            plate may slide in its plane).
         laid_to: how far its pose is taken to be known by that: rotation vector (radians) and translation (mm).
     """
 
@@ -55,7 +55,7 @@ class GaugePoints(eqx.Module):
         return jnp.concatenate([errors * jnp.where(self.used, self.weights, 0.0), moved], axis=1)
 
     def start(self, system: System) -> Float[Array, "scans 6"]:
-        """Where the gauges were laid in."""
+        """The poses at which the gauges were aligned."""
         del system
         return self.laid
 

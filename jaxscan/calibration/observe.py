@@ -100,7 +100,7 @@ def observe(
             moved.append(looked_at(partial(along, sequence), sequence.images, range(len(sequence.images))))
             left_out += _not_found(session, moved[-1], f"{axis} photograph")
     usual = _usual_sigma([p.found for p in (*photographs, *(p for each in moved for p in each)) if p.found is not None])
-    # Each sequence by itself: one may begin where another passes. A view that is a copy of one of theirs is left out.
+    # Each sequence by itself: one may begin where another passes. A view that copies one of them is left out.
     moved, repeated = zip(*map(_once, moved), strict=True) if moved else ((), ())
     photographs, of_views = _once(photographs, [photograph for each in moved for photograph in each])
     left_out += [line for lines in (of_views, *repeated) for line in lines]
@@ -331,7 +331,7 @@ _CHECK = (
 def _mistaken(session: Session) -> str | None:
     """Which usual mistake has been made where a checkerboard is found nowhere, by the photographs of the first pose.
 
-    Of a session that shares its poses with another, and lists only the stage's photographs besides, nothing is told.
+    Nothing is reported for a session that shares its poses with another and itself lists only the stage's photographs.
     """
     if session.board.kind != "checkerboard" or not session.views.boards:
         return None

@@ -40,7 +40,7 @@ _FEWEST_STRIPE_POINTS = 10
 
 @contextmanager
 def with_remarks(known: list[Observations]) -> Iterator[None]:
-    """Let a refusal say what was seen amiss in the photographs (the last of what is known): often it is the reason."""
+    """Add to a refusal what was wrong in the photographs (the last of what is known): often it is the reason."""
     try:
         yield
     except (InputError, ObservabilityError, SolveError) as error:

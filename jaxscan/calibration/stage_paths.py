@@ -243,8 +243,8 @@ def find_period(course: Course, beside: Float[np.ndarray, "images others"]) -> P
     fit = _wave_fit(course, beside, 1 / taken)
     if fit is None:
         return None
-    # So many independent periods were asked (R. V. Baluev 2008): beyond half of what all steps are multiples of, the
-    # same again.
+    # Number of independent periods that were tried (R. V. Baluev 2008). Beyond half of the common divisor of all steps
+    # they repeat.
     asked = max((min(most, 0.5 / every) - least) * travel, 1.0) * len(course.steps) ** 0.5
     others = tuple(1 / f for f in alike if abs(f - taken) > 0.5 / travel)
     return Periods(1 / taken, others, fit, min(1.0, fit.p * asked))

@@ -412,7 +412,7 @@ def _start(path: Path, name: str | None, settings: "CameraSettings", image_size:
 
 
 def judge_calibration(calibration: "Calibration") -> "Verdict":
-    """What can be told of a calibration in a moment."""
+    """The part of the report that is computed in a moment."""
     from jaxscan.view.verdict import verdict
 
     return verdict(calibration)
@@ -446,7 +446,7 @@ def _make_folder(path: Path) -> None:
 
 
 def describe(result: dict[str, Any]) -> str:
-    """The rig in words, what was left out and found amiss, and at the end the verdict in three lines."""
+    """The rig in words, what was left out and what was found wrong, and at the end the verdict in three lines."""
     from jaxscan.cli.format_summary import format_summary
 
     # What the rig's file warns of is among what the verdict does.

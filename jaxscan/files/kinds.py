@@ -1,4 +1,4 @@
-"""What a file is that was given in the place of another, in words, for errors."""
+"""What a file is that was given instead of another, in words, for errors."""
 
 from contextlib import suppress
 from pathlib import Path

@@ -1,6 +1,6 @@
 """How large a photograph is, from its header: known before anything is allocated for its pixels.
 
-A decoder believes what a header says: one of 2 kB can ask for gigabytes. So the formats are those whose size is read
+A decoder trusts what a header says: one of 2 kB can ask for gigabytes. So the formats are those whose size is read
 here, PNG, JPEG, TIFF, BMP, PNM and WebP, and a photograph has at most `MOST_PIXELS`.
 
 Source: the W3C's PNG specification; ITU T.81 (JPEG); Adobe's TIFF 6.0, and BigTIFF; Microsoft's BITMAPINFOHEADER;

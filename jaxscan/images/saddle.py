@@ -90,7 +90,7 @@ class Saddles(NamedTuple):
         hidden: part of the window on the photograph that is burnt out where the model is darker by half the contrast.
         lopsided: part of the window on the photograph that is burnt out and whose mirror image about the corner is not.
         unrest: how far the last step still went, px.
-        correlation: τ, how much more the residuals weigh because they hang together.
+        correlation: τ, by how much the correlation of the residuals increases their variance.
         by_bends: ∂(u, v) / ∂κ of the two edges, px².
     """
 

@@ -41,7 +41,7 @@ class Frames:
             are asked for.
         backgrounds: none, one for all frames, or a buffer of one for each.
         positions: of each axis of the scan in its order, motor steps; as many as there are frames.
-        inner: which of them the batch is of; the others are neighbours of theirs.
+        inner: which of them the batch is of; the others are their neighbours.
     """
 
     images: UInt[np.ndarray, "buffer rows columns *rgb"]

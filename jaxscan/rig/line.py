@@ -68,7 +68,7 @@ class Line(eqx.Module):
 
 
 def per_steps(steps: Float[A, "*stack"] | float, leaves: tuple[Leaf, Leaf, Leaf]) -> Float[A, "*stack 3"]:
-    """So many times a vector of three numbers."""
+    """The product of `steps` and the vector of `leaves`."""
     xp = namespace(steps, *leaves)
     return xp.tensordot(xp.asarray(steps), xp.stack([xp.asarray(leaf) for leaf in leaves]), axes=0)
 

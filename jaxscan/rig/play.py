@@ -30,7 +30,7 @@ from jaxscan.rig.rotary import Rotary
 
 # What the entry of an axis ends in; no name of an axis has a dot.
 _RUN: Final = ".run"
-# So many steps before the first photograph an axis is taken to have turned last: more than any play has.
+# An axis is taken to have reversed last this number of steps before the first photograph: more than any play has.
 FAR: Final = 10**9
 _SUFFIX: Final = "_with_play"
 
@@ -186,5 +186,5 @@ class RotaryWithPlay(_WithPlay, Rotary):
 
 
 def kind_with_play(kind: str) -> str:
-    """What the kind is called that has play besides."""
+    """The name of the kind with play."""
     return kind if kind.endswith(_SUFFIX) else kind + _SUFFIX

@@ -133,7 +133,7 @@ def _of_path(part: Line, covariance: Covariance | None) -> Summary:
 
 
 def _length(part: Line, name: str, key: str, by: float, covariance: Covariance | None) -> Summary:
-    """So many times the length of a part's vector, and its σ."""
+    """The length of a part's vector times `by`, and its σ."""
     vector = np.array([float(leaf) for leaf in getattr(part, name)])
     length = float(np.linalg.norm(vector))
     names = [f"motion.{part.axis}.{name}.{i}" for i in range(len(vector))]

@@ -117,7 +117,7 @@ def with_stage(
     screw_steps: float = SCREW_STEPS,
     play_mm: float = 0.0,
 ) -> Rig:
-    """The rig with a stage that is no line, in the place of its own.
+    """The rig with a stage that is no line, instead of its own.
 
     Args:
         rig: with a line.

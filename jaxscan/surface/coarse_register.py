@@ -1,6 +1,6 @@
 """Where sides stand roughly: by the angles that the object was turned, or by features of its shape.
 
-Sides are joined one after the other, nearest in the order of the scans first, until all hang together. Of each two
+Sides are joined one after the other, nearest in the order of the scans first, until all are connected. Of each two
 several starts are tried, followed with few points, and the best is judged by all: it counts where a tenth and more of
 the points have a partner, and the scatter of their distances is that of their σ, a few times over.
 

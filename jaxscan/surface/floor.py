@@ -4,7 +4,7 @@ The floor is the plane with the most points, among those that hold the direction
 known, or one parallel to it below with at least a quarter as many. σ is the scatter of its own points about it, noise
 and unevenness together.
 
-What stands on it is found with two thresholds: points more than 3 σ above the floor that hang together with some more
+What stands on it is found with two thresholds: points more than 3 σ above the floor that are connected with some more
 than 6 σ above it. So the object is kept down to where it touches the floor, and the one in seven hundred of the floor's
 points that scatter beyond 3 σ go with the rest.
 """

@@ -1,7 +1,7 @@
 """Plateaus: pieces of what stands on the floor that are level with it, and their heights.
 
 Around every point a plane is fitted to the heights near it, those on the far side of a step left out. Where it slopes
-as little as a plateau does, within its own uncertainty, neighbours of nearly the same fitted height hang together. A
+as little as a plateau does, within its own uncertainty, neighbours of nearly the same fitted height are connected. A
 piece that is large enough, and as a whole hardly tilted, is a plateau.
 
 Its height is the mean of its points. Errors of neighbouring points are alike, so the standard error is that of means of

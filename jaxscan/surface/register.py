@@ -217,7 +217,7 @@ def _step(sides: Sequence[Side], H: np.ndarray, g: np.ndarray, size: float) -> n
 
 
 def _connected(sides: Sequence[Side], pairs: list[tuple[int, int]]) -> None:
-    """Refuse sides that do not hang together."""
+    """Refuse sides that are not all connected by overlap."""
     group = list(range(len(sides)))
     for a, b in pairs:
         group = [group[a] if k == group[b] else k for k in group]

@@ -102,7 +102,7 @@ def side_of_surface(name: str, image: RangeImage, surface: Surface, how: Samplin
     """A side from the triangles of a range image, with more points where they are large.
 
     A turn samples its surface closely about the axis and widely far from it, and so does any scan of a wall. Points are
-    added until none are further apart than the spacing; n² in the place of one have a σ n times as large, so that they
+    added until none are further apart than the spacing; n² instead of one have a σ n times as large, so that they
     weigh no more than it.
 
     Args:

@@ -132,7 +132,7 @@ def board_poses(calibration: Calibration) -> tuple[BoardPose, ...]:
         (True, staged, calibration.system.moved, calibration.moved_covariances),
     ):
         rotations, translations = np.asarray(pose.rotation), np.asarray(pose.translation)
-        # Without photographs on an axis there is no group of theirs.
+        # Without photographs on an axis they form no group.
         bends = calibration.system.bends(int(on_stage)) if called else None
         own = [None] * len(called) if bends is None else np.asarray(bends)
         poses += [

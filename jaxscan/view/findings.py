@@ -36,7 +36,7 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     boxes = [*_scales(diagnostics), *mixed_up(diagnostics), *map(_suspect, suspected), *_sessions(diagnostics)]
     boxes += _notes(calibration)
     boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics)]
-    # What the model misses widens σ, so that is mended first.
+    # What the model misses widens σ, so that is fixed first.
     boxes += [*_imprecise(calibration, diagnostics.sigma_factor, volumes), *_worse(diagnostics)]
     boxes += thin(diagnostics)
     return tuple(sorted(boxes, key=lambda box: ("stop", "care", "good").index(box.level)))

@@ -206,7 +206,7 @@ def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box])
         "The line lens is not square to its beam, or the mirror before it is bent. In session.toml it is "
         'sheet = "bowed" under [laser]; see whether the two halves then agree better.'
     )
-    # What is to be put right before, since it bends the stripes too.
+    # What has to be corrected first, because it bends the stripes too.
     first = _board(calibration) or lens
     boxes = [
         Box("care", f"{doubt}.", lens[0].advice if lens else of_lens)

@@ -1,4 +1,4 @@
-"""So many cases of each reader, each a function of its reader's name and its number."""
+"""A number of cases of each reader, each a function of its reader's name and its number."""
 
 import tempfile
 from collections import Counter

@@ -166,7 +166,7 @@ class _Group:
         return without_poses(*self.weighted(scales))
 
     def only(self, count: int, Q: Float[np.ndarray, "blocks columns columns"]) -> Reduced:
-        """So many of the first columns, the bulges and the residual."""
+        """The first `count` columns, the bulges and the residual."""
         last = Q.shape[-1]
         kept = np.r_[:count, last - 1 - self.bulges : last]
         return Reduced(Q[:, kept][:, :, kept], self.bulges)

@@ -37,7 +37,7 @@ _CLOSER = 5
 _UNSEEN = 1e-7
 # The scatter is never taken to be less than this.
 _LEAST_SCATTER = 1e-9
-# So many photographs must stand on either side.
+# At least this number of photographs must be on either side.
 _FEWEST = 2
 # Beside a step of its own there is no other that lowers χ² by this share as much.
 _OTHERS = 0.25

@@ -44,8 +44,8 @@ def in_a_line(
 ) -> tuple[Bool[np.ndarray, "frames lines"], Int[np.ndarray, "frames"]]:
     """Whether a point belongs to something longer than it is thick: a stripe is a line, noise and glints are not.
 
-    Points hang together that lie no further apart than a stripe as steep as any would, over a few missing lines, and
-    are about as wide.
+    Points are connected if they are no further apart than on the steepest possible stripe, over a few missing lines,
+    and are about as wide.
 
     Args:
         measured: `Measured` of NumPy's arrays.
