@@ -21,9 +21,9 @@ Pixels are weighted equally within a parallelogram in the board's own directions
 pixel at the detector's limit says only that there is at least so much light: its residual counts where the model is
 darker. What the model cannot explain (a laser's stripe, a highlight, a finger) is weighted down by Tukey's biweight
 and then left out, with its neighbours. The covariance of the thirteen parameters is s² (Jᵀ W J)⁻¹, with s² the mean
-square of what is left, so that a patch that lost pixels, or that the model fits badly, says so. Residuals that hang
-together weigh more than as many that do
-not: `correlation` is the variance of the corner with sums over the 5 × 5 neighbours of each pixel's share in it,
+square of what is left, so that a patch that lost pixels, or that the model fits badly, has a larger one. Correlated
+residuals increase the variance: `correlation` is the variance of the corner with sums over the 5 × 5 neighbours of each
+pixel's share in it,
 
     τ = Σ_p (Σ_{q near p} ψ_q)² / (25 Σ_p ψ_p²),      ψ_p = (Jᵀ W J)⁻¹ J_p w_p r_p
 
