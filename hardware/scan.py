@@ -168,7 +168,7 @@ def _marking(folder: ScanFolder, verified: bool) -> Iterator[None]:
 
 
 def _mark(folder: ScanFolder) -> None:
-    """Mark the frames of which no check tells."""
+    """Mark the frames that no check covers."""
     told = max((check.last + 1 for check in folder.done.checks), default=0)
     if told < len(folder.done.frames):
         folder.check(PlaceCheck(told, len(folder.done.frames) - 1, unverified=True))

@@ -29,7 +29,7 @@ class SimulatedWorld:
         seed: of the rig, the poses and the noise.
         scene: what is seen, as it stands at step 0 of every axis.
         lighting: what lights it.
-        view: numbers that tell this view from the others, for the seed of the noise.
+        view: numbers that identify this view, for the seed of the noise.
     """
 
     def __init__(self, seed: int = 0, bodies: Sequence[Body] = ()):

@@ -1,4 +1,4 @@
-"""What each photograph tells of the unknowns that it shares with others.
+"""The information of each photograph on the unknowns that it shares with others.
 
 From residuals and Jacobian of the last solve come each photograph's normal equations N_i and gradient g_i by what is
 shared, its own pose eliminated.

@@ -154,7 +154,7 @@ def refine_by_gauge(
 
 @dataclass(frozen=True)
 class _Boards:
-    """What the boards tell of the rig, as parts of the solve: by a prior, or by photographs.
+    """What the boards contribute to the solve of the rig: a prior, or photographs.
 
     Attributes:
         system: the rig, and the poses of the photographs' boards.
@@ -206,7 +206,7 @@ def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], free: Set[str
         free_leaves[np.array(others)] = False
     # The calibration's own solution, but for the numbers of the rig that say nothing of their own.
     system = System(rig, adjustment.start.poses, adjustment.start.shape)
-    # Of the board's shape, which stands behind the rig, the photographs tell.
+    # The board's shape, which follows the rig, is determined by the photographs.
     terms = len(jax.tree.leaves(system.shape))
     prior = Prior(jnp.pad(mean, (0, terms)), jnp.pad(jnp.asarray(roughly), ((0, 0), (0, terms))))
     free_leaves = np.pad(free_leaves, (0, terms), constant_values=True)
@@ -253,14 +253,14 @@ def _laid_in(gauges: Sequence[Gauge], rig: Rig, seen: GaugePoints) -> GaugePoint
                 f"{len(cloud)} stripe points in the scan of the gauge: at least {_FEWEST_POINTS} are needed"
             )
         poses.append(gauge.shape.stand(cloud).as_vector())
-    # Next to nothing beside what a scan tells, but a ball has no turn that it could tell.
+    # Almost nothing beside the information of a scan; but a scan of a ball does not determine its rotation.
     known_to = [[_TURN_TO if gauge.shape.turns else _NO_TURN] * 3 + [_SHIFT_TO] * 3 for gauge in gauges]
     return eqx.tree_at(lambda s: (s.laid, s.laid_to), seen, (jnp.asarray(np.stack(poses)), jnp.array(known_to)))
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Where rounds of nearest points and solves ended, what the last tells, and σ and τ of each scan."""
+    """Where rounds of nearest points and solves ended, the information of the last, and σ and τ of each scan."""
 
     system: System
     scans: GaugePoints

@@ -1,7 +1,7 @@
 """A second scale: the millimetres of a motor step that are known otherwise, against those that the squares give.
 
 All lengths scale with the size of the squares. A screw's pitch is known from its maker, so the travel of the stage for
-one step tells whether the board is as large as `session.toml` says.
+one step shows whether the board is as large as `session.toml` says.
 """
 
 from collections.abc import Iterable

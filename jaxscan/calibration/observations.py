@@ -72,7 +72,7 @@ class BoardSequence:
 
     Attributes:
         positions: motor steps of each axis at each photograph, in the order they were taken; all but one axis stand
-            still. Of an axis with play its run besides (`rig.run_of`).
+            still. For an axis with play also its run (`rig.run_of`).
         views: the photographs, all with the corners in the same order; stripes on the board take part.
         axis: the axis that moves.
         kind: how it moves the board, a kind of `rig.MOTIONS`.
@@ -241,7 +241,7 @@ class Observations:
         return replace(self, views=views, sequences=kept, left_out=left_out)
 
     def stripes_since(self, name: str) -> "Observations":
-        """Without the stripes before the photograph of this name, whose corners still tell of the camera."""
+        """Without the stripes before the photograph of this name, whose corners still help to determine the camera."""
         before = self._before(name)
         photographs = [replace(view, stripes=()) if view.name in before else view for view in self.photographs()]
         had = [view.name for view in self.photographs() if view.name in before and view.stripes]

@@ -32,7 +32,7 @@ class OwnPlaces:
     Attributes:
         index: of the sequence among the observations'.
         names: of the photographs.
-        sequence: those photographs of it that tell where their board stood.
+        sequence: those photographs of it that determine where their board was.
         corners: where the fitted motion has their corners, camera frame, mm.
         used: which corners told.
         moved: displacement of the middle of the board, camera frame.

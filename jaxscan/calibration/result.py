@@ -72,7 +72,7 @@ class Calibration:
         board_covariances: view by view, of the rig's parameters and that board's pose together.
         moved_covariances: the same of the pose of each sequence's board with all axes at 0.
         shape_covariance: of the board's shape, `shape.bulge.0` … (mm); None where the board was taken to be flat.
-        bend_sigma_mm: σ of the bulges that each board has besides that shape, from the photographs; None where it was
+        bend_sigma_mm: σ of each board's bulges in addition to that shape, from the photographs; None where it was
             taken to have none.
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.

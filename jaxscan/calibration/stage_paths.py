@@ -30,7 +30,7 @@ LEAST_TOLD = 0.02
 # A period fits as well as the best where χ² is larger by less than this, and looks the same where by less than that;
 # so does another direction of the first photograph.
 _AS_WELL, _ALIKE = 1.0, 9.0
-# Photographs by rising steps, and by falling ones, that tell of play.
+# Least number of photographs by rising steps, and by falling ones, that determine play.
 FEWEST_EACH_WAY = 2
 # A wave that chance shows less often has a period.
 _WAVE = 0.01
@@ -105,7 +105,7 @@ class Course:
 
     @property
     def there_and_back(self) -> bool:
-        """Whether a sequence tells of play: two photographs and more by rising steps, and as many by falling ones."""
+        """Whether a sequence determines play: two photographs and more by rising steps, and as many by falling ones."""
         each = [self.way[self.sequence == i] for i in range(self.sequence.max() + 1)]
         return any(min(int((way > 0).sum()), int((way < 0).sum())) >= FEWEST_EACH_WAY for way in each)
 
@@ -179,7 +179,7 @@ def fitted(
     beside: Float[np.ndarray, "n others"],
     columns: Float[np.ndarray, "n columns"],
 ) -> Fit | None:
-    """Columns fitted to values beside others; None where too few are left to tell of the scatter."""
+    """Columns fitted to values beside others; None where too few are left to estimate the scatter."""
     y, A, B = values / sigma, columns / sigma[:, None], beside / sigma[:, None]
     Q = np.linalg.qr(B)[0]
     y, A = y - Q @ (Q.T @ y), A - Q @ (Q.T @ A)
@@ -213,11 +213,11 @@ class Periods:
 
 
 def find_period(course: Course, beside: Float[np.ndarray, "images others"]) -> Periods | None:
-    """The period of what is left along the travel; None where the photographs tell of none.
+    """The period of what is left along the travel; None where the photographs show none.
 
     Args:
         course: of the axis.
-        beside: what is fitted besides.
+        beside: what is fitted together with them.
     """
     travel = 2 * course.half
     apart = np.unique(course.steps - course.steps.min())[1:]
@@ -283,7 +283,7 @@ def _told(
 def _gains(
     course: Course, beside: Float[np.ndarray, "images others"], frequencies: Float[np.ndarray, "f"]
 ) -> Float[np.ndarray, "f"]:
-    """By how much χ² falls for a wave of each frequency; 0 where it cannot be told."""
+    """By how much χ² falls for a wave of each frequency; 0 where it cannot be determined."""
     N, g = _projected(course, beside, frequencies)
     told = np.linalg.eigvalsh(N)[:, 0] > LEAST_TOLD * (0.5 / course.sigma[:, 0] ** 2).sum()
     N[~told] = np.eye(2)

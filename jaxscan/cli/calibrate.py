@@ -159,7 +159,7 @@ def solve_sessions(
         hold: whether that camera is kept as it is.
         detector: how the stripe's centre is measured.
         estimate: lens, held parameters, board's shape and weights, as far as they are not the sessions'.
-        needs_laser: whether the limit of speckle is asked for, which only a laser's stripe tells.
+        needs_laser: whether the limit of speckle is asked for, which only a laser's stripe can show.
     """
     from jaxscan.cli.compiled import keep_compiled
 
@@ -361,7 +361,7 @@ def _once(
 def _check_poses(
     paths: Sequence[Path], contents: Sequence["Session | CameraFile"], read: int, board_shape: str
 ) -> None:
-    """Refuse too few poses, before the long work where the number of listed photographs tells.
+    """Refuse too few poses, before the long work where the number of listed photographs shows it.
 
     Args:
         paths: of the sessions.

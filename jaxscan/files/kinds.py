@@ -21,7 +21,7 @@ _BY_ENDING: Final = {
 
 
 def kind_in_words(path: Path) -> str:
-    """What a file is: a photograph by its content, others by their ending; "" where neither tells."""
+    """What a file is: a photograph by its content, others by their ending; "" where neither shows it."""
     from jaxscan.files.scan import VIDEO_ENDINGS
     from jaxscan.images import image_size
 

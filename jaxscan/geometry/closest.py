@@ -4,7 +4,7 @@ Triangles that are large beside the others, or long, are cut in two across their
 of boxes holds the pieces, eight boxes in a node (a bounding volume hierarchy: J. Goldsmith and J. Salmon, Automatic
 creation of object hierarchies for ray tracing, 1987; here halved at the median of the widest direction). The boxes of a
 node lie along the plane through its pieces (S. Gottschalk, M. Lin, D. Manocha, OBBTree, 1996): they are as thin as the
-surface is flat there, so that a far point tells them apart. Points descend, many at a time, into the boxes that are
+surface is flat there, so that a far point distinguishes them. Points descend, many at a time, into the boxes that are
 nearer than the piece with the nearest centre.
 
 In the plane of a piece, x goes along its longest side from a corner of it and y to the corner (c, h) opposite, so that

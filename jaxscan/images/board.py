@@ -99,7 +99,7 @@ class Board:
 
     @property
     def half_turn_ambiguous(self) -> bool:
-        """Whether the board looks the same after half a turn, so that one photograph cannot tell which end is which.
+        """Whether the board looks the same after half a turn, so that one photograph does not show which end is which.
 
         A half turn changes the colours of a checkerboard only where exactly one of the counts is even.
         """

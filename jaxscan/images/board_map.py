@@ -1,4 +1,4 @@
-"""The map of a board into one photograph, as its corners alone tell it, and how it bends the board's lines.
+"""The map of a board into one photograph, from its corners alone, and how it bends the board's lines.
 
 A board point s is seen at
 
@@ -9,7 +9,7 @@ image's diagonal R, and a polynomial P over the board for what these leave (a bo
 centred). A polynomial alone follows a wide-angle lens badly, and worst at the outermost corners, where a line's bend is
 to be known as well as anywhere. A quotient serves lenses whose own polynomial is of the rays or of the pixels.
 
-c and k are held near 0 by as much as is known of lenses: a small board does not tell them, and does not need them.
+c and k are held near 0 by as much as is known of lenses: a small board does not determine them, and does not need them.
 """
 
 from typing import NamedTuple
@@ -26,7 +26,7 @@ Scalars = Float[np.ndarray, "points"]
 # Of the homography eight, c and k.
 _Parameters = Float[np.ndarray, "14"]
 
-# Lenses to start from: none, and barrels. Which one, the homography that fits best tells.
+# Lenses to start from: none, and barrels. The homography that fits best decides which one.
 _STARTS = ((0.0, 0.0), (-0.25, 0.06), (-0.5, 0.25))
 # Standard deviations of c and k among cameras, and of a corner at least (px).
 _USUAL = np.array([0.05, 0.05, 0.5, 0.5, 0.5, 0.5])

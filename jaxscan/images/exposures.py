@@ -70,7 +70,7 @@ def merge_exposures(
             f"the backgrounds are {backgrounds.dtype} of shape {backgrounds.shape}, the frames {frames.dtype} of shape "
             f"{frames.shape}: of a scan with several exposures of a step take one background for each frame"
         )
-    # The longest first: the first that is not full then tells how bright a pixel is.
+    # The longest first: the first that is not full then shows how bright a pixel is.
     order = np.argsort(-times, kind="stable")
     full = full_number(int(np.max(frames)), frames.dtype)
     lit = [np.asarray(frames[i]) for i in order]

@@ -85,7 +85,7 @@ class Saddles(NamedTuple):
         contrast: of light and dark, grey levels, positive where the square between the two directions is light.
         blur: standard deviation of the two edges' blur, px.
         share: part of the window's weight that is on the photograph and was kept.
-        told: part of what the window on the photograph tells of the corner that was kept, in the direction in which
+        told: part of the window's information on the corner that was kept, in the direction in which
             that is least.
         hidden: part of the window on the photograph that is burnt out where the model is darker by half the contrast.
         lopsided: part of the window on the photograph that is burnt out and whose mirror image about the corner is not.

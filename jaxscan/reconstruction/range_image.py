@@ -63,7 +63,7 @@ class RangeImage:
 
     @property
     def leading(self) -> str:
-        """The axis by which frames are told apart: of those that move the one that turns, or the first."""
+        """The axis that distinguishes frames: of the axes that move, the one that turns, or else the first."""
         turning = [axis for axis in self.moving if full_turn(self.motion, [axis]) is not None]
         return next(iter(turning or self.moving or self.positions))
 

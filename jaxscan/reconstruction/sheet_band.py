@@ -25,7 +25,7 @@ _EVERY: Final = 4
 
 
 def depths_of(content: RigFile) -> tuple[float, float] | None:
-    """The depths of a rig's working volume along the optical axis, mm; None where the rig does not tell."""
+    """The depths of a rig's working volume along the optical axis, mm; None where the rig does not determine it."""
     depths = content.fit.get("stripe_depths_mm")
     return None if depths is None else (float(depths[0]) / WIDENED, float(depths[1]) * WIDENED)
 

@@ -71,7 +71,7 @@ _START: Detector = "gravity"
 _REACH, _MARGIN, _LEAST_HALF = 4.0, 4, 8
 # Tracks whose light passes further off than this, in standard deviations, are another stripe's.
 _FARTHEST = 4.0
-# How many lines of a frame tell its noise.
+# Number of lines of a frame from which its noise is estimated.
 _SURVEYED = 96
 _BATCH = 16
 

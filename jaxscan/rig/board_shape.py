@@ -179,7 +179,7 @@ def shape_in_words(fit: Mapping[str, Any]) -> str | None:
 
 
 def bulges_in_words(sigma_mm: float) -> str:
-    """What the σ of the bulges that each photograph has besides means."""
+    """What the σ of the additional bulges of each photograph means."""
     if sigma_mm < 2 * LEAST_BEND_MM:
         return "alike in all photographs"
     return f"from photograph to photograph its bulges differ by {rounded_mm(sigma_mm)} (σ)"

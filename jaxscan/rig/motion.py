@@ -165,7 +165,7 @@ def carried(motion: Motion, q: Positions, reference: Positions, pose: Pose) -> t
 def origin_shift(motion: Motion, q: Positions, other: Motion) -> Float[Array, "*stack 3"]:
     """How far another motion carries what this one brings to the camera's centre, mm.
 
-    Its derivative by the other's numbers, where both are the same, tells how an error of the motion moves points along
+    Its derivative by the other's numbers, where both are the same, shows how an error of the motion moves points along
     their rays: a turn about the camera's centre does not.
     """
     one, two = motion.pose(q), other.pose(q)

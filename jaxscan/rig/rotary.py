@@ -17,7 +17,7 @@ from jaxscan.rig.motion import Positions, unit_vector
 
 # An axis within this share of its length of the line of sight's right angle is seen from the side.
 _FROM_THE_SIDE = 0.25
-# Less is not told from the noise of single poses, radians.
+# Less cannot be distinguished from the noise of single poses, radians.
 _LEAST_TURN = 0.05
 
 
@@ -32,7 +32,7 @@ class Rotary(eqx.Module):
 
     kind: ClassVar[str] = "rotary"
     numbers: ClassVar[Mapping[str, int]] = {"per_step": 3, "centre": 3}
-    # The third tells whether two were a turn at all.
+    # The third shows whether the first two were a turn at all.
     fewest: ClassVar[int] = 3
 
     per_step: tuple[Leaf, Leaf, Leaf]

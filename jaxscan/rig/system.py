@@ -47,7 +47,7 @@ class System(eqx.Module):
         return Pose.from_vector(self.poses[1][:, :6] if len(self.poses) > 1 else jnp.zeros((0, 6)))
 
     def bends(self, group: int) -> Float[Array | np.ndarray, "blocks 2"] | None:
-        """The bulges (mm) that each board of a group has besides the shape of all; None where it has none."""
+        """The bulges (mm) of each board of a group in addition to the common shape; None where it has none."""
         return self.poses[group][:, 6:] if self.poses[group].shape[1] > 6 else None
 
     def shared_names(self) -> list[str]:

@@ -64,8 +64,8 @@ _SCREW_PHASE = 1.0
 TURN_APART: Final = 20
 # How far the turntable's axis, and the middle of the board on it, may stand from where they should, mm.
 _OFF_AXIS = 3.0
-# The board on the turntable leans, rad, so that the camera sees it tilted another way at every angle: that tells the
-# focal length, which a board that lies flat hardly does.
+# The board on the turntable leans, rad, so that the camera sees it tilted another way at every angle: that determines
+# the focal length, which a board that lies flat hardly does.
 _LEAN = 0.7
 # Where the stage may stand meanwhile, and at how many angles that is asked.
 _STAGE_STEPS_TRIED = (10_000, 60_000, 2000)
@@ -147,7 +147,7 @@ def with_stage(
 
 
 def stage_steps(rig: Rig, count: int, apart: int) -> tuple[int, ...]:
-    """Motor steps of photographs on the stage: one after the other; there and back where it has play, which tells it.
+    """Motor steps of photographs on the stage: one after the other; there and back where it has play, to determine it.
 
     Args:
         rig: with a stage.

@@ -41,7 +41,7 @@ def coarse_register(
     Args:
         sides: two or more.
         degrees: how far the object was turned at each scan, anticlockwise as seen from above its floor, or where no
-            floor is known about any of the axes of its frame; without, the features of the shapes tell.
+            floor is known about any of the axes of its frame; without, it is found from features of the shapes.
         known: T_first_side as a turntable or somebody has it, in place of both.
 
     Raises:

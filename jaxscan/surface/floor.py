@@ -36,7 +36,7 @@ _AROUND_MM, _WITHIN_MM = 2.0, 1.0
 _LARGEST_SIGMA_MM: Final = 0.5
 # A σ that is less than this, mm, is rounding: of points that were computed, and lie on one plane exactly.
 _ROUNDING_MM: Final = 1e-9
-# Size of the squares whose mean heights tell the flatness, mm, and how many points each has.
+# Size of the squares whose mean heights give the flatness, mm, and how many points each has.
 _SQUARE_MM, _FEWEST_IN_SQUARE = 5.0, 8
 # What stands on the floor has at least this many points.
 _FEWEST: Final = 12

@@ -7,7 +7,7 @@ linked where, for j = i − 1 or j = i + 1,
     |Δᵢ − Δⱼ| ≤ 3 √6 σ + |Δⱼ| / 3,     at most 3 √6 σ + one spacing,
 
 √6 σ being the standard deviation of Pᵢ₊₁ − 2 Pᵢ + Pᵢ₋₁, and |Δⱼ| the spacing times the local slope. They are linked,
-too, where the surface between them rises by no more than 45°, for that is as much as the sampling tells; and never
+too, where the surface between them rises by no more than 45°, for that is as much as the sampling shows; and never
 where it rises by more than `STEEPEST`. Frames of unequal steps are compared for equal steps.
 """
 

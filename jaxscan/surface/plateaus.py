@@ -248,7 +248,7 @@ def _floor_means(
 
 
 def _under(place: Float[np.ndarray, "2"], on_floor: tuple[Float[np.ndarray, "squares 3"], float]) -> float:
-    """The variance of the floor's plane at a place; 0 where too little of the floor is seen to tell."""
+    """The variance of the floor's plane at a place; 0 where too little of the floor is seen."""
     squares, variance = on_floor
     if not np.isfinite(variance):
         return 0.0

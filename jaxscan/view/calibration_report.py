@@ -110,7 +110,7 @@ class BoardPose:
         staged: whether it stood on stage or turntable; its pose is then that at motor step 0.
         rotation: vector of T_cam_board, radians.
         translation_mm: of T_cam_board.
-        bulges_mm: along columns and rows, which this board has besides the shape of all; None where it has none.
+        bulges_mm: along columns and rows, of this board in addition to the common shape; None where it has none.
         covariance: of the rig's parameters and this pose together.
     """
 

@@ -117,7 +117,7 @@ def _missing_terms(missing: MissingTerms | None) -> list[Box]:
     if missing is None or not missing.clear:
         return []
     moves = f", and move {missing.parameter} by {missing.shift_in_sigma:.1f} of its σ" if missing.parameter else ""
-    alike = "A bent board looks alike: --report tells, by views that a lens has not seen."
+    alike = "A bent board looks similar: --report shows which it is, with views that a lens has not seen."
     if missing.freed:
         what, it = ", ".join(missing.freed), "it" if len(missing.freed) == 1 else "them"
         they = "it" if it == "it" else "they"

@@ -49,7 +49,7 @@ class Verdict:
 
 
 def verdict(calibration: Calibration) -> Verdict:
-    """Judge a calibration by what can be told in a fraction of a second; the report tells more.
+    """Judge a calibration by what can be computed in a fraction of a second; the report shows more.
 
     Args:
         calibration: what `calibrate` returned.

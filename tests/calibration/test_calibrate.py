@@ -185,7 +185,7 @@ def parallel(observations):
 
 
 def test_parallel_boards_are_refused_in_words(session):
-    with pytest.raises(ObservabilityError, match=r"cannot be told apart.*Tilt"):
+    with pytest.raises(ObservabilityError, match=r"cannot be distinguished.*Tilt"):
         calibrate(parallel(session))
 
 

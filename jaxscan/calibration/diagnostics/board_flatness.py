@@ -222,7 +222,7 @@ def _session_of_blocks(refined: Refined, calibration: Calibration) -> list[list[
 
 
 def _solution(groups: Sequence[Reduced], bends: float) -> tuple[np.ndarray, float, np.ndarray]:
-    """Where the shared unknowns go, χ² there, and their covariance; an unknown that no row tells of stays."""
+    """Where the shared unknowns go, χ² there, and their covariance; an unknown that appears in no row stays."""
     total = marginal(groups, bends)
     S, g = total[:-1, :-1], total[:-1, -1]
     seen = np.flatnonzero(np.diagonal(S) > 0)

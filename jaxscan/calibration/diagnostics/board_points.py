@@ -10,7 +10,7 @@ fields' own,
 
 is the restricted likelihood of the variances W (H. D. Patterson and R. Thompson 1971). What was found without the
 fields is off by S⁻¹ G times what they are, so its covariance grows by S⁻¹ G W Gᵀ S⁻¹. A field alike in all photographs
-cannot average out, so of its errors no residual tells directly; but it is not likely that only those parts of it are
+cannot average out, so no residual shows its errors directly; but it is not likely that only those parts of it are
 small that the rig would take for its own.
 """
 
@@ -66,7 +66,7 @@ def board_point_errors(
 
 @dataclass(frozen=True)
 class _Fields:
-    """Fields of displacement, and what corners and stripes tell of them.
+    """Fields of displacement, and the information of corners and stripes on them.
 
     Attributes:
         terms: of each its axis (0, 1, 2) and its degrees along columns and rows.

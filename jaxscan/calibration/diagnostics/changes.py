@@ -88,7 +88,7 @@ class Kind:
     Attributes:
         name: as `Change.kind` has it.
         D: derivatives of all unknowns by it.
-        seen: the photographs that tell of it.
+        seen: the photographs that observe it.
         which: of several.
     """
 
@@ -99,7 +99,7 @@ class Kind:
 
     @property
     def where(self) -> Sequence[int]:
-        """Before which photographs: those that tell of it, but for two at each end. One that is odd is no change."""
+        """Before which photographs: those that observe it, but not two at each end. A single outlier is no change."""
         return self.seen[_FEWEST : len(self.seen) - _FEWEST + 1]
 
 
@@ -174,7 +174,7 @@ class _Equations:
         return _Equations.of(self.each.beside(D, courses))
 
     def gains(self, kind: Kind) -> dict[int, float]:
-        """The gain of a step behind the first k photographs, for all k where there is anything to tell."""
+        """The gain of a step behind the first k photographs, for all k where it can be estimated."""
         s, inverse, d = self._scores(kind, kind.where)
         gains = self._gain(np.einsum("ki,kij,kj->k", s, inverse, s), d)
         return {k: float(gain) for k, gain, told in zip(kind.where, gains, d > 0, strict=True) if told}
@@ -183,7 +183,7 @@ class _Equations:
         return chi2 - d * np.log(len(self.each.views))
 
     def step(self, kind: Kind, k: int) -> _Step | None:
-        """One step, held against how photographs scatter about it; None where too few are left to tell."""
+        """One step, held against how photographs scatter about it; None where too few are left."""
         s, inverse, d = self._scores(kind, [k])
         delta = -inverse[0] @ s[0]
         behind = kind.D @ delta
@@ -248,7 +248,7 @@ def _scales(refined: Refined, equations: _Equations, step: _Step) -> Float[np.nd
 
 
 def kinds_of_change(system: System, each: ByPhotograph) -> list[Kind]:
-    """What may change in a system, as far as some photographs tell of it.
+    """What may change in a system, as far as some photographs observe it.
 
     Args:
         system: of the last solve.
@@ -263,7 +263,7 @@ def kinds_of_change(system: System, each: ByPhotograph) -> list[Kind]:
 
     focal = part("camera.focal.")
     together = focal @ (focal[: len(values)].T @ values)[:, None]
-    # Of the camera views tell: along an axis a board may have been pushed, or be bent otherwise than that in the hand.
+    # Only views are used for the camera: a board on an axis may have been pushed, or be bent unlike that in the hand.
     found = [Kind("focus", together, views), Kind("image", part("camera.principal."), views)]
     for i in range(len(system.rig.lights)):
         D = part(f"lights.{i}.")

@@ -1,4 +1,4 @@
-"""What a richer lens, or held terms set free, would change, to first order: told from the residuals, without a solve.
+"""What a richer lens, or free terms that were held, would change, to first order: from the residuals, without a solve.
 
 At the solution each view's corner errors e, in σ, have the derivatives A by its board's pose and B by the camera's
 numbers, terms of the richer lens at zero among them. With the poses projected out, B' = (1 − A A⁺) B and e' likewise,
@@ -103,7 +103,7 @@ def _freed(
 
 
 def _inverse(N: Float[np.ndarray, "leaves leaves"], at: np.ndarray) -> Float[np.ndarray, "free free"]:
-    """Of some rows and columns, without what rounding makes of directions that the corners do not tell."""
+    """Of some rows and columns, without rounding errors in directions that the corners do not determine."""
     scale = np.sqrt(np.maximum(np.diagonal(N)[at], np.finfo(float).tiny))
     return np.linalg.pinv(N[np.ix_(at, at)] / np.outer(scale, scale), _ROUNDING, hermitian=True) / np.outer(
         scale, scale

@@ -119,8 +119,8 @@ def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
         if "curved_mm" in light:
             by = f", {light['curved_mm']:.2g} ± {light['curved_mm_sigma']:.1g} mm over {2 * HALF_WIDTH_MM:g} mm,"
         notes.append(
-            f"the bow of the sheet of light{which}{by} is not told from none: calibrate with --sheet plane, or let "
-            "the stripe cross the boards at both of its ends"
+            f"the bow of the sheet of light{which}{by} cannot be distinguished from none: calibrate with "
+            "--sheet plane, or let the stripe cross the boards at both of its ends"
         )
     return tuple(notes)
 

@@ -296,7 +296,7 @@ def _detect(
             )
         strained, odd = edges_and_profiles(measured.h3, measured.h4, plain, plain & measured.strained)
         strained &= broad[:, None]
-        # Of a stripe that is burnt out all along it the flanks tell.
+        # A stripe that is burnt out over its whole length is judged by its flanks.
         mostly = (looked.burnt & looked.strong).sum(1) > _ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
         odd |= mostly & ~np.asarray(sensor.apart)[: len(odd)]
         flat = jax.tree.map(np.ravel, measured)

@@ -2,8 +2,9 @@
 
 Where an edge runs along a stripe, what the plain profile leaves has a shape, and neighbouring lines have it alike.
 Speckle multiplies the light of each pixel by chance: it leaves as much, but in each line another shape. The shape is
-told by h₃ and h₄, the Gauss-Hermite coefficients of third and fourth order (R. van der Marel and M. Franx 1993). Over
-a window of n lines, with m the mean of a coefficient, v its variance and ρ_k its correlation at a distance of k lines,
+measured by h₃ and h₄, the Gauss-Hermite coefficients of third and fourth order (R. van der Marel and M. Franx 1993).
+Over a window of n lines, with m the mean of a coefficient, v its variance and ρ_k its correlation at a distance of k
+lines,
 
     t² = n / τ (m₃² / v₃ + m₄² / v₄),    τ = 1 + 2 Σ ρ_k,  k < K
 

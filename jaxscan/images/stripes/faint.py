@@ -1,4 +1,4 @@
-"""A stripe in weak light: lines in which it is too faint to be told from noise by itself, and goes on from the others.
+"""A stripe in weak light: lines whose peak alone could be noise, but which continue those of other lines.
 
 Of noise the greatest peak of each line lies anywhere. Where the peaks of neighbouring lines lie within a few pixels of
 one another, over more lines than chance would ever join, there is a stripe, however faint. In the lines between, in

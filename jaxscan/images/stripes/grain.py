@@ -146,7 +146,7 @@ def chance(
         light: W^½ A P, likewise.
         regions: 1 in each of the stripe's regions, 0 elsewhere.
         taken: Y, likewise.
-        read2: the variance of the sensor's noise; of frames that do not tell it, the most that it can be.
+        read2: the variance of the sensor's noise; of frames that do not show it, the most that it can be.
         known: which do.
         groups: into how many groups of lines a frame is divided: of their sums the median is taken.
         correlation: of all noise of pixels 1, 2, … apart, where a camera has smoothed it; then no grain is looked for.
@@ -179,7 +179,7 @@ def chance(
     read = (unit > 0).any(1)
     number = numbers(regions, unit, taken)
     seen = usual(sums(regions, [(standard, standard)]), number)
-    # What is expected differs less from line to line than what is seen: some of them tell it.
+    # What is expected differs less from line to line than what is seen: some of the lines suffice.
     regions, taken = ([x[..., ::_EXPECTED] for x in each] for each in (regions, taken))
     unit, photons, light = (x[..., ::_EXPECTED] for x in (unit, photons, light))
     expected, count = numbers(regions, unit, taken), len(taken)

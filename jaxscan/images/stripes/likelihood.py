@@ -71,7 +71,7 @@ class Profile(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """A profile and what tells how well it is known.
+    """A profile and the quantities that show how well it is known.
 
     Attributes:
         profile: θ.
@@ -178,8 +178,8 @@ def fit(
     """
     start = first_guess(windows, outline, sensor, censored)
     reach = outline.width / 2 + REACH * jnp.exp(start.ln_s) + REACH_PX + further_px
-    # A dark grain splits a stripe, so that its outline tells little. And the light's tails tell the centre as well as
-    # its flanks do, down to the sensor's noise.
+    # A dark grain splits a stripe, so that its outline shows little. And the light's tails determine the centre as
+    # well as its flanks do, down to the sensor's noise.
     rough = (sensor.speckle > ROUGH) & (sensor.ln_s_spread < 1)
     start = start._replace(ln_s=jnp.where(rough, sensor.ln_s, start.ln_s))
     reach = jnp.where(rough, jnp.maximum(reach, _REACH_ROUGH * jnp.exp(sensor.ln_s) + REACH_PX), reach)
@@ -215,7 +215,7 @@ def fit(
 
     if steps is None:
         steps = _STEPS_CENSORED if censored else _STEPS
-    # The last step, of either kind, tells how well the profile is known.
+    # The last step, of either kind, shows how well the profile is known.
     plain, grained = (steps, grain_steps - 1) if grain_steps else (steps - 1, 0)
 
     def moved(state: tuple[Array, Profile, Lines]) -> tuple[Array, Profile, Lines]:
@@ -308,10 +308,10 @@ def _between(at_edges: Float[Array, "groups edges lines"]) -> Pixels:
 
 
 def first_guess(windows: Windows, outline: Outline, sensor: Sensor, censored: bool) -> Profile:
-    """θ₀ from the outline: a Gaussian's width at two heights tells s and A.
+    """θ₀ from the outline: a Gaussian's width at two heights determines s and A.
 
     Of a full stripe these are the width d₁ of its full core, at the height z, and d₂ at z / 2: d₂² − d₁² = 8 ln 2 s²,
-    which is weighed against what the other lines tell of s, and A = z e^(d₁² / 8 s²).
+    which is weighted against the estimate of s from the other lines, and A = z e^(d₁² / 8 s²).
     """
     z = outline.top - outline.floor
     s2 = outline.width**2 / _HALF_MAXIMUM

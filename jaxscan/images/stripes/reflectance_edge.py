@@ -2,7 +2,7 @@
 
 Where the reflectance changes within the stripe's width, the bright side pulls every detector that sees a bump and asks
 for its middle: with 10:1 by up to 1.2 of the stripe's standard deviations. The light itself is still a Gaussian, and
-its bright flank tells where its centre is. With the edge at e and the reflectances e^(±½ ln ρ) on its two sides,
+its bright flank shows where its centre is. With the edge at e and the reflectances e^(±½ ln ρ) on its two sides,
 
     μ_k = b + A ∫ exp(−½ ((v − c) / s)²) [√ρ (1 − Φ((v − e) / τ)) + Φ((v − e) / τ) / √ρ] dv   over pixel k
 

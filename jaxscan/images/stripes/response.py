@@ -86,7 +86,7 @@ def channels(
 
 
 def numbers(pixels: UInt[Array, "..."], color: str) -> UInt[Array, "..."]:
-    """What tells whether a pixel is full: the laser's channel; of a grey laser the greatest."""
+    """The channel that shows whether a pixel is full: the laser's channel; of a grey laser the greatest."""
     if color != "grey":
         return pixels[..., CHANNELS[color][0]]
     return pixels.max(-1) if pixels.ndim == _WITH_COLOURS else pixels
@@ -214,8 +214,8 @@ def detail_of(
 ) -> tuple[tuple[Float[Array, "frames"], ...], Bool[Array, "frames"]]:
     """How far L, M and N gain by luma's detail, g / q − 1, and in which frames; 0 in the others.
 
-    The laser's colour is told by sums over the windows, which halving and interpolating leave as they are. Where all
-    channels are full of it, it does not show, and the photograph is taken as it is.
+    The laser's colour is determined by sums over the windows, which halving and interpolating leave unchanged.
+    Where all channels are full of it, it does not show, and the photograph is taken as it is.
 
     Args:
         levels: the three channels.

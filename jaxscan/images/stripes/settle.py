@@ -167,7 +167,7 @@ def _contest(
         lines = np.flatnonzero(standing[n])
         line, row = rivals(peaks[n], frames.peak[n], _RISES * float(frames.least[n]), frames.length)
         mains, others = colour(n, lines, frames.peak[n, lines]), colour(n, line, row)
-        # Where the stripe is burnt out white itself, colour tells nothing.
+        # Where the stripe is itself burnt out to white, colour shows nothing.
         if lines.size and np.median(mains) > _IN_COLOUR:
             standing[n, lines] = mains > _WHITE
             line, row = line[others > _WHITE], row[others > _WHITE]

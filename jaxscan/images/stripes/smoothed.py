@@ -8,7 +8,7 @@ line, D their standard deviations and a_k = ∂c / ∂r_k, a centre has the vari
 
 ρ is read off the quietest stretches of a photograph's lines, away from the stripe. A JPEG keeps each 8 × 8 block by
 itself, and what it leaves is alike within the block whatever the camera did: pixels that are neighbours across a
-border of two blocks tell whether there is more to it.
+border of two blocks show whether there is more to it.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from jaxscan.images.stripes.likelihood import FREEDOM_OF_NOISE, FWHM, REACH, REA
 from jaxscan.images.stripes.response import LUMA
 from jaxscan.images.stripes.windows import Sensor
 
-# Correlations of pixels so far apart are told; beyond, there are none.
+# Correlations of pixels up to this distance are estimated; beyond, there are none.
 DISTANCES: Final = 4
 # Noise is white below this correlation of neighbours.
 LEAST: Final = 0.15

@@ -1,4 +1,4 @@
-"""What a photograph tells of its sensor: its colours' weights, its noise, and where it is full.
+"""What a photograph shows of its sensor: its colours' weights, its noise, and where it is full.
 
 All of it is estimated from some of the windows about the coarse peaks, frame by frame, so that a frame's points do not
 depend on what else is in the batch.
@@ -49,9 +49,9 @@ _LINES, _GROUPS = 96, 8
 _STANDS = 0.25
 # Newton's steps: as far as the noise need be known.
 _STEPS = 4
-# Where speckle is strong, what a fit leaves tells the noise only once the fit has weighted its pixels by it.
+# Where speckle is strong, the residuals of a fit show the noise only once the fit has weighted its pixels by it.
 _LOOKS, _SKIPPED = 3, 3
-# Rows at each end of the window that tell the noise without laser.
+# Rows at each end of the window that show the noise without laser.
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
 _DEVIATION_TO_SIGMA = 1.2533 / (1 - 1 / _FLANK) ** 0.5
@@ -113,7 +113,7 @@ def survey(
         half: half the window's length.
         most: how many frames there may be. Each array has this number of entries, with the last one repeated, so that
             no number of frames is compiled again.
-        correlation: of each frame's noise, as `noise_correlation` tells it; 0 of frames whose noise is white, None
+        correlation: of each frame's noise, from `noise_correlation`; 0 of frames whose noise is white, None
             where all are such.
     """
     of = np.minimum(np.arange(most, dtype=np.int32), len(peak) - 1)
@@ -351,11 +351,11 @@ def _chance(
 ) -> tuple[Chance, Bool[Array, "frames"]]:
     """Noise and speckle, and in which frames the stripes leave nothing in common.
 
-    Lines without full pixels tell them, where these are no exception: of a burnt-out stripe they are its ends and
-    edges, which are no sample of the others. Steep flanks beside a full core tell the speckle too, if they are those
+    Lines without full pixels determine them, where these are no exception: of a burnt-out stripe they are its ends and
+    edges, which are no sample of the others. Steep flanks beside a full core show the speckle too, if they are those
     of the model: what lines leave in common, be it a lens's halo or what a camera sharpens, is not of chance, and what
     it leaves beside that would be taken for speckle. Where stripes are so narrow that the ends of the windows are free
-    of them, these tell the sensor's noise.
+    of them, these show the sensor's noise.
 
     Args:
         found: fits of the frames' stripes.
@@ -402,7 +402,7 @@ def _chance(
     light = chance(
         standard=standard,
         unit=square,
-        # Flanks alone do not tell photons from speckle.
+        # Flanks alone do not distinguish photons from speckle.
         photons=jnp.where(burnt, 0.0, square * height),
         light=jnp.sqrt(square) * height,
         regions=(tail, shown - core - tail, core),

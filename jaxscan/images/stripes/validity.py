@@ -35,7 +35,7 @@ class Verdict(IntEnum):
     SPOT = 3
     # A line, and beside it another is likelier to be the stripe.
     SECOND = 4
-    # In company, and too weak to be told from noise.
+    # In company, but too weak to be distinguished from noise.
     WEAK = 5
 
 
