@@ -135,9 +135,7 @@ def take(
             laser.on()
             frame = camera.expose(place)
             if (found := {name: axes[name].position() for name in place}) != place:
-                raise PositionUncertainError(
-                    f"sent to {in_words(place)}, the scanner stands at {in_words(found)}: home it"
-                )
+                raise PositionUncertainError(f"sent to {in_words(place)}, the scanner is at {in_words(found)}: home it")
             taken(folder.add(frame, dark), frame)
             count = len(folder.done.frames)
             if verified and (not folder.left or (verify and count - unchecked >= verify)):

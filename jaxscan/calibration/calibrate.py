@@ -80,7 +80,7 @@ def calibrate(
 ) -> Calibration:
     """Refine camera, lens, lights, the motion of every axis and all board poses together.
 
-    Not to be traced, since values decide what is left out; `refit` differentiates the result.
+    JAX cannot trace it, because values decide what is left out; `refit` differentiates the result.
 
     Args:
         observations: corners and stripes.

@@ -334,7 +334,7 @@ def _enough(good: Bool[np.ndarray, "scans points"]) -> None:
 def _robust_sigmas(
     errors: Float[np.ndarray, "scans points"], used: Bool[np.ndarray, "scans points"]
 ) -> Float[np.ndarray, "scans"]:
-    """Of each scan, from the median of absolute errors, pixels."""
+    """σ of each scan, from the median of absolute errors, pixels."""
     medians = [float(np.median(np.abs(e[u]))) for e, u in zip(errors, used, strict=True)]
     return np.maximum(NORMAL_MAD * np.array(medians), _SMALLEST_SIGMA)
 

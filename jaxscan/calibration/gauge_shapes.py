@@ -117,7 +117,7 @@ class Ball:
 
     @property
     def turns(self) -> bool:
-        """It does not."""
+        """False: a ball looks the same after any rotation."""
         return False
 
     def nearest(

@@ -68,7 +68,7 @@ class View:
 
 @dataclass(frozen=True)
 class BoardSequence:
-    """Photographs of one board fixed on what an axis moves, along its travel or its turn.
+    """Photographs of one board that an axis moves, along its travel or its turn.
 
     Attributes:
         positions: motor steps of each axis at each photograph, in the order they were taken; all but one axis stand
@@ -157,7 +157,7 @@ class Unused:
 
 @dataclass(frozen=True)
 class Observations:
-    """All that the joint solve is given.
+    """All input of the joint solve.
 
     Attributes:
         image_size: columns and rows of every photograph.

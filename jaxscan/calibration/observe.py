@@ -66,7 +66,7 @@ def observe(
 
     Raises:
         InputError: a photograph that cannot be read, or a board that is found in none of them.
-        StalledError: what is in one of them was looked for without an end.
+        StalledError: the search in one of them did not end in time.
     """
 
     def name(path: Path) -> str:

@@ -1,9 +1,9 @@
 """The path of a stage beside a line: bow, turn along the travel, wave of its screw, play; by linear least squares.
 
 What is fitted are the own places of its photographs (`own_places`). A wave a cos w + b sin w, w = 2π n / period, is
-linear but for its period, which is searched: the one by which the squares fall most, of all that the photographs can
-tell (N. R. Lomb 1976). Photographs at equal distances see the same of a period and of its aliases; of those that fit as
-well the longest is taken.
+linear but for its period, which is searched: the one with the largest fall of the squares, among all that photographs
+can resolve (N. R. Lomb 1976). Photographs at equal distances do not distinguish a period from its aliases; of those
+that fit as well the longest is taken.
 """
 
 from collections.abc import Sequence

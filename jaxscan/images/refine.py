@@ -39,9 +39,9 @@ _LEAST_SHARE = 0.35
 _MOST_RESIDUAL = 0.12
 _MOST_SIGMA_PX = 0.3
 # Left out too: where more than this part of the window is burnt out and its squares are not, as under a stripe, or more
-# than this part is burnt out on one side of the corner alone, a corner of which less than this part of what its window
-# tells was kept. What hides one of its two edges leaves the glow beside it, which looks like that edge, and hides it of
-# a whole row alike, so that no neighbour tells.
+# than this part is burnt out on one side of the corner alone, a corner for which less than this part of its window's
+# information was kept. What hides one of its two edges leaves the glow beside it, which looks like that edge. It hides
+# a whole row in the same way, so that no neighbour shows it.
 _HIDDEN = 0.05
 _LOPSIDED = 0.13
 _LEAST_TOLD = 0.7

@@ -71,7 +71,7 @@ def next_best_views(
         seed: of the search.
 
     Raises:
-        InputError: no count.
+        InputError: `count` is not positive.
     """
     aim = wanted(calibration, working_volumes(calibration) if volumes is None else volumes)
     poses = suggest(calibration, aim.jacobian, count=count, seed=seed)

@@ -50,7 +50,7 @@ class Scanner:
         rig: as `read_rig` gives it; with its covariance the points carry their σ.
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
-        spacetime: measure the centre of the light's passage over each point in time: of scans in small, equal steps.
+        spacetime: measure the time at which the light's centre passes each point; needs scans in small, equal steps.
         depths_mm: nearest and farthest depth along the optical axis at which there can be a stripe, mm; by default that
             of the rig's calibration, widened; (0, inf) for any. Spacetime analysis looks everywhere.
         decoders: how many threads decode photographs; as many as the machine has cores by default.

@@ -135,7 +135,7 @@ def half_diagonal_of(points: Float[A, "points 3"]) -> float:
 
 
 def middle_and_half(points: Float[A, "points 3"]) -> tuple[Float[A, "2"], Float[A, "2"]]:
-    """Of a board's points along columns and rows, mm."""
+    """Coordinates of a board's points along columns and rows, mm."""
     xp = namespace(points)
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     return xp.asarray((low + high) / 2), xp.asarray((high - low) / 2)

@@ -96,7 +96,7 @@ class BowedSheet(eqx.Module):
         return namespace(ray, self.bow[0]).asarray(LightPlane(self.plane).level(ray, inverse_depth) + bent)
 
     def gradient(self, point: Float[A, "*points 3"]) -> Float[A, "*points 3"]:
-        """Of the level; beside the camera, where the depth is 0, the plane's."""
+        """Gradient of the level; beside the camera, where the depth is 0, that of the plane."""
         slant = self._slant(point)
         steep = 2 * self.bow[0] * slant
         bent = [steep * self.plane[1], -steep * self.plane[0], -self.bow[0] * slant * slant]

@@ -44,7 +44,7 @@ class LightPlane(eqx.Module):
     def fitted(
         cls, points: Float[np.ndarray, "points 3"], view: Int[np.ndarray, "points"], name: str = ""
     ) -> "LightPlane":
-        """By least median of squares over random triples, then a fit. A triple is from two views: one's lie on a line.
+        """The plane by least median of squares over random triples, then a fit. A triple needs two views, not one line.
 
         Raises:
             ObservabilityError: the points lie on one line, or on a plane through the camera's centre.

@@ -87,7 +87,7 @@ class AxisMotion(Motion, Protocol):
         ...
 
     def direction(self) -> Float[np.ndarray, "3"]:
-        """Of its travel or of its axis, unit."""
+        """Unit vector of its travel, or of its axis."""
         ...
 
     def amount(self, steps: float) -> tuple[float, str]:
@@ -96,7 +96,7 @@ class AxisMotion(Motion, Protocol):
 
 
 class Fixed(eqx.Module):
-    """What does not move."""
+    """No motion: the object stays where it is."""
 
     def parts(self) -> tuple[AxisMotion, ...]:
         """None."""
@@ -108,10 +108,10 @@ class Fixed(eqx.Module):
 
 
 class Chain(eqx.Module):
-    """Motions one on the other: the last carries the object, the one before it carries the last.
+    """A chain of motions: the last carries the object, and each carries the next one.
 
     Attributes:
-        links: from the room to the object.
+        links: the motions, from the room to the object.
     """
 
     links: tuple[AxisMotion, ...]

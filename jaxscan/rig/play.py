@@ -132,7 +132,7 @@ class _WithPlay(eqx.Module):
 
 
 def _lag(run: Float[A, "*stack"] | Int[A, "*stack"] | float, play: Leaf) -> Float[A, "*stack"]:
-    """By how many steps a load lags behind its motor."""
+    """The number of steps by which a load lags behind its motor."""
     xp = namespace(run, play)
     run, play = xp.asarray(run), xp.asarray(play)
     way, far = xp.sign(run), xp.abs(run)

@@ -23,7 +23,7 @@ _STAGE_SHAPES: Final = ScrewOnGuideWithPlay.shape()
 
 
 class Rig(eqx.Module):
-    """A camera, its lights, and what carries the object.
+    """A camera, its lights, and the motion of the object.
 
     Attributes:
         camera: the camera.

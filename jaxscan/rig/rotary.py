@@ -56,7 +56,7 @@ class Rotary(eqx.Module):
         poses: Pose[np.ndarray],
         middle: Float[np.ndarray, "3"],
     ) -> "Rotary":
-        """By the median rate of turn, and by the circle of least absolute distances from the board's middle."""
+        """The turn, from the median rate and the circle of least absolute distances from the board's middle."""
         w = rate_of_turn(poses.matrix(), positions)
         if (turn := float(np.linalg.norm(w) * np.ptp(positions))) < _LEAST_TURN:
             raise InputError(
@@ -97,7 +97,7 @@ class Rotary(eqx.Module):
         return f"its near side {to}"
 
     def direction(self) -> Float[np.ndarray, "3"]:
-        """Of its axis; it turns about it by the right hand's rule."""
+        """Unit vector of its axis; it turns about it by the right-hand rule."""
         return unit_vector(self.per_step)
 
     def amount(self, steps: float) -> tuple[float, str]:

@@ -55,7 +55,7 @@ def clean(
     grazing_deg: float = 80.0,
     fewest: int = 12,
 ) -> Cleaned:
-    """Leave out what is no point of the surface.
+    """Leave out points that do not lie on the surface.
 
     Args:
         image: the range image.

@@ -42,7 +42,7 @@ def coarse_register(
         sides: two or more.
         degrees: how far the object was turned at each scan, anticlockwise as seen from above its floor, or where no
             floor is known about any of the axes of its frame; without, it is found from features of the shapes.
-        known: T_first_side as a turntable or somebody has it, in place of both.
+        known: T_first_side, if known otherwise, e.g. from a turntable; replaces both.
 
     Raises:
         InputError: sides do not overlap, named; or there are no angles and the extra is not installed.

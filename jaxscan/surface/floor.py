@@ -136,10 +136,10 @@ def floor_from_picks(image: RangeImage, picks: Sequence[Sequence[float]]) -> Flo
 
 
 def stands_on(image: RangeImage, floor: Floor, linked: Links | None = None) -> Bool[np.ndarray, "frames columns"]:
-    """The points of what stands on the floor.
+    """The points of the objects on the floor.
 
     Raises:
-        InputError: nothing does.
+        InputError: there are none.
     """
     with np.errstate(invalid="ignore"):
         height = floor.height(image.points)

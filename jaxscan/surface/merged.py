@@ -154,7 +154,7 @@ class _Points:
 
 
 def merge(sides: Sequence[Side], poses: Sequence[Pose], *, cube_mm: float | None = None) -> Merged:
-    """The open surface of all sides: where it was seen, and no more.
+    """The open surface of all sides, only where it was seen.
 
     Args:
         sides: registered.
