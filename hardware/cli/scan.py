@@ -195,6 +195,6 @@ def describe(result: dict[str, Any]) -> str:
 
 
 def _from_to(axis: str, steps: Sequence[int]) -> str:
-    """From where to where an axis went."""
+    """The first and the last step of an axis, in words."""
     where = f"steps {steps[0]} to {steps[-1]}" if len(set(steps)) > 1 else f"step {steps[0]}"
     return where if axis == "stage" else f"{axis} {where}"

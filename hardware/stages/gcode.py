@@ -84,7 +84,7 @@ class GcodeStage(SerialStage):
 
     @property
     def letter(self) -> str:
-        """By which the controller knows the axis."""
+        """The letter by which the controller knows the axis."""
         return self._axis or "X"
 
     @property

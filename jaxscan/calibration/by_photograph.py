@@ -76,7 +76,7 @@ class ByPhotograph:
         return ByPhotograph(views, places, N, g, square, others, pull_of_others, own)
 
     def inverse(self) -> Float[np.ndarray, "unknowns unknowns"]:
-        """Of the sum of all, T⁻¹: the covariance of the unknowns."""
+        """T⁻¹, the inverse of the sum of all: the covariance of the unknowns."""
         return inverse_where_determined(self.total())[0]
 
     def total(self) -> Float[np.ndarray, "unknowns unknowns"]:

@@ -115,7 +115,7 @@ def facing(gauges: Sequence[Gauge], system: System, seen: GaugePoints) -> GaugeP
 
 
 def distances(gauges: Sequence[Gauge], system: System, seen: GaugePoints) -> Float[np.ndarray, "scans points"]:
-    """From the surfaces, mm; NaN where there is no stripe."""
+    """Distances of the stripe points from the surfaces, mm; NaN where there is no stripe."""
     points = np.asarray(on_object(system.rig, seen)[0])
     found = np.full(seen.used.shape, np.nan)
     for i, gauge in enumerate(gauges):

@@ -86,7 +86,7 @@ def points_of_object(
 def gauge_errors(
     rig: Rig, pose: Float[Array, "6"], scan: GaugePoints
 ) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
-    """Of each point of one scan: predicted minus seen position, pixels, and ∂d/∂v, mm a pixel; 0 and 1 where masked."""
+    """For each point of one scan: predicted minus seen position, px, and ∂d/∂v, mm a pixel; 0 and 1 where masked."""
     T = Pose.from_vector(pose)
     R = T.matrix()
     pixels = jnp.where(scan.used[:, None], scan.stripe, jnp.stack(rig.camera.principal))

@@ -17,7 +17,7 @@ _POSE = 6
 
 
 def leave_one_out(refined: Refined, each: ByPhotograph) -> Float[np.ndarray, "photographs"]:
-    """Of each photograph −2 log of the density at which the others predict it, but for a constant.
+    """−2 log of the density at which the others predict each photograph, up to a constant.
 
     A stripe point counts as much as its correlation with its neighbours leaves it.
 

@@ -85,7 +85,7 @@ class BoardSequence:
 
     @property
     def steps(self) -> Float[np.ndarray, "images"]:
-        """Of the axis that moves."""
+        """Motor steps of the axis that moves, one for each photograph."""
         return np.asarray(self.positions[self.axis], np.float64)
 
     @property
@@ -147,11 +147,11 @@ class Unused:
     rejected: tuple[str, ...] = ()
 
     def add(self, line: str, wholly: bool) -> "Unused":
-        """With one line more."""
+        """The same with one more line."""
         return self.and_then(Unused((line,)) if wholly else Unused((), (line,)))
 
     def and_then(self, other: "Unused") -> "Unused":
-        """With those lines after these."""
+        """The same, followed by the lines of another."""
         return Unused((*self.left_out, *other.left_out), (*self.rejected, *other.rejected))
 
 

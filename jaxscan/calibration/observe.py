@@ -155,7 +155,7 @@ def _stripe_of(laser: StripeSettings) -> str:
 
 
 def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
-    """Of which lasers the stripe runs the other way than it is looked for."""
+    """Which lasers' stripes run across the direction in which they are searched."""
     notes = []
     for i, laser in enumerate(lasers):
         steep = []
@@ -175,7 +175,7 @@ def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str
 
 
 def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
-    """Of which lasers the stripe has another colour than it is looked for."""
+    """Which lasers' stripes have another colour than the one that is searched."""
     notes = []
     for i, laser in enumerate(lasers):
         found = [stripe.brighter for view in views for stripe in view.stripes if stripe.laser == i]
@@ -186,7 +186,7 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
 
 
 def _in_another_colour(session: Session, photographs: Sequence[_Photograph], views: Sequence[View]) -> list[str]:
-    """Of which lasers no stripe was found in any view, and under which colour there is one."""
+    """Which lasers have no stripe in any view, and the colour under which there is one."""
     notes = []
     for i, laser in enumerate(session.lasers):
         own = [stripe for view in views for stripe in view.stripes if stripe.laser == i]
@@ -204,7 +204,7 @@ def _in_another_colour(session: Session, photographs: Sequence[_Photograph], vie
 
 
 def _no_bell(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
-    """Of which lasers the stripe's cross-section is no bell."""
+    """Which lasers have a stripe whose cross-section is not bell-shaped."""
     notes = []
     for i, laser in enumerate(lasers):
         found = [stripe for view in views for stripe in view.stripes if stripe.laser == i]

@@ -27,7 +27,7 @@ _MEDIAN_LENGTH = 1.1774
 
 @dataclass(frozen=True)
 class OwnPlaces:
-    """Of each photograph of a sequence, real place minus fitted (mm) and real turn minus fitted (radians).
+    """For each photograph of a sequence: real place minus fitted (mm), and real turn minus fitted (radians).
 
     Attributes:
         index: of the sequence among the observations'.

@@ -169,7 +169,7 @@ def _lens(parameters: _Parameters, at: Points) -> tuple[Points, np.ndarray]:
 
 
 def _scale(parameters: _Parameters, square: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of |w|²: g, its derivative, and its denominator."""
+    """The scale g at |w|², its derivative, and its denominator."""
     k1, k2, k3, k4 = parameters[10:]
     above, below = 1 + k1 * square + k2 * square**2, 1 + k3 * square + k4 * square**2
     g = above / below
@@ -177,7 +177,7 @@ def _scale(parameters: _Parameters, square: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _derivatives(parameters: _Parameters, at: Points, ray: np.ndarray) -> Float[np.ndarray, "points 2 14"]:
-    """Of `_lens` by its parameters."""
+    """Derivatives of `_lens` by its parameters."""
     w = ray[:, :2] / ray[:, 2:]
     square = (w**2).sum(axis=1)
     g, by_square, below = _scale(parameters, square)
@@ -203,7 +203,7 @@ def _polynomial(coefficients: Float[np.ndarray, "terms 2"], at: Points) -> Point
 
 
 def largest_degree(points: int, most: int) -> int:
-    """Of a polynomial over the board that has two corners for each of its terms."""
+    """The largest degree of a polynomial over the board with two corners for each of its terms."""
     return max((n for n in range(1, most + 1) if points >= 2 * terms(n)), default=0)
 
 

@@ -147,7 +147,7 @@ def _sigma(saddles: Saddles) -> Float[np.ndarray, "corners"]:
 
 
 def _directions(grid: Grid) -> Grid:
-    """Of the line of corners through each corner along a row, px a square."""
+    """Direction of the line of corners through each corner along a row, px per square."""
     gaps = np.pad(np.diff(grid, axis=1), ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
     return quiet_nan(np.nanmean, np.stack([gaps[:, :-1], gaps[:, 1:]]))
 

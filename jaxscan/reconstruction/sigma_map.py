@@ -89,7 +89,7 @@ class MovedFrames(eqx.Module):
 
     @staticmethod
     def create(rig: Rig, q: PositionsOfPoints, frames: int) -> "MovedFrames":
-        """Of a rig at positions of its axes, one for each frame."""
+        """The frames of a rig at positions of its axes, one for each frame."""
         pose = rig.pose({axis: np.asarray(steps, np.float64) for axis, steps in q.items()})
         row = np.concatenate([np.asarray(pose.matrix())[..., 2, :], np.asarray(pose.translation)[..., 2:]], axis=-1)
         shifts = motion_shifts(rig, q, frames)

@@ -56,7 +56,7 @@ class Runs:
         self._run = 0
 
     def of(self, steps: Float[np.ndarray, "photographs"] | Int[np.ndarray, "photographs"]) -> Int[np.ndarray, "_"]:
-        """Of the next photographs, signed; 0 while nothing has moved yet."""
+        """The run of the next photographs, signed; 0 while nothing has moved yet."""
         found = []
         for i, n in enumerate(steps.tolist()):
             before = n if self._last is None else self._last

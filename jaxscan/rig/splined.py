@@ -106,7 +106,7 @@ class Splined(eqx.Module):
         return opencv_lens.undistort(self.radial, self.tangential, self.unshifted(xd))
 
     def invertible_radius(self, dtype: Any) -> Float[Array, ""]:
-        """By the radial terms."""
+        """The largest undistorted radius up to which the radial terms can be inverted."""
         return opencv_lens.invertible_radius(self.radial, dtype)[0]
 
     def unshifted(self, xd: Float[Array, "2"]) -> Float[Array, "2"]:

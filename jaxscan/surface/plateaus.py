@@ -141,7 +141,7 @@ def _areas(image: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns
 
 
 def _own_areas(sweep: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns"]:
-    """Of each point's cell, as seen from above the floor, mm²; NaN where it has none."""
+    """Area of each point's cell, as seen from above the floor, mm²; NaN where it has none."""
     flat = floor.frame.inverse().apply(sweep.points.astype(np.float64))[..., :2]
     down = _way_on(flat, len(sweep.gaps()))
     right = _way_on(flat.swapaxes(0, 1), flat.shape[1] - 1).swapaxes(0, 1)

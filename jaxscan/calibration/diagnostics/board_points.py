@@ -84,7 +84,7 @@ class _Fields:
 
     @staticmethod
     def create(refined: Refined, calibration: Calibration) -> "_Fields":
-        """From residuals and Jacobian of the last solve."""
+        """The fields from residuals and Jacobian of the last solve."""
         terms = _terms(calibration)
         value, jacobian = refined.last
         n = jacobian.shared.shape[1]

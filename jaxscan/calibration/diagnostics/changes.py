@@ -144,7 +144,7 @@ class _Equations:
 
     @staticmethod
     def of(each: ByPhotograph) -> "_Equations":
-        """From those of the photographs."""
+        """The cumulative equations from those of the photographs."""
         first, pull = (np.concatenate([np.zeros_like(x[:1]), np.cumsum(x, axis=0)]) for x in (each.N, each.g))
         return _Equations(each, first, pull, each.inverse(), pull[-1] + each.pull_of_others)
 

@@ -87,7 +87,7 @@ class _Course:
 
     @staticmethod
     def create(kind: Kind, each: ByPhotograph, t: Float[np.ndarray, "photographs"]) -> "_Course":
-        """Of numbers that go with t from photograph to photograph."""
+        """The drift of parameters that change in proportion to t from photograph to photograph."""
         D, inverse, total = kind.D, each.inverse(), each.g.sum(axis=0) + each.pull_of_others
         tied = each.N @ D
         B = np.einsum("p,pud->ud", t, tied)

@@ -61,7 +61,7 @@ class Agreement:
 
     @property
     def sigma_factor(self) -> float:
-        """By how much predicted σ would have to be larger for the parts to agree."""
+        """The factor by which predicted σ would have to be larger for the parts to agree."""
         return math.sqrt(self.chi2_per_parameter)
 
 
@@ -158,7 +158,7 @@ def compare(a: PartialRig, b: PartialRig) -> Agreement:
 
 
 def _power(name: str) -> float | None:
-    """With which power of a length a parameter grows; None where that is not known."""
+    """The power of a length with which a parameter scales; None where that is not known."""
     if name.startswith("lights."):
         return {"plane": -1.0, "bow": 1.0}.get(name.split(".")[2])
     if name.startswith("motion."):

@@ -97,7 +97,7 @@ def missing_terms(calibration: Calibration) -> MissingTerms | None:
 def _freed(
     N: Float[np.ndarray, "leaves leaves"], g: Float[np.ndarray, "leaves"], at: np.ndarray
 ) -> tuple[float, Float[np.ndarray, "free"]]:
-    """By how much χ² falls when some columns are freed, and where they go."""
+    """The fall of χ² when some columns are freed, and the values that they take."""
     moved = -_inverse(N, at) @ g[at]
     return float(-g[at] @ moved), moved
 

@@ -71,7 +71,7 @@ class SheetCurve:
 def sheet_curves(
     refined: Refined, stages: Sequence[Float[np.ndarray, "_ _ _"]] | None = None
 ) -> tuple[SheetCurve, ...]:
-    """Of each flat sheet that is clearly curved, by how much.
+    """For each sheet that was assumed flat and is clearly curved, by how much.
 
     Args:
         refined: where the rounds ended.
@@ -106,7 +106,7 @@ def sheet_curves(
 
 
 def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
-    """In words, which sheets were taken as bowed and may as well be flat; one note on each."""
+    """One note on each sheet that was calibrated as bowed and may be flat."""
     notes = []
     for light in light_summary(rig, covariance, image_rays(rig.camera)):
         if light["kind"] != BowedSheet.kind:
@@ -158,7 +158,7 @@ def _rows(
 
 @dataclass(frozen=True)
 class _Stripes:
-    """Of the stripe points of a group.
+    """Derivatives and geometry of the stripe points of a group.
 
     Attributes:
         bow: derivative of each residual by the bow of each flat sheet.

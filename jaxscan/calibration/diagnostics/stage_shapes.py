@@ -43,7 +43,7 @@ _NAMES = {
 
 
 def stage_shapes(refined: Refined, calibration: Calibration, by_axis: Mapping[str, Course]) -> tuple[StageShape, ...]:
-    """Of each axis that moves its load otherwise than it was taken to, how.
+    """For each axis that does not move its load as was assumed, how it does.
 
     Args:
         refined: where the rounds ended.
@@ -196,7 +196,7 @@ def _bow(
 
 
 def _length(vector: Float[np.ndarray, "n"], covariance: Float[np.ndarray, "n n"]) -> tuple[float, float]:
-    """Of a vector, and its σ."""
+    """The length of a vector, and its σ."""
     length = float(np.linalg.norm(vector))
     way = vector / length
     return length, float(np.sqrt(way @ covariance @ way))

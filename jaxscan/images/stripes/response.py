@@ -275,7 +275,7 @@ def detailed(
 
 
 def _luma_weights(color: str) -> tuple[float, float, float]:
-    """Of L, M and N."""
+    """Weights of L, M and N in luma."""
     laser, first, second = CHANNELS[color]
     return LUMA[laser], LUMA[first], LUMA[second]
 

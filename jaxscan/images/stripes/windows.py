@@ -100,7 +100,7 @@ class Sensor(eqx.Module):
     detail: tuple[Float[Array, "*of"], ...] | None = None
 
     def of(self, frame: Places) -> "Sensor":
-        """Of each line, as (groups, 1, lines)."""
+        """The numbers of each line's frame, as (groups, 1, lines)."""
         return jax.tree.map(lambda x: x[frame][:, None], self)
 
 
