@@ -27,7 +27,7 @@ SUITES = {
     "frame_sigma": "predicted σ over the actual scatter in each frame of a scan, by camera, with and without speckle",
     "throughput": "the kernel, detection and a scan from files to points against their limits; memory",
     "device": "detection and the kernel on JAX's device, a GPU where there is one: transfer and work apart",
-    "batch": "many scans, killed and gone on with; a cluster that loses a worker",
+    "batch": "many scans, killed and continued; a cluster that loses a worker",
     "exposures": "exposures of a step merged: reflectances 1:50 against each exposure by itself; speed",
     "spacetime": "spacetime analysis: its σ; a border of reflectance, edges of depth, step size",
     "coherence": "which of several stripes: the share of lines in which each rule takes the true one",

@@ -60,7 +60,7 @@ _LINEAR: Final = ("none", "mean_of_4", "box_3", "gauss_0.7", "gauss_1", "enlarge
 
 
 def smoothed(count: int) -> list[Metric]:
-    """σ over the scatter of so many photographs of each case, and the correlation that is said."""
+    """Predicted σ over the scatter of `count` photographs of each case, and the correlation that is reported."""
     print("  predicted σ over the actual (correlation that is said): σ of the stripe, noise, speckle")
     print(" " * 18 + "".join(f"{f'{s:g} px, {noise:g}, {contrast:g}':>18}" for s, noise, contrast in _CASES))
     metrics = []

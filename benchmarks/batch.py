@@ -30,7 +30,7 @@ def measure(quick: bool) -> list[Metric]:
 
 
 def killed_and_resumed(folder: Path, count: int) -> list[Metric]:
-    """Kill a batch when half of its results are there, run it again, and compare with one that was let alone."""
+    """Kill a batch when half of its results are there, run it again, and compare with one that was not disturbed."""
     broken = make_scans(folder / "scans", count)
     write_rig(folder / "rig.json", RigFile(rig(_COLUMNS, _ROWS)))
     begin = time.perf_counter()
@@ -93,7 +93,7 @@ def batch_command(folder: Path, out: str) -> list[str]:
 
 
 def make_scans(folder: Path, count: int) -> list[str]:
-    """So many scans, of which three have a photograph that was cut short; their names."""
+    """Write `count` scans, of which three have a photograph that was cut short; their names."""
     random = np.random.default_rng(0)
     row = np.arange(_ROWS)[:, None]
     for i in range(count):

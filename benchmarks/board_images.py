@@ -184,7 +184,7 @@ def _light(H: np.ndarray, corners: np.ndarray, shot: Shot, random: np.random.Gen
 def _paper(
     H: tuple[float, ...], shot: Shot, across: tuple[float, int], down: tuple[float, int]
 ) -> Float32[np.ndarray, "_ _"]:
-    """The reflectance of cells: of a board at H, from the first cell (px) on, so many of them."""
+    """The reflectance of the cells of a board at H; `across` and `down` give the first cell (px) and the number."""
     pose = np.array(H).reshape(3, 3)
     u, v = (first + np.arange(count) / CELLS for first, count in (across, down))
     cells = _albedo(*_board_points(pose, shot, u[None, :], v[:, None]))

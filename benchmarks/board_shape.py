@@ -125,7 +125,7 @@ def _by_rig(rig: Rig, pixels: Float[Array, "m 2"], q: dict[str, Float[Array, "m"
 
 
 def warped(seed: int, common: float, each: float) -> Heights:
-    """A common bulge of so many mm, shared out between all five terms, and bulges of each board of so many mm (σ)."""
+    """A common bulge of `common` mm, shared between all five terms, and bulges of each board with σ = `each` mm."""
     random = np.random.default_rng([seed, 18])
     shares = random.normal(size=5) * [1.0, 0.5, 0.3, 0.2, 0.2]
     if not each:

@@ -55,7 +55,7 @@ def measure(quick: bool) -> list[Metric]:
     called = 0
     for seed in range(count):
         called += calibrate(clean_session(seed)).change is not None
-        # Every size of board is compiled anew, and a process may have only so many maps of memory.
+        # Every size of board is compiled again, and the number of memory maps of a process is limited.
         if seed % _UNTIL_CLEARED == 0:
             jax.clear_caches()
     metrics.append(Metric(f"changes.false_of_{count}_clean", called, "", "lower", 1.0))
@@ -78,7 +78,7 @@ def _named(seed: int, name: str, times: float) -> tuple[bool, bool]:
 
 
 def changed_session(seed: int, name: str, times: float = 1.0) -> tuple[Observations, int]:
-    """A session in which something changes behind so many photographs.
+    """A session in which something changes after some of the photographs.
 
     Args:
         seed: of the rig, the place and the noise.

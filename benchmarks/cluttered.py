@@ -20,7 +20,7 @@ _RED: Final = np.array([1.0, 0.06, 0.04])
 _WHITE: Final = np.ones(3)
 # Of the stripe's own light within three of its σ: from this part of it on what is drawn over it hides it.
 _HIDES, _WITHIN = 0.3, 3.0
-# A ghost is seen across gaps up to so many columns from the stripe.
+# A ghost is seen across gaps up to this number of columns from the stripe.
 _GOES_ON: Final = 30
 
 Light = Float[np.ndarray, "rows columns rgb"]

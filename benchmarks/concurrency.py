@@ -60,7 +60,7 @@ def _over_median(done: list[tuple[str, float]]) -> Iterator[float]:
 
 
 def _run(threads: int, seconds: float, sessions: list[str]) -> tuple[list[tuple[str, float]], bool]:
-    """What a process with so many threads has calibrated, (session, seconds) each, and whether it hung."""
+    """What a process with `threads` threads has calibrated, (session, seconds) each, and whether it hung."""
     work = [sys.executable, "-m", "benchmarks.concurrency", str(threads), str(seconds), *sessions]
     process = subprocess.Popen(work, env=os.environ | {"NPROC": str(threads)}, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None

@@ -95,7 +95,7 @@ def measure(quick: bool) -> list[Metric]:
 
 
 def _of(killed: Killed) -> Struck:
-    # A scan that equals one that was let alone has no frame twice.
+    # A scan that equals an undisturbed one has no frame twice.
     return Struck(killed.running, not killed.whole, 0, not killed.same)
 
 

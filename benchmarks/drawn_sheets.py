@@ -21,7 +21,7 @@ Level = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
 
 CORNER_PX: Final = 0.03
 STRIPE_PX: Final = 0.1
-# Sheets are curved by so many mm at ± this many across the fan, at this depth.
+# The sag of a sheet is given at ± this distance across the fan, at this depth; mm.
 HALF, DEPTH = 100.0, 345.0
 # Places along the stripe of a board, and Newton's steps to the sheet from each.
 _ALONG, _STEPS = 2000, 20
@@ -34,7 +34,7 @@ def plane(rig: Rig) -> Level:
 
 
 def cone(rig: Rig, sag: float, beside: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Level:
-    """About a normal of the plane, its apex where the plane crosses the camera's v axis, or so many mm from there."""
+    """About a normal of the plane; its apex is where the plane crosses the camera's v axis, plus `beside` (mm)."""
     omega = plane_of(rig.lights[0])
     normal = omega / np.linalg.norm(omega)
     apex = np.array([0.0, 1 / omega[1], 0.0]) + np.asarray(beside)

@@ -111,7 +111,7 @@ def merged_or_averaged() -> list[Metric]:
     random = np.random.default_rng(0)
     centre = rows / 2 + 4 * np.sin(np.arange(columns) / 40) + random.uniform(-0.5, 0.5, columns)
     metrics = []
-    print("  RMS merged / averaged, px, for peaks of so many grey levels in the shortest exposure")
+    print("  RMS merged / averaged, px, by the peak's grey levels in the shortest exposure")
     for halo in (0.0, 0.03):
         light = _profile(rows, centre, 1.5) + halo * _profile(rows, centre + 3, 5.0)
         ratios, cells = [], ""

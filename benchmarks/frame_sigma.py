@@ -30,7 +30,7 @@ Color = Literal["red", "green", "blue", "grey"]
 
 _SPECKLES: Final = (0.0, 0.2)
 _LOW, _HIGH = 0.85, 1.18
-# Points whose true row jumps by more than this within so many columns are at an edge of depth.
+# Points whose true row jumps by more than this within this number of columns are at an edge of depth.
 _JUMP_PX, _NEAR = 1.0, 4
 _FEWEST: Final = 100
 # What is further off, in σ, is counted among all points of a scan.

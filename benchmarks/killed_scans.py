@@ -1,4 +1,4 @@
-"""Scans killed by SIGKILL at random moments, then gone on with: what was reported as taken, and what comes of it."""
+"""Scans killed by SIGKILL at random moments, then continued: what was reported as taken, and what comes of it."""
 
 import contextlib
 import random
@@ -34,7 +34,7 @@ class Killed:
         reported: frames that the scan had reported as taken.
         listed: frames that its folder lists.
         whole: whether all that it reported are listed, and all that it lists are whole and the right ones.
-        same: whether the scan that was gone on with equals the one that was not killed.
+        same: whether the scan that was continued equals the one that was not killed.
         running: whether it was still running when it was killed.
     """
 
@@ -79,7 +79,7 @@ def fill_disk(child: "subprocess.Popen[str]") -> None:
 def kill_and_resume(
     folder: Path, seed: int, strike: "Callable[[subprocess.Popen[str]], object]" = subprocess.Popen.kill
 ) -> Killed:
-    """Begin a scan, kill it or strike it otherwise, look, go on with it, compare."""
+    """Begin a scan, kill it or strike it otherwise, look, continue it, compare."""
     random_ = random.Random(seed)
     scan = folder / f"killed-{seed}"
     argv = [sys.executable, "-m", "hardware.cli.main", *command(folder, scan)]

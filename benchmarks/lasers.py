@@ -33,7 +33,7 @@ from jaxscan.simulation.folders import simulate_scan, simulate_session
 from jaxscan.simulation.shapes import stair
 
 BLOCK_Y = 37.0
-# So many points of a face take part.
+# Number of points of a face that take part.
 _POINTS = 300
 
 

@@ -59,7 +59,7 @@ def measure(quick: bool) -> list[Metric]:
     for seed in range(count):
         found = calibrate(clean_session(seed))
         wider += found.off_grid is not None or found.drift is not None
-        # Every size of board is compiled anew, and a process may have only so many maps of memory.
+        # Every size of board is compiled again, and the number of memory maps of a process is limited.
         if seed % _UNTIL_CLEARED == 0:
             jax.clear_caches()
     return [*metrics, Metric(f"left_over.widened_of_{count}_clean", wider, "", "lower", 1.0)]

@@ -59,7 +59,7 @@ Drawn = dict[str, list[tuple[MeasuredDimension, float]]]
 
 
 def drawings(count: int, rig: Callable[[np.random.Generator], RigFile], share: float) -> Drawn:
-    """Each dimension as it was measured, with the truth, of so many drawings of every scene."""
+    """Each dimension as it was measured, with the truth, for `count` drawings of every scene."""
     found: Drawn = defaultdict(list)
     for which, make in enumerate(SCENES):
         scene = make()

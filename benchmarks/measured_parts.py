@@ -30,7 +30,7 @@ from jaxscan.simulation.scene import Body
 from jaxscan.simulation.shapes import grey
 from jaxscan.simulation.solids import Box, Cylinder, Solid, Sphere
 
-# What is said of the stripe's σ, and what it is: of each point by itself, and alike over so many frames and columns.
+# The stripe's σ as stated, and its true parts: independent, and correlated over this number of frames and columns.
 SIGMA_PX, OWN_PX, SPECKLE_PX, GRAIN = 0.1, 0.08, 0.08, (1.0, 2.0)
 _APART, _TRAVEL = 600, 60_000
 _STRENGTH = 250.0

@@ -13,7 +13,7 @@ wrong by up to 10°.
   translation together, over 6 draws of the noise (2 in the short form), over that of seven pairs chained: registered by
   point-to-plane ICP and by GICP (both of small_gicp, started from the truth, with the best of three reaches), and by
   our own residual and weights.
-- `closure`: how far the points of the first view are apart, RMS, after the way round: 7 poses and the pair of the last
+- `closure`: how far the points of the first view are apart, RMS, after the whole loop: 7 poses and the pair of the last
   and the first.
 - `predicted`: mean of errorᵀ covariance⁻¹ error for each of the 42 numbers, over the same draws: 1 if σ is honest.
 - `merged_over_single`: RMS over the vertices of error · √N over the RMS error of the single scans' points next to the

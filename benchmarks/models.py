@@ -1,8 +1,8 @@
 """The model that is chosen for sessions of ten kinds, and what choosing costs those that need no term.
 
-Ten sessions of each kind, of the simulated rig of 2003, drawn with normal noise: nothing amiss; two lenses with
-more terms; a tilted sensor; boards bent by 0.3 mm, and from photograph to photograph besides; a bowed sheet; a bowed
-guide; a screw's period. Right is the kind that was drawn, with nothing besides.
+Ten sessions of each kind, of the simulated rig of 2003, drawn with normal noise: nothing wrong; two lenses with
+more terms; a tilted sensor; boards bent by 0.3 mm, or differently in each photograph; a bowed sheet; a bowed
+guide; a screw's period. An answer is right if it is the kind that was drawn, and nothing else.
 """
 
 import time
@@ -68,7 +68,7 @@ def chosen(observations: Observations) -> Calibration:
 
 
 def _cost(seeds: range) -> Metric:
-    """The time of choosing for sessions where nothing is amiss, over that of a calibration, compiled both."""
+    """The time of choosing for sessions where nothing is wrong, over that of a calibration, compiled both."""
     own, plain = [], []
     for seed in seeds:
         observations = session("nothing", seed)

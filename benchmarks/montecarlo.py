@@ -39,7 +39,7 @@ NOISE = Noise()
 PIXELS = np.stack(np.meshgrid([80.0, 320.0, 560.0], [60.0, 180.0, 300.0]), axis=-1).reshape(-1, 2)
 _STEPS = np.full(len(PIXELS), 72000.0)
 _POINTS = np.array([[x, y, z] for x in (-80.0, 80.0) for y in (-60.0, 60.0) for z in (310.0, 380.0)])
-# Standard deviations of a mean of so many: what 99.9 % of all runs stay within.
+# Standard deviations of a mean: 99.9 % of all runs stay within this number of them.
 _BAND = 3.29
 
 # Of each kind of quantity the numbers, ravelled.
@@ -95,7 +95,7 @@ def measure(quick: bool) -> list[Metric]:
 
 
 def compared(session: Session, draws: int, quick: bool) -> list[Metric]:
-    """Predicted against actual scatter of a session, solved so many times."""
+    """Predicted against actual scatter of a session, solved `draws` times."""
     truth = np.array([float(leaf) for leaf in jax.tree.leaves(session.rig)])
     freedom = len(_essential(session.rig))
     bound = np.diagonal(cramer_rao(session).of_leaves(session.rig))

@@ -23,7 +23,7 @@ from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
 
 # Responses, (R − G) + (R − B): a peak of less is no stripe; the centre is that of what reaches a part of the peak,
-# within so many rows of it.
+# within this number of rows of it.
 _LEAST_PEAK, _PART, _HALF = 60.0, 0.2, 8
 _UNDISTORT: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 

@@ -227,7 +227,7 @@ def errors_by_views(seed: int) -> Mapping[str, list[float]]:
 
 
 def _first(taken: Taken, count: int) -> Taken:
-    """The first so many views of the board."""
+    """The first `count` views of the board."""
 
     def some(observations: Observations) -> Observations:
         return replace(observations, views=observations.views[:count])

@@ -222,7 +222,7 @@ def pyramid(data: Path) -> list[Metric]:
 
 
 def distance_from_planes(image: RangeImage, count: int = 6) -> Float[np.ndarray, "points"]:
-    """Distance of each valid point from the nearest of so many planes, found one after the other by consensus."""
+    """Distance of each valid point from the nearest of `count` planes, found one after the other by consensus."""
     points = image.points[image.valid].astype(np.float64)
     rng = np.random.default_rng(0)
     planes: list[tuple[np.ndarray, float]] = []

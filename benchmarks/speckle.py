@@ -122,7 +122,7 @@ def _photograph(light: Image, contrast: float, grain: float, signal: float, rand
 
 
 def _speckle(shape: tuple[int, ...], contrast: float, grain: float, random: np.random.Generator) -> Image:
-    """Factors of mean 1 and of this standard deviation, correlated over so many pixels both ways."""
+    """Factors of mean 1 and standard deviation `contrast`, correlated over `grain` pixels in both directions."""
     if not contrast:
         return np.ones(shape)
     k = contrast**-2

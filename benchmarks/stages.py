@@ -147,7 +147,7 @@ def line_stage(**how: float | bool) -> DrawnStage:
 
 
 def _bent(mm: float) -> Float[np.ndarray, "corners 3"]:
-    """The board's points, from the lowest to the highest so many mm apart."""
+    """The points of a bent board: the highest is `mm` above the lowest."""
     points = rig_2003.BOARD.points()
     middle, half = middle_and_half(points)
     s, t = ((points[:, :2] - middle) / half).T

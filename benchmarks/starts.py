@@ -61,7 +61,7 @@ HARDSHIPS = {
     "wide_angle_astray": Hardship(focal=(300.0, 300.0), radial=(-0.3, 0.05), fill=0.6, astray=0.3),
     "strangers": Hardship(strangers=3),
 }
-# Given starts: the focal length so many times the true one, the lens without distortion.
+# Given starts: the focal length is this multiple of the true one, the lens has no distortion.
 _GIVEN = (0.3, 0.5, 2.0, 4.0)
 _GIVEN_FOR = ("plain", "wide_angle", "steep", "astray")
 

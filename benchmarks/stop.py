@@ -3,7 +3,7 @@
 The server is a process of its own, on a loopback port, with the simulated scanner; the load is another process. Each
 Stop comes on a connection of its own, for every answer ends one. In turn with it an idle server is told to stop, which
 shows how much of the time is the machine's and the client's. While a scan runs under the load nobody stops it; its
-photographs are compared with those of one that was let alone.
+photographs are compared with those of one that was not disturbed.
 """
 
 import contextlib

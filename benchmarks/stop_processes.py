@@ -57,7 +57,7 @@ class _Camera:
 
 
 def _serve(folder: Path, projects: int = PROJECTS) -> None:
-    """Serve until terminated, with so many projects; says where, and tokens of operator, administrator and viewer."""
+    """Serve until terminated; print the address and the tokens of operator, administrator and viewer."""
     travel = Travel()
     stage = SimulatedStage(travel)
     stage.line.clock = stage.line.port.clock = PacedClock(_FASTER)

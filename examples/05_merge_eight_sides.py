@@ -34,7 +34,7 @@ found = jaxscan.register(sides, starts)
 for k, side in enumerate(sides[1:], start=1):
     turn, shift = found.sigma(k)
     print(f"{side.name} stands within {shift:.4f} mm and {np.degrees(turn):.3f}°")
-print(f"{len(found.pairs)} pairs overlap; the way round closes within {found.closure_mm:.3f} mm")
+print(f"{len(found.pairs)} pairs overlap; the loop closes within {found.closure_mm:.3f} mm")
 
 merged = jaxscan.merge(sides, found.poses)
 out = photographs.folder() / "figure.stl"

@@ -5,7 +5,7 @@ whatever speaks them can be scanned with. Here they are simulated: the real driv
 controller over an emulated serial line, and a rendered world is photographed. With a `scanner.toml` that describes
 yours, `open_scanner(read_scanner(Path("scanner.toml")))` of `hardware.devices` gives the devices in their place.
 
-Every frame is on the disk, whole, before the stage moves on: a scan that ends early is gone on with later. This one is
+Every frame is on the disk, whole, before the stage moves on: a scan that ends early is continued later. This one is
 ended after two frames, on purpose.
 """
 

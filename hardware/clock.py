@@ -13,7 +13,7 @@ class Clock(Protocol):
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Return when so many have passed."""
+        """Return when `seconds` have passed."""
         ...
 
     def wait(self, changed: threading.Condition, until_s: float) -> None:
@@ -51,7 +51,7 @@ class VirtualClock:
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
-        """Let so many seconds have passed."""
+        """Set the time forward by `seconds`."""
         self._now_s += max(0.0, seconds)
 
     def wait(self, changed: threading.Condition, until_s: float) -> None:
@@ -71,7 +71,7 @@ class PacedClock(VirtualClock):
         self._speed = speed
 
     def sleep(self, seconds: float) -> None:
-        """Sleep, and let so many seconds have passed."""
+        """Sleep, and set the time forward by `seconds`."""
         time.sleep(max(0.0, seconds) / self._speed)
         super().sleep(seconds)
 

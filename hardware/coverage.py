@@ -13,7 +13,7 @@ ON_TURNTABLE: Final = (
     "lean the board on the turntable, about its middle and tilted by some 40°, fix it so that it stays in view as it "
     "turns, and step aside"
 )
-# The image is looked at in so many columns and rows of cells.
+# The image is divided into this number of columns and rows of cells.
 _CELLS: Final = (4, 3)
 # A lean of the board's normal, its sine, that counts as tilted.
 _TILTED: Final = 0.35
@@ -32,7 +32,7 @@ class ViewsSoFar:
         self._normals: list[Float[np.ndarray, 3]] = []
 
     def add(self, corners: Float[np.ndarray, "points 2"], size: tuple[int, int]) -> None:
-        """Take in the corners of one view (pixels, NaN where not seen) of an image of so many columns and rows."""
+        """Add the corners of one view (pixels, NaN where not seen) of an image of `size` (columns, rows)."""
         seen = np.isfinite(corners).all(axis=1)
         cell = np.floor((corners[seen] + 0.5) / size * _CELLS).astype(int).clip(0, np.array(_CELLS) - 1)
         np.add.at(self._cells, (cell[:, 1], cell[:, 0]), 1)

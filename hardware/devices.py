@@ -262,7 +262,7 @@ def _laser(settings: ScannerSettings, axes: Mapping[str, StageDriver]) -> LaserD
     lines = [line for axis in axes.values() if isinstance(line := getattr(axis, "line", None), Line)]
     if "port" in table:
         port = table.string("port")
-        # A port is opened once: the laser may hang on that of an axis.
+        # A port is opened once: the laser may share that of an axis.
         return RtsLaser(next((line for line in lines if line.name == port), None) or Line(port, 9600))
     if lines:
         return RtsLaser(lines[0])

@@ -163,7 +163,7 @@ class _Guide:
                 self._laser.off()
 
     def hold_board(self, views: int) -> None:
-        """Photograph so many poses, or as many as the operator likes."""
+        """Photograph `views` poses, or as many as the operator likes."""
         while len(self.session.views.boards) < views:
             if not self.ask(self._views.wish()):
                 if (taken := len(self.session.views.boards)) < _LEAST_VIEWS:

@@ -43,7 +43,7 @@ def along(axis: str, steps: Sequence[int], at: Mapping[str, int] | None = None) 
 
 
 def full_turn(travels: Mapping[str, Travel], axis: str, frames: int, first: int = 0) -> tuple[int, ...]:
-    """Positions of so many photographs all around, to the nearest step; the last is one before the first.
+    """Positions of `frames` photographs all around, to the nearest step; the last is one before the first.
 
     Raises:
         SettingsError: it is not known how many steps a turn has, or there are fewer of them than photographs.
@@ -88,7 +88,7 @@ def check_scan(travels: Mapping[str, Travel], places: Sequence[Place]) -> None:
 
 
 def check_zero(travels: Mapping[str, Travel], names: Iterable[str], known: Iterable[str] = ()) -> None:
-    """See that a scan with photographs can be gone on with: an axis without a switch does not find its step 0 again.
+    """See that a scan with photographs can be continued: an axis without a switch does not find its step 0 again.
 
     Args:
         travels: of the scanner's axes.

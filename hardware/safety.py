@@ -40,7 +40,7 @@ def safely(axes: Mapping[str, StageDriver], laser: LaserDriver | None) -> Iterat
 def left_on(axes: Mapping[str, StageDriver], laser: LaserDriver | None) -> str:
     """Switch the laser off and stop all axes, each as often as it takes; what could not be, in words.
 
-    No axis goes on while another takes its time to stop: each is told by a thread of its own.
+    No axis continues while another is slow to stop: each is stopped by its own thread.
     """
     words = [] if laser is None else [_done("the LASER MAY STILL BE ON", laser.off)]
     orders = [(f"the {name.upper()} MAY STILL BE MOVING", axis.stop) for name, axis in axes.items()]

@@ -18,7 +18,7 @@ from hardware.scan_plan import ScanFolder
 from jaxscan.errors import InputError
 from jaxscan.files.place_checks import PlaceCheck
 
-# A switch is met again within so many steps.
+# A switch is met again within this number of steps.
 _MEETS_AGAIN = 4
 
 
@@ -84,7 +84,7 @@ def take(
     """Take the frames that are left, in order.
 
     Args:
-        folder: of a new scan, or of one to go on with.
+        folder: of a new scan, or of one to continue.
         devices: open; an axis of the scan that has no reference is homed first.
         control: for another thread to pause or end it.
         taken: called with each frame's file once it is durable.
@@ -135,9 +135,7 @@ def take(
             laser.on()
             frame = camera.expose(place)
             if (found := {name: axes[name].position() for name in place}) != place:
-                raise PositionUncertainError(
-                    f"sent to {in_words(place)}, the scanner stands at {in_words(found)}: home it"
-                )
+                raise PositionUncertainError(f"sent to {in_words(place)}, the scanner is at {in_words(found)}: home it")
             taken(folder.add(frame, dark), frame)
             count = len(folder.done.frames)
             if verified and (not folder.left or (verify and count - unchecked >= verify)):
@@ -168,7 +166,7 @@ def _marking(folder: ScanFolder, verified: bool) -> Iterator[None]:
 
 
 def _mark(folder: ScanFolder) -> None:
-    """Mark the frames of which no check tells."""
+    """Mark the frames that no check covers."""
     told = max((check.last + 1 for check in folder.done.checks), default=0)
     if told < len(folder.done.frames):
         folder.check(PlaceCheck(told, len(folder.done.frames) - 1, unverified=True))

@@ -29,7 +29,7 @@ _FRAMES: Final = "frames"
 # Whoever takes frames into the folder holds it.
 _LOCK: Final = ".scan.lock"
 _FORMAT: Final = "jaxscan-plan/2"
-# Had `steps`, those of the stage, in the place of `axes`.
+# Had `steps`, those of the stage, instead of `axes`.
 _STAGE_ALONE: Final = "jaxscan-plan/1"
 
 
@@ -107,7 +107,7 @@ class ScanFolder:
         with exclusive(folder / _LOCK, str(folder)):
             if holds_something(folder):
                 begun = (folder / PLAN_FILE).exists()
-                hint = "go on with it by --resume" if begun else "name a folder that is new or empty"
+                hint = "continue it with --resume" if begun else "name a folder that is new or empty"
                 raise InputError(f"{folder}: is not empty: {hint}")
             for path in (*folder.glob(".*.part"), folder / SCAN_FILE):
                 path.unlink(missing_ok=True)
@@ -123,7 +123,7 @@ class ScanFolder:
 
     @staticmethod
     def resume(folder: Path) -> "ScanFolder":
-        """Go on with a scan that ended early, wherever that was.
+        """Continue a scan that ended early, wherever that was.
 
         Raises:
             InputError: there is none, or a frame that it lists is not whole.

@@ -29,7 +29,7 @@ class Trapezoid:
         return self.distance / self.peak + self.peak / self.ramp if self.distance > 0 else 0.0
 
     def gone(self, elapsed_s: float) -> float:
-        """How far it has come after so many seconds, steps."""
+        """How far it has moved after `elapsed_s` seconds, steps."""
         left = self.duration_s - elapsed_s
         if elapsed_s <= 0 or self.distance <= 0:
             return 0.0

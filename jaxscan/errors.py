@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 
 class JaxscanError(Exception):
-    """Whatever jaxscan refuses to do, with the reason and the cure in its text."""
+    """The base class of jaxscan's errors; the text gives the reason and how to fix it."""
 
 
 class InputError(JaxscanError):

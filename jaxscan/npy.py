@@ -48,7 +48,7 @@ class NpyHeader:
 
     @property
     def n_bytes(self) -> int:
-        """Of all its numbers."""
+        """Size of all its numbers, bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Float64
 
 from jaxscan.errors import InputError
 
-# So many are computed at once where a compiled function serves any number.
+# Number of items that are computed at once where a compiled function serves any number.
 AT_ONCE: Final = 1024
 # A number of a rig: JAX's in a computation, NumPy's in a rig at rest (`as_numpy`).
 Leaf = Float[Array | np.ndarray, ""]

@@ -88,5 +88,33 @@ raise ValueError(f"{so_many}: give so many steps, as {so_many} hangs on it")
     assert [fault.partition(":")[0] for fault in words._found(text)] == ['"so many"', '"hangs on"']
 
 
+def test_banned_phrases_are_found_in_docstrings_and_comments_over_ends_of_lines() -> None:
+    source = '''"""It takes so
+many of them."""
+
+x = 1  # so many # of them
+# It hangs
+# on this.
+
+# It hangs
+'''
+    assert list(words.docstrings(source)) == [(1, "It takes so many of them.")]
+    found = list(words.comments(source))
+    assert found == [(4, "so many # of them It hangs on this."), (8, "It hangs")]
+    assert [len(list(words._found(text))) for _, text in found] == [2, 0]
+
+
+def test_a_source_with_a_banned_phrase_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "jaxscan").mkdir()
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "README.md").write_text("Plain.\n")
+    (tmp_path / "jaxscan" / "a.py").write_text('x = 1\n# It hangs\n# on this.\ny = "It is " "amiss"\n')
+    monkeypatch.setattr(words, "ROOT", tmp_path)
+    assert [fault.rpartition(":")[0] for fault in words.phrases()] == [
+        'jaxscan/a.py:4: "amiss"',
+        'jaxscan/a.py:2: "hangs on"',
+    ]
+
+
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120

@@ -1,15 +1,17 @@
 """The words of this project: `python docs/words`.
 
 Checks that each page is easy enough to read (R. Flesch's reading ease: guides 50, reference pages 40), that its
-sentences are not too long, that pages and messages have none of the phrases that read as translated, and the spelling,
-by codespell where it is installed (extra `dev`). Prints a figure for each page; ends with status 1 where something is
-wrong.
+sentences are not too long, that pages, and the messages, docstrings and comments of the code, have none of the phrases
+that read as translated, and the spelling, by codespell where it is installed (extra `dev`). Prints a figure for each
+page; ends with status 1 where something is wrong.
 """
 
 import ast
+import io
 import re
 import subprocess
 import sys
+import tokenize
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,7 +25,7 @@ LONGEST = 26.0
 REFERENCES = ("api.md", "benchmarks.md", "security.md", "limitations.md")
 # Phrase, and what to write instead.
 BANNED = {
-    r"\bso many\b": "the number, or N",
+    r"\bso many\b": "the number, `n`, or the parameter's name",
     r"\bthe mend\b|\bmended\b|\bto mend\b": "fix",
     r"\btold with\b": "set with, chosen with",
     r"\btold of\b": "registered, reported",
@@ -38,15 +40,17 @@ BANNED = {
     r"\blets? alone\b": "leaves unchanged",
     r"\bin the place of\b": "instead of",
     r"\bto be believed\b|\bbelieves? (?:it|them)\b": "trusted",
-    r"\bin every so many\b|\bevery so many\b": "every N",
     r"\blaid in\b": "initial",
     r"\bthe way round\b": "the loop",
     r"\bas good as none\b": "no use",
 }
 _BANNED = [(re.compile(pattern, re.IGNORECASE), better) for pattern, better in BANNED.items()]
 _ANY = re.compile("|".join(BANNED), re.IGNORECASE)
-# Pages that are rewritten together with what they describe.
-_LATER = ("hardware.md", "lab.md", "limitations.md", "security.md", "benchmarks.md")
+# Folders of the sources that are checked, and where comments and docstrings are rewritten later.
+_SOURCES = ("jaxscan", "hardware", "benchmarks", "examples")
+_LATER = ("jaxscan/measurement/",)
+# What separates the words of a sentence in a source: ends of lines, quotes of adjacent strings, signs of comments.
+_BREAK = re.compile(r"""["']\s*[rbf]*["']|[\s#]+""")
 # What codespell takes for misspelt.
 SPELT = (
     "ba,nd,te,ue,hist,mater,fo,ser,indx,re-use,arange,ro,ot,ans,coo,couldn,som,fro,shepperd,uint,dof,thead,ws,sinc,upto"
@@ -81,16 +85,42 @@ def pages() -> Iterator[str]:
 
 
 def phrases() -> Iterator[str]:
-    """Banned phrases in pages and in the messages of the code."""
-    for page in (page for page in all_pages() if page.name not in _LATER):
+    """Banned phrases in pages, and in the messages, docstrings and comments of the code."""
+    for page in all_pages():
         for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
             yield from (f"{page.name}:{number}: {fault}" for fault in _found(line))
-    for path in sorted((ROOT / "jaxscan").rglob("*.py")):
-        source = path.read_text(encoding="utf-8")
-        for number, text in messages(source):
-            yield from (f"{path.relative_to(ROOT)}:{number}: {fault}" for fault in _found(text))
+    for path in (path for folder in _SOURCES for path in sorted((ROOT / folder).rglob("*.py"))):
+        source, name = path.read_text(encoding="utf-8"), path.relative_to(ROOT).as_posix()
+        # Most sources have none, and need not be parsed.
+        if _ANY.search(_BREAK.sub(" ", source)):
+            prose = () if name.startswith(_LATER) else (*docstrings(source), *comments(source))
+            for number, text in (*messages(source), *prose):
+                yield from (f"{name}:{number}: {fault}" for fault in _found(text))
         if '"""It does."""' in source:
-            yield f'{path.relative_to(ROOT)}: the docstring "It does." says nothing: write what is returned'
+            yield f'{name}: the docstring "It does." says nothing: write what is returned'
+
+
+def comments(source: str) -> Iterator[tuple[int, str]]:
+    """The comments of a module, with their first lines; lines that follow one another are one comment."""
+    text, first, last = "", 0, 0
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type != tokenize.COMMENT:
+            continue
+        line = token.start[0]
+        if text and line != last + 1:
+            yield first, text
+            text = ""
+        first = first if text else line
+        text, last = f"{text} {token.string.lstrip('#').strip()}".lstrip(), line
+    if text:
+        yield first, text
+
+
+def docstrings(source: str) -> Iterator[tuple[int, str]]:
+    """The docstrings of a module, its classes and functions, with their lines; breaks of lines are spaces."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, " ".join(node.value.value.split())
 
 
 def messages(source: str) -> Iterator[tuple[int, str]]:

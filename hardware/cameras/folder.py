@@ -1,4 +1,4 @@
-"""Photographs that were taken before, in the place of a camera."""
+"""Photographs that were taken before, instead of a camera."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -24,6 +24,6 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def describe(result: dict[str, Any]) -> str:
-    """Where it stands."""
-    places = (f"the {name} stands at step {step}" for name, step in result["positions"].items())
+    """The text of the result: the position of each axis."""
+    places = (f"the {name} is at step {step}" for name, step in result["positions"].items())
     return f"homed; {', '.join(places)}"

@@ -29,6 +29,6 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def describe(result: dict[str, Any]) -> str:
-    """Where it stands."""
+    """The text of the result: the position of the axis."""
     ((name, step),) = result["positions"].items()
-    return f"the {name} stands at step {step}"
+    return f"the {name} is at step {step}"

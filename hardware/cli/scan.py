@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hardware.places import Place
     from hardware.stages import Travel
 
-HELP: Final = "take a scan into a folder; Ctrl-Z pauses it, Ctrl-C ends it, --resume goes on with one that ended early"
+HELP: Final = "take a scan into a folder; Ctrl-Z pauses it, Ctrl-C ends it, --resume continues one that ended early"
 EXAMPLE: Final = (
     "scanner scan cup --frames 37 --apart 2000\n"
     "  scanner scan cup --resume\n"
@@ -27,7 +27,7 @@ EXAMPLE: Final = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("folder", type=Path, metavar="SCAN", help="the folder to make")
-    parser.add_argument("--resume", action="store_true", help="go on with the scan in this folder, as it was begun")
+    parser.add_argument("--resume", action="store_true", help="continue the scan in this folder, as it was begun")
     parser.add_argument("--frames", type=int, help="how many")
     apart = parser.add_mutually_exclusive_group()
     apart.add_argument("--apart", type=int, metavar="STEPS", help="motor steps from one to the next")
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=0,
         metavar="FRAMES",
-        help="meet the switch again at the end, and after each so many frames, to see whether the motor lost steps; if "
+        help="meet the switch again at the end, and after every FRAMES frames, to see whether the motor lost steps; if "
         "it did, the frames since the last check are marked in scan.toml (default: at the end, where an axis can)",
     )
     parser.add_argument("--no-verify", action="store_true", help="end where the last frame was taken, unverified")
@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         if args.verify is not None and (unable := sorted(set(folder.plan.axes).difference(able))):
             raise InputError(
                 f"--verify: the {' and the '.join(unable)} cannot be verified: no switch, or a controller that does "
-                "not say at which count it met it; go on with --resume, without --verify"
+                "not say at which count it met it; continue with --resume, without --verify"
             )
         notes = take(folder, devices, control, taken, verify=None if args.no_verify else args.verify or 0)
     axes = {name: list(steps) for name, steps in folder.done.axes.items()}
@@ -195,6 +195,6 @@ def describe(result: dict[str, Any]) -> str:
 
 
 def _from_to(axis: str, steps: Sequence[int]) -> str:
-    """From where to where an axis went."""
+    """The first and the last step of an axis, in words."""
     where = f"steps {steps[0]} to {steps[-1]}" if len(set(steps)) > 1 else f"step {steps[0]}"
     return where if axis == "stage" else f"{axis} {where}"

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="ADDRESS",
-        help="a proxy with TLS that sets X-Forwarded-For and X-Forwarded-Proto, which are believed; may be repeated",
+        help="a proxy with TLS that sets X-Forwarded-For and X-Forwarded-Proto, which are trusted; may be repeated",
     )
     parser.add_argument(
         "--name",

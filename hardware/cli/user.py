@@ -74,7 +74,7 @@ def _do(args: argparse.Namespace, accounts: "Accounts") -> dict[str, Any]:
 
 
 def _password(args: argparse.Namespace) -> str:
-    """From standard input, or asked for twice at the terminal.
+    """The password from standard input, or entered twice at the terminal.
 
     Raises:
         InputError: the two differ, or there is no terminal to ask at.

@@ -8,7 +8,7 @@ from hardware.travel import Trapezoid
 class Axis:
     """One motor; all lengths in motor steps, all times in seconds of the caller's clock.
 
-    The *counter* is what the controller believes; the *motor* is where the shaft really is, from 0 at the lower switch
+    The *counter* is what the controller assumes; the *motor* is where the shaft really is, from 0 at the lower switch
     to `length` at the upper one; the *load* follows it with play. Lower than its rate of stalling the motor loses no
     step; above it, it loses every other one and nobody notices.
     """

@@ -37,7 +37,7 @@ def emulated(url: str) -> tuple[Any, Faults, Clock]:
     """
     parts = urlsplit(url)
     if parts.netloc not in _CONTROLLERS:
-        raise ValueError(f'"{url}": no such controller: emulator:// goes on with one of {", ".join(_CONTROLLERS)}')
+        raise ValueError(f'"{url}": no such controller: after emulator:// write one of {", ".join(_CONTROLLERS)}')
     values = {key: float(value) for key, value in parse_qsl(parts.query)}
     for key, value in values.items():
         if not 0 <= value < math.inf:
@@ -93,7 +93,7 @@ class EmulatedPort(serial.SerialBase):
             return len(self._came)
 
     def read(self, size: int = 1) -> bytes:
-        """So many bytes, or those that came within the port's timeout."""
+        """At most `size` bytes: those that came within the port's timeout."""
         with self._changed:
             until_s = self.clock.now_s() + (math.inf if self.timeout is None else self.timeout)
             while True:

@@ -85,7 +85,7 @@ class Direction:
 
 
 class Wire:
-    """A controller and the line to it; whoever holds it calls `pump` and tells the time."""
+    """A controller and the line to it; its owner calls `pump` with the time."""
 
     def __init__(self, controller: Controller, faults: Faults, baud: int, now_s: float):
         random_ = random.Random(faults.seed)

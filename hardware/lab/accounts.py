@@ -116,7 +116,7 @@ class Accounts:
         return [Account(row["name"], bool(row["administrator"])) for row in rows]
 
     def sign_in(self, name: str, password: str, address: str, browser: str = "") -> str:
-        """A new session, for a name and its password; it never goes on with one that was there before.
+        """A new session, for a name and its password; it never continues an earlier one.
 
         Args:
             name: of the account.

@@ -241,7 +241,7 @@ def job(lab: LabHere, who: Viewer, number: Number) -> Job:
 def change_job(
     lab: LabHere, who: Operator, number: Number, action: Literal["pause", "resume", "abort", "take", "enough"]
 ) -> Job:
-    """Pause or abort a job under way; go on with a scan that is paused or ended early.
+    """Pause or abort a job under way; continue a scan that is paused or ended early.
 
     A calibration session: `take` the photograph, or begin the stage's sequence; `enough` views, or no stage.
     """

@@ -73,7 +73,7 @@ class Bench:
         devices, self._devices, self.places = self._devices, None, {}
         if devices is not None:
             for device in (devices.camera, *devices.axes.values()):
-                # What is lost already need not be told.
+                # What is lost already need not be reported.
                 with suppress(HardwareError, OSError):
                     device.close()
 

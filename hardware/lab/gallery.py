@@ -32,7 +32,7 @@ _LOG: Final = logging.getLogger(__name__)
 _WIDEST, _QUALITY = 1280, 80
 # Photographs that wait to be measured in memory; of others the file is read when their turn comes.
 _IN_MEMORY: Final = 4
-# A profile is thinned to so many points, the cloud ends at so many.
+# Most points of a profile (more are thinned) and of the cloud (which ends there).
 _PROFILE_POINTS, _CLOUD_POINTS = 400, 400_000
 # Live it counts that a profile is there at once: the quickest detector.
 _DETECTOR: Final = "derivative"

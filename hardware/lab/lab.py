@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from jaxscan import RigFile
 
 LEASE_S: Final = 15.0
-# The holder of the lock is asked so many times within a lease whether it is there; it is looked after more often.
+# How many times within a lease the holder of the lock is asked whether it is there, and how often this is checked.
 _PINGS, _LOOKS = 4, 20
 # Sessions and tokens that another process has changed are seen within this time.
 _BADGES_S: Final = 1.0

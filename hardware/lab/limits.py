@@ -1,6 +1,6 @@
 """How many requests an account or an address may make, in a second and at a time.
 
-Pages and programs stay far below; a loop that has gone wild, or somebody who means it, is told to wait.
+Pages and programs stay far below; a loop that has gone wild, or an attacker, has to wait.
 """
 
 import threading

@@ -75,7 +75,7 @@ class Logbook:
             self._come.notify()
 
     def interrupted(self) -> None:
-        """Note of every job that a server left under way that nobody goes on with it: at the start of the next one."""
+        """Note of every job that a server left under way that nobody continues it: at the start of the next one."""
         for row in self._database(f"SELECT * FROM jobs WHERE state IN {UNDER_WAY}"):
             job = _job(row)
             words = "the server ended while it ran"

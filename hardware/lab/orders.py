@@ -64,7 +64,7 @@ class Shoot(_Work):
 
 
 class Scan(_Work):
-    """Batch mode: so many photographs along an axis, or around it, added to a project."""
+    """Batch mode: a number of photographs along an axis, or around it, added to a project."""
 
     kind: Literal["scan"] = "scan"
     project: ProjectName

@@ -9,7 +9,7 @@ from hardware.lab.guidance import PageOperator
 from hardware.lab.logbook import Job, State
 from hardware.scan import Control
 
-# An axis that is to stand is told so again until its job has ended.
+# The order to stop is repeated to an axis until its job has ended.
 _AGAIN_S: Final = 0.2
 ENDED_S: Final = 15.0
 
@@ -87,7 +87,7 @@ class Run:
         self._changed()
 
     def revoke(self, words: str, ends_as: State, halt: Callable[[], object]) -> None:
-        """End it at once: all axes are told to stand until it has ended. From any thread, and it waits for nothing."""
+        """End it at once: all axes are ordered to stop until it has ended. From any thread; it waits for nothing."""
         with self._mutex:
             if self._finished.is_set():
                 return
@@ -105,7 +105,7 @@ class Run:
                 self._stopper.start()
 
     def finish(self) -> None:
-        """The devices are done with: return when nobody tells a stage to stand, which would be the next job's."""
+        """The devices are done with: return once no stop order is left that could reach the next job."""
         with self._mutex:
             self._finished.set()
             stopper = self._stopper

@@ -16,10 +16,10 @@ from typing import Final
 from hardware.lab.database import Database
 from hardware.lab.refusal import TOO_MANY, Refusal
 
-# For one account from one address or known browser, for one address, for one account: so many within so many seconds.
+# Limits (tries, seconds): one account from one address or known browser; one address; one account.
 _HERE, _ADDRESS, _ACCOUNT = (5, 300.0), (30, 300.0), (100, 3600.0)
 _LONGEST_S: Final = 3600.0
-# Old tries are dropped each time that so many have come.
+# Old tries are dropped each time that this number of tries has come.
 _SWEEP: Final = 1000
 _NETWORK_V6: Final = 64
 _LOG: Final = logging.getLogger(__name__)

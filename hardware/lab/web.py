@@ -65,7 +65,7 @@ def set_cookie(response: Response, request: Request, name: str, value: str, max_
 
 
 def known_visitor(request: Request, lab: Lab) -> Visitor | None:
-    """Who asks, as far as memory tells: it waits for nothing."""
+    """Who asks, as far as it is known in memory: this waits for nothing."""
     if (token := _token(request)) is not None:
         return lab.accounts.badges.of_token(token)
     return lab.accounts.badges.of_session(request.cookies.get(session_cookie(request), ""))
@@ -164,7 +164,7 @@ PageVisitor = Annotated[Visitor, Depends(page_visitor)]
 
 
 def same(given: str, expected: str | None) -> bool:
-    """Compare a secret in a time that does not tell how much of it is right."""
+    """Compare a secret in a time that does not reveal how much of it is right."""
     return expected is not None and compare_digest(given.encode("utf-8", "replace"), expected.encode())
 
 

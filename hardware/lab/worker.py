@@ -134,10 +134,10 @@ class Worker:
             return self._go(self._logbook.begin(visitor.name, work, total), folder, stops)
 
     def resume(self, number: int, visitor: Visitor) -> Job:
-        """Go on with a scan that stands, or with one that ended early.
+        """Continue a scan that is paused, or one that ended early.
 
         Raises:
-            Refusal: the visitor does not operate, or there is nothing to go on with.
+            Refusal: the visitor does not operate, or there is nothing to continue.
         """
         with self._mutex:
             self._lock.require(visitor)
@@ -237,7 +237,7 @@ class Worker:
 
     def _must_be_idle(self) -> None:
         if (run := self._run) is not None:
-            doing = "is paused: go on with it or abort it" if run.control.standing else "is under way: wait, or end it"
+            doing = "is paused: continue or abort it" if run.control.standing else "is under way: wait, or end it"
             raise Refusal(CONFLICT, f"job {run.job.id} ({run.job.work.kind}) {doing}")
 
     def _must_go_on(self, stops: int) -> None:

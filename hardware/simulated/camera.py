@@ -29,7 +29,7 @@ class SimulatedWorld:
         seed: of the rig, the poses and the noise.
         scene: what is seen, as it stands at step 0 of every axis.
         lighting: what lights it.
-        view: numbers that tell this view from the others, for the seed of the noise.
+        view: numbers that identify this view, for the seed of the noise.
     """
 
     def __init__(self, seed: int = 0, bodies: Sequence[Body] = ()):
@@ -45,7 +45,7 @@ class SimulatedWorld:
         self.view = _OBJECT
 
     def hold_board(self, pose: int, of: int = rig_2003.BOARD_VIEWS) -> None:
-        """Hold the board in one of so many poses."""
+        """Hold the board in pose number `pose` of `of`."""
         boards = rig_2003.board_poses(self.rig, self.seed, of)
         still = rig_2003.board_scene(np.asarray(boards.rotation[pose]), np.asarray(boards.translation[pose]))
         bodies = tuple(Body(body.shape, body.albedo, on_stage=False) for body in still.bodies)

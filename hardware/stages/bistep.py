@@ -3,7 +3,7 @@
 Its language has no checksums, and one byte can do harm: `-1?` reads the count, `-1=` sets it; `2000g` goes to 2000,
 `2000=` calls this place 2000. So
 
-- nothing is written during a move but the question for the count, and a move is believed when two answers on the way
+- nothing is written during a move but the question for the count, and a move is trusted when two answers on the way
   lay between its ends, in order: a count that was defined is there at once;
 - a question that was not answered may have been something else. What it can have defined is its own number, 0 or
   ± 1 and what doubled digits make of it, less than `_OWN_NUMBER`: the next answer clears it where the motor cannot
@@ -102,7 +102,7 @@ class BiStep2A04(SerialStage):
 
     def _doubt(self, watch: "_Watch") -> NoReturn:
         raise PositionUncertainError(
-            f"{self.name}: the controller's count is not to be believed, {watch.doubt}: home it, and look after "
+            f"{self.name}: the controller's count is not to be trusted, {watch.doubt}: home it, and look after "
             "the cable if it happens again"
         )
 
@@ -253,7 +253,7 @@ class _Watch:
 
     @property
     def believable(self) -> bool:
-        """Whether the end may be believed once it is reported."""
+        """Whether the end may be trusted once it is reported."""
         if not self.doubt and self.seen_between < 2:
             self.doubt = "it was not seen twice on its way there"
         if not self.doubt and self._silent_since_s is not None:

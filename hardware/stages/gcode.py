@@ -84,7 +84,7 @@ class GcodeStage(SerialStage):
 
     @property
     def letter(self) -> str:
-        """By which the controller knows the axis."""
+        """The letter by which the controller knows the axis."""
         return self._axis or "X"
 
     @property
@@ -93,7 +93,7 @@ class GcodeStage(SerialStage):
         return self.line.name if self._axis is None else f"{self.line.name} axis {self._axis}"
 
     def set_laser(self, on: bool) -> None:
-        """Switch the laser that hangs on the controller, and see that it was understood.
+        """Switch the laser that is connected to the controller, and see that it was understood.
 
         Raises:
             NoAnswerError: the controller did not confirm it.

@@ -1,6 +1,6 @@
 """What every stage at the end of a serial line does alike: one order at a time, checked before and after, and `stop`.
 
-The controller's count is believed only as far as it has been checked since the reference switch was found. Whatever
+The controller's count is trusted only as far as it has been checked since the reference switch was found. Whatever
 contradicts it ends in `PositionUncertainError`, and then only homing helps.
 """
 
@@ -202,7 +202,7 @@ class SerialStage(ABC):
                 self._standing()
 
     def _check_place(self) -> int:
-        """The place, if the controller agrees with what is believed."""
+        """The position, if the controller agrees with the one that is trusted."""
         if self._believed is None and self._take_over:
             self._believed = self._settled()
         if self._believed is None:

@@ -11,9 +11,9 @@ from hardware.travel import Trapezoid
 SWITCH, HERE = "switch", "here"
 # The last leg of a move takes at least this long, so that it can be watched.
 _LEAST_LEG_S = 1.0
-# A move may take so many times as long as its distance and rate say, and this much more.
+# A move may take this multiple of the time that its distance and rate give, plus this.
 _SLOWER, _SLACK_S = 1.25, 1.0
-# A motor may run so many times as fast as it was told, and be so many steps further by jitter of the line.
+# A motor may run this many times as fast as specified, and be this number of steps further by jitter of the line.
 _FASTER, _JITTER_STEPS = 1.1, 10
 
 
@@ -102,7 +102,7 @@ class Travel:
         return [min(target, start) - self.approach, target]
 
     def move(self, distance: int) -> Trapezoid:
-        """A move over so many steps."""
+        """A move over `distance` steps."""
         return Trapezoid(abs(distance), self.rate_steps_s, self.ramp_steps_s2)
 
     def allowed_s(self, distance: int) -> float:

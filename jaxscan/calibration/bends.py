@@ -20,7 +20,7 @@ from jaxtyping import Float
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM
 
-# σ is sought up to this share of the board's half diagonal, first in so many steps.
+# σ is searched up to this share of the board's half diagonal, first in this number of steps.
 _MOST_BEND = 0.05
 _STEPS = 33
 _NARROWINGS = 4
@@ -48,7 +48,7 @@ class Reduced:
 
     @cached_property
     def bends(self) -> tuple[Float[np.ndarray, "bends"], Float[np.ndarray, "bends others"]]:
-        """Of each block's bulges the directions that do not go together: what is told of each, λ, and with what else.
+        """Independent directions of each block's bulges: the information on each, λ, and its coupling c to the rest.
 
         So the sum over all blocks is one product for each σ: Σ σ² / (1 + σ² λ) c cᵀ.
         """

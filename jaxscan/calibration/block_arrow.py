@@ -67,7 +67,7 @@ class NormalEquations(eqx.Module):
 
     @staticmethod
     def create(residual: Arrow, jacobian: "Jacobian") -> "NormalEquations":
-        """From the residual and the Jacobian's columns."""
+        """The normal equations of a residual and the columns of its Jacobian."""
         Js, rs = jacobian.shared, residual.shared
         U, g, total = Js.T @ Js, Js.T @ rs, rs @ rs
         groups = []
@@ -83,7 +83,7 @@ class NormalEquations(eqx.Module):
 
     @staticmethod
     def unknown(y: Arrow) -> "NormalEquations":
-        """Of the right shapes, with ‖r‖² infinite."""
+        """Normal equations of the right shapes, with ‖r‖² infinite."""
         n, dtype = y.shared.size, y.shared.dtype
         groups = tuple(
             Group(jnp.zeros((b, d, d), dtype), jnp.zeros((b, n, d), dtype), jnp.zeros((b, d), dtype))

@@ -10,7 +10,7 @@ from jaxscan.calibration.residuals import Blocks
 from jaxscan.precision import as_jax
 from jaxscan.rig import is_run
 
-# So many boards are solved in milliseconds and compiled for in seconds.
+# This number of boards is solved in milliseconds, and compiled for in seconds.
 _LEAST = 12
 
 
@@ -59,7 +59,7 @@ def _pack(
     n_blocks: int,
     photographs: int,
 ) -> Blocks:
-    """Blocks for so many boards, each for so many photographs of it."""
+    """Blocks for `boards` boards, each with `photographs` photographs of it."""
     points = observations.board.points()
     stripes = [
         [np.concatenate([s.pixels for s in view.stripes] or [np.zeros((0, 2))]) for view in views] for views in boards

@@ -28,7 +28,7 @@ _FIRST_DAMPING_OF_FIELD = 1e-8
 
 @runtime_checkable
 class Factor(Protocol):
-    """Observations of one group of like blocks: boards, gauges, or whatever else tells of a system. A pytree."""
+    """Observations of one group of like blocks: boards, gauges, or anything else that observes a system. A pytree."""
 
     def residuals(
         self, system: System, poses: Float[Array, "blocks size"], noise: Noise

@@ -1,4 +1,4 @@
-"""What each photograph tells of the unknowns that it shares with others.
+"""The information of each photograph on the unknowns that it shares with others.
 
 From residuals and Jacobian of the last solve come each photograph's normal equations N_i and gradient g_i by what is
 shared, its own pose eliminated.
@@ -44,7 +44,7 @@ class ByPhotograph:
 
     @staticmethod
     def create(refined: Refined, observations: Observations, scales: Float[np.ndarray, "2"]) -> "ByPhotograph":
-        """From residuals and Jacobian of the last solve, those of corners and stripes so many times as large."""
+        """From residuals and Jacobian of the last solve; those of corners and stripes are multiplied by `scales`."""
         value, jacobian = refined.last
         n = jacobian.shared.shape[1]
         blocks = [(np.asarray(J), np.asarray(r)) for J, r in zip(jacobian.blocks, value.blocks, strict=True)]
@@ -76,7 +76,7 @@ class ByPhotograph:
         return ByPhotograph(views, places, N, g, square, others, pull_of_others, own)
 
     def inverse(self) -> Float[np.ndarray, "unknowns unknowns"]:
-        """Of the sum of all, T⁻¹: the covariance of the unknowns."""
+        """T⁻¹, the inverse of the sum of all: the covariance of the unknowns."""
         return inverse_where_determined(self.total())[0]
 
     def total(self) -> Float[np.ndarray, "unknowns unknowns"]:

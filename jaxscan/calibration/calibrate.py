@@ -80,7 +80,7 @@ def calibrate(
 ) -> Calibration:
     """Refine camera, lens, lights, the motion of every axis and all board poses together.
 
-    Not to be traced, since values decide what is left out; `refit` differentiates the result.
+    JAX cannot trace it, because values decide what is left out; `refit` differentiates the result.
 
     Args:
         observations: corners and stripes.
@@ -93,8 +93,8 @@ def calibrate(
             camera that was read from a file were mostly held there: `hold=start.zero_terms()` holds them here.
         tilted: whether the sensor's tilt against the lens is found too, from that of `start`, or from none.
         board_shape: what of the board's shape is found too. "flat": nothing. "bulge": how far it bulges along columns
-            and rows, the same in all photographs. "warp": its twist, and by how much one edge bends more than the
-            other, besides. "bend": how far it bulges in each photograph, and on each axis, besides.
+            and rows, the same in all photographs. "warp": also its twist, and by how much one edge bends more than
+            the other. "bend": also how far it bulges in each photograph, and on each axis.
         plain: plain least squares, the estimate that OpenCV and Bouguet's toolbox make: every corner takes part with
             the same weight. What it gives up: outliers are not left out, a blurred photograph counts like a sharp
             one, and what the detector knows of each corner is not used.
@@ -107,7 +107,7 @@ def calibrate(
             one; "screw", whose screw has a period; "screw_on_guide", both; or one that was registered. Of an axis that
             is not named it is the kind of its photographs.
         periods: steps of one turn of an axis's screw, by its name, where they are known; else they are found.
-        factors: what else is known of the rig, besides boards and stripes; each with residuals in units of its σ.
+        factors: what is known of the rig in addition to boards and stripes; each with residuals in units of its σ.
         advance: called as each solve begins, with what it is, in words.
 
     Raises:

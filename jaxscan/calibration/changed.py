@@ -59,8 +59,8 @@ class Change:
         if self.kind == "light":
             return (
                 f"For a rig as it was last: --laser-since {self.after}, which leaves out the stripes before; their "
-                "corners still tell of the camera, which both parts share. If the camera was pushed and there is a "
-                f"stage, its photographs must be from {self.after} on too."
+                "corners still help to determine the camera, which both parts share. If the camera was pushed and "
+                f"there is a stage, its photographs must be from {self.after} on too."
             )
         if self.kind == "place":
             return "Photograph the board along the axis once more, and fasten board and camera."

@@ -1,8 +1,8 @@
 """`calibrate_by_evidence`: the model that the photographs ask for, from the simplest on.
 
 What the residuals of a solve show of a term that was not sought (a board that bends, a sheet that is curved, a lens
-that is not followed, a stage that is no line) is told without another solve, and so rarely by chance alone that a
-session which needs no term pays for none. What is told is solved with, and takes the place of the simpler model where
+that is not followed, a stage that is no line) is found without another solve, and so rarely by chance alone that a
+session which needs no term pays for none. A term that is found is solved for, and replaces the simpler model where
 the other photographs predict each one better with it than without: −2 log of the density has to fall by more than two
 of its standard errors, from photograph to photograph. Both are solved on the same observations, those that the richer
 model keeps.
@@ -28,7 +28,7 @@ from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER, is_off_centre
 from jaxscan.rig.projection import pixel_rays
 
-# A model is taken where it predicts photographs better by so many standard errors.
+# Limit, standard errors: a richer model must predict the photographs better by this.
 _STANDARD_ERRORS = 2.0
 # No session asks for more models one after the other.
 _MOST = 6
@@ -175,7 +175,7 @@ class _Tried:
         return _falls(self.falls)
 
     def trial(self, simpler: Model, taken: bool) -> Trial:
-        """What is told of it."""
+        """The model with the reason for it, and how much better it predicts."""
         count = len(self.falls)
         gain = float(self.falls.mean()) if count else np.nan
         error = float(self.falls.std(ddof=1)) / count**0.5 if count else np.nan

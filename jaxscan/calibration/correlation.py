@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-# The sum ends at the first lag that is so many times the sum so far: further ones add noise alone.
+# The sum ends at the first lag that is this multiple of the sum so far: further ones add only noise.
 _WINDOW = 5.0
 
 

@@ -14,7 +14,7 @@ from jaxscan.geometry import Pose
 from jaxscan.rig import Rig
 from jaxscan.rig.light import sheet_axes
 
-# The image is looked at in so many columns and rows of cells.
+# The image is divided into this number of columns and rows of cells.
 CELLS = (8, 6)
 
 

@@ -38,7 +38,7 @@ def first_motions(
     photographs = [Pose(stood.rotation[start:end], stood.translation[start:end]) for start, end in pairwise(ends)]
     parts: list[AxisMotion] = []
     for axis, sequences in _by_axis(observations).items():
-        # What is known of the axes that carry this one is taken back; the longest way tells most.
+        # What is known of the axes that carry this one is taken back; the longest travel determines it best.
         longest = max(sequences, key=lambda sequence: float(np.ptp(sequence.steps)))
         poses = photographs[observations.sequences.index(longest)]
         carried = motion_of(tuple(parts)).pose(longest.positions)

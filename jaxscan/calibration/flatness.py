@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bulges_in_words, rounded_mm
 
-# So seldom would chance alone show a shape; and by so many of its σ must it move something of the rig.
+# A shape counts if chance shows it no more often than this, and if it moves the rig by this number of σ.
 BY_CHANCE = 1e-4
 _MOVES = 1.0
 
@@ -17,14 +17,14 @@ class BoardFlatness:
         taken: what the board was taken for, one of `BOARD_SHAPES`.
         bent_mm: from the lowest to the highest point of what all photographs share.
         bent_sigma_mm: its σ.
-        bends_mm: σ of the bulges that each photograph has besides.
+        bends_mm: σ of the additional bulges of each photograph.
         p: how often noise alone would show as much.
         p_bends: how often it would show bulges of each photograph's own as large.
         parameter: what of the rig it moves most, in σ.
         shift_in_sigma: by how much.
         session: the one whose board differs most from that of the first, "" where none does.
         differs_mm: by how much it does, from the lowest to the highest point.
-        views: of how many views of the board it is told.
+        views: from how many views of the board it was determined.
     """
 
     taken: str

@@ -38,11 +38,11 @@ from jaxscan.robust import NORMAL_MAD
 
 # Left out beyond this many σ.
 _LIMIT: Final = 4.0
-# The first round believes a point that is off by no more than this: a rig may read a gauge some per cent wrong.
+# The first round trusts a point that is off by no more than this: a rig may read a gauge some per cent wrong.
 _ROUGHLY_MM, _ROUGHLY_SHARE = 0.3, 0.08
 _FEWEST_POINTS = 100
 _MAX_ROUNDS = 30
-# How far a pose is known by where the gauge was laid in, radians and mm.
+# How well the initial alignment of a gauge determines its pose, radians and mm.
 _TURN_TO, _NO_TURN, _SHIFT_TO = 0.1, 1e-6, 10.0
 _FIRST_DAMPING = 1e-12
 _SETTLED = 0.01
@@ -64,8 +64,8 @@ class GaugeReading:
         rejected: how many were seen on the gauge's surroundings, at grazing angles, or beyond 4 σ.
         stripe_sigma_px: σ of a stripe point, from the residuals.
         correlation: how many neighbouring points are worth one.
-        rms_before_mm: RMS distance of the points that took part from the gauge's surface, by the rig as it was, the
-            gauge laid in as well as it went.
+        rms_before_mm: RMS distance of the points that took part from the gauge's surface, by the rig as it was,
+            with the gauge aligned as well as possible.
         rms_after_mm: the same by the refined rig.
     """
 
@@ -129,7 +129,7 @@ def refine_by_gauge(
         seen = stripe_points(gauges, rig)
         seen = _laid_in(gauges, rig, seen)
         first = System(rig, (*boards.system.poses, seen.laid), boards.system.shape)
-        # The gauges are laid in first, with the rig as it is.
+        # The gauges are aligned first, with the rig as it is.
         laid = _fit(gauges, seen, first, boards, jnp.zeros_like(boards.free))
         fitted = _fit(gauges, seen, laid.system, boards, boards.free)
         refined = fitted.system.rig
@@ -154,7 +154,7 @@ def refine_by_gauge(
 
 @dataclass(frozen=True)
 class _Boards:
-    """What the boards tell of the rig, as parts of the solve: by a prior, or by photographs.
+    """What the boards contribute to the solve of the rig: a prior, or photographs.
 
     Attributes:
         system: the rig, and the poses of the photographs' boards.
@@ -206,7 +206,7 @@ def _boards(known: RigFile | Calibration, gauges: Sequence[Gauge], free: Set[str
         free_leaves[np.array(others)] = False
     # The calibration's own solution, but for the numbers of the rig that say nothing of their own.
     system = System(rig, adjustment.start.poses, adjustment.start.shape)
-    # Of the board's shape, which stands behind the rig, the photographs tell.
+    # The board's shape, which follows the rig, is determined by the photographs.
     terms = len(jax.tree.leaves(system.shape))
     prior = Prior(jnp.pad(mean, (0, terms)), jnp.pad(jnp.asarray(roughly), ((0, 0), (0, terms))))
     free_leaves = np.pad(free_leaves, (0, terms), constant_values=True)
@@ -253,14 +253,14 @@ def _laid_in(gauges: Sequence[Gauge], rig: Rig, seen: GaugePoints) -> GaugePoint
                 f"{len(cloud)} stripe points in the scan of the gauge: at least {_FEWEST_POINTS} are needed"
             )
         poses.append(gauge.shape.stand(cloud).as_vector())
-    # Next to nothing beside what a scan tells, but a ball has no turn that it could tell.
+    # Almost nothing beside the information of a scan; but a scan of a ball does not determine its rotation.
     known_to = [[_TURN_TO if gauge.shape.turns else _NO_TURN] * 3 + [_SHIFT_TO] * 3 for gauge in gauges]
     return eqx.tree_at(lambda s: (s.laid, s.laid_to), seen, (jnp.asarray(np.stack(poses)), jnp.array(known_to)))
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Where rounds of nearest points and solves ended, what the last tells, and σ and τ of each scan."""
+    """Where rounds of nearest points and solves ended, the information of the last, and σ and τ of each scan."""
 
     system: System
     scans: GaugePoints
@@ -334,7 +334,7 @@ def _enough(good: Bool[np.ndarray, "scans points"]) -> None:
 def _robust_sigmas(
     errors: Float[np.ndarray, "scans points"], used: Bool[np.ndarray, "scans points"]
 ) -> Float[np.ndarray, "scans"]:
-    """Of each scan, from the median of absolute errors, pixels."""
+    """σ of each scan, from the median of absolute errors, pixels."""
     medians = [float(np.median(np.abs(e[u]))) for e, u in zip(errors, used, strict=True)]
     return np.maximum(NORMAL_MAD * np.array(medians), _SMALLEST_SIGMA)
 

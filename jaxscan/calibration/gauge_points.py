@@ -1,4 +1,4 @@
-"""From scans of gauges to `GaugePoints`: nearest points of their shapes, and which stripe points can tell of them."""
+"""From scans of gauges to `GaugePoints`: nearest points of their shapes, and which stripe points can be used."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -87,7 +87,7 @@ def stripe_points(gauges: Sequence[Gauge], rig: Rig) -> GaugePoints:
 
 
 def facing(gauges: Sequence[Gauge], system: System, seen: GaugePoints) -> GaugePoints:
-    """The points with the nearest ones of the shapes and the normals there; those are used that can tell of them.
+    """The points with the nearest ones of the shapes and the normals there; and which of them can be used.
 
     A point whose nearest one is on an edge is off to the side of the shape; a face turned from the camera is not what
     was seen; and where the surface lies nearly along the way on which the stripe moves, it may be anywhere on it.
@@ -115,7 +115,7 @@ def facing(gauges: Sequence[Gauge], system: System, seen: GaugePoints) -> GaugeP
 
 
 def distances(gauges: Sequence[Gauge], system: System, seen: GaugePoints) -> Float[np.ndarray, "scans points"]:
-    """From the surfaces, mm; NaN where there is no stripe."""
+    """Distances of the stripe points from the surfaces, mm; NaN where there is no stripe."""
     points = np.asarray(on_object(system.rig, seen)[0])
     found = np.full(seen.used.shape, np.nan)
     for i, gauge in enumerate(gauges):

@@ -29,8 +29,8 @@ class GaugePoints(eqx.Module):
         normals: m, unit normals there.
         used: which points take part.
         weights: 1 / σ of each, 1/px.
-        laid: the pose at which each gauge was laid in: there it stays along what its shape leaves open (a plate may
-            slide in its plane).
+        laid: the pose at which each gauge was aligned: it keeps this in the directions that its shape leaves open (a
+            plate may slide in its plane).
         laid_to: how far its pose is taken to be known by that: rotation vector (radians) and translation (mm).
     """
 
@@ -55,7 +55,7 @@ class GaugePoints(eqx.Module):
         return jnp.concatenate([errors * jnp.where(self.used, self.weights, 0.0), moved], axis=1)
 
     def start(self, system: System) -> Float[Array, "scans 6"]:
-        """Where the gauges were laid in."""
+        """The poses at which the gauges were aligned."""
         del system
         return self.laid
 
@@ -86,7 +86,7 @@ def points_of_object(
 def gauge_errors(
     rig: Rig, pose: Float[Array, "6"], scan: GaugePoints
 ) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
-    """Of each point of one scan: predicted minus seen position, pixels, and ∂d/∂v, mm a pixel; 0 and 1 where masked."""
+    """For each point of one scan: predicted minus seen position, px, and ∂d/∂v, mm a pixel; 0 and 1 where masked."""
     T = Pose.from_vector(pose)
     R = T.matrix()
     pixels = jnp.where(scan.used[:, None], scan.stripe, jnp.stack(rig.camera.principal))

@@ -70,7 +70,7 @@ class Steps:
 
     @property
     def size(self) -> float:
-        """From the lowest level to the highest."""
+        """Distance from the lowest level to the highest, mm."""
         return max(self.heights) - min(self.heights)
 
     @property
@@ -81,7 +81,7 @@ class Steps:
     def nearest(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
-        """On the nearest level."""
+        """The nearest points on the levels, and the normals there."""
         levels = np.asarray(self.heights)
         on = points.copy()
         on[:, 2] = levels[np.abs(points[:, 2:] - levels).argmin(axis=1)]
@@ -117,7 +117,7 @@ class Ball:
 
     @property
     def turns(self) -> bool:
-        """It does not."""
+        """False: a ball looks the same after any rotation."""
         return False
 
     def nearest(
@@ -187,12 +187,12 @@ class Solid:
     def nearest(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
-        """On the nearest triangle."""
+        """The nearest points on the triangles, and the normals there."""
         on, triangle = self._closest(points)  # pyright: ignore[reportAttributeAccessIssue]
         return on, np.asarray(self.mesh.face_normals)[triangle]
 
     def stand(self, cloud: Float[np.ndarray, "points 3"]) -> Pose:
-        """On the dominant plane, turned about its normal so that the points above it fit best."""
+        """The pose on the dominant plane, turned about its normal so that the points above it fit best."""
         plane = dominant_plane(cloud)
         local = plane.inverse().apply(cloud)
         tall = float(self.mesh.bounds[1, 2])

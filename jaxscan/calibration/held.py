@@ -50,8 +50,8 @@ def held_parameters(
     zeros = () if has_start else hold
     if tilted and not set(hold) >= _TILT and set(lens_parameters(lens)) <= set(zeros):
         raise InputError(
-            "a lens without distortion does not show where its axis is, so the tilt of the sensor cannot be told from "
-            'the principal point: ask for lens = "radial1" or a richer one, none of its terms held at 0, or leave out '
-            "the tilt"
+            "a lens without distortion does not show where its axis is, so the tilt of the sensor cannot be "
+            'distinguished from the principal point: ask for lens = "radial1" or a richer one, none of its terms '
+            "held at 0, or leave out the tilt"
         )
     return set(hold) | centred

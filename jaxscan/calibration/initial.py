@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _FOCAL_GRID = np.geomspace(0.3, 20.0, 24)
-# A start whose reprojection is off by more than this share of the image width is not believed.
+# A start whose reprojection is off by more than this share of the image width is not trusted.
 _POOR_START = 0.02
 
 

@@ -1,7 +1,7 @@
 """A second scale: the millimetres of a motor step that are known otherwise, against those that the squares give.
 
 All lengths scale with the size of the squares. A screw's pitch is known from its maker, so the travel of the stage for
-one step tells whether the board is as large as `session.toml` says.
+one step shows whether the board is as large as `session.toml` says.
 """
 
 from collections.abc import Iterable
@@ -12,7 +12,7 @@ from jaxscan.files.session import Session
 from jaxscan.rig.line import Line
 from jaxscan.rig.summary import step_of
 
-# A board that is measured with a ruler, and a screw, are better than this; and so many σ are no noise.
+# A board measured with a ruler, and a screw, are better than this share; more than this number of σ is not noise.
 _SHARE: Final = 0.01
 _SIGMAS: Final = 5.0
 

@@ -17,7 +17,7 @@ _POSE = 6
 
 
 def leave_one_out(refined: Refined, each: ByPhotograph) -> Float[np.ndarray, "photographs"]:
-    """Of each photograph −2 log of the density at which the others predict it, but for a constant.
+    """−2 log of the density at which the others predict each photograph, up to a constant.
 
     A stripe point counts as much as its correlation with its neighbours leaves it.
 
@@ -42,7 +42,7 @@ def leave_one_out(refined: Refined, each: ByPhotograph) -> Float[np.ndarray, "ph
 
 
 def _of_bends(J: Float[np.ndarray, "rows columns"], unknowns: int, each: ByPhotograph, sigma: float) -> float:
-    """Log |1 + σ² Q|, Q what the residuals of a block tell of its bulges once its pose is eliminated."""
+    """Log |1 + σ² Q|, Q the information of a block's residuals on its bulges once its pose is eliminated."""
     shared = unknowns - sum(len(own) for own in each.own)
     V = J[:, shared:].T @ J[:, shared:]
     scale = 1 / np.sqrt(np.diagonal(V))

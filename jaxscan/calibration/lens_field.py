@@ -2,9 +2,9 @@
 
 The coefficients c of each component are normal about zero, with a standard deviation σ and correlations that fall with
 the distance d on the grid, in cells, as k(d / ℓ) = (1 + √5 d/ℓ + 5/3 (d/ℓ)²) exp(−√5 d/ℓ) (B. Matérn 1960, of order
-5/2). So knots that no corner tells follow their neighbours, and go to zero with the full σ far from them. σ and ℓ are
-those of the largest restricted likelihood: with the normal equations of [c, residual] from which poses and all other
-numbers are eliminated, Q and h, and the precision P / σ² of c, P = L Lᵀ,
+5/2). So knots that no corner determines follow their neighbours, and go to zero with the full σ far from them. σ and ℓ
+are those of the largest restricted likelihood: with the normal equations of [c, residual] from which poses and all
+other numbers are eliminated, Q and h, and the precision P / σ² of c, P = L Lᵀ,
 
     −2 log L = Σ log(1 + σ² λ) − Σ σ² g² / (1 + σ² λ)        L⁻¹ Q L⁻ᵀ = V diag(λ) Vᵀ,  g = Vᵀ L⁻¹ h.
 
@@ -44,7 +44,7 @@ _NARROWINGS: Final = 4
 _BETTER: Final = 0.5
 # How much of the field, as a share of σ, may be what the camera's other numbers do.
 _SHARED: Final = 0.01
-# Places of the grid, along each side, at which that is told.
+# Number of places along each side of the grid at which this is evaluated.
 _PLACES: Final = 41
 # Of a correlation matrix's diagonal, so that it can be inverted.
 _JITTER: Final = 1e-8
@@ -98,16 +98,16 @@ def first_field(camera: Camera, free: Collection[str]) -> FieldPrior | None:
 
 
 def check_enough_for_field(observations: Observations) -> None:
-    """Refuse corners that are too few for so many terms.
+    """Refuse a session with too few corners for the number of terms.
 
     Raises:
-        InputError: they are.
+        InputError: there are too few corners.
     """
     views = observations.views
     told = sum(2 * int(view.used().sum()) - 6 for view in views)
     if told < KNOTS:
         raise InputError(
-            f'{len(views)} usable views tell {max(told, 0)} numbers beyond their boards\' poses; lens = "splined", '
+            f'{len(views)} usable views give {max(told, 0)} numbers beyond their boards\' poses; lens = "splined", '
             f"with {2 * KNOTS} shifts, needs {KNOTS} and more: photograph the board in more poses, all over the image, "
             'or ask for lens = "brown"'
         )
@@ -131,7 +131,7 @@ def likeliest_field(
     diagonal = np.diagonal(total)[:-1]
     k, others = np.flatnonzero(is_knot & free), np.flatnonzero(~is_knot & free & (diagonal > 0))
     if len(k) < is_knot.sum():
-        # With some of them held there is too little of the field left to tell its statistics.
+        # With some of them held there is too little of the field left to estimate its statistics.
         return prior
     c = np.asarray(system.values())[k]
     Q, h = _without_others(total, k, others, c)

@@ -147,7 +147,7 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
         tags: frozenset[object],
         result: optx.RESULTS,
     ) -> tuple[Arrow, Any, dict[str, Any]]:
-        """At the minimum, take the step left: it is solved for already, and too short for ‖r‖² to tell its fall."""
+        """At the minimum, take the step left: it is solved for already, and too short to show in ‖r‖²."""
         at_minimum = result == optx.RESULTS.successful
         y = jax.tree.map(lambda y, left: y + jnp.where(at_minimum, left, 0.0), y, state.left)
         return y, aux, {}

@@ -10,7 +10,7 @@ from jaxscan.rig import MOTIONS, LightPlane
 
 @dataclass(frozen=True)
 class Model:
-    """What `calibrate` is asked to find beyond the numbers that every rig has.
+    """What `calibrate` estimates in addition to the parameters that every rig has.
 
     Attributes:
         lens: the kind of the lens.

@@ -37,9 +37,9 @@ from jaxscan.rig import BoardShape, Covariance, Light, Rig, System
 from jaxscan.rig.board_shape import BENDS
 from jaxscan.rig.rig import parameter_names
 
-# Generations of so many places. Always as many, so that nothing compiles anew.
+# Number of generations, and of poses in each. Always the same number, so that nothing is compiled again.
 _GENERATIONS, _AT_ONCE = 60, 120
-# The stripe is summed over so many of its parts.
+# The stripe is summed over this number of its parts.
 _STRIPE_PARTS = 16
 # How far beyond the boards that there are the next one may be held, how far from the image's edge (as a share of its
 # width) it stays, and how far it may be tilted: corners are found as well up to 55°, and a hand wants room.
@@ -75,7 +75,7 @@ class Scene(eqx.Module):
         rig: as calibrated.
         free: which of its parameters are not held.
         shape: of the board, as found; None for a flat one.
-        noise: σ of a corner, of a stripe point times √τ, and of the bulges that each photograph has besides.
+        noise: σ of a corner, of a stripe point times √τ, and of the additional bulges of each photograph.
         points: of the board, mm.
         outline: corners of the printed pattern, mm.
         columns: for each laser, whether its stripe is found column by column.
@@ -90,7 +90,7 @@ class Scene(eqx.Module):
     columns: Bool[Array, "lasers"]
 
     def information(self, pose: Float[Array, "6"]) -> Float[Array, "leaves leaves"]:
-        """I(p) = U − W V⁻¹ Wᵀ: what a photograph of the board at a pose tells of the rig's leaves."""
+        """I(p) = U − W V⁻¹ Wᵀ: the information of a photograph of the board at a pose on the rig's leaves."""
         blocks = jax.tree.map(lambda leaf: leaf[None], self.seen(pose))
         leaves = len(self.free)
         own = pose if self.noise.bend is None else jnp.pad(pose, (0, BENDS))

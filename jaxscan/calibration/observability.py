@@ -71,7 +71,7 @@ def undetermined(
         share = np.abs(directions[:, 0]) / np.linalg.norm(directions, axis=1)
         parts = [names[i] for i in np.argsort(-share) if share[i] > _WORTH_NAMING * share.max()]
         words = list(dict.fromkeys(_words(name) for name in parts))
-        what = " and ".join(words) + " cannot be told apart" if len(words) > 1 else f"{words[0]} cannot be found"
+        what = " and ".join(words) + " cannot be distinguished" if len(words) > 1 else f"{words[0]} cannot be found"
         return OpenQuestion(what, tuple(parts))
     sigmas = np.sqrt(np.diagonal(covariance)).tolist()
     # Before the focal length, with which a tilt that is not known is mixed up too.
@@ -79,14 +79,14 @@ def undetermined(
     for i in sorted(tilts, key=lambda i: -sigmas[i])[:1]:
         if sigmas[i] > _LARGEST_TILT_SIGMA:
             return OpenQuestion(
-                "the tilt of the sensor and the principal point cannot be told apart, it came out as "
+                "the tilt of the sensor and the principal point cannot be distinguished, it came out as "
                 f"{np.degrees(values[i]):.1f}° ± {np.degrees(sigmas[i]):.1f}°",
                 (names[i],),
             )
     for i, (name, sigma) in enumerate(zip(names, sigmas, strict=True)):
         if name.startswith("camera.focal") and sigma > _LARGEST_RELATIVE_SIGMA * abs(values[i]):
             return OpenQuestion(
-                f"the focal length and the boards' distance cannot be told apart, it came out as {values[i]:.0f} ± "
+                f"the focal length and the boards' distance cannot be distinguished, it came out as {values[i]:.0f} ± "
                 f"{sigma:.0f} px ({100 * sigma / abs(values[i]):.0f} %)",
                 (name,),
             )
@@ -182,7 +182,7 @@ def cause_and_mend(question: OpenQuestion, coverage: Coverage, corner_px: float)
         )
     if name.startswith("camera.tilt"):
         return (
-            f"only the lens's distortion tells where its axis is, and corners cover {100 * coverage.image_share:.0f} % "
+            f"only the lens's distortion shows where its axis is, and corners cover {100 * coverage.image_share:.0f} % "
             f"of the image and reach {100 * coverage.reach:.0f} % of the way from its centre to its corners. Hold the "
             "board into the corners of the image, choose a lens with fewer terms, or calibrate without the tilt"
         )

@@ -13,7 +13,7 @@ from jaxscan.errors import InputError
 from jaxscan.images import Board
 from jaxscan.rig import is_run, run_of, runs
 
-# Of what was left out an error names so many.
+# An error names at most this number of the items that were left out.
 _NAMED = 12
 
 
@@ -68,11 +68,11 @@ class View:
 
 @dataclass(frozen=True)
 class BoardSequence:
-    """Photographs of one board fixed on what an axis moves, along its travel or its turn.
+    """Photographs of one board that an axis moves, along its travel or its turn.
 
     Attributes:
         positions: motor steps of each axis at each photograph, in the order they were taken; all but one axis stand
-            still. Of an axis with play its run besides (`rig.run_of`).
+            still. For an axis with play also its run (`rig.run_of`).
         views: the photographs, all with the corners in the same order; stripes on the board take part.
         axis: the axis that moves.
         kind: how it moves the board, a kind of `rig.MOTIONS`.
@@ -85,7 +85,7 @@ class BoardSequence:
 
     @property
     def steps(self) -> Float[np.ndarray, "images"]:
-        """Of the axis that moves."""
+        """Motor steps of the axis that moves, one for each photograph."""
         return np.asarray(self.positions[self.axis], np.float64)
 
     @property
@@ -147,17 +147,17 @@ class Unused:
     rejected: tuple[str, ...] = ()
 
     def add(self, line: str, wholly: bool) -> "Unused":
-        """With one line more."""
+        """The same with one more line."""
         return self.and_then(Unused((line,)) if wholly else Unused((), (line,)))
 
     def and_then(self, other: "Unused") -> "Unused":
-        """With those lines after these."""
+        """The same, followed by the lines of another."""
         return Unused((*self.left_out, *other.left_out), (*self.rejected, *other.rejected))
 
 
 @dataclass(frozen=True)
 class Observations:
-    """All that the joint solve is given.
+    """All input of the joint solve.
 
     Attributes:
         image_size: columns and rows of every photograph.
@@ -241,7 +241,7 @@ class Observations:
         return replace(self, views=views, sequences=kept, left_out=left_out)
 
     def stripes_since(self, name: str) -> "Observations":
-        """Without the stripes before the photograph of this name, whose corners still tell of the camera."""
+        """Without the stripes before the photograph of this name, whose corners still help to determine the camera."""
         before = self._before(name)
         photographs = [replace(view, stripes=()) if view.name in before else view for view in self.photographs()]
         had = [view.name for view in self.photographs() if view.name in before and view.stripes]

@@ -32,7 +32,7 @@ from jaxscan.images.stripes.other_colour import colour_that_shows
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
-# A stripe is looked for the wrong way where it is so many times as long across as along.
+# The stripe is searched in the wrong direction if it is this many times as long across as along.
 _STEEP = 2.0
 # Photographs in which other colours are tried.
 _TRIED = 3
@@ -66,7 +66,7 @@ def observe(
 
     Raises:
         InputError: a photograph that cannot be read, or a board that is found in none of them.
-        StalledError: what is in one of them was looked for without an end.
+        StalledError: the search in one of them did not end in time.
     """
 
     def name(path: Path) -> str:
@@ -100,7 +100,7 @@ def observe(
             moved.append(looked_at(partial(along, sequence), sequence.images, range(len(sequence.images))))
             left_out += _not_found(session, moved[-1], f"{axis} photograph")
     usual = _usual_sigma([p.found for p in (*photographs, *(p for each in moved for p in each)) if p.found is not None])
-    # Each sequence by itself: one may begin where another passes. A view that is a copy of one of theirs is left out.
+    # Each sequence by itself: one may begin where another passes. A view that copies one of them is left out.
     moved, repeated = zip(*map(_once, moved), strict=True) if moved else ((), ())
     photographs, of_views = _once(photographs, [photograph for each in moved for photograph in each])
     left_out += [line for lines in (of_views, *repeated) for line in lines]
@@ -155,7 +155,7 @@ def _stripe_of(laser: StripeSettings) -> str:
 
 
 def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
-    """Of which lasers the stripe runs the other way than it is looked for."""
+    """Which lasers' stripes run across the direction in which they are searched."""
     notes = []
     for i, laser in enumerate(lasers):
         steep = []
@@ -175,7 +175,7 @@ def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str
 
 
 def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
-    """Of which lasers the stripe has another colour than it is looked for."""
+    """Which lasers' stripes have another colour than the one that is searched."""
     notes = []
     for i, laser in enumerate(lasers):
         found = [stripe.brighter for view in views for stripe in view.stripes if stripe.laser == i]
@@ -186,7 +186,7 @@ def _miscoloured(lasers: Sequence[StripeSettings], views: Sequence[View]) -> lis
 
 
 def _in_another_colour(session: Session, photographs: Sequence[_Photograph], views: Sequence[View]) -> list[str]:
-    """Of which lasers no stripe was found in any view, and under which colour there is one."""
+    """Which lasers have no stripe in any view, and the colour under which there is one."""
     notes = []
     for i, laser in enumerate(session.lasers):
         own = [stripe for view in views for stripe in view.stripes if stripe.laser == i]
@@ -204,7 +204,7 @@ def _in_another_colour(session: Session, photographs: Sequence[_Photograph], vie
 
 
 def _no_bell(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str]:
-    """Of which lasers the stripe's cross-section is no bell."""
+    """Which lasers have a stripe whose cross-section is not bell-shaped."""
     notes = []
     for i, laser in enumerate(lasers):
         found = [stripe for view in views for stripe in view.stripes if stripe.laser == i]
@@ -331,7 +331,7 @@ _CHECK = (
 def _mistaken(session: Session) -> str | None:
     """Which usual mistake has been made where a checkerboard is found nowhere, by the photographs of the first pose.
 
-    Of a session that shares its poses with another, and lists only the stage's photographs besides, nothing is told.
+    Nothing is reported for a session that shares its poses with another and itself lists only the stage's photographs.
     """
     if session.board.kind != "checkerboard" or not session.views.boards:
         return None

@@ -13,7 +13,7 @@ class OffGrid:
     Attributes:
         in_plane_mm: RMS over the points, along columns and rows together; 0 where none shows.
         height_mm: RMS over the points, out of the shape that the board was taken to have; 0 where none shows.
-        ratio: by how much σ of the rig's parameter that they tell of most is larger for them.
+        ratio: by how much σ of the rig's parameter that they affect most is larger for them.
         parameter: which that is.
         p: how often noise alone would show as much.
         said: whether a term of the model is named that may explain it.

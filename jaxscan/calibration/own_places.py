@@ -19,7 +19,7 @@ from jaxscan.geometry import Pose
 from jaxscan.rig.projection import project_points
 
 FEWEST_CORNERS = 4
-# Corners beyond so many σ of their photograph, about its own place, have no say; asked so many times.
+# Corners beyond this number of σ from their photograph, at its own pose, are ignored; number of rounds.
 _LIMIT, _ROUNDS = 4.5, 3
 # Of the length of a vector of two normal numbers, in σ of one.
 _MEDIAN_LENGTH = 1.1774
@@ -27,12 +27,12 @@ _MEDIAN_LENGTH = 1.1774
 
 @dataclass(frozen=True)
 class OwnPlaces:
-    """Of each photograph of a sequence, real place minus fitted (mm) and real turn minus fitted (radians).
+    """For each photograph of a sequence: real place minus fitted (mm), and real turn minus fitted (radians).
 
     Attributes:
         index: of the sequence among the observations'.
         names: of the photographs.
-        sequence: those photographs of it that tell where their board stood.
+        sequence: those photographs of it that determine where their board was.
         corners: where the fitted motion has their corners, camera frame, mm.
         used: which corners told.
         moved: displacement of the middle of the board, camera frame.

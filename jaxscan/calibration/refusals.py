@@ -40,7 +40,7 @@ _FEWEST_STRIPE_POINTS = 10
 
 @contextmanager
 def with_remarks(known: list[Observations]) -> Iterator[None]:
-    """Let a refusal say what was seen amiss in the photographs (the last of what is known): often it is the reason."""
+    """Add to a refusal what was wrong in the photographs (the last of what is known): often it is the reason."""
     try:
         yield
     except (InputError, ObservabilityError, SolveError) as error:
@@ -124,7 +124,7 @@ def check_enough(observations: Observations) -> None:
             if axis not in moving and not is_run(axis) and np.any(steps):
                 raise InputError(
                     f"the {sequence.axis} was photographed away from the {axis}'s step 0, but no board on the {axis} "
-                    f"tells how far that is: photograph one, or give {axis}_step = 0 under [{sequence.axis}]"
+                    f"shows how far that is: photograph one, or give {axis}_step = 0 under [{sequence.axis}]"
                 )
 
 
@@ -158,7 +158,7 @@ def check_views_for(board_shape: str, views: int) -> None:
     if views < fewest:
         simpler = [name for name, count in _FEWEST_VIEWS_OF.items() if count <= views]
         raise InputError(
-            f'{views} usable views of the board; board_shape = "{board_shape}" needs {fewest}, to tell '
+            f'{views} usable views of the board; board_shape = "{board_shape}" needs {fewest}, to distinguish '
             f"{_OF_SHAPE[board_shape]} from the camera: photograph it in more poses, tilted in different directions, "
             f'or ask for board_shape = "{simpler[-1]}"'
         )

@@ -107,7 +107,7 @@ class Noise(eqx.Module):
         corner: σ of a corner of weight 1 along each axis, pixels.
         stripe: σ of a stripe point of weight 1, pixels.
         robustness: 1 / c of the pseudo-Huber loss (P. Charbonnier et al. 1994), c in σ; 0 is least squares.
-        bend: σ of the bulges that each board has besides the shape of all, mm; None where it has none.
+        bend: σ of each board's bulges in addition to the common shape, mm; None where it has none.
         field: what is known of the shifts of a lens that has a field of them; None where it has none.
     """
 

@@ -31,7 +31,7 @@ from jaxscan.rig.light import distance
 from jaxscan.rig.rig import parameter_names, with_normal_numbers
 from jaxscan.robust import NORMAL_MAD
 
-# Stripe points so many σ off their light are another light's.
+# Stripe points this number of σ off their light belong to another light.
 _FAR_OFF = 6.0
 
 
@@ -72,7 +72,7 @@ class Calibration:
         board_covariances: view by view, of the rig's parameters and that board's pose together.
         moved_covariances: the same of the pose of each sequence's board with all axes at 0.
         shape_covariance: of the board's shape, `shape.bulge.0` … (mm); None where the board was taken to be flat.
-        bend_sigma_mm: σ of the bulges that each board has besides that shape, from the photographs; None where it was
+        bend_sigma_mm: σ of each board's bulges in addition to that shape, from the photographs; None where it was
             taken to have none.
         corner_sigma_px: σ of a corner along each axis, from the residuals.
         stripe_sigma_px: σ of a stripe point, from the residuals; None without stripes.
@@ -322,7 +322,7 @@ def assemble(
 
 
 def _of_shape(refined: Refined, leaves: int) -> Covariance | None:
-    """The covariance of the board's shape, which stands behind that of so many leaves of the rig."""
+    """The covariance of the board's shape, which follows that of the rig's first `leaves` parameters."""
     names = tuple(refined.system.shared_names()[leaves:])
     return Covariance(names, np.asarray(refined.precision.covariance)[leaves:, leaves:]) if names else None
 

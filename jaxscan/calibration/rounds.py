@@ -6,7 +6,7 @@ neither the set nor the σ change, or it shows that the data do not determine wh
 components: squared residuals over redundancy. Photographs differ in their light, their sharpness and how flat the board
 was held, so each has a σ of its own, drawn towards that of all by about a photograph's worth. Where boards may bend by
 themselves the σ of their bends comes out of each round too (`bends`). Weights that corners were
-given are believed as far as the residuals bear them out. A stripe point is weighted less than its σ alone says, by the
+given are trusted as far as the residuals confirm them. A stripe point is weighted less than its σ alone says, by the
 correlation of errors along the stripe.
 """
 
@@ -35,13 +35,13 @@ from jaxscan.robust import NORMAL_MAD
 # Left out beyond this many σ: one good corner in 25 000 (Rayleigh), one good stripe point in 16 000 (normal).
 CORNER_LIMIT = 4.5
 STRIPE_LIMIT = 4.0
-# A set of outliers that still changes by a point or two after so many solves changes nothing else.
+# If the set of outliers still changes by a point or two after this number of solves, nothing else changes.
 _MAX_SOLVES = 12
-# So many solves in a row without a minimum, or with a direction that the data leave open, and more will not help.
+# After this number of solves in a row without a minimum, or with an undetermined direction, more do not help.
 _MAX_FUTILE = 2
 _SIGMA_SETTLED = 0.01
-# A photograph's own σ² counts for its redundancy, that of all photographs for so many residuals more: about as many as
-# one photograph has, so that only what clearly differs counts clearly less.
+# A photograph's own σ² is weighted by its redundancy, that of all photographs by this number of residuals: about as
+# many as one photograph has, so that only what clearly differs counts clearly less.
 _PRIOR_RESIDUALS = 100.0
 _SCALES_SETTLED = 0.03
 # Which part of a corner's variance may be the same for all.
@@ -315,7 +315,7 @@ def _variance_components(
 ) -> tuple[Noise, tuple[_Sums, ...]]:
     """σ of each kind over all photographs, and what each photograph contributed to it."""
     sums = []
-    # What factors tell has the σ that it is given.
+    # The residuals of factors have the σ that they are given.
     for candidate, group, (corner, stripe), h in zip(candidates, groups, errors, leverage, strict=False):
         n = corner[0].size
         used, striped = group.corner_used[..., None], group.stripe_used
@@ -350,7 +350,7 @@ def _variance_components(
 def _believed(candidates: tuple[Blocks, ...], groups: tuple[Blocks, ...], errors: tuple) -> tuple[Blocks, ...]:
     """The candidates with the corners' weights w drawn towards equal ones: 1 / w'² = c + (1 − c) / w².
 
-    What the image tells of a corner's σ is not all: a board that bends and a lens that is not the model's move all
+    The image does not show all of a corner's σ: a board that bends and a lens that is not the model's move all
     corners alike. c is that part of the variance; its value is the most likely one for normal errors with a common
     scale.
     """
@@ -381,7 +381,7 @@ def _weighted(
     weighted = []
     for group, own in zip(candidates, sums, strict=True):
         corner = _relative_sigma(own.corner_squares, own.corner_redundancy, float(overall.corner), _PRIOR_RESIDUALS)
-        # So many tied points tell as much of a stripe's σ as one.
+        # τ correlated points carry as much information on a stripe's σ as one independent point.
         stripe = _relative_sigma(
             own.stripe_squares, own.stripe_redundancy, float(overall.stripe), tau * _PRIOR_RESIDUALS
         )

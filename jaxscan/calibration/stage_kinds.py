@@ -87,14 +87,14 @@ def _with_run(sequence: BoardSequence) -> BoardSequence:
 
 
 def _check_there_and_back(axis: str, kind: str, sequences: Sequence[BoardSequence]) -> None:
-    """Refuse photographs that tell nothing of play."""
+    """Refuse photographs that do not determine play."""
     counts = [(int((each.runs > 0).sum()), int((each.runs < 0).sum())) for each in sequences]
     if max(min(each) for each in counts) < FEWEST_EACH_WAY:
         rising, falling = max(counts, key=min)
         raise InputError(
             f'motion of "{axis}" = "{kind}": {sequences[0].views[0].name} … {sequences[-1].views[-1].name}: of the '
             f"photographs on the {axis}, in their order, {rising} were approached by rising steps and {falling} by "
-            f"falling ones: play is told by at least {FEWEST_EACH_WAY} of each in one sequence. Photograph the board "
+            f"falling ones: play needs at least {FEWEST_EACH_WAY} of each in one sequence. Photograph the board "
             "along the travel there and back, and list the photographs in the order they were taken; or ask for a "
             "motion without play"
         )
@@ -103,7 +103,7 @@ def _check_there_and_back(axis: str, kind: str, sequences: Sequence[BoardSequenc
 def first_approach(observations: Observations, as_lines: Calibration) -> tuple[Observations, list[str]]:
     """The same with the run of each sequence's first photograph as the place of its board says, and what was changed.
 
-    Nothing else tells from where an axis came before it: often from home, on the other side. It is taken to have been
+    Nothing else shows from where an axis came before it: often from home, on the other side. It is taken to have been
     approached as the second was, unless the other way leaves less of its own place by more than chance.
 
     Args:
@@ -151,10 +151,10 @@ def begun(system: System, as_lines: Calibration, periods: Mapping[str, float]) -
 
     Returns:
         The system; the names of the periods that keep their value, those that are known and those of screws that show
-        no wave; and sentences about periods that the photographs do not tell, without their full stops.
+        no wave; and sentences about periods that the photographs do not determine, without their full stops.
 
     Raises:
-        InputError: the photographs do not tell of a period that is given.
+        InputError: the photographs do not determine a wave of a period that is given.
     """
     found, parts, held, said = courses(as_lines), [], set(), []
     for part in system.rig.motion.parts():
@@ -187,6 +187,6 @@ def _check_told(part: Line, course: Course, period: float) -> None:
     if told_of_wave(course, beside, period) < LEAST_TOLD:
         raise InputError(
             f"the {part.axis}'s screw has a period of {period:g} steps, and its photographs stand at the same places "
-            f"of that, or at two: they tell nothing of its wave. Photograph the board at uneven steps, or ask for a "
+            f"of that, or at two: they do not show its wave. Photograph the board at uneven steps, or ask for a "
             "motion without a screw"
         )

@@ -1,9 +1,9 @@
 """The path of a stage beside a line: bow, turn along the travel, wave of its screw, play; by linear least squares.
 
 What is fitted are the own places of its photographs (`own_places`). A wave a cos w + b sin w, w = 2π n / period, is
-linear but for its period, which is searched: the one by which the squares fall most, of all that the photographs can
-tell (N. R. Lomb 1976). Photographs at equal distances see the same of a period and of its aliases; of those that fit as
-well the longest is taken.
+linear but for its period, which is searched: the one with the largest fall of the squares, among all that photographs
+can resolve (N. R. Lomb 1976). Photographs at equal distances do not distinguish a period from its aliases; of those
+that fit as well the longest is taken.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from jaxscan.rig.play import FAR
 
 # No screw is finer, mm of travel for a turn.
 FINEST_MM = 0.25
-# Photographs must cover so many turns of a screw: less is a bow.
+# Photographs must cover this number of turns of a screw: less looks like a bow.
 FEWEST_TURNS = 1.5
 # Frequencies for each turn over the travel, and how the best is closed in on.
 _FINE, _CLOSER, _ZOOMS = 8, 21, 3
@@ -30,7 +30,7 @@ LEAST_TOLD = 0.02
 # A period fits as well as the best where χ² is larger by less than this, and looks the same where by less than that;
 # so does another direction of the first photograph.
 _AS_WELL, _ALIKE = 1.0, 9.0
-# Photographs by rising steps, and by falling ones, that tell of play.
+# Least number of photographs by rising steps, and by falling ones, that determine play.
 FEWEST_EACH_WAY = 2
 # A wave that chance shows less often has a period.
 _WAVE = 0.01
@@ -105,7 +105,7 @@ class Course:
 
     @property
     def there_and_back(self) -> bool:
-        """Whether a sequence tells of play: two photographs and more by rising steps, and as many by falling ones."""
+        """Whether a sequence determines play: two photographs and more by rising steps, and as many by falling ones."""
         each = [self.way[self.sequence == i] for i in range(self.sequence.max() + 1)]
         return any(min(int((way > 0).sum()), int((way < 0).sum())) >= FEWEST_EACH_WAY for way in each)
 
@@ -179,7 +179,7 @@ def fitted(
     beside: Float[np.ndarray, "n others"],
     columns: Float[np.ndarray, "n columns"],
 ) -> Fit | None:
-    """Columns fitted to values beside others; None where too few are left to tell of the scatter."""
+    """Columns fitted to values beside others; None where too few are left to estimate the scatter."""
     y, A, B = values / sigma, columns / sigma[:, None], beside / sigma[:, None]
     Q = np.linalg.qr(B)[0]
     y, A = y - Q @ (Q.T @ y), A - Q @ (Q.T @ A)
@@ -213,11 +213,11 @@ class Periods:
 
 
 def find_period(course: Course, beside: Float[np.ndarray, "images others"]) -> Periods | None:
-    """The period of what is left along the travel; None where the photographs tell of none.
+    """The period of what is left along the travel; None where the photographs show none.
 
     Args:
         course: of the axis.
-        beside: what is fitted besides.
+        beside: what is fitted together with them.
     """
     travel = 2 * course.half
     apart = np.unique(course.steps - course.steps.min())[1:]
@@ -243,8 +243,8 @@ def find_period(course: Course, beside: Float[np.ndarray, "images others"]) -> P
     fit = _wave_fit(course, beside, 1 / taken)
     if fit is None:
         return None
-    # So many independent periods were asked (R. V. Baluev 2008): beyond half of what all steps are multiples of, the
-    # same again.
+    # Number of independent periods that were tried (R. V. Baluev 2008). Beyond half of the common divisor of all steps
+    # they repeat.
     asked = max((min(most, 0.5 / every) - least) * travel, 1.0) * len(course.steps) ** 0.5
     others = tuple(1 / f for f in alike if abs(f - taken) > 0.5 / travel)
     return Periods(1 / taken, others, fit, min(1.0, fit.p * asked))
@@ -283,7 +283,7 @@ def _told(
 def _gains(
     course: Course, beside: Float[np.ndarray, "images others"], frequencies: Float[np.ndarray, "f"]
 ) -> Float[np.ndarray, "f"]:
-    """By how much χ² falls for a wave of each frequency; 0 where it cannot be told."""
+    """By how much χ² falls for a wave of each frequency; 0 where it cannot be determined."""
     N, g = _projected(course, beside, frequencies)
     told = np.linalg.eigvalsh(N)[:, 0] > LEAST_TOLD * (0.5 / course.sigma[:, 0] ** 2).sum()
     N[~told] = np.eye(2)

@@ -1,4 +1,4 @@
-"""Covariance of the joint solve, from the Schur complement, and what each residual tells of it.
+"""Covariance of the joint solve, from the Schur complement, and the contribution of each residual.
 
 With residuals in units of their σ the covariance of all unknowns is (JᵀJ)⁻¹. Its shared part is S⁻¹, S the Schur
 complement; a block's part is V⁻¹ + K S⁻¹ Kᵀ and the two are tied by −K S⁻¹, with K = V⁻¹ Wᵀ. The leverage

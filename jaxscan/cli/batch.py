@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
-    """Find the scans, leave out what is done, reconstruct the others, and tell of each that failed."""
+    """Find the scans, leave out what is done, reconstruct the others, and report each that failed."""
     import sys
 
     if args.scheduler:

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--board",
         metavar="CxR",
         help="columns and rows: of inner corners (checkerboard, default 9x6), of circles (default 9x6), of squares "
-        "(charuco, default 10x7). Take one even and one odd number, so that up can be told from down",
+        "(charuco, default 10x7). Take one even and one odd number, so that up and down can be distinguished",
     )
     parser.add_argument(
         "--square",

@@ -159,7 +159,7 @@ def solve_sessions(
         hold: whether that camera is kept as it is.
         detector: how the stripe's centre is measured.
         estimate: lens, held parameters, board's shape and weights, as far as they are not the sessions'.
-        needs_laser: whether the limit of speckle is asked for, which only a laser's stripe tells.
+        needs_laser: whether the limit of speckle is asked for, which only a laser's stripe can show.
     """
     from jaxscan.cli.compiled import keep_compiled
 
@@ -361,7 +361,7 @@ def _once(
 def _check_poses(
     paths: Sequence[Path], contents: Sequence["Session | CameraFile"], read: int, board_shape: str
 ) -> None:
-    """Refuse too few poses, before the long work where the number of listed photographs tells.
+    """Refuse too few poses, before the long work where the number of listed photographs shows it.
 
     Args:
         paths: of the sessions.
@@ -412,7 +412,7 @@ def _start(path: Path, name: str | None, settings: "CameraSettings", image_size:
 
 
 def judge_calibration(calibration: "Calibration") -> "Verdict":
-    """What can be told of a calibration in a moment."""
+    """The part of the report that is computed in a moment."""
     from jaxscan.view.verdict import verdict
 
     return verdict(calibration)
@@ -446,7 +446,7 @@ def _make_folder(path: Path) -> None:
 
 
 def describe(result: dict[str, Any]) -> str:
-    """The rig in words, what was left out and found amiss, and at the end the verdict in three lines."""
+    """The rig in words, what was left out and what was found wrong, and at the end the verdict in three lines."""
     from jaxscan.cli.format_summary import format_summary
 
     # What the rig's file warns of is among what the verdict does.

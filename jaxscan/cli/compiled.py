@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def keep_compiled() -> None:
-    """Turn on JAX's persistent compilation cache, in the user's cache folder unless JAX is told of another."""
+    """Turn on JAX's persistent compilation cache, in the user's cache folder unless JAX is set to another."""
     import jax
 
     if jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]

@@ -147,7 +147,7 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         "--tilt",
         action="store_true",
         help="find the tilt of the sensor against the lens too, of a Scheimpflug camera: two angles more, which only "
-        "the lens's distortion tells from the principal point",
+        "the lens's distortion distinguishes from the principal point",
     )
     parser.add_argument(
         "--sheet",
@@ -168,7 +168,7 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         help="how the stage moves, in place of the session's: linear, a line in equal steps (the default); guide, a "
         "bowed path on which the load turns; screw, to and fro about equal steps with the turns of its screw; "
         "screw_on_guide, both; each of these with _with_play behind its name, as linear_with_play: by play it stands "
-        "elsewhere when it comes back, which photographs there and back tell",
+        "elsewhere when it comes back, which photographs there and back show",
     )
     parser.add_argument(
         "--since",
@@ -180,7 +180,7 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         "--laser-since",
         metavar="PHOTOGRAPH",
         help="leave out only the stripes of the photographs before this one, where the laser was moved before it: "
-        "their corners still tell of the camera",
+        "their corners still help to determine the camera",
     )
     parser.add_argument(
         "--plain",

@@ -6,7 +6,7 @@ from typing import Any
 Summary = dict[str, Any]
 Line = tuple[str, str]
 
-# What is said of a camera besides its lens's terms.
+# What is said of a camera in addition to its lens's terms.
 _PINHOLE = ("image_size", "lens", "focal", "principal", "tilt")
 
 

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     check_outputs(outputs, args.png, [path for path in (args.surface, args.part, args.rig) if path])
     if args.rig and args.surface.suffix.lower() != ".npz":
         raise InputError(
-            f"--rig {args.rig}: {args.surface} does not say how its points were made, so that a rig tells nothing of "
+            f"--rig {args.rig}: {args.surface} does not say how its points were made, so that a rig says nothing about "
             "them: measure the range image (.npz), or leave --rig out"
         )
     from jaxscan.files.part_file import read_part

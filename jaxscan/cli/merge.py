@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_some,
         metavar="DEG",
         help="how far the object was turned from scan to scan, within 10 degrees, anticlockwise as seen from above; or "
-        "0,DEG,DEG,… for each scan (default: features of the shape tell, by the extra features)",
+        "0,DEG,DEG,… for each scan (default: from features of the shape, with the extra features)",
     )
     how.add_argument(
         "--steps",

@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def simplified(mesh: "trimesh.Trimesh", triangles: int) -> "trimesh.Trimesh":
-    """A mesh of at most so many triangles (Garland and Heckbert 1997, by fast-simplification).
+    """A mesh of at most this number of triangles (Garland and Heckbert 1997, by fast-simplification).
 
     Raises:
         InputError: the extra is not installed.

@@ -120,7 +120,7 @@ def not_nan(text: str) -> float:
 def numbers(
     count: int, kind: Callable[[str], Any] = finite, what: str = "finite numbers"
 ) -> Callable[[str], list[Any]]:
-    """So many numbers with commas between them; `what` they are, in words."""
+    """A parser of `count` numbers with commas between them; `what` they are, in words."""
 
     def read(text: str) -> list[Any]:
         try:

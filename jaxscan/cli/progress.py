@@ -36,7 +36,7 @@ class Progress:
         self._doing = ""
 
     def __call__(self, by: int = 1) -> None:
-        """So many more units are done."""
+        """Add `by` units to what is done."""
         self._calls, self._used = self._calls + 1, time.process_time()
         self._count += by
         self._bar.update(by)

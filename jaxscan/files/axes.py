@@ -28,7 +28,7 @@ class StepRule:
     per_frame: int
 
     def positions(self, first: int, count: int) -> tuple[int, ...]:
-        """Those of so many frames from this one on."""
+        """The positions of `count` frames, from the frame `first` on."""
         return tuple(self.start + self.per_frame * i for i in range(first, first + count))
 
 

@@ -1,4 +1,4 @@
-"""What a file is that was given in the place of another, in words, for errors."""
+"""What a file is that was given instead of another, in words, for errors."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -21,7 +21,7 @@ _BY_ENDING: Final = {
 
 
 def kind_in_words(path: Path) -> str:
-    """What a file is: a photograph by its content, others by their ending; "" where neither tells."""
+    """What a file is: a photograph by its content, others by their ending; "" where neither shows it."""
     from jaxscan.files.scan import VIDEO_ENDINGS
     from jaxscan.images import image_size
 

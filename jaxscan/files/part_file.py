@@ -66,7 +66,7 @@ class Region:
         return tuple(x - self.radius for x in self.low), tuple(x + self.radius for x in self.low)
 
     def wider(self, by: float) -> "Region":
-        """Grown to all sides by so many millimetres."""
+        """The region, grown by this distance (mm) on all sides."""
         if self.high is None:
             return replace(self, radius=self.radius + by)
         return Region(_triple([x - by for x in self.low]), _triple([x + by for x in self.high]))

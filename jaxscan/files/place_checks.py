@@ -12,7 +12,7 @@ class PlaceCheck:
     """A check of the axes of a scan.
 
     Attributes:
-        first, last: the frames that it tells of, counted from 0: those since the check before, or since homing.
+        first, last: the frames that it covers, counted from 0: those since the check before, or since homing.
         off: by how many motor steps the count of an axis was off, by the axis's name; empty where all were right.
         unverified: whether there was to be a check, and the scan ended, or the line was too bad, before it was made.
     """

@@ -127,7 +127,7 @@ def _packed_row_by_row(element: Element, order: Order) -> bytes:
 def _cut(
     values: Shaped[np.ndarray, "items"], order: Order, counts: Int[np.ndarray, "rows"] | None = None
 ) -> list[bytes]:
-    """The bytes of so many items for each row, or of one."""
+    """The bytes of each row, which has `counts` items; one item where no counts are given."""
     whole, size = values.astype(values.dtype.newbyteorder(order)).tobytes(), values.dtype.itemsize
     ends = size * np.cumsum(np.ones(len(values), np.int64) if counts is None else counts)
     return [whole[a:b] for a, b in pairwise([0, *ends.tolist()])]

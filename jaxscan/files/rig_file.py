@@ -50,7 +50,7 @@ class RigFile:
         rig: the rig, with NumPy float64 leaves.
         covariance: that of the rig's parameters, where it is known.
         fit: how the fit went: `corner_rms_px`, `stripe_rms_px`, `views` and whatever else the calibration had to say.
-            `warnings`, if there, are sentences that whoever uses the rig has to be told.
+            `warnings`, if there, are sentences that every user of the rig has to see.
     """
 
     rig: Rig

@@ -65,7 +65,7 @@ class Scan:
 
     @property
     def positions(self) -> list[tuple[int, ...]]:
-        """Of all axes at each frame, in the order of `axis_names`; none for a video with rules."""
+        """Positions of all axes at each frame, in the order of `axis_names`; none for a video with rules."""
         return list(zip(*self.axes.values(), strict=True))
 
     @property

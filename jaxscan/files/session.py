@@ -216,7 +216,7 @@ def check_stage_known(sessions: Sequence[Session]) -> None:
         table = session.turntable
         if table is not None and table.stage_step and not any(other.stage for other in sessions):
             raise InputError(
-                f"{session.path}: [turntable] stage_step = {table.stage_step}: no [stage] tells how far that is: "
+                f"{session.path}: [turntable] stage_step = {table.stage_step}: no [stage] says how far that is: "
                 "photograph the board along the stage too, or leave stage_step out"
             )
 

@@ -78,7 +78,7 @@ def stripe_values(settings: StripeSettings) -> dict[str, Any]:
 
 
 def read_steps(table: Table, per_file: str, files: Sequence[Path], what: str) -> tuple[int, ...]:
-    """The motor step count of each file: from `steps`, or counted from 0 by so many for each file.
+    """The motor step count of each file: from `steps`, or counted from 0 in increments of the entry `per_file`.
 
     Raises:
         InputError: neither or both are given, or their number is not that of the files.

@@ -114,7 +114,7 @@ def _apart(first: Session, second: Session, files: Mapping[Path, str]) -> tuple[
 def _one_sequence(
     first: _Sequence | None, second: _Sequence | None, files: Mapping[Path, str]
 ) -> tuple[_Sequence | None, _Sequence | None]:
-    """Two sequences; joined in the place of the first where they share a photograph."""
+    """Two sequences; joined at the position of the first where they share a photograph."""
     if first is None or second is None:
         return first, second
     known = {files[path] for path in first.images}

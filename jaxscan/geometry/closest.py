@@ -4,7 +4,7 @@ Triangles that are large beside the others, or long, are cut in two across their
 of boxes holds the pieces, eight boxes in a node (a bounding volume hierarchy: J. Goldsmith and J. Salmon, Automatic
 creation of object hierarchies for ray tracing, 1987; here halved at the median of the widest direction). The boxes of a
 node lie along the plane through its pieces (S. Gottschalk, M. Lin, D. Manocha, OBBTree, 1996): they are as thin as the
-surface is flat there, so that a far point tells them apart. Points descend, many at a time, into the boxes that are
+surface is flat there, so that a far point distinguishes them. Points descend, many at a time, into the boxes that are
 nearer than the piece with the nearest centre.
 
 In the plane of a piece, x goes along its longest side from a corner of it and y to the corner (c, h) opposite, so that
@@ -23,10 +23,10 @@ _POINTS_AT_ONCE, _PAIRS_AT_ONCE = 1 << 15, 1 << 16
 # Boxes in a node, and how many of a level are followed down for a first guess.
 _FAN: Final = 8
 _BEAM: Final = 8
-# A point further from all centres than so many times the root of the mean area is far.
+# A point is far if its distance from all centres exceeds this multiple of the root of the mean area.
 _NEAR: Final = 8.0
-# A side longer than so many times the root of the mean area is cut, as long as there are no more pieces than so many
-# beside twice the triangles.
+# A side longer than this multiple of the root of the mean area is cut, while there are no more pieces than twice the
+# triangles plus this number.
 _LONG: Final = 4.0
 _MOST_MORE: Final = 50_000
 

@@ -43,7 +43,7 @@ class Board:
 
     @staticmethod
     def checkerboard(inner_corners: Sequence[int], square_mm: float) -> "Board":
-        """A checkerboard with so many inner corners in a row and in a column.
+        """A checkerboard, from its numbers of inner corners in a row and in a column.
 
         Raises:
             InputError: not two whole numbers of 3 or more, or a size that is not positive.
@@ -53,7 +53,7 @@ class Board:
 
     @staticmethod
     def circles(circles: Sequence[int], pitch_mm: float, diameter_mm: float | None = None) -> "Board":
-        """A rectangular grid of circles, with so many in a row and in a column; their diameter where it is known.
+        """A rectangular grid of circles, from its numbers in a row and in a column; their diameter where it is known.
 
         Raises:
             InputError: as `checkerboard`; circles that touch each other.
@@ -70,7 +70,7 @@ class Board:
 
     @staticmethod
     def charuco(squares: Sequence[int], square_mm: float, marker_mm: float, dictionary: str) -> "Board":
-        """A ChArUco board with so many *squares* in a row and in a column, in the pattern of OpenCV 4.6 and later.
+        """A ChArUco board, from its numbers of *squares* in a row and in a column, as in OpenCV 4.6 and later.
 
         Raises:
             InputError: as `checkerboard`; a marker no smaller than its square; a dictionary that OpenCV does not have
@@ -99,7 +99,7 @@ class Board:
 
     @property
     def half_turn_ambiguous(self) -> bool:
-        """Whether the board looks the same after half a turn, so that one photograph cannot tell which end is which.
+        """Whether the board looks the same after half a turn, so that one photograph does not show which end is which.
 
         A half turn changes the colours of a checkerboard only where exactly one of the counts is even.
         """

@@ -1,4 +1,4 @@
-"""The map of a board into one photograph, as its corners alone tell it, and how it bends the board's lines.
+"""The map of a board into one photograph, from its corners alone, and how it bends the board's lines.
 
 A board point s is seen at
 
@@ -9,7 +9,7 @@ image's diagonal R, and a polynomial P over the board for what these leave (a bo
 centred). A polynomial alone follows a wide-angle lens badly, and worst at the outermost corners, where a line's bend is
 to be known as well as anywhere. A quotient serves lenses whose own polynomial is of the rays or of the pixels.
 
-c and k are held near 0 by as much as is known of lenses: a small board does not tell them, and does not need them.
+c and k are held near 0 by as much as is known of lenses: a small board does not determine them, and does not need them.
 """
 
 from typing import NamedTuple
@@ -26,7 +26,7 @@ Scalars = Float[np.ndarray, "points"]
 # Of the homography eight, c and k.
 _Parameters = Float[np.ndarray, "14"]
 
-# Lenses to start from: none, and barrels. Which one, the homography that fits best tells.
+# Lenses to start from: none, and barrels. The homography that fits best decides which one.
 _STARTS = ((0.0, 0.0), (-0.25, 0.06), (-0.5, 0.25))
 # Standard deviations of c and k among cameras, and of a corner at least (px).
 _USUAL = np.array([0.05, 0.05, 0.5, 0.5, 0.5, 0.5])
@@ -36,7 +36,7 @@ _MOST_STEPS = 12
 _STEP_DONE = 0.2
 _FIRST_DAMPING, _MOST_DAMPING = 1e-4, 1e4
 _POLYNOMIAL_DEGREE = 4
-# Corners further off than so many times what is usual, and than this (px), do not count.
+# Corners are ignored if their error exceeds this multiple of the usual error, and this (px).
 _LIMIT = 4.0
 _LEAST_LIMIT_PX = 0.2
 _ROUNDS = 8
@@ -169,7 +169,7 @@ def _lens(parameters: _Parameters, at: Points) -> tuple[Points, np.ndarray]:
 
 
 def _scale(parameters: _Parameters, square: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of |w|²: g, its derivative, and its denominator."""
+    """The scale g at |w|², its derivative, and its denominator."""
     k1, k2, k3, k4 = parameters[10:]
     above, below = 1 + k1 * square + k2 * square**2, 1 + k3 * square + k4 * square**2
     g = above / below
@@ -177,7 +177,7 @@ def _scale(parameters: _Parameters, square: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _derivatives(parameters: _Parameters, at: Points, ray: np.ndarray) -> Float[np.ndarray, "points 2 14"]:
-    """Of `_lens` by its parameters."""
+    """Derivatives of `_lens` by its parameters."""
     w = ray[:, :2] / ray[:, 2:]
     square = (w**2).sum(axis=1)
     g, by_square, below = _scale(parameters, square)
@@ -203,7 +203,7 @@ def _polynomial(coefficients: Float[np.ndarray, "terms 2"], at: Points) -> Point
 
 
 def largest_degree(points: int, most: int) -> int:
-    """Of a polynomial over the board that has two corners for each of its terms."""
+    """The largest degree of a polynomial over the board with two corners for each of its terms."""
     return max((n for n in range(1, most + 1) if points >= 2 * terms(n)), default=0)
 
 

@@ -30,7 +30,7 @@ NUMBERS_PER_LEVEL: Final = 257
 
 # Enough for the metadata and thumbnail that a camera puts before the size.
 _HEADER_BYTES = 1 << 18
-# So many bytes of any video have one that is not of a text in ASCII or UTF-8.
+# Among this number of bytes, any video has one that does not occur in text in ASCII or UTF-8.
 _OF_A_HEADER = 64
 _OF_TEXT = {*b"\t\n\f\r", *range(0x20, 0x7F), *b"\xef\xbb\xbf"}
 _FORMATS: Final = "a PNG, JPEG, TIFF, BMP, PNM or WebP"

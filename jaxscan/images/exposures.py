@@ -9,11 +9,11 @@ over the exposures in which the pixel is not full. Photons alone would ask for �
 6 % of σ at two exposures of 1:4, and those of photons cost a sensor of one σ 17 %.
 
 Near black, noise is cut off at zero, and a mean over what is left is too bright. Which exposures are too dark for a
-pixel is told by the longest in which it is not full, never by their own numbers: that would choose among the noise.
+pixel is decided by the longest in which it is not full, never by their own numbers: that would select among the noise.
 
-The photograph has 16 bits, and so many numbers for a unit of E that a pixel full in the shortest exposure is full in it
-too: a censored datum for the fit of the profile. A step from one number to the next is one of the *longest* exposure,
-of 8 bits, up to a ratio of exposures of 1:256.
+The photograph has 16 bits. E is scaled such that a pixel that is full in the shortest exposure is full in the
+photograph too: a censored datum for the fit of the profile. One step of its numbers is one step of the *longest*
+exposure, of 8 bits, up to a ratio of exposures of 1:256.
 """
 
 from collections.abc import Sequence
@@ -36,8 +36,8 @@ _GREATEST: Final = 65535
 _NOT_FULL: Final = int(FULL * _GREATEST) - 1
 # A pixel is too dark in an exposure where it is expected to read less than this part of a full one.
 _BLACK: Final = 0.02
-# Exposures are compared on pixels between these parts of a full one, if there are so many, every so many pixels, and
-# disagree where their irradiances differ by more than this factor.
+# Exposures are compared on pixels between these parts of a full one, if there are at least this number, on every Nth
+# row and column; they disagree where their irradiances differ by more than this factor.
 _COMPARED, _LEAST_COMPARED, _EVERY, _AGREE = (0.15, 0.85), 200, 4, 1.25
 
 
@@ -70,7 +70,7 @@ def merge_exposures(
             f"the backgrounds are {backgrounds.dtype} of shape {backgrounds.shape}, the frames {frames.dtype} of shape "
             f"{frames.shape}: of a scan with several exposures of a step take one background for each frame"
         )
-    # The longest first: the first that is not full then tells how bright a pixel is.
+    # The longest first: the first that is not full then shows how bright a pixel is.
     order = np.argsort(-times, kind="stable")
     full = full_number(int(np.max(frames)), frames.dtype)
     lit = [np.asarray(frames[i]) for i in order]

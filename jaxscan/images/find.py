@@ -42,7 +42,7 @@ class BoardView:
 
     Attributes:
         corners: its points in the order of `Board.points`, pixels (u, v); NaN where one was not seen, or is covered.
-        sigma: of each corner along an axis, px, as its patch of the photograph tells it; NaN where the corner is.
+        sigma: of each corner along an axis, px, from its patch of the photograph; NaN where the corner is.
             None for circles.
         ambiguous: whether half a turn of the board would fit the photograph as well.
         radius: of circles as they are seen, in pitches; None for corners.
@@ -79,12 +79,12 @@ def find_board(board: Board, image: Image) -> BoardView | None:
 
 
 def shows_checkerboard(counts: tuple[int, int], image: Image) -> bool:
-    """Whether a checkerboard of so many inner corners is in the photograph."""
+    """Whether a checkerboard with these numbers of inner corners is in the photograph."""
     return _find_checkerboard(counts, to_grey(image)) is not None
 
 
 def _found(board: Board, grey: Grey) -> Points | None:
-    """The board's points in their order, before any is left out for a stripe or a highlight: the whole board tells it.
+    """The board's points in their order, before any is left out for a stripe or a highlight: the order needs them all.
 
     Markers number the points of a ChArUco board, of which some may be missing.
     """

@@ -1,6 +1,6 @@
 """How large a photograph is, from its header: known before anything is allocated for its pixels.
 
-A decoder believes what a header says: one of 2 kB can ask for gigabytes. So the formats are those whose size is read
+A decoder trusts what a header says: one of 2 kB can ask for gigabytes. So the formats are those whose size is read
 here, PNG, JPEG, TIFF, BMP, PNM and WebP, and a photograph has at most `MOST_PIXELS`.
 
 Source: the W3C's PNG specification; ITU T.81 (JPEG); Adobe's TIFF 6.0, and BigTIFF; Microsoft's BITMAPINFOHEADER;
@@ -28,7 +28,7 @@ _JPEG_SCAN: Final = 0xDA
 _JPEG_HUFFMAN: Final = (0xC0, 0xC1, 0xC2)
 _JPEG_PIXELS_A_BYTE: Final = 1024
 _PNG_SAMPLES: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-# Deflate makes at most so many bytes of one.
+# Deflate expands one byte to at most this number of bytes.
 _DEFLATED_AT_MOST: Final = 1032
 _PNM: Final = re.compile(rb"P[1-6]\s(?:\s|#[^\n]*\n)*(\d{1,9})\s(?:\s|#[^\n]*\n)*(\d{1,9})\s")
 

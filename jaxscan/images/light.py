@@ -1,4 +1,4 @@
-"""What a photograph tells of its light and its sensor, in the terms of the standard EMVA 1288, and its speckle.
+"""What a photograph shows of its light and its sensor, in the terms of the standard EMVA 1288, and its speckle.
 
 A pixel that is lit by the laser to S grey levels above its surroundings scatters by
 

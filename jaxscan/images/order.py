@@ -6,8 +6,8 @@ A grid of m × n points can be numbered row by row in as many ways as it has sym
    A mirrored order is never right.
 2. On a checkerboard the square diagonally outside the first corner is dark. This decides the half turn where exactly
    one count is even, and the quarter turn where both counts are the same odd number.
-3. What is left, a half turn or, on a square grid, quarter turns, cannot be told from one photograph. Along a stage it
-   is carried over from the image before.
+3. What is left, a half turn or, on a square grid, quarter turns, cannot be determined from one photograph. Along a
+   stage it is carried over from the image before.
 """
 
 import numpy as np
@@ -41,10 +41,10 @@ def order_grid(board: Board, corners: Corners, grey: UInt[np.ndarray, "rows colu
 
 
 def carry_order(board: Board, previous_corners: Corners, corners: Corners) -> Corners:
-    """Of the orders that one photograph cannot tell apart, the one nearest to the corners of the image before.
+    """Of the orders that one photograph cannot distinguish, the one nearest to the corners of the image before.
 
     All points of the board are compared: those that are NaN stand where the others put them. So an order is not the
-    nearer for what is hidden, and two photographs that share no point are told as well as any.
+    nearer for what is hidden, and two photographs that share no point are ordered as well as any.
     """
     if not board.half_turn_ambiguous:
         return corners

@@ -10,10 +10,10 @@ Picture = UInt8[np.ndarray, "rows columns 3"]
 
 _STRIPE_COLOUR = (0, 255, 80)
 _FIRST_COLOUR, _CORNER_COLOUR, _ORDER_COLOUR = (255, 220, 0), (0, 200, 255), (255, 0, 160)
-# OpenCV draws at fractions of a pixel: so many bits of them.
+# OpenCV draws at fractions of a pixel: number of bits of the fraction.
 _BITS = 4
 # A photograph whose levels are this far down the scale at this percentile is brightened until they are half way up,
-# though at most so many times; its stripe may burn out for that.
+# by at most this factor; its stripe may burn out for that.
 _PERCENTILE = 90
 _DARK = 0.25
 _MOST_GAIN = 6.0

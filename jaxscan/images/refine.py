@@ -21,8 +21,8 @@ from jaxscan.images.saddle import Saddles, fit_saddles
 _FIRST_WINDOW = 0.2
 _SMALLEST_WINDOW = 2
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
-# Half the side of the second step's window in squares: what is nearer to the next corner is that one's. Beyond so many
-# pixels more of them bring more of the world than of the corner.
+# Half the side of the second step's window, in squares: what is nearer to the next corner belongs to that corner. Above
+# this number of pixels, a larger window adds more of the surroundings than of the corner.
 _REACH = 0.45
 _LARGEST_PX = 15.0
 # What the blur of other marks reaches into a window that they border, px.
@@ -39,9 +39,9 @@ _LEAST_SHARE = 0.35
 _MOST_RESIDUAL = 0.12
 _MOST_SIGMA_PX = 0.3
 # Left out too: where more than this part of the window is burnt out and its squares are not, as under a stripe, or more
-# than this part is burnt out on one side of the corner alone, a corner of which less than this part of what its window
-# tells was kept. What hides one of its two edges leaves the glow beside it, which looks like that edge, and hides it of
-# a whole row alike, so that no neighbour tells.
+# than this part is burnt out on one side of the corner alone, a corner for which less than this part of its window's
+# information was kept. What hides one of its two edges leaves the glow beside it, which looks like that edge. It hides
+# a whole row in the same way, so that no neighbour shows it.
 _HIDDEN = 0.05
 _LOPSIDED = 0.13
 _LEAST_TOLD = 0.7
@@ -49,7 +49,7 @@ _LEAST_TOLD = 0.7
 _SYSTEMATIC_PX = 0.002
 # What the correlation of residuals comes to where they are white, because the fit has used up what they had in common.
 _WHITE_CORRELATION = 0.65
-# A corner is off the board by more than so many times the median, and than so many pixels.
+# A corner is off the board if its error exceeds this multiple of the median, and this number of pixels.
 _SHAPE_DEGREE = 3
 _MOST_APART = 8.0
 _LEAST_APART_PX = 0.2
@@ -147,7 +147,7 @@ def _sigma(saddles: Saddles) -> Float[np.ndarray, "corners"]:
 
 
 def _directions(grid: Grid) -> Grid:
-    """Of the line of corners through each corner along a row, px a square."""
+    """Direction of the line of corners through each corner along a row, px per square."""
     gaps = np.pad(np.diff(grid, axis=1), ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
     return quiet_nan(np.nanmean, np.stack([gaps[:, :-1], gaps[:, 1:]]))
 

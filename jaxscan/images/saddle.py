@@ -21,9 +21,9 @@ Pixels are weighted equally within a parallelogram in the board's own directions
 pixel at the detector's limit says only that there is at least so much light: its residual counts where the model is
 darker. What the model cannot explain (a laser's stripe, a highlight, a finger) is weighted down by Tukey's biweight
 and then left out, with its neighbours. The covariance of the thirteen parameters is s² (Jᵀ W J)⁻¹, with s² the mean
-square of what is left, so that a patch that lost pixels, or that the model fits badly, says so. Residuals that hang
-together weigh more than as many that do
-not: `correlation` is the variance of the corner with sums over the 5 × 5 neighbours of each pixel's share in it,
+square of what is left, so that a patch that lost pixels, or that the model fits badly, has a larger one. Correlated
+residuals increase the variance: `correlation` is the variance of the corner with sums over the 5 × 5 neighbours of each
+pixel's share in it,
 
     τ = Σ_p (Σ_{q near p} ψ_q)² / (25 Σ_p ψ_p²),      ψ_p = (Jᵀ W J)⁻¹ J_p w_p r_p
 
@@ -65,7 +65,7 @@ _MOST_STEPS = (9, 4, 8)
 _STEP_DONE_PX = (1e-2, 1e-2, 3e-4)
 # One that still moves by more than this has not settled, px.
 _SETTLED_PX = 0.1
-# Tukey's biweight ends, and a pixel is left out, at so many times the root mean square of the residuals.
+# Tukey's biweight reaches zero, and a pixel is left out, at this multiple of the RMS of the residuals.
 _LIMIT = 4.0
 # A residual below this part of the contrast is the point spread's, not a stranger's.
 _LEAST_RESIDUAL = 0.04
@@ -85,12 +85,12 @@ class Saddles(NamedTuple):
         contrast: of light and dark, grey levels, positive where the square between the two directions is light.
         blur: standard deviation of the two edges' blur, px.
         share: part of the window's weight that is on the photograph and was kept.
-        told: part of what the window on the photograph tells of the corner that was kept, in the direction in which
+        told: part of the window's information on the corner that was kept, in the direction in which
             that is least.
         hidden: part of the window on the photograph that is burnt out where the model is darker by half the contrast.
         lopsided: part of the window on the photograph that is burnt out and whose mirror image about the corner is not.
         unrest: how far the last step still went, px.
-        correlation: τ, how much more the residuals weigh because they hang together.
+        correlation: τ, by how much the correlation of the residuals increases their variance.
         by_bends: ∂(u, v) / ∂κ of the two edges, px².
     """
 

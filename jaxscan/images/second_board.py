@@ -10,15 +10,15 @@ from jaxscan.images.find import shows_checkerboard
 
 # Longer side, in pixels, at which it is looked for: a board that is not seen there is not mistaken for the first.
 _SIDE = 640
-# The board that was found is covered together with so many squares around its points.
+# The board that was found is covered, together with a border of this number of squares around its points.
 _MARGIN = 1.5
 
 
 def shows_second_board(board: Board, image: Image, corners: Float[np.ndarray, "points 2"]) -> bool:
-    """Whether a checkerboard of the same counts is in the photograph besides the one that was found.
+    """Whether a checkerboard of the same counts is in the photograph in addition to the one that was found.
 
     Args:
-        board: what was looked for; only a checkerboard can be told.
+        board: what was looked for; only a checkerboard can be recognised.
         image: the photograph.
         corners: those of the board that was found, pixels; NaN where one was not seen.
     """

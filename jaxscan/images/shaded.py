@@ -8,7 +8,7 @@ from jaxscan.images.overlay import Picture
 
 # The picture is drawn this many times as large and then reduced, which smooths its edges.
 _FINER = 3
-# OpenCV draws at fractions of a pixel: so many bits of them.
+# OpenCV draws at fractions of a pixel: number of bits of the fraction.
 _BITS = 4
 # Light that reaches what is turned away from the lamp, and what the lamp adds.
 _AMBIENT, _LAMP = 0.35, 0.75

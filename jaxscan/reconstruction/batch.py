@@ -1,7 +1,7 @@
 """Many scans: each by itself, on this machine or on a cluster, its points in a file of its own.
 
 A result that is younger than its scan.toml, the rig and the options is kept, as `make` would, so that what was
-interrupted goes on with what is missing. A scan that fails is told of, and the others go on.
+interrupted continues with what is missing. A scan that fails is reported, and the others continue.
 
 A cluster runs a task again whose worker is lost before its answer was fetched. Such a task asks the same question once
 more: a result that is done, and is not the one that stood there when the batch began, is this batch's own.

@@ -41,7 +41,7 @@ class Frames:
             are asked for.
         backgrounds: none, one for all frames, or a buffer of one for each.
         positions: of each axis of the scan in its order, motor steps; as many as there are frames.
-        inner: which of them the batch is of; the others are neighbours of theirs.
+        inner: which of them the batch is of; the others are their neighbours.
     """
 
     images: UInt[np.ndarray, "buffer rows columns *rgb"]
@@ -79,7 +79,7 @@ def frames_of_scan(scan: Scan, size: tuple[int, int], decoders: int | None = Non
 def frames_of(
     images: Iterable[tuple[Image, Positions]], background: Image | None, size: tuple[int, int], batch: int
 ) -> Iterator[tuple[Frames, tuple[str, ...]]]:
-    """Photographs as they come, with the positions of the axes, so many at a time; and the axes' names.
+    """Photographs as they come, with the positions of the axes, `batch` at a time; and the axes' names.
 
     Raises:
         InputError: one is unlike the first, or of another size than the rig's camera, or has not whole motor steps of
@@ -134,7 +134,7 @@ class _Form:
         return max(1, min(FRAMES_AT_ONCE, _SLOT_BYTES // (buffers * image)))
 
     def buffer(self, frames: int) -> UInt[np.ndarray, "frames rows columns *rgb"]:
-        """Room for so many."""
+        """An empty array for `frames` photographs."""
         return aligned((frames, *self.shape), self.dtype)
 
     def check(self, image: Image, name: str | Path) -> None:
@@ -206,7 +206,7 @@ class _Backgrounds:
         return int(self._form is not None)
 
     def buffer(self, frames: int) -> UInt[np.ndarray, "frames rows columns *rgb"] | None:
-        """Room for those of so many frames, where each has its own."""
+        """An empty array for the backgrounds of `frames` photographs; None where they do not have their own."""
         return None if self._form is None else self._form.buffer(frames)
 
     def read(self, frame: int, out: Image) -> None:

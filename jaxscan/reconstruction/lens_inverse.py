@@ -42,7 +42,7 @@ from jaxscan.rig.tilted_sensor import off_sensor
 
 # Pixels along each side of the image at which the inverse is compared with the exact one.
 _GRID = 100
-# Every so many of them serve the fit.
+# Every Nth of them is used in the fit.
 _EVERY = 3
 # Degrees of S and of P that are tried: without P first, up to the fold or a little before it.
 _SYMMETRIC = tuple((degree, None) for degree in range(LOWEST_DEGREE, HIGHEST_DEGREE + 1, 2))

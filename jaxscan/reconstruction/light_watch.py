@@ -1,7 +1,7 @@
 """What is wrong with the light of a scan, from frame to frame: said in plain words, with what to do.
 
 Each frame's surroundings are compared with those of the frame before. What is still, or of one reflectance, shows in
-both the same; so the median change of a row's pixels is that of the light, and it is told apart from what moves by
+both the same; so the median change of a row's pixels is that of the light, and it is distinguished from what moves by
 being the same in the left and the right half of the photograph. An exposure that changes takes the stripe along, a lamp
 that is switched does not, and a lamp that flickers leaves bands of rows, for most cameras read row by row.
 """
@@ -16,13 +16,13 @@ from jaxscan.images.light import no_bell
 
 # A note is worth it from these shares of the frames, and of a frame's pixels that are full.
 _MANY_FRAMES, _MANY_FULL = 0.5, 0.2
-# Levels jump from frame to frame by at least this factor; they are told where surroundings have so many grey levels.
+# Levels jump from frame to frame by at least this factor; decided where surroundings have at least this grey level.
 _JUMP, _LEAST_LEVEL = 1.3, 4.0
 # With an exposure the stripe changes by at least this part of what its surroundings do, in logarithms.
 _WITH_IT = 0.5
-# Without surroundings to tell, so many of the steps from frame to frame change the stripe's brightness by the factor.
+# Where there are no surroundings, at least this share of the steps between frames change the stripe by the factor.
 _MANY_JUMPS = 0.25
-# Bands are worth a note from this part of the level and so many grey levels on.
+# Bands are worth a note from this part of the level and this number of grey levels on.
 _BANDS, _LEAST_BANDS = 0.02, 1.5
 _LEAST_LINES, _LEAST_PAIRS, _LEAST_PIXELS, _LEAST_QUARTERS = 20, 3, 10, 3
 
@@ -34,7 +34,7 @@ class LightWatch:
         self._correlation: list[float] = []
         self._odd: list[bool] = []
         self._full: list[float] = []
-        # By how much levels and stripe rise from the frame before, in logarithms; NaN where it cannot be told.
+        # By how much levels and stripe rise from the frame before, in logarithms; NaN where it cannot be determined.
         self._level_rise: list[float] = []
         self._strength_rise: list[float] = []
         # Of the changes of rows, the mean product of the two halves of the photograph; and the mean level.
@@ -126,7 +126,7 @@ class LightWatch:
         least = math.log(_JUMP)
         jumps = np.abs(np.nan_to_num(level)) > least
         exposed = jumps & (np.sign(level) * strength > _WITH_IT * np.abs(level))
-        # In the dark the stripe alone tells: the object changes it too, but not in frame after frame.
+        # In the dark only the stripe shows it: the object changes it too, but not in frame after frame.
         dark = np.isnan(level) & (np.abs(np.nan_to_num(strength)) > least)
         if dark.sum() > max(_MANY_JUMPS * len(level), _LEAST_PAIRS):
             jumps, exposed, level = jumps | dark, exposed | dark, np.where(np.isnan(level), strength, level)

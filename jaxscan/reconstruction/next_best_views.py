@@ -18,7 +18,7 @@ from jaxscan.rig import Covariance
 from jaxscan.rig.covariance import projection_jacobian
 from jaxscan.rig.projection import pixel_rays
 
-# The image is looked at in so many columns and rows of pixels.
+# The image is divided into this number of columns and rows of pixels.
 _PIXELS = (16, 12)
 
 
@@ -71,7 +71,7 @@ def next_best_views(
         seed: of the search.
 
     Raises:
-        InputError: no count.
+        InputError: `count` is not positive.
     """
     aim = wanted(calibration, working_volumes(calibration) if volumes is None else volumes)
     poses = suggest(calibration, aim.jacobian, count=count, seed=seed)

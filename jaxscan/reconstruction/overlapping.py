@@ -18,8 +18,8 @@ def overlapping(batches: Iterable[Frames], before: int, after: int, size: int) -
 
     Args:
         batches: the frames of a scan in their order.
-        before: neighbours before the first frame of each batch, where the scan has so many.
-        after: neighbours after its last.
+        before: how many neighbours come before the first frame of each batch, where the scan has them.
+        after: how many come after its last.
         size: frames of each batch; the last has fewer.
     """
     held: list[tuple[Image, Image | None, np.ndarray]] = []

@@ -1,7 +1,7 @@
 """The colours of points, from a photograph in which they are not lit by the laser.
 
-A point of the object frame stands, at the positions of a photograph's axes, where the rig's motion has carried it. The
-camera sees it there, unless something else of the scan is in front of it: a map of the least depth in each pixel tells.
+The rig's motion, at the positions of a photograph's axes, gives the place of a point of the object frame. The camera
+sees it there, unless something else of the scan is in front of it: a map of the least depth in each pixel shows this.
 """
 
 import numpy as np

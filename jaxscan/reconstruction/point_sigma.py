@@ -184,7 +184,7 @@ def jacobian_along(
 
 
 def motion_shifts(rig: Rig, q: PositionsOfPoints, count: int) -> Float[np.ndarray, "points 3 numbers"]:
-    """How what the motion brings to the camera's centre moves with the motion's numbers, at so many positions; mm."""
+    """Derivative of the motion's shift of the camera's centre (mm) by the motion's parameters, at `count` positions."""
     with float64():
         # Padded to the next size of a coarse series, so that a few frames more do not compile anew.
         padded = {axis: np.resize(np.asarray(steps, np.float64), bucket(count)) for axis, steps in q.items()}

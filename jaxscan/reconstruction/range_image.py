@@ -29,7 +29,7 @@ _BY_FRAME: Final = ("points", "pixels", "strength", "sigma", "sigma_pixel", "val
 
 @dataclass(frozen=True)
 class RangeImage:
-    """Points in the object frame, with what is known of each.
+    """Points in the object frame, with their pixels, strength and σ.
 
     Attributes:
         points: mm, object frame; NaN for none.
@@ -63,7 +63,7 @@ class RangeImage:
 
     @property
     def leading(self) -> str:
-        """The axis by which frames are told apart: of those that move the one that turns, or the first."""
+        """The axis that distinguishes frames: of the axes that move, the one that turns, or else the first."""
         turning = [axis for axis in self.moving if full_turn(self.motion, [axis]) is not None]
         return next(iter(turning or self.moving or self.positions))
 
@@ -167,7 +167,7 @@ class RangeImage:
         return gaps if len(self.moving) < 2 else gaps[: len(self.valid) - 1]
 
     def closed(self) -> "RangeImage":
-        """With the first frame again behind the last, where the object was turned all around; else as it is."""
+        """The image with its first frame repeated after the last if the object made a full turn; else unchanged."""
         gaps = self.gaps()
         if len(gaps) < len(self.valid):
             return self

@@ -32,7 +32,7 @@ def reconstruct(
         advance: called with the number of photographs read, batch after batch.
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
-        spacetime: measure the centre of the light's passage over each point in time: of a scan in small, equal steps.
+        spacetime: measure the time at which the light's centre passes each point; needs a scan in small, equal steps.
         depths_mm: nearest and farthest depth at which there can be a stripe, as `Scanner` has it.
 
     Raises:
@@ -57,10 +57,10 @@ class Written:
 
 
 def write_stream(outputs: Sequence[str | os.PathLike[str]], parts: Iterable[RangeImage]) -> Written:
-    """Write a scan of any length as it is read, in the memory of a short one.
+    """Write a scan of any length while it is read, with the memory of a short one.
 
     Args:
-        outputs: .ply or .npz files; each is there whole at the end, or not at all.
+        outputs: .ply or .npz files; at the end each is complete, or does not exist.
         parts: the scan, some frames at a time, as `Scanner.scan` gives it.
 
     Raises:

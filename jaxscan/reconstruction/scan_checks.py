@@ -19,9 +19,9 @@ from jaxscan.rig import Rig
 
 # More full turns than these are a mistake.
 _MOST_TURNS: Final = 5
-# Of so many gaps more than half are no mistake in one of them.
+# The median gap is judged from this number on: one wrong gap is then less than half of them.
 _FEWEST_GAPS: Final = 3
-# Points further from the origin, mm, are not told apart by 0.01 mm as float32.
+# Points further from the origin, mm, are not resolved to 0.01 mm as float32.
 _FARTHEST_MM: Final = 1e5
 
 
@@ -42,7 +42,7 @@ def check_scan(rig: Rig, scan: Scan) -> None:
 
 
 def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str) -> None:
-    """Refuse positions by which the rig cannot tell where the object stands.
+    """Refuse positions from which the rig cannot compute the pose of the object.
 
     Args:
         rig: the rig.

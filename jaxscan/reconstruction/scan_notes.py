@@ -9,7 +9,7 @@ from jaxscan.images.decode import read_image
 from jaxscan.images.stripes.other_colour import colour_that_shows
 from jaxscan.images.stripes.validity import Verdict
 
-# Why a line in which something is bright has no point, as programs are told.
+# Why a line in which something is bright has no point, as reported to programs.
 REASONS: Final = {
     Verdict.OUTSIDE: "outside_of_the_depths",
     Verdict.SPOT: "no_line",
@@ -34,7 +34,7 @@ def left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float
         )
     if weak > _WORTH_A_NOTE * points:
         notes.append(
-            f"{weak} lines, {weak / (weak + points):.0%} of those with a stripe, show it too weak to be told from "
+            f"{weak} lines, {weak / (weak + points):.0%} of those with a stripe, show it too weak to distinguish from "
             "noise: expose longer, open the lens, or take the laser nearer"
         )
     return notes

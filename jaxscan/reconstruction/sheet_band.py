@@ -20,12 +20,12 @@ from jaxscan.rig import Fixed
 
 # By how much the calibration's range of depths is widened, either way.
 WIDENED: Final = 1.5
-# The sheet's depth is looked at in every so many pixels of a line, and the band widened by as much.
+# The sheet's depth is computed at every Nth pixel of a line, and the band widened by as much.
 _EVERY: Final = 4
 
 
 def depths_of(content: RigFile) -> tuple[float, float] | None:
-    """The depths of a rig's working volume along the optical axis, mm; None where the rig does not tell."""
+    """The depths of a rig's working volume along the optical axis, mm; None where the rig does not determine it."""
     depths = content.fit.get("stripe_depths_mm")
     return None if depths is None else (float(depths[0]) / WIDENED, float(depths[1]) * WIDENED)
 

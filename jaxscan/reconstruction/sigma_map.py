@@ -33,7 +33,7 @@ from jaxscan.rig.rig import leaves_of
 _DEGREE: Final = 10
 # Pixels to each side of the image at which the maps are fitted.
 _GRID: Final = 24
-# A point further than so many times the nearest in view is beyond what any scanner measures.
+# A point further than this multiple of the nearest distance in view is beyond what any scanner measures.
 _FURTHEST: Final = 20.0
 
 
@@ -89,7 +89,7 @@ class MovedFrames(eqx.Module):
 
     @staticmethod
     def create(rig: Rig, q: PositionsOfPoints, frames: int) -> "MovedFrames":
-        """Of a rig at positions of its axes, one for each frame."""
+        """The frames of a rig at positions of its axes, one for each frame."""
         pose = rig.pose({axis: np.asarray(steps, np.float64) for axis, steps in q.items()})
         row = np.concatenate([np.asarray(pose.matrix())[..., 2, :], np.asarray(pose.translation)[..., 2:]], axis=-1)
         shifts = motion_shifts(rig, q, frames)

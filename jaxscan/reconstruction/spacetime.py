@@ -66,12 +66,12 @@ FramesAt = Callable[[Int[np.ndarray, "frames axes"]], FramePoses]
 
 # How the stripe is found from which tracks start, and how the first look along them is taken.
 _START: Detector = "gravity"
-# How many frames to either side of one are looked at: so many standard deviations of the passage, and so many more,
-# that the detectors see what is beside the light.
+# How many frames to either side are looked at: this number of standard deviations of the passage plus a margin, so
+# that the detectors see what is beside the light; and the least.
 _REACH, _MARGIN, _LEAST_HALF = 4.0, 4, 8
 # Tracks whose light passes further off than this, in standard deviations, are another stripe's.
 _FARTHEST = 4.0
-# How many lines of a frame tell its noise.
+# Number of lines of a frame from which its noise is estimated.
 _SURVEYED = 96
 _BATCH = 16
 
@@ -137,7 +137,7 @@ class Geometry(eqx.Module):
         return Geometry(kernel, camera, motion, others, step, axis, settings.columns)
 
     def later(self, frames: Float[Array, "*some"]) -> tuple[Float[Array, "*some 3 3"], Float[Array, "*some 3"]]:
-        """The motion of so many frames, in the camera's frame: R and t (mm)."""
+        """The motion over a number of frames, in the camera's frame: R and t (mm)."""
 
         def at(frames: Float[Array, "*some"]) -> Pose[Array]:
             still = {axis: jnp.broadcast_to(step, frames.shape) for axis, step in self.still.items()}
@@ -197,7 +197,7 @@ def spacetime_profiles(
 
 
 def half_window(sigma: float) -> int:
-    """How many frames to either side of one are looked at, for passages of so many frames."""
+    """How many frames to either side of one are looked at, for a passage of standard deviation `sigma`, frames."""
     return max(int(np.ceil(_REACH * sigma)) + _MARGIN, _LEAST_HALF)
 
 
@@ -272,7 +272,7 @@ def _believed(seen: Measured, farthest: float) -> Lines:
 
 @jax.jit
 def carried(geometry: Geometry, u: Lines, v: Lines, frames: Lines | Float[Array, ""]) -> tuple[Lines, Lines]:
-    """q(m): where what crosses the sheet at pixel (u, v) is seen so many frames later."""
+    """q(m): where what crosses the sheet at pixel (u, v) is seen `frames` frames later."""
     R, t = geometry.later(jnp.broadcast_to(frames, u.shape))
     q = jax.vmap(jax.vmap(geometry.camera.project))((R @ _on_sheet(geometry, u, v)[..., None])[..., 0] + t)
     return q[..., 0], q[..., 1]
@@ -282,7 +282,7 @@ def carried(geometry: Geometry, u: Lines, v: Lines, frames: Lines | Float[Array,
 def _track(
     geometry: Geometry, u: Lines, v: Lines, half: int
 ) -> tuple[Float[Array, "frames window lines"], Float[Array, "frames window lines"]]:
-    """The track through each pixel, for so many frames to either side."""
+    """The track through each pixel, for `half` frames to either side."""
     R, t = geometry.later(jnp.arange(-half, half + 1, dtype=jnp.float32))
     moved = jnp.einsum("wij,flj->fwli", R, _on_sheet(geometry, u, v)) + t[None, :, None]
     q = jax.vmap(jax.vmap(jax.vmap(geometry.camera.project)))(moved)

@@ -13,7 +13,7 @@ from jaxscan.reconstruction.spacetime import Geometry, carried, half_window
 from jaxscan.reconstruction.turns import full_turn, gaps_between
 from jaxscan.rig import Rig
 
-# Frames of the scan that are looked at; of a video, every so many of its first.
+# Frames of the scan that are looked at; of a video, every Nth from its first on.
 _LOOKED_AT, _EVERY = 16, 12
 # Full width at half the height over the standard deviation.
 _FWHM = 2.354820

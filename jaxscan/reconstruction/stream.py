@@ -50,7 +50,7 @@ class Scanner:
         rig: as `read_rig` gives it; with its covariance the points carry their σ.
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
-        spacetime: measure the centre of the light's passage over each point in time: of scans in small, equal steps.
+        spacetime: measure the time at which the light's centre passes each point; needs scans in small, equal steps.
         depths_mm: nearest and farthest depth along the optical axis at which there can be a stripe, mm; by default that
             of the rig's calibration, widened; (0, inf) for any. Spacetime analysis looks everywhere.
         decoders: how many threads decode photographs; as many as the machine has cores by default.
@@ -318,12 +318,12 @@ def _with_runs(frames: Frames, axes: Sequence[str], played: Mapping[str, Runs]) 
 
 
 def _part_of(own: range, done: int, count: int) -> slice:
-    """Which of so many frames, those from number `done` on, are a scan's own."""
+    """Which of the `count` frames from number `done` on are a scan's own."""
     return slice(min(max(own.start - done, 0), count), min(max(own.stop - done, 0), count))
 
 
 def _at_most(advance: Callable[[int], object], most: int) -> Callable[[int], object]:
-    """Tell of no more than so many."""
+    """Report progress, up to `most` frames in all."""
     left = most
 
     def told(by: int) -> None:

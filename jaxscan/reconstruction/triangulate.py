@@ -104,7 +104,7 @@ class FramePoses(eqx.Module):
 
     @staticmethod
     def create(motion: Motion, q: Positions, frames: int, dtype: str = "float32") -> "FramePoses":
-        """Of a motion at positions of its axes, one for each frame."""
+        """The poses of a motion at positions of its axes, one for each frame."""
         with float64():
             moved = motion.pose({axis: np.asarray(steps, np.float64) for axis, steps in q.items()}).inverse()
             A, b = np.asarray(moved.matrix()), np.asarray(moved.translation)

@@ -17,7 +17,7 @@ from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.rig import Motion, is_run, played_axes, run_of, runs
 from jaxscan.rig.play import FAR
 
-# The last frame of a turn is no further from the first than so many times the way between frames.
+# The last frame of a turn is no further from the first than this multiple of the distance between frames.
 _LAST_GAP: Final = 1.5
 
 
@@ -86,7 +86,7 @@ def gaps_between(steps: Int[np.ndarray, "frames"], whole: int | None) -> Int[np.
 
 
 def with_ends(scan: Scan, motion: Motion, steps: int, equal: bool = False) -> tuple[Scan, int]:
-    """A scan with so many of its last steps once more before it, and of its first behind it, if its turn closes.
+    """A scan with its last `steps` positions repeated before it, and its first after it, if its turn closes.
 
     What looks at a frame's neighbours in time has the same of every frame then.
 

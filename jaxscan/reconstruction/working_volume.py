@@ -49,7 +49,7 @@ class WorkingVolume:
 
     @property
     def median_mm(self) -> float:
-        """Of σ over the volume."""
+        """The median of σ over the volume, mm."""
         return float(np.nanmedian(self.sigma_mm))
 
     @property

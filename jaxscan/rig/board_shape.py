@@ -32,7 +32,7 @@ N_TERMS: Final = 5
 BENDS: Final = 2
 # Bulges of less than this (mm) are none.
 LEAST_BEND_MM: Final = 1e-4
-# A shape's range is that on so many points each way.
+# A shape's range is taken over this number of points in each direction.
 _GRID = 21
 
 
@@ -135,7 +135,7 @@ def half_diagonal_of(points: Float[A, "points 3"]) -> float:
 
 
 def middle_and_half(points: Float[A, "points 3"]) -> tuple[Float[A, "2"], Float[A, "2"]]:
-    """Of a board's points along columns and rows, mm."""
+    """Coordinates of a board's points along columns and rows, mm."""
     xp = namespace(points)
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     return xp.asarray((low + high) / 2), xp.asarray((high - low) / 2)
@@ -179,7 +179,7 @@ def shape_in_words(fit: Mapping[str, Any]) -> str | None:
 
 
 def bulges_in_words(sigma_mm: float) -> str:
-    """What the σ of the bulges that each photograph has besides means."""
+    """What the σ of the additional bulges of each photograph means."""
     if sigma_mm < 2 * LEAST_BEND_MM:
         return "alike in all photographs"
     return f"from photograph to photograph its bulges differ by {rounded_mm(sigma_mm)} (σ)"

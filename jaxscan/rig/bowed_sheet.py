@@ -64,7 +64,7 @@ class BowedSheet(eqx.Module):
     def curved(
         omega: ArrayLike | Sequence[float], sag_mm: float, half_width_mm: float, depth_mm: float, name: str = ""
     ) -> "BowedSheet":
-        """By the millimetres that it leaves its plane, towards the camera, at ± so many along the stripe at a depth."""
+        """From its sag (mm, positive towards the camera) at ± `half_width_mm` along the stripe, at `depth_mm`."""
         unbowed = BowedSheet.create(omega, 0.0, name)
         return BowedSheet.create(omega, sag_mm / unbowed.of_bow(half_width_mm, depth_mm), name)
 
@@ -85,7 +85,7 @@ class BowedSheet(eqx.Module):
         return cls.unbowed(LightPlane.somewhere(name))
 
     def sag(self, half_width_mm: float, depth_mm: float) -> float:
-        """How far it leaves its plane at ± so many mm along the stripe at a depth, mm; positive towards the camera."""
+        """Distance from its plane at ± `half_width_mm` along the stripe, at `depth_mm`; mm, positive to the camera."""
         return float(self.bow[0]) * self.of_bow(half_width_mm, depth_mm)
 
     def level(
@@ -96,7 +96,7 @@ class BowedSheet(eqx.Module):
         return namespace(ray, self.bow[0]).asarray(LightPlane(self.plane).level(ray, inverse_depth) + bent)
 
     def gradient(self, point: Float[A, "*points 3"]) -> Float[A, "*points 3"]:
-        """Of the level; beside the camera, where the depth is 0, the plane's."""
+        """Gradient of the level; beside the camera, where the depth is 0, that of the plane."""
         slant = self._slant(point)
         steep = 2 * self.bow[0] * slant
         bent = [steep * self.plane[1], -steep * self.plane[0], -self.bow[0] * slant * slant]

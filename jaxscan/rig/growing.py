@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 Height = Callable[[Float[Array, "*any"]], Float[Array, "*any"]]
 
 _MAX_NEWTON_STEPS = 60
-# What counts as a root: a height met within so many times the tolerance of a Newton step.
+# A root is accepted if the height is met within this multiple of the tolerance of a Newton step.
 CLOSE = 100.0
 _SAMPLES = 512
 

@@ -2,7 +2,7 @@
 
 A carriage on a bowed guide moves by n per_step + n² bow, and turns as it follows the guide. The bow may lie across the
 travel, as of a rail that sags, or along it, as of a screw whose pitch changes. It turns about a place that is given,
-the middle of the board that told of it: so `per_step` and `bow` are the path of what stood there, whatever the turn.
+the middle of the board that determined it: so `per_step` and `bow` are the path of what stood there, whatever the turn.
 
 A screw that is not centred, or whose thread is not a true helix, moves its load along the travel to and fro beside the
 steps, by a (cos w − 1) + b sin w with w = 2π n / period: nothing at step 0, as of any motion.

@@ -53,7 +53,7 @@ def register_motion(kind: _Kind) -> _Kind:
 
 
 def lens_of_kind(name: str) -> type[Any]:
-    """The class of a kind of lens, one of `LENSES`; a protocol's classes cannot be told at run time.
+    """The class of a kind of lens, one of `LENSES`; the classes of a protocol are not known at run time.
 
     Raises:
         InputError: there is no such lens.

@@ -32,7 +32,7 @@ class Lens(Protocol):
 
     @classmethod
     def nominal(cls) -> "Lens":
-        """The lens from which a solve starts: without errors, all that its kind may do besides."""
+        """The lens from which a solve starts: with the terms of this kind at zero."""
         ...
 
     def distort(self, x: Float[Array, "2"]) -> Float[Array, "2"]:

@@ -57,14 +57,14 @@ class Light(Protocol):
     def level(
         self, ray: Float[A, "*points 3"], inverse_depth: Float[A, "*points"] | float = 1.0
     ) -> Float[A, "*points"]:
-        """Of the point ray / inverse depth, times the inverse depth; of any scale.
+        """Level of the point ray / inverse depth, times the inverse depth, in any scale.
 
         0 on the sheet, negative on the camera's side of it. With the inverse depth 1 that of the point `ray` itself.
         """
         ...
 
     def gradient(self, point: Float[A, "*points 3"]) -> Float[A, "*points 3"]:
-        """Of the level: at right angles to the sheet."""
+        """Gradient of the level, which is normal to the sheet."""
         ...
 
     def inverse_depth(self, ray: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
@@ -84,7 +84,7 @@ def meet(light: Light, ray: Float[Array, "3"]) -> Float[Array, "3"]:
 
 
 def distance(light: Light, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points"]:
-    """Of points from the sheet, to first order, mm; negative on the camera's side of it."""
+    """Distance of points from the sheet, to first order, mm; negative on the camera's side of it."""
     light = as_numpy(light)
     return light.level(points) / np.linalg.norm(light.gradient(points), axis=-1)
 

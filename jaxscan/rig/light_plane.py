@@ -15,7 +15,7 @@ from jaxscan.precision import Leaf
 
 # A sheet nearer to the centre of projection than this (mm) is seen edge on: its depth is lost in rounding.
 _NEAREST = 1e-3
-# Random triples; a trial is judged by so many points: enough for a median.
+# Number of random triples; each trial is judged by this number of points: enough for a median.
 _TRIALS = 500
 _SAMPLE = 500
 
@@ -44,7 +44,7 @@ class LightPlane(eqx.Module):
     def fitted(
         cls, points: Float[np.ndarray, "points 3"], view: Int[np.ndarray, "points"], name: str = ""
     ) -> "LightPlane":
-        """By least median of squares over random triples, then a fit. A triple is from two views: one's lie on a line.
+        """The plane by least median of squares over random triples, then a fit. A triple needs two views, not one line.
 
         Raises:
             ObservabilityError: the points lie on one line, or on a plane through the camera's centre.

@@ -68,7 +68,7 @@ class Line(eqx.Module):
 
 
 def per_steps(steps: Float[A, "*stack"] | float, leaves: tuple[Leaf, Leaf, Leaf]) -> Float[A, "*stack 3"]:
-    """So many times a vector of three numbers."""
+    """The product of `steps` and the vector of `leaves`."""
     xp = namespace(steps, *leaves)
     return xp.tensordot(xp.asarray(steps), xp.stack([xp.asarray(leaf) for leaf in leaves]), axes=0)
 
@@ -76,7 +76,7 @@ def per_steps(steps: Float[A, "*stack"] | float, leaves: tuple[Leaf, Leaf, Leaf]
 def median_slope(
     positions: Float[np.ndarray, "photographs"], places: Float[np.ndarray, "photographs 3"]
 ) -> Float[np.ndarray, "3"]:
-    """By the median of slopes (H. Theil 1950, P. K. Sen 1968)."""
+    """The line, estimated by the median of slopes (H. Theil 1950, P. K. Sen 1968)."""
     i, j = np.triu_indices(len(positions), 1)
     moved = positions[i] != positions[j]
     slopes = (places[j] - places[i])[moved] / (positions[j] - positions[i])[moved, None]

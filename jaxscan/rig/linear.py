@@ -17,7 +17,7 @@ class Linear(Line):
     """A motion along a line.
 
     Attributes:
-        per_step: what stands on the stage moves by this in the camera frame for one motor step (mm).
+        per_step: displacement of the load in the camera frame for one motor step, mm.
         axis: its name.
     """
 
@@ -39,7 +39,7 @@ class Linear(Line):
         poses: Pose[np.ndarray],
         middle: Float[np.ndarray, "3"],
     ) -> "Linear":
-        """By the median of slopes."""
+        """The motion, estimated by the median of slopes."""
         return cls.create(median_slope(positions, poses.translation), axis)
 
     @classmethod

@@ -87,16 +87,16 @@ class AxisMotion(Motion, Protocol):
         ...
 
     def direction(self) -> Float[np.ndarray, "3"]:
-        """Of its travel or of its axis, unit."""
+        """Unit vector of its travel, or of its axis."""
         ...
 
     def amount(self, steps: float) -> tuple[float, str]:
-        """How far it moves in so many steps, and in which unit: mm or degrees."""
+        """How far `steps` motor steps move it, and the unit: mm or degrees."""
         ...
 
 
 class Fixed(eqx.Module):
-    """What does not move."""
+    """No motion: the object stays where it is."""
 
     def parts(self) -> tuple[AxisMotion, ...]:
         """None."""
@@ -108,10 +108,10 @@ class Fixed(eqx.Module):
 
 
 class Chain(eqx.Module):
-    """Motions one on the other: the last carries the object, the one before it carries the last.
+    """A chain of motions: the last carries the object, and each carries the next one.
 
     Attributes:
-        links: from the room to the object.
+        links: the motions, from the room to the object.
     """
 
     links: tuple[AxisMotion, ...]
@@ -165,7 +165,7 @@ def carried(motion: Motion, q: Positions, reference: Positions, pose: Pose) -> t
 def origin_shift(motion: Motion, q: Positions, other: Motion) -> Float[Array, "*stack 3"]:
     """How far another motion carries what this one brings to the camera's centre, mm.
 
-    Its derivative by the other's numbers, where both are the same, tells how an error of the motion moves points along
+    Its derivative by the other's numbers, where both are the same, shows how an error of the motion moves points along
     their rays: a turn about the camera's centre does not.
     """
     one, two = motion.pose(q), other.pose(q)

@@ -56,7 +56,7 @@ class OpenCVLens(eqx.Module):
         return undistort(self.radial, self.tangential, xd)
 
     def invertible_radius(self, dtype: Any) -> Float[Array, ""]:
-        """By the radial terms."""
+        """The largest undistorted radius up to which the radial terms can be inverted."""
         return invertible_radius(self.radial, dtype)[0]
 
     def rational(self) -> "Rational":

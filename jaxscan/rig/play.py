@@ -30,7 +30,7 @@ from jaxscan.rig.rotary import Rotary
 
 # What the entry of an axis ends in; no name of an axis has a dot.
 _RUN: Final = ".run"
-# So many steps before the first photograph an axis is taken to have turned last: more than any play has.
+# An axis is taken to have reversed last this number of steps before the first photograph: more than any play has.
 FAR: Final = 10**9
 _SUFFIX: Final = "_with_play"
 
@@ -56,7 +56,7 @@ class Runs:
         self._run = 0
 
     def of(self, steps: Float[np.ndarray, "photographs"] | Int[np.ndarray, "photographs"]) -> Int[np.ndarray, "_"]:
-        """Of the next photographs, signed; 0 while nothing has moved yet."""
+        """The run of the next photographs, signed; 0 while nothing has moved yet."""
         found = []
         for i, n in enumerate(steps.tolist()):
             before = n if self._last is None else self._last
@@ -132,7 +132,7 @@ class _WithPlay(eqx.Module):
 
 
 def _lag(run: Float[A, "*stack"] | Int[A, "*stack"] | float, play: Leaf) -> Float[A, "*stack"]:
-    """By how many steps a load lags behind its motor."""
+    """The number of steps by which a load lags behind its motor."""
     xp = namespace(run, play)
     run, play = xp.asarray(run), xp.asarray(play)
     way, far = xp.sign(run), xp.abs(run)
@@ -186,5 +186,5 @@ class RotaryWithPlay(_WithPlay, Rotary):
 
 
 def kind_with_play(kind: str) -> str:
-    """What the kind is called that has play besides."""
+    """The name of the kind with play."""
     return kind if kind.endswith(_SUFFIX) else kind + _SUFFIX

@@ -21,7 +21,7 @@ from jaxscan.rig.opencv_lens import LADDER, OpenCVLens, Rational
 
 # A whole image's rays come in larger ones.
 _MANY: Final = 8192
-# A ray is followed outwards from the axis in so many steps: where the lens folds on its way no pixel is its own.
+# A ray is followed outwards from the axis in this number of steps: beyond a fold of the lens, no pixel belongs to it.
 _ON_THE_WAY: Final = 4
 
 

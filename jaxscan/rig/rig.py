@@ -23,7 +23,7 @@ _STAGE_SHAPES: Final = ScrewOnGuideWithPlay.shape()
 
 
 class Rig(eqx.Module):
-    """A camera, its lights, and what carries the object.
+    """A camera, its lights, and the motion of the object.
 
     Attributes:
         camera: the camera.
@@ -70,7 +70,7 @@ class Rig(eqx.Module):
         return axes[name]
 
     def with_axis(self, part: AxisMotion) -> "Rig":
-        """The same with this motion in the place of its axis, or as the one that carries the object."""
+        """The same with this motion instead of its axis's, or as the one that carries the object."""
         axes = {**self.axes(), part.axis: part}
         return Rig(self.camera, self.lights, motion_of(tuple(axes.values())))
 
@@ -158,7 +158,7 @@ def is_place(name: str) -> bool:
 def is_stage_shape(name: str, names: Collection[str]) -> bool:
     """Whether a parameter, of all these, says how a stage's motion differs from a line: it may be 0, and has no share.
 
-    Other motions may call numbers of theirs alike, but these have no travel for each step.
+    Other motions may use the same names for their parameters, but these have no travel for each step.
     """
     parts = name.split(".")
     return parts[0] == "motion" and parts[2] in _STAGE_SHAPES and f"motion.{parts[1]}.per_step.0" in names

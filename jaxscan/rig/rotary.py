@@ -17,7 +17,7 @@ from jaxscan.rig.motion import Positions, unit_vector
 
 # An axis within this share of its length of the line of sight's right angle is seen from the side.
 _FROM_THE_SIDE = 0.25
-# Less is not told from the noise of single poses, radians.
+# Less cannot be distinguished from the noise of single poses, radians.
 _LEAST_TURN = 0.05
 
 
@@ -32,7 +32,7 @@ class Rotary(eqx.Module):
 
     kind: ClassVar[str] = "rotary"
     numbers: ClassVar[Mapping[str, int]] = {"per_step": 3, "centre": 3}
-    # The third tells whether two were a turn at all.
+    # The third shows whether the first two were a turn at all.
     fewest: ClassVar[int] = 3
 
     per_step: tuple[Leaf, Leaf, Leaf]
@@ -56,7 +56,7 @@ class Rotary(eqx.Module):
         poses: Pose[np.ndarray],
         middle: Float[np.ndarray, "3"],
     ) -> "Rotary":
-        """By the median rate of turn, and by the circle of least absolute distances from the board's middle."""
+        """The turn, from the median rate and the circle of least absolute distances from the board's middle."""
         w = rate_of_turn(poses.matrix(), positions)
         if (turn := float(np.linalg.norm(w) * np.ptp(positions))) < _LEAST_TURN:
             raise InputError(
@@ -97,7 +97,7 @@ class Rotary(eqx.Module):
         return f"its near side {to}"
 
     def direction(self) -> Float[np.ndarray, "3"]:
-        """Of its axis; it turns about it by the right hand's rule."""
+        """Unit vector of its axis; it turns about it by the right-hand rule."""
         return unit_vector(self.per_step)
 
     def amount(self, steps: float) -> tuple[float, str]:

@@ -4,7 +4,7 @@ With t a coordinate in cells, the coefficient c_i stands at t = i − 1, and
 
     f(t) = Σ c_i β(t − i + 1),    β(d) = (max(0, 2 − |d|)³ − 4 max(0, 1 − |d|)³) / 6
 
-(I. J. Schoenberg 1946). In two dimensions the weights are products. Beyond its rectangle the function goes on with the
+(I. J. Schoenberg 1946). In two dimensions the weights are products. Beyond its rectangle the function keeps the
 value at the border.
 """
 
@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from jaxscan.geometry.rotation import A, namespace
 from jaxscan.precision import Leaf
 
-# So many more coefficients than cells.
+# The number of coefficients minus the number of cells.
 MORE_THAN_CELLS = 3
 _DEGREE = 3
 

@@ -32,7 +32,7 @@ FIELD_NUMBERS: Final = ("camera.shift_x.", "camera.shift_y.")
 # As a share of the image, on each side of it.
 _MARGIN: Final = 0.02
 _MAX_STEPS = 30
-# A rounding error of the shift is so many of that of the place.
+# The rounding error of the shift is this multiple of the rounding error of the position.
 _CLOSE = 64
 
 
@@ -106,7 +106,7 @@ class Splined(eqx.Module):
         return opencv_lens.undistort(self.radial, self.tangential, self.unshifted(xd))
 
     def invertible_radius(self, dtype: Any) -> Float[Array, ""]:
-        """By the radial terms."""
+        """The largest undistorted radius up to which the radial terms can be inverted."""
         return opencv_lens.invertible_radius(self.radial, dtype)[0]
 
     def unshifted(self, xd: Float[Array, "2"]) -> Float[Array, "2"]:

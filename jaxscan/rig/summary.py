@@ -28,7 +28,7 @@ BOWED_OVER_MM: Final = 100.0
 
 
 def light_summary(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> list[Summary]:
-    """Of each light its numbers, where it stands, and at which angles the camera looks at it.
+    """For each light its parameters, its place, and the angles between it and the camera's view.
 
     The triangulation angle is that between a ray of the camera and the sheet.
 
@@ -50,7 +50,7 @@ def light_summary(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarra
 
 
 def axis_summary(rig: Rig, covariance: Covariance | None) -> list[Summary]:
-    """Of each axis, from the room to the object, its numbers, its way in words, and what belongs to its kind."""
+    """For each axis, from the room to the object: its parameters, its direction in words, and what its kind adds."""
     # Things are scanned in the middle of the view.
     inverse = [float(light.inverse_depth(np.array([[0.0, 0.0, 1.0]]))[0]) for light in rig.lights]
     near = np.array([0.0, 0.0, max((1 / x for x in inverse if x > 0), default=0.0)])
@@ -69,7 +69,7 @@ def axis_summary(rig: Rig, covariance: Covariance | None) -> list[Summary]:
 def _of_light_kind(
     stem: str, light: Light, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]
 ) -> Summary:
-    """Of a bowed sheet how far it is off its plane at the ends of 200 mm, where it is seen in the middle."""
+    """How far a bowed sheet is off its plane at the ends of 200 mm, at the depth where it is seen in the middle."""
     w, _, _ = inverse_depths(light, rays[len(rays) // 2][None])
     if not isinstance(light, BowedSheet) or not w[0] > 0:
         return {}
@@ -105,7 +105,7 @@ def step_of(line: Line, covariance: Covariance) -> tuple[float, float]:
 
 
 def _of_play(part: AxisMotion, covariance: Covariance | None) -> Summary:
-    """By how much farther on its load stands when it is approached by falling steps than by rising ones."""
+    """How much farther on the load is when approached by falling steps than by rising ones."""
     if "play" not in part.numbers:
         return {}
     steps = float(part.play[0])  # type: ignore[attr-defined]
@@ -133,7 +133,7 @@ def _of_path(part: Line, covariance: Covariance | None) -> Summary:
 
 
 def _length(part: Line, name: str, key: str, by: float, covariance: Covariance | None) -> Summary:
-    """So many times the length of a part's vector, and its σ."""
+    """The length of a part's vector times `by`, and its σ."""
     vector = np.array([float(leaf) for leaf in getattr(part, name)])
     length = float(np.linalg.norm(vector))
     names = [f"motion.{part.axis}.{name}.{i}" for i in range(len(vector))]

@@ -17,13 +17,13 @@ SHAPE_TERMS: Final = ("shape.bulge.0", "shape.bulge.1", "shape.twist.0", "shape.
 
 
 class System(eqx.Module):
-    """What the joint solve refines, all of it.
+    """All parameters that the joint solve refines.
 
     Attributes:
         rig: camera, lights, motion: shared by all photographs.
         poses: for each group of blocks (blocks, 6), rotation vector and translation: T_cam_board of each view; then of
             each board that was moved by an axis, at its positions of reference; then of each gauge, T_object_gauge.
-            Behind the pose of a board that bends by itself stand its two bulges, mm.
+            For a board with its own bends, two bulges follow its pose, mm.
         shape: the board's, shared as well, or None for a flat one.
     """
 
@@ -47,7 +47,7 @@ class System(eqx.Module):
         return Pose.from_vector(self.poses[1][:, :6] if len(self.poses) > 1 else jnp.zeros((0, 6)))
 
     def bends(self, group: int) -> Float[Array | np.ndarray, "blocks 2"] | None:
-        """The bulges (mm) that each board of a group has besides the shape of all; None where it has none."""
+        """The bulges (mm) of each board of a group in addition to the common shape; None where it has none."""
         return self.poses[group][:, 6:] if self.poses[group].shape[1] > 6 else None
 
     def shared_names(self) -> list[str]:
@@ -55,5 +55,5 @@ class System(eqx.Module):
         return [*parameter_names(self.rig), *SHAPE_TERMS[: len(jax.tree.leaves(self.shape))]]
 
     def values(self) -> list[float]:
-        """Of what is shared."""
+        """The values of the shared parameters, in the order of `shared_names`."""
         return [float(leaf) for leaf in jax.tree.leaves(self.shared)]

@@ -9,8 +9,8 @@ from jaxscan.geometry import Pose
 from jaxscan.simulation.distance import distance
 from jaxscan.simulation.scene import Scene
 
-# A pair further apart than this (mm), and than so many medians, is not of one surface point: a column at a depth edge
-# that saw the other side.
+# A pair further apart than this (mm), and than this number of medians, is not of one surface point: a column at a depth
+# edge that saw the other side.
 _SAME_POINT_MM, _MEDIANS = 2.0, 3.0
 
 

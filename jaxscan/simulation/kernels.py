@@ -74,7 +74,7 @@ class Sheet(NamedTuple):
         source: mm.
         power: red, green, blue in grey levels.
         bells: of its profile: height, place in mm, standard deviation in mm.
-        reach: beyond so many mm it is dark.
+        reach: its light is zero beyond this distance, mm.
         surface: of a sheet that is not flat.
     """
 
@@ -258,8 +258,7 @@ def gather(
     """Blur, and average over each pixel of a band of the photograph.
 
     Args:
-        fine: brightness of the fine cells of the band, and of those of so many pixels above and below it as `margin`
-            says.
+        fine: brightness of the fine cells of the band, and of `margin` pixels above and below it.
         weights: point spread and pixel together, on the grid of the cells (`spread`).
     """
     across = [(0, 0), (0, 0), (FINE * margin(weights),) * 2]

@@ -31,7 +31,7 @@ from jaxscan.simulation.speckle import speckle
 _CAMERAS_KEPT = 4
 # Rows of pixels whose light is gathered at once.
 _BAND = 48
-# Beyond so many standard deviations a sheet is dark: e^(−18) of 2000 grey levels.
+# Beyond this number of standard deviations a sheet is dark: e^(−18) of 2000 grey levels.
 _SHEET_WIDTHS = 6.0
 
 

@@ -64,8 +64,8 @@ _SCREW_PHASE = 1.0
 TURN_APART: Final = 20
 # How far the turntable's axis, and the middle of the board on it, may stand from where they should, mm.
 _OFF_AXIS = 3.0
-# The board on the turntable leans, rad, so that the camera sees it tilted another way at every angle: that tells the
-# focal length, which a board that lies flat hardly does.
+# The board on the turntable leans, rad, so that the camera sees it tilted another way at every angle: that determines
+# the focal length, which a board that lies flat hardly does.
 _LEAN = 0.7
 # Where the stage may stand meanwhile, and at how many angles that is asked.
 _STAGE_STEPS_TRIED = (10_000, 60_000, 2000)
@@ -117,7 +117,7 @@ def with_stage(
     screw_steps: float = SCREW_STEPS,
     play_mm: float = 0.0,
 ) -> Rig:
-    """The rig with a stage that is no line, in the place of its own.
+    """The rig with a stage that is no line, instead of its own.
 
     Args:
         rig: with a line.
@@ -147,7 +147,7 @@ def with_stage(
 
 
 def stage_steps(rig: Rig, count: int, apart: int) -> tuple[int, ...]:
-    """Motor steps of photographs on the stage: one after the other; there and back where it has play, which tells it.
+    """Motor steps of photographs on the stage: one after the other; there and back where it has play, to determine it.
 
     Args:
         rig: with a stage.
@@ -302,7 +302,7 @@ def scan_scene(rig: Rig, bodies: Sequence[Body]) -> Scene:
 
 
 def turning_axes(apart: int) -> dict[str, tuple[int, ...]]:
-    """A full turn of the turntable in frames so many of its motor steps apart, its axis under the sheet."""
+    """A full turn of the turntable in frames `apart` motor steps apart, its axis under the sheet."""
     turns = tuple(range(0, STEPS_PER_TURN, apart))
     return {"stage": (_UNDER_SHEET,) * len(turns), "turntable": turns}
 
@@ -315,7 +315,7 @@ def turned(bodies: Sequence[Body], degrees: float) -> tuple[Body, ...]:
 
 
 def turned_on(rig: Rig, bodies: Sequence[Body], steps: float) -> tuple[Body, ...]:
-    """What stands on the turntable, after so many of its motor steps, in the platform's frame."""
+    """What is on the turntable, after `steps` motor steps, in the platform's frame."""
     R, origin = platform(rig)
     T = turned_boards(rig, Pose.identity(), np.array([steps]))[0]
     turn = T.matrix()

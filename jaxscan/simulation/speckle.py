@@ -15,7 +15,7 @@ from numpy.polynomial import hermite_e
 from scipy.fft import irfft2, rfft2
 from scipy.special import factorial, gammainccinv, gammaincinv, ndtr
 
-# The table of quantiles ends at so many standard deviations of the field, and has so many entries for each.
+# The table of quantiles ends at this number of standard deviations of the field, with this number of entries for each.
 _REACH, _ENTRIES = 6, 1000
 _TERMS, _NODES = 12, 80
 

@@ -23,7 +23,7 @@ from jaxscan.surface.links import sampling
 _AROUND: Final = 16
 _REACH: Final = 4.0
 _POINTS_AT_ONCE: Final = 1 << 16
-# So many points of the bed, held against the others, tell its scatter.
+# The scatter of the bed is estimated by comparing this number of its points with the others.
 _TRIED: Final = 20_000
 
 

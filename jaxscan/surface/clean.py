@@ -55,7 +55,7 @@ def clean(
     grazing_deg: float = 80.0,
     fewest: int = 12,
 ) -> Cleaned:
-    """Leave out what is no point of the surface.
+    """Leave out points that do not lie on the surface.
 
     Args:
         image: the range image.
@@ -63,7 +63,7 @@ def clean(
         weakest: a bordering point with less than this part of the surrounding strength is mixed; 0 for none. By default
             1 − 3 times the relative scatter of the strength from column to column, from 0.5 to 0.9.
         grazing_deg: incidence beyond which a point is left out; 90 for none.
-        fewest: points that hang together; 0 for none.
+        fewest: least number of connected points; 0 for no limit.
 
     Raises:
         InputError: no point is left.
@@ -93,7 +93,7 @@ def clean(
 
 
 def patches(image: RangeImage, linked: Links) -> Int[np.ndarray, "frames columns"]:
-    """A number for each point, the same for all that hang together; −1 where there is no point."""
+    """A number for each point, the same for all connected points; −1 where there is no point."""
     number = np.arange(image.valid.size).reshape(image.valid.shape)
     pairs = [
         np.stack([number[:, :-1][linked.across], number[:, 1:][linked.across]]),
@@ -116,7 +116,7 @@ def _weakest(image: RangeImage) -> float:
 
 
 def _sizes(image: RangeImage, linked: Links) -> Int[np.ndarray, "frames columns"]:
-    """How many points hang together with each."""
+    """How many points are connected with each."""
     label = patches(image, linked)
     return np.where(image.valid, np.bincount(label[image.valid], minlength=1)[label], 0)
 

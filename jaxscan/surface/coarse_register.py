@@ -1,6 +1,6 @@
 """Where sides stand roughly: by the angles that the object was turned, or by features of its shape.
 
-Sides are joined one after the other, nearest in the order of the scans first, until all hang together. Of each two
+Sides are joined one after the other, nearest in the order of the scans first, until all are connected. Of each two
 several starts are tried, followed with few points, and the best is judged by all: it counts where a tenth and more of
 the points have a partner, and the scatter of their distances is that of their σ, a few times over.
 
@@ -29,7 +29,7 @@ _TRY_POINTS, _TRY_ROUNDS = 400, 12
 _REACH: Final = 0.15
 # The scatter of distances in units of their σ beyond which two sides do not fit.
 LARGEST_SCALE: Final = 5.0
-# Features are looked for in cubes of so many spacings, and at least of this part of the sides' size.
+# Features are searched in cubes of this number of spacings, but at least of this part of the sides' size.
 _CUBES, _SMALLEST_CUBE = (1.0, 1.5), 0.015
 
 
@@ -41,8 +41,8 @@ def coarse_register(
     Args:
         sides: two or more.
         degrees: how far the object was turned at each scan, anticlockwise as seen from above its floor, or where no
-            floor is known about any of the axes of its frame; without, the features of the shapes tell.
-        known: T_first_side as a turntable or somebody has it, in place of both.
+            floor is known about any of the axes of its frame; without, it is found from features of the shapes.
+        known: T_first_side, if known otherwise, e.g. from a turntable; replaces both.
 
     Raises:
         InputError: sides do not overlap, named; or there are no angles and the extra is not installed.

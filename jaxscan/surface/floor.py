@@ -4,7 +4,7 @@ The floor is the plane with the most points, among those that hold the direction
 known, or one parallel to it below with at least a quarter as many. σ is the scatter of its own points about it, noise
 and unevenness together.
 
-What stands on it is found with two thresholds: points more than 3 σ above the floor that hang together with some more
+What stands on it is found with two thresholds: points more than 3 σ above the floor that are connected with some more
 than 6 σ above it. So the object is kept down to where it touches the floor, and the one in seven hundred of the floor's
 points that scatter beyond 3 σ go with the rest.
 """
@@ -36,7 +36,7 @@ _AROUND_MM, _WITHIN_MM = 2.0, 1.0
 _LARGEST_SIGMA_MM: Final = 0.5
 # A σ that is less than this, mm, is rounding: of points that were computed, and lie on one plane exactly.
 _ROUNDING_MM: Final = 1e-9
-# Size of the squares whose mean heights tell the flatness, mm, and how many points each has.
+# Size of the squares whose mean heights give the flatness, mm, and how many points each has.
 _SQUARE_MM, _FEWEST_IN_SQUARE = 5.0, 8
 # What stands on the floor has at least this many points.
 _FEWEST: Final = 12
@@ -136,10 +136,10 @@ def floor_from_picks(image: RangeImage, picks: Sequence[Sequence[float]]) -> Flo
 
 
 def stands_on(image: RangeImage, floor: Floor, linked: Links | None = None) -> Bool[np.ndarray, "frames columns"]:
-    """The points of what stands on the floor.
+    """The points of the objects on the floor.
 
     Raises:
-        InputError: nothing does.
+        InputError: there are none.
     """
     with np.errstate(invalid="ignore"):
         height = floor.height(image.points)

@@ -7,7 +7,7 @@ linked where, for j = i − 1 or j = i + 1,
     |Δᵢ − Δⱼ| ≤ 3 √6 σ + |Δⱼ| / 3,     at most 3 √6 σ + one spacing,
 
 √6 σ being the standard deviation of Pᵢ₊₁ − 2 Pᵢ + Pᵢ₋₁, and |Δⱼ| the spacing times the local slope. They are linked,
-too, where the surface between them rises by no more than 45°, for that is as much as the sampling tells; and never
+too, where the surface between them rises by no more than 45°, for that is as much as the sampling shows; and never
 where it rises by more than `STEEPEST`. Frames of unequal steps are compared for equal steps.
 """
 
@@ -28,7 +28,7 @@ STEEPEST: Final = np.radians(80.0)
 _SECOND_DIFFERENCE: Final = np.sqrt(6.0)
 _SIGMAS: Final = 3.0
 _CHANGE_OF_SLOPE: Final = 1 / 3
-# Frames further apart than so many times the usual are no neighbours.
+# Frames are not neighbours if their gap exceeds this multiple of the usual gap.
 _LARGEST_GAP: Final = 2.5
 # Frames that are linked at a time: they stay in the processor's cache.
 _FRAMES_AT_ONCE: Final = 32
@@ -85,7 +85,7 @@ def sampling(image: RangeImage) -> Sampling:
         )
     if len(sweeps := image.sweeps()) > 1:
         return _of_sweeps(sweeps)
-    # Every so many-th frame with the one after it; there are as many columns as it takes. In a turn that closes these
+    # Every Nth frame with the one after it; there are as many columns as it takes. In a turn that closes these
     # are the same ones whichever frame comes first.
     gaps, frames = image.gaps(), len(image.steps)
     start = int(np.argmin(image.steps % image.full_turn)) if image.full_turn and len(gaps) == frames else 0

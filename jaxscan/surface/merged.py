@@ -48,7 +48,7 @@ _STEEPEST: Final = 1.5
 _ROUNDS: Final = 2
 # Floors are the same where their normals differ by no more than 5°.
 _SAME_FLOOR: Final = np.cos(np.radians(5.0))
-# Poisson's octree is so many levels finer than the spacing, within limits.
+# Poisson's octree is this number of levels finer than the spacing, within limits.
 _FINER: Final = 1
 _DEPTHS: Final = (5, 10)
 # Walls that were not seen bulge.
@@ -154,7 +154,7 @@ class _Points:
 
 
 def merge(sides: Sequence[Side], poses: Sequence[Pose], *, cube_mm: float | None = None) -> Merged:
-    """The open surface of all sides: where it was seen, and no more.
+    """The open surface of all sides, only where it was seen.
 
     Args:
         sides: registered.

@@ -32,6 +32,6 @@ def incidence(image: RangeImage, linked: Links) -> Float[np.ndarray, "frames col
 def _mean_difference(
     points: Float[np.ndarray, "lines items 3"], linked: Bool[np.ndarray, "gaps items"]
 ) -> Float[np.ndarray, "lines items 3"]:
-    """Of the differences to the linked neighbours along the first axis; zero where there is none."""
+    """Mean of the differences to the linked neighbours along the first axis; zero where there is none."""
     apart = next_frame(points, len(linked)) - points[: len(linked)]
     return of_both_gaps(np.where(linked[..., None], apart, np.float32(0)), len(points))

@@ -1,7 +1,7 @@
 """Plateaus: pieces of what stands on the floor that are level with it, and their heights.
 
 Around every point a plane is fitted to the heights near it, those on the far side of a step left out. Where it slopes
-as little as a plateau does, within its own uncertainty, neighbours of nearly the same fitted height hang together. A
+as little as a plateau does, within its own uncertainty, neighbours of nearly the same fitted height are connected. A
 piece that is large enough, and as a whole hardly tilted, is a plateau.
 
 Its height is the mean of its points. Errors of neighbouring points are alike, so the standard error is that of means of
@@ -28,12 +28,12 @@ from jaxscan.surface.passages import passages
 # Of the fitted planes: how far they reach, in spacings, and at least, mm; how many points they are fitted to.
 _REACH, _SMALLEST_MM = 1.6, 1.0
 _AROUND, _FEWEST_AROUND = 32, 6
-# A point is level where its plane slopes by less than this beside so many of its σ; a plateau where all of it does.
+# A point is level where its plane slopes by less than this plus this number of its σ; a plateau where all of it does.
 _LEVEL, _SIGMAS = np.tan(np.radians(2.0)), 2.0
 _TILTED: Final = np.tan(np.radians(1.0))
 # No more points than this are looked at.
 _MOST: Final = 200_000
-# Squares of the means: so many of a plateau, of this size at most, mm.
+# Squares over which means are taken: about this number on a plateau, each at most this size, mm.
 _SQUARES, _LARGEST_MM = 9, 5.0
 _FEWEST_SQUARES: Final = 4
 _CONFIDENCE: Final = 0.95
@@ -141,7 +141,7 @@ def _areas(image: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns
 
 
 def _own_areas(sweep: RangeImage, floor: Floor) -> Float[np.ndarray, "frames columns"]:
-    """Of each point's cell, as seen from above the floor, mm²; NaN where it has none."""
+    """Area of each point's cell, as seen from above the floor, mm²; NaN where it has none."""
     flat = floor.frame.inverse().apply(sweep.points.astype(np.float64))[..., :2]
     down = _way_on(flat, len(sweep.gaps()))
     right = _way_on(flat.swapaxes(0, 1), flat.shape[1] - 1).swapaxes(0, 1)
@@ -248,7 +248,7 @@ def _floor_means(
 
 
 def _under(place: Float[np.ndarray, "2"], on_floor: tuple[Float[np.ndarray, "squares 3"], float]) -> float:
-    """The variance of the floor's plane at a place; 0 where too little of the floor is seen to tell."""
+    """The variance of the floor's plane at a place; 0 where too little of the floor is seen."""
     squares, variance = on_floor
     if not np.isfinite(variance):
         return 0.0

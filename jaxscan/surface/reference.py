@@ -56,7 +56,7 @@ class MeshReference:
         self._edge = sums[edge]
 
     def nearest(self, points: Float[np.ndarray, "points 3"]) -> Foot:
-        """On the nearest triangle."""
+        """The nearest points on the triangles, and the normals there."""
         foot, triangle = self._closest(points)
         weight = trimesh.triangles.points_to_barycentric(self._triangles[triangle], foot)
         none = weight < _ON_EDGE
@@ -81,7 +81,7 @@ class CloudReference:
         self._reach = 2.0 * float(np.median(self._tree.query(self._points, 5)[0][:, -1]))
 
     def nearest(self, points: Float[np.ndarray, "points 3"]) -> Foot:
-        """On the plane through the points around the nearest one; beyond the rim that point itself."""
+        """The nearest points on the planes through the points around; beyond the rim the nearest point itself."""
         _, index = self._tree.query(points)
         q, n = self._points[index], self._normals[index]
         foot = points - ((points - q) * n).sum(axis=1, keepdims=True) * n

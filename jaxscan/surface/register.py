@@ -26,10 +26,10 @@ from jaxscan.surface.side import Side
 
 # Rounds go on until the step left is negligible in units of the estimates' own σ, RMS; matches flip for ever.
 _NEGLIGIBLE: Final = 0.02
-# Matches that flip for ever carry the poses round in circles: they rest where so many rounds together hardly move them.
+# Matches that flip for ever move the poses in circles: they have settled when this number of rounds moves them by less.
 _CIRCLE, _CIRCLE_NEGLIGIBLE = 10, 0.1
 _ROUNDS: Final = 40
-# Points are matched over so many spacings in the end.
+# In the end points are matched within this number of spacings.
 _REACH: Final = 2.0
 # Pairs with a smaller part in common, or fewer matches, do not count.
 LEAST_OVERLAP, _FEWEST = 0.1, 60
@@ -120,7 +120,7 @@ def register(
         most: points of each side that are looked up in each of the others.
         reach_mm: how far apart matched points may be to begin with; by default twice the spacing. It shrinks as the
             sides come together.
-        rounds: at most so many; if they do not suffice there is a `NotSettledWarning`.
+        rounds: the largest number of rounds; if they do not suffice there is a `NotSettledWarning`.
 
     Raises:
         InputError: sides do not overlap, named.
@@ -217,7 +217,7 @@ def _step(sides: Sequence[Side], H: np.ndarray, g: np.ndarray, size: float) -> n
 
 
 def _connected(sides: Sequence[Side], pairs: list[tuple[int, int]]) -> None:
-    """Refuse sides that do not hang together."""
+    """Refuse sides that are not all connected by overlap."""
     group = list(range(len(sides)))
     for a, b in pairs:
         group = [group[a] if k == group[b] else k for k in group]

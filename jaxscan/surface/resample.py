@@ -14,7 +14,7 @@ from jaxscan.surface.triangles import Surface, grid_layers
 
 _LARGEST = 1 << 26
 _TRIANGLES_AT_ONCE = 1 << 18
-# Layers within so many σ of the highest are the same surface: 3 σ of the difference of two.
+# Layers within this number of σ of the highest are the same surface: 3 σ of the difference of two.
 _SIGMAS = 3 * np.sqrt(2)
 
 

@@ -19,7 +19,7 @@ from jaxscan.geometry.robust_plane import dominant_plane
 from jaxscan.rig import Rig
 from jaxscan.rig.light import sheet_axes
 
-# A side of more than so many median sides is no side of the surface.
+# A triangle's side longer than this number of median sides does not belong to the surface.
 _LONG: Final = 4.0
 _NEIGHBOURS: Final = 16
 

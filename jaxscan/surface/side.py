@@ -30,7 +30,7 @@ from jaxscan.surface.floor import Floor, find_floor, stands_on
 from jaxscan.surface.links import Sampling, sampling
 from jaxscan.surface.triangles import Surface, even_points
 
-# Planes are laid through the points within so many spacings.
+# Planes are fitted to the points within this number of spacings.
 _AROUND: Final = 1.5
 _MOST_AROUND, _FEWEST_AROUND = 64, 6
 # A point whose neighbours' mean is off by more than this part of their reach has them on one side: it is on the rim.
@@ -102,7 +102,7 @@ def side_of_surface(name: str, image: RangeImage, surface: Surface, how: Samplin
     """A side from the triangles of a range image, with more points where they are large.
 
     A turn samples its surface closely about the axis and widely far from it, and so does any scan of a wall. Points are
-    added until none are further apart than the spacing; n² in the place of one have a σ n times as large, so that they
+    added until none are further apart than the spacing; n² instead of one have a σ n times as large, so that they
     weigh no more than it.
 
     Args:

@@ -32,7 +32,7 @@ class Advice:
 
 
 def advise(planned: NextBestViews, volumes: tuple[WorkingVolume, ...], observations: Observations) -> Advice:
-    """In words and as a picture.
+    """The advice in words and as a picture.
 
     Args:
         planned: the poses that lower σ most.

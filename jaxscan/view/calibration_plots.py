@@ -29,7 +29,7 @@ _WIDTH = 7.5
 # In one picture.
 MOST_PHOTOGRAPHS = 30
 _MOST_STRIPES = 24
-# A mean is clear of noise beyond so many standard errors.
+# A mean is clear of noise beyond this number of standard errors.
 _CLEAR = 3.0
 _MOST_ARROWS = 4000
 

@@ -110,7 +110,7 @@ class BoardPose:
         staged: whether it stood on stage or turntable; its pose is then that at motor step 0.
         rotation: vector of T_cam_board, radians.
         translation_mm: of T_cam_board.
-        bulges_mm: along columns and rows, which this board has besides the shape of all; None where it has none.
+        bulges_mm: along columns and rows, of this board in addition to the common shape; None where it has none.
         covariance: of the rig's parameters and this pose together.
     """
 
@@ -132,7 +132,7 @@ def board_poses(calibration: Calibration) -> tuple[BoardPose, ...]:
         (True, staged, calibration.system.moved, calibration.moved_covariances),
     ):
         rotations, translations = np.asarray(pose.rotation), np.asarray(pose.translation)
-        # Without photographs on an axis there is no group of theirs.
+        # Without photographs on an axis they form no group.
         bends = calibration.system.bends(int(on_stage)) if called else None
         own = [None] * len(called) if bends is None else np.asarray(bends)
         poses += [

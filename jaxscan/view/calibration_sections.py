@@ -172,7 +172,7 @@ def residuals(calibration: Calibration, diagnostics: Diagnostics) -> Section:
 
 
 def light(calibration: Calibration, volumes: tuple[WorkingVolume, ...], optics: Optics | None) -> Section | None:
-    """What the photographs tell of light and sensor, laser by laser; None where no detector has looked at them."""
+    """What the photographs show of light and sensor, laser by laser; None where no detector has looked at them."""
     by_laser = {volume.laser: volume for volume in volumes}
     seen = [
         stripe for view in calibration.observations.photographs() for stripe in view.stripes if stripe.light is not None

@@ -15,11 +15,11 @@ from jaxscan.view.report import Box
 
 # A point, or a focal length, known no better than this share of itself is a reason to stop.
 _RELATIVE = 0.01
-# Halves, or sessions, that differ by so many times their σ are worth a word, by so many more a reason to stop.
+# Halves, or sessions, that differ by this multiple of their σ give a remark; by the second multiple, a reason to stop.
 _FACTOR, _LARGE_FACTOR = 1.5, 4.0
 # A session whose millimetres are longer by this share, and by this many σ, has another pitch.
 _SCALE, _SCALE_SIGMA = 0.01, 5.0
-# Photographs are named as worse than the others when their RMS is so many times the median.
+# Photographs are named as worse than the others when their RMS exceeds this multiple of the median.
 _WORSE = 1.5
 _TILT_SPREAD_DEG, _IMAGE_SHARE, _REACH = 30.0, 0.5, 0.6
 # Notes of what was seen that say more than how the board is read.
@@ -36,7 +36,7 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     boxes = [*_scales(diagnostics), *mixed_up(diagnostics), *map(_suspect, suspected), *_sessions(diagnostics)]
     boxes += _notes(calibration)
     boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics)]
-    # What the model misses widens σ, so that is mended first.
+    # What the model misses widens σ, so that is fixed first.
     boxes += [*_imprecise(calibration, diagnostics.sigma_factor, volumes), *_worse(diagnostics)]
     boxes += thin(diagnostics)
     return tuple(sorted(boxes, key=lambda box: ("stop", "care", "good").index(box.level)))

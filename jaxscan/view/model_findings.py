@@ -14,16 +14,16 @@ from jaxscan.view.report import Box, Level
 _LENS_GAIN = 0.025
 # A stripe point's σ of more pixels than this is no line.
 _ROUGH_PX = 1.0
-# A mean residual of so many standard errors, and of this share of a corner's σ, is the lens's.
+# A mean residual above this number of standard errors, and this share of a corner's σ, comes from the lens.
 _ERRORS, _SHARE = 5.0, 0.25
-# A stripe that bends by so many times what noise gives, and by so many times its noise, is on a bent plate.
+# A stripe is on a bent plate if its bend exceeds this multiple of what noise gives, and this multiple of its noise.
 _BEND, _BEND_NOISE = 3.0, 4.0
-# A stripe that lies beside the plane by so many times its own noise and by so many times what the others do.
+# A stripe is beside the plane if its offset exceeds this multiple of its own noise and this multiple of the others'.
 _OFFSET_NOISE, _OFFSET_OTHERS = 4.0, 3.0
 # Stripes lie beside the plane as wholes, by this times as much as they are crooked: by noise alone 0.25 times. Of a few
 # stripes the plane takes up most.
 _WHOLES, _FEWEST_WHOLES = 1.0, 5
-# A board of another shape than it was taken to have moves the rig by so many σ: these are not to be believed.
+# A board of another shape than assumed moves the rig by this number of σ: the results are not to be trusted.
 _MOVES_FAR = 4.0
 # Of normal residuals 0.27 % lie beyond 3 σ.
 _BEYOND_3 = 0.015
@@ -117,7 +117,7 @@ def _missing_terms(missing: MissingTerms | None) -> list[Box]:
     if missing is None or not missing.clear:
         return []
     moves = f", and move {missing.parameter} by {missing.shift_in_sigma:.1f} of its σ" if missing.parameter else ""
-    alike = "A bent board looks alike: --report tells, by views that a lens has not seen."
+    alike = "A bent board looks similar: --report shows which it is, with views that a lens has not seen."
     if missing.freed:
         what, it = ", ".join(missing.freed), "it" if len(missing.freed) == 1 else "them"
         they = "it" if it == "it" else "they"
@@ -206,7 +206,7 @@ def _sheets(calibration: Calibration, diagnostics: Diagnostics, lens: list[Box])
         "The line lens is not square to its beam, or the mirror before it is bent. In session.toml it is "
         'sheet = "bowed" under [laser]; see whether the two halves then agree better.'
     )
-    # What is to be put right before, since it bends the stripes too.
+    # What has to be corrected first, because it bends the stripes too.
     first = _board(calibration) or lens
     boxes = [
         Box("care", f"{doubt}.", lens[0].advice if lens else of_lens)

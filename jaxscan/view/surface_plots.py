@@ -115,7 +115,7 @@ def draw_mesh(
     from matplotlib.colors import Normalize
 
     figure, axes = plt.subplots(1, 2, figsize=(15, 6.5), layout="constrained")
-    # A picture has no room for more: then only every so many-th is drawn, larger.
+    # A picture has no room for more: then only every Nth is drawn, larger.
     every = max(1, len(triangles) // _MOST_TRIANGLES)
     corners = vertices[triangles[::every]].astype(np.float64)
     if every > 1:

@@ -1,4 +1,4 @@
-"""The verdict on a calibration: one sentence, what limits it, what to photograph next, and what was found amiss.
+"""The verdict on a calibration: one sentence, what limits it, what to photograph next, and what was found wrong.
 
 One function makes it of whatever parts were computed: of those that take a fraction of a second after every
 calibration, of all of them for the report.
@@ -49,7 +49,7 @@ class Verdict:
 
 
 def verdict(calibration: Calibration) -> Verdict:
-    """Judge a calibration by what can be told in a fraction of a second; the report tells more.
+    """Judge a calibration by what can be computed in a fraction of a second; the report shows more.
 
     Args:
         calibration: what `calibrate` returned.
@@ -67,7 +67,7 @@ def judge(
         calibration: what `calibrate` returned.
         diagnostics: thorough or not.
         volumes: its working volumes.
-        advice: what to photograph next, where nothing else has to be put right first.
+        advice: what to photograph next, where nothing else has to be corrected first.
     """
     found = findings(calibration, diagnostics, volumes)
     level: Level = found[0].level if found else "good"
@@ -84,7 +84,7 @@ def judge(
 def _next(found: tuple[Box, ...], diagnostics: Diagnostics, advice: Advice) -> str:
     """What is wrong comes first, then what the photographs do not cover, then what helps most."""
     if found and found[0].level == "stop" and found[0].advice:
-        return f"First put right what is wrong. {found[0].advice}"
+        return f"First correct what is wrong. {found[0].advice}"
     if not diagnostics.thorough and (lacking := thin(diagnostics)):
         return lacking[0].advice
     first = advice.words[0]

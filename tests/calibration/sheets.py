@@ -43,7 +43,7 @@ def session(
     board_mm: tuple[float, float] = (0.0, 0.0),
     pose=synthetic.board_pose,
 ) -> Observations:
-    """Views alone; the board bulges along its columns and rows by so many mm."""
+    """Views alone; the board bulges along its columns and rows by `board_mm`."""
     rng, views, board = np.random.default_rng(seed), [], synthetic.BOARD
     furthest = board.points().max(axis=0)[:2]
 

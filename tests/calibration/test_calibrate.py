@@ -185,7 +185,7 @@ def parallel(observations):
 
 
 def test_parallel_boards_are_refused_in_words(session):
-    with pytest.raises(ObservabilityError, match=r"cannot be told apart.*Tilt"):
+    with pytest.raises(ObservabilityError, match=r"cannot be distinguished.*Tilt"):
         calibrate(parallel(session))
 
 
@@ -244,7 +244,7 @@ def test_noise_free_observations_give_the_truth():
 
 @pytest.fixture
 def counted(monkeypatch):
-    """The solves of the rounds as they come, and a result to report in place of theirs."""
+    """The solves of the rounds as they come, and a result to report instead."""
     outcomes, real = [], rounds.solve
 
     def solve(*args):

@@ -61,7 +61,7 @@ def test_a_start_that_is_tilted_is_gone_on_with_and_can_be_held(monkeypatch):
 
 
 def test_a_lens_without_distortion_does_not_tell_the_tilt(monkeypatch):
-    with pytest.raises(InputError, match="cannot be told from the principal point: ask for lens"):
+    with pytest.raises(InputError, match="cannot be distinguished from the principal point: ask for lens"):
         calibrate(session(monkeypatch), lens="none", tilted=True)
     # One whose terms are held at 0 was said to lack boards that are tilted more.
     with pytest.raises(InputError, match="none of its terms held at 0"):
@@ -82,6 +82,6 @@ def test_what_a_weak_lens_does_not_tell_is_named(monkeypatch):
     monkeypatch.setattr(synthetic, "K1", -0.002)
     with pytest.raises(
         ObservabilityError,
-        match=r"tilt of the sensor and the principal point cannot be told apart.*corners of the image",
+        match=r"tilt of the sensor and the principal point cannot be distinguished.*corners of the image",
     ):
         calibrate(session(monkeypatch, views=4), tilted=True)

@@ -58,7 +58,8 @@ def test_a_bow_no_better_than_its_sigma_is_said_to_be_none():
     assert calibrate(short(session, 270, 370), light="bowed").notes == ()
     assert calibrate(short(session, 305, 335)).notes == ()
     (note,) = calibrate(short(session, 305, 335), light="bowed").notes
-    assert re.match(r"the bow of the sheet of light, 1\.\d ± 1 mm over 200 mm, is not told from none: .*plane", note)
+    expected = r"the bow of the sheet of light, 1\.\d ± 1 mm over 200 mm, cannot be distinguished from none: .*plane"
+    assert re.match(expected, note)
 
 
 def test_stripes_at_one_distance_leave_the_sheet_open():

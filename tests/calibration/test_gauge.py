@@ -1,4 +1,4 @@
-"""A rig whose light plane is wrong, put right by objects of known shape; what is no gauge is refused."""
+"""A rig whose light plane is wrong, corrected by objects of known shape; what is no gauge is refused."""
 
 from dataclasses import replace
 

@@ -18,5 +18,5 @@ def _photographs(folder: Path, names: Iterable[str], size: tuple[int, int] = (32
 
 @pytest.fixture
 def photographs() -> Callable[..., list[Path]]:
-    """Writes grey photographs of so many columns and rows into a folder: `photographs(folder, names, size)`."""
+    """Writes grey photographs of `size` (columns, rows) into a folder: `photographs(folder, names, size)`."""
     return _photographs

@@ -1,4 +1,4 @@
-"""A file in the place of another: the error says what it is, what is expected, and which to name."""
+"""A file instead of another: the error says what it is, what is expected, and which to name."""
 
 from pathlib import Path
 

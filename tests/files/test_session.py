@@ -461,7 +461,7 @@ def test_too_few_poses_for_the_board_s_shape_are_refused_before_they_are_looked_
 def test_a_turntable_away_from_a_stage_that_nobody_shows(folder, capsys):
     """It was said after the photographs had been looked at, and without the file."""
     session(folder, BOARD, VIEWS, TURN + "steps = [0, 1, 5]\nstage_step = 1800")
-    with pytest.raises(InputError, match=r"session.toml: \[turntable\] stage_step = 1800: no \[stage\] tells how far"):
+    with pytest.raises(InputError, match=r"session.toml: \[turntable\] stage_step = 1800: no \[stage\] says how far"):
         solve_sessions([folder])
     assert "finding boards" not in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""So many cases of each reader, each a function of its reader's name and its number."""
+"""A number of cases of each reader, each a function of its reader's name and its number."""
 
 import tempfile
 from collections import Counter
@@ -48,6 +48,6 @@ def run(bench: Bench, name: str, numbers: range) -> Tally:
 
 
 def shares(cases: int) -> Iterator[tuple[str, int]]:
-    """How many of so many cases each reader has."""
+    """How many of the `cases` cases each reader has."""
     for i, name in enumerate(TARGETS):
         yield name, (cases + i) // len(TARGETS)

@@ -141,7 +141,7 @@ def of_tree(tree: Any, random: Random) -> Any:
 
 
 def hostile_value(random: Random, old: Any) -> Any:
-    """A value in the place of another, mostly of its kind."""
+    """A value instead of another, mostly of its kind."""
     if isinstance(old, list) and old and random.random() < 0.5:
         return [hostile_value(random, value) if random.random() < 0.5 else value for value in old]
     if isinstance(old, int | float) and not isinstance(old, bool) and random.random() < 0.8:

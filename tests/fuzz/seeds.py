@@ -113,7 +113,7 @@ def _ply_header(data: bytes, random: Random) -> bytes:
 
 
 def _npy(data: bytes, random: Random) -> bytes:
-    """Its header's text, with the length of it put right or not."""
+    """Its header's text, with its length corrected or not."""
     length = struct.unpack("<H", data[8:10])[0]
     header, body = data[10 : 10 + length].decode("latin1"), data[10 + length :]
     if random.random() < 0.5:

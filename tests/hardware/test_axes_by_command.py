@@ -79,9 +79,9 @@ def test_home_move_and_devices(scanner: Path, capsys: pytest.CaptureFixture[str]
     assert main(["home", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"positions": {"stage": 0, "turntable": 0}}
     assert main(["home", "--axis", "turntable"]) == 0
-    assert "homed; the turntable stands at step 0" in capsys.readouterr().out
+    assert "homed; the turntable is at step 0" in capsys.readouterr().out
     assert main(["move", "800", "--axis", "turntable"]) == 0
-    assert "the turntable stands at step 800" in capsys.readouterr().out
+    assert "the turntable is at step 800" in capsys.readouterr().out
     assert main(["shoot", "one.png", "--axis", "turntable", "--step", "8"]) == 0
     capsys.readouterr()
     assert main(["devices", "--json"]) == 0

@@ -60,7 +60,7 @@ def test_a_simulated_scanner_is_said_to_be_one(scanner: Path, capsys: pytest.Cap
 
 def test_home_move_shoot_scan(scanner: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["home"]) == 0
-    assert "stands at step 0" in capsys.readouterr().out
+    assert "is at step 0" in capsys.readouterr().out
     assert main(["move", "1234", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"positions": {"stage": 1234}}
     assert main(["shoot", "one.png", "--step", "700"]) == 0

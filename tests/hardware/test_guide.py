@@ -46,7 +46,7 @@ def test_covered_cells_are_drawn_where_they_are() -> None:
 def test_the_board_on_the_turntable_of_the_simulated_scanner(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its corners are where the true rig sees the board that leans on the table, turned by so many steps."""
+    """Its corners are where the true rig sees the board that leans on the table, turned by the frame's steps."""
     monkeypatch.chdir(tmp_path)
     argv = ["calibrate", "session", "--views", "3", "--stage-frames", "2", "--stage-apart", "30000"]
     assert main([*argv, "--turntable-frames", "3", "--turntable-at", "48000"]) == 0

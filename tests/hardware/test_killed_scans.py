@@ -1,4 +1,4 @@
-"""Scans that are killed, through the command line, and gone on with."""
+"""Scans that are killed, through the command line, and continued."""
 
 import warnings
 from pathlib import Path

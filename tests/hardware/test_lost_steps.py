@@ -130,7 +130,7 @@ def test_grbl_whose_limits_do_not_let_it(key: int, value: str, tmp_path: Path):
 
 
 def test_what_was_to_be_verified_and_was_not_is_marked(tmp_path: Path):
-    """A scan that ends early says so of its frames, also after it was gone on with."""
+    """A scan that ends early says so of its frames, also after it was continued."""
     scanner = devices()
     folder = ScanFolder.create(tmp_path / "cup", Plan({"stage": (0, 1000, 2000)}))
     assert isinstance(scanner.camera, GreyCamera)

@@ -13,7 +13,7 @@ GREY = StripeSettings("grey")
 
 
 def photograph(s, contrast, grain, burnt=1.0, seed=0, noise=200.0, texture=0.0, uneven=0.5):
-    """A stripe of this σ (px), its light times gamma variables that are correlated over so many pixels both ways."""
+    """A stripe of this σ (px), its light times gamma variables correlated over `grain` pixels in both directions."""
     random = np.random.default_rng(seed)
     centre = ROWS / 2 + 4 * np.sin(np.arange(COLUMNS) / 40) + random.uniform(-uneven, uneven, COLUMNS)
     edges = (np.arange(ROWS + 1)[:, None] - 0.5 - centre) / s

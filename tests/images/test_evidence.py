@@ -11,7 +11,7 @@ SEEN = np.ones((FRAMES, LINES), bool)
 
 
 def chance(seed, grain=0.0):
-    """Coefficients that are noise alone, correlated over so many lines."""
+    """Coefficients that are noise alone, correlated over `grain` lines."""
     white = np.random.default_rng(seed).standard_normal((2, FRAMES, LINES))
     return gaussian_filter1d(white, grain, axis=2, mode="wrap") if grain else white
 

@@ -1,4 +1,4 @@
-"""Runs of points: which hang together, and which are the stripe."""
+"""Runs of points: which are connected, and which are the stripe."""
 
 from functools import partial
 

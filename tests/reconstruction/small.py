@@ -17,6 +17,6 @@ def small_rig() -> Rig:
 
 
 def wavy_stripe(lower: float) -> Float[np.ndarray, "rows columns"]:
-    """Grey levels of one photograph, without noise, the stripe so many rows lower."""
+    """Grey levels of one photograph, without noise, with the stripe `lower` rows lower."""
     centre = 40 + lower + 8 * np.sin(np.arange(COLUMNS) / 20)
     return 20 + 180 * np.exp(-0.5 * ((np.arange(ROWS)[:, None] - centre) / 1.5) ** 2)

@@ -69,7 +69,7 @@ def as_it_is(session: Observations) -> Observations:
         ({}, three_boards, "radial1", "care", "too few photographs to solve two halves", "Hold the board"),
         ({"tilt": 0.12}, as_it_is, "radial1", "care", "nearly parallel", "Tilt the board by 30°"),
         ({"noise": Noise(0.05, 3.0)}, as_it_is, "radial1", "care", "scatter by 3.0 px", "None of the board"),
-        ({"noise": Noise(0.05, 6.0)}, as_it_is, "radial1", "stop", "scatter by [56].. px", "First put right"),
+        ({"noise": Noise(0.05, 6.0)}, as_it_is, "radial1", "stop", "scatter by [56].. px", "First correct"),
         ({}, mixed_up, "radial1", "stop", "do not go with their step counts", "correct images or steps"),
     ],
     ids=["lens", "no lens", "three boards", "parallel", "3 px", "6 px", "mixed up"],

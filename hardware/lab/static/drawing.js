@@ -3,7 +3,7 @@
 const SOFT = "#8b98a8", GRID = "#2a3440", STRIPE = "#ff5a52";
 const MARGIN = { left: 48, right: 12, top: 24, bottom: 26 };
 
-/** Round numbers, about so many, from one to the other. */
+/** About `count` round numbers from `low` to `high`. */
 function ticks(low, high, count) {
   const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
   const apart = [1, 2, 5, 10].find((by) => by * power >= rough) * power;

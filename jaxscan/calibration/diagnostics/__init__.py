@@ -83,7 +83,7 @@ class Diagnostics:
 
     @property
     def sigma_factor(self) -> float:
-        """By which predicted σ are to be multiplied, by the two halves; 1 where they agree."""
+        """The factor by which predicted σ should be multiplied, from the two halves; 1 where they agree."""
         return self.halves.sigma_factor if self.halves is not None and self.halves.disagree else 1.0
 
 

@@ -31,7 +31,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.geometry import vector_to_matrix
 from jaxscan.rig.board_shape import BENDS, LEAST_BEND_MM, N_TERMS, basis, bent_by, half_diagonal_of
 
-# σ and correlation are found anew so many times.
+# How many times σ and correlation are estimated again.
 _TIMES_ANEW = 3
 # Eigenvalues of the scaled normal equations below this share of the largest.
 _ROUNDING = 1e-11
@@ -166,7 +166,7 @@ class _Group:
         return without_poses(*self.weighted(scales))
 
     def only(self, count: int, Q: Float[np.ndarray, "blocks columns columns"]) -> Reduced:
-        """So many of the first columns, the bulges and the residual."""
+        """The first `count` columns, the bulges and the residual."""
         last = Q.shape[-1]
         kept = np.r_[:count, last - 1 - self.bulges : last]
         return Reduced(Q[:, kept][:, :, kept], self.bulges)
@@ -222,7 +222,7 @@ def _session_of_blocks(refined: Refined, calibration: Calibration) -> list[list[
 
 
 def _solution(groups: Sequence[Reduced], bends: float) -> tuple[np.ndarray, float, np.ndarray]:
-    """Where the shared unknowns go, χ² there, and their covariance; an unknown that no row tells of stays."""
+    """Where the shared unknowns go, χ² there, and their covariance; an unknown that appears in no row stays."""
     total = marginal(groups, bends)
     S, g = total[:-1, :-1], total[:-1, -1]
     seen = np.flatnonzero(np.diagonal(S) > 0)

@@ -10,7 +10,7 @@ fields' own,
 
 is the restricted likelihood of the variances W (H. D. Patterson and R. Thompson 1971). What was found without the
 fields is off by S⁻¹ G times what they are, so its covariance grows by S⁻¹ G W Gᵀ S⁻¹. A field alike in all photographs
-cannot average out, so of its errors no residual tells directly; but it is not likely that only those parts of it are
+cannot average out, so no residual shows its errors directly; but it is not likely that only those parts of it are
 small that the rig would take for its own.
 """
 
@@ -35,7 +35,7 @@ from jaxscan.rig.board_shape import BOARD_SHAPES, half_diagonal_of, places_on_bo
 _DEGREE: Final = 4
 # A variance component that raises −2 log L by less than this when it is left out is none: once in 10 000 by chance.
 _CLEAR = 13.8
-# σ is sought from the first share of the board's half diagonal up to the second, first in so many steps.
+# σ is searched from the first share of the board's half diagonal up to the second; first in this number of steps.
 _LEAST, _MOST, _STEPS = 1e-6, 0.1, 9
 # Degrees along columns and rows of what the shapes of `rig.board_shape` have, in the order of its terms.
 _OF_SHAPE: Final = ((2, 0), (0, 2), (1, 1), (2, 1), (1, 2))
@@ -66,7 +66,7 @@ def board_point_errors(
 
 @dataclass(frozen=True)
 class _Fields:
-    """Fields of displacement, and what corners and stripes tell of them.
+    """Fields of displacement, and the information of corners and stripes on them.
 
     Attributes:
         terms: of each its axis (0, 1, 2) and its degrees along columns and rows.
@@ -84,7 +84,7 @@ class _Fields:
 
     @staticmethod
     def create(refined: Refined, calibration: Calibration) -> "_Fields":
-        """From residuals and Jacobian of the last solve."""
+        """The fields from residuals and Jacobian of the last solve."""
         terms = _terms(calibration)
         value, jacobian = refined.last
         n = jacobian.shared.shape[1]

@@ -28,7 +28,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.light import turned_and_moved
 from jaxscan.rig.system import System
 
-# So seldom would chance alone show a change; and by so many of its σ must it move something of the rig.
+# A change counts if chance shows it no more often than this, and if it moves the rig by this number of σ.
 _BY_CHANCE = 1e-4
 _MOVES = 1.0
 # Of each kind of change these many steps, the best by χ², are held against the scatter of the photographs.
@@ -37,11 +37,11 @@ _CLOSER = 5
 _UNSEEN = 1e-7
 # The scatter is never taken to be less than this.
 _LEAST_SCATTER = 1e-9
-# So many photographs must stand on either side.
+# At least this number of photographs must be on either side.
 _FEWEST = 2
 # Beside a step of its own there is no other that lowers χ² by this share as much.
 _OTHERS = 0.25
-# σ and correlation are found anew so many times.
+# How many times σ and correlation are estimated again.
 _TIMES_ANEW = 3
 _POSE = 6
 
@@ -88,7 +88,7 @@ class Kind:
     Attributes:
         name: as `Change.kind` has it.
         D: derivatives of all unknowns by it.
-        seen: the photographs that tell of it.
+        seen: the photographs that observe it.
         which: of several.
     """
 
@@ -99,7 +99,7 @@ class Kind:
 
     @property
     def where(self) -> Sequence[int]:
-        """Before which photographs: those that tell of it, but for two at each end. One that is odd is no change."""
+        """Before which photographs: those that observe it, but not two at each end. A single outlier is no change."""
         return self.seen[_FEWEST : len(self.seen) - _FEWEST + 1]
 
 
@@ -144,7 +144,7 @@ class _Equations:
 
     @staticmethod
     def of(each: ByPhotograph) -> "_Equations":
-        """From those of the photographs."""
+        """The cumulative equations from those of the photographs."""
         first, pull = (np.concatenate([np.zeros_like(x[:1]), np.cumsum(x, axis=0)]) for x in (each.N, each.g))
         return _Equations(each, first, pull, each.inverse(), pull[-1] + each.pull_of_others)
 
@@ -174,7 +174,7 @@ class _Equations:
         return _Equations.of(self.each.beside(D, courses))
 
     def gains(self, kind: Kind) -> dict[int, float]:
-        """The gain of a step behind the first k photographs, for all k where there is anything to tell."""
+        """The gain of a step behind the first k photographs, for all k where it can be estimated."""
         s, inverse, d = self._scores(kind, kind.where)
         gains = self._gain(np.einsum("ki,kij,kj->k", s, inverse, s), d)
         return {k: float(gain) for k, gain, told in zip(kind.where, gains, d > 0, strict=True) if told}
@@ -183,7 +183,7 @@ class _Equations:
         return chi2 - d * np.log(len(self.each.views))
 
     def step(self, kind: Kind, k: int) -> _Step | None:
-        """One step, held against how photographs scatter about it; None where too few are left to tell."""
+        """One step, held against how photographs scatter about it; None where too few are left."""
         s, inverse, d = self._scores(kind, [k])
         delta = -inverse[0] @ s[0]
         behind = kind.D @ delta
@@ -248,7 +248,7 @@ def _scales(refined: Refined, equations: _Equations, step: _Step) -> Float[np.nd
 
 
 def kinds_of_change(system: System, each: ByPhotograph) -> list[Kind]:
-    """What may change in a system, as far as some photographs tell of it.
+    """What may change in a system, as far as some photographs observe it.
 
     Args:
         system: of the last solve.
@@ -263,7 +263,7 @@ def kinds_of_change(system: System, each: ByPhotograph) -> list[Kind]:
 
     focal = part("camera.focal.")
     together = focal @ (focal[: len(values)].T @ values)[:, None]
-    # Of the camera views tell: along an axis a board may have been pushed, or be bent otherwise than that in the hand.
+    # Only views are used for the camera: a board on an axis may have been pushed, or be bent unlike that in the hand.
     found = [Kind("focus", together, views), Kind("image", part("camera.principal."), views)]
     for i in range(len(system.rig.lights)):
         D = part(f"lights.{i}.")

@@ -1,6 +1,6 @@
 """Does something go on slowly from photograph to photograph: a lens that warms up, a laser that sinks?
 
-Told as `changes` tells of steps, from the last step of the solve. Let numbers of the rig move by δ t_i at the i-th
+Found like the steps of `changes`, from the last step of the solve. Let numbers of the rig move by δ t_i at the i-th
 photograph, t from −1 to 1. With N_i and g_i the normal equations and the gradient of each photograph, T the sum of
 all N_i, D the derivatives of the unknowns by δ and B = Σ t_i N_i D, the score and the information of δ are
 
@@ -25,7 +25,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.light import turned_and_moved
 
-# So seldom would chance alone show a drift; and by so many of its σ must it move something of the rig.
+# A drift counts if chance shows it no more often than this, and if it moves the rig by this number of σ.
 _BY_CHANCE = 1e-4
 _MOVES = 1.0
 # Eigenvalues of scaled matrices of what drifts below this are rounding.
@@ -73,7 +73,7 @@ class _Course:
         kind: of what.
         delta: δ.
         gain: by how much χ² falls beyond what as many numbers are worth (G. Schwarz 1978).
-        log_p: how often chance would show as much, its logarithm; 0 where too few photographs tell of it.
+        log_p: how often chance would show as much, its logarithm; 0 where too few photographs observe it.
         moved: from the unknowns with it to those without.
         widens: by how much their covariance grows.
     """
@@ -87,7 +87,7 @@ class _Course:
 
     @staticmethod
     def create(kind: Kind, each: ByPhotograph, t: Float[np.ndarray, "photographs"]) -> "_Course":
-        """Of numbers that go with t from photograph to photograph."""
+        """The drift of parameters that change in proportion to t from photograph to photograph."""
         D, inverse, total = kind.D, each.inverse(), each.g.sum(axis=0) + each.pull_of_others
         tied = each.N @ D
         B = np.einsum("p,pud->ud", t, tied)

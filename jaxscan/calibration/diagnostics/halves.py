@@ -2,7 +2,7 @@
 
 With θ_a, θ_b from disjoint photographs and their covariances Σ_a, Σ_b, the difference has the covariance Σ_a + Σ_b and
 d² = (θ_a − θ_b)ᵀ (Σ_a + Σ_b)⁻¹ (θ_a − θ_b) follows χ² with as many degrees of freedom as there are parameters. √(d²/n)
-is then about 1; where it is not, the model is wrong, and predicted σ are to be read as so many times larger.
+is then about 1. Where it is larger, the model is wrong: multiply the predicted σ by √(d²/n).
 """
 
 import math
@@ -61,7 +61,7 @@ class Agreement:
 
     @property
     def sigma_factor(self) -> float:
-        """By how much predicted σ would have to be larger for the parts to agree."""
+        """The factor by which predicted σ would have to be larger for the parts to agree."""
         return math.sqrt(self.chi2_per_parameter)
 
 
@@ -158,7 +158,7 @@ def compare(a: PartialRig, b: PartialRig) -> Agreement:
 
 
 def _power(name: str) -> float | None:
-    """With which power of a length a parameter grows; None where that is not known."""
+    """The power of a length with which a parameter scales; None where that is not known."""
     if name.startswith("lights."):
         return {"plane": -1.0, "bow": 1.0}.get(name.split(".")[2])
     if name.startswith("motion."):

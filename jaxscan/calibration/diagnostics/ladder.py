@@ -226,7 +226,7 @@ def _squares(outcome: Outcome, group: Blocks, noise: Noise) -> tuple[np.ndarray,
 
 
 def _gain(below: _Solved, own: _Solved) -> tuple[float, float]:
-    """By which share the squared held-out error falls, and the standard error of that, from view to view.
+    """The share by which the squared held-out error falls, and its standard error from view to view.
 
     By the logarithm of each view's ratio, so that a view with large errors counts like any other.
     """

@@ -69,7 +69,7 @@ def _joined(corners: list[np.ndarray], stripes: list[np.ndarray]) -> list[Float[
 
 
 def _slopes(along: Float[np.ndarray, "points"], across: Float[np.ndarray, "points"]) -> Float[np.ndarray, "points"]:
-    """Of a stripe, by a parabola through it."""
+    """Slope of a stripe at each point, from a parabola through it."""
     if len(np.unique(along)) < _FEWEST_FOR_A_SLOPE:
         return np.zeros(len(along))
     return np.asarray(np.polynomial.Polynomial.fit(along, across, 2).deriv()(along))

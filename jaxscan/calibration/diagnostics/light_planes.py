@@ -17,7 +17,7 @@ _DOUBTFUL = 0.0015
 
 
 def light_plane_doubts(shapes: Sequence[StripeShape], curves: Sequence[SheetCurve] = ()) -> tuple[str, ...]:
-    """In words, which sheets are curved, which planes do not fit their own stripes; one sentence on each.
+    """One sentence on each sheet that is curved and each plane that does not fit its own stripes.
 
     Args:
         shapes: of the stripes.

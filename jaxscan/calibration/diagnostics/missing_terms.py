@@ -1,4 +1,4 @@
-"""What a richer lens, or held terms set free, would change, to first order: told from the residuals, without a solve.
+"""What a richer lens, or free terms that were held, would change, to first order: from the residuals, without a solve.
 
 At the solution each view's corner errors e, in σ, have the derivatives A by its board's pose and B by the camera's
 numbers, terms of the richer lens at zero among them. With the poses projected out, B' = (1 − A A⁺) B and e' likewise,
@@ -19,7 +19,7 @@ from jaxscan.rig.projection import lens_leaves, project_points
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.splined import Splined
 
-# What is clear: so seldom by chance, moving something by so many of its σ, or explaining this share of χ².
+# Limits for a clear term: its probability by chance, its shift of the rig in σ, the share of χ² that it explains.
 _BY_CHANCE, _MOVES, _EXPLAINS = 1e-4, 2.0, 0.05
 # Eigenvalues of the scaled normal equations below this share of the largest.
 _ROUNDING = 1e-10
@@ -97,13 +97,13 @@ def missing_terms(calibration: Calibration) -> MissingTerms | None:
 def _freed(
     N: Float[np.ndarray, "leaves leaves"], g: Float[np.ndarray, "leaves"], at: np.ndarray
 ) -> tuple[float, Float[np.ndarray, "free"]]:
-    """By how much χ² falls when some columns are freed, and where they go."""
+    """The fall of χ² when some columns are freed, and the values that they take."""
     moved = -_inverse(N, at) @ g[at]
     return float(-g[at] @ moved), moved
 
 
 def _inverse(N: Float[np.ndarray, "leaves leaves"], at: np.ndarray) -> Float[np.ndarray, "free free"]:
-    """Of some rows and columns, without what rounding makes of directions that the corners do not tell."""
+    """Of some rows and columns, without rounding errors in directions that the corners do not determine."""
     scale = np.sqrt(np.maximum(np.diagonal(N)[at], np.finfo(float).tiny))
     return np.linalg.pinv(N[np.ix_(at, at)] / np.outer(scale, scale), _ROUNDING, hermitian=True) / np.outer(
         scale, scale

@@ -15,7 +15,8 @@ from jaxscan.calibration.result import Calibration, PhotographFit
 
 _RADIUS_BINS = 8
 _HISTOGRAM = np.linspace(-4.5, 4.5, 46)
-# A cell is off by so many standard errors, and by so many σ of a corner; so many of the cells by chance never are.
+# A cell is off if its mean exceeds both limits: standard errors, and σ of a corner. Chance never gives this share of
+# such cells.
 _ERRORS, _OFF_IN_SIGMA, _SHARE_OFF = 5.0, 0.5, 0.1
 _FEWEST_IN_A_CELL = 5
 

@@ -27,9 +27,9 @@ from jaxscan.rig.light import sheet_axes
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.summary import HALF_WIDTH_MM, light_summary
 
-# A bow of so many of its σ is one: noise shows it once in 2000 calibrations.
+# A bow above this number of its σ is real: noise shows it once in 2000 calibrations.
 _CLEAR = 3.5
-# One that was sought and is below so many may as well be none.
+# A bow that was estimated and is below this number of its σ is treated as none.
 _UNCLEAR = 3.0
 # A curve of less than this share of the distance is not worth a word: 0.02 mm over 200 mm at 400 mm.
 _WORTH = 5e-5
@@ -71,7 +71,7 @@ class SheetCurve:
 def sheet_curves(
     refined: Refined, stages: Sequence[Float[np.ndarray, "_ _ _"]] | None = None
 ) -> tuple[SheetCurve, ...]:
-    """Of each flat sheet that is clearly curved, by how much.
+    """For each sheet that was assumed flat and is clearly curved, by how much.
 
     Args:
         refined: where the rounds ended.
@@ -106,7 +106,7 @@ def sheet_curves(
 
 
 def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
-    """In words, which sheets were taken as bowed and may as well be flat; one note on each."""
+    """One note on each sheet that was calibrated as bowed and may be flat."""
     notes = []
     for light in light_summary(rig, covariance, image_rays(rig.camera)):
         if light["kind"] != BowedSheet.kind:
@@ -119,8 +119,8 @@ def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
         if "curved_mm" in light:
             by = f", {light['curved_mm']:.2g} ± {light['curved_mm_sigma']:.1g} mm over {2 * HALF_WIDTH_MM:g} mm,"
         notes.append(
-            f"the bow of the sheet of light{which}{by} is not told from none: calibrate with --sheet plane, or let "
-            "the stripe cross the boards at both of its ends"
+            f"the bow of the sheet of light{which}{by} cannot be distinguished from none: calibrate with "
+            "--sheet plane, or let the stripe cross the boards at both of its ends"
         )
     return tuple(notes)
 
@@ -158,7 +158,7 @@ def _rows(
 
 @dataclass(frozen=True)
 class _Stripes:
-    """Of the stripe points of a group.
+    """Derivatives and geometry of the stripe points of a group.
 
     Attributes:
         bow: derivative of each residual by the bow of each flat sheet.

@@ -3,9 +3,9 @@
 A bow is a parabola of the steps, along the travel or across it, or a turn of the carriage in proportion to them; a
 screw's wave is a sine along the travel. Each is held against the scatter of the photographs about it, by R. A. Fisher's
 F, so that a stage which merely wobbles is not named; the wave as often as periods were asked. A board that is bent, or
-was pushed once, shows something alike: a bow is told beside the terms of a board's shape, by the last step of the
-solve, and none is said where one step between two photographs explains more. Play is a shift along the travel by the
-direction of approach; there must be photographs of both.
+was pushed once, looks similar: so a bow is estimated together with the terms of a board's shape, by the last step of
+the solve, and none is reported where one step between two photographs explains more. Play is a shift along the
+travel by the direction of approach; there must be photographs of both.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ from jaxscan.rig.play import kind_with_play
 _WORTH, _OF_SCATTER = 1e-5, 0.3
 # Photographs that must stand on either side of a step.
 _BEFORE = 2
-# A play is told where the load goes along the travel: what goes across it by this share of that, and by more than
+# Play is reported where the load moves along the travel: what goes across it by this share of that, and by more than
 # chance, was pushed.
 _PUSHED, _PUSHED_BY_CHANCE = 0.5, 1e-2
 # One explains more than another where χ² is smaller by this.
@@ -43,7 +43,7 @@ _NAMES = {
 
 
 def stage_shapes(refined: Refined, calibration: Calibration, by_axis: Mapping[str, Course]) -> tuple[StageShape, ...]:
-    """Of each axis that moves its load otherwise than it was taken to, how.
+    """For each axis that does not move its load as was assumed, how it does.
 
     Args:
         refined: where the rounds ended.
@@ -65,7 +65,7 @@ def _shape(refined: Refined, calibration: Calibration, part: Line, course: Cours
         known.append(course.bow())
     if isinstance(part, Screw | ScrewOnGuide):
         known.append(_known_wave(course, part))
-    # Of photographs of one pass there is nothing to tell.
+    # Photographs of one pass show no play.
     told = [course.play()] if played or course.there_and_back else []
     beside = np.concatenate([*known, *told], axis=1)
     wave = None if waved else _wave(course, beside, bowed)
@@ -196,7 +196,7 @@ def _bow(
 
 
 def _length(vector: Float[np.ndarray, "n"], covariance: Float[np.ndarray, "n n"]) -> tuple[float, float]:
-    """Of a vector, and its σ."""
+    """The length of a vector, and its σ."""
     length = float(np.linalg.norm(vector))
     way = vector / length
     return length, float(np.sqrt(way @ covariance @ way))
@@ -210,7 +210,7 @@ def _steps_more(
     Args:
         course: of the axis.
         ways: directions.
-        beside: what is fitted besides.
+        beside: what is fitted together with them.
         fall: by how much χ² fell, in units of the scatter then.
         scatter: that.
     """

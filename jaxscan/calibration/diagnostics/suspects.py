@@ -22,12 +22,12 @@ from jaxscan.calibration.rounds import group_errors
 from jaxscan.images import Board
 from jaxscan.precision import float64
 
-# A photograph is suspected when so much of its corners or of its stripe was rejected …
+# A photograph is suspected when this share of its corners or of its stripe was rejected …
 REJECTED = 0.3
-# … or when the median error of its corners is so many times that of all photographs. The median, because where the
-# stripe crosses a corner that one is far off, and says nothing against the photograph.
+# … or when the median error of its corners is this multiple of that of all photographs. The median, because a stripe
+# that crosses a corner moves that corner far off, and this says nothing against the photograph.
 _WORSE = 2.0
-# An explanation counts when it brings corners and stripe down to so many times what is usual, and by half at least.
+# An explanation counts when it reduces corner and stripe errors to this multiple of the usual, and by half at least.
 _FITS = 3.0
 _FALL = 0.5
 

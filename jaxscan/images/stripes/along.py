@@ -25,19 +25,19 @@ from jaxscan.images.stripes.windows import Sensor
 
 # Distances, in lines: the largest grain that the filter of `grain` holds is gone at the last.
 _DISTANCES: Final = np.arange(1, 9)
-# ρ is one of these: less is not told from speckle of single pixels, and needs not be.
+# ρ is one of these: less cannot be distinguished from speckle of single pixels, and need not be.
 _CORRELATIONS: Final = np.linspace(0.3, 0.9, 31)
 # Lines that are next to one another, at the least.
 _FEWEST = 100
 # Neighbours differ by less than this part of what lines far apart do, at first sight.
 _LESS = 0.93
-# The median of a normal number's square scatters by so much of itself over the root of how many there are; what is seen
-# is no chance from so many times that; a grain is needed beside what the surface may do from so many.
+# The relative scatter of the median of n squares of normal numbers is this over √n. Correlation is significant from
+# `_SURE` times that; a grain is needed, beside the variation that the surface may have, from `_NEEDED` times that.
 _SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
-# Of the second differences of burnt-out lines this quantile is read, for a normal number so many σ; that scatters by
+# Of the second differences of burnt-out lines this quantile is read, which of a normal number is this number of σ; that scatters by
 # this part of itself over the same root.
 _USUAL, _USUAL_OVER_SIGMA, _SCATTER_OF_SIGMA = 0.8, 1.2816, 1.4
-# ln of the standard deviation of the narrowest stripe whose breadth is told by its pixels, px.
+# ln of the standard deviation of the narrowest stripe whose width its pixels determine, px.
 _NARROW: Final = float(np.log(0.9))
 _TINY = 1e-12
 
@@ -137,7 +137,7 @@ def _usual_difference(
 
 
 def _told(values: Lines, used: Bool[np.ndarray, "frames lines"], noise: Frames | None) -> tuple[Frames, Frames]:
-    """V and ρ of each frame, n given or not; V is 0 where it is not needed to tell what is seen."""
+    """V and ρ of each frame, n given or not; V is 0 where it is not needed to explain what is seen."""
     V, rho = np.zeros((2, len(values)))
     gamma = np.array([[variogram(*of, int(k), _FEWEST) for k in _DISTANCES] for of in zip(values, used, strict=True)])
     gamma = gamma.reshape(len(values), len(_DISTANCES))

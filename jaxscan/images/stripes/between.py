@@ -20,9 +20,9 @@ _NEAREST: Final = _DISTANCES[:3]
 _EXTRAPOLATE: Final = (
     1 / len(_NEAREST) - _NEAREST.mean() * (_NEAREST - _NEAREST.mean()) / ((_NEAREST - _NEAREST.mean()) ** 2).sum()
 )
-# A step is so many standard deviations high.
+# Least height of a step, standard deviations.
 _STEP = 3.0
-# Stripes that are further apart than so many full widths are two.
+# Two stripes that are further apart than this number of full widths are separate.
 _TOGETHER = 2.0
 
 Lines = Float[np.ndarray, "frames lines"]

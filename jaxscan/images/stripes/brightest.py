@@ -11,8 +11,8 @@ from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 
 # How far beside a stripe its surroundings are looked at, px.
 _BESIDE_PX: Final = 10
-# Another colour rises by so many times what the laser's own does, and what that may be is no less than this part of a
-# full pixel.
+# Another colour must rise by this multiple of the rise of the laser's own colour, which is taken as at least this part
+# of a full pixel.
 _TIMES, _LEAST_RISE = 2.0, 0.04
 _LEAST_POINTS = 20
 

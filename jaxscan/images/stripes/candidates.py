@@ -18,8 +18,8 @@ from jaxscan.images.stripes.coherent import support
 # How many candidates of a line are kept.
 _MOST = 4
 _LEAST_OF_BEST = 0.25
-# A step of so many pixels from one line to the next costs as much as the best candidate's strength; a jump, however
-# far, so many times as much: two jumps, there and back, do not pay for a reflection a few lines long.
+# A step of this number of pixels from one line to the next costs as much as the best candidate's strength. A jump of
+# any length costs this multiple of it: two jumps, there and back, cost more than a reflection a few lines long gains.
 _STEP_PX, _JUMP = 12.0, 4.0
 # The same where support in time counts, against which strength counts so little: glints are bright.
 _STEP_PX_IN_TIME, _JUMP_IN_TIME, _STRENGTH = 36.0, 3.3, 0.1
@@ -84,7 +84,7 @@ def highest(
     reach: int,
     length: int,
 ) -> Int[np.ndarray, "some"]:
-    """The greatest response of a block no further than so many rows from some places, of the blocks thereabouts."""
+    """The greatest response within `reach` rows of each place, from the maxima of the blocks around it."""
     greatest = np.zeros(len(line), peaks.dtype)
     for by in {-reach, 0, reach}:
         block = ((row + by) // block_size(length)).clip(0, len(peaks) - 1)

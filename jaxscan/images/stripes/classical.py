@@ -89,7 +89,7 @@ def gravity(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
 
 
 def _variance(windows: Windows, outline: Outline, sensor: Sensor) -> Pixels:
-    """Of each pixel; a full one does not scatter."""
+    """Variance of each pixel; 0 for a full one."""
     return jnp.where(windows.full, 0.0, windows.variance(windows.response - outline.floor, sensor))
 
 

@@ -26,7 +26,7 @@ SURROUNDINGS = 3
 
 
 def block_size(length: int) -> int:
-    """How many rows (or columns) make a block in an image that has so many."""
+    """How many rows (or columns) make a block, in an image of `length` rows (or columns)."""
     return next((b for b in _BLOCKS if length % b == 0), _BLOCKS[0])
 
 
@@ -109,5 +109,5 @@ def choose_peaks(
 
 
 def _along(axis: int, rank: int) -> list[int]:
-    """The shape of a vector that runs along one axis of so many."""
+    """The shape of a vector along `axis`, for broadcasting against an array of `rank` axes."""
     return [-1 if i == axis else 1 for i in range(rank)]

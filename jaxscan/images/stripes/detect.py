@@ -6,7 +6,7 @@ compiled apart, for in one piece a compiler on a CPU computes each step again fo
 the window was too narrow for the stripe, the stripe is burnt out or an edge runs along it, lines are measured again by
 themselves.
 
-There is a stripe where the peak stands above its background by so many times the frame's noise, with both its flanks.
+There is a stripe where the peak exceeds its background by a multiple of the frame's noise, and both its flanks do too.
 """
 
 from collections.abc import Iterator
@@ -46,7 +46,7 @@ FRAMES_AT_ONCE: Final = 16
 _SHORT, _NARROW, _WIDE = 8, 12, 40
 # Stripes of a standard deviation up to 1.7 px are within short windows, with some background.
 _SLIM_LN_PX = float(np.log(1.7))
-# What stands out by less than so many times what is asked is looked at in more of its surroundings.
+# A peak below this multiple of the least strength is measured again in a longer window.
 _FAINT = 2.0
 _LEAST_STRENGTH = 10.0
 # Neighbouring pixels beside the stripe are alike from this on, −0.2 being white: it is looked into.
@@ -59,8 +59,8 @@ _ALL_BURNT = 0.75
 _NARROWEST_TORN = float(np.log(0.9))
 # This part of the lines with an edge is narrower than the stripe.
 _WHOLE = 0.9
-# Lines are measured in groups of so many, whatever the image: few sizes are compiled. Large ones cost less a line, by
-# what it takes two cores to begin together; those few that are looked at again would not fill them.
+# Lines are measured in groups of these sizes, whatever the image: few sizes are compiled. Large groups cost less per
+# line, because two cores start together; the few lines that are measured again would not fill them.
 _GROUPS: Final = (4, 128), (20, 512)
 _GROUPS_AGAIN: Final = (4, 64), (8, 512)
 _FEW = 8
@@ -304,7 +304,7 @@ def _detect(
             )
         strained, odd = edges_and_profiles(measured.h3, measured.h4, plain, plain & measured.strained)
         strained &= broad[:, None]
-        # Of a stripe that is burnt out all along it the flanks tell.
+        # A stripe that is burnt out over its whole length is judged by its flanks.
         mostly = (looked.burnt & looked.strong).sum(1) > _ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
         odd |= mostly & ~np.asarray(sensor.apart)[: len(odd)]
         flat = jax.tree.map(np.ravel, measured)

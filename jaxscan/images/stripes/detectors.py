@@ -29,13 +29,13 @@ _CLOSED: Final[dict[str, Measure]] = {
     "parabola": classical.parabola,
     "threshold": classical.threshold,
 }
-# Beyond so many pixels from the window's end an outline is free of it.
+# An outline at least this number of pixels from the window's end is not affected by it.
 _MARGIN = 5
 # A stripe falls on both sides to less than half.
 _ONE_SIDED = 0.5
 # Of a window that is fuller than this, the rest may be noise.
 _MOSTLY_FULL = 0.5
-# An outline tells a width to so much; what is beyond is a core.
+# An outline determines a width to this accuracy; what is beyond is a core.
 _THICKER = 1.25
 
 
@@ -53,7 +53,7 @@ def register_detector(name: str, words: str, measure: Measure) -> None:
 
 
 class Measured(eqx.Module):
-    """What the windows tell of the stripe, for each line.
+    """What the windows show of the stripe, for each line.
 
     Attributes:
         position: the stripe's centre, rows (or columns).
@@ -64,7 +64,7 @@ class Measured(eqx.Module):
         breadth: of what is seen, full at half height, px: of a stripe that is burnt out, with its full pixels.
         relief: height of the peak above the lowest point of the window, whatever lies between.
         whole: whether both its flanks are on the image and in the window, and a centre was found between them.
-        cramped: whether a wider window would tell more.
+        cramped: whether a wider window would show more.
         burnt: whether some pixel of the window is full.
         strained: whether the pixels are off the detector's profile by more than noise: an edge of reflectance may run
             through it.

@@ -2,8 +2,9 @@
 
 Where an edge runs along a stripe, what the plain profile leaves has a shape, and neighbouring lines have it alike.
 Speckle multiplies the light of each pixel by chance: it leaves as much, but in each line another shape. The shape is
-told by h₃ and h₄, the Gauss-Hermite coefficients of third and fourth order (R. van der Marel and M. Franx 1993). Over
-a window of n lines, with m the mean of a coefficient, v its variance and ρ_k its correlation at a distance of k lines,
+measured by h₃ and h₄, the Gauss-Hermite coefficients of third and fourth order (R. van der Marel and M. Franx 1993).
+Over a window of n lines, with m the mean of a coefficient, v its variance and ρ_k its correlation at a distance of k
+lines,
 
     t² = n / τ (m₃² / v₃ + m₄² / v₄),    τ = 1 + 2 Σ ρ_k,  k < K
 
@@ -32,8 +33,8 @@ _LEAST_OF_USUAL = 0.5
 _MANY, _REST = 0.1, 0.3
 # Where edges run along more than that part of the lines, this part is taken to have hardly one.
 _MOST, _LEAST = 0.4, 0.12
-# The variance of means of neighbours over that within them (JPEGs: up to 5). What is further off than so many times
-# the mean is held.
+# The variance of means of neighbours over that within them (JPEGs: up to 5). Values beyond this multiple of the mean
+# are clipped.
 _ALIKE, _CLIP = 8.0, 4.0
 
 Lines = Float[np.ndarray, "frames lines"]
@@ -85,7 +86,7 @@ def edges_and_profiles(
 def mostly_torn(
     h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"]
 ) -> tuple[Bool[np.ndarray, "frames"], Bool[np.ndarray, "frames lines"]]:
-    """In which frames edges run along so many lines that they are taken for noise, and which lines have hardly one.
+    """In which frames edges run along too large a share of the lines (taken for noise); which lines have hardly one.
 
     Args:
         h3: as `edges_go_on` has them, all three.
@@ -158,6 +159,6 @@ def _chance(
 
 
 def _over(values: Lines, half: int) -> Lines:
-    """The sum over the lines up to so many away."""
+    """The sum over each line and `half` lines on either side."""
     sums = np.cumsum(np.pad(values, ((0, 0), (half + 1, half))), axis=1)
     return sums[:, 2 * half + 1 :] - sums[:, : -2 * half - 1]

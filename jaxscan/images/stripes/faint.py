@@ -1,4 +1,4 @@
-"""A stripe in weak light: lines in which it is too faint to be told from noise by itself, and goes on from the others.
+"""A stripe in weak light: lines whose peak alone could be noise, but which continue those of other lines.
 
 Of noise the greatest peak of each line lies anywhere. Where the peaks of neighbouring lines lie within a few pixels of
 one another, over more lines than chance would ever join, there is a stripe, however faint. In the lines between, in
@@ -15,13 +15,14 @@ from jaxscan.images.stripes.validity import GAP
 
 # Faint points follow one another closely: within so much, and no steeper.
 _COMPANY_PX, _STEEPEST = 2.0, 1.0
-# Chance joins so many lines once in a million; a stripe has more, and no fewer than these.
+# Chance joins a run of this length once in a million. A stripe is longer, and has at least this number of points.
 _LN_CHANCE, _FEWEST = float(np.log(1e-6)), 16
-# By chance so many are joined once in a thousand: a stripe, and too weak.
+# Chance joins a run of this length once in a thousand: it may be a stripe that is too weak.
 _LN_TOO_WEAK: Final = float(np.log(1e-3))
 # A run has points in this part of its lines.
 _DENSE: Final = 0.4
-# Over so many lines between two points it is looked for again, and taken within so much of the straight line.
+# Between two points up to this number of lines apart the stripe is searched again, within this distance of the straight
+# line.
 _BETWEEN, _NEAR_PX = 12, 3.0
 
 

@@ -24,16 +24,16 @@ from jaxtyping import Array, Bool, Float
 from jaxscan.images.stripes.ranks import median
 from jaxscan.images.stripes.windows import Lines, Pixels
 
-# Products of pixels so far apart are looked at, less one; beyond so many pixels no grain goes on.
+# Number of distances for products of neighbouring pixels, plus one; from this number of pixels on there is no grain.
 _LAGS: Final = 3
 _DISTANCES: Final = 5
-# ρ is one of so many, up to this: a grain of 2 px has 0.88.
+# ρ is one of this number of values, up to this: a grain of 2 px has 0.88.
 _MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
 # To this part of itself noise and profile say what any of these products should be, however many pixels there are.
 _MODEL = 0.1
 # What each further number must explain at the least, in squares of standard deviations.
 _PRICE: Final = 4.0
-# Every so many lines tell what the others are expected to leave, too.
+# Every Nth line serves to estimate the expected residuals of the others.
 _EXPECTED: Final = 2
 _TINY: Final = 1e-12
 
@@ -146,7 +146,7 @@ def chance(
         light: W^½ A P, likewise.
         regions: 1 in each of the stripe's regions, 0 elsewhere.
         taken: Y, likewise.
-        read2: the variance of the sensor's noise; of frames that do not tell it, the most that it can be.
+        read2: the variance of the sensor's noise; of frames that do not show it, the most that it can be.
         known: which do.
         groups: into how many groups of lines a frame is divided: of their sums the median is taken.
         correlation: of all noise of pixels 1, 2, … apart, where a camera has smoothed it; then no grain is looked for.
@@ -179,7 +179,7 @@ def chance(
     read = (unit > 0).any(1)
     number = numbers(regions, unit, taken)
     seen = usual(sums(regions, [(standard, standard)]), number)
-    # What is expected differs less from line to line than what is seen: some of them tell it.
+    # What is expected differs less from line to line than what is seen: some of the lines suffice.
     regions, taken = ([x[..., ::_EXPECTED] for x in each] for each in (regions, taken))
     unit, photons, light = (x[..., ::_EXPECTED] for x in (unit, photons, light))
     expected, count = numbers(regions, unit, taken), len(taken)

@@ -36,10 +36,11 @@ from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windo
 _STEPS, STEPS_CENSORED = 2, 8
 # Of a stripe that is burnt out most lines reach it in this number, and the others are fitted once more.
 FEW_STEPS_CENSORED = 4
-# With correlated speckle so many follow: one comes within 0.04 σ of the minimum from there.
+# With correlated speckle this number of steps follows: one comes within 0.04 σ of the minimum from there.
 _STEPS_GRAINED, _STEPS_GRAINED_CENSORED = 1, 3
-# The model holds about the stripe, not for what else is in the window: so many standard deviations, and pixels, beyond
-# where it falls to half its seen height. What lies further out holds 1 % of what is known of the centre.
+# The model holds around the stripe, not for the rest of the window: up to this number of standard deviations, plus
+# pixels, beyond the point where it falls to half its seen height. Pixels further out hold 1 % of the information on
+# the centre.
 REACH, REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
 LN_HEIGHT_SPREAD = 2.0
 # Squared contrast of speckle that makes a stripe ragged.
@@ -53,9 +54,9 @@ FWHM = 2.354820
 _HALF_MAXIMUM = 5.545177  # 8 ln 2
 _PIXEL_VARIANCE = 1 / 12
 _LEAST_S, _MOST_OVER = 0.35, 100.0
-# The fit's own scatter tells as much of its σ as so many degrees of freedom of the sensor's noise.
+# The fit's own scatter is weighted against this number of degrees of freedom of the sensor's noise.
 FREEDOM_OF_NOISE = 10.0
-# Pixels are strained that are off by this part of the peak, and by so many standard deviations.
+# Pixels are strained if the RMS residual exceeds `_STRAIN` times the noise and this part of the peak together.
 _USUAL_MISFIT, _STRAIN = 0.03, 1.5
 _ROOT_HALF, _ROOT_HALF_PI, _ROOT_2_OVER_PI = 0.70710678, 1.2533141, 0.79788456
 # Φ of less is 1e-9: there float32 has few digits of it left.
@@ -73,7 +74,7 @@ class Profile(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """A profile and what tells how well it is known.
+    """A profile and the quantities that show how well it is known.
 
     Attributes:
         profile: θ.
@@ -191,8 +192,8 @@ def fit(
     """
     start = first_guess(windows, outline, sensor, censored)
     reach = outline.width / 2 + REACH * jnp.exp(start.ln_s) + REACH_PX + further_px
-    # A dark grain splits a stripe, so that its outline tells little. And the light's tails tell the centre as well as
-    # its flanks do, down to the sensor's noise.
+    # A dark grain splits a stripe, so that its outline shows little. And the light's tails determine the centre as
+    # well as its flanks do, down to the sensor's noise.
     rough = (sensor.speckle > ROUGH) & (sensor.ln_s_spread < 1)
     start = start._replace(ln_s=jnp.where(rough, sensor.ln_s, start.ln_s))
     reach = jnp.where(rough, jnp.maximum(reach, _REACH_ROUGH * jnp.exp(sensor.ln_s) + REACH_PX), reach)
@@ -231,7 +232,7 @@ def fit(
 
     if steps is None:
         steps = STEPS_CENSORED if censored else _STEPS
-    # The last step, of either kind, tells how well the profile is known.
+    # The last step, of either kind, shows how well the profile is known.
     plain, grained = (steps, grain_steps - 1) if grain_steps else (steps - 1, 0)
 
     def moved(state: tuple[Array, Profile, Lines]) -> tuple[Array, Profile, Lines]:
@@ -322,10 +323,10 @@ def _between(at_edges: Float[Array, "groups edges lines"]) -> Pixels:
 
 
 def first_guess(windows: Windows, outline: Outline, sensor: Sensor, censored: bool) -> Profile:
-    """θ₀ from the outline: a Gaussian's width at two heights tells s and A.
+    """θ₀ from the outline: a Gaussian's width at two heights determines s and A.
 
     Of a full stripe these are the width d₁ of its full core, at the height z, and d₂ at z / 2: d₂² − d₁² = 8 ln 2 s²,
-    which is weighed against what the other lines tell of s, and A = z e^(d₁² / 8 s²).
+    which is weighted against the estimate of s from the other lines, and A = z e^(d₁² / 8 s²).
     """
     z = outline.top - outline.floor
     s2 = outline.width**2 / _HALF_MAXIMUM

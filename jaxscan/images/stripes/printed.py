@@ -27,11 +27,11 @@ from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.response import Backgrounds, Images, channels, noise_gain
 from jaxscan.images.stripes.windows import Pixels, Places, Sensor, first_pixel, gather_pixels, places
 
-# Lines of each frame that tell whether anything is printed; where it counts in this part of them, all are looked at.
+# Lines of each frame that show whether anything is printed; where it counts in this part of them, all are looked at.
 _LINES, _MANY = 64, 0.02
 # Rows at each end of the window that lie beside the stripe.
 _BESIDE = 3
-# A displacement is seen that is so many times what noise makes, and counts from this part of σ on.
+# A displacement is significant above this multiple of its noise, and is applied from this part of σ on.
 _SEEN, _COUNTS = 3.0, 0.5
 _PIXEL_VARIANCE = 1 / 12
 _TINY = 1e-6

@@ -2,7 +2,7 @@
 
 Where the reflectance changes within the stripe's width, the bright side pulls every detector that sees a bump and asks
 for its middle: with 10:1 by up to 1.2 of the stripe's standard deviations. The light itself is still a Gaussian, and
-its bright flank tells where its centre is. With the edge at e and the reflectances e^(±½ ln ρ) on its two sides,
+its bright flank shows where its centre is. With the edge at e and the reflectances e^(±½ ln ρ) on its two sides,
 
     μ_k = b + A ∫ exp(−½ ((v − c) / s)²) [√ρ (1 − Φ((v − e) / τ)) + Φ((v − e) / τ) / √ρ] dv   over pixel k
 
@@ -42,7 +42,7 @@ _DAMPING, _LONGEST_LN, _LONGEST = 0.02, 0.7, 0.7
 _FURTHER_PX: Final = 2.0
 # The least F with 2 and some 5 degrees of freedom: one line in seven has it by chance, of those beside an edge.
 _LEAST_F: Final = 3.0
-# What the edge leaves unexplained, at the most so many times the sensor's own noise: photons and speckle leave more.
+# What the edge leaves unexplained is at most this multiple of the sensor's own noise: photons and speckle leave more.
 _MOST_LEFT: Final = 4.0
 # Or else this part of what the plain profile leaves: speckle leaves more than the sensor does.
 _MOST_UNEXPLAINED: Final = 0.3

@@ -50,8 +50,8 @@ _WITH_COLOURS: Final = 4
 # A channel that is interpolated to full resolution is full from this part of its greatest number on: what a JPEG
 # leaves of luma's detail is off by a few grey levels, and counts threefold.
 FULL_OF_LUMA: Final = 0.9
-# Chroma is at half resolution where its third differences within pairs are no more than so many times what rounding
-# makes of none, those across pairs so many times as large, told by at least so many.
+# Chroma is at half resolution where its third differences within pairs are at most this multiple of pure rounding, and
+# those across pairs are this multiple of those within; decided from at least this number of pairs.
 _OF_ROUNDING, _ACROSS, _TOLD_BY = 1.5, 3.0, 100
 # Of light that is whiter than this, in parts of the laser's own channel, the colour does not show.
 _MOST_WHITE: Final = 0.3
@@ -86,7 +86,7 @@ def channels(
 
 
 def numbers(pixels: UInt[Array, "..."], color: str) -> UInt[Array, "..."]:
-    """What tells whether a pixel is full: the laser's channel; of a grey laser the greatest."""
+    """The channel that shows whether a pixel is full: the laser's channel; of a grey laser the greatest."""
     if color != "grey":
         return pixels[..., CHANNELS[color][0]]
     return pixels.max(-1) if pixels.ndim == _WITH_COLOURS else pixels
@@ -214,12 +214,12 @@ def detail_of(
 ) -> tuple[tuple[Float[Array, "frames"], ...], Bool[Array, "frames"]]:
     """How far L, M and N gain by luma's detail, g / q − 1, and in which frames; 0 in the others.
 
-    The laser's colour is told by sums over the windows, which halving and interpolating leave as they are. Where all
-    channels are full of it, it does not show, and the photograph is taken as it is.
+    The laser's colour is determined by sums over the windows, which halving and interpolating leave unchanged.
+    Where all channels are full of it, it does not show, and the photograph is taken as it is.
 
     Args:
         levels: the three channels.
-        flank: so many pixels at either end of a window tell its background.
+        flank: number of pixels at either end of a window that give its background.
         half: whether the frame's colours are at half resolution.
         color: of the laser.
     """
@@ -275,7 +275,7 @@ def detailed(
 
 
 def _luma_weights(color: str) -> tuple[float, float, float]:
-    """Of L, M and N."""
+    """Weights of L, M and N in luma."""
     laser, first, second = CHANNELS[color]
     return LUMA[laser], LUMA[first], LUMA[second]
 

@@ -22,7 +22,7 @@ from scipy.ndimage import median_filter
 
 from jaxscan.images.stripes.validity import COMPANY_PX, GAP, LN_WIDTHS, STEEPEST, longer_than_thick
 
-# A change of brightness by e counts as much as so many lines between two points.
+# A change of ln brightness by 1 counts as much as this number of lines between two points.
 _BY_STRENGTH: Final = 0.5
 # A run that is e times longer, and one as wide as usual where the other is off by e, have so much more of ln strength.
 _BY_LENGTH, _BY_WIDTH = 0.2, 1.0
@@ -30,13 +30,14 @@ _BY_LENGTH, _BY_WIDTH = 0.2, 1.0
 _FAINT, _BESIDE = 0.75, 0.5
 # Copies lie at the same distance within so much, over this part of the lines that have points.
 _SAME_PX, _COPIED = 3.0, 0.2
-# A run is a copy that is one in so many lines, and in most of those that it shares with another run.
+# A run is a copy if at least this number of its lines are copied, and more than this part of the lines that both share.
 _FEWEST_COPIED, _MOSTLY_COPIED = 6, 0.4
 # A stripe is no fainter than this part of its copy.
 _SHOWN = 0.6
-# A part of a run is apart that is so many times as bright or as faint as most of it, over half as many lines at least.
+# A part of a run is separate if it is brighter or fainter than most by this factor, over half this number of lines.
 _APART, _FEWEST_APART = 2.0, 7
-# A course goes on across so many lines from the last so many points of a run, bending by so much for each line.
+# A course continues across up to this number of lines, from this number of points at a run's end, with this deviation
+# for each line.
 _ACROSS, _STRAIGHT, _BENDS = 48, 24, 0.1
 
 

@@ -20,17 +20,17 @@ from jaxscan.images.stripes.faint import faint_runs, near_enough
 from jaxscan.images.stripes.runs import Points, likeliest
 from jaxscan.images.stripes.validity import Verdict, in_a_line
 
-# A frame is in doubt that has so many strong lines without a point.
+# A frame is in doubt if at least this number of its strong lines have no point.
 _DOUBTFUL: Final = 3
 # A candidate rises by this part of what a stripe must.
 _RISES: Final = 0.7
-# Of what shines white no more than this part of the response is left, so many pixels away at most, where white
-# cancels; of most of a stripe that can be told from it more than this.
+# White light is left with at most this part of its response, within this number of pixels, because white cancels. Most
+# of a stripe that can be distinguished from it keeps more than the second part.
 _WHITE, _IN_COLOUR, _FLANK_PX = 0.2, 0.6, 8
 # What is found lies near what it was looked for by: within so much, and half of its own width.
 _NEAR_PX: Final = 3.0
-# In weak light a stripe's strength is less than so many times what tells it from noise by itself; faint points are
-# above so many times the noise, where most of the greatest peaks of noise are too.
+# In weak light a stripe's strength is below this multiple of the least strength; faint points are above this multiple
+# of the noise, where most of the greatest peaks of noise are too.
 _WEAK, _FAINT = 4.0, 2.0
 
 # Frame, line and row of each place.
@@ -167,7 +167,7 @@ def _contest(
         lines = np.flatnonzero(standing[n])
         line, row = rivals(peaks[n], frames.peak[n], _RISES * float(frames.least[n]), frames.length)
         mains, others = colour(n, lines, frames.peak[n, lines]), colour(n, line, row)
-        # Where the stripe is burnt out white itself, colour tells nothing.
+        # Where the stripe is itself burnt out to white, colour shows nothing.
         if lines.size and np.median(mains) > _IN_COLOUR:
             standing[n, lines] = mains > _WHITE
             line, row = line[others > _WHITE], row[others > _WHITE]

@@ -8,7 +8,7 @@ line, D their standard deviations and a_k = ∂c / ∂r_k, a centre has the vari
 
 ρ is read off the quietest stretches of a photograph's lines, away from the stripe. A JPEG keeps each 8 × 8 block by
 itself, and what it leaves is alike within the block whatever the camera did: pixels that are neighbours across a
-border of two blocks tell whether there is more to it.
+border of two blocks show whether there is more to it.
 """
 
 from collections.abc import Sequence
@@ -23,22 +23,22 @@ from jaxscan.images.stripes.likelihood import FREEDOM_OF_NOISE, FWHM, REACH, REA
 from jaxscan.images.stripes.response import LUMA
 from jaxscan.images.stripes.windows import Sensor
 
-# Correlations of pixels so far apart are told; beyond, there are none.
+# Correlations of pixels up to this distance are estimated; beyond, there are none.
 DISTANCES: Final = 4
 # Noise is white below this correlation of neighbours.
 LEAST: Final = 0.15
-# About so many stretches of a photograph are looked at.
+# About this number of stretches of a photograph are looked at.
 _MOST_LOOKED_AT = 1024
 # Two blocks of a JPEG make a stretch.
 _BLOCK: Final = 8
 # A stretch is this far away from the stripe, px; its trend is a parabola.
 _AWAY_PX, _TREND = 16, 2
-# Stretches are read whose squares are up to so many times those at the lower quartile, of so many at the least: what is
-# louder has a pattern.
+# Stretches are read if their squares are at most this multiple of those at the lower quartile, if there are at least
+# this number: louder ones have a pattern.
 _QUIET, _QUIETEST, _FEWEST = 5.0, 0.25, 100
 # Of a JPEG of white noise neighbours across a border have less than this part of what all neighbours have in common.
 _OF_BLOCKS = 0.5
-# Noise is seen where it has so many times the variance of rounding.
+# Noise is visible if its variance is this multiple of the variance of rounding.
 _SEEN = 2.5
 _ROUNDING = 1 / 12
 # Widths and heights of stripes at which σ is worked out, in each photograph.

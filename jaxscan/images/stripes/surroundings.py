@@ -9,7 +9,8 @@ from jaxtyping import Float32, Int, UInt
 from jaxscan.images.stripe_settings import CHANNELS
 from jaxscan.images.stripes.response import numbers
 
-# Of the frame's M + N, below the part of the frame that a burnt-out stripe may take; told from about so many pixels.
+# Quantile of the frame's M + N, below the part that a burnt-out stripe may take; computed from about this number of
+# pixels.
 _AMBIENT_QUANTILE: Final = 0.97
 _SOME_PIXELS: Final = 1200
 

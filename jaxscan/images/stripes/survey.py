@@ -1,4 +1,4 @@
-"""What a photograph tells of its sensor: its colours' weights, its noise, and where it is full.
+"""What a photograph shows of its sensor: its colours' weights, its noise, and where it is full.
 
 All of it is estimated from some of the windows about the coarse peaks, frame by frame, so that a frame's points do not
 depend on what else is in the batch.
@@ -49,9 +49,9 @@ _LINES, _GROUPS = 96, 8
 _STANDS = 0.25
 # Newton's steps: as far as the noise need be known.
 _STEPS = 4
-# Where speckle is strong, what a fit leaves tells the noise only once the fit has weighted its pixels by it.
+# Where speckle is strong, the residuals of a fit show the noise only once the fit has weighted its pixels by it.
 _LOOKS, _SKIPPED = 3, 3
-# Rows at each end of the window that tell the noise without laser.
+# Rows at each end of the window that show the noise without laser.
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
 _DEVIATION_TO_SIGMA = 1.2533 / (1 - 1 / _FLANK) ** 0.5
@@ -69,7 +69,7 @@ _TAIL = 0.1
 _CORE = 0.5
 # Up to this full width at half height the last five of 25 pixels are free of it: 2.5 px is 2.1 σ less than 8 px away.
 _CLEAR_WIDTH_PX = 5.0
-# A stripe stands above its background by more than so many times the noise: smoothed as it is, the greatest of a
+# A stripe exceeds its background by more than this multiple of the noise: smoothed as it is, the greatest of a
 # thousand rows of noise stands out by two or three σ.
 LEAST_SIGNAL = 4.7
 # Of a burnt-out stripe it is read where its lines have no more than this share of what they leave in common: drawn ones
@@ -81,7 +81,7 @@ _MAY_FILL = 0.55
 _LEAST_LUMA = 0.1
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
-# A line that leaves so many times as much as most is no sample of the noise.
+# A line whose residual exceeds this multiple of the usual is not a sample of the noise.
 _MOST_OF_USUAL = 8.0
 # How far ln s of a line may be from that of the others: no less than this, and before anything is known a factor of e.
 _LEAST_SPREAD, _UNKNOWN = 0.1, 1.0
@@ -111,9 +111,9 @@ def survey(
         color: of the laser, or grey.
         columns: whether lines are columns.
         half: half the window's length.
-        most: how many frames there may be: so many entries has each number of the answer, the last one repeated, so
-            that no number of frames compiles anew.
-        correlation: of each frame's noise, as `noise_correlation` tells it; 0 of frames whose noise is white, None
+        most: how many frames there may be. Each array has this number of entries, with the last one repeated, so that
+            no number of frames is compiled again.
+        correlation: of each frame's noise, from `noise_correlation`; 0 of frames whose noise is white, None
             where all are such.
     """
     of = np.minimum(np.arange(most, dtype=np.int32), len(peak) - 1)
@@ -263,7 +263,7 @@ def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
 
 
 def greatest_numbers(bits: int) -> list[int]:
-    """What the greatest number of a sensor may be whose photographs have so many bits."""
+    """The possible greatest numbers of a sensor whose photographs have `bits` bits."""
     return [2**b - 1 for b in (*(d for d in _DEPTHS if d < bits), bits)]
 
 
@@ -351,11 +351,11 @@ def _chance(
 ) -> tuple[Chance, Bool[Array, "frames"]]:
     """Noise and speckle, and in which frames the stripes leave nothing in common.
 
-    Lines without full pixels tell them, where these are no exception: of a burnt-out stripe they are its ends and
-    edges, which are no sample of the others. Steep flanks beside a full core tell the speckle too, if they are those
+    Lines without full pixels determine them, where these are no exception: of a burnt-out stripe they are its ends and
+    edges, which are no sample of the others. Steep flanks beside a full core show the speckle too, if they are those
     of the model: what lines leave in common, be it a lens's halo or what a camera sharpens, is not of chance, and what
     it leaves beside that would be taken for speckle. Where stripes are so narrow that the ends of the windows are free
-    of them, these tell the sensor's noise.
+    of them, these show the sensor's noise.
 
     Args:
         found: fits of the frames' stripes.
@@ -402,7 +402,7 @@ def _chance(
     light = chance(
         standard=standard,
         unit=square,
-        # Flanks alone do not tell photons from speckle.
+        # Flanks alone do not distinguish photons from speckle.
         photons=jnp.where(burnt, 0.0, square * height),
         light=jnp.sqrt(square) * height,
         regions=(tail, shown - core - tail, core),

@@ -113,7 +113,7 @@ def _lagrange(t: Float[Array, "*any"], before: int, after: int) -> Float[Array, 
 def survey_passage(
     lit: Passage, dark: Passage | None, some: Int[Array, "groups some"], ambient: Int[Array, "groups"], color: str
 ) -> Sensor:
-    """What some lines of each group tell of the sensor, as `survey` has it: the numbers are interpolated ones."""
+    """What some lines of each group show of the sensor, as `survey` has it: the numbers are interpolated ones."""
 
     def of(passage: Passage) -> UInt16[Array, "groups window some *rgb"]:
         index = some[:, None]

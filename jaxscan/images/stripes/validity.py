@@ -8,19 +8,19 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.images.stripes.likelihood import FWHM
 
-# Points of a stripe follow one another within so many lines, off by no more than so much and a steep slope, and as
-# wide as one another within this factor.
+# Points of a stripe follow one another within this number of lines, within this distance and slope, and with widths
+# that agree within this factor.
 GAP, COMPANY_PX, STEEPEST = 4, 2.0, 4.0
 LN_WIDTHS: Final = float(np.log(2.5))
-# It is so much longer than it is thick, and longer than so many lines.
+# It is longer than this multiple of its thickness, and longer than this number of lines.
 _LONGER, _SHORTEST = 1.5, 2.5
 # Fewer points make a line only where they stand out by so much more than noise does: where a texture leaks into the
 # colour of the laser, noise has company.
 _FEW, _CLEAR = 6, 1.5
 # A lens's flare, and a JPEG's blocks of 16 pixels, echo the end of a bright stripe so faintly at the most, no further.
 _ECHO, _ECHO_PX = 1 / 8, 16
-# Where a surface ends it is half as bright as it is further in, whatever blurs it: what is dimmer is light spilt beyond
-# its end. So many lines further in are asked, and so many are left out at most.
+# Where a surface ends the stripe is half as bright as further in, whatever blurs it: dimmer light is spilt beyond its
+# end. It is compared with this number of lines further in, and at most this number are left out.
 _SPILT, _FURTHER_IN, _MOST_SPILT = 0.5, 2, 3
 
 
@@ -35,7 +35,7 @@ class Verdict(IntEnum):
     SPOT = 3
     # A line, and beside it another is likelier to be the stripe.
     SECOND = 4
-    # In company, and too weak to be told from noise.
+    # In company, but too weak to be distinguished from noise.
     WEAK = 5
 
 
@@ -44,8 +44,8 @@ def in_a_line(
 ) -> tuple[Bool[np.ndarray, "frames lines"], Int[np.ndarray, "frames"]]:
     """Whether a point belongs to something longer than it is thick: a stripe is a line, noise and glints are not.
 
-    Points hang together that lie no further apart than a stripe as steep as any would, over a few missing lines, and
-    are about as wide.
+    Points are connected if they are no further apart than on the steepest possible stripe, over a few missing lines,
+    and are about as wide.
 
     Args:
         measured: `Measured` of NumPy's arrays.

@@ -60,7 +60,7 @@ class Outline(Bump):
 
 
 class Sensor(eqx.Module):
-    """What a photograph tells of its own sensor and colours: one number for each frame, or for each line of a window.
+    """What a photograph shows of its own sensor and colours: one number for each frame, or for each line of a window.
 
     Attributes:
         weights: m and n of the response.
@@ -100,7 +100,7 @@ class Sensor(eqx.Module):
     detail: tuple[Float[Array, "*of"], ...] | None = None
 
     def of(self, frame: Places) -> "Sensor":
-        """Of each line, as (groups, 1, lines)."""
+        """The numbers of each line's frame, as (groups, 1, lines)."""
         return jax.tree.map(lambda x: x[frame][:, None], self)
 
 
@@ -205,7 +205,7 @@ def bump(r: Pixels) -> Bump:
     top = s.max(1, keepdims=True)
     at = _least(k, s == top)
     left, right = _least(s, k < at), _least(s, k > at)
-    # At the image's edge there may be no pixel beyond the peak: then one side alone tells.
+    # At the image's edge there may be no pixel beyond the peak: then one side alone decides.
     floor = jnp.where(jnp.isfinite(left) & jnp.isfinite(right), jnp.maximum(left, right), jnp.minimum(left, right))
     return Bump(s, floor, top, at)
 

@@ -38,7 +38,7 @@ def with_view(session: Observations, index: int, view: View) -> Observations:
 
 
 def bent_stripe(session: Observations, index: int, height_px: float) -> Observations:
-    """One stripe bowed by so many pixels in its middle."""
+    """One stripe bowed by `height_px` pixels in its middle."""
     view = session.views[index]
     stripe = view.stripes[0]
     seen = np.isfinite(stripe.pixels).all(axis=1)

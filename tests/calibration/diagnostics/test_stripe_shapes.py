@@ -34,7 +34,7 @@ def test_a_bow_is_measured_from_peak_to_valley():
 def test_distances_are_those_of_the_residuals(calibration):
     shapes = stripe_shapes(calibration)
     assert len(shapes) == len(calibration.fits)
-    # A pixel along the column is so many mm from the plane, board by board: about 0.1 px times depth over focal length.
+    # The noise in mm from the plane, board by board: about 0.1 px times depth over focal length.
     for found in shapes:
         assert found.noise_mm == pytest.approx(0.1 * 345 / 690, rel=0.5)
         assert found.bend_mm < 3 * found.bend_of_noise_mm

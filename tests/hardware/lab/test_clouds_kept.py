@@ -39,7 +39,7 @@ def test_what_a_cloud_is_made_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     # How the stripe is looked for.
     (folder / "scan.toml").write_text('[laser]\ncolor = "green"\n' + listing)
     assert second.cloud("cup").read_text() == "3"
-    # Another photograph in the place of one: the project was removed, and begun again.
+    # A photograph was replaced by another: the project was removed, and begun again.
     write_image(folder / "frames" / "0.png", np.full((64, 80, 3), 9, np.uint8))
     os.utime(folder / "frames" / "0.png", ns=(1, 1))
     assert second.cloud("cup").read_text() == "4"

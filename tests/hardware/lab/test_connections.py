@@ -222,7 +222,7 @@ def test_an_answer_that_nobody_reads(tmp_path: Path):
 
 @contextlib.contextmanager
 def process(folder: Path, descriptors: int) -> Iterator[tuple[subprocess.Popen, httpx.Client]]:
-    """A lab in a process of its own with so many descriptors, and its operator's program."""
+    """A lab in a process of its own with `descriptors` file descriptors, and its operator's program."""
     env = {"PYTHONPATH": f"{Path(__file__).parents[3]}:{Path(__file__).parent}"}
     argv = ["prlimit", f"--nofile={descriptors}:{descriptors}", sys.executable, "-c", SERVE, str(folder)]
     child = subprocess.Popen(
