@@ -32,7 +32,9 @@ from jaxscan.robust import NORMAL_MAD
 _LIMIT: Final = 4.0
 _ROUNDS, _STEPS, _HALVES = 15, 50, 12
 # Steps to where a point's line meets the shape, and how many σ it may come.
-_NEWTON, _FAR = 2, 8.0
+_NEWTON, _FAR = 3, 8.0
+# Where a line grazes more than this part of the least slope no step is taken along it.
+_GRAZES: Final = 0.5
 # A step that moves nothing by more than this part of the shape's size is the last.
 # Float32 coordinates have no more digits than the second; before the last fit the third will do.
 _STILL, _ENOUGH, _ROUGHLY = 1e-13, 1e-6, 1e-4
@@ -49,6 +51,8 @@ _ROUNDING: Final = 1e-7
 _SINGULAR: Final = 1e-12
 # The least part of the noise that is taken to be left in the residuals.
 _LEFT: Final = 0.2
+# The least part of the residuals' squares that is taken to be noise, whatever the rig may have done to the form.
+_NOT_RIG: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -226,33 +230,38 @@ def _off(scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"], nearest:
     stripe, least = scanned.stripe[some], _BEST * scanned.sigma[some]
     if nearest:
         return _Off(x, distance, np.maximum(np.abs((shape.gradient(x) * stripe).sum(axis=1)), least))
-    foot, t, steep = x, np.zeros(len(x)), np.ones(len(x), bool)
+    foot, t = x, np.zeros(len(x))
     for _ in range(_NEWTON):
         slope = (shape.gradient(foot) * stripe).sum(axis=1)
-        steep = np.abs(slope) > least
-        t = np.where(steep, np.clip(t + shape.distances(foot) / np.where(steep, slope, 1.0), -_FAR, _FAR), 0.0)
+        t = np.clip(t + shape.distances(foot) / np.where(np.abs(slope) > _GRAZES * least, slope, np.inf), -_FAR, _FAR)
         foot = x - t[:, None] * stripe
     slope = (shape.gradient(foot) * stripe).sum(axis=1)
-    along = steep & (np.abs(slope) > least) & (np.abs(t) < _FAR)
+    # Asked of the foot alone, which the point's own error has not moved.
+    along = (np.abs(slope) > least) & (np.abs(t) < _FAR)
     foot = np.where(along[:, None], foot, x)
     return _Off(foot, np.where(along, t * slope, distance), np.maximum(np.abs(slope), least))
 
 
 def _least_squares(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"], nearest: bool = False) -> Shape:
-    """Gauss's steps to the least weighted sum of squares, the weights those where it stands at first."""
+    """Gauss's steps to the least sum of squares of distances in units of their σ.
+
+    Where a point's line meets the shape that is how many σ of the stripe it has come, Σ t², and the derivative of t by
+    the numbers is that of the distance over g · e. With the σ held at first instead, shapes turn so that the distances
+    are short: a plane by about σ² / size² (the attenuation of total least squares).
+    """
     still = _STILL if scanned.stripe is None else _ROUGHLY if nearest else _ENOUGH
     x = scanned.points[used]
     shape = shape.placed(x)
     off = _off(scanned, shape, used, nearest)
-    least, weight = np.inf, 1 / off.spread[:, None]
+    least = np.inf
     for _ in range(_STEPS):
-        A, b = shape.jacobian(off.foot) * weight, off.distance * weight[:, 0]
+        A, b = shape.jacobian(off.foot) / off.spread[:, None], off.distance / off.spread
         step = -np.linalg.lstsq(A.T @ A, A.T @ b, rcond=_SINGULAR)[0]
         before = float(b @ b)
         for _ in range(_HALVES):
             moved = shape.moved(step)
             off = _off(scanned, moved, used, nearest)
-            after = float(((off.distance * weight[:, 0]) ** 2).sum())
+            after = float(((off.distance / off.spread) ** 2).sum())
             if after <= before * (1 + 1e-12):
                 break
             step = step / 2
@@ -292,16 +301,31 @@ def known(scanned: Scanned, fit: Fit, alike: Alike, least: float = 0.0) -> Known
         raise InputError("its points do not determine it: they may lie on a line, or in one place; enlarge the region")
     place = None if scanned.place is None else scanned.place[fit.used]
     tau = alike.tau(scanned.image is None)
-    # What the fit has taken up is `numbers` of the independent points, which are fewer than there are.
-    left = len(x) * max(1 - shape.numbers * tau / len(x), _LEFT)
-    scale = max(float(np.sqrt(((fit.residuals / fit.spread) ** 2).sum() / left)), least)
-    follows = np.linalg.solve(A.T @ A, A.T)
-    own = scale**2 * alike.variance(place, follows, scanned.image is None)
-    by_rig = None
-    if scanned.by_rig is not None:
+    by_rig, of_rig = None, 0.0
+    if scanned.by_rig is not None and scanned.covariance is not None:
         some = few(len(x), _OF_RIG)
-        by_rig = response(shape, x[some], fit.spread[some]) @ moved_by_rig(scanned, shape, fit.used[some])
+        moved = moved_by_rig(scanned, shape, fit.used[some])
+        by_rig = response(shape, x[some], fit.spread[some]) @ moved
+        left_by_rig = (moved + shape.jacobian(x[some]) @ by_rig) / fit.spread[some, None]
+        of_rig = len(x) * float(np.einsum("pi,ij,pj->p", left_by_rig, scanned.covariance, left_by_rig).mean())
+    share = grazing(scanned, fit)
+    # What the fit has taken up is `numbers` of the independent points, which are fewer than there are. What a wrong rig
+    # does to the form is in `by_rig`, and does not count as noise once more.
+    independent = float((share**2).sum())
+    left = max(independent - shape.numbers * tau, _LEFT * independent)
+    squares = float(((fit.residuals / fit.spread) ** 2).sum())
+    scale = max(float(np.sqrt(max(squares - of_rig, _NOT_RIG * squares) / left)), least)
+    follows = np.linalg.solve(A.T @ A, A.T) * share
+    own = scale**2 * alike.variance(place, follows, scanned.image is None)
     return Known(scale, tau, max(len(x) / tau - shape.numbers, 1.0), own, by_rig)
+
+
+def grazing(scanned: Scanned, fit: Fit) -> Float[np.ndarray, "used"]:
+    """What the stripe's errors do to each distance, in units of `spread`: 1 but where the line grazes, less there."""
+    if scanned.stripe is None:
+        return np.ones(len(fit.used))
+    slope = (fit.shape.gradient(scanned.points[fit.used]) * scanned.stripe[fit.used]).sum(axis=1)
+    return np.minimum(np.abs(slope) / fit.spread, 1.0)
 
 
 def response(

@@ -137,19 +137,29 @@ class Ball(Shape):
 
 
 @dataclass(frozen=True)
-class Cylinder(Shape):
-    """A cylinder; its numbers: two of its place, two turns, the radius."""
+class _Round(Shape):
+    """What is round about an axis at one radius: a cylinder in space, a circle in its plane.
 
-    numbers: ClassVar[int] = 5
+    Attributes:
+        radius: mm.
+    """
+
     radius: float = 0.0
 
     def distances(self, x: Points) -> Float[np.ndarray, "points"]:
-        """From its surface, positive outside."""
+        """From the axis less the radius: positive outside."""
         return self._about_axis(x)[1] - self.radius
 
     def gradient(self, x: Points) -> Points:
         """Away from the axis."""
         return self._about_axis(x)[2]
+
+
+@dataclass(frozen=True)
+class Cylinder(_Round):
+    """A cylinder; its numbers: two of its place, two turns, the radius."""
+
+    numbers: ClassVar[int] = 5
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
         """Of distances by the numbers."""
@@ -206,19 +216,10 @@ class Cone(Shape):
 
 
 @dataclass(frozen=True)
-class Circle(Shape):
+class Circle(_Round):
     """A circle in a plane that is given; its numbers: two of the centre, the radius."""
 
     numbers: ClassVar[int] = 3
-    radius: float = 0.0
-
-    def distances(self, x: Points) -> Float[np.ndarray, "points"]:
-        """In the plane, positive outside."""
-        return self._about_axis(x)[1] - self.radius
-
-    def gradient(self, x: Points) -> Points:
-        """Away from the centre."""
-        return self._about_axis(x)[2]
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
         """Of distances by the numbers."""
