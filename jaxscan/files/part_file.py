@@ -75,7 +75,8 @@ class Region:
         """Which points lie in it."""
         if self.high is not None:
             return np.asarray(((points >= self.low) & (points <= self.high)).all(axis=1))
-        return ((points - np.asarray(self.low)) ** 2).sum(axis=1) <= self.radius**2
+        off = points - np.asarray(self.low)
+        return np.einsum("pi,pi->p", off, off) <= self.radius**2
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from jaxscan.files.part_file import Region
 from jaxscan.measurement.alike import Alike
 from jaxscan.measurement.guess import guess
 from jaxscan.measurement.scanned import Scanned
-from jaxscan.measurement.shapes import Plane, Shape, Vector
+from jaxscan.measurement.shapes import Plane, Shape, Vector, lengths
 from jaxscan.robust import NORMAL_MAD
 
 # Points further than so many robust σ from the shape are not of it.
@@ -132,7 +132,7 @@ def fit_shape(
     given = candidates
     shape, inside, sigma = _settled(scanned, guess(kind, scanned.points[given], normal), given)
     if region is not None and scanned.stripe is not None and not grow:
-        reach = _FAR * sigma * float(np.median(np.linalg.norm(scanned.stripe[given], axis=1)))
+        reach = _FAR * sigma * float(np.median(lengths(scanned.stripe[given])))
         candidates = scanned.within(region.wider(reach))
         off = _off(scanned, shape, candidates)
         inside = (np.abs(off.distance) <= _LIMIT * sigma * off.spread) & region.holds(off.foot)
@@ -147,6 +147,9 @@ def fit_shape(
             break
     used = candidates[inside]
     _enough(len(used), len(candidates))
+    if len(used) > _OF_ROUNDS:
+        # A few are nearly there at once, so that all need a step or two.
+        shape = _least_squares(scanned, shape, used[few(len(used), _OF_ROUNDS)])
     shape = _facing(scanned, _least_squares(scanned, shape, used), used)
     off = _off(scanned, shape, used)
     left_out = int((~np.isin(given, used)).sum())
@@ -216,30 +219,39 @@ class _Off:
     spread: Float[np.ndarray, "points"]
 
 
-def _off(scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"], nearest: bool = False) -> _Off:
-    """How far some points are off a shape; `nearest` for what is nearly so, and sooner.
+def _off(
+    scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"], nearest: bool = False, since: _Off | None = None
+) -> _Off:
+    """How far some points are off a shape; `nearest` for what is nearly so, and sooner; `since` is that of one near it.
 
     An error of the stripe moves a point along a line that is known. So it belongs to where this line meets the shape,
     and is off by how far it has come: on a ball the distance to the nearest point would be more for errors outwards
     than for those inwards, by σ² / R, and the weights would follow the errors. Where the line grazes it is the nearest.
     """
     x = scanned.points[some]
-    distance = shape.distances(x)
     if scanned.stripe is None or scanned.sigma is None:
-        return _Off(x, distance, np.ones(len(x)))
+        return _Off(x, shape.distances(x), np.ones(len(x)))
     stripe, least = scanned.stripe[some], _BEST * scanned.sigma[some]
+    distance, normal = shape.at(x)
     if nearest:
-        return _Off(x, distance, np.maximum(np.abs((shape.gradient(x) * stripe).sum(axis=1)), least))
-    foot, t = x, np.zeros(len(x))
-    for _ in range(_NEWTON):
-        slope = (shape.gradient(foot) * stripe).sum(axis=1)
-        t = np.clip(t + shape.distances(foot) / np.where(np.abs(slope) > _GRAZES * least, slope, np.inf), -_FAR, _FAR)
-        foot = x - t[:, None] * stripe
-    slope = (shape.gradient(foot) * stripe).sum(axis=1)
-    # Asked of the foot alone, which the point's own error has not moved.
+        return _Off(x, distance, np.maximum(np.abs(_dots(normal, stripe)), least))
+    t = np.zeros(len(x)) if since is None else _dots(x - since.foot, stripe) / _dots(stripe, stripe)
+    for _ in range(_NEWTON if since is None else 1):
+        off, normal = shape.at(x - t[:, None] * stripe)
+        slope = _dots(normal, stripe)
+        t = np.clip(t + off / np.where(np.abs(slope) > _GRAZES * least, slope, np.inf), -_FAR, _FAR)
+    foot = x - t[:, None] * stripe
+    off, normal = shape.at(foot)
+    slope = _dots(normal, stripe)
+    # Asked of the foot alone, which the point's own error has not moved. What is left of Newton's steps is added.
     along = (np.abs(slope) > least) & (np.abs(t) < _FAR)
     foot = np.where(along[:, None], foot, x)
-    return _Off(foot, np.where(along, t * slope, distance), np.maximum(np.abs(slope), least))
+    return _Off(foot, np.where(along, t * slope + off, distance), np.maximum(np.abs(slope), least))
+
+
+def _dots(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Scalar products, row by row."""
+    return np.einsum("pi,pi->p", a, b)
 
 
 def _least_squares(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"], nearest: bool = False) -> Shape:
@@ -250,8 +262,7 @@ def _least_squares(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]
     are short: a plane by about σ² / size² (the attenuation of total least squares).
     """
     still = _STILL if scanned.stripe is None else _ROUGHLY if nearest else _ENOUGH
-    x = scanned.points[used]
-    shape = shape.placed(x)
+    shape = shape.placed(scanned.points[used])
     off = _off(scanned, shape, used, nearest)
     least = np.inf
     for _ in range(_STEPS):
@@ -260,18 +271,18 @@ def _least_squares(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]
         before = float(b @ b)
         for _ in range(_HALVES):
             moved = shape.moved(step)
-            off = _off(scanned, moved, used, nearest)
-            after = float(((off.distance / off.spread) ** 2).sum())
+            tried = _off(scanned, moved, used, nearest, off)
+            after = float(((tried.distance / tried.spread) ** 2).sum())
             if after <= before * (1 + 1e-12):
                 break
             step = step / 2
         else:
             break
-        shape = moved
+        shape, off = moved, tried
         if np.abs(step).max() <= still * shape.size or not after < least:
             break
         least = after
-    return shape.placed(x)
+    return shape.placed(scanned.points[used])
 
 
 def _facing(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]) -> Shape:
@@ -324,7 +335,7 @@ def grazing(scanned: Scanned, fit: Fit) -> Float[np.ndarray, "used"]:
     """What the stripe's errors do to each distance, in units of `spread`: 1 but where the line grazes, less there."""
     if scanned.stripe is None:
         return np.ones(len(fit.used))
-    slope = (fit.shape.gradient(scanned.points[fit.used]) * scanned.stripe[fit.used]).sum(axis=1)
+    slope = _dots(fit.shape.gradient(scanned.points[fit.used]), scanned.stripe[fit.used])
     return np.minimum(np.abs(slope) / fit.spread, 1.0)
 
 
