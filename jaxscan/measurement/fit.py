@@ -91,7 +91,7 @@ class Known:
     Attributes:
         scale: s, what the residuals are in units of the points' σ.
         tau: how many points are worth one.
-        freedom: of the scale: independent points beyond the shape's numbers.
+        freedom: of the points' part of the variance, by `Alike.freedom`.
         own: covariance of the shape's numbers by the points' own noise, mm².
         by_rig: how the numbers move with the rig's leaves; None without a rig.
     """
@@ -328,7 +328,7 @@ def known(scanned: Scanned, fit: Fit, alike: Alike, least: float = 0.0) -> Known
     scale = max(float(np.sqrt(max(squares - of_rig, _NOT_RIG * squares) / left)), least)
     follows = np.linalg.solve(A.T @ A, A.T) * share
     own = scale**2 * alike.variance(place, follows, scanned.image is None)
-    return Known(scale, tau, max(len(x) / tau - shape.numbers, 1.0), own, by_rig)
+    return Known(scale, tau, alike.freedom(len(x), shape.numbers, scanned.image is None), own, by_rig)
 
 
 def grazing(scanned: Scanned, fit: Fit) -> Float[np.ndarray, "used"]:
