@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from jaxscan.files.session import Session, read_session
     from jaxscan.geometry import Pose
     from jaxscan.images import Board
+    from jaxscan.measurement.gradient import dimension_gradient, narrowed
     from jaxscan.measurement.measure import Measurement, measure
     from jaxscan.measurement.scanned import scanned_image, scanned_points
     from jaxscan.reconstruction import RangeImage, Scanner, read_range_image, reconstruct, write_points, write_stream
@@ -68,6 +69,8 @@ _HOME = {
     "write_ply": "jaxscan.files.cloud",
     "Part": "jaxscan.files.part_file",
     "read_part": "jaxscan.files.part_file",
+    "dimension_gradient": "jaxscan.measurement.gradient",
+    "narrowed": "jaxscan.measurement.gradient",
     "Measurement": "jaxscan.measurement.measure",
     "measure": "jaxscan.measurement.measure",
     "scanned_image": "jaxscan.measurement.scanned",
@@ -147,9 +150,11 @@ __all__ = [
     "calibrate",
     "calibrate_by_evidence",
     "clean",
+    "dimension_gradient",
     "find_floor",
     "measure",
     "merge",
+    "narrowed",
     "next_photographs",
     "observe",
     "read_camera",

@@ -1,6 +1,5 @@
 """Acceptance tests of a drawn plate with two balls: by its own rig, by one that was spoiled, and their history."""
 
-import json
 from dataclasses import replace
 from functools import cache
 
@@ -9,42 +8,17 @@ import numpy as np
 import pytest
 
 from benchmarks.measured_parts import Scene, as_image, drawn_rig, implicit, scan
-from jaxscan.cli.main import main
 from jaxscan.errors import InputError
 from jaxscan.files.acceptance_history import add_to_history, read_history
 from jaxscan.files.artefact_file import read_artefact
-from jaxscan.files.rig_file import write_rig
 from jaxscan.measurement.accept import accept, band
 from jaxscan.measurement.drift import as_test, changes
 from jaxscan.measurement.known_balls import known_balls
 from jaxscan.measurement.scanned import scanned_image
-from jaxscan.reconstruction import write_points
 from tests.measurement.test_measure import KNOWN, PART, RIG, STEPS, Y
+from tests.test_docs import ROOT, blocks
 
 RADIUS, APART = 7.0, 50.0
-TEXT = """
-[artefact]
-name = "plate"
-[[ball]]
-name = "left"
-diameter = 14.0
-uncertainty = 0.01
-[[ball]]
-name = "right"
-diameter = 14.0
-uncertainty = 0.01
-[[distance]]
-of = ["left", "right"]
-length = 50.0
-uncertainty = 0.02
-[[plane]]
-flatness = 0.01
-[limits]
-probing_form = 0.8
-probing_size = 0.25
-distance = 0.25
-flatness = 0.8
-"""
 
 
 def level(x):
@@ -72,7 +46,8 @@ def spoiled():
 
 @pytest.fixture
 def artefact(tmp_path):
-    (tmp_path / "artefact.toml").write_text(TEXT)
+    (text,) = blocks(ROOT / "docs" / "accept.md", "toml")
+    (tmp_path / "artefact.toml").write_text(text)
     return read_artefact(tmp_path)
 
 
@@ -183,32 +158,3 @@ def test_the_history_is_only_added_to(artefact, tmp_path):
         assert path.read_bytes() == before * 2 + text.encode()
     with pytest.raises(InputError, match="there is no such history"):
         read_history(tmp_path / "none.jsonl")
-
-
-def test_the_command_tests_keeps_a_history_and_draws(tmp_path, capsys, artefact):
-    rig, several = scans(2)
-    write_rig(tmp_path / "rig.json", rig)
-    paths = [str(tmp_path / name) for name, _ in several]
-    for path, (_, image) in zip(paths, several, strict=True):
-        write_points(path, image)
-    history = str(tmp_path / "history.jsonl")
-    line = ["accept", *paths, "--artefact", str(artefact.path), "--rig", str(tmp_path / "rig.json")]
-    for _ in range(2):
-        assert main([*line, "--history", history, "--png", str(tmp_path / "a.png")]) == 0
-    said = capsys.readouterr().out
-    assert "plate, 2 scans: conforming" in said
-    assert main([*line, "--json", "--report", str(tmp_path / "report")]) == 0
-    assert json.loads(capsys.readouterr().out)["verdict"] == "conforming"
-    assert "probing_size" in (tmp_path / "report" / "report.html").read_text()
-    assert main(["accept", "--history", history, "--png", str(tmp_path / "d.png")]) == 0
-    assert "nothing has changed by more than its uncertainty" in capsys.readouterr().out
-    for picture in ("a.png", "d.png"):
-        assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
-    for argv, words in (
-        (["accept"], "there is no SURFACE"),
-        (["accept", paths[0]], "--artefact is missing"),
-        (["accept", "a.ply", "--artefact", "b"], "a scanner is tested by its range images"),
-        (["accept", "--history", history, "--rig", "r"], "belong to a test"),
-    ):
-        assert main(argv) == 2
-        assert words in capsys.readouterr().err
