@@ -18,7 +18,7 @@ EXAMPLE: Final = (
 )
 _HISTORY: Final = "acceptance.jsonl"
 _HOW: Final = """\
-which artefact goes where (VDI/VDE 2634 part 2 asks for so many places, spread over the whole scanned volume):
+which artefact goes where (places by VDI/VDE 2634 part 2, spread over the whole scanned volume):
   a ball       10 places   probing_form, probing_size    diameter about a tenth of the volume's diagonal
   a ball bar    7 places   distance                      along the edges and the diagonals, and upright
   a plane       6 places   flatness                      level, and leaning to each side
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--artefact", type=Path, metavar="FILE", help="artefact.toml: certified values, and the maker's limits"
     )
-    parser.add_argument("--rig", type=Path, help="the rig of the scans: its covariance foretells what errors to expect")
+    parser.add_argument("--rig", type=Path, help="the rig of the scans: its covariance predicts what errors to expect")
     parser.add_argument(
         "--history",
         type=Path,
@@ -198,8 +198,8 @@ def _test_in_words(result: dict[str, Any]) -> list[str]:
             of_all = next(v for v in ("not conforming", "not decided", "conforming") if v in verdicts)
             text += f", limit {worst['limit']:g}: {of_all}"
         if worst["sigma_rig"] is not None:
-            foretold = 2 * (worst["sigma"] ** 2 + worst["sigma_rig"] ** 2) ** 0.5
-            text += f"; foretold within ± {foretold:.4f}"
+            predicted = 2 * (worst["sigma"] ** 2 + worst["sigma_rig"] ** 2) ** 0.5
+            text += f"; predicted within ± {predicted:.4f}"
         lines.append(text)
     lines += [f"note: {note}" for note in result["notes"]]
     return lines + [f"not tested: {problem}" for problem in result["failed"]]

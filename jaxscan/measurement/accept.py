@@ -10,7 +10,7 @@ Of every scan of the artefact there are
 VDI/VDE 2634 parts 2 and 3 have the same, with the band from the lowest to the highest of all points but 0.3 %.
 
 Each has two uncertainties. That of the test is what the artefact is not known by: its certificate. It decides whether a
-limit is met (ISO 14253-1), for the scanner's own errors are what is tested. The other is what rig and noise foretell,
+limit is met (ISO 14253-1), for the scanner's own errors are what is tested. The other is what rig and noise predict,
 σ of the dimension as `jaxscan.measure` has it: an error beyond three times both is one that the calibration does not
 know of.
 """
@@ -55,7 +55,7 @@ class AcceptanceFigure:
         limit: the maker's, mm; None without one.
         verdict: by this limit; None without one.
         sigma: what the noise of the points does to it, mm.
-        sigma_rig: what the rig's covariance foretells, mm; None of a form, and without a covariance.
+        sigma_rig: what the rig's covariance predicts, mm; None of a form, and without a covariance.
         points: how many it was made of.
         left_out: how many of the region were not.
     """
@@ -119,7 +119,7 @@ def accept(scans: Sequence[tuple[str, RangeImage]], rig: RigFile | None, artefac
 
     Args:
         scans: a name and a range image each: the artefact in one place after another.
-        rig: by which they were made; without it, or its covariance, nothing is foretold.
+        rig: by which they were made; without it, or its covariance, nothing is predicted.
         artefact: by `read_artefact`.
 
     Raises:
@@ -248,5 +248,7 @@ def _notes(figures: Sequence[AcceptanceFigure], rig: RigFile | None) -> list[str
             "see that nothing has moved since"
         )
     if rig is None or rig.covariance is None:
-        notes.append("nothing is foretold without a rig that has a covariance: add --rig with one that calibrate wrote")
+        notes.append(
+            "nothing is predicted without a rig that has a covariance: add --rig with one of `calibrate`"
+        )
     return notes

@@ -71,7 +71,7 @@ def _limits(ax: Any, limit: float | None, form: bool) -> None:
 def acceptance_report(found: Acceptance) -> Report:
     """A page that prints: the verdict, the picture, every figure of every scan, and what the figures mean."""
     said = found.verdict or "tested, without limits"
-    heads = ("figure", "of", "scan", "error", "± (test)", "limit", "verdict", "± (foretold)", "points", "left out")
+    heads = ("figure", "of", "scan", "error", "± (test)", "limit", "verdict", "± (predicted)", "points", "left out")
     table = Table("in mm", heads, tuple(_cells(each) for each in found.figures))
     return Report(
         kind="acceptance",
@@ -122,14 +122,14 @@ _MEANING: Final = (
     "distance: the distance of two centres less the certified one.",
     "flatness: the narrowest band about a fitted plane that holds 95 % of its points.",
     "± (test): what the certificate leaves open; a limit is met only where the whole interval lies within it.",
-    "± (foretold): twice what the rig's covariance and the points' noise let expect.",
+    "± (predicted): twice what the rig's covariance and the points' noise let expect.",
 )
 
 
 def _cells(each: AcceptanceFigure) -> tuple[str, ...]:
-    foretold = ""
+    predicted = ""
     if each.sigma is not None and each.sigma_rig is not None:
-        foretold = f"{_EXPANDED * (each.sigma**2 + each.sigma_rig**2) ** 0.5:.4f}"
+        predicted = f"{_EXPANDED * (each.sigma**2 + each.sigma_rig**2) ** 0.5:.4f}"
     return (
         each.figure,
         each.of,
@@ -138,7 +138,7 @@ def _cells(each: AcceptanceFigure) -> tuple[str, ...]:
         f"{each.uncertainty:.4f}",
         "" if each.limit is None else f"{each.limit:g}",
         each.verdict or "",
-        foretold,
+        predicted,
         str(each.points),
         str(each.left_out),
     )

@@ -52,7 +52,7 @@ def test_json_and_a_picture_without_a_rig(plate, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"] == "conforming"
     assert result["figures"][1]["sigma_rig"] is None
-    assert any("nothing is foretold without a rig" in note for note in result["notes"])
+    assert any("nothing is predicted without a rig" in note for note in result["notes"])
     assert (plate / "a.png").read_bytes().startswith(b"\x89PNG")
 
 

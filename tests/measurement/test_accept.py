@@ -92,7 +92,7 @@ def test_a_sound_scanner_conforms(artefact):
     assert any("3 of the 7 places that VDI/VDE 2634 part 2 asks for" in note for note in found.notes)
 
 
-def test_a_scanner_whose_light_was_knocked_fails_and_that_is_not_foretold(artefact):
+def test_a_scanner_whose_light_was_knocked_fails_and_that_is_not_predicted(artefact):
     rig = spoiled()
     found = accept([("a.npz", as_image(scene().position, STEPS, rig.rig))], rig, artefact)
     assert found.verdict == "not conforming"

@@ -196,6 +196,14 @@ def test_a_profile_against_a_mesh(scene, tmp_path):
     (profile,) = measure(scanned_image(image, KNOWN), part).dimensions
     assert profile.value < 1e-3
     assert profile.uncertainty > 0.001
+    assert not any("holes" in note for note in profile.notes)
+    opened = box.copy()
+    # Without a side that the scan does not see.
+    opened.update_faces(opened.face_normals @ R[:, 2] > -0.5)
+    opened.export(tmp_path / "box.stl")
+    (profile,) = measure(scanned_image(image, KNOWN), part).dimensions
+    assert profile.value < 1e-3
+    assert any("the mesh has holes: where one is, the distance is that to its rim" in note for note in profile.notes)
     box.apply_scale(0.1)
     box.export(tmp_path / "box.stl")
     (profile,) = measure(scanned_image(image, KNOWN), part).dimensions
