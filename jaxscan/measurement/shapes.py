@@ -198,10 +198,12 @@ class Cone(Shape):
         return Cone(point, self._turned(by[2:4]), self.size, self.radius + by[4], angle)
 
     def placed(self, x: Points) -> "Cone":
-        """With its radius at the new point."""
+        """With its radius at the new point, and its axis so that it widens along it."""
         placed = super().placed(x)
         along = float(self.axis @ (placed.point - self.point))
-        return replace(placed, radius=self.radius + along * np.tan(self.half_angle))
+        way = -1.0 if self.half_angle < 0 else 1.0
+        radius = self.radius + along * np.tan(self.half_angle)
+        return replace(placed, axis=way * self.axis, radius=radius, half_angle=way * self.half_angle)
 
     @property
     def apex(self) -> Vector:
