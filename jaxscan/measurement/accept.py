@@ -248,7 +248,5 @@ def _notes(figures: Sequence[AcceptanceFigure], rig: RigFile | None) -> list[str
             "see that nothing has moved since"
         )
     if rig is None or rig.covariance is None:
-        notes.append(
-            "nothing is predicted without a rig that has a covariance: add --rig with one of `calibrate`"
-        )
+        notes.append("nothing is predicted without a rig that has a covariance: add --rig with one of `calibrate`")
     return notes
