@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from jaxscan.files.session import Session, read_session
     from jaxscan.geometry import Pose
     from jaxscan.images import Board
+    from jaxscan.measurement.gradient import dimension_gradient, narrowed
     from jaxscan.measurement.measure import Measurement, measure
     from jaxscan.measurement.scanned import scanned_image, scanned_points
     from jaxscan.reconstruction import RangeImage, Scanner, read_range_image, reconstruct, write_points, write_stream
@@ -69,6 +70,8 @@ _HOME = {
     "write_ply": "jaxscan.files.cloud",
     "Part": "jaxscan.files.part_file",
     "read_part": "jaxscan.files.part_file",
+    "dimension_gradient": "jaxscan.measurement.gradient",
+    "narrowed": "jaxscan.measurement.gradient",
     "Measurement": "jaxscan.measurement.measure",
     "measure": "jaxscan.measurement.measure",
     "scanned_image": "jaxscan.measurement.scanned",
@@ -148,9 +151,11 @@ __all__ = [
     "calibrate_by_evidence",
     "clean",
     "coarse_register",
+    "dimension_gradient",
     "find_floor",
     "measure",
     "merge",
+    "narrowed",
     "next_best_views",
     "observe",
     "read_camera",
@@ -177,7 +182,7 @@ __all__ = [
 
 
 # Old names, found for one version.
-_RENAMED = {"Kept": "InlierMask", "arrange": "coarse_register", "next_photographs": "next_best_views"}
+_RENAMED = {"InlierMask": "InlierMask", "coarse_register": "coarse_register", "next_photographs": "next_best_views"}
 
 
 def __getattr__(name: str) -> Any:

@@ -24,6 +24,7 @@ from benchmarks.headline import command_line as headline_command_line
 from benchmarks.pictures import command_line as pictures_command_line
 from hardware.devices import read_scanner
 from jaxscan.cli.main import Program, main, parser_of
+from jaxscan.files.artefact_file import read_artefact
 from jaxscan.files.rig_file import read_rig
 from tests.small_world import CALIBRATE
 
@@ -41,8 +42,8 @@ OTHERS = ("pip ", ". ", "dask ")
 # What a guide shows and this test does not run: it never ends, or wants scans that are not there.
 NOT_RUN = ("jaxscan view", "jaxscan merge", "scanner", "python3 dev.py")
 # Snippets that want more than a folder of photographs: a lab server and its token; a scan that was reconstructed, which
-# `tests/cli/test_measure_command.py` has; a calibration (below).
-COMPILED_ALONE = ("lab.md", "measure.md", "solve.md")
+# `tests/cli/test_measure_command.py` and `test_accept_command.py` have; a calibration (below).
+COMPILED_ALONE = ("accept.md", "lab.md", "measure.md", "solve.md")
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -144,6 +145,8 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
             assert len(jaxscan.read_session(path).views.boards) == 6
         elif "[[feature]]" in text:
             assert jaxscan.read_part(path).dimensions
+        elif "[artefact]" in text:
+            assert read_artefact(path).limits
         else:
             assert read_scanner(path).path == path
 

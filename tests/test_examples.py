@@ -87,3 +87,20 @@ def test_06_drive_a_simulated_scanner(run):
     said = run("06_drive_a_simulated_scanner.py")
     assert "laser off: True; still to be taken: (24000, 36000, 48000)" in said
     assert said.count("points") == 5
+
+
+def test_07_what_narrows_a_dimension(run, folder):
+    said = run("07_what_narrows_a_dimension.py")
+    assert abs(number(said, "right over left:")) < 0.1
+    rig, pixels, again, new = (
+        float(said.split(words)[1].split()[0])
+        for words in (
+            "σ of the rig's part ",
+            "σ from all photographs: ",
+            "σ of the rig's part falls to ",
+            "°: it falls to ",
+        )
+    )
+    # The noise of all pixels, through the solve, is the rig's part; a pose that is looked for beats those there are.
+    assert abs(pixels / rig - 1) < 0.1
+    assert new < again < rig

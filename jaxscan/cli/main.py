@@ -37,6 +37,7 @@ COMMANDS: Final = {
     "merge": "jaxscan.cli.merge",
     "compare": "jaxscan.cli.compare",
     "measure": "jaxscan.cli.measure",
+    "accept": "jaxscan.cli.accept",
     "view": "jaxscan.cli.view",
     "gauge": "jaxscan.cli.gauge",
     "inspect": "jaxscan.cli.inspect",

@@ -75,7 +75,8 @@ class Region:
         """Which points lie in it."""
         if self.high is not None:
             return np.asarray(((points >= self.low) & (points <= self.high)).all(axis=1))
-        return ((points - np.asarray(self.low)) ** 2).sum(axis=1) <= self.radius**2
+        off = points - np.asarray(self.low)
+        return np.einsum("pi,pi->p", off, off) <= self.radius**2
 
 
 @dataclass(frozen=True)
@@ -162,28 +163,18 @@ def read_part(path: str | os.PathLike[str]) -> Part:
     scale = UNITS[about.string("units", "mm", tuple(UNITS))]
     name = about.string("name") if "name" in about else top.path.resolve().parent.name or "part"
     features: dict[str, Feature] = {}
-    for table in _tables(top, "feature"):
+    for table in top.tables("feature"):
         feature = _feature(table, features, scale)
         features[feature.name] = feature
     if not features:
         raise top.error("feature", "is missing: add a table [[feature]] with name, kind and box or ball")
     dimensions: dict[str, Dimension] = {}
-    for table in _tables(top, "dimension"):
+    for table in top.tables("dimension"):
         dimension = _dimension(table, features, scale)
         if dimension.name in dimensions:
             raise table.error("name", "two dimensions have this name: give each its own")
         dimensions[dimension.name] = dimension
     return Part(top.path, name, tuple(features.values()), tuple(dimensions.values()))
-
-
-def _tables(top: Table, key: str) -> list[Table]:
-    values = top.sequence(key, f"tables [[{key}]]") if key in top else []
-    for i, value in enumerate(values):
-        if not isinstance(value, dict):
-            raise top.error(key, f"entry {i} is no table: write [[{key}]] above its lines")
-    names = [value.get("name") for value in values]
-    named = [f"{name!r}" if isinstance(name, str) and name else str(i + 1) for i, name in enumerate(names)]
-    return [Table(top.path, f"[[{key}]] {name} ", value) for name, value in zip(named, values, strict=True)]
 
 
 def _feature(table: Table, known: dict[str, Feature], scale: float) -> Feature:

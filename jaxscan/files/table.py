@@ -70,6 +70,16 @@ class Table:
             raise self.error(key, "must be a table")
         return Table(self.path, prefix, value)
 
+    def tables(self, key: str) -> list["Table"]:
+        """The tables under a key, [[key]] in TOML; none where there is no such key. Each is known by its name."""
+        values = self.sequence(key, f"tables [[{key}]]") if key in self else []
+        for i, value in enumerate(values):
+            if not isinstance(value, dict):
+                raise self.error(key, f"entry {i} is no table: write [[{key}]] above its lines")
+        names = [value.get("name") for value in values]
+        named = [f"{name!r}" if isinstance(name, str) and name else str(i + 1) for i, name in enumerate(names)]
+        return [Table(self.path, f"[[{key}]] {name} ", value) for name, value in zip(named, values, strict=True)]
+
     def string(self, key: str, default: str | None = None, choices: Sequence[str] = ()) -> str:
         """A text that is not empty, and one of the choices where there are any."""
         value = self._value(key, default, f"one of {', '.join(choices)}" if choices else "a text in quotes")

@@ -33,9 +33,11 @@ class Alike:
 
     Attributes:
         rho: at lags −k … k of frames and −l … l of columns; 1 in the middle.
+        doubt: relative variance of `tau`: 2 L / N, of L lags found from N points (M. S. Bartlett, 1950).
     """
 
     rho: Float[np.ndarray, "lags lags"]
+    doubt: float = 0.0
 
     def along(self, outline: bool) -> Float[np.ndarray, "lags lags"]:
         """Of the grid; or of an outline, whose points are neighbours along a frame or a column, whichever is more."""
@@ -48,6 +50,15 @@ class Alike:
     def tau(self, outline: bool = False) -> float:
         """How many points are worth one, where what is asked of them varies slowly."""
         return max(float(self.along(outline).sum()), 1.0)
+
+    def freedom(self, points: int, numbers: int, outline: bool = False) -> float:
+        """Degrees of freedom of a variance that is made of the mean square of points' errors and of τ.
+
+        The mean square of n alike normal errors has the relative variance 2 Σ ρ² / n, and k numbers fitted to them take
+        up k τ of the n; a variance with ν degrees has 2 / ν (F. E. Satterthwaite, 1946).
+        """
+        left = max(points - numbers * self.tau(outline), 1.0)
+        return max(2 / (2 * float((self.along(outline) ** 2).sum()) / left + self.doubt), 1.0)
 
     def variance(
         self, place: Place | None, weights: Float[np.ndarray, "sums points"], outline: bool = False
@@ -97,7 +108,7 @@ def how_alike(errors: Sequence[tuple[Place, Float[np.ndarray, "points"], int]]) 
         ends = ends or (_end(rho[_MOST:, _MOST], pairs[_MOST:, _MOST]), _end(rho[_MOST, _MOST:], pairs[_MOST, _MOST:]))
         rho = rho[_MOST - ends[0] : _MOST + ends[0] + 1, _MOST - ends[1] : _MOST + ends[1] + 1]
         tau = float(rho.sum())
-    return Alike(rho)
+    return Alike(rho, 2 * rho.size / float(pairs[_MOST, _MOST]))
 
 
 def _end(along: Float[np.ndarray, "lags"], pairs: Float[np.ndarray, "lags"]) -> int:

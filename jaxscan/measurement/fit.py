@@ -25,14 +25,16 @@ from jaxscan.files.part_file import Region
 from jaxscan.measurement.alike import Alike
 from jaxscan.measurement.guess import guess
 from jaxscan.measurement.scanned import Scanned
-from jaxscan.measurement.shapes import Plane, Shape, Vector
+from jaxscan.measurement.shapes import Plane, Shape, Vector, lengths
 from jaxscan.robust import NORMAL_MAD
 
 # Points further than so many robust σ from the shape are not of it.
 _LIMIT: Final = 4.0
 _ROUNDS, _STEPS, _HALVES = 15, 50, 12
 # Steps to where a point's line meets the shape, and how many σ it may come.
-_NEWTON, _FAR = 2, 8.0
+_NEWTON, _FAR = 3, 8.0
+# Where a line grazes more than this part of the least slope no step is taken along it.
+_GRAZES: Final = 0.5
 # A step that moves nothing by more than this part of the shape's size is the last.
 # Float32 coordinates have no more digits than the second; before the last fit the third will do.
 _STILL, _ENOUGH, _ROUGHLY = 1e-13, 1e-6, 1e-4
@@ -49,6 +51,8 @@ _ROUNDING: Final = 1e-7
 _SINGULAR: Final = 1e-12
 # The least part of the noise that is taken to be left in the residuals.
 _LEFT: Final = 0.2
+# The least part of the residuals' squares that is taken to be noise, whatever the rig may have done to the form.
+_NOT_RIG: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ class Known:
     Attributes:
         scale: s, what the residuals are in units of the points' σ.
         tau: how many points are worth one.
-        freedom: of the scale: independent points beyond the shape's numbers.
+        freedom: of the points' part of the variance, by `Alike.freedom`.
         own: covariance of the shape's numbers by the points' own noise, mm².
         by_rig: how the numbers move with the rig's leaves; None without a rig.
     """
@@ -128,7 +132,7 @@ def fit_shape(
     given = candidates
     shape, inside, sigma = _settled(scanned, guess(kind, scanned.points[given], normal), given)
     if region is not None and scanned.stripe is not None and not grow:
-        reach = _FAR * sigma * float(np.median(np.linalg.norm(scanned.stripe[given], axis=1)))
+        reach = _FAR * sigma * float(np.median(lengths(scanned.stripe[given])))
         candidates = scanned.within(region.wider(reach))
         off = _off(scanned, shape, candidates)
         inside = (np.abs(off.distance) <= _LIMIT * sigma * off.spread) & region.holds(off.foot)
@@ -143,6 +147,9 @@ def fit_shape(
             break
     used = candidates[inside]
     _enough(len(used), len(candidates))
+    if len(used) > _OF_ROUNDS:
+        # A few are nearly there at once, so that all need a step or two.
+        shape = _least_squares(scanned, shape, used[few(len(used), _OF_ROUNDS)])
     shape = _facing(scanned, _least_squares(scanned, shape, used), used)
     off = _off(scanned, shape, used)
     left_out = int((~np.isin(given, used)).sum())
@@ -212,57 +219,70 @@ class _Off:
     spread: Float[np.ndarray, "points"]
 
 
-def _off(scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"], nearest: bool = False) -> _Off:
-    """How far some points are off a shape; `nearest` for what is nearly so, and sooner.
+def _off(
+    scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"], nearest: bool = False, since: _Off | None = None
+) -> _Off:
+    """How far some points are off a shape; `nearest` for what is nearly so, and sooner; `since` is that of one near it.
 
     An error of the stripe moves a point along a line that is known. So it belongs to where this line meets the shape,
     and is off by how far it has come: on a ball the distance to the nearest point would be more for errors outwards
     than for those inwards, by σ² / R, and the weights would follow the errors. Where the line grazes it is the nearest.
     """
     x = scanned.points[some]
-    distance = shape.distances(x)
     if scanned.stripe is None or scanned.sigma is None:
-        return _Off(x, distance, np.ones(len(x)))
+        return _Off(x, shape.distances(x), np.ones(len(x)))
     stripe, least = scanned.stripe[some], _BEST * scanned.sigma[some]
+    distance, normal = shape.at(x)
     if nearest:
-        return _Off(x, distance, np.maximum(np.abs((shape.gradient(x) * stripe).sum(axis=1)), least))
-    foot, t, steep = x, np.zeros(len(x)), np.ones(len(x), bool)
-    for _ in range(_NEWTON):
-        slope = (shape.gradient(foot) * stripe).sum(axis=1)
-        steep = np.abs(slope) > least
-        t = np.where(steep, np.clip(t + shape.distances(foot) / np.where(steep, slope, 1.0), -_FAR, _FAR), 0.0)
-        foot = x - t[:, None] * stripe
-    slope = (shape.gradient(foot) * stripe).sum(axis=1)
-    along = steep & (np.abs(slope) > least) & (np.abs(t) < _FAR)
+        return _Off(x, distance, np.maximum(np.abs(_dots(normal, stripe)), least))
+    t = np.zeros(len(x)) if since is None else _dots(x - since.foot, stripe) / _dots(stripe, stripe)
+    for _ in range(_NEWTON if since is None else 1):
+        off, normal = shape.at(x - t[:, None] * stripe)
+        slope = _dots(normal, stripe)
+        t = np.clip(t + off / np.where(np.abs(slope) > _GRAZES * least, slope, np.inf), -_FAR, _FAR)
+    foot = x - t[:, None] * stripe
+    off, normal = shape.at(foot)
+    slope = _dots(normal, stripe)
+    # Asked of the foot alone, which the point's own error has not moved. What is left of Newton's steps is added.
+    along = (np.abs(slope) > least) & (np.abs(t) < _FAR)
     foot = np.where(along[:, None], foot, x)
-    return _Off(foot, np.where(along, t * slope, distance), np.maximum(np.abs(slope), least))
+    return _Off(foot, np.where(along, t * slope + off, distance), np.maximum(np.abs(slope), least))
+
+
+def _dots(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Scalar products, row by row."""
+    return np.einsum("pi,pi->p", a, b)
 
 
 def _least_squares(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"], nearest: bool = False) -> Shape:
-    """Gauss's steps to the least weighted sum of squares, the weights those where it stands at first."""
+    """Gauss's steps to the least sum of squares of distances in units of their σ.
+
+    Where a point's line meets the shape that is how many σ of the stripe it has come, Σ t², and the derivative of t by
+    the numbers is that of the distance over g · e. With the σ held at first instead, shapes turn so that the distances
+    are short: a plane by about σ² / size² (the attenuation of total least squares).
+    """
     still = _STILL if scanned.stripe is None else _ROUGHLY if nearest else _ENOUGH
-    x = scanned.points[used]
-    shape = shape.placed(x)
+    shape = shape.placed(scanned.points[used])
     off = _off(scanned, shape, used, nearest)
-    least, weight = np.inf, 1 / off.spread[:, None]
+    least = np.inf
     for _ in range(_STEPS):
-        A, b = shape.jacobian(off.foot) * weight, off.distance * weight[:, 0]
+        A, b = shape.jacobian(off.foot) / off.spread[:, None], off.distance / off.spread
         step = -np.linalg.lstsq(A.T @ A, A.T @ b, rcond=_SINGULAR)[0]
         before = float(b @ b)
         for _ in range(_HALVES):
             moved = shape.moved(step)
-            off = _off(scanned, moved, used, nearest)
-            after = float(((off.distance * weight[:, 0]) ** 2).sum())
+            tried = _off(scanned, moved, used, nearest, off)
+            after = float(((tried.distance / tried.spread) ** 2).sum())
             if after <= before * (1 + 1e-12):
                 break
             step = step / 2
         else:
             break
-        shape = moved
+        shape, off = moved, tried
         if np.abs(step).max() <= still * shape.size or not after < least:
             break
         least = after
-    return shape.placed(x)
+    return shape.placed(scanned.points[used])
 
 
 def _facing(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]) -> Shape:
@@ -292,16 +312,31 @@ def known(scanned: Scanned, fit: Fit, alike: Alike, least: float = 0.0) -> Known
         raise InputError("its points do not determine it: they may lie on a line, or in one place; enlarge the region")
     place = None if scanned.place is None else scanned.place[fit.used]
     tau = alike.tau(scanned.image is None)
-    # What the fit has taken up is `numbers` of the independent points, which are fewer than there are.
-    left = len(x) * max(1 - shape.numbers * tau / len(x), _LEFT)
-    scale = max(float(np.sqrt(((fit.residuals / fit.spread) ** 2).sum() / left)), least)
-    follows = np.linalg.solve(A.T @ A, A.T)
-    own = scale**2 * alike.variance(place, follows, scanned.image is None)
-    by_rig = None
-    if scanned.by_rig is not None:
+    by_rig, of_rig = None, 0.0
+    if scanned.by_rig is not None and scanned.covariance is not None:
         some = few(len(x), _OF_RIG)
-        by_rig = response(shape, x[some], fit.spread[some]) @ moved_by_rig(scanned, shape, fit.used[some])
-    return Known(scale, tau, max(len(x) / tau - shape.numbers, 1.0), own, by_rig)
+        moved = moved_by_rig(scanned, shape, fit.used[some])
+        by_rig = response(shape, x[some], fit.spread[some]) @ moved
+        left_by_rig = (moved + shape.jacobian(x[some]) @ by_rig) / fit.spread[some, None]
+        of_rig = len(x) * float(np.einsum("pi,ij,pj->p", left_by_rig, scanned.covariance, left_by_rig).mean())
+    share = grazing(scanned, fit)
+    # What the fit has taken up is `numbers` of the independent points, which are fewer than there are. What a wrong rig
+    # does to the form is in `by_rig`, and does not count as noise once more.
+    independent = float((share**2).sum())
+    left = max(independent - shape.numbers * tau, _LEFT * independent)
+    squares = float(((fit.residuals / fit.spread) ** 2).sum())
+    scale = max(float(np.sqrt(max(squares - of_rig, _NOT_RIG * squares) / left)), least)
+    follows = np.linalg.solve(A.T @ A, A.T) * share
+    own = scale**2 * alike.variance(place, follows, scanned.image is None)
+    return Known(scale, tau, alike.freedom(len(x), shape.numbers, scanned.image is None), own, by_rig)
+
+
+def grazing(scanned: Scanned, fit: Fit) -> Float[np.ndarray, "used"]:
+    """What the stripe's errors do to each distance, in units of `spread`: 1 but where the line grazes, less there."""
+    if scanned.stripe is None:
+        return np.ones(len(fit.used))
+    slope = _dots(fit.shape.gradient(scanned.points[fit.used]), scanned.stripe[fit.used])
+    return np.minimum(np.abs(slope) / fit.spread, 1.0)
 
 
 def response(

@@ -158,13 +158,13 @@ def _looked_for(image: RangeImage, part: Part) -> RangeImage:
     if any(region is None for region in regions) or any(feature.grow for feature in part.features):
         return image
     inside = np.zeros(image.valid.shape, bool)
+    coordinates = [np.ascontiguousarray(image.points[..., axis]) for axis in range(3)]
     for region in regions:
         assert region is not None
         low, high = (np.asarray(corner, np.float32) for corner in region.wider(_BEYOND_MM).bounds())
         box = image.valid.copy()
-        for axis in range(3):
-            values = image.points[..., axis]
-            with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore"):
+            for axis, values in enumerate(coordinates):
                 box &= (values >= low[axis]) & (values <= high[axis])
         inside |= box
     return replace(image, valid=inside) if inside.any() else image

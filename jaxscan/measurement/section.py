@@ -1,7 +1,9 @@
-"""The outline in which a plane cuts a surface: where the lines between neighbouring points pass through it.
+"""The outline in which a plane cuts a surface: where the curves through neighbouring points pass through it.
 
-A point on the line from a to b, x = a + t (b − a), t = h_a / (h_a − h_b) with h the heights above the plane, moves with
-a and b, and so that it stays in the plane: where both move by δ,
+Between a and b that is the cubic through four points of a line of the grid: a chord of length l lies up to l² / 8 R
+inside of a round. It is the chord, x = a + t (b − a), t = h_a / (h_a − h_b) with h the heights above the plane, where
+there are no four points, or the surface turns sharply. The point moves with a and b, and so that it stays in the plane:
+where both move by δ,
 
     δx = (1 − (b − a) mᵀ / (m · (b − a))) δ,
 
@@ -20,6 +22,9 @@ from jaxscan.measurement.scanned import Scanned
 
 # Neighbours that are further apart than so many times the usual have an edge of depth between them.
 _FAR = 4.0
+# Where three neighbouring steps differ by more than this part of the middle one there is an edge, and no curve.
+_TURNS = 0.5
+_STEPS = 3
 
 
 def outline(scanned: Scanned, feature: Feature) -> Scanned:
@@ -53,12 +58,13 @@ def _of_grid(scanned: Scanned, point: Float[np.ndarray, "3"], normal: Float[np.n
     number[tuple(scanned.place.T)] = np.arange(len(scanned.points))
     height = (scanned.points - point) @ normal
     found = [_crossed(number, height), _crossed(number.T, height)]
-    a, b = max(found, key=lambda pair: len(pair[0]))
-    way = scanned.points[b] - scanned.points[a]
+    around = max(found, key=len)
+    way = scanned.points[around[:, 2]] - scanned.points[around[:, 1]]
     length = np.linalg.norm(way, axis=1)
     near = length <= _FAR * np.median(length) if len(length) else np.zeros(0, bool)
-    a, b, way = a[near], b[near], way[near]
-    t = height[a] / (height[a] - height[b])
+    around, way = around[near], way[near]
+    a = around[:, 1]
+    crossing = _crossing(scanned.points, height, around)
     slide = np.eye(3) - way[:, :, None] * normal / (way @ normal)[:, None, None]
     order = np.stack([np.zeros(len(a), int), np.arange(len(a))], axis=1)
     by_rig = scanned.by_rig
@@ -70,7 +76,7 @@ def _of_grid(scanned: Scanned, point: Float[np.ndarray, "3"], normal: Float[np.n
     stripe = None if scanned.stripe is None else (slide @ scanned.stripe[a][..., None])[..., 0]
     return replace(
         scanned,
-        points=scanned.points[a] + t[:, None] * way,
+        points=crossing,
         place=order,
         stripe=stripe,
         sigma=None if stripe is None else np.linalg.norm(stripe, axis=1),
@@ -80,12 +86,41 @@ def _of_grid(scanned: Scanned, point: Float[np.ndarray, "3"], normal: Float[np.n
     )
 
 
-def _crossed(
-    number: Int[np.ndarray, "lines items"], height: Float[np.ndarray, "points"]
-) -> tuple[Int[np.ndarray, "edges"], Int[np.ndarray, "edges"]]:
-    """Neighbours in successive lines between which the height changes its sign, item after item."""
-    a, b = number[:-1].T, number[1:].T
-    there = (a >= 0) & (b >= 0)
-    a, b = a[there], b[there]
-    crossed = (height[a] < 0) != (height[b] < 0)
-    return a[crossed], b[crossed]
+def _crossing(
+    points: Float[np.ndarray, "points 3"], height: Float[np.ndarray, "points"], around: Int[np.ndarray, "edges 4"]
+) -> Float[np.ndarray, "edges 3"]:
+    """Where the curve through four points each has the height 0, between the middle two."""
+    a, b = around[:, 1], around[:, 2]
+    there = (around >= 0).all(axis=1)
+    # A missing one goes on as the middle two do.
+    four = np.stack([points[around[:, k]] for k in range(4)], axis=1)
+    turns = np.abs(four[:, 3] - four[:, 2] - four[:, 1] + four[:, 0]).max(axis=1)
+    bent = ~there | (turns > _TURNS * np.linalg.norm(four[:, 2] - four[:, 1], axis=1))
+    four[bent, 0], four[bent, 3] = 2 * points[a[bent]] - points[b[bent]], 2 * points[b[bent]] - points[a[bent]]
+    heights = height[around]
+    heights[bent, 0] = 2 * height[a[bent]] - height[b[bent]]
+    heights[bent, 3] = 2 * height[b[bent]] - height[a[bent]]
+    t = height[a] / (height[a] - height[b])
+    for _ in range(_STEPS):
+        off = (_weights(t) * heights).sum(axis=1)
+        t = np.clip(t - off / (height[b] - height[a]), 0.0, 1.0)
+    return np.einsum("ek,ekx->ex", _weights(t), four)
+
+
+def _weights(t: Float[np.ndarray, "edges"]) -> Float[np.ndarray, "edges 4"]:
+    """Of Lagrange's cubic through its values at −1, 0, 1 and 2."""
+    u, v, w = t + 1, t - 1, t - 2
+    return np.stack([-t * v * w / 6, u * v * w / 2, -u * t * w / 2, u * t * v / 6], axis=1)
+
+
+def _crossed(number: Int[np.ndarray, "lines items"], height: Float[np.ndarray, "points"]) -> Int[np.ndarray, "edges 4"]:
+    """Neighbours in successive lines between which the height changes its sign, item after item.
+
+    The middle two; the first and the last are those before and after, −1 where there are none.
+    """
+    padded = np.pad(number, ((1, 1), (0, 0)), constant_values=-1)
+    around = np.stack([padded[k : len(padded) - 3 + k] for k in range(4)], axis=-1).swapaxes(0, 1).reshape(-1, 4)
+    a, b = around[:, 1], around[:, 2]
+    crossed = (a >= 0) & (b >= 0)
+    crossed[crossed] = (height[a[crossed]] < 0) != (height[b[crossed]] < 0)
+    return around[crossed]

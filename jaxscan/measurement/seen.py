@@ -23,7 +23,7 @@ def seen_part(shape: Shape, x: Float[np.ndarray, "points 3"]) -> tuple[str, ...]
         if part < _OF_BALL:
             return (_sentence(f"{100 * part:.0f} % of the ball"),)
     if isinstance(shape, Cylinder | Cone | Circle):
-        w = shape._about_axis(x)[3]
+        w = shape.turned_by(x)
         angle = np.sort(np.arctan2(w[:, 1], w[:, 0]))
         turn = 360.0 - float(np.degrees(np.diff(angle, append=angle[0] + 2 * np.pi).max()))
         if turn < _OF_TURN:

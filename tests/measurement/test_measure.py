@@ -14,6 +14,7 @@ from jaxscan.files.part_file import Dimension, Feature, Part, Region
 from jaxscan.files.rig_file import RigFile
 from jaxscan.measurement.measure import measure
 from jaxscan.measurement.scanned import scanned_image, scanned_points
+from jaxscan.measurement.section import outline
 from jaxscan.measurement.verdict import verdict
 from jaxscan.rig import Covariance
 from jaxscan.rig.rig import parameter_names
@@ -177,6 +178,21 @@ def test_without_a_rig_or_sigma_there_are_no_intervals_and_that_is_said(scene):
         assert words in found.notes[0]
 
 
+def test_a_section_lies_on_the_surface_between_its_points(scene):
+    """Chords over frames 1 mm apart lie up to 0.014 mm inside of a dome of 9 mm."""
+    image = as_image(scene.position[::2], STEPS[::2], RIG)
+    R, origin = rig_2003.platform(RIG)
+    y = tuple(R[:, 1].tolist())
+    cut = Feature("cut", "section", around(-30.0, 5.0, 8.0), point=at(0.0, Y + 0.3, 0.0), normal=y)
+    found = outline(scanned_image(image, KNOWN), cut)
+    x = (found.points - origin) @ R
+    np.testing.assert_allclose(x[:, 1], Y + 0.3, atol=2e-3)
+    off = np.linalg.norm(x - np.array([-30.0, Y, 3.0]), axis=1) - 9.0
+    on_dome = x[:, 2] > 1.5
+    assert on_dome.sum() > 20
+    assert np.abs(off[on_dome]).max() < 1e-3
+
+
 def test_another_rig_is_refused(scene):
     image = as_image(scene.position, STEPS, RIG)
     other = rig_2003.simulated_rig(1)
@@ -196,6 +212,14 @@ def test_a_profile_against_a_mesh(scene, tmp_path):
     (profile,) = measure(scanned_image(image, KNOWN), part).dimensions
     assert profile.value < 1e-3
     assert profile.uncertainty > 0.001
+    assert not any("holes" in note for note in profile.notes)
+    opened = box.copy()
+    # Without a side that the scan does not see.
+    opened.update_faces(opened.face_normals @ R[:, 2] > -0.5)
+    opened.export(tmp_path / "box.stl")
+    (profile,) = measure(scanned_image(image, KNOWN), part).dimensions
+    assert profile.value < 1e-3
+    assert any("the mesh has holes: where one is, the distance is that to its rim" in note for note in profile.notes)
     box.apply_scale(0.1)
     box.export(tmp_path / "box.stl")
     (profile,) = measure(scanned_image(image, KNOWN), part).dimensions

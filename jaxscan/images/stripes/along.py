@@ -34,8 +34,8 @@ _LESS = 0.93
 # The relative scatter of the median of n squares of normal numbers is this over √n. Correlation is significant from
 # `_SURE` times that; a grain is needed, beside the variation that the surface may have, from `_NEEDED` times that.
 _SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
-# Of the second differences of burnt-out lines this quantile is read, which of a normal number is this number of σ; that scatters by
-# this part of itself over the same root.
+# Of the second differences of burnt-out lines this quantile is read; of a normal number it is this number of σ, and the
+# result scatters by this part of itself over the same root.
 _USUAL, _USUAL_OVER_SIGMA, _SCATTER_OF_SIGMA = 0.8, 1.2816, 1.4
 # ln of the standard deviation of the narrowest stripe whose width its pixels determine, px.
 _NARROW: Final = float(np.log(0.9))

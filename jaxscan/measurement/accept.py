@@ -1,0 +1,252 @@
+"""Acceptance and re-verification of a scanner: what it makes of an artefact that is known better (ISO 10360-13).
+
+Of every scan of the artefact there are
+
+    probing_form   the narrowest band about a fitted ball that holds 95 % of its points        (Form, D95 %)
+    probing_size   the ball's diameter less the certified one
+    distance       the distance of two centres less the certified one                         (sphere spacing)
+    flatness       the narrowest band about a fitted plane that holds 95 % of its points
+
+VDI/VDE 2634 parts 2 and 3 have the same, with the band from the lowest to the highest of all points but 0.3 %.
+
+Each has two uncertainties. That of the test is what the artefact is not known by: its certificate. It decides whether a
+limit is met (ISO 14253-1), for the scanner's own errors are what is tested. The other is what rig and noise predict,
+σ of the dimension as `jaxscan.measure` has it: an error beyond three times both is one that the calibration does not
+know of.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.errors import InputError, error_context
+from jaxscan.files.artefact_file import Artefact
+from jaxscan.files.part_file import Dimension, Feature, Part, Region
+from jaxscan.files.rig_file import RigFile
+from jaxscan.measurement.known_balls import BEYOND, known_balls
+from jaxscan.measurement.measure import MeasuredDimension, MeasuredFeature, measure
+from jaxscan.measurement.scanned import scanned_image
+from jaxscan.measurement.verdict import Verdict, verdict
+from jaxscan.reconstruction import RangeImage
+
+# Part of the points in a band of form.
+_SHARE: Final = 0.95
+# Points of a ball reach so far beyond its radius at most, in radii: what is nearer is not of the plane.
+_CLEAR: Final = BEYOND + 0.2
+_EXPANDED: Final = 2.0
+_UNEXPLAINED: Final = 3.0
+# How many places of the artefact VDI/VDE 2634 part 2 asks for.
+PLACES: Final = {"probing_form": 10, "probing_size": 10, "distance": 7, "flatness": 6}
+
+
+@dataclass(frozen=True)
+class AcceptanceFigure:
+    """One figure of one scan.
+
+    Attributes:
+        figure: one of `FIGURES`.
+        of: the ball, the two balls, or the plane.
+        scan: the name of the scan.
+        error: mm; of a form its width.
+        uncertainty: of the test, expanded: what the artefact is not known by, mm.
+        limit: the maker's, mm; None without one.
+        verdict: by this limit; None without one.
+        sigma: what the noise of the points does to it, mm.
+        sigma_rig: what the rig's covariance predicts, mm; None of a form, and without a covariance.
+        points: how many it was made of.
+        left_out: how many of the region were not.
+    """
+
+    figure: str
+    of: str
+    scan: str
+    error: float
+    uncertainty: float
+    limit: float | None
+    verdict: Verdict | None
+    sigma: float | None
+    sigma_rig: float | None
+    points: int
+    left_out: int
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether neither the calibration nor the certificate knows of so large an error."""
+        if self.sigma is None or self.sigma_rig is None:
+            return False
+        known = self.sigma**2 + self.sigma_rig**2 + (self.uncertainty / _EXPANDED) ** 2
+        return abs(self.error) > _UNEXPLAINED * float(np.sqrt(known))
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """A test.
+
+    Attributes:
+        artefact: what was scanned.
+        figures: of every scan.
+        scans: their names.
+        problems: what could not be tested, and why.
+        notes: sentences about it.
+    """
+
+    artefact: Artefact
+    figures: tuple[AcceptanceFigure, ...]
+    scans: tuple[str, ...]
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Conforming if every figure with a limit is and everything was found; None without limits."""
+        verdicts = {each.verdict for each in self.figures if each.verdict}
+        if "not conforming" in verdicts:
+            return "not conforming"
+        if "not decided" in verdicts or (self.artefact.limits and self.problems):
+            return "not decided"
+        return "conforming" if verdicts else None
+
+    def of(self, figure: str) -> tuple[AcceptanceFigure, ...]:
+        """All of one kind."""
+        return tuple(each for each in self.figures if each.figure == figure)
+
+
+def accept(scans: Sequence[tuple[str, RangeImage]], rig: RigFile | None, artefact: Artefact) -> Acceptance:
+    """Test a scanner.
+
+    Args:
+        scans: a name and a range image each: the artefact in one place after another.
+        rig: by which they were made; without it, or its covariance, nothing is predicted.
+        artefact: by `read_artefact`.
+
+    Raises:
+        InputError: there are no scans, two have one name, or the rig is not theirs.
+    """
+    names = tuple(name for name, _ in scans)
+    if not names:
+        raise InputError("there are no scans: name one or more range images (.npz) that show the artefact")
+    if len(set(names)) < len(names):
+        raise InputError("one scan is named twice: name each once, for each is a place of its own")
+    figures: list[AcceptanceFigure] = []
+    problems: list[str] = []
+    for name, image in scans:
+        with error_context(name):
+            scanned_image(image, rig)
+        try:
+            figures += _figures(name, image, rig, artefact)
+        except InputError as error:
+            problems.append(f"{name}: {error}")
+    notes = tuple(_notes(figures, rig))
+    return Acceptance(artefact, tuple(figures), names, tuple(problems), notes)
+
+
+def _figures(name: str, image: RangeImage, rig: RigFile | None, artefact: Artefact) -> list[AcceptanceFigure]:
+    regions = known_balls(scanned_image(image, rig), artefact)
+    features = tuple(Feature(ball, "ball", region) for ball, region in regions.items())
+    sizes = tuple(Dimension(ball.name, "diameter", (ball.name,)) for ball in artefact.balls)
+    spacings = tuple(Dimension(_between(d.of), "distance", d.of) for d in artefact.distances)
+    part = Part(artefact.path, artefact.name, features, (*sizes, *spacings))
+    found = measure(scanned_image(image, rig, part), part)
+    if found.problems:
+        raise InputError("; ".join(found.problems))
+    by_name = {each.feature.name: each for each in found.features}
+    figures = []
+    for ball, size in zip(artefact.balls, found.dimensions, strict=False):
+        figures.append(_form("probing_form", name, by_name[ball.name], ball.form, artefact))
+        figures.append(_error("probing_size", name, size, ball.diameter, ball.uncertainty, artefact))
+    for distance, spacing in zip(artefact.distances, found.dimensions[len(sizes) :], strict=True):
+        figures.append(_error("distance", name, spacing, distance.length, distance.uncertainty, artefact))
+    if artefact.plane is not None:
+        clear = replace(image, valid=image.valid & ~_on_balls(image, regions.values()))
+        if not clear.valid.any():
+            raise InputError("no point of the plane is left beside the balls: scan the plate beside them too")
+        plate = Part(artefact.path, artefact.name, (Feature(artefact.plane.name, "plane"),), ())
+        (plane,) = measure(scanned_image(clear, rig), plate).features
+        if plane.problem:
+            raise InputError(f"{artefact.plane.name}: {plane.problem}")
+        figures.append(_form("flatness", name, plane, artefact.plane.flatness, artefact))
+    return figures
+
+
+def _on_balls(image: RangeImage, regions: Iterable[Region]) -> Bool[np.ndarray, "frames columns"]:
+    near = np.zeros(image.valid.shape, bool)
+    for region in regions:
+        away = np.linalg.norm(image.points - np.asarray(region.low, np.float32), axis=-1)
+        with np.errstate(invalid="ignore"):
+            near |= away < region.radius * _CLEAR / BEYOND
+    return near
+
+
+def _between(of: tuple[str, str]) -> str:
+    return f"{of[0]} - {of[1]}"
+
+
+def _error(
+    figure: str, scan: str, measured: MeasuredDimension, certified: float, uncertainty: float, artefact: Artefact
+) -> AcceptanceFigure:
+    assert measured.value is not None
+    error, limit = measured.value - certified, artefact.limits.get(figure)
+    own = None
+    if measured.sigma is not None and measured.sigma_rig is not None:
+        own = float(np.sqrt(max(measured.sigma**2 - measured.sigma_rig**2, 0.0)))
+    return AcceptanceFigure(
+        figure=figure,
+        of=measured.dimension.name,
+        scan=scan,
+        error=error,
+        uncertainty=uncertainty,
+        limit=limit,
+        verdict=None if limit is None else verdict((error - uncertainty, error + uncertainty), (-limit, limit)),
+        sigma=own,
+        sigma_rig=measured.sigma_rig,
+        points=measured.points,
+        left_out=measured.left_out,
+    )
+
+
+def _form(figure: str, scan: str, feature: MeasuredFeature, form: float, artefact: Artefact) -> AcceptanceFigure:
+    assert feature.fit is not None
+    assert feature.known is not None
+    width, limit = band(feature.fit.residuals), artefact.limits.get(figure)
+    interval = max(width - form, 0.0), width + form
+    return AcceptanceFigure(
+        figure=figure,
+        of=feature.feature.name,
+        scan=scan,
+        error=width,
+        uncertainty=form,
+        limit=limit,
+        verdict=None if limit is None else verdict(interval, (0.0, limit)),
+        # As that of a standard deviation of so many independent normal numbers.
+        sigma=width / float(np.sqrt(2 * feature.known.freedom)),
+        sigma_rig=None,
+        points=feature.points,
+        left_out=feature.left_out,
+    )
+
+
+def band(residuals: Float[np.ndarray, "points"], share: float = _SHARE) -> float:
+    """The width of the narrowest band that holds this share of them."""
+    ordered = np.sort(residuals)
+    inside = int(np.ceil(share * len(ordered)))
+    return float((ordered[inside - 1 :] - ordered[: len(ordered) - inside + 1]).min())
+
+
+def _notes(figures: Sequence[AcceptanceFigure], rig: RigFile | None) -> list[str]:
+    notes = []
+    for figure, asked in PLACES.items():
+        places = len({each.scan for each in figures if each.figure == figure})
+        if 0 < places < asked:
+            notes.append(f"{figure}: {places} of the {asked} places that VDI/VDE 2634 part 2 asks for")
+    unexplained = sorted({f"{each.figure} of {each.of}" for each in figures if each.unexplained})
+    if unexplained:
+        notes.append(
+            f"larger than the calibration and the certificate explain: {', '.join(unexplained)}: calibrate again, and "
+            "see that nothing has moved since"
+        )
+    if rig is None or rig.covariance is None:
+        notes.append("nothing is predicted without a rig that has a covariance: add --rig with one of `calibrate`")
+    return notes

@@ -1,0 +1,76 @@
+"""`jaxscan accept`: the guide's own example, run; its history, pictures and page; what is refused."""
+
+import json
+import shlex
+
+import pytest
+
+from jaxscan.cli.main import main
+from jaxscan.files.rig_file import write_rig
+from jaxscan.reconstruction import write_points
+from tests.measurement.test_accept import scans
+from tests.test_docs import ROOT, blocks, commands
+
+GUIDE = ROOT / "docs" / "accept.md"
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plate")
+    rig, several = scans(2)
+    write_rig(folder / "rig.json", rig)
+    for number, (_, image) in enumerate(several, 1):
+        write_points(folder / f"place-{number}.npz", image)
+    (text,) = blocks(GUIDE, "toml")
+    (folder / "artefact.toml").write_text(text)
+    return folder
+
+
+def test_the_guide(plate, monkeypatch, capsys):
+    monkeypatch.chdir(plate)
+    test, drift = (shlex.split(line)[1:] for line in commands(GUIDE) if line.startswith("jaxscan accept"))
+    for _ in range(2):
+        assert main(test) == 0
+    said = capsys.readouterr().out
+    assert "plate, 2 scans: conforming" in said
+    assert "note: distance: 2 of the 7 places that VDI/VDE 2634 part 2 asks for" in said
+    assert "probing_size" in (plate / "report" / "report.html").read_text()
+    assert main(drift) == 0
+    assert "nothing has changed by more than its uncertainty" in capsys.readouterr().out
+    assert (plate / "drift.png").read_bytes().startswith(b"\x89PNG")
+    assert main([*drift[:3], "--report", "drift", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["changes"]) == 6
+    assert "0 of 6 figures have changed" in (plate / "drift" / "report.html").read_text()
+    (snippet,) = blocks(GUIDE, "python")
+    exec(compile(snippet, "accept.md", "exec"), {})
+    assert "place-1.npz probing_form left" in capsys.readouterr().out
+
+
+def test_json_and_a_picture_without_a_rig(plate, capsys):
+    argv = ["accept", str(plate / "place-1.npz"), "--artefact", str(plate), "--json", "--png", str(plate / "a.png")]
+    assert main(argv) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["verdict"] == "conforming"
+    assert result["figures"][1]["sigma_rig"] is None
+    assert any("nothing is predicted without a rig" in note for note in result["notes"])
+    assert (plate / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_is_refused_before_any_work(plate, capsys):
+    scan, artefact = str(plate / "place-1.npz"), str(plate / "artefact.toml")
+    (plate / "no-history.jsonl").write_text("hello\n")
+    for argv, words in (
+        (["accept"], "there is no SURFACE"),
+        (["accept", scan], "--artefact is missing"),
+        (["accept", "a.ply", "--artefact", artefact], "a scanner is tested by its range images"),
+        (["accept", "--history", artefact, "--rig", "r"], "belong to a test"),
+        (["accept", "--history", str(plate / "none.jsonl")], "there is no such history"),
+        (
+            ["accept", scan, "--artefact", artefact, "--history", str(plate / "no-history.jsonl")],
+            "line 1: is no JSON",
+        ),
+        (["accept", scan, "--artefact", artefact, "--history", artefact], "is read, and writing to it would replace"),
+        (["accept", scan, scan, "--artefact", artefact], "one scan is named twice"),
+    ):
+        assert main(argv) == 2
+        assert words in capsys.readouterr().err
