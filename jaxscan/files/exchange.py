@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
-from jaxtyping import Float32, Shaped, UInt8
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 from jaxscan.files.cloud import NUMBERS, Cloud, adding_points, check_points, read_ply, writing_ply
+from jaxscan.files.packed_colours import packed, unpacked
 
 EXCHANGE: Final = (".xyz", ".pcd", ".e57", ".laz", ".las")
 CLOUDS: Final = (".ply", *EXCHANGE)
@@ -132,7 +132,7 @@ def _writing_pcd(path: Path) -> Iterator[Callable[[Cloud], None]]:
             nonlocal count, names, places
             known = {name: getattr(cloud, name) for name in NUMBERS if getattr(cloud, name) is not None}
             if cloud.colours is not None:
-                known[_RGB] = _packed(cloud.colours)
+                known[_RGB] = packed(cloud.colours)
             if not count:
                 names = tuple(known)
                 places = _pcd_header(file, names)
@@ -168,17 +168,6 @@ def _pcd_header(file: IO[bytes], known: tuple[str, ...]) -> tuple[int, int]:
     return header.index(b"WIDTH ") + 6, header.index(b"POINTS ") + 7
 
 
-def _packed(colours: UInt8[np.ndarray, "points 3"]) -> Float32[np.ndarray, "points"]:
-    """Colours as PCL has them: the bytes 0, red, green, blue of a number that is called a float."""
-    red, green, blue = colours.astype("<u4").T
-    return (red << 16 | green << 8 | blue).view("<f4")
-
-
-def _unpacked(rgb: Shaped[np.ndarray, "points"]) -> UInt8[np.ndarray, "points 3"]:
-    bits = np.ascontiguousarray(rgb).view("<u4")
-    return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=-1).astype(np.uint8)
-
-
 def _read_pcd(path: Path) -> Cloud:
     data = path.read_bytes()
     head, mark, rest = data.partition(b"DATA ")
@@ -206,7 +195,7 @@ def _read_pcd(path: Path) -> Cloud:
     table = np.frombuffer(body, row, number)
     known: dict[str, Any] = {name: table[name].astype(np.float32) for name in NUMBERS if name in (row.names or ())}
     if _RGB in (row.names or ()) and row[_RGB].itemsize == np.dtype("<u4").itemsize:
-        known["colours"] = _unpacked(table[_RGB])
+        known["colours"] = unpacked(table[_RGB])
     return Cloud(np.stack([table[axis] for axis in "xyz"], axis=-1).astype(np.float32), **known)
 
 
