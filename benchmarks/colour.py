@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation
@@ -126,15 +127,15 @@ class Truth:
         for i in range(len(image.valid)):
             q = {axis: int(steps[i]) for axis, steps in image.positions.items()}
             here = carried(rig, scene, q).cast(np.float32)
-            depth, key = (np.asarray(part) for part in trace(here, grid[..., 0], grid[..., 1]))
-            edge = _edges(np.asarray(here.smooth(key)), depth)
-            near = binary_dilation(edge, np.ones((3, 3)), iterations=round(_EDGE_PX))
+            depth, key = trace(here, jnp.asarray(grid[..., 0]), jnp.asarray(grid[..., 1]))
+            edge = _edges(np.asarray(here.smooth(key)), np.asarray(depth))
+            near = np.asarray(binary_dilation(edge, np.ones((3, 3)), iterations=round(_EDGE_PX)), bool)
             pixels = np.stack([line, image.pixels[i]], axis=-1)
             at = np.rint(np.nan_to_num(pixels)).astype(int)
             still = render(rig, scene, q=q, lighting=lighting, sensor=Sensor(blur_px=0.0, noise=0.0, bits=16))
             self.level[i] = sampled(still, pixels) / 257
             self.albedo[i] = np.moveaxis(np.asarray(here.albedo(key)), 0, -1)[at[:, 1], at[:, 0]]
-            self.inner[i] = image.valid[i] & ~near[at[:, 1], at[:, 0]] & (key[at[:, 1], at[:, 0]] >= 0)
+            self.inner[i] = image.valid[i] & ~near[at[:, 1], at[:, 0]] & (np.asarray(key)[at[:, 1], at[:, 0]] >= 0)
             palette.append(np.unique(np.round(self.albedo[i][self.inner[i]], 4), axis=0))
         self.palette = np.unique(np.concatenate(palette), axis=0)
 

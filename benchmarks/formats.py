@@ -11,6 +11,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
@@ -69,16 +71,21 @@ def _arrays(cloud: Cloud) -> RangeArrays:
 
 def _there_and_back(path: Path, count: int) -> dict[str, float]:
     ending, parts = path.suffix, range(count // _PART)
-    begin = time.monotonic()
-    making = 0.0
-    with (writing_range_npz if ending == ".npz" else writing_cloud)(path) as add:
+    write = 0.0
+    with ExitStack() as files:
+        if ending == ".npz":
+            add_arrays = files.enter_context(writing_range_npz(path))
+            add: Callable[[Cloud], None] = lambda cloud: add_arrays(_arrays(cloud))  # noqa: E731
+        else:
+            add = files.enter_context(writing_cloud(path))
         for i in parts:
-            start = time.monotonic()
             some = part(i)
-            making += time.monotonic() - start
-            add(_arrays(some) if ending == ".npz" else some)
+            begin = time.monotonic()
+            add(some)
+            write += time.monotonic() - begin
             del some
-    write = time.monotonic() - begin - making
+        begin = time.monotonic()
+    write += time.monotonic() - begin
     begin = time.monotonic()
     if ending == ".npz":
         image = read_range_npz(path)

@@ -14,9 +14,9 @@ from jaxscan.files.pointcloud2 import PointCloud2, pointcloud2
 
 def publish(cloud: PointCloud2, topic: str) -> None:
     """Publish a message once a second, until Ctrl-C; ImportError where ROS is not set up."""
-    import rclpy
-    from sensor_msgs.msg import PointCloud2 as Message
-    from sensor_msgs.msg import PointField
+    import rclpy  # pyright: ignore[reportMissingImports]
+    from sensor_msgs.msg import PointCloud2 as Message  # pyright: ignore[reportMissingImports]
+    from sensor_msgs.msg import PointField  # pyright: ignore[reportMissingImports]
 
     rclpy.init()
     node = rclpy.create_node("jaxscan")
