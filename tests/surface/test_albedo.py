@@ -107,7 +107,7 @@ def test_rendered_balls_have_the_albedo_that_they_were_drawn_with(tmp_path) -> N
     x, _, z = np.moveaxis((image.points.astype(float) - origin) @ R, -1, 0)
     floor = np.nanmedian(found[z < 0.3])
     for place, of in true.items():
-        ball = (z > 6) & (np.abs(x - place) < 12) & np.isfinite(found)
+        ball = (z > 18) & (np.abs(x - place) < 12) & np.isfinite(found)
         assert ball.sum() > 300
         assert np.median(found[ball]) / floor == pytest.approx(of / 0.5, rel=0.05), place
         assert np.std(found[ball]) / np.mean(found[ball]) < 0.12
