@@ -62,6 +62,8 @@ SUITES = {
     "play": "play of a stage by its direction of approach: points over a line's, what is named, false names, z, cost",
     "turntable": "a turntable from photographs of the board: axis, angle and place against their σ; scans posed by it",
     "turning": "scans of a figure while it turns: against the true rig and the makers' recipe, the seam, σ",
+    "colour": "colours and albedo of points against what was drawn, along a stage and in a turn",
+    "formats": "ten million points through each format and back: error, time, memory",
     "measure": "dimensions of drawn parts: coverage of their intervals, bias, false accepts, a million points",
     "demo": "time and memory of the whole demo",
 }
@@ -104,6 +106,8 @@ NOT_QUICK = {
     "stages",
     "play",
     "batch",
+    "colour",
+    "formats",
     "measure",
     "lab",
     "growth",

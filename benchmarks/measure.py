@@ -6,8 +6,8 @@ that is the linearised form of a session of its own, which would take a second e
 their covariances, 1 where these are right. The stripe has noise, half of it alike in neighbouring frames and columns.
 In the second kind of drawing the noise is a hundredth, so that the rig's part alone is left.
 
-JAXSCAN_DRAWINGS is how many drawings there are; 2000 without. Every coverage comes with the interval that so many
-drawings leave open (C. J. Clopper and E. S. Pearson, 1934).
+JAXSCAN_DRAWINGS is how many drawings there are; 2000 without. Every coverage comes with the interval that this
+number of drawings leaves open (C. J. Clopper and E. S. Pearson, 1934).
 """
 
 import os
@@ -92,7 +92,7 @@ def _off(off: np.ndarray, rig: RigFile) -> float:
 
 
 def binomial(hits: int, of: int) -> tuple[float, float]:
-    """The least and the largest share that so many hits leave open with 95 %."""
+    """The least and the largest share that this number of hits leaves open with 95 %."""
     low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
     return low, float(beta.ppf(0.975, hits + 1, of - hits)) if hits < of else 1.0
 

@@ -3,6 +3,7 @@
 import runpy
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -36,8 +37,8 @@ def number(said: str, after: str) -> float:
 
 
 def test_all_are_here():
-    tested = [name.split("_")[1] for name in globals() if name.startswith("test_0")]
-    assert tested == [path.name[:2] for path in sorted(EXAMPLES.glob("[0-9]*.py"))]
+    tested = dict.fromkeys(name.split("_")[1] for name in globals() if name.startswith("test_0"))
+    assert list(tested) == [path.name[:2] for path in sorted(EXAMPLES.glob("[0-9]*.py"))]
     for path in EXAMPLES.glob("*.py"):
         assert 20 <= len(path.read_text(encoding="utf-8").splitlines()) <= 60, path
 
@@ -104,3 +105,57 @@ def test_07_what_narrows_a_dimension(run, folder):
     # The noise of all pixels, through the solve, is the rig's part; a pose that is looked for beats those there are.
     assert abs(pixels / rig - 1) < 0.1
     assert new < again < rig
+
+
+def test_08_publish_for_ros(run, folder, world, monkeypatch):
+    (folder / "cup.ply").symlink_to(world / "cup.ply")
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    said = run("08_publish_for_ros.py")
+    assert (
+        f"{len(read_ply(world / 'cup.ply').points)} points of 24 bytes: x, y, z, sigma, sigma_pixel, intensity" in said
+    )
+    assert "rclpy is not there, so nothing is published: set ROS 2 up in this shell" in said
+
+
+def test_08_hands_ros_what_its_message_has(run, folder, world, monkeypatch):
+    """A stand-in of rclpy and sensor_msgs, by the names that they have: what is published is kept."""
+    (folder / "cup.ply").symlink_to(world / "cup.ply")
+    sent = []
+    field, clock = (
+        lambda **named: SimpleNamespace(**named),
+        SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: 17)),
+    )
+
+    class Node:
+        def __init__(self, name):
+            assert name == "jaxscan"
+
+        def create_publisher(self, kind, topic, depth):
+            return SimpleNamespace(publish=lambda message: sent.append((topic, message)))
+
+        def get_clock(self):
+            return clock
+
+        def create_timer(self, period, send):
+            self.send = send
+
+        def destroy_node(self):
+            sent.append("destroyed")
+
+    def spin(node):
+        node.send()
+        raise KeyboardInterrupt
+
+    rclpy = SimpleNamespace(init=lambda: None, create_node=Node, spin=spin)
+    msg = SimpleNamespace(
+        PointCloud2=lambda **named: SimpleNamespace(header=SimpleNamespace(), **named), PointField=field
+    )
+    monkeypatch.setitem(sys.modules, "rclpy", rclpy)
+    monkeypatch.setitem(sys.modules, "sensor_msgs", SimpleNamespace(msg=msg))
+    monkeypatch.setitem(sys.modules, "sensor_msgs.msg", msg)
+    run("08_publish_for_ros.py")
+    (topic, message), ended = sent
+    assert (topic, ended) == ("/jaxscan/points", "destroyed")
+    assert (message.header.stamp, message.header.frame_id) == (17, "scanner_optical_frame")
+    assert len(message.data) == message.row_step == message.width * message.point_step
+    assert [(each.name, each.offset) for each in message.fields][:3] == [("x", 0), ("y", 4), ("z", 8)]

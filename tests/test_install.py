@@ -1,7 +1,9 @@
 """Installing: every line of the pages that installs is known and, in the long form, run in a clean environment."""
 
+import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -16,6 +18,8 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
+# Lines of other packages' own, and those for which a machine needs more than pip: a GPU, a library of the system's.
+NOT_RUN = ("jax[cuda13]", "vision-calibration", "gphoto2", "genicam")
 # What cannot be had here by pip alone: a library of the system's, a GPU.
 NOT_HERE = ("gphoto2", "genicam", "docs", "dev")
 
@@ -29,6 +33,26 @@ def install_lines() -> list[tuple[str, str]]:
             (page.name, line) for line in re.findall(r"(?:^|`)((?:\S*python3? -m )?pip install [^`\n#]+)", text, re.M)
         ]
     return found
+
+
+def install_scripts() -> list[tuple[str, str]]:
+    """What the pages have a reader type to install, literally, with the page's name: blocks of several lines whole."""
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    blocks = [block for block in re.findall(r"^```sh\n(.*?)^```", page, re.M | re.S) if "docker" not in block]
+    scripts = [("install.md", block) for block in blocks]
+    known = "".join(blocks)
+    return scripts + [
+        (page, line)
+        for page, line in dict.fromkeys(install_lines())
+        if line not in known and not any(name in line for name in NOT_RUN)
+    ]
+
+
+def test_the_scripts_are_the_pages_own() -> None:
+    scripts = install_scripts()
+    assert len([script for page, script in scripts if page == "install.md" and script.count("\n") > 2]) == 2
+    assert any("-m build" in script for _, script in scripts)
+    assert {page for page, _ in scripts} >= {"install.md", "lab.md"}
 
 
 def test_every_line_asks_for_something_that_there_is() -> None:
@@ -133,3 +157,28 @@ def test_each_extra_installs_from_the_wheel(extra: str, built: Path, tmp_path: P
     pip(python, f"{wheel}[{extra}]")
     check = f"from jaxscan.extras import EXTRAS, extra; extra({extra!r}) if {extra!r} in EXTRAS else None"
     subprocess.run([str(python), "-c", check], check=True, cwd=tmp_path, timeout=300)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("page", "script"), install_scripts())
+def test_the_lines_run_as_they_are_written(page: str, script: str, built: Path, tmp_path: Path) -> None:
+    """In a copy of the tree, its own Python first; the folder of the wheel stands for an index that has jaxscan."""
+    copy = tmp_path / "jaxscan"
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout
+    for name in listed.decode().split("\0"):
+        if name and (ROOT / name).is_file():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / name, copy / name)
+    programs = clean(tmp_path / "venv").parent
+    env = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    env |= {
+        "PATH": f"{programs}:{env['PATH']}",
+        "PIP_FIND_LINKS": str(built),
+        "PIP_CONSTRAINT": str(ROOT / "constraints.txt"),
+        "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+    }
+    subprocess.run(["bash", "-euc", script], cwd=copy, env=env, check=True, timeout=1500, stdin=subprocess.DEVNULL)
+    installed = copy / "venv" / "bin" if (copy / "venv").is_dir() else programs
+    said = subprocess.run([str(installed / "jaxscan"), "--version"], cwd=tmp_path, capture_output=True, text=True)
+    assert PROJECT["version"] in said.stdout, f"{page}: {script}"

@@ -46,9 +46,8 @@ BANNED = {
 }
 _BANNED = [(re.compile(pattern, re.IGNORECASE), better) for pattern, better in BANNED.items()]
 _ANY = re.compile("|".join(BANNED), re.IGNORECASE)
-# Folders of the sources that are checked, and where comments and docstrings are rewritten later.
+# Folders of the sources that are checked.
 _SOURCES = ("jaxscan", "hardware", "benchmarks", "examples")
-_LATER = ("jaxscan/measurement/",)
 # What separates the words of a sentence in a source: ends of lines, quotes of adjacent strings, signs of comments.
 _BREAK = re.compile(r"""["']\s*[rbf]*["']|[\s#]+""")
 # What codespell takes for misspelt.
@@ -93,7 +92,7 @@ def phrases() -> Iterator[str]:
         source, name = path.read_text(encoding="utf-8"), path.relative_to(ROOT).as_posix()
         # Most sources have none, and need not be parsed.
         if _ANY.search(_BREAK.sub(" ", source)):
-            prose = () if name.startswith(_LATER) else (*docstrings(source), *comments(source))
+            prose = (*docstrings(source), *comments(source))
             for number, text in (*messages(source), *prose):
                 yield from (f"{name}:{number}: {fault}" for fault in _found(text))
         if '"""It does."""' in source:

@@ -180,12 +180,12 @@ def _range_image(summary: Summary) -> Iterator[Line]:
     if summary["light"] is not None:
         from jaxscan.images.light import Light
 
-        yield "light", Light(**summary["light"]).format_summary()
+        yield "light", Light(**summary["light"]).in_words()
     if (limit := summary.get("speckle_limit")) is not None:
         from jaxscan.rig.speckle_limit import SpeckleLimit
 
         known = SpeckleLimit(limit["contrast"], limit["limit_mm"], limit["sigma_pixel_mm"])
-        yield "limit of speckle", known.format_summary()
+        yield "limit of speckle", known.in_words()
 
 
 _WORDS: dict[str, Callable[[Summary], Iterator[Line]]] = {

@@ -1,6 +1,7 @@
 """`jaxscan mesh`: from the points of a scan to a surface, without what is no part of the object."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -9,6 +10,7 @@ from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
 if TYPE_CHECKING:
+    import numpy as np
     import trimesh
 
     from jaxscan.files.cloud import Cloud
@@ -77,9 +79,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         if args.points.suffix.lower() == ".npz":
             from jaxscan.reconstruction import read_range_image
 
-            image, floor = _prepared(read_range_image(args.points), args, result)
+            scanned = read_range_image(args.points)
+            image, floor = _prepared(scanned, args, result)
             if not meshed:
                 return result
+            painted = scanned.cloud()
             mesh, cloud, quads = _of_image(image, args, result)
         else:
             from jaxscan.files.exchange import read_cloud
@@ -87,12 +91,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
             image, floor, quads = None, None, None
             cloud = cloud_in_millimetres(str(args.points), read_cloud(args.points), args.units)
-            mesh = _of_cloud(cloud, args)
+            mesh, painted = _of_cloud(cloud, args), cloud
         if args.simplify is not None:
             mesh = simplified(mesh, args.simplify)
             cloud, quads = None, None
+    colours = _colours(mesh, cloud, painted)
+    result["coloured"] = None if colours is None else int(colours.any(axis=1).sum())
     for path in args.output:
-        _write(path, mesh, cloud, quads if args.quads else None, image)
+        _write(path, mesh, cloud, quads if args.quads else None, image, colours)
     if args.png:
         import numpy as np
 
@@ -278,7 +284,9 @@ def _of_image(
         known = [getattr(image, name).ravel()[surface.place] for name in ("sigma", "sigma_pixel")]
         sigma, pixel = (values if np.isfinite(values).all() else None for values in known)
         mesh = trimesh.Trimesh(surface.vertices, surface.triangles, process=False)
-        return mesh, Cloud(surface.vertices, sigma, pixel), surface.faces()
+        painted = (getattr(image, name) for name in ("colours", "albedo"))
+        colours, albedo = (None if of is None else of.reshape(-1, *of.shape[2:])[surface.place] for of in painted)
+        return mesh, Cloud(surface.vertices, sigma, pixel, colours, albedo=albedo), surface.faces()
     cloud = image.cloud()
     if args.method == "poisson":
         from jaxscan.surface.links import links
@@ -305,7 +313,27 @@ def _of_cloud(cloud: "Cloud", args: argparse.Namespace) -> "trimesh.Trimesh":
     return trimesh.Trimesh(cloud.points, delaunay_surface(cloud.points, direction), process=False)
 
 
-def _write(path: Path, mesh: "trimesh.Trimesh", cloud: "Cloud | None", quads: Any, image: "RangeImage | None") -> None:
+def _colours(mesh: "trimesh.Trimesh", cloud: "Cloud | None", painted: "Cloud") -> "np.ndarray | None":
+    """Of the mesh's vertices: their own, or where they are no points of the scan those of the scan's points nearby."""
+    import numpy as np
+
+    from jaxscan.surface.painted import colours_near
+
+    if cloud is not None and cloud.colours is not None:
+        return cloud.colours
+    if painted.colours is None:
+        return None
+    return colours_near(np.asarray(mesh.vertices, np.float32), painted)
+
+
+def _write(
+    path: Path,
+    mesh: "trimesh.Trimesh",
+    cloud: "Cloud | None",
+    quads: Any,
+    image: "RangeImage | None",
+    colours: "np.ndarray | None",
+) -> None:
     import numpy as np
 
     from jaxscan.files.cloud import Cloud
@@ -318,10 +346,10 @@ def _write(path: Path, mesh: "trimesh.Trimesh", cloud: "Cloud | None", quads: An
         write_points(path, image)
     elif ending == ".ply":
         triangles, four = quads if quads is not None else (np.asarray(mesh.faces), None)
-        vertices = cloud or Cloud(np.asarray(mesh.vertices, np.float32))
+        vertices = replace(cloud or Cloud(np.asarray(mesh.vertices, np.float32)), colours=colours)
         write_mesh_ply(path, vertices, triangles, four, np.asarray(mesh.vertex_normals, np.float32))
     else:
-        write_trimesh(path, mesh)
+        write_trimesh(path, mesh, colours)
 
 
 def describe(result: dict[str, Any]) -> str:
@@ -336,6 +364,8 @@ def describe(result: dict[str, Any]) -> str:
         f"{result['triangles']} triangles between {result['vertices']} points: {', '.join(result['path'])}",
         f"  surface    {result['area_mm2']:.6g} mm², {closed}",
     ]
+    if result.get("coloured"):
+        lines.append(f"  colours    of {result['coloured']} of its points, in .ply, .obj and .glb")
     if "removed" in result:
         words = ", ".join(f"{count} {rule}" for rule, count in result["removed"].items())
         lines.append(f"  removed    {words}, of {result['points_read']} points")

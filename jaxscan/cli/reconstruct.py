@@ -1,18 +1,25 @@
 """`jaxscan reconstruct`: photographs of an object and a rig in, its points out."""
 
 import argparse
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_choice_argument, add_depths_argument, add_detector_argument, depths_of
-from jaxscan.cli.options import add_outputs_argument, check_outputs
+from jaxscan.cli.options import add_outputs_argument, check_outputs, numbers
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
+from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
-    from jaxscan.reconstruction import Scanner, Written
+    from jaxscan.files.scan import Scan
+    from jaxscan.reconstruction import RangeImage, Scanner, Written
+    from jaxscan.rig import Rig
 
 HELP: Final = "turn the photographs of a scan into points"
 EXAMPLE: Final = "jaxscan reconstruct scans/cup --rig rig.json -o cup.ply"
+# More burnt-out colours are worth a word.
+_MANY_FULL: Final = 0.01
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +40,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "at borders of prints and of the object too; needs a scan in small, equal steps",
     )
     add_depths_argument(parser)
+    parser.add_argument(
+        "--colour",
+        choices=("auto", "frames", "none"),
+        default="auto",
+        help="of each point: auto (default): from the laser-off photograph of its own step, where background in "
+        "scan.toml lists one for each frame | frames: from the photographs of other steps, in which the stripe is "
+        "elsewhere (the light of the room must be seen in them; they are read twice, and all points are in memory) | "
+        "none",
+    )
+    parser.add_argument(
+        "--albedo",
+        action="store_true",
+        help="add how much light each point reflects, relative to the scan's median, from the stripe's strength, "
+        "corrected for slope and distance; all points are in memory",
+    )
+    parser.add_argument(
+        "--laser-at",
+        type=numbers(3),
+        metavar="X,Y,Z",
+        help="where the laser stands, camera frame, mm, for --albedo (default: where its sheet meets the camera's "
+        "vertical axis, or horizontal axis)",
+    )
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -44,8 +73,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         check_ending(path)
         check_exchange(path)
     check_outputs(args.output)
+    if args.laser_at and not args.albedo:
+        raise InputError("--laser-at: only --albedo asks where the laser stands: add it, or leave --laser-at out")
+    paint = Paint(args.colour, args.albedo, args.laser_at)
     done, scanner = reconstruct_scan(
-        args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime, depths_of(args)
+        args.scan, args.rig, args.output, args.detector, args.stripe, args.spacetime, depths_of(args), paint
     )
     return {
         "kind": "points",
@@ -53,10 +85,49 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "frames": done.frames,
         "frames_without_stripe": done.empty,
         "points": done.points,
+        "points_with_colour": done.coloured,
+        "points_with_full_colour": done.full,
+        "points_with_albedo": done.reflecting,
         "left_out": scanner.left_out,
         "notes": scanner.notes,
         "warnings": [f"{args.rig}: {warning}" for warning in scanner.warnings],
     }
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What of the points' looks is asked for.
+
+    Attributes:
+        colour: auto, frames or none, as `--colour` has them.
+        albedo: whether it is asked for.
+        laser: where it stands, camera frame, mm; None for where it is taken to stand.
+    """
+
+    colour: str = "auto"
+    albedo: bool = False
+    laser: tuple[float, ...] | None = None
+
+    def of(self, parts: "Iterable[RangeImage]", rig: "Rig", scan: "Scan") -> "Iterator[RangeImage]":
+        """The parts of a scan with it: in their turn, or at once where it takes all of them."""
+        if self.colour != "frames" and not self.albedo:
+            yield from (replace(part, colours=None) if self.colour == "none" else part for part in parts)
+            return
+        import numpy as np
+
+        from jaxscan.reconstruction import RangeImage
+        from jaxscan.reconstruction.scan_colours import check_photographs, neighbour_colours
+        from jaxscan.surface.albedo import albedo
+
+        if self.colour == "frames":
+            check_photographs(scan)
+        image = RangeImage.joined(list(parts))
+        colours = {"frames": lambda: neighbour_colours(rig, scan, image), "auto": lambda: image.colours}
+        image = replace(image, colours=colours.get(self.colour, lambda: None)())
+        if self.albedo:
+            laser = None if self.laser is None else np.asarray(self.laser)
+            image = replace(image, albedo=albedo(image, laser=laser, columns=scan.laser.columns))
+        yield image
 
 
 def reconstruct_scan(
@@ -67,6 +138,7 @@ def reconstruct_scan(
     choice: Choice = DEFAULT_CHOICE,
     spacetime: bool = False,
     depths_mm: tuple[float, float] | None = None,
+    paint: Paint | None = None,
 ) -> tuple["Written", "Scanner"]:
     """Reconstruct with a progress bar, writing the points to each output; what was written, and what did it."""
     from jaxscan.cli.compiled import keep_compiled
@@ -80,7 +152,8 @@ def reconstruct_scan(
     calibrated, photographs = read_rig(rig), read_scan(scan)
     with progress("reading frames", len(photographs.frames) or None, "frame") as advance:
         scanner = Scanner(calibrated, detector, choice, spacetime, depths_mm)
-        return write_stream(outputs, scanner.scan(photographs, advance)), scanner
+        parts = (paint or Paint()).of(scanner.scan(photographs, advance), calibrated.rig, photographs)
+        return write_stream(outputs, parts), scanner
 
 
 def describe(result: dict[str, Any]) -> str:
@@ -90,6 +163,26 @@ def describe(result: dict[str, Any]) -> str:
         f"{result['points']} points from {result['frames']} frames"
         + (f" ({empty} without a stripe)" if empty else "")
         + f": {', '.join(result['path'])}"
+        + _looks_in_words(result)
         + "".join(f"\nnote: {note}" for note in result["notes"])
         + "".join(f"\nwarning: {warning}." for warning in result["warnings"])
     )
+
+
+def _looks_in_words(result: dict[str, Any]) -> str:
+    """Of how many points colour and albedo are known."""
+    points, coloured, lines = result["points"], result["points_with_colour"], ""
+    if coloured is not None:
+        lines += f"\ncolour: of {coloured} points" + (
+            f"; {points - coloured} have none, and are 0 0 0" if coloured < points else ""
+        )
+        full = result["points_with_full_colour"]
+        if full > _MANY_FULL * points:
+            lines += (
+                f"\nnote: the colours of {100 * full / points:.0f} % of the points are burnt out: expose the "
+                "photographs that they come from shorter"
+            )
+    if result["points_with_albedo"] is not None:
+        known = result["points_with_albedo"]
+        lines += f"\nalbedo: of {known} points; the others are oblique, alone, or burnt out in the stripe"
+    return lines

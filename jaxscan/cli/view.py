@@ -16,7 +16,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("file", type=Path, metavar="FILE", help="a range image (.npz), a cloud or a mesh")
     parser.add_argument("--rig", type=Path, help="show its cameras, light plane and the stage's travel")
-    parser.add_argument("--colour", choices=("height", "sigma", "strength"), help="of the points (default: height)")
+    parser.add_argument(
+        "--colour",
+        choices=("height", "sigma", "strength", "albedo", "photograph"),
+        help="of the points; photograph: their own (default: height)",
+    )
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw a picture in place of opening the browser")
     parser.add_argument("--port", type=int, default=8080, help="of this machine (default: 8080, or the next free one)")
     parser.add_argument("--no-browser", action="store_true", help="serve, and open no window")
@@ -44,7 +48,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
         "path": str(args.file),
         "points": len(shown.points),
         "triangles": None if shown.triangles is None else len(shown.triangles),
-        "colours": list(shown.values),
+        "colours": list(shown.looks),
         "colour": colour,
     }
     if args.png:

@@ -17,7 +17,7 @@ from jaxscan.files.ply_write import writing_ply_file
 
 COLOURS: Final = ("red", "green", "blue")
 # What else may be known of a point, by the names that a PLY file has for it.
-_NUMBERS: Final = ("sigma", "sigma_pixel", "strength")
+NUMBERS: Final = ("sigma", "sigma_pixel", "strength", "albedo")
 # Points can be written to these: clouds, and the organised range image.
 _WRITTEN: Final = (".ply", ".npz", ".xyz", ".pcd", ".e57", ".laz", ".las")
 # Ten thousand kilometres: vertices in one place are found on a grid of whole numbers, which ends at nine times this.
@@ -33,8 +33,9 @@ class Cloud:
         points: mm.
         sigma: standard deviation along the ray, rig and pixel together (mm), where it is known.
         sigma_pixel: the pixel's part of it (mm), where it is known.
-        colours: red, green, blue, where they are known.
+        colours: red, green, blue, where they are known of the cloud; 0, 0, 0 for a point without one.
         strength: of the stripe above its surroundings, grey levels, where it is known.
+        albedo: relative, the median of the scan is 1 (`surface.albedo`), where it is known; NaN for a point without.
     """
 
     points: Float32[np.ndarray, "points 3"]
@@ -42,6 +43,7 @@ class Cloud:
     sigma_pixel: Float32[np.ndarray, "points"] | None = None
     colours: UInt8[np.ndarray, "points 3"] | None = None
     strength: Float32[np.ndarray, "points"] | None = None
+    albedo: Float32[np.ndarray, "points"] | None = None
 
 
 def check_ending(path: str | os.PathLike[str]) -> str:
@@ -110,7 +112,7 @@ def adding_points(path: str | os.PathLike[str], write: Callable[[Cloud], None]) 
 def vertices_of(cloud: Cloud) -> Element:
     """The points, and what is known of each, as an element of a PLY file."""
     columns: dict[str, Column] = dict(zip("xyz", cloud.points.T, strict=True))
-    columns |= {name: known for name in _NUMBERS if (known := getattr(cloud, name)) is not None}
+    columns |= {name: known for name in NUMBERS if (known := getattr(cloud, name)) is not None}
     if cloud.colours is not None:
         columns |= dict(zip(COLOURS, cloud.colours.T, strict=True))
     return Element(len(cloud.points), columns)
@@ -148,6 +150,7 @@ def cloud_of(path: str | os.PathLike[str], content: Ply) -> Cloud:
         sigma_pixel=known("sigma_pixel"),
         colours=np.stack([numbers[name] for name in COLOURS], axis=-1) if coloured else None,
         strength=known("strength"),
+        albedo=known("albedo"),
     )
 
 

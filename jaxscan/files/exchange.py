@@ -24,13 +24,15 @@ import numpy as np
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
-from jaxscan.files.cloud import Cloud, adding_points, check_points, read_ply, writing_ply
+from jaxscan.files.cloud import NUMBERS, Cloud, adding_points, check_points, read_ply, writing_ply
+from jaxscan.files.packed_colours import packed, unpacked
 
 EXCHANGE: Final = (".xyz", ".pcd", ".e57", ".laz", ".las")
 CLOUDS: Final = (".ply", *EXCHANGE)
-_KNOWN: Final = ("sigma", "sigma_pixel", "strength")
 _MM_PER_M: Final = 1000.0
 _LAS_STEP_MM: Final = 1e-4
+# Red, green and blue in the bytes of one number, as PCL has them.
+_RGB: Final = "rgb"
 # Digits that the number of points may have in a PCD's header, which is written before they are counted.
 _DIGITS: Final = 12
 _PCD_TYPES: Final = {"F": "f", "I": "i", "U": "u"}
@@ -128,7 +130,9 @@ def _writing_pcd(path: Path) -> Iterator[Callable[[Cloud], None]]:
 
         def add(cloud: Cloud) -> None:
             nonlocal count, names, places
-            known = {name: getattr(cloud, name) for name in _KNOWN if getattr(cloud, name) is not None}
+            known = {name: getattr(cloud, name) for name in NUMBERS if getattr(cloud, name) is not None}
+            if cloud.colours is not None:
+                known[_RGB] = packed(cloud.colours)
             if not count:
                 names = tuple(known)
                 places = _pcd_header(file, names)
@@ -189,7 +193,9 @@ def _read_pcd(path: Path) -> Cloud:
     if not set("xyz") <= set(row.names or ()) or number < 0 or len(body) < number * row.itemsize:
         raise InputError(f"{path}: holds less than its header says: it was cut short, write it again")
     table = np.frombuffer(body, row, number)
-    known = {name: table[name].astype(np.float32) for name in _KNOWN if name in (row.names or ())}
+    known: dict[str, Any] = {name: table[name].astype(np.float32) for name in NUMBERS if name in (row.names or ())}
+    if _RGB in (row.names or ()) and row[_RGB].itemsize == np.dtype("<u4").itemsize:
+        known["colours"] = unpacked(table[_RGB])
     return Cloud(np.stack([table[axis] for axis in "xyz"], axis=-1).astype(np.float32), **known)
 
 
@@ -257,7 +263,7 @@ def _write_las(path: Path, cloud: Cloud) -> None:
     header = laspy.LasHeader(point_format=7 if cloud.colours is not None else 6, version="1.4")
     header.offsets = np.floor(cloud.points.min(axis=0).astype(np.float64))
     header.scales = np.full(3, _LAS_STEP_MM)
-    known = {name: getattr(cloud, name) for name in _KNOWN if getattr(cloud, name) is not None}
+    known = {name: getattr(cloud, name) for name in NUMBERS if getattr(cloud, name) is not None}
     for name in known:
         header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.float32))
     file = laspy.LasData(header)
@@ -277,7 +283,7 @@ def _read_las(path: Path) -> Cloud:
     except Exception as error:  # laspy's and lazrs's own classes, struct.error, and more
         raise InputError(f"{path}: cannot be read as LAS ({error}): check the file") from error
     names = set(file.point_format.dimension_names)
-    known: dict[str, Any] = {name: np.asarray(file[name], np.float32) for name in _KNOWN if name in names}
+    known: dict[str, Any] = {name: np.asarray(file[name], np.float32) for name in NUMBERS if name in names}
     if {"red", "green", "blue"} <= names:
         rgb = np.stack([np.asarray(file[name]) for name in ("red", "green", "blue")], axis=-1)
         known["colours"] = (rgb // 257).astype(np.uint8)

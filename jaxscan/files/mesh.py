@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 import trimesh
-from jaxtyping import Float32, Int
+from jaxtyping import Float32, Int, UInt8
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
@@ -16,6 +16,8 @@ from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import write_ply_file
 from jaxscan.foreign import foreign
 
+# Of a vertex without a colour.
+_GREY: Final = 128
 _INDICES: Final = ("vertex_indices", "vertex_index")
 
 
@@ -86,12 +88,22 @@ def write_mesh_ply(
     write_ply_file(path, Ply(elements, comments=("comment units mm",)))
 
 
-def write_trimesh(path: str | os.PathLike[str], mesh: trimesh.Trimesh) -> None:
+def write_trimesh(
+    path: str | os.PathLike[str], mesh: trimesh.Trimesh, colours: UInt8[np.ndarray, "vertices 3"] | None = None
+) -> None:
     """Write a mesh as .stl, .obj or .glb, by the path's ending, whole or not at all; numbers are millimetres.
+
+    Args:
+        path: the file.
+        mesh: without colours.
+        colours: of its vertices, which .obj and .glb have; 0, 0, 0 for one without, which is written grey.
 
     Raises:
         InputError: the file cannot be written.
     """
+    if colours is not None:
+        shown = np.where(np.any(colours, axis=1, keepdims=True), colours, _GREY).astype(np.uint8)
+        mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=shown, process=False)
     content = mesh.export(file_type=Path(path).suffix.lower()[1:])
     with replacing(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)

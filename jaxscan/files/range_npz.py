@@ -28,6 +28,8 @@ _WHERE_KNOWN: Final = {
     "pixels": np.dtype(np.float32),
     "sigma_pixel": np.dtype(np.float32),
     "light": np.dtype(np.float32),
+    "colours": np.dtype(np.uint8),
+    "albedo": np.dtype(np.float32),
     "positions": np.dtype(np.int64),
     "scanner": np.dtype(np.uint8),
     "per_step": np.dtype(np.float64),
@@ -54,6 +56,8 @@ class RangeArrays:
         scanner: the axes' names, the motion and the light, JSON in UTF-8 (`range_scanner`), where the file has them.
         per_step: in older files, how far what stands on the stage moves for one step, object frame, mm.
         light: read noise, gain, speckle contrast and saturation of each frame, where the file has them.
+        colours: red, green and blue of each point, 0, 0, 0 for none, where the file has them.
+        albedo: relative, NaN for none, where the file has it.
     """
 
     points: Float32[np.ndarray, "frames columns 3"]
@@ -67,6 +71,8 @@ class RangeArrays:
     scanner: UInt8[np.ndarray, "bytes"] | None = None
     per_step: Float64[np.ndarray, "3"] | None = None
     light: Float32[np.ndarray, "frames 4"] | None = None
+    colours: UInt8[np.ndarray, "frames columns 3"] | None = None
+    albedo: Float32[np.ndarray, "frames columns"] | None = None
 
 
 def write_range_npz(path: str | os.PathLike[str], image: RangeArrays) -> None:
@@ -160,6 +166,7 @@ def _check_shapes(path: str | os.PathLike[str], shapes: Mapping[str, tuple[int, 
     shape = shapes["valid"]
     expected = {"points": (*shape, 3), "strength": shape, "sigma": shape, "valid": shape, "steps": shape[:1]}
     expected |= {"pixels": shape, "sigma_pixel": shape, "per_step": (3,), "light": (*shape[:1], 4)}
+    expected |= {"colours": (*shape, 3), "albedo": shape}
     # As many axes as they are, and as many letters.
     expected |= {"positions": (*shape[:1], *(shapes.get("positions", ())[1:2] or (0,)))}
     expected |= {"scanner": shapes.get("scanner", ())[:1] or (0,)}

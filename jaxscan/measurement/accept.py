@@ -220,7 +220,7 @@ def _form(figure: str, scan: str, feature: MeasuredFeature, form: float, artefac
         uncertainty=form,
         limit=limit,
         verdict=None if limit is None else verdict(interval, (0.0, limit)),
-        # As that of a standard deviation of so many independent normal numbers.
+        # As that of a standard deviation of n independent normal numbers.
         sigma=width / float(np.sqrt(2 * feature.known.freedom)),
         sigma_rig=None,
         points=feature.points,

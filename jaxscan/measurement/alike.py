@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-# Autocorrelation is taken of at most so many frames and columns of a feature, and up to so many of them apart.
+# Autocorrelation is taken of at most the first number of frames and columns of a feature, up to the second number of them apart.
 _WINDOW: Final = 384
 _MOST: Final = 48
-# A correlation below the first, or below so many times its own σ, 1 / √n, is lost.
+# A correlation below the first, or below the second times its own σ, 1 / √n, is lost.
 _LOST: Final = 0.03
 _NOISE: Final = 2.0
 _ROUNDS: Final = 4

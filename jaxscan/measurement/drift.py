@@ -17,7 +17,7 @@ from jaxscan.measurement.accept import Acceptance, AcceptanceFigure
 
 _EXPANDED: Final = 2.0
 _CONFIDENCE: Final = 0.95
-# So many scans say how far places differ.
+# The fewest scans that show how far places differ.
 _PLACES: Final = 3
 
 

@@ -28,7 +28,7 @@ from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import Plane, Shape, Vector, lengths
 from jaxscan.robust import NORMAL_MAD
 
-# Points further than so many robust σ from the shape are not of it.
+# Points further than this number of robust σ from the shape do not belong to it.
 _LIMIT: Final = 4.0
 _ROUNDS, _STEPS, _HALVES = 15, 50, 12
 # Steps to where a point's line meets the shape, and how many σ it may come.
@@ -43,7 +43,7 @@ _BEST: Final = 0.3
 FEWEST: Final = 20
 # Of how many points the rig's part is taken: it is smooth over the surface.
 _OF_RIG: Final = 2000
-# Who is of a shape is settled by at most so many.
+# The largest number of rounds that decide which points belong to a shape.
 _OF_ROUNDS: Final = 5000
 _GROWTHS: Final = 10
 # A residual below this part of the size is rounding, of float32 coordinates.
@@ -141,7 +141,7 @@ def fit_shape(
         before = int(inside.sum())
         candidates = np.union1d(candidates, grown)
         shape, inside, sigma = _settled(scanned, shape, candidates)
-        # Beyond the region only what hangs together counts.
+        # Beyond the region only what is connected counts.
         inside &= np.isin(candidates, grown)
         if abs(int(inside.sum()) - before) <= 1e-3 * before:
             break
@@ -189,7 +189,7 @@ def _settled(
 
 
 def _grown(scanned: Scanned, shape: Shape, seeds: Int[np.ndarray, "seeds"], sigma: float) -> Int[np.ndarray, "grown"]:
-    """The points near the shape that hang together with some, over the grid."""
+    """The points near the shape that are connected with some, over the grid."""
     assert scanned.place is not None
     assert scanned.image is not None
     every = np.arange(len(scanned.points))
@@ -355,5 +355,5 @@ def moved_by_rig(scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"]) 
 
 
 def few(count: int, most: int) -> Int[np.ndarray, "some"]:
-    """Evenly chosen numbers below a count, at most so many."""
+    """Evenly chosen numbers below a count, at most `most`."""
     return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(int)

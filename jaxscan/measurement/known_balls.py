@@ -20,9 +20,9 @@ from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import Ball, Points, Vector
 
 _VOTERS: Final = 20_000
-# Points around one by which its normal is found: within so many radii, at most so many of them.
+# Points around one by which its normal is found: within the first number of radii, at most the second number of points.
 _AROUND, _NEIGHBOURS, _FEWEST = 0.35, 100, 8
-# Votes for one centre lie within so many radii; fewer than so many are chance.
+# Votes for one centre lie within the first number of radii; fewer than the second are chance.
 _NEAR, _LEAST_VOTES = 0.15, 15
 # Of a ball's points, in radii from its centre; and how far a fitted radius may be off the known one.
 BEYOND, _OFF = 1.1, 0.15
@@ -56,7 +56,7 @@ def known_balls(scanned: Scanned, artefact: Artefact) -> dict[str, Region]:
 
 
 def _balls(scanned: Scanned, radius: float, count: int) -> list[Vector]:
-    """The centres of so many balls of a radius, those with the most votes."""
+    """The centres of this number of balls of a radius, those with the most votes."""
     some = few(len(scanned.points), _VOTERS)
     x = scanned.points[some]
     toward = -x if scanned.camera is None else scanned.camera[some] - x

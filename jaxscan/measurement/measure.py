@@ -144,7 +144,7 @@ class Measurement:
 def measure(scanned: Scanned, part: Part) -> Measurement:
     """Measure a part.
 
-    What cannot be measured is told of in `problem` of the feature or dimension, and the others are measured.
+    What cannot be measured is reported in `problem` of the feature or dimension; the others are measured.
 
     Args:
         scanned: its surface, by `scanned_image` or `scanned_points`.

@@ -20,7 +20,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.part_file import Feature
 from jaxscan.measurement.scanned import Scanned
 
-# Neighbours that are further apart than so many times the usual have an edge of depth between them.
+# Neighbours that are further apart than this number of times the usual have an edge of depth between them.
 _FAR = 4.0
 # Where three neighbouring steps differ by more than this part of the middle one there is an edge, and no curve.
 _TURNS = 0.5

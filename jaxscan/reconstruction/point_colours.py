@@ -5,8 +5,8 @@ sees it there, unless something else of the scan is in front of it: a map of the
 """
 
 import numpy as np
-from jaxtyping import Float, Shaped
-from scipy.ndimage import map_coordinates, minimum_filter
+from jaxtyping import Bool, Float, Shaped
+from scipy.ndimage import minimum_filter
 
 from jaxscan.geometry import Pose
 from jaxscan.rig import Camera
@@ -15,7 +15,7 @@ from jaxscan.rig.projection import project_points
 # A point so much deeper than what is seen in its pixel, or beside it, is hidden, mm.
 _BEHIND_MM = 2.0
 # Pixels so near to the stripe have light of the laser.
-_STRIPE_PX = 12.0
+STRIPE_PX = 12.0
 
 
 def point_colours(
@@ -42,16 +42,79 @@ def point_colours(
     """
     seen = pose.apply(np.asarray(points, np.float64))
     pixels = project_points(camera, seen).pixels
-    rows, width = photograph.shape[:2]
-    inside = np.all((pixels > -0.5) & (pixels < [width - 0.5, rows - 0.5]), axis=1)
-    at = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(int)
-    nearest = np.full((rows, width), np.inf)
-    np.minimum.at(nearest, (at[inside, 1], at[inside, 0]), seen[inside, 2])
-    shown = inside & (seen[:, 2] < minimum_filter(nearest, 3)[at[:, 1], at[:, 0]] + _BEHIND_MM)
+    nearest = least_depths(pixels, seen[:, 2], photograph.shape[:2])
+    shown = visible(nearest, pixels, seen[:, 2])
     if stripe is not None:
-        line, place = (at[:, 0], pixels[:, 1]) if columns else (at[:, 1], pixels[:, 0])
-        with np.errstate(invalid="ignore"):
-            shown &= ~(np.abs(place - np.asarray(stripe, np.float64)[line]) < _STRIPE_PX)
-    where = pixels[:, ::-1].T
-    colours = [map_coordinates(photograph[..., k].astype(np.float32), where, order=1, mode="nearest") for k in range(3)]
-    return np.where(shown[:, None], np.stack(colours, axis=-1).astype(np.float64), np.nan)
+        shown &= ~in_stripe(pixels, stripe, STRIPE_PX, columns=columns)
+    return np.where(shown[:, None], sampled(photograph, pixels), np.nan)
+
+
+def least_depths(
+    pixels: Float[np.ndarray, "points 2"], depths: Float[np.ndarray, "points"], shape: tuple[int, ...]
+) -> Float[np.ndarray, "rows columns"]:
+    """The least depth of points in each pixel of a photograph and its eight neighbours, mm; infinite without one.
+
+    Args:
+        pixels: (u, v) of points; NaN for a point that the camera does not see.
+        depths: along the optical axis, mm.
+        shape: rows and columns.
+    """
+    at, inside = _nearest_pixels(pixels, shape)
+    nearest = np.full(shape, np.inf, np.float32)
+    np.minimum.at(nearest, (at[inside, 1], at[inside, 0]), depths[inside].astype(np.float32))
+    return minimum_filter(nearest, 3)
+
+
+def visible(
+    nearest: Float[np.ndarray, "rows columns"],
+    pixels: Float[np.ndarray, "points 2"],
+    depths: Float[np.ndarray, "points"],
+) -> Bool[np.ndarray, "points"]:
+    """Whether points are on the photograph, with nothing before them.
+
+    Args:
+        nearest: as `least_depths` gives it.
+        pixels: (u, v); NaN for a point that the camera does not see.
+        depths: along the optical axis, mm.
+    """
+    at, inside = _nearest_pixels(pixels, nearest.shape)
+    with np.errstate(invalid="ignore"):
+        return inside & (depths < nearest[at[:, 1], at[:, 0]] + _BEHIND_MM)
+
+
+def in_stripe(
+    pixels: Float[np.ndarray, "points 2"], stripe: Float[np.ndarray, "lines"], within_px: float, *, columns: bool
+) -> Bool[np.ndarray, "points"]:
+    """Whether pixels are so near to the stripe of their column (or row); false where that has none."""
+    line, place = (pixels[:, 0], pixels[:, 1]) if columns else (pixels[:, 1], pixels[:, 0])
+    with np.errstate(invalid="ignore"):
+        at = np.rint(np.clip(np.nan_to_num(line), 0, len(stripe) - 1)).astype(int)
+        return np.abs(place - np.asarray(stripe, np.float64)[at]) < within_px
+
+
+def sampled(
+    photograph: Shaped[np.ndarray, "rows columns *rgb"], pixels: Float[np.ndarray, "points 2"]
+) -> Float[np.ndarray, "points 3"]:
+    """Red, green and blue at pixels, linear between the four around each; those of the border beyond it.
+
+    A grey photograph has three equal ones. A pixel that is NaN is (0, 0).
+    """
+    rows, width = photograph.shape[:2]
+    u, v = np.clip(np.nan_to_num(pixels), 0, [width - 1, rows - 1]).T
+    left, top = np.minimum(u.astype(int), max(width - 2, 0)), np.minimum(v.astype(int), max(rows - 2, 0))
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, rows - 1)
+    a, b = (u - left)[:, None], (v - top)[:, None]
+    # One number or three.
+    corner = photograph.reshape(rows, width, -1)
+    upper = (1 - a) * corner[top, left] + a * corner[top, right]
+    lower = (1 - a) * corner[below, left] + a * corner[below, right]
+    return np.broadcast_to((1 - b) * upper + b * lower, (len(u), 3)).astype(np.float64)
+
+
+def _nearest_pixels(
+    pixels: Float[np.ndarray, "points 2"], shape: tuple[int, ...]
+) -> tuple[Shaped[np.ndarray, "points 2"], Bool[np.ndarray, "points"]]:
+    """The pixel that each point is in, and whether it is one of the photograph's; (0, 0) where it is not."""
+    with np.errstate(invalid="ignore"):
+        inside = np.all((pixels > -0.5) & (pixels < [shape[1] - 0.5, shape[0] - 0.5]), axis=1)
+    return np.rint(np.where(inside[:, None], pixels, 0.0)).astype(int), inside

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
@@ -24,7 +24,18 @@ _STILL: Final = Fixed()
 # Profiles of a turn that are further apart make no surface.
 WIDE_APART_DEG: Final = 10.0
 # What has an entry for each frame, the positions apart.
-_BY_FRAME: Final = ("points", "pixels", "strength", "sigma", "sigma_pixel", "valid", "light")
+_BY_FRAME: Final = (
+    "points",
+    "pixels",
+    "strength",
+    "sigma",
+    "sigma_pixel",
+    "valid",
+    "light",
+    "colours",
+    "albedo",
+    "width",
+)
 
 
 @dataclass(frozen=True)
@@ -42,6 +53,12 @@ class RangeImage:
         motion: what carried the object, by these positions; `Fixed` where it is not known.
         sheets: the light in which the object was seen; none where it is not known.
         light: read noise, gain, speckle contrast and saturation of each frame (`images.light`), where they are known.
+        colours: red, green and blue of each point without the laser, as photographed, 8 bits; 0, 0, 0 for a point
+            without a colour; None where there are none.
+        albedo: of each point, relative: the scan's median is 1 (`surface.albedo`); NaN for a point without; None where
+            it was not asked for.
+        width: of the stripe, full at half its height, px; NaN where a pixel near it was full, so that its strength is
+            too low; None where it is not known. It is in no file.
     """
 
     points: Float[np.ndarray, "frames columns 3"]
@@ -54,6 +71,9 @@ class RangeImage:
     motion: Motion = _STILL
     sheets: tuple[Light, ...] = ()
     light: Float[np.ndarray, "frames 4"] | None = None
+    colours: UInt8[np.ndarray, "frames columns 3"] | None = None
+    albedo: Float[np.ndarray, "frames columns"] | None = None
+    width: Float[np.ndarray, "frames columns"] | None = None
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -103,6 +123,8 @@ class RangeImage:
             motion=scanner.motion,
             sheets=scanner.sheets,
             light=arrays.light,
+            colours=arrays.colours,
+            albedo=arrays.albedo,
         )
 
     @classmethod
@@ -144,6 +166,9 @@ class RangeImage:
             valid=self.valid[place],
             positions={axis: np.asarray(steps)[place[0]] for axis, steps in self.positions.items()},
             light=None if self.light is None else self.light[place[0]],
+            colours=None if self.colours is None else self.colours[place],
+            albedo=None if self.albedo is None else self.albedo[place],
+            width=None if self.width is None else self.width[place],
         )
 
     def from_camera(self) -> Pose[np.ndarray]:
@@ -196,6 +221,8 @@ class RangeImage:
             sigma=self.sigma[self.valid] if known else None,
             sigma_pixel=self.sigma_pixel[self.valid] if known else None,
             strength=self.strength[self.valid],
+            colours=None if self.colours is None else self.colours[self.valid],
+            albedo=None if self.albedo is None else self.albedo[self.valid],
         )
 
     def arrays(self) -> RangeArrays:
@@ -212,6 +239,8 @@ class RangeImage:
             pixels=self.pixels,
             sigma_pixel=self.sigma_pixel,
             light=self.light,
+            colours=self.colours,
+            albedo=self.albedo,
         )
 
 

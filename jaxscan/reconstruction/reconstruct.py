@@ -14,6 +14,9 @@ from jaxscan.reconstruction.range_image import RangeImage, writing_points
 from jaxscan.reconstruction.stream import Scanner
 from jaxscan.rig import Rig
 
+# The level of a pixel that is full.
+_FULL = 255
+
 
 def reconstruct(
     rig: RigFile | Rig,
@@ -49,11 +52,17 @@ class Written:
         frames: how many there were.
         empty: how many of them have no point.
         points: how many points.
+        coloured: how many of them have a colour; None where the scan has no colours.
+        full: in how many of these a channel of the photograph is full.
+        reflecting: how many points have an albedo; None where it was not asked for.
     """
 
     frames: int
     empty: int
     points: int
+    coloured: int | None = None
+    full: int = 0
+    reflecting: int | None = None
 
 
 def write_stream(outputs: Sequence[str | os.PathLike[str]], parts: Iterable[RangeImage]) -> Written:
@@ -66,7 +75,8 @@ def write_stream(outputs: Sequence[str | os.PathLike[str]], parts: Iterable[Rang
     Raises:
         InputError: what reading the scan raises, or a file cannot be written.
     """
-    frames = empty = points = 0
+    frames = empty = points = full = 0
+    coloured = reflecting = None
     with ExitStack() as files:
         sinks = [files.enter_context(writing_points(path)) for path in outputs]
         for image in parts:
@@ -75,4 +85,10 @@ def write_stream(outputs: Sequence[str | os.PathLike[str]], parts: Iterable[Rang
             frames += len(image.steps)
             empty += int(np.sum(~image.valid.any(axis=1)))
             points += int(image.valid.sum())
-    return Written(frames, empty, points)
+            if image.colours is not None:
+                colours = image.colours[image.valid]
+                coloured = (coloured or 0) + int(colours.any(axis=-1).sum())
+                full += int((colours == _FULL).any(axis=-1).sum())
+            if image.albedo is not None:
+                reflecting = (reflecting or 0) + int(np.isfinite(image.albedo[image.valid]).sum())
+    return Written(frames, empty, points, coloured, full, reflecting)

@@ -29,6 +29,7 @@ from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
+from jaxscan.reconstruction.scan_colours import object_stands, own_colours
 from jaxscan.reconstruction.scan_notes import REASONS, in_another_colour, left_out_notes
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
@@ -202,10 +203,10 @@ class Scanner:
 
     def _stripes(self, laser: "_Laser", scan: Scan, batches: Iterable[Frames]) -> Iterator[Looked]:
         """The stripe of each frame by itself, and its points."""
-        looked = False
+        looked, standing = False, object_stands(self._content.rig, scan)
         for some in batches:
             with error_context(scan.path):
-                image, stripe = laser.range_image(some, scan.axis_names)
+                image, stripe = laser.range_image(some, scan.axis_names, standing)
             if not looked and np.isfinite(image.pixels).any():
                 looked = True
                 self.notes += _miscoloured(scan.laser, some, image)
@@ -242,8 +243,14 @@ class _Laser:
         self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
         self._rig = rig
 
-    def range_image(self, frames: Frames, axes: Sequence[str]) -> tuple[RangeImage, Stripe]:
-        """Find the stripe in some frames and triangulate it."""
+    def range_image(self, frames: Frames, axes: Sequence[str], standing: bool = False) -> tuple[RangeImage, Stripe]:
+        """Find the stripe in some frames and triangulate it; with the colours that the laser-off photographs show.
+
+        Args:
+            frames: photographs.
+            axes: of their positions.
+            standing: whether the object does not move, so that one laser-off photograph shows it for all frames.
+        """
         count, size = len(frames.positions), len(frames.images)
         stripe = detect_stripe(
             frames.images,
@@ -265,7 +272,11 @@ class _Laser:
             self._kernel, FramePoses.create(self._rig.motion, q, size), position, self._laser.columns
         )
         found = self.with_sigma(position, sigma, strength, points, q)[:count, :]
-        return replace(found, light=stripe.light), stripe
+        colours = None
+        if frames.backgrounds is not None and (standing or frames.background is None):
+            colours = own_colours(frames.backgrounds, stripe.position, columns=self._laser.columns)
+        width = np.where(stripe.burnt, np.float32(np.nan), stripe.width)
+        return replace(found, light=stripe.light, colours=colours, width=width), stripe
 
     def passages(
         self, geometry: Geometry, width: float, batches: Iterable[Frames], axes: Sequence[str]

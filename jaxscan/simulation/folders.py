@@ -50,6 +50,7 @@ JPEG_QUALITY: Final = 95
 _BOARD_NOISE, _STAGE_NOISE, _SCAN_NOISE, _STRIPE_NOISE = range(4)
 # Beyond those of any number of lasers.
 _TURNTABLE_NOISE = 100
+_DARK_NOISE = 200
 
 Advance = Callable[[int], object]
 
@@ -207,8 +208,9 @@ def simulate_scan(
     ending: str = ".png",
     quality: int = JPEG_QUALITY,
     advance: Advance = lambda count: None,
+    laser_off: bool = False,
 ) -> ScanTruth:
-    """Write a scan: `scan.toml` and `frames/`.
+    """Write a scan: `scan.toml` and `frames/`, and `dark/` where each step is photographed without the laser too.
 
     Args:
         folder: is made if it is not there.
@@ -224,27 +226,34 @@ def simulate_scan(
         sensor: of all frames.
         ending: format of the photographs.
         quality: of JPEG, whose colour has half the resolution (4:2:0).
-        advance: called with 1 after every photograph.
+        advance: called with 1 after every photograph of the laser.
+        laser_off: photograph each step with the laser off too: the scan's `background`.
 
     Raises:
         InputError: something cannot be written.
     """
-    _make(folder, "frames")
+    _make(folder, "frames", *(["dark"] if laser_off else []))
     (folder / SCAN_FILE).unlink(missing_ok=True)
     given = {STAGE: range(0, steps_apart * frames, steps_apart)} if axes is None else axes
     positions = {axis: tuple(int(n) for n in steps) for axis, steps in given.items()}
     come = positions | rig_2003.stage_runs(rig, positions.get(STAGE, ()))
-    paths, profiles = [], []
+    paths, dark, profiles = [], [], []
     for i, place in enumerate(zip(*come.values(), strict=True)):
         q = dict(zip(come, place, strict=True))
         seeds = (2003, seed, _SCAN_NOISE, i, *([laser] if laser else []))
         image = render(rig, scene, q=q, laser=laser, lighting=lighting, sensor=sensor, seed=seeds)
         paths.append(folder / "frames" / f"{i:03d}{ending}")
         _write(paths[-1], image, quality)
+        if laser_off:
+            image = render(rig, scene, q=q, lighting=lighting, sensor=sensor, seed=(2003, seed, _DARK_NOISE, i))
+            dark.append(folder / "dark" / f"{i:03d}{ending}")
+            _write(dark[-1], image, quality)
         profiles.append(true_profile(rig, scene, q, laser=laser, lighting=lighting))
         advance(1)
     settings = StripeSettings(name=rig.lights[laser].name)
-    write_scan(Scan(folder / SCAN_FILE, settings, frames=tuple(paths), axes=positions, name=name))
+    write_scan(
+        Scan(folder / SCAN_FILE, settings, frames=tuple(paths), axes=positions, backgrounds=tuple(dark), name=name)
+    )
     rows, points = (np.stack([profile[k] for profile in profiles]) for k in (0, 1))
     return ScanTruth({axis: np.asarray(steps) for axis, steps in positions.items()}, rows, points, settings.name)
 

@@ -76,6 +76,7 @@ class Sheet(NamedTuple):
         bells: of its profile: height, place in mm, standard deviation in mm.
         reach: its light is zero beyond this distance, mm.
         surface: of a sheet that is not flat.
+        fan: distance from the source at which it has its power, mm; None where it has it everywhere.
     """
 
     omega: Any
@@ -84,6 +85,7 @@ class Sheet(NamedTuple):
     bells: Any
     reach: Any
     surface: SheetOfLight | None = None
+    fan: Any = None
 
 
 @jax.jit
@@ -155,7 +157,8 @@ def shine(scene: Scene, sheet: Sheet, x: Float[Array, "*rays"], y: Float[Array, 
     # A few bells, written out: one loop over the rays.
     for height, place, sigma in jnp.asarray(sheet.bells):
         profile = profile + height * jnp.exp(-0.5 * ((d - place) / sigma) ** 2)
-    return jnp.where(lit, facing * profile, 0.0)
+    spread_out = 1.0 if sheet.fan is None else sheet.fan / distance
+    return jnp.where(lit, facing * spread_out * profile, 0.0)
 
 
 @jax.jit

@@ -29,6 +29,8 @@ class Lighting:
         sheet_sigma_mm: standard deviation of the sheet's Gaussian thickness, mm; other profiles scale with it.
         laser_profile: the sheet's cross-section, one of `LASER_PROFILES`; its centre of gravity is in the plane.
         laser_source: where the sheet fans out from, camera frame, mm; None for `default_source`.
+        laser_fan_mm: distance from there at which the sheet has its power; it is weaker in proportion farther away, as
+            its light spreads over a longer line. None: as bright everywhere.
         speckle: contrast of the laser's light in the pixels of the photograph, 0 to 1 (standard deviation over mean).
         speckle_length_px: along the stripe and across it: distance at which the correlation of that light has fallen to
             1/√e, px; 0 where each pixel is by itself.
@@ -47,6 +49,7 @@ class Lighting:
     sheet_sigma_mm: float = 0.25
     laser_profile: str = "gaussian"
     laser_source: tuple[float, float, float] | None = None
+    laser_fan_mm: float | None = None
     speckle: float = 0.0
     speckle_length_px: tuple[float, float] = (0.0, 0.0)
     ghost: float = 0.0
@@ -68,6 +71,8 @@ class Lighting:
             raise InputError(f"highlight_deg = {self.highlight_deg}: give an angle above 0 and up to 90 degrees")
         if not 0 < self.sheet_sigma_mm < math.inf:
             raise InputError(f"sheet_sigma_mm = {self.sheet_sigma_mm}: give a positive number of millimetres")
+        if self.laser_fan_mm is not None and not 0 < self.laser_fan_mm < math.inf:
+            raise InputError(f"laser_fan_mm = {self.laser_fan_mm}: give a positive number of millimetres, or None")
         bells(self.laser_profile)
         if not 0 <= self.speckle <= 1:
             raise InputError(f"speckle = {self.speckle}: give a contrast from 0 to 1")

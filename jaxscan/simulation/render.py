@@ -121,7 +121,8 @@ def sheet_of(rig: Rig, laser: int, lighting: Lighting, dtype: type = np.float32)
     surface = None
     if not isinstance(light, LightPlane):
         surface = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), nameless(light))
-    return Sheet(*(np.asarray(value, dtype) for value in values), surface=surface)
+    fan = None if lighting.laser_fan_mm is None else np.asarray(lighting.laser_fan_mm, dtype)
+    return Sheet(*(np.asarray(value, dtype) for value in values), surface=surface, fan=fan)
 
 
 def fine_rays(camera: Camera) -> tuple[Float[Array, "rows columns"], Float[Array, "rows columns"]]:

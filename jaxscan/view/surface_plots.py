@@ -15,7 +15,7 @@ from jaxscan.surface.compare import Comparison
 from jaxscan.surface.floor import Floor, find_floor
 from jaxscan.surface.links import sampling
 from jaxscan.view.matplotlib_setup import pyplot
-from jaxscan.view.view_data import UNITS, ViewData
+from jaxscan.view.view_data import PHOTOGRAPH, UNITS, ViewData
 
 # Values beyond these percentiles are shown in the colours of the ends.
 _SHOWN: Final = (1.0, 99.0)
@@ -162,15 +162,21 @@ def draw_view_data(path: str | os.PathLike[str], shown: ViewData, colour: str, t
     plt = pyplot()
     panels = 2 if shown.setup is None else 3
     figure, axes = plt.subplots(1, panels, figsize=(7.5 * panels, 6.5), layout="constrained")
-    points, values = shown.points.astype(np.float64), shown.values[colour]
+    points = shown.points.astype(np.float64)
+    if colour == PHOTOGRAPH and shown.colours is not None:
+        values = np.where(np.any(shown.colours, axis=1, keepdims=True), shown.colours, 128) / 255.0
+    else:
+        values = shown.values[colour]
     if shown.triangles is not None:
         points, values = points[shown.triangles].mean(axis=1), values[shown.triangles].mean(axis=1)
     every = max(1, len(points) // _MOST_POINTS)
     points, values = points[::every], values[::every]
     middle = points.mean(axis=0)
     known = values[np.isfinite(values)]
-    look: dict[str, Any] = {"cmap": "viridis", "linewidths": 0, "plotnonfinite": True}
-    if len(known):
+    look: dict[str, Any] = {"linewidths": 0}
+    if values.ndim == 1:
+        look |= {"cmap": "viridis", "plotnonfinite": True}
+    if len(known) and values.ndim == 1:
         look |= dict(zip(("vmin", "vmax"), np.percentile(known, _SHOWN), strict=True))
     dots = None
     for ax, turn in zip(axes, (_AZIMUTH, _AZIMUTH + np.pi, _AZIMUTH + np.pi / 2), strict=False):
@@ -186,7 +192,8 @@ def draw_view_data(path: str | os.PathLike[str], shown: ViewData, colour: str, t
             ax.fill(*sheet.T, color="tab:red", alpha=0.25, label="light plane at the first frame")
             ax.plot(*travel.T, ".-", color="tab:blue", label="camera, from the first frame to the last")
             ax.legend(loc="lower left")
-    figure.colorbar(dots, ax=axes[-1], label=f"{colour}, {UNITS[colour]}", shrink=0.8)
+    if values.ndim == 1:
+        figure.colorbar(dots, ax=axes[-1], label=f"{colour}, {UNITS[colour]}", shrink=0.8)
     figure.suptitle(title)
     save_figure(plt, figure, path)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32, Int, UInt8
 
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.cloud import Cloud, cloud_of
@@ -18,7 +18,9 @@ from jaxscan.rig import Light, Rig
 from jaxscan.rig.light import section, sheet_axes
 from jaxscan.surface.floor import find_floor
 
-UNITS: Final = {"height": "mm", "sigma": "mm", "strength": "grey levels"}
+UNITS: Final = {"height": "mm", "sigma": "mm", "strength": "grey levels", "albedo": "of the scan's median"}
+# What the points are coloured by if they have colours of their own.
+PHOTOGRAPH: Final = "photograph"
 # How far the sheet is drawn before the nearest and beyond the farthest point, in parts of their depth.
 _BEFORE, _BEYOND = 0.95, 1.02
 # How wide, in widths of the points about the camera's axis.
@@ -54,6 +56,7 @@ class ViewData:
         values: for each name of `UNITS` that is known, a number for each point; NaN where it is not known.
         triangles: between the points; none for a cloud.
         setup: where the scanner stood.
+        colours: red, green, blue as photographed, where they are known; 0, 0, 0 for a point without one.
     """
 
     points: Float32[np.ndarray, "points 3"]
@@ -61,6 +64,12 @@ class ViewData:
     values: dict[str, Float[np.ndarray, "points"]] = field(default_factory=dict)
     triangles: Int[np.ndarray, "triangles 3"] | None = None
     setup: Setup | None = None
+    colours: UInt8[np.ndarray, "points 3"] | None = None
+
+    @property
+    def looks(self) -> tuple[str, ...]:
+        """What they can be coloured by."""
+        return (*self.values, *([] if self.colours is None else [PHOTOGRAPH]))
 
     def colour(self, name: str | None) -> str:
         """The name of the values to colour by; by default the height.
@@ -68,8 +77,8 @@ class ViewData:
         Raises:
             InputError: they are not known.
         """
-        if name is not None and name not in self.values:
-            raise InputError(f'"{name}" is not known of these points: choose {", ".join(self.values)}')
+        if name is not None and name not in self.looks:
+            raise InputError(f'"{name}" is not known of these points: choose {", ".join(self.looks)}')
         return name or "height"
 
 
@@ -104,16 +113,16 @@ def _of_image(image: RangeImage, rig: Rig | None) -> ViewData:
     except InputError:
         up, height = _upright(points)
     values = {"height": height}
-    for name in ("sigma", "strength"):
-        known = getattr(image, name)[image.valid]
-        if np.isfinite(known).any():
-            values[name] = known.astype(np.float64)
+    for name in ("sigma", "strength", "albedo"):
+        known = getattr(image, name)
+        if known is not None and np.isfinite(known[image.valid]).any():
+            values[name] = known[image.valid].astype(np.float64)
     at, every = image.from_camera(), max(1, len(image.valid) // _MOST_CAMERAS)
     some = np.append(np.arange(0, len(image.valid) - 1, every), len(image.valid) - 1)
     seen = image.seen()[image.valid]
-    return ViewData(
-        points, up, values, None, _setup(seen, Pose(at.rotation[some], at.translation[some]), rig, image.sheets)
-    )
+    setup = _setup(seen, Pose(at.rotation[some], at.translation[some]), rig, image.sheets)
+    colours = None if image.colours is None else image.colours[image.valid]
+    return ViewData(points, up, values, None, setup, colours)
 
 
 def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None) -> ViewData:
@@ -122,7 +131,12 @@ def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, r
     sigma = cloud.sigma_pixel if cloud.sigma is None else cloud.sigma
     if sigma is not None:
         values["sigma"] = sigma.astype(np.float64)
-    return ViewData(cloud.points, up, values, triangles, _setup(cloud.points, Pose(*np.zeros((2, 1, 3))), rig))
+    for name in ("strength", "albedo"):
+        known = getattr(cloud, name)
+        if known is not None:
+            values[name] = known.astype(np.float64)
+    setup = _setup(cloud.points, Pose(*np.zeros((2, 1, 3))), rig)
+    return ViewData(cloud.points, up, values, triangles, setup, cloud.colours)
 
 
 def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "points"]]:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.extras import extra
 from jaxscan.surface.colours import sequential
-from jaxscan.view.view_data import UNITS, ViewData
+from jaxscan.view.view_data import PHOTOGRAPH, UNITS, ViewData
 
 HOST: Final = "127.0.0.1"
 # Of the colours' range, percentiles.
@@ -43,7 +43,7 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
     centred = (points - middle).astype(np.float32)
 
     def draw(name: str) -> None:
-        colours = coloured(shown.values[name])
+        colours = painted(shown, name)
         if shown.triangles is None:
             spacing = size / np.sqrt(len(points))
             scene.add_point_cloud(
@@ -55,14 +55,13 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
             )
 
     with server.gui.add_folder("jaxscan"):
-        low, high = limits(shown.values[colour])
-        words = server.gui.add_markdown(_words(shown, colour, low, high))
-        choice = server.gui.add_dropdown("colour", tuple(shown.values), initial_value=colour)
+        words = server.gui.add_markdown(_words(shown, colour))
+        choice = server.gui.add_dropdown("colour", shown.looks, initial_value=colour)
 
     @choice.on_update
     def _(_: Any) -> None:
         draw(choice.value)
-        words.content = _words(shown, choice.value, *limits(shown.values[choice.value]))
+        words.content = _words(shown, choice.value)
 
     draw(colour)
     if shown.setup is not None:
@@ -102,6 +101,16 @@ def limits(values: Float[np.ndarray, "points"]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _words(shown: ViewData, name: str, low: float, high: float) -> str:
+def painted(shown: ViewData, name: str) -> UInt8[np.ndarray, "points 3"]:
+    """The colours of what is shown by its values of this name, or as photographed; grey for a point without."""
+    if name != PHOTOGRAPH or shown.colours is None:
+        return coloured(shown.values[name])
+    return np.where(np.any(shown.colours, axis=1, keepdims=True), shown.colours, np.uint8(128))
+
+
+def _words(shown: ViewData, name: str) -> str:
     what = f"{len(shown.points)} points" if shown.triangles is None else f"{len(shown.triangles)} triangles"
+    if name == PHOTOGRAPH:
+        return f"{what}; colours as photographed"
+    low, high = limits(shown.values[name])
     return f"{what}; {name} from {low:.3g} (dark) to {high:.3g} {UNITS[name]} (bright)"

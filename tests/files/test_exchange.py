@@ -12,12 +12,12 @@ from jaxscan.files.exchange import CLOUDS, read_cloud, write_cloud, writing_clou
 # Step of a coordinate, mm: half of it is the largest error beside float32's own at 500 mm.
 STEPS = {".ply": 0.0, ".xyz": 1e-5, ".pcd": 0.0, ".e57": 0.0, ".laz": 1e-4, ".las": 1e-4}
 KEPT = {
-    ".ply": ("sigma", "sigma_pixel", "strength", "colours"),
+    ".ply": ("sigma", "sigma_pixel", "strength", "colours", "albedo"),
     ".xyz": (),
-    ".pcd": ("sigma", "sigma_pixel", "strength"),
+    ".pcd": ("sigma", "sigma_pixel", "strength", "colours", "albedo"),
     ".e57": ("strength", "colours"),
-    ".laz": ("sigma", "sigma_pixel", "strength", "colours"),
-    ".las": ("sigma", "sigma_pixel", "strength", "colours"),
+    ".laz": ("sigma", "sigma_pixel", "strength", "colours", "albedo"),
+    ".las": ("sigma", "sigma_pixel", "strength", "colours", "albedo"),
 }
 
 
@@ -29,6 +29,7 @@ def cloud(n: int = 5000, seed: int = 1) -> Cloud:
         sigma_pixel=random.random(n, dtype=np.float32),
         colours=random.integers(0, 256, (n, 3), dtype=np.uint8),
         strength=250 * random.random(n, dtype=np.float32),
+        albedo=random.random(n, dtype=np.float32),
     )
 
 
@@ -64,7 +65,7 @@ def test_points_that_come_some_at_a_time(ending: str, tmp_path: Path) -> None:
     with writing_cloud(tmp_path / f"a{ending}") as add:
         for part in parts:
             add(part)
-    names = ("points", "sigma", "sigma_pixel", "colours", "strength")
+    names = ("points", "sigma", "sigma_pixel", "colours", "strength", "albedo")
     check(tmp_path / f"a{ending}", Cloud(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names}))
 
 

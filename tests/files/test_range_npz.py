@@ -38,6 +38,7 @@ def whole(frames: int = 4) -> RangeArrays:
     light = rng.random((frames, 4), dtype=np.float32)
     positions, scanner = scanner_arrays({"turntable": np.arange(frames), "stage": bare.steps}, MOTION, (SHEET,))
     known = {"pixels": pixels, "sigma_pixel": sigma_pixel, "per_step": rng.random(3), "light": light}
+    known |= {"colours": rng.integers(0, 256, (*bare.valid.shape, 3), np.uint8), "albedo": pixels + 1}
     return dataclasses.replace(bare, positions=positions, scanner=scanner, **known)
 
 
