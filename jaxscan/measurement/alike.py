@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-# Autocorrelation is taken of at most the first number of frames and columns of a feature, up to the second number of them apart.
+# Autocorrelation is taken of at most the first number of frames and columns of a feature, up to the second number of
+# them apart.
 _WINDOW: Final = 384
 _MOST: Final = 48
 # A correlation below the first, or below the second times its own σ, 1 / √n, is lost.
