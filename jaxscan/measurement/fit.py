@@ -118,7 +118,7 @@ def fit_shape(
         scanned: all points.
         kind: plane, ball, cylinder, cone, circle or line.
         candidates: the numbers of the region's points.
-        grow: continue what is connected with them in the range image.
+        grow: add the points that are connected with them in the range image.
         normal: of the plane of a circle or a line.
         region: where they lie. Whether a point near its border belongs to it is then asked of its place on the shape,
             which errors do not move; else those that errors have brought in would be kept, and the others not.
