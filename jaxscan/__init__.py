@@ -182,7 +182,7 @@ __all__ = [
 
 
 # Old names, found for one version.
-_RENAMED = {"InlierMask": "InlierMask", "coarse_register": "coarse_register", "next_photographs": "next_best_views"}
+_RENAMED = {"Kept": "InlierMask", "arrange": "coarse_register", "next_photographs": "next_best_views"}
 
 
 def __getattr__(name: str) -> Any:

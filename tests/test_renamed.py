@@ -7,7 +7,7 @@ import jaxscan
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("InlierMask", "InlierMask"), ("coarse_register", "coarse_register"), ("next_photographs", "next_best_views")],
+    [("Kept", "InlierMask"), ("arrange", "coarse_register"), ("next_photographs", "next_best_views")],
 )
 def test_an_old_name_is_found_with_a_warning(old, new):
     with pytest.warns(DeprecationWarning, match=f"jaxscan.{old} is now jaxscan.{new}"):

@@ -17,7 +17,7 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.scene import Body
 from jaxscan.simulation.solids import Box
-from jaxscan.view.view_data import PHOTOGRAPH
+from jaxscan.view.view_data import PHOTOGRAPH, view_data
 from jaxscan.view.viewer import painted
 
 GREEN = np.array([0.25, 0.8, 0.3])

@@ -37,6 +37,8 @@ _SCATTER, _SURE, _NEEDED = 1.65, 3.0, 1.5
 # Of the second differences of burnt-out lines this quantile is read; of a normal number it is this number of σ, and the
 # result scatters by this part of itself over the same root.
 _USUAL, _USUAL_OVER_SIGMA, _SCATTER_OF_SIGMA = 0.8, 1.2816, 1.4
+# Speckle of contrast 0.7 scatters burnt-out stripes of σ from 0.7 to 4 px by up to this times √σ, px.
+_MOST_OF_SPECKLE = 0.2
 # ln of the standard deviation of the narrowest stripe whose width its pixels determine, px.
 _NARROW: Final = float(np.log(0.9))
 _TINY = 1e-12
@@ -101,8 +103,8 @@ def widened_by_scatter(sigma: Lines, position: Lines, burnt: Bool[np.ndarray, "f
     this is asked in frames where none was.
     On an even surface the second differences of the centre have the variance σ₋² + 4 σ² + σ₊². What four in five lines
     of a frame stay below, in these units, says by how much σ is too small: as the error changes with the flanks' place
-    in the pixels, the median says too little. What is missing is added to each line alike. A surface that is itself
-    uneven from line to line makes σ too large.
+    in the pixels, the median says too little. What is missing is added to each line alike. More than speckle can
+    do is the surface's own unevenness, and adds nothing; less of that makes σ too large.
 
     Args:
         sigma: of each line's centre, px; NaN where there is none.
@@ -116,12 +118,14 @@ def widened_by_scatter(sigma: Lines, position: Lines, burnt: Bool[np.ndarray, "f
     whole = known[:, :-2] & known[:, 1:-1] & known[:, 2:]
     bends = np.abs(np.diff(np.where(known, position, 0.0), 2, axis=1))
     sigma = sigma.copy()
-    unread = np.asarray(sensor.speckle)[: len(sigma)] == 0
+    unread, ln_s = np.asarray(sensor.speckle)[: len(sigma)] == 0, np.asarray(sensor.ln_s)
     for frame in np.flatnonzero(unread & (whole.sum(axis=1) >= _FEWEST)):
         of = whole[frame]
         by = np.quantile(bends[frame, of] / expected[frame, of], _USUAL) / _USUAL_OVER_SIGMA
-        if by > 1 + _SURE * _SCATTER_OF_SIGMA / np.sqrt(of.sum()):
-            missing = np.sqrt(by**2 - 1) * np.median(sigma[frame, known[frame]])
+        usual = np.median(sigma[frame, known[frame]])
+        most = _MOST_OF_SPECKLE * np.exp(ln_s[frame] / 2)
+        if by > 1 + _SURE * _SCATTER_OF_SIGMA / np.sqrt(of.sum()) and by * usual < most:
+            missing = np.sqrt(by**2 - 1) * usual
             sigma[frame, known[frame]] = np.hypot(sigma[frame, known[frame]], np.float32(missing))
     return sigma
 
