@@ -45,9 +45,8 @@ REACH, REACH_PX, _REACH_ROUGH = 1.3, 2.0, 3.0
 LN_HEIGHT_SPREAD = 2.0
 # Squared contrast of speckle that makes a stripe ragged.
 ROUGH = 0.3**2
-# A step in c, of s, and in ln s and ln A, after which another one would lead nowhere; and a last step that leads to
-# within its square of the minimum.
-_ARRIVED, _SETTLED = 0.01, 0.05
+# A step in c, of s, and in ln s and ln A, after which another one would lead nowhere.
+_ARRIVED = 0.01
 # The longest step: in c, of s; in the logarithms.
 _LONGEST = 0.7
 FWHM = 2.354820
@@ -156,7 +155,7 @@ def likelihood(
     squares = (found.residual**2).sum(1, keepdims=True)
     strained = squares > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
     estimate = Estimate(profile.centre, sigma, FWHM * s, jnp.isfinite(sigma) & within)
-    light, settled = profile.ln_height + profile.ln_s, found.moved_by < _SETTLED
+    light, settled = profile.ln_height + profile.ln_s, found.moved_by < _ARRIVED
     return estimate, Misfit(strained, *_hermite(profile, found.residual), light, settled)
 
 
