@@ -77,8 +77,7 @@ def burnt(quick: bool) -> list[Metric]:
             if s < 0.7:
                 continue
             light = _HEIGHT * np.exp((core / 2) ** 2 / (2 * s * s)) * profile(centre, s)
-            levels = _photograph(light, 0.2, grain, 100, random)
-            image = np.minimum(levels * (_TOP / (_GROUND + _HEIGHT)), _TOP).astype(np.uint16)
+            image = _burnt_photograph(light, 0.2, grain, random)
             rms, sigma = _error(image, centre, DEFAULT)
             other, its = _error(image, centre, "gravity")
             worst.setdefault(grain, []).append((abs(np.log(sigma / rms)), rms / other))
@@ -107,8 +106,7 @@ def burnt_and_narrow() -> list[Metric]:
         light = _HEIGHT * np.exp((core / 2) ** 2 / (2 * s * s)) * profile(centre, s)
         cells = ""
         for contrast in (0.0, 0.1, 0.2, 0.4):
-            levels = _photograph(light, contrast, 0.0, 100, random)
-            image = np.minimum(levels * (_TOP / (_GROUND + _HEIGHT)), _TOP).astype(np.uint16)
+            image = _burnt_photograph(light, contrast, 0.0, random)
             rms, sigma = _error(image, centre, DEFAULT)
             cells += f"  {contrast}: {rms:6.4f} ({sigma / rms:4.2f})"
             ratios.append(sigma / rms)
@@ -141,6 +139,12 @@ def _photograph(light: Image, contrast: float, grain: float, signal: float, rand
     return np.rint((_GROUND + light * _speckle(light.shape, contrast, grain, random) + noise).clip(0, _TOP)).astype(
         np.uint16
     )
+
+
+def _burnt_photograph(light: Image, contrast: float, grain: float, random: np.random.Generator) -> np.ndarray:
+    """With `_HEIGHT` above the ground for a full pixel."""
+    levels = _photograph(light, contrast, grain, 100, random)
+    return np.minimum(levels * (_TOP / (_GROUND + _HEIGHT)), _TOP).astype(np.uint16)
 
 
 def _speckle(shape: tuple[int, ...], contrast: float, grain: float, random: np.random.Generator) -> Image:

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.atomic import make_folder
 from jaxscan.cli.options import check_outputs
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
@@ -59,10 +60,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.png or args.report:
         extra("plots")
     if args.report:
-        try:
-            args.report.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{args.report}: cannot be made ({error.strerror}): choose another folder") from error
+        make_folder(args.report)
     inputs = [path for path in (*args.surface, args.artefact, args.rig) if path]
     if not args.surface:
         return _drift(args)
@@ -113,12 +111,13 @@ def _written(args: argparse.Namespace, found: "Acceptance") -> list[str]:
         written.append(str(args.history))
     if args.png or args.report:
         from jaxscan.view.acceptance import acceptance_report, draw_acceptance, write_picture
+        from jaxscan.view.report import write_report
 
         if args.png:
             write_picture(args.png, draw_acceptance(found))
             written.append(str(args.png))
         if args.report:
-            written += _reported(args.report, acceptance_report(found))
+            written += write_report(args.report, acceptance_report(found))
     return written
 
 
@@ -126,14 +125,6 @@ def _told_from_others(path: Path) -> str:
     import hashlib
 
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-
-
-def _reported(folder: Path, report: Any) -> list[str]:
-    from jaxscan.view.report import write_report_html, write_report_json
-
-    write_report_html(folder / "report.html", report)
-    write_report_json(folder / "report.json", report)
-    return [str(folder / name) for name in ("report.html", "report.json")]
 
 
 def _drift(args: argparse.Namespace) -> dict[str, Any]:
@@ -150,12 +141,13 @@ def _drift(args: argparse.Namespace) -> dict[str, Any]:
     written = []
     if args.png or args.report:
         from jaxscan.view.acceptance import draw_drift, drift_report, write_picture
+        from jaxscan.view.report import write_report
 
         if args.png:
             write_picture(args.png, draw_drift(tests))
             written.append(str(args.png))
         if args.report:
-            written += _reported(args.report, drift_report(tests, found))
+            written += write_report(args.report, drift_report(tests, found))
     return {
         "kind": "drift",
         "path": str(args.history),
@@ -187,6 +179,9 @@ def describe(result: dict[str, Any]) -> str:
 
 
 def _test_in_words(result: dict[str, Any]) -> list[str]:
+    from jaxscan.measurement.accept import expanded
+    from jaxscan.measurement.verdict import worst_of
+
     count = len(result["scans"])
     lines = [f"{result['artefact']}, {count} scan{'s' if count > 1 else ''}: {result['verdict'] or 'no limits given'}"]
     for figure in dict.fromkeys(row["figure"] for row in result["figures"]):
@@ -194,11 +189,9 @@ def _test_in_words(result: dict[str, Any]) -> list[str]:
         worst = max(rows, key=lambda row: abs(row["error"]))
         text = f"  {figure:12}  worst {worst['error']:+.4f} ± {worst['uncertainty']:.4f} mm ({worst['of']})"
         if worst["limit"] is not None:
-            verdicts = [row["verdict"] for row in rows]
-            of_all = next(v for v in ("not conforming", "not decided", "conforming") if v in verdicts)
-            text += f", limit {worst['limit']:g}: {of_all}"
-        if worst["sigma_rig"] is not None:
-            predicted = 2 * (worst["sigma"] ** 2 + worst["sigma_rig"] ** 2) ** 0.5
+            text += f", limit {worst['limit']:g}: {worst_of(row['verdict'] for row in rows)}"
+        predicted = expanded(worst["sigma"], worst["sigma_rig"])
+        if predicted is not None:
             text += f"; predicted within ± {predicted:.4f}"
         lines.append(text)
     lines += [f"note: {note}" for note in result["notes"]]

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.atomic import make_folder
 from jaxscan.cli.options import add_outputs_argument, check_outputs, positive
 from jaxscan.errors import InputError
 
@@ -64,10 +65,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     for path in args.output:
         write_board_page(path, page)
     if session is not None:
-        try:
-            session.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{session.parent}: cannot be made ({error.strerror}): choose another folder") from error
+        make_folder(session.parent)
         write_blank_session(session, board)
     return {
         "kind": "board",

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.atomic import make_folder
 from jaxscan.cli.options import add_units_argument, check_outputs, check_units
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
@@ -38,6 +39,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read, measure, and write."""
     if args.png or args.report:
         extra("plots")
+    if args.report:
+        make_folder(args.report)
     check_units(args.surface, args.units)
     outputs = [args.csv] if args.csv else []
     check_outputs(outputs, args.png, [path for path in (args.surface, args.part, args.rig) if path])
@@ -138,13 +141,9 @@ def _drawn(args: argparse.Namespace, scanned: "Scanned", found: "Measurement") -
         write_measurement_png(args.png, draw_measurement(scanned, found))
     if not args.report:
         return []
-    from jaxscan.view.report import write_report_html, write_report_json
+    from jaxscan.view.report import write_report
 
-    args.report.mkdir(parents=True, exist_ok=True)
-    report = measurement_report(scanned, found, args.surface.name)
-    write_report_html(args.report / "report.html", report)
-    write_report_json(args.report / "report.json", report)
-    return [str(args.report / name) for name in ("report.html", "report.json")]
+    return write_report(args.report, measurement_report(scanned, found, args.surface.name))
 
 
 def describe(result: dict[str, Any]) -> str:

@@ -122,8 +122,8 @@ class Paint:
         if self.colour == "frames":
             check_photographs(scan)
         image = RangeImage.joined(list(parts))
-        colours = {"frames": lambda: neighbour_colours(rig, scan, image), "auto": lambda: image.colours}
-        image = replace(image, colours=colours.get(self.colour, lambda: None)())
+        if self.colour != "auto":
+            image = replace(image, colours=neighbour_colours(rig, scan, image) if self.colour == "frames" else None)
         if self.albedo:
             laser = None if self.laser is None else np.asarray(self.laser)
             image = replace(image, albedo=albedo(image, laser=laser, columns=scan.laser.columns))

@@ -11,8 +11,9 @@ from jaxscan.files.text import read_toml
 from jaxscan.files.units import UNITS
 
 ARTEFACT_FILE: Final = "artefact.toml"
-# The figures that have limits, and what each is of.
+# The figures that have limits; and those that are the width of a band, which is never below 0.
 FIGURES: Final = ("probing_form", "probing_size", "distance", "flatness")
+FORMS: Final = ("probing_form", "flatness")
 _MOST_BALLS: Final = 6
 
 
@@ -93,7 +94,7 @@ def read_artefact(path: str | os.PathLike[str]) -> Artefact:
     """
     top = read_toml(toml_in(Path(path), ARTEFACT_FILE), f"the {ARTEFACT_FILE} that describes what was scanned")
     top.only("artefact", "ball", "distance", "plane", "limits")
-    about = top.table("artefact", "[artefact] ") if "artefact" in top else Table(top.path, "[artefact] ", {})
+    about = top.optional_table("artefact", "[artefact] ")
     about.only("name", "units")
     scale = UNITS[about.string("units", "mm", tuple(UNITS))]
     name = about.string("name") if "name" in about else top.path.stem
@@ -115,10 +116,8 @@ def read_artefact(path: str | os.PathLike[str]) -> Artefact:
         plane = CertifiedPlane(planes[0].string("name", "plane"), scale * _positive(planes[0], "flatness", zero=True))
     if not balls and plane is None:
         raise top.error("ball", "is missing, and [[plane]] too: describe what was scanned, [[ball]] or [[plane]]")
-    limits: dict[str, float] = {}
-    if "limits" in top:
-        table = top.table("limits", "[limits] ").only(*FIGURES)
-        limits = {figure: scale * _positive(table, figure) for figure in FIGURES if figure in table}
+    table = top.optional_table("limits", "[limits] ").only(*FIGURES)
+    limits = {figure: scale * _positive(table, figure) for figure in FIGURES if figure in table}
     return Artefact(top.path, name, tuple(balls.values()), distances, plane, limits)
 
 

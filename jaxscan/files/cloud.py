@@ -23,6 +23,8 @@ _WRITTEN: Final = (".ply", ".npz", ".xyz", ".pcd", ".e57", ".laz", ".las")
 # Ten thousand kilometres: vertices in one place are found on a grid of whole numbers, which ends at nine times this.
 _FARTHEST_MM: Final = 1e10
 _NEEDS_SURFACE: Final = (".stl", ".obj", ".glb", ".gltf", ".off", ".3mf")
+# The grey level of a point without a colour, where it must have one to be shown.
+_NO_COLOUR: Final = 128
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,11 @@ def cloud_of(path: str | os.PathLike[str], content: Ply) -> Cloud:
         strength=known("strength"),
         albedo=known("albedo"),
     )
+
+
+def shown_colours(colours: UInt8[np.ndarray, "points 3"]) -> UInt8[np.ndarray, "points 3"]:
+    """The same with grey in place of 0, 0, 0, for points without a colour."""
+    return np.where(np.any(colours, axis=1, keepdims=True), colours, np.uint8(_NO_COLOUR))
 
 
 def check_points(path: str | os.PathLike[str], points: Float[np.ndarray, "points 3"], what: str, fix: str) -> None:

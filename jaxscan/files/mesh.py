@@ -10,14 +10,12 @@ from jaxtyping import Float32, Int, UInt8
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
-from jaxscan.files.cloud import Cloud, check_points, cloud_of, vertices_of
+from jaxscan.files.cloud import Cloud, check_points, cloud_of, shown_colours, vertices_of
 from jaxscan.files.ply import Column, Element, Lists, Ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import write_ply_file
 from jaxscan.foreign import foreign
 
-# Of a vertex without a colour.
-_GREY: Final = 128
 _INDICES: Final = ("vertex_indices", "vertex_index")
 
 
@@ -102,8 +100,7 @@ def write_trimesh(
         InputError: the file cannot be written.
     """
     if colours is not None:
-        shown = np.where(np.any(colours, axis=1, keepdims=True), colours, _GREY).astype(np.uint8)
-        mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=shown, process=False)
+        mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=shown_colours(colours), process=False)
     content = mesh.export(file_type=Path(path).suffix.lower()[1:])
     with replacing(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)

@@ -158,7 +158,7 @@ def read_part(path: str | os.PathLike[str]) -> Part:
     """
     top = read_toml(toml_in(Path(path), PART_FILE), f"the {PART_FILE} that lists features and dimensions")
     top.only("part", "feature", "dimension")
-    about = top.table("part", "[part] ") if "part" in top else Table(top.path, "[part] ", {})
+    about = top.optional_table("part", "[part] ")
     about.only("name", "units")
     scale = UNITS[about.string("units", "mm", tuple(UNITS))]
     name = about.string("name") if "name" in about else top.path.resolve().parent.name or "part"

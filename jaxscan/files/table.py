@@ -70,6 +70,10 @@ class Table:
             raise self.error(key, "must be a table")
         return Table(self.path, prefix, value)
 
+    def optional_table(self, key: str, prefix: str) -> "Table":
+        """The table under a key, or an empty one where there is no such key."""
+        return self.table(key, prefix) if key in self else Table(self.path, prefix, {})
+
     def tables(self, key: str) -> list["Table"]:
         """The tables under a key, [[key]] in TOML; none where there is no such key. Each is known by its name."""
         values = self.sequence(key, f"tables [[{key}]]") if key in self else []

@@ -29,14 +29,15 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.measurement.known_balls import BEYOND, known_balls
 from jaxscan.measurement.measure import MeasuredDimension, MeasuredFeature, measure
 from jaxscan.measurement.scanned import scanned_image
-from jaxscan.measurement.verdict import Verdict, verdict
+from jaxscan.measurement.verdict import Verdict, verdict, worst_of
 from jaxscan.reconstruction import RangeImage
 
 # Part of the points in a band of form.
 _SHARE: Final = 0.95
 # Points of a ball reach so far beyond its radius at most, in radii: what is nearer is not of the plane.
 _CLEAR: Final = BEYOND + 0.2
-_EXPANDED: Final = 2.0
+# Of an expanded uncertainty over σ.
+EXPANDED: Final = 2.0
 _UNEXPLAINED: Final = 3.0
 # How many places of the artefact VDI/VDE 2634 part 2 asks for.
 PLACES: Final = {"probing_form": 10, "probing_size": 10, "distance": 7, "flatness": 6}
@@ -75,10 +76,10 @@ class AcceptanceFigure:
     @property
     def unexplained(self) -> bool:
         """Whether neither the calibration nor the certificate knows of so large an error."""
-        if self.sigma is None or self.sigma_rig is None:
+        predicted = expanded(self.sigma, self.sigma_rig)
+        if predicted is None:
             return False
-        known = self.sigma**2 + self.sigma_rig**2 + (self.uncertainty / _EXPANDED) ** 2
-        return abs(self.error) > _UNEXPLAINED * float(np.sqrt(known))
+        return abs(self.error) > _UNEXPLAINED / EXPANDED * float(np.hypot(predicted, self.uncertainty))
 
 
 @dataclass(frozen=True)
@@ -102,12 +103,8 @@ class Acceptance:
     @property
     def verdict(self) -> Verdict | None:
         """Conforming if every figure with a limit is and everything was found; None without limits."""
-        verdicts = {each.verdict for each in self.figures if each.verdict}
-        if "not conforming" in verdicts:
-            return "not conforming"
-        if "not decided" in verdicts or (self.artefact.limits and self.problems):
-            return "not decided"
-        return "conforming" if verdicts else None
+        undecided: Verdict | None = "not decided" if self.artefact.limits and self.problems else None
+        return worst_of((undecided, *(each.verdict for each in self.figures)))
 
     def of(self, figure: str) -> tuple[AcceptanceFigure, ...]:
         """All of one kind."""
@@ -226,6 +223,11 @@ def _form(figure: str, scan: str, feature: MeasuredFeature, form: float, artefac
         points=feature.points,
         left_out=feature.left_out,
     )
+
+
+def expanded(sigma: float | None, sigma_rig: float | None) -> float | None:
+    """What noise and rig together predict, expanded (95 %), mm; None where either is not known."""
+    return None if sigma is None or sigma_rig is None else EXPANDED * float(np.hypot(sigma, sigma_rig))
 
 
 def band(residuals: Float[np.ndarray, "points"], share: float = _SHARE) -> float:

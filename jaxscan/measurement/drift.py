@@ -13,9 +13,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import t as students_t
 
-from jaxscan.measurement.accept import Acceptance, AcceptanceFigure
+from jaxscan.measurement.accept import EXPANDED, Acceptance, AcceptanceFigure
 
-_EXPANDED: Final = 2.0
 _CONFIDENCE: Final = 0.95
 # The fewest scans that show how far places differ.
 _PLACES: Final = 3
@@ -78,7 +77,7 @@ def _row(figure: str, of: str, each: Sequence[AcceptanceFigure]) -> dict[str, An
     sigmas = [float(np.sqrt(np.sum(np.square(noise)))) / len(noise)] if noise else []
     if len(errors) >= _PLACES:
         # Student's factor over that of the normal law: few scans say little of how they differ.
-        wider = students_t.ppf((1 + _CONFIDENCE) / 2, len(errors) - 1) / _EXPANDED
+        wider = students_t.ppf((1 + _CONFIDENCE) / 2, len(errors) - 1) / EXPANDED
         sigmas.append(float(wider * errors.std(ddof=1) / np.sqrt(len(errors))))
     return {
         "figure": figure,
@@ -114,7 +113,7 @@ def changes(tests: Sequence[Mapping[str, Any]]) -> list[Change]:
         if first["rig"] != last["rig"] or min(a["scans"], b["scans"]) < _PLACES:
             variance += sum((row["sigma_rig"] or 0.0) ** 2 for row in (a, b))
         if first["certificate"] != last["certificate"]:
-            variance += sum((row["uncertainty"] / _EXPANDED) ** 2 for row in (a, b))
+            variance += sum((row["uncertainty"] / EXPANDED) ** 2 for row in (a, b))
         found.append(
             Change(
                 artefact,
@@ -123,7 +122,7 @@ def changes(tests: Sequence[Mapping[str, Any]]) -> list[Change]:
                 first["date"],
                 last["date"],
                 b["mean"] - a["mean"],
-                _EXPANDED * float(np.sqrt(variance)) if known else None,
+                EXPANDED * float(np.sqrt(variance)) if known else None,
                 len(each),
             )
         )

@@ -26,7 +26,7 @@ from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.section import outline
 from jaxscan.measurement.seen import seen_part
 from jaxscan.measurement.shapes import Plane, Shape
-from jaxscan.measurement.verdict import Verdict, verdict
+from jaxscan.measurement.verdict import Verdict, verdict, worst_of
 from jaxscan.measurement.volume import volume_above
 
 # Numbers of a shape are moved by so much for derivatives, mm.
@@ -134,11 +134,7 @@ class Measurement:
     @property
     def verdict(self) -> Verdict | None:
         """Of the whole part: conforming if every toleranced dimension is; None where none has a tolerance."""
-        verdicts = [each.verdict for each in self.dimensions if each.verdict]
-        if not verdicts:
-            return None
-        worst: tuple[Verdict, ...] = ("not conforming", "not decided", "conforming")
-        return next(each for each in worst if each in verdicts)
+        return worst_of(each.verdict for each in self.dimensions)
 
 
 def measure(scanned: Scanned, part: Part) -> Measurement:

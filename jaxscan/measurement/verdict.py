@@ -1,8 +1,11 @@
 """Verdicts by ISO 14253-1: a tolerance is narrowed by the uncertainty before a part passes, widened before it fails."""
 
-from typing import Literal
+from collections.abc import Iterable
+from typing import Final, Literal
 
 Verdict = Literal["conforming", "not conforming", "not decided"]
+
+_WORST_FIRST: Final[tuple[Verdict, ...]] = ("not conforming", "not decided", "conforming")
 
 
 def verdict(interval: tuple[float, float] | None, limits: tuple[float, float]) -> Verdict:
@@ -18,3 +21,9 @@ def verdict(interval: tuple[float, float] | None, limits: tuple[float, float]) -
     if limits[0] <= low and high <= limits[1]:
         return "conforming"
     return "not conforming" if high < limits[0] or low > limits[1] else "not decided"
+
+
+def worst_of(verdicts: Iterable[Verdict | None]) -> Verdict | None:
+    """That of a whole of which each part has a verdict or, with None, has no limits; None where no part has any."""
+    found = set(verdicts)
+    return next((each for each in _WORST_FIRST if each in found), None)

@@ -19,7 +19,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from jaxscan.atomic import replacing
+from jaxscan.atomic import make_folder, replacing
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, JaxscanError
 from jaxscan.exclusive import exclusive
@@ -179,20 +179,13 @@ def held(out: Path, options: Options) -> Iterator[Path]:
         InUseError: another batch is at work there.
         InputError: the folder cannot be made or written to.
     """
-    _make(out)
+    make_folder(out)
     with exclusive(out / _LOCK, str(out)):
         path, text = out / _OPTIONS_FILE, json.dumps(asdict(options), indent=2)
         if not path.is_file() or path.read_text(errors="replace") != text:
             with replacing(path, "w") as file:
                 file.write(text)
         yield path
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
 
 
 def run_batch(
@@ -215,7 +208,7 @@ def run_batch(
     options = options or Options()
     read_rig(rig)
     for folder in {task.output.parent for task in tasks}:
-        _make(folder)
+        make_folder(folder)
     with _executor(scheduler) as executor:
         futures: dict[Future[Made | str], Task] = {}
         for task in tasks:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxscan.errors import InputError
 from jaxscan.files.scan import Scan
 from jaxscan.images import Stripe, detect_stripe, read_image, read_video
+from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.spacetime import Geometry, carried, half_window
 from jaxscan.reconstruction.turns import full_turn, gaps_between
@@ -15,8 +16,6 @@ from jaxscan.rig import Rig
 
 # Frames of the scan that are looked at; of a video, every Nth from its first on.
 _LOOKED_AT, _EVERY = 16, 12
-# Full width at half the height over the standard deviation.
-_FWHM = 2.354820
 # Standard deviation in frames of what is seen often enough, and of what is seen in more frames than are looked at.
 _LEAST_SIGMA, _MOST_SIGMA = 0.7, 10.0
 
@@ -97,6 +96,6 @@ def passage_sigma(geometry: Geometry, stripe: Stripe) -> tuple[float, float]:
     u, v = geometry.pixels(jnp.where(stripe.valid, stripe.position, 0.0))
     before, after = (geometry.across(*carried(geometry, u, v, jnp.asarray(m))) for m in (-0.5, 0.5))
     speed = np.where(stripe.valid, jnp.abs(after - before), np.nan)
-    sigma = stripe.width / _FWHM / np.maximum(speed, np.finfo(np.float32).tiny)
+    sigma = stripe.width / FWHM / np.maximum(speed, np.finfo(np.float32).tiny)
     known = np.isfinite(sigma)
     return (float(np.median(sigma[known])), float(np.median(speed[known]))) if known.any() else (np.nan, np.nan)

@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.reconstruction import RangeImage
 from jaxscan.rig.light import Light
 from jaxscan.surface.links import Links, links, sampling
@@ -32,8 +33,6 @@ from jaxscan.surface.normals import normals
 
 # A normal is the mean of those within this number of columns and frames that are turned by less than this from it.
 _AROUND: Final = ((3, 1), float(np.cos(np.radians(25.0))))
-# Full width at half the height over the standard deviation.
-_FWHM: Final = 2.354820
 # Groups of points by how many pixels the sheet covers, of whose widths the medians are fitted.
 _GROUPS: Final = 12
 # Variance of the smoothing of `images.stripes.windows`, px².
@@ -94,7 +93,7 @@ def _breadth2(image: RangeImage, spread: Float[np.ndarray, "frames columns"]) ->
     """The variance of the stripe's bell at each point, px²: b² + t² g² of the scan's widths; 0 where none is known."""
     if image.width is None:
         return np.zeros(spread.shape)
-    seen2 = (image.width / _FWHM) ** 2
+    seen2 = (image.width / FWHM) ** 2
     some = np.isfinite(seen2) & np.isfinite(spread)
     if not some.any():
         return np.zeros(spread.shape)

@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any, Final
 
-from jaxscan.measurement.accept import Acceptance, AcceptanceFigure
+from jaxscan.files.artefact_file import FORMS
+from jaxscan.measurement.accept import EXPANDED, Acceptance, AcceptanceFigure, expanded
 from jaxscan.measurement.drift import Change, series
 from jaxscan.view.matplotlib_setup import pyplot
 from jaxscan.view.report import Box, Level, Report, Section, Table, draw
@@ -17,7 +18,6 @@ _LEVELS: Final[dict[str | None, Level]] = {
     "not decided": "care",
     None: "care",
 }
-_EXPANDED: Final = 2.0
 
 
 def write_picture(path: str | os.PathLike[str], figure: Any) -> None:
@@ -35,7 +35,7 @@ def draw_acceptance(found: Acceptance) -> Any:
             at = [found.scans.index(each.scan) + 1 for each in rows]
             bars = [each.uncertainty for each in rows]
             ax.errorbar(at, [each.error for each in rows], yerr=bars, fmt="o", ms=4, lw=0.8, label=of)
-        _limits(ax, found.artefact.limits.get(kind), form=kind in ("probing_form", "flatness"))
+        _limits(ax, found.artefact.limits.get(kind), form=kind in FORMS)
         ax.set(title=kind, ylabel="mm", xlim=(0.5, len(found.scans) + 0.5))
         if found.of(kind):
             ax.legend(fontsize=8)
@@ -49,9 +49,9 @@ def draw_drift(tests: Sequence[Mapping[str, Any]]) -> Any:
     figure, axes = _panels(max(len(found), 1))
     for ax, ((artefact, kind, of), each) in zip(axes, found.items(), strict=False):
         dates = [datetime.fromisoformat(test["date"]) for test, _ in each]
-        bars = [_EXPANDED * (row["sigma"] or 0.0) for _, row in each]
+        bars = [EXPANDED * (row["sigma"] or 0.0) for _, row in each]
         ax.errorbar(dates, [row["mean"] for _, row in each], yerr=bars, fmt="o-", ms=4, lw=0.8)
-        _limits(ax, each[-1][1]["limit"], form=kind in ("probing_form", "flatness"))
+        _limits(ax, each[-1][1]["limit"], form=kind in FORMS)
         ax.set(title=f"{artefact}: {kind} of {of}", ylabel="mm")
     figure.autofmt_xdate()
     return figure
@@ -127,9 +127,7 @@ _MEANING: Final = (
 
 
 def _cells(each: AcceptanceFigure) -> tuple[str, ...]:
-    predicted = ""
-    if each.sigma is not None and each.sigma_rig is not None:
-        predicted = f"{_EXPANDED * (each.sigma**2 + each.sigma_rig**2) ** 0.5:.4f}"
+    predicted = expanded(each.sigma, each.sigma_rig)
     return (
         each.figure,
         each.of,
@@ -138,7 +136,7 @@ def _cells(each: AcceptanceFigure) -> tuple[str, ...]:
         f"{each.uncertainty:.4f}",
         "" if each.limit is None else f"{each.limit:g}",
         each.verdict or "",
-        predicted,
+        "" if predicted is None else f"{predicted:.4f}",
         str(each.points),
         str(each.left_out),
     )

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from io import BytesIO
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -141,6 +142,18 @@ def write_report_json(path: str | os.PathLike[str], report: Report) -> None:
     """
     with replacing(path, "w") as file:
         json.dump(as_dict(report), file, ensure_ascii=False, allow_nan=False, indent=1)
+
+
+def write_report(folder: Path, report: Report) -> list[str]:
+    """`report.html` and `report.json` in a folder; their paths.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    html, numbers = folder / "report.html", folder / "report.json"
+    write_report_html(html, report)
+    write_report_json(numbers, report)
+    return [str(html), str(numbers)]
 
 
 def as_dict(report: Report) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int, UInt8
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
+from jaxscan.files.cloud import shown_colours
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface import views
 from jaxscan.surface.clean import RULES
@@ -164,7 +165,7 @@ def draw_view_data(path: str | os.PathLike[str], shown: ViewData, colour: str, t
     figure, axes = plt.subplots(1, panels, figsize=(7.5 * panels, 6.5), layout="constrained")
     points = shown.points.astype(np.float64)
     if colour == PHOTOGRAPH and shown.colours is not None:
-        values = np.where(np.any(shown.colours, axis=1, keepdims=True), shown.colours, 128) / 255.0
+        values = shown_colours(shown.colours) / 255.0
     else:
         values = shown.values[colour]
     if shown.triangles is not None:

@@ -8,6 +8,7 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from jaxscan.extras import extra
+from jaxscan.files.cloud import shown_colours
 from jaxscan.surface.colours import sequential
 from jaxscan.view.view_data import PHOTOGRAPH, UNITS, ViewData
 
@@ -105,7 +106,7 @@ def painted(shown: ViewData, name: str) -> UInt8[np.ndarray, "points 3"]:
     """The colours of what is shown by its values of this name, or as photographed; grey for a point without."""
     if name != PHOTOGRAPH or shown.colours is None:
         return coloured(shown.values[name])
-    return np.where(np.any(shown.colours, axis=1, keepdims=True), shown.colours, np.uint8(128))
+    return shown_colours(shown.colours)
 
 
 def _words(shown: ViewData, name: str) -> str:

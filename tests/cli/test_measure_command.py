@@ -60,3 +60,10 @@ def test_what_is_refused(block, capsys):
     assert "measure the range image (.npz), or leave --rig out" in capsys.readouterr().err
     assert main(["batch", str(block), "--rig", "rig.json", "-o", str(block / "out"), "--measure", "part.toml"]) == 2
     assert "add --ending .npz" in capsys.readouterr().err
+
+
+def test_a_report_that_cannot_be_made_is_refused_before_any_work(block, capsys):
+    (block / "taken").write_text("")
+    argv = ["measure", str(block / "none.npz"), str(block / "part.toml"), "--report", str(block / "taken")]
+    assert main(argv) == 2
+    assert "taken: cannot be made" in capsys.readouterr().err

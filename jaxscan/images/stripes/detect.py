@@ -245,8 +245,8 @@ def _detect(
         measured, slim = first_look(at) if begun is None else begun
         # In noise a longer window has a lower lowest point, by which what is faint stands out.
         doubtful = measured.cramped & (measured.relief > least[at[0]]) | (measured.strength < _FAINT * least[at[0]])
+        measured = look_again(measured, at, slim & doubtful, narrow, "plain")
         slim = slim & ~doubtful
-        measured = look_again(measured, at, doubtful & slim_frames[at[0]], narrow, "plain")
         # A window inside a burnt-out stripe sees no background, but it sees one end of it.
         strong = (measured.relief > least[at[0]]) | (measured.cramped & measured.burnt)
         cramped = measured.cramped & strong & (wide > narrow)
