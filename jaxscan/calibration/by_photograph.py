@@ -54,13 +54,17 @@ class ByPhotograph:
         order = [photographs[i] for i in observations.in_order()]
         count = n + each * len(own)
         N, g, square = np.zeros((len(order), count, count)), np.zeros((len(order), count)), np.zeros(len(order))
-        for i, (_, group, b, k) in enumerate(order):
-            rows, weight = rows_of(refined, group, k, blocks[group][0].shape[1], scales)
-            J, r = weight[:, None] * blocks[group][0][b, rows], weight * blocks[group][1][b, rows]
-            at = [*range(n), *(own[b] if group else ())]
-            shared = np.concatenate([J if group else J[:, :n], r[:, None]], axis=1)
-            Q = without_poses(J[None, :, J.shape[1] if group else n :], shared[None])[0]
-            N[i][np.ix_(at, at)], g[i, at], square[i] = Q[:-1, :-1], Q[:-1, -1], Q[-1, -1]
+        for group in {group for _, group, *_ in order}:
+            # All of a group at once: of hundreds of small matrices the calls are what takes time.
+            some = [(i, b, k) for i, (_, its, b, k) in enumerate(order) if its == group]
+            J, r = blocks[group]
+            rows, weights = zip(*(rows_of(refined, group, k, J.shape[1], scales) for _, _, k in some), strict=True)
+            at, weight = (np.array([b for _, b, _ in some])[:, None], np.array(rows)), np.stack(weights)
+            J, r = weight[..., None] * J[at], weight * r[at]
+            shared = np.concatenate([J if group else J[..., :n], r[..., None]], axis=-1)
+            for (i, b, _), Q in zip(some, without_poses(J[..., J.shape[-1] if group else n :], shared), strict=True):
+                to = [*range(n), *(own[b] if group else ())]
+                N[i][np.ix_(to, to)], g[i, to], square[i] = Q[:-1, :-1], Q[:-1, -1], Q[-1, -1]
         others, pull_of_others = np.zeros((count, count)), np.zeros(count)
         # What is known of the bends of boards that an axis moves is of no one photograph.
         for b, at in enumerate(own):

@@ -38,7 +38,6 @@ from jaxscan.calibration.refusals import (
     check_enough,
     check_solved,
     check_views_for,
-    lacking,
     refuse_tracers,
     with_enough_corners,
     with_remarks,
@@ -135,7 +134,7 @@ def calibrate(
         observations = observations.unweighted()
     observations = with_kinds(observations, motion or {}, periods or {})
     judge = keep is None and not plain
-    usable = with_enough_corners(observations)
+    usable, enough = with_enough_corners(observations)
     # What is known so far of photographs and stripes that cannot be used.
     known: list[Observations] = [usable]
     aliases: list[str] = []
@@ -232,8 +231,8 @@ def calibrate(
     return replace(
         result,
         kept=tuple(
-            InlierMask.none(view) if lacking(view, observations.board) else next(kept)
-            for view in observations.photographs()
+            next(kept) if has_enough else InlierMask.none(view)
+            for view, has_enough in zip(observations.photographs(), enough, strict=True)
         ),
         plain=plain,
         notes=(*result.notes, *approached, *unclear_bows(result.rig, result.covariance), *((_PLAIN,) if plain else ())),

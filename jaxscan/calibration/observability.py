@@ -137,7 +137,7 @@ def undetermined_shape(
     )
 
 
-def cause_and_mend(question: OpenQuestion, coverage: Coverage, corner_px: float) -> str:
+def cause_and_fix(question: OpenQuestion, coverage: Coverage, corner_px: float) -> str:
     """Why the direction is open, from what the photographs cover, and which photographs would close it.
 
     Args:

@@ -9,17 +9,16 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.bundle import MAX_STEPS
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.first_poses import poses_of_photographs
-from jaxscan.calibration.observability import cause_and_mend, undetermined, undetermined_shape
+from jaxscan.calibration.observability import cause_and_fix, undetermined, undetermined_shape
 from jaxscan.calibration.observations import Observations, View
 from jaxscan.calibration.rounds import Refined
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_checks import image_rays
-from jaxscan.images import Board
 from jaxscan.rig import MOTIONS, Rig, is_run
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
 
@@ -61,16 +60,16 @@ def refuse_tracers(observations: Observations) -> None:
         )
 
 
-def lacking(view: View, board: Board) -> str:
+def _lacking(view: View, points: Float[np.ndarray, "corners 3"], pitch_mm: float) -> str:
     """What a photograph lacks of corners enough for its pose, in words; empty where it lacks nothing."""
     used = view.used()
     if used.sum() < _FEWEST_CORNERS:
         return f"{int(used.sum())} corners, fewer than {_FEWEST_CORNERS}"
-    points = board.points()[used, :2]
+    points = points[used, :2]
     # Where all but one lie on a line, two of any three do.
     for i, j in ((0, 1), (0, 2), (1, 2)):
         (x, y), offset = points[j] - points[i], points - points[i]
-        if (np.abs(offset[:, 1] * x - offset[:, 0] * y) > 1e-6 * board.pitch_mm**2).sum() < 2:
+        if (np.abs(offset[:, 1] * x - offset[:, 0] * y) > 1e-6 * pitch_mm**2).sum() < 2:
             return f"its {int(used.sum())} corners lie on one line of the board, or all but one do"
     pixels = view.corners[used]
     if (far := float(np.abs(pixels).max())) > _FARTHEST_PX:
@@ -80,19 +79,27 @@ def lacking(view: View, board: Board) -> str:
     return ""
 
 
-def with_enough_corners(observations: Observations) -> Observations:
-    """Without the photographs that have too few corners for a pose; they are among what was left out."""
-    board = observations.board
-    few = [f"{view.name}: {lacks}" for view in observations.photographs() if (lacks := lacking(view, board))]
-    return replace(
+def with_enough_corners(observations: Observations) -> tuple[Observations, tuple[bool, ...]]:
+    """Without the photographs that have too few corners for a pose; they are among what was left out.
+
+    Returns:
+        The others, and which of `photographs()` they are.
+    """
+    photographs = observations.photographs()
+    points, pitch_mm = observations.board.points(), observations.board.pitch_mm
+    lacks = [_lacking(view, points, pitch_mm) for view in photographs]
+    enough = tuple(not each for each in lacks)
+    left = iter(enough)
+    few = [f"{view.name}: {each}" for view, each in zip(photographs, lacks, strict=True) if each]
+    usable = replace(
         observations,
-        views=tuple(view for view in observations.views if not lacking(view, board)),
+        views=tuple(view for view in observations.views if next(left)),
         sequences=tuple(
-            sequence.only([i for i, view in enumerate(sequence.views) if not lacking(view, board)])
-            for sequence in observations.sequences
+            sequence.only([i for i in range(len(sequence.views)) if next(left)]) for sequence in observations.sequences
         ),
         left_out=(*observations.left_out, *few),
     )
+    return usable, enough
 
 
 def check_enough(observations: Observations) -> None:
@@ -189,7 +196,7 @@ def check_solved(refined: Refined, observations: Observations, free: Bool[Array,
         )
         raise ObservabilityError(
             f"from these {len(observations.views)} views {open_question.words}: "
-            f"{cause_and_mend(open_question, coverage, float(refined.noise.corner))}"
+            f"{cause_and_fix(open_question, coverage, float(refined.noise.corner))}"
         )
     _refuse_what_ran_away(refined, observations)
     # Last, since what is not determined is mostly not reached either.

@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.calibration import calibrate
 from jaxscan.calibration.coverage import AxisCoverage, Coverage, StripeCoverage, measure_coverage
-from jaxscan.calibration.observability import OpenQuestion, cause_and_mend
+from jaxscan.calibration.observability import OpenQuestion, cause_and_fix
 from jaxscan.errors import ObservabilityError
 from tests.calibration import synthetic
 
@@ -65,7 +65,7 @@ COVERAGE = Coverage(
 def test_cause_and_mend_come_from_the_session(name, spread, words):
     import re
 
-    text = cause_and_mend(OpenQuestion("", (name,)), replace(COVERAGE, tilt_spread_deg=spread), 0.1)
+    text = cause_and_fix(OpenQuestion("", (name,)), replace(COVERAGE, tilt_spread_deg=spread), 0.1)
     assert re.search(words, text)
 
 
@@ -73,11 +73,11 @@ def test_cause_and_mend_come_from_the_session(name, spread, words):
 def test_corners_that_contradict_the_model_are_not_laid_on_the_poses(name):
     """Of a board bent by 10 mm it was said: tilt the board by 30° or more."""
     question, coverage = OpenQuestion("", (name,)), replace(COVERAGE, tilt_spread_deg=70.0)
-    text = cause_and_mend(question, coverage, 1.7)
+    text = cause_and_fix(question, coverage, 1.7)
     assert text.startswith("corners fit to 1.7 px, where a tenth of a pixel is usual")
     assert "See whether the board is flat" in text
     # Neither is a light, whose stripes are its own.
-    assert "Hold the board at distances" in cause_and_mend(OpenQuestion("", ("lights.0.plane.0",)), coverage, 1.7)
+    assert "Hold the board at distances" in cause_and_fix(OpenQuestion("", ("lights.0.plane.0",)), coverage, 1.7)
 
 
 def test_a_stage_that_hardly_moves_is_refused_in_words():
