@@ -106,25 +106,30 @@ def reduced(value: Arrow, jacobian: Jacobian, boards: int, sigma: float) -> list
     return groups
 
 
-def marginal(groups: Sequence[Reduced], sigma: float) -> Float[np.ndarray, "columns columns"]:
-    """The normal equations of [shared, residual] for bends of a σ: S, g and Q_rr − Σ Q_rb K Q_br."""
-    total = np.zeros(())
+def marginal(groups: Sequence[Reduced], sigma: float | Float[np.ndarray, "*tried"]) -> Float[np.ndarray, "*tried c c"]:
+    """The normal equations of [shared, residual] for bends of a σ: S, g and Q_rr − Σ Q_rb K Q_br; of each σ."""
+    variance, total = np.square(sigma)[..., None], np.zeros(())
     for group in groups:
         size, cross = group.bends
-        total = total + group.flat - cross.T @ ((sigma**2 / (1 + sigma**2 * size))[:, None] * cross)
+        weight = variance / (1 + variance * size)
+        total = total + group.flat - (cross.T * weight[..., None, :]) @ cross
     return total
 
 
-def deviance(groups: Sequence[Reduced], sigma: float) -> float:
-    """−2 log of the restricted likelihood of a σ of the bends, but for a constant."""
-    penalty = sum(float(np.log1p(sigma**2 * group.bends[0]).sum()) for group in groups)
+def deviance(groups: Sequence[Reduced], sigma: Float[np.ndarray, "tried"]) -> Float[np.ndarray, "tried"]:
+    """−2 log of the restricted likelihood of each σ of the bends, but for a constant."""
+    variance = np.square(sigma)[..., None]
+    penalty = sum(np.log1p(variance * group.bends[0]).sum(axis=-1) for group in groups)
     total = marginal(groups, sigma)
-    S, g = total[:-1, :-1], total[:-1, -1]
-    known = np.diagonal(S) > 0
-    scale = 1 / np.sqrt(np.diagonal(S)[known])
-    S, g = scale[:, None] * S[np.ix_(known, known)] * scale, scale * g[known]
-    size = np.linalg.slogdet(S)[1] - 2 * np.log(scale).sum()
-    return float(penalty + size + total[-1, -1] - g @ np.linalg.solve(S, g))
+    S, g = total[..., :-1, :-1], total[..., :-1, -1]
+    diagonal = np.diagonal(S, axis1=-2, axis2=-1)
+    known = diagonal > 0
+    scale = 1 / np.sqrt(np.where(known, diagonal, 1.0))
+    # An unknown that appears in no row adds nothing.
+    S = np.where(known[..., :, None] & known[..., None, :], scale[..., :, None] * S * scale[..., None, :], 0.0)
+    S, g = S + np.eye(S.shape[-1]) * ~known[..., None, :], np.where(known, scale * g, 0.0)
+    size = np.linalg.slogdet(S)[1] - 2 * np.log(scale).sum(axis=-1)
+    return penalty + size + total[..., -1, -1] - (g * np.linalg.solve(S, g[..., None])[..., 0]).sum(axis=-1)
 
 
 def likeliest_bend(groups: Sequence[Reduced], half_diagonal: float) -> float:
@@ -137,7 +142,7 @@ def likeliest_bend(groups: Sequence[Reduced], half_diagonal: float) -> float:
     tried = np.linspace(np.log(LEAST_BEND_MM), np.log(_MOST_BEND * half_diagonal), _STEPS)
     best = 0
     for _ in range(_NARROWINGS):
-        best = int(np.argmin([deviance(groups, float(np.exp(each))) for each in tried]))
+        best = int(np.argmin(deviance(groups, np.exp(tried))))
         around = tried[max(best - 1, 0)], tried[best], tried[min(best + 1, len(tried) - 1)]
         tried, best = np.concatenate([np.linspace(*around[:2], 5), np.linspace(*around[1:], 5)[1:]]), 4
     return float(np.exp(tried[best]))

@@ -106,9 +106,9 @@ def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.nd
     without = [each.only(shared, q) for each, q in zip(groups, Q, strict=True)]
     basic = _solution(without, bends)
     p_terms = float(gammaincc(len(extra) / 2, max(basic[1] - cost, 0.0) / 2)) if extra else 1.0
-    rise = deviance(chosen, LEAST_BEND_MM) - deviance(chosen, bends)
+    likeliest_one, unbent = deviance(chosen, np.array([bends, LEAST_BEND_MM]))
     own = refined.noise.bend is not None
-    p_bends = 1.0 if own else 0.5 * float(gammaincc(0.5, max(rise, 0.0) / 2))
+    p_bends = 1.0 if own else 0.5 * float(gammaincc(0.5, max(unbent - likeliest_one, 0.0) / 2))
     # From where all that is free beside it brings the rig.
     before = _solution(without, LEAST_BEND_MM)[0] if beside[0].shape[-1] else np.zeros_like(moved)
     leaves = len(jax.tree.leaves(refined.system.rig))
