@@ -11,7 +11,7 @@ The first photograph that shows the board is the reference, d = 0.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import equinox as eqx
 import jax
@@ -154,19 +154,19 @@ def _first_pose(
 @eqx.filter_jit
 def _errors(
     rig: Rig,
-    q: dict[str, Array],
-    off: dict[str, Array],
-    pose: Float[Array, "6"],
-    points: Float[Array, "corners 3"],
-    uv: Float[Array, "seen corners 2"],
+    q: Mapping[str, Float[Array | np.ndarray, "seen"]],
+    off: Mapping[str, Float[Array | np.ndarray, "seen"]],
+    pose: Float[Array | np.ndarray, "6"],
+    points: Float[Array | np.ndarray, "corners 3"],
+    uv: Float[Array | np.ndarray, "seen corners 2"],
 ) -> tuple[Array, Array, Array]:
     """Errors of the corners, px, and how they go with the board's pose and with the steps, photograph by photograph."""
 
-    def one(pose: Array, d: dict[str, Array], q: dict[str, Array], uv: Array) -> Array:
+    def one(pose: Any, d: Mapping[str, Any], q: Mapping[str, Any], uv: Any) -> Array:
         there = rig.pose({axis: steps + d[axis] if axis in d else steps for axis, steps in q.items()})
         return rig.camera.project((there @ Pose.from_vector(pose)).apply(points)) - uv
 
-    def each(d: dict[str, Array], q: dict[str, Array], uv: Array) -> tuple[Array, Array, Array]:
+    def each(d: Mapping[str, Any], q: Mapping[str, Any], uv: Any) -> tuple[Array, Array, Array]:
         by_steps = jax.jacfwd(one, 1)(pose, d, q, uv)
         return one(pose, d, q, uv), jax.jacfwd(one)(pose, d, q, uv), jnp.stack(list(by_steps.values()), axis=-1)
 
