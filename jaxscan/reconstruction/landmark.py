@@ -58,7 +58,7 @@ class Landmark:
     rms_px: float
 
     def checks(self, frames: int) -> tuple[PlaceCheck, ...]:
-        """As `scan.toml` lists them, for a scan of so many frames.
+        """As `scan.toml` lists them, for a scan of `frames` photographs.
 
         A photograph with the board answers for those since the one before it that shows it too.
         """
@@ -113,7 +113,7 @@ def landmark(
     if not moving:
         raise InputError("nothing moves between the photographs that show the board: their positions show nothing")
     seen = np.stack([uv for i in frames if (uv := corners[i]) is not None])
-    used = np.isfinite(seen).all(axis=2)
+    used = np.isfinite(seen.sum(axis=2))
     with float64():
         rig = as_float64(rig)
         pose = _first_pose(rig, {axis: steps[0] for axis, steps in q.items()}, points, seen[0], used[0])
@@ -126,12 +126,12 @@ def landmark(
     way = np.stack([q[axis] - q[axis][0] for axis in moving], axis=1)
     if np.all(np.abs(off + way) <= _STILL * np.abs(way) + _STEPS):
         raise InputError(f"the board stands still while the {' and '.join(moving)} moves: fix it on what moves")
-    missed = np.abs(off) > np.maximum(np.maximum(_STEPS, _SIGMAS * sigma), _OF_WAY * np.abs(way))
+    missed: np.ndarray = np.abs(off) > np.maximum(np.maximum(_STEPS, _SIGMAS * sigma), _OF_WAY * np.abs(way))
     return Landmark(
         tuple(frames),
         dict(zip(moving, off.T, strict=True)),
         dict(zip(moving, sigma.T, strict=True)),
-        tuple(missed.any(axis=1).tolist()),
+        tuple(bool(one.any()) for one in missed),
         rms,
     )
 
