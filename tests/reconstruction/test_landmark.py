@@ -80,3 +80,16 @@ def test_what_shows_nothing_is_said():
         look([uv * [1.0, 1.05] for uv in corners()])
     with pytest.raises(InputError, match="nothing moves"):
         landmark(rig_2003.simulated_rig(0), ("stage",), {"stage": [5] * 9}, POINTS, corners(ride=0.0))
+
+
+def test_a_turntable_that_slipped():
+    rig = rig_2003.with_turntable(rig_2003.simulated_rig(0), 0)
+    turns, random, seen = tuple(range(0, 401, 50)), np.random.default_rng(1), []
+    with float64():
+        exact, pose = as_float64(rig), rig_2003.turntable_pose(rig, 0)
+        for i, step in enumerate(turns):
+            points = exact.pose({"turntable": float(step + 30 * (i >= 5))}).apply(pose.apply(POINTS))
+            seen.append(np.asarray(exact.camera.project(points)) + random.normal(0, 0.05, (len(POINTS), 2)))
+    found = landmark(rig, ("turntable",), {"turntable": turns}, POINTS, seen)
+    assert found.missed == (False,) * 5 + (True,) * 4
+    np.testing.assert_array_less(np.abs(found.off["turntable"][5:] - 30), 4 * found.sigma["turntable"][5:])
