@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hardware.coverage import ON_STAGE, ON_TURNTABLE, ViewsSoFar, draw_coverage
+from hardware.errors import PositionUncertainError
 from hardware.frame import Frame
 from hardware.places import STAGE, TURNTABLE
 from hardware.safety import safely
-from hardware.scan import Devices, ensure_homed
+from hardware.scan import Devices, ensure_homed, lost_steps, verifiable
 from jaxscan.errors import InputError
 from jaxscan.files.session import SESSION_FILE, Session, StageImages, TurntableImages, Views, write_session
 from jaxscan.images import Board, StripeSettings, draw_board, find_board, write_image
@@ -119,6 +120,7 @@ def guided_session(
         InputError: the folder holds something, what was asked for is no session, the operator ended it before the
             third pose, the scanner lacks an axis, or fewer than two photographs on the stage, or three on the
             turntable, show the board.
+        PositionUncertainError: an axis with a switch lost steps; its photographs are left out of `session.toml`.
         HardwareError: as `scan.take`.
     """
     check_session(views, stage_steps, turntable_steps)
@@ -233,7 +235,22 @@ class _Guide:
                 write_session(self.session)
             self._show(frame, corners)
             self._operator.say(f"step {step}: {number + 1} of {len(steps)}")
+        self._verify(name)
         return len(paths)
+
+    def _verify(self, name: str) -> None:
+        """See that the axis lost no steps along its photographs; with any, the session goes on without them."""
+        lost, spoilt = lost_steps(verifiable(self._axes, {name, STAGE}))
+        if spoilt:
+            self._operator.say(f"the {name} photographs are not verified: {spoilt}")
+        if lost:
+            self.session = replace(self.session, **{name: None})
+            write_session(self.session)
+            words = " and ".join(f"the {axis} by {abs(steps)} steps" for axis, steps in lost.items())
+            raise PositionUncertainError(
+                f"steps were lost, {words}: {self.session.path} leaves the {name} photographs out; set a lower "
+                "rate_steps_s or ramp_steps_s2, look that nothing is in the way, and take the session again"
+            )
 
     def _write(self, kind: str, name: str, frame: Frame) -> Path:
         path = self._folder / kind / name

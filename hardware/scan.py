@@ -177,17 +177,11 @@ def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int
 
     Where a bad line spoils it, nothing is shown, and the axis counts anew from its next homing: why.
     """
-    last, off = len(folder.done.frames) - 1, {}
-    for name, axis in axes.items():
-        try:
-            off[name] = axis.verify()
-        except (LineLostError, StoppedError):
-            raise
-        except HardwareError as error:
-            axis.home()
-            folder.check(PlaceCheck(first, last, unverified=True))
-            return [f"frames {first} to {last} are not verified: {error}"]
-    lost = {name: steps for name, steps in off.items() if abs(steps) > _MEETS_AGAIN}
+    last = len(folder.done.frames) - 1
+    lost, spoilt = lost_steps(axes)
+    if spoilt:
+        folder.check(PlaceCheck(first, last, unverified=True))
+        return [f"frames {first} to {last} are not verified: {spoilt}"]
     folder.check(PlaceCheck(first, last, lost))
     if lost:
         words = " and ".join(f"the {name} by {abs(steps)} steps" for name, steps in lost.items())
@@ -196,6 +190,27 @@ def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int
             "rate_steps_s or ramp_steps_s2, look that nothing is in the way, and take the scan again"
         )
     return []
+
+
+def lost_steps(axes: Mapping[str, Verifiable]) -> tuple[dict[str, int], str]:
+    """Let axes meet their switches again: by how many steps those were off that lost some.
+
+    Where a bad line spoils it, nothing is shown, the axis counts anew from its next homing, and it is said why.
+
+    Raises:
+        LineLostError: the line is gone.
+        StoppedError: somebody called `stop`.
+    """
+    off = {}
+    for name, axis in axes.items():
+        try:
+            off[name] = axis.verify()
+        except (LineLostError, StoppedError):
+            raise
+        except HardwareError as error:
+            axis.home()
+            return {}, str(error)
+    return {name: steps for name, steps in off.items() if abs(steps) > _MEETS_AGAIN}, ""
 
 
 def ensure_homed(axes: Mapping[str, StageDriver]) -> None:

@@ -6,7 +6,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from hardware.cli.options import add_scanner_arguments, as_input, check_travel, say, scanner
+from hardware.cli.options import (
+    add_board_arguments,
+    add_scanner_arguments,
+    as_input,
+    board_of,
+    check_travel,
+    say,
+    scanner,
+)
 
 if TYPE_CHECKING:
     from hardware.guide import Operator, Sight
@@ -25,8 +33,7 @@ _EVERY_S: Final = 0.1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("folder", type=Path, metavar="SESSION", help="the folder to make")
-    parser.add_argument("--board", default="9x6", help="inner corners of the checkerboard (default: 9x6)")
-    parser.add_argument("--square", type=float, default=16.0, help="side of its squares, mm (default: 16)")
+    add_board_arguments(parser)
     parser.add_argument("--views", type=int, default=11, help="poses of the board (default: 11)")
     parser.add_argument(
         "--stage-frames", type=int, help="places of the stage (default: 31 where there is one; 0 for no stage)"
@@ -58,12 +65,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from hardware.simulated.operator import simulated_operator
     from jaxscan.atomic import check_writable
     from jaxscan.errors import InputError
-    from jaxscan.images import Board
 
-    counts = args.board.lower().split("x")
-    if len(counts) != 2 or not all(count.isdecimal() for count in counts):
-        raise InputError(f"--board {args.board}: give columns and rows of inner corners, as 9x6")
-    board = Board.checkerboard([int(count) for count in counts], args.square)
+    board = board_of(args)
     settings = read_scanner(args.scanner)
     if args.stage_frames is None:
         args.stage_frames = _STAGE_FRAMES if STAGE in settings.axes else 0

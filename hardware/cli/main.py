@@ -15,6 +15,7 @@ COMMANDS: Final = {
     "move": "hardware.cli.move",
     "shoot": "hardware.cli.shoot",
     "scan": "hardware.cli.scan",
+    "verify": "hardware.cli.verify",
     "calibrate": "hardware.cli.calibrate",
     "console": "hardware.cli.console",
     "serve": "hardware.cli.serve",

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from hardware.places import Place
     from hardware.protocols import StageDriver
     from hardware.scan import Devices
+    from jaxscan.images import Board
 
 
 def add_scanner_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,3 +115,24 @@ def _seed(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text}: give a whole number, 0 or more")
     return int(text)
+
+
+def add_board_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the checkerboard that is held, or rides on an axis."""
+    parser.add_argument("--board", default="9x6", help="inner corners of the checkerboard (default: 9x6)")
+    parser.add_argument("--square", type=float, default=16.0, help="side of its squares, mm (default: 16)")
+
+
+def board_of(args: argparse.Namespace) -> "Board":
+    """The checkerboard that the arguments describe.
+
+    Raises:
+        InputError: they describe none.
+    """
+    from jaxscan.errors import InputError
+    from jaxscan.images import Board
+
+    counts = args.board.lower().split("x")
+    if len(counts) != 2 or not all(count.isdecimal() for count in counts):
+        raise InputError(f"--board {args.board}: give columns and rows of inner corners, as 9x6")
+    return Board.checkerboard([int(count) for count in counts], args.square)

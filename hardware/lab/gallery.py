@@ -18,6 +18,7 @@ from jaxtyping import Float, UInt
 
 from hardware.frame import Frame, in_words
 from hardware.lab.hub import Hub
+from hardware.lab.long_lived import set_aside
 from hardware.places import Place
 from hardware.scan_plan import ScanFolder
 from jaxscan.errors import JaxscanError
@@ -98,6 +99,7 @@ class Gallery:
         self._hub, self._stripe, self._rig = hub, stripe, rig
         # Of pictures only the latest is worth the work.
         self._pictures, self._profiles = _Thread("pictures", 1), _Thread("profiles", None)
+        self._compiled = False
         self._mutex = threading.Lock()
         self._project = ""
         self._cloud: list[Float[np.ndarray, "points 3"]] = []
@@ -195,6 +197,10 @@ class Gallery:
         u, v = (along, across) if self._stripe.columns else (across, along)
         frames = FramePoses.create(rig.motion, {name: np.array([step]) for name, step in place.items()}, 1)
         points = np.asarray(triangulate(self._kernel, frames, u, v))[0, : len(lines)]
+        if not self._compiled:
+            # What JAX keeps of it is more than all the rest of the server.
+            self._compiled = True
+            set_aside()
         points = points[np.isfinite(points).all(axis=1)]
         return points
 

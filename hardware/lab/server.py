@@ -20,6 +20,7 @@ from hardware.lab.doorway import Doorway, can_be
 from hardware.lab.front import own_names
 from hardware.lab.gate import Gate, Listening
 from hardware.lab.lab import Lab
+from hardware.lab.long_lived import set_aside
 from hardware.lab.protocol import HEAD_S, Seldom, protocol_of
 from jaxscan.errors import InputError
 
@@ -137,6 +138,7 @@ class Server(uvicorn.Server):
         """Serve until told to end."""
         # Threads that compile hold the interpreter in turns: short ones, or Stop waits for several.
         sys.setswitchinterval(_TURN_S)
+        set_aside(first=True)
         if self._first is None:
             asyncio.run(self.serve([Listening(self._listening, self._gates[0], self.config.is_ssl)]))
             return

@@ -7,8 +7,14 @@ import pytest
 
 from hardware.cli.main import main
 from hardware.coverage import ViewsSoFar, draw_coverage
+from hardware.errors import PositionUncertainError
 from hardware.guide import guided_session
 from hardware.scan import Devices
+from hardware.simulated.camera import SimulatedCamera, SimulatedWorld
+from hardware.simulated.laser import SimulatedLaser
+from hardware.simulated.operator import SimulatedOperator
+from hardware.simulated.stage import SimulatedStage
+from hardware.stages import Travel
 from jaxscan.errors import InputError
 from jaxscan.files.session import read_session
 from jaxscan.images import find_board, read_image
@@ -91,3 +97,26 @@ def test_a_sequence_of_an_axis_that_the_scanner_lacks(tmp_path: Path) -> None:
     for name in ("stage", "turntable"):
         with pytest.raises(InputError, match=f"3 {name} photographs: this scanner has no {name}"):
             guided_session(tmp_path, devices, rig_2003.BOARD, None, **{f"{name}_steps": (0, 1, 2)})
+
+
+@pytest.mark.parametrize("push", [0, -60])
+def test_photographs_along_a_stage_that_lost_steps_are_left_out(tmp_path: Path, push: int) -> None:
+    """The switch is met again after the last photograph; one that stands where it says is found to."""
+    stage, laser, world = SimulatedStage(Travel(last=60000)), SimulatedLaser(), SimulatedWorld()
+    said: list[str] = []
+
+    def say(words: str) -> None:
+        said.append(words)
+        if push and words.startswith("step 0"):
+            stage.line.port.axis.push(push, stage.line.port.clock.now_s())
+
+    devices = Devices(SimulatedCamera(world, {"stage": stage}, laser), {"stage": stage}, laser)
+    hand = SimulatedOperator(world, 3, say)
+    if push:
+        with pytest.raises(PositionUncertainError, match=r"the stage by 60 steps: .*session.toml leaves the stage"):
+            guided_session(tmp_path / "session", devices, rig_2003.BOARD, hand, views=3, stage_steps=(0, 30000))
+    else:
+        guided_session(tmp_path / "session", devices, rig_2003.BOARD, hand, views=3, stage_steps=(0, 30000))
+    session = read_session(tmp_path / "session")
+    assert (session.stage is None) == bool(push)
+    assert len(session.views.boards) == 3

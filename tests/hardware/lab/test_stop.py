@@ -1,6 +1,7 @@
 """Nothing that anybody asks for, and nothing that breaks, keeps Stop, the operator's renewal and its lease waiting."""
 
 import contextlib
+import gc
 import sqlite3
 import threading
 import time
@@ -173,3 +174,10 @@ def test_the_lease_ends_while_an_order_hangs(brief: Served, monkeypatch: pytest.
         ordered.result()
     watcher = brief.program(VIEWER)
     assert until(lambda: (job := job_of(watcher, number))["ended_s"] and job)["state"] == "aborted"
+
+
+def test_what_stays_is_left_alone_by_collections(served: Served):
+    """A full collection holds every thread up: it must not look at JAX and the web framework each time."""
+    kept = gc.get_freeze_count()
+    assert kept > 10 * len(gc.get_objects())
+    assert served.program(VIEWER).get("/api/me").status_code == 200
