@@ -1,6 +1,6 @@
 """The HTTP interface: everything that the pages can do, and they do it through this."""
 
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Generator
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -356,13 +356,15 @@ def remove_calibration(lab: LabHere, who: Administrator, name: ProjectPath) -> N
 class _Zip(StreamingResponse):
     """A ZIP file as it is made, in a place among the downloads until it is sent or nobody reads it any more."""
 
-    def __init__(self, name: str, parts: Iterator[bytes], downloads: Workers, whose: str):
+    def __init__(self, name: str, parts: Generator[bytes, None, None], downloads: Workers, whose: str):
         self._leave = downloads.enter(whose)
+        self._sent = downloads.each(parts)
         headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
-        super().__init__(downloads.each(parts), media_type="application/zip", headers=headers)
+        super().__init__(self._sent, media_type="application/zip", headers=headers)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
             await super().__call__(scope, receive, send)
         finally:
             self._leave()
+            await self._sent.aclose()

@@ -2,7 +2,7 @@
 
 import io
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +28,7 @@ class _Sink(io.RawIOBase):
         return data
 
 
-def archive(folder: Path, texts: Mapping[str, bytes], files: Sequence[Path]) -> Iterator[bytes]:
+def archive(folder: Path, texts: Mapping[str, bytes], files: Sequence[Path]) -> Generator[bytes, None, None]:
     """A ZIP file in chunks, all of it under the folder's name.
 
     Args:

@@ -6,7 +6,7 @@ They have the priority of all others: one of lower priority that is put off whil
 import asyncio
 import threading
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncGenerator, Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Final, TypeVar
 
@@ -77,10 +77,16 @@ class Workers:
         future.add_done_callback(lambda _: leave())
         return await asyncio.wrap_future(future)
 
-    async def each(self, parts: Iterator[Any]) -> AsyncIterator[Any]:
-        """What an iterator yields, one by one as it is fetched."""
-        while (part := await asyncio.wrap_future(self._pool.submit(next, parts, _END))) is not _END:
-            yield part
+    async def each(self, parts: Generator[Any, None, None]) -> AsyncGenerator[Any, None]:
+        """What a generator yields, one by one as it is fetched; it is closed where nobody fetches any more."""
+        fetched = self._pool.submit(next, parts, _END)
+        try:
+            while (part := await asyncio.wrap_future(fetched)) is not _END:
+                yield part
+                fetched = self._pool.submit(next, parts, _END)
+        finally:
+            # A generator that runs cannot be closed: behind what is under way.
+            fetched.add_done_callback(lambda _: parts.close())
 
     def close(self) -> None:
         """Begin nothing more; what is under way is not waited for."""

@@ -1,7 +1,7 @@
 """Calibration sessions: one session folder each, under one folder, by a name that leads nowhere else."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,7 +66,7 @@ class Calibrations:
         found = [self._calibration(path) for path in self._folder.iterdir() if path.is_dir() and any(path.iterdir())]
         return sorted(found, key=lambda one: -one.changed_s)
 
-    def archive(self, name: str) -> Iterator[bytes]:
+    def archive(self, name: str) -> Generator[bytes, None, None]:
         """Its session folder as the bytes of a ZIP file.
 
         Raises:

@@ -5,7 +5,7 @@ import re
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,7 +106,7 @@ class Projects:
             raise Refusal(NOT_THERE, f"project {name} has no photograph {number}")
         return frames[number]
 
-    def archive(self, name: str) -> Iterator[bytes]:
+    def archive(self, name: str) -> Generator[bytes, None, None]:
         """Its scan folder as the bytes of a ZIP file; what has been taken until now, where it is under way.
 
         Raises:

@@ -214,6 +214,9 @@ def test_an_answer_that_nobody_reads(tmp_path: Path):
         refused = until(lambda: (answer := client.get("/api/projects/cup/scan.zip")).status_code == 429 and answer)
         assert int(refused.headers["Retry-After"]) > 0
         until(lambda: not served.lab.downloads.alive)
+        # Its photograph is closed now, not when the garbage is collected.
+        photograph = str(folder / "frames" / "0.png")
+        assert until(lambda: photograph not in map(os.path.realpath, Path("/proc/self/fd").iterdir()))
     whole = tmp_path / "cup.zip"
     whole.write_bytes(client.get("/api/projects/cup/scan.zip").content)
     assert zipfile.ZipFile(whole).testzip() is None
