@@ -7,7 +7,7 @@ be taken. Both are written beside and renamed.
 import json
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +26,7 @@ from jaxscan.images import StripeSettings, read_image, write_image
 
 PLAN_FILE: Final = "plan.json"
 _FRAMES: Final = "frames"
-# Whoever takes frames into the folder holds it.
+# Whoever writes into the folder holds it.
 _LOCK: Final = ".scan.lock"
 _FORMAT: Final = "jaxscan-plan/2"
 # Had `steps`, those of the stage, instead of `axes`.
@@ -82,6 +82,16 @@ class Plan:
         return places_of(self.axes)
 
 
+def alone_in(folder: Path) -> AbstractContextManager[None]:
+    """Let no other program write into a scan's folder while the block lasts.
+
+    Raises:
+        InUseError: another process does.
+        InputError: its lock cannot be made.
+    """
+    return exclusive(folder / _LOCK, str(folder))
+
+
 class ScanFolder:
     """A scan under way: what is in `done` is on the disk, whole, and stays.
 
@@ -104,7 +114,7 @@ class ScanFolder:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: cannot be made ({error.strerror}): choose another folder") from error
-        with exclusive(folder / _LOCK, str(folder)):
+        with alone_in(folder):
             if holds_something(folder):
                 begun = (folder / PLAN_FILE).exists()
                 hint = "continue it with --resume" if begun else "name a folder that is new or empty"
@@ -130,7 +140,7 @@ class ScanFolder:
         """
         if not (folder / PLAN_FILE).is_file():
             raise InputError(f"{folder}: has no {PLAN_FILE}: begin a scan there without --resume")
-        with exclusive(folder / _LOCK, str(folder)):
+        with alone_in(folder):
             for path in (*folder.glob(".*.part"), *(folder / _FRAMES).glob(".*.part")):
                 path.unlink()
             return ScanFolder(*_begun(folder))
@@ -144,7 +154,7 @@ class ScanFolder:
             InputError: the folder was changed by hand.
         """
         folder = self.done.path.parent
-        with exclusive(folder / _LOCK, str(folder)):
+        with alone_in(folder):
             if read_listed(folder).frames != self.done.frames:
                 self.plan, self.done = _begun(folder)
             yield

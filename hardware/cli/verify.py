@@ -2,9 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from hardware.cli.options import add_board_arguments, board_of, say
+
+if TYPE_CHECKING:
+    from jaxscan import Rig
+    from jaxscan.files.scan import Scan
+    from jaxscan.images import Board
 
 HELP: Final = "see by a board that rides on the axes, in view of the photographs, whether a motor lost steps"
 EXAMPLE: Final = "scanner verify cup --rig rig.json --board 9x6 --square 10 --every 20"
@@ -31,9 +36,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Look, and mark."""
+    from hardware.scan_plan import alone_in
+    from jaxscan import read_rig, read_scan
+    from jaxscan.errors import InputError
+
+    if args.every < 1:
+        raise InputError(f"--every {args.every}: give 1 photograph or more")
+    board, rig, found = board_of(args), read_rig(args.rig).rig, read_scan(args.folder)
+    # A scan that goes on meanwhile would write the same file.
+    with alone_in(found.path.parent):
+        return _looked_at(read_scan(args.folder), rig, board, args.every)
+
+
+def _looked_at(scan: "Scan", rig: "Rig", board: "Board", every: int) -> dict[str, Any]:
+    """Look at a scan that nobody else writes, and mark it."""
     from dataclasses import replace
 
-    from jaxscan import read_rig, read_scan
     from jaxscan.errors import InputError, error_context
     from jaxscan.files.place_checks import check_values
     from jaxscan.files.scan import write_scan
@@ -41,15 +59,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.reconstruction.landmark import landmark
     from jaxscan.reconstruction.scan_checks import check_scan
 
-    if args.every < 1:
-        raise InputError(f"--every {args.every}: give 1 photograph or more")
-    board, rig, scan = board_of(args), read_rig(args.rig).rig, read_scan(args.folder)
     if not scan.frames:
         raise InputError(f"{scan.path}: has no photographs, or is a video: verify a scan of photographs")
     check_scan(rig, scan)
     corners = []
     for number, path in enumerate(scan.frames):
-        looked = number % args.every == 0 or number == len(scan.frames) - 1
+        looked = number % every == 0 or number == len(scan.frames) - 1
         found = find_board(board, read_image(path)) if looked else None
         if looked and found is None:
             say(f"{path.name}: the board was not found")

@@ -7,7 +7,7 @@ import pytest
 
 from hardware.cli.main import main
 from hardware.scan import Devices, take
-from hardware.scan_plan import Plan, ScanFolder
+from hardware.scan_plan import Plan, ScanFolder, alone_in
 from hardware.simulated.camera import SimulatedCamera, SimulatedWorld
 from hardware.simulated.laser import SimulatedLaser
 from hardware.simulated.stage import SimulatedStage
@@ -71,6 +71,9 @@ def test_what_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert (status, "the board is in 0 of 4 photographs" in err) == (2, True)
     assert verify(tmp_path, capsys, "--board", "9")[0] == 2
     assert verify(tmp_path, capsys, "--every", "0")[0] == 2
+    with alone_in(tmp_path / "cup"):
+        status, _, err = verify(tmp_path, capsys)
+    assert (status, "in use" in err) == (2, True)
     assert read_scan(tmp_path / "cup").checks == ()
     # Squares of another size are the same board further away, and its way is longer.
     status, out, _ = verify(tmp_path, capsys, "--square", "20")
