@@ -15,7 +15,6 @@ from typing import Any, Final
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -154,21 +153,21 @@ def _first_pose(
 @eqx.filter_jit
 def _errors(
     rig: Rig,
+    moving: tuple[str, ...],
     q: Mapping[str, Float[Array | np.ndarray, "seen"]],
-    off: Mapping[str, Float[Array | np.ndarray, "seen"]],
+    off: Float[Array | np.ndarray, "seen axes"],
     pose: Float[Array | np.ndarray, "6"],
     points: Float[Array | np.ndarray, "corners 3"],
     uv: Float[Array | np.ndarray, "seen corners 2"],
 ) -> tuple[Array, Array, Array]:
     """Errors of the corners, px, and how they go with the board's pose and with the steps, photograph by photograph."""
 
-    def one(pose: Any, d: Mapping[str, Any], q: Mapping[str, Any], uv: Any) -> Array:
-        there = rig.pose({axis: steps + d[axis] if axis in d else steps for axis, steps in q.items()})
+    def one(pose: Any, d: Any, q: Mapping[str, Any], uv: Any) -> Array:
+        there = rig.pose({**q, **{axis: q[axis] + d[i] for i, axis in enumerate(moving)}})
         return rig.camera.project((there @ Pose.from_vector(pose)).apply(points)) - uv
 
-    def each(d: Mapping[str, Any], q: Mapping[str, Any], uv: Any) -> tuple[Array, Array, Array]:
-        by_steps = jax.jacfwd(one, 1)(pose, d, q, uv)
-        return one(pose, d, q, uv), jax.jacfwd(one)(pose, d, q, uv), jnp.stack(list(by_steps.values()), axis=-1)
+    def each(d: Any, q: Mapping[str, Any], uv: Any) -> tuple[Array, Array, Array]:
+        return one(pose, d, q, uv), *jax.jacfwd(one, (0, 1))(pose, d, q, uv)
 
     return jax.vmap(each)(off, q, uv)
 
@@ -185,33 +184,27 @@ def _fit(
     """Steps by which each photograph is off, their sigma, and the rms of the corners' errors, px."""
     n, axes = len(uv), len(moving)
     weight = np.repeat(used[:, :, None], 2, axis=2).reshape(n, -1)
-    off = np.zeros((n, axes))
-    names = sorted(moving)
-    order = [names.index(axis) for axis in moving]
+    off, sigma = np.zeros((n, axes)), np.zeros((n, axes))
     rms, before = np.inf, np.inf
-    A = B = C = np.zeros(0)
     for _ in range(_ROUNDS):
-        steps = {axis: off[:, i] for i, axis in enumerate(moving)}
-        found = _errors(rig, dict(q), steps, pose, points, uv)
+        found = _errors(rig, tuple(moving), q, off, pose, points, uv)
         r, J, K = (np.asarray(part).reshape(n, weight.shape[1], -1) * weight[..., None] for part in found)
-        # JAX has the axes in the order of their names.
-        K = K[..., order]
         K[0] = 0.0
         rms = float(np.sqrt(np.square(r).sum() / max(weight.sum() - 6 - (n - 1) * axes, 1)))
         A, B, C = np.einsum("nki,nkj->ij", J, J), np.einsum("nki,nkj->nij", J, K), np.einsum("nki,nkj->nij", K, K)
         C[0] = np.eye(axes)
-        BC = B @ np.linalg.inv(C)
+        V = np.linalg.inv(C)
+        BV = B @ V
+        S = A - np.einsum("nij,nkj->ik", BV, B)
         g, h = np.einsum("nki,nkl->i", J, r), np.einsum("nki,nkl->ni", K, r)
-        S = A - np.einsum("nij,nkj->ik", BC, B)
-        step = -np.linalg.lstsq(S, g - np.einsum("nij,nj->i", BC, h), rcond=1e-14)[0]
+        step = -np.linalg.lstsq(S, g - np.einsum("nij,nj->i", BV, h), rcond=1e-14)[0]
         pose = pose + step
-        off = off - np.linalg.solve(C, (h + np.einsum("nij,i->nj", B, step))[..., None])[..., 0]
+        off = off - np.einsum("nij,nj->ni", V, h + np.einsum("nij,i->nj", B, step))
+        variance = np.einsum("nii->ni", V) + np.einsum("nij,ik,nkj->nj", BV, np.linalg.pinv(S), BV)
+        sigma = rms * np.sqrt(variance)
         if not np.isfinite(rms) or abs(before - rms) < _SETTLED_PX:
             break
         before = rms
-    BC = B @ np.linalg.inv(C)
-    S = A - np.einsum("nij,nkj->ik", BC, B)
-    covariance = np.linalg.inv(C) + np.einsum("nij,ik,nkl->njl", BC, np.linalg.pinv(S), BC)
-    sigma = rms * np.sqrt(np.einsum("nii->ni", covariance))
+    # The first is the reference.
     sigma[0] = 0.0
     return off, sigma, rms
