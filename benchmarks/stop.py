@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.full_disk import full
 from benchmarks.lab_processes import bearer
 from benchmarks.metric import Metric
-from benchmarks.stop_loads import LOADS
+from benchmarks.stop_loads import LOADS, PROJECTS
 
 # Stops under each load, and photographs of the scan.
 _STOPS, _QUICK_STOPS = 200, 12
@@ -36,13 +36,19 @@ _GOAL_S = 0.5
 
 def measure(quick: bool) -> list[Metric]:
     """One Stop after the other under each load by itself and under all of them."""
+    return under_loads(quick, "stop", tls=False)
+
+
+def under_loads(quick: bool, prefix: str, tls: bool) -> list[Metric]:
+    """The figures of `measure`, with names that begin with `prefix`, of a server with TLS of its own or without."""
     stops, frames = (_QUICK_STOPS, _QUICK_FRAMES) if quick else (_STOPS, _FRAMES)
     sizes = _QUICK_SIZES if quick else _SIZES
     metrics, scans, errors, everything = [], {}, 0, []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "idle").mkdir()
-        with _server(folder) as (pid, url, tokens), _server(folder / "idle") as (_, beside, other):
+        files = _certificate(folder) if tls else ()
+        with _server(folder, *files) as (pid, url, tokens), _server(folder / "idle", *files) as (_, beside, other):
             # A scan connects its devices, which Stop then has to stop there too.
             _scan(beside, other, folder / "idle", "first", frames)
             for load in ("nothing", *LOADS, "all"):
@@ -59,28 +65,33 @@ def measure(quick: bool) -> list[Metric]:
                 p50, p99, p999 = np.percentile(times, (50, 99, 99.9))
                 key = load.replace(" ", "_").replace("-", "_")
                 metrics += [
-                    Metric(f"stop.{key}.p50", p50, "s"),
-                    Metric(f"stop.{key}.p99", p99, "s"),
-                    Metric(f"stop.{key}.p99.9", p999, "s", "shown", _GOAL_S),
+                    Metric(f"{prefix}.{key}.p50", p50, "s"),
+                    Metric(f"{prefix}.{key}.p99", p99, "s"),
+                    Metric(f"{prefix}.{key}.p99.9", p999, "s", "shown", _GOAL_S),
                     # What the machine and this client take of it: another server, which nobody else asks for anything.
-                    Metric(f"stop.{key}.idle_server.slowest", max(idle), "s"),
+                    Metric(f"{prefix}.{key}.idle_server.slowest", max(idle), "s"),
                 ]
     same = [scans[load] == scans["nothing"] for load in scans if load != "nothing"]
     return [
-        Metric("stop.errors", errors, "", "lower", 0),
+        Metric(f"{prefix}.errors", errors, "", "lower", 0),
         # A machine with other work says how loaded it is, not how quick Stop is.
-        Metric("stop.slowest", max(everything), "s", "lower", _GOAL_S, slack=4.0, floor=1.0, target_suffices=True),
-        Metric("stop.scans_that_differ", same.count(False), "", "lower", 0),
-        Metric("stop.scans_compared", len(same)),
-        Metric("stop.load_average", os.getloadavg()[0]),
+        Metric(f"{prefix}.slowest", max(everything), "s", "lower", _GOAL_S, slack=4.0, floor=1.0, target_suffices=True),
+        Metric(f"{prefix}.scans_that_differ", same.count(False), "", "lower", 0),
+        Metric(f"{prefix}.scans_compared", len(same)),
+        Metric(f"{prefix}.load_average", os.getloadavg()[0]),
         *metrics,
     ]
 
 
 @contextlib.contextmanager
-def _server(folder: Path) -> Iterator[tuple[int, str, list[str]]]:
-    """The server's process, its address, and tokens: operator, administrator, viewer."""
-    argv = [sys.executable, "-m", "benchmarks.stop_processes", str(folder)]
+def _server(folder: Path, *files: Path) -> Iterator[tuple[int, str, list[str]]]:
+    """The server's process, its address, and tokens: operator, administrator, viewer.
+
+    Args:
+        folder: its data.
+        files: certificate and key, where it speaks TLS.
+    """
+    argv = [sys.executable, "-m", "benchmarks.stop_processes", str(folder), str(PROJECTS), *map(str, files)]
     child = subprocess.Popen(argv, stdout=subprocess.PIPE, text=True)
     assert child.stdout is not None
     try:
@@ -89,6 +100,14 @@ def _server(folder: Path) -> Iterator[tuple[int, str, list[str]]]:
     finally:
         child.terminate()
         child.communicate()
+
+
+def _certificate(folder: Path) -> tuple[Path, Path]:
+    """A certificate for this machine and its key."""
+    cert, key = folder / "lab.pem", folder / "lab.key"
+    make = "openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=lab -addext subjectAltName=IP:127.0.0.1"
+    subprocess.run([*make.split(), "-keyout", key, "-out", cert], check=True, capture_output=True)
+    return cert, key
 
 
 @contextlib.contextmanager
@@ -139,7 +158,7 @@ def _stops(server: tuple[str, str], idle: tuple[str, str], count: int) -> tuple[
 def _scan(url: str, tokens: list[str], folder: Path, project: str, frames: int) -> list[str]:
     """A scan while its operator renews: digests of its photographs and of what lists them."""
     project = "".join(letter for letter in project if letter.isalnum())
-    with httpx.Client(base_url=url, headers=bearer(tokens[0]), timeout=60, trust_env=False) as operator:
+    with httpx.Client(base_url=url, headers=bearer(tokens[0]), timeout=60, trust_env=False, verify=False) as operator:
         operator.post("/api/lock", json={}).raise_for_status()
         order = {"kind": "scan", "project": project, "frames": frames, "apart": 200, "settle_s": 0}
         answer = operator.post("/api/jobs", json=order)

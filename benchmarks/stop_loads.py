@@ -5,6 +5,7 @@ import contextlib
 import json
 import resource
 import signal
+import ssl
 import sys
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -21,6 +22,11 @@ class _Load:
 
     def __init__(self, url: str, token: str, sizes: dict[str, int]):
         self._url, self._token, self._sizes = urlsplit(url), token, sizes
+        self._tls = None
+        if self._url.scheme == "https":
+            # Any certificate is believed.
+            self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+            self._tls.check_hostname, self._tls.verify_mode = False, ssl.CERT_NONE
         self.tasks: list[asyncio.Task[Any]] = []
         self.child: asyncio.subprocess.Process | None = None
 
@@ -39,14 +45,16 @@ class _Load:
         elif load == "sign-ins":
             self._go(self._sign_in(self._sizes[load]))
         elif load == "half-open":
-            for _ in range(self._sizes[load]):
-                self._go(self._half())
+            for i in range(self._sizes[load]):
+                # Every other one says no word of TLS.
+                self._go(self._half(self._tls if i % 2 else None))
 
     def _go(self, work: Any) -> None:
         self.tasks.append(asyncio.create_task(work))
 
-    async def _said(self, words: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        reader, writer = await asyncio.open_connection(self._url.hostname, self._url.port)
+    async def _said(self, words: str, **how: Any) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        how = {"ssl": self._tls, **how}
+        reader, writer = await asyncio.open_connection(self._url.hostname, self._url.port, **how)
         writer.write(words.encode())
         return reader, writer
 
@@ -81,11 +89,9 @@ class _Load:
             with contextlib.suppress(OSError):
                 text = body.format(i)
                 local = f"127.{1 + i % 200}.{1 + i // 200 % 200}.1"
-                reader, writer = await asyncio.open_connection(
-                    self._url.hostname, self._url.port, local_addr=(local, 0)
-                )
                 head = "POST /sign-in HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: scanner_form=made-up\r\n"
-                writer.write(f"{head}Content-Length: {len(text)}\r\nConnection: close\r\n\r\n{text}".encode())
+                words = f"{head}Content-Length: {len(text)}\r\nConnection: close\r\n\r\n{text}"
+                reader, writer = await self._said(words, local_addr=(local, 0))
                 while await reader.read(1 << 16):
                     pass
                 writer.close()
@@ -98,11 +104,11 @@ class _Load:
                 task.add_done_callback(waiting.discard)
             await asyncio.sleep(1 / each_second)
 
-    async def _half(self) -> None:
+    async def _half(self, tls: ssl.SSLContext | None) -> None:
         """Half a request, and again a while after the server has had enough of it."""
         while True:
             with contextlib.suppress(OSError):
-                reader, writer = await self._said("GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: ")
+                reader, writer = await self._said("GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: ", ssl=tls)
                 while await reader.read(1 << 10):
                     pass
                 writer.close()

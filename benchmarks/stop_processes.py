@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.stop_loads import PROJECTS
 from hardware.clock import PacedClock
 from hardware.frame import Frame
 from hardware.lab.gate import raise_limit
@@ -56,7 +55,7 @@ class _Camera:
         """Nothing to do."""
 
 
-def _serve(folder: Path, projects: int = PROJECTS) -> None:
+def _serve(folder: Path, projects: int, tls: tuple[Path, Path] | None) -> None:
     """Serve until terminated; print the address and the tokens of operator, administrator and viewer."""
     travel = Travel()
     stage = SimulatedStage(travel)
@@ -81,10 +80,12 @@ def _serve(folder: Path, projects: int = PROJECTS) -> None:
     listening = bind("127.0.0.1", 0, tls=False, insecure=False)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     try:
-        Server(lab, listening, ready=lambda url: print(json.dumps([url, tokens]), flush=True)).serve_here()
+        cert, key = tls or (None, None)
+        Server(lab, listening, cert, key, lambda url: print(json.dumps([url, tokens]), flush=True)).serve_here()
     finally:
         lab.close()
 
 
 if __name__ == "__main__":
-    _serve(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+    data, count, *files = sys.argv[1:]
+    _serve(Path(data), int(count), (Path(files[0]), Path(files[1])) if files else None)

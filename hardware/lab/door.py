@@ -21,6 +21,7 @@ from collections import deque
 from typing import Any, Final, NamedTuple
 
 from hardware.lab.gate import TIMED_OUT, Gate, Listening
+from hardware.lab.handing import HandedOn, hand
 from hardware.lab.limits import STRANGER, Limits
 from hardware.lab.refusal import Refusal
 from hardware.lab.throttle import network_of
@@ -129,7 +130,7 @@ class Door:
         try:
             with self._limits.request(self._whose(caller, said), STRANGER, stays=True):
                 pass
-            socket.send_fds(self._urgent, [b"."], [caller.line.fileno()])
+            hand(self._urgent, caller.line, caller.peer)
         except (Refusal, OSError):
             return False
         self._end(caller)
@@ -148,7 +149,7 @@ class Door:
         """Hand on to the crowd's loop, as far as that keeps up."""
         while self._whole:
             try:
-                socket.send_fds(self._crowd, [b"."], [self._whole[0].line.fileno()])
+                hand(self._crowd, self._whole[0].line, self._whole[0].peer)
             except OSError as error:
                 if error.errno == errno.ETOOMANYREFS:
                     time.sleep(0.001)
@@ -186,7 +187,8 @@ def main() -> None:
     listening, crowd, urgent = (socket.socket(fileno=number) for number in how["sockets"])
     proxies = tuple(how["proxies"])
     gate = Gate(proxies, how["connections"])
-    Door(Listening(listening, gate, tls=False), crowd, urgent, how["head_s"], proxies).serve()
+    come = HandedOn(listening, gate) if how["handed_on"] else Listening(listening, gate, tls=False)
+    Door(come, crowd, urgent, how["head_s"], proxies).serve()
 
 
 if __name__ == "__main__":

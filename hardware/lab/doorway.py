@@ -1,75 +1,82 @@
-"""The server's side of the door: the process that takes connections, and what it hands on.
+"""The server's side of the door: the processes that take connections, and what they hand on.
 
-Where connections cannot be handed from process to process (no Linux), or where TLS is spoken, which hides the request
-until the server has read it, there is no door, and the server takes them itself.
+Without TLS there is one, the door. With TLS of the server's own there is another before it, which holds the keys.
+Where connections cannot be handed from process to process (no Linux) there is no door: the server takes them itself.
 """
 
-import errno
 import json
 import logging
-import os
-import select
 import socket
 import subprocess
 import threading
+from pathlib import Path
 from typing import Any, Final
 
-from hardware.lab.gate import Gate, Listening
+from hardware.lab.gate import Gate
+from hardware.lab.handing import HandedOn, pair
 from hardware.lab.processes import begin
 
 _LOG: Final = logging.getLogger(__name__)
 _AGAIN_S, _ENDED_S = 0.5, 5.0
+# What speaks TLS has a connection for each one at the door and each one that the server answers, and some that come;
+# and two descriptors for each.
+_BEFORE: Final = 2.5
 
 
-def can_be() -> bool:
-    """Whether this system can have a door."""
-    return hasattr(select, "epoll") and hasattr(socket, "send_fds")
-
-
-class HandedOn(Listening):
-    """Connections that the door hands on, as if they came here.
+class _Child:
+    """A process, begun again if it ends, until it is told to.
 
     Args:
-        end: this side of the pair of sockets through which they come.
-        gate: of this side.
+        module: what it runs.
+        sockets: that it has, by the name `sockets` in what it is told.
+        how: what else it is told.
     """
 
-    def __init__(self, end: socket.socket, gate: Gate):
-        super().__init__(end, gate, tls=False)
+    def __init__(self, module: str, sockets: tuple[socket.socket, ...], how: dict[str, Any]):
+        self._module, self._numbers = module, [one.fileno() for one in sockets]
+        self._how = json.dumps({"sockets": self._numbers, **how})
+        self._closed = threading.Event()
+        self.process = self._begin()
+        self._thread = threading.Thread(target=self._watch, name=module, daemon=True)
+        self._thread.start()
 
-    def listen(self, backlog: int = 0) -> None:
-        """The door does."""
+    def shut(self) -> None:
+        """End it."""
+        self._closed.set()
+        self.process.terminate()
 
-    def take(self) -> tuple[socket.socket, Any]:
-        """The next one."""
-        said, numbers, _, _ = socket.recv_fds(self, 1, 1)
-        if not said:
-            raise BlockingIOError
-        if not numbers:
-            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
-        line = socket.socket(fileno=numbers[0])
-        try:
-            return line, line.getpeername()
-        except OSError as error:
-            # It has gone on its way here.
-            line.close()
-            raise ConnectionAbortedError from error
+    def join(self) -> None:
+        """Wait until it has ended."""
+        self._thread.join(_ENDED_S)
 
-    def turn_away(self) -> None:
-        """The system has: what there was no descriptor for is closed."""
+    def _begin(self) -> "subprocess.Popen[bytes]":
+        return begin(self._module, self._how, pass_fds=self._numbers, stdin=subprocess.DEVNULL)
+
+    def _watch(self) -> None:
+        while True:
+            status = self.process.wait()
+            if self._closed.wait(_AGAIN_S):
+                return
+            _LOG.warning("the process %s, which takes connections, ended (%d) and is begun again", self._module, status)
+            self.process = self._begin()
+            if self._closed.is_set():
+                self.process.terminate()
 
 
 class Doorway:
-    """The door's process, begun again if it ends, until it is closed.
+    """The processes that take connections, until it is closed.
 
     Args:
         listening: where everybody comes.
         crowd, urgent: the gates of the two loops.
-        head_s: within which a header has to be whole.
+        head_s: within which a header, and before it TLS's first words, have to be whole.
         proxies, connections: as in `hardware.lab.server.Server`.
+        backlog: connections that the system keeps until they are taken.
+        tls: certificate and key, where TLS is spoken.
 
     Attributes:
         crowd, urgent: what is handed on to each of the two.
+        children: the processes, the one that browsers reach last.
     """
 
     def __init__(
@@ -79,42 +86,36 @@ class Doorway:
         urgent: Gate,
         head_s: float,
         proxies: tuple[str, ...],
-        connections: int | None,
+        connections: int,
         backlog: int,
+        tls: tuple[Path, Path] | None = None,
     ):
         listening.listen(backlog)
-        here, its = zip(*(socket.socketpair() for _ in range(2)), strict=True)
+        here, its = zip(*(pair() for _ in range(2)), strict=True)
         self.crowd, self.urgent = HandedOn(here[0], crowd), HandedOn(here[1], urgent)
-        self._sockets = (listening, *its)
-        numbers = [one.fileno() for one in self._sockets]
-        how = {"sockets": numbers, "head_s": head_s, "proxies": proxies, "connections": connections}
-        self._how, self._numbers = json.dumps(how), numbers
-        self._closed = threading.Event()
-        self.child = self._begin()
-        self._thread = threading.Thread(target=self._watch, name="door", daemon=True)
-        self._thread.start()
+        self._sockets = [listening, *its]
+        how = {"head_s": head_s, "proxies": proxies}
+        come, before = listening, None
+        if tls is not None:
+            come, before = pair()
+            self._sockets += [come, before]
+        self.children = [
+            _Child("hardware.lab.door", (come, *its), {**how, "connections": connections, "handed_on": tls is not None})
+        ]
+        if tls is not None and before is not None:
+            files = {name: str(path.resolve()) for name, path in zip(("cert", "key"), tls, strict=True)}
+            most = int(_BEFORE * connections)
+            self.children.append(_Child("hardware.lab.tls", (listening, before), {**how, **files, "connections": most}))
 
     def shut(self) -> None:
         """Let nobody come any more."""
-        self._closed.set()
-        self.child.terminate()
+        for child in reversed(self.children):
+            child.shut()
 
     def close(self) -> None:
         """End it, and what is left of it here."""
         self.shut()
-        self._thread.join(_ENDED_S)
+        for child in self.children:
+            child.join()
         for one in (*self._sockets, self.crowd, self.urgent):
             one.close()
-
-    def _begin(self) -> "subprocess.Popen[bytes]":
-        return begin("hardware.lab.door", self._how, pass_fds=self._numbers, stdin=subprocess.DEVNULL)
-
-    def _watch(self) -> None:
-        while True:
-            status = self.child.wait()
-            if self._closed.wait(_AGAIN_S):
-                return
-            _LOG.warning("the process that takes connections ended (%d) and is begun again", status)
-            self.child = self._begin()
-            if self._closed.is_set():
-                self.child.terminate()

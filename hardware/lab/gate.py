@@ -26,6 +26,8 @@ _LOG: Final = logging.getLogger(__name__)
 _MOST, _SHARE = 1000, 0.8
 # Descriptors that connections leave to files, devices and the database.
 _SPARE: Final = 256
+# Descriptors that a connection takes at most, where another process speaks TLS for it.
+_HIDDEN: Final = 5
 _SAID_S: Final = 60.0
 # Connections that are accepted before any is read.
 _IN_A_ROW: Final = 16
@@ -39,12 +41,24 @@ def raise_limit() -> None:
     if resource is None:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = 4 * (_MOST + _SPARE)
+    wanted = _HIDDEN * _MOST + _SPARE
     if hard != resource.RLIM_INFINITY:
         wanted = min(wanted, hard)
     if soft < wanted:
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def room(hidden: bool = False) -> int:
+    """Connections for which this process, and each that begins in it, has descriptors; 1000 at most.
+
+    Args:
+        hidden: another process speaks TLS for them.
+    """
+    if resource is None:
+        return _MOST
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return max(16, min(_MOST, (soft - _SPARE) // (_HIDDEN if hidden else 1)))
 
 
 # Whether a connection waits for a request that has begun or never came, rests after an answer, or is being answered.
@@ -67,8 +81,7 @@ class Gate:
     """
 
     def __init__(self, proxies: tuple[str, ...] = (), most: int | None = None):
-        soft = _MOST + _SPARE if resource is None else resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        self.most = most or max(16, min(_MOST, soft - _SPARE))
+        self.most = most or room()
         self._each = max(8, int(self.most * _SHARE))
         self._proxies = {network_of(proxy) for proxy in proxies}
         # By the other side's address and port, the longest here first.
@@ -102,6 +115,8 @@ class Gate:
             line.close()
             self._say("%d connections are busy: no more are taken", len(self._lines))
             raise ConnectionAbortedError
+        # One that ended unheard may have come from the same port before.
+        self.left(peer)
         self._lines[peer] = _Line(line, network)
         self._counts[network] += 1
         return line, peer

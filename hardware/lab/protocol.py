@@ -25,6 +25,8 @@ class Protocol(H11Protocol):
     """
 
     gate: Gate
+    # What is spoken with the browser, where another process does so.
+    spoken: Literal["http", "https"] | None = None
     head_s = HEAD_S
     body_s = BODY_S
     send_s = SEND_S
@@ -38,6 +40,9 @@ class Protocol(H11Protocol):
         self.give_way()
         super().connection_made(transport)  # pyright: ignore[reportArgumentType]
         self._peer = transport.get_extra_info("peername")
+        # A connection that was handed on need have no address of its own.
+        self.client = (str(self._peer[0]), int(self._peer[1]))
+        self.scheme = self.spoken or self.scheme
         self._phase, self._deadline, self._sending = "", None, None
         self._look()
 
@@ -96,15 +101,21 @@ class Protocol(H11Protocol):
         self.transport.close()
 
 
-def protocol_of(gate: Gate, give_way: Callable[[], object] | None = None, **seconds: float) -> type[Protocol]:
+def protocol_of(
+    gate: Gate,
+    give_way: Callable[[], object] | None = None,
+    spoken: Literal["http", "https"] | None = None,
+    **seconds: float,
+) -> type[Protocol]:
     """The protocol of a server's connections.
 
     Args:
         gate: through which they have come.
         give_way: called before anything is done for one of them; waits as long as something else cannot.
+        spoken: with the browser, where another process does so.
         seconds: other deadlines, if need be.
     """
-    values: dict[str, Any] = {"gate": gate, **seconds}
+    values: dict[str, Any] = {"gate": gate, "spoken": spoken, **seconds}
     if give_way is not None:
         values["give_way"] = staticmethod(give_way)
     return type("LabProtocol", (Protocol,), values)

@@ -16,12 +16,14 @@ from typing import Any, Final
 import uvicorn
 
 from hardware.lab.app import make_app
-from hardware.lab.doorway import Doorway, can_be
+from hardware.lab.doorway import Doorway
 from hardware.lab.front import own_names
-from hardware.lab.gate import Gate, Listening
+from hardware.lab.gate import Gate, Listening, room
+from hardware.lab.handing import can_be
 from hardware.lab.lab import Lab
 from hardware.lab.long_lived import set_aside
 from hardware.lab.protocol import HEAD_S, Seldom, protocol_of
+from hardware.lab.tls import context_of
 from jaxscan.errors import InputError
 
 _GRACE_S: Final = 3
@@ -69,9 +71,11 @@ def check_tls(cert: Path | None, key: Path | None) -> bool:
     if cert is None or key is None:
         raise InputError("--cert and --key: TLS needs both, a certificate and its private key, in PEM files")
     try:
-        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(cert, key)
+        context_of(cert, key)
     except (OSError, ssl.SSLError) as error:
-        raise InputError(f"{cert}, {key}: are no certificate with its private key ({error})") from error
+        raise InputError(
+            f"{cert}, {key}: are no certificate with its private key ({error}); a key may have no password"
+        ) from error
     return True
 
 
@@ -104,7 +108,10 @@ class Server(uvicorn.Server):
         connections: int | None = None,
         **deadlines: float,
     ):
-        doorway = cert is None and can_be()
+        doorway = can_be()
+        tls = None if cert is None or key is None else (cert, key)
+        hidden = doorway and tls is not None
+        connections = connections or room(hidden)
         how: dict[str, Any] = {
             "app": make_app(lab, own_names(names)),
             "ws": "none",
@@ -115,20 +122,21 @@ class Server(uvicorn.Server):
             "forwarded_allow_ips": list(proxies),
             "backlog": _BACKLOG,
             "timeout_graceful_shutdown": _GRACE_S,
-            "ssl_certfile": cert,
-            "ssl_keyfile": key,
+            "ssl_certfile": None if doorway else cert,
+            "ssl_keyfile": None if doorway else key,
             "headers": [("Connection", "close")] if doorway else [],
         }
         gate, first = Gate(proxies, connections), Gate(proxies, connections)
         give_way = lab.emergency.give_way if doorway else None
-        super().__init__(uvicorn.Config(http=protocol_of(gate, give_way, **deadlines), **how))
+        spoken = "https" if hidden else None
+        super().__init__(uvicorn.Config(http=protocol_of(gate, give_way, spoken, **deadlines), **how))
         self._lab, self._listening, self._ready, self._gates = lab, listening, ready, (gate, first)
-        self._how_listened = gate, first, deadlines.get("head_s", HEAD_S), proxies, connections, _BACKLOG
+        self._how_listened = gate, first, deadlines.get("head_s", HEAD_S), proxies, connections, _BACKLOG, tls
         self._doorway: Doorway | None = None
         self._first = None
         if doorway:
             self._first = uvicorn.Server(
-                uvicorn.Config(http=protocol_of(first, None, **deadlines), **{**how, "lifespan": "off"})
+                uvicorn.Config(http=protocol_of(first, None, spoken, **deadlines), **{**how, "lifespan": "off"})
             )
         logging.getLogger("uvicorn.error").addFilter(_SELDOM)
         host, port = listening.getsockname()[:2]

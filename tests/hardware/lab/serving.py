@@ -1,6 +1,8 @@
 """A lab on a real server, on a loopback port, with a stage that is emulated and a camera that draws a stripe."""
 
 import re
+import ssl
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -89,7 +91,7 @@ class Served:
 
     def client(self, **headers: str) -> httpx.Client:
         """Somebody who has not signed in."""
-        # Nothing here is TLS, and reading the world's certificates takes longer than most of the tests' requests.
+        # Reading the world's certificates takes longer than most requests here, and the tests' own is not among them.
         client = httpx.Client(base_url=self.url, headers=headers, timeout=20, trust_env=False, verify=False)
         self.clients.append(client)
         return client
@@ -121,6 +123,21 @@ class Served:
     def moving(self) -> bool:
         """Whether the motor turns."""
         return self.stage.line.port.axis.moving(self.stage.line.clock.now_s())
+
+
+def certificate(folder: Path) -> dict[str, Path]:
+    """A certificate for 127.0.0.1 and its key, made in this folder, by the names that `serve` has for them."""
+    files = {"cert": folder / "lab.pem", "key": folder / "lab.key"}
+    make = "openssl req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=x -addext subjectAltName=IP:127.0.0.1"
+    subprocess.run([*make.split(), "-keyout", files["key"], "-out", files["cert"]], check=True, capture_output=True)
+    return files
+
+
+def unverified() -> ssl.SSLContext:
+    """TLS of a client that believes any certificate."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context
 
 
 class Witness:

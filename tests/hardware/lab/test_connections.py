@@ -11,18 +11,20 @@ import threading
 import time
 import zipfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
 import pytest
-from serving import ADMINISTRATOR, OPERATOR, VIEWER, Served, ended, scan, serve, until
+from serving import ADMINISTRATOR, OPERATOR, VIEWER, Served, certificate, ended, scan, serve, until, unverified
 from test_disk import SERVE
 
 from hardware.lab import front
 from hardware.lab.door import Door, _Caller
-from hardware.lab.doorway import can_be
 from hardware.lab.gate import Gate, Listening
+from hardware.lab.handing import can_be, pair
 from hardware.lab.limits import Limit, Limits
 from hardware.lab.refusal import Refusal
 from jaxscan.images import write_image
@@ -31,24 +33,45 @@ ROOM, SILENT = 40, 200
 HALF = b"GET /api/me HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
 
 
+both = pytest.mark.parametrize("tls", [False, True], ids=["plain", "tls"])
+
+
 @contextlib.contextmanager
-def silent(address: tuple[str, int], count: int, said: bytes = HALF) -> Iterator[list[socket.socket]]:
+def silent(
+    address: tuple[str, int], count: int, said: bytes = HALF, tls: bool = False
+) -> Iterator[list[socket.socket]]:
     """Connections that begin a request and say no more."""
     with contextlib.ExitStack() as lines:
         found = []
         for _ in range(count):
             line = lines.enter_context(socket.create_connection(address, timeout=20))
             with contextlib.suppress(OSError):
+                line = lines.enter_context(unverified().wrap_socket(line)) if tls else line
                 line.sendall(said)
             found.append(line)
         yield found
 
 
-def test_sockets_that_say_half_a_request_keep_nobody_out(tmp_path: Path):
-    served = serve(tmp_path / "lab", server={"connections": ROOM})
+def answers(client: httpx.Client) -> bool:
+    """Whether the server answers."""
+    try:
+        return client.get("/api/me").status_code == 200
+    except httpx.TransportError:
+        return False
+
+
+def other_than(pid: int, child: Any) -> bool:
+    """Whether another process has begun in its place."""
+    return child.process.pid != pid
+
+
+@both
+def test_sockets_that_say_half_a_request_keep_nobody_out(tmp_path: Path, tls: bool):
+    served = serve(tmp_path / "lab", server={"connections": ROOM}, **(certificate(tmp_path) if tls else {}))
     operator, administrator = served.program(OPERATOR), served.program(ADMINISTRATOR)
     operator.post("/api/lock", json={})
-    with silent(served.address, SILENT):
+    # With TLS those that do not finish its first words, and those that do.
+    with silent(served.address, SILENT), silent(served.address, SILENT if tls else 0, tls=True):
         for _ in range(10):
             assert operator.put("/api/lock").status_code == 204
             assert administrator.post("/api/stop").status_code == 200
@@ -94,8 +117,9 @@ def blocked(served: Served) -> Iterator[None]:
 
 
 @pytest.mark.skipif(not can_be(), reason="there is no door on this system")
-def test_stop_and_renewal_while_the_loop_of_everybody_stands(tmp_path: Path):
-    served = serve(tmp_path / "lab")
+@both
+def test_stop_and_renewal_while_the_loop_of_everybody_stands(tmp_path: Path, tls: bool):
+    served = serve(tmp_path / "lab", **(certificate(tmp_path) if tls else {}))
     operator, administrator, viewer = (served.program(name) for name in (OPERATOR, ADMINISTRATOR, VIEWER))
     operator.post("/api/lock", json={}).raise_for_status()
     browser = served.browser(ADMINISTRATOR)
@@ -118,17 +142,20 @@ def test_stop_and_renewal_while_the_loop_of_everybody_stands(tmp_path: Path):
 
 
 @pytest.mark.skipif(not can_be(), reason="there is no door on this system")
-def test_a_door_that_is_killed_is_begun_again(tmp_path: Path):
-    served = serve(tmp_path / "lab")
+@both
+def test_a_process_that_is_killed_at_the_door_is_begun_again(tmp_path: Path, tls: bool):
+    served = serve(tmp_path / "lab", **(certificate(tmp_path) if tls else {}))
     viewer = served.program(VIEWER)
-    door = served.server._doorway
-    assert door is not None
-    first = door.child
-    first.kill()
-    assert until(lambda: viewer.get("/api/me").status_code == 200)
-    assert door.child.pid != first.pid
+    doorway = served.server._doorway
+    assert doorway is not None
+    for child in doorway.children:
+        first = child.process.pid
+        child.process.kill()
+        until(partial(other_than, first, child))
+        assert until(lambda: answers(viewer))
     served.end()
-    assert door.child.wait(10) is not None
+    assert len(doorway.children) == 1 + tls
+    assert [child.process.wait(10) is not None for child in doorway.children]
 
 
 @pytest.mark.skipif(not can_be(), reason="there is no door on this system")
@@ -136,7 +163,7 @@ def test_an_address_that_asks_for_stop_all_the_time_takes_the_way_of_everybody()
     public, behind = ("198.51.100.7", 1), ("127.0.0.1", 1)
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
-    here, ends = zip(*(socket.socketpair() for _ in range(2)), strict=True)
+    here, ends = zip(*(pair() for _ in range(2)), strict=True)
     with contextlib.ExitStack() as opened:
         for one in (*here, *ends):
             opened.enter_context(contextlib.closing(one))
@@ -149,7 +176,8 @@ def test_an_address_that_asks_for_stop_all_the_time_takes_the_way_of_everybody()
             handed = door._urgently(_Caller(line, peer, 0.0), said)
             line.close()
             if handed:
-                _, numbers, _, _ = socket.recv_fds(here[1], 1, 1)
+                said, numbers, _, _ = socket.recv_fds(here[1], 128, 1)
+                assert tuple(json.loads(said)) == peer
                 for number in numbers:
                     os.close(number)
             return handed
@@ -190,16 +218,19 @@ def ended_by_the_server(line: socket.socket, within_s: float = 30.0) -> bytes:
         b"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\nffff\r\n",
     ],
 )
-def test_a_request_that_drips(tmp_path: Path, said: bytes):
-    served = serve(tmp_path / "lab", server={"head_s": 1.0, "body_s": 1.0})
-    with silent(served.address, 1, said) as (line,):
+@both
+def test_a_request_that_drips(tmp_path: Path, said: bytes, tls: bool):
+    files = certificate(tmp_path) if tls else {}
+    served = serve(tmp_path / "lab", server={"head_s": 1.0, "body_s": 1.0}, **files)
+    with silent(served.address, 1, said, tls) as (line,):
         answer = ended_by_the_server(line)
         assert not answer or answer.startswith(b"HTTP/1.1 4")
     served.end()
 
 
-def test_an_answer_that_nobody_reads(tmp_path: Path):
-    served = serve(tmp_path / "lab", server={"send_s": 1.0})
+@both
+def test_an_answer_that_nobody_reads(tmp_path: Path, tls: bool):
+    served = serve(tmp_path / "lab", server={"send_s": 3.0}, **(certificate(tmp_path) if tls else {}))
     client = served.program(VIEWER)
     folder = served.lab.projects.path("cup")
     (folder / "frames").mkdir(parents=True)
@@ -208,7 +239,7 @@ def test_an_answer_that_nobody_reads(tmp_path: Path):
     (folder / "scan.toml").write_text('[scan]\nframes = ["frames/0.png"]\nsteps = [0]\n')
     token = client.headers["Authorization"]
     ask = f"GET /api/projects/cup/scan.zip HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {token}\r\n\r\n"
-    with silent(served.address, 4, ask.encode()):
+    with silent(served.address, 4, ask.encode(), tls):
         until(lambda: served.lab.downloads.alive)
         # The fifth is told to wait, not kept waiting.
         refused = until(lambda: (answer := client.get("/api/projects/cup/scan.zip")).status_code == 429 and answer)

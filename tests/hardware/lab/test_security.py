@@ -5,14 +5,26 @@ import re
 import shutil
 import socket
 import ssl
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 from argon2 import PasswordHasher
-from serving import ADMINISTRATOR, OPERATOR, PASSWORD, VIEWER, Served, csrf_of, ended, scan, serve, sign_in, until
+from serving import (
+    ADMINISTRATOR,
+    OPERATOR,
+    PASSWORD,
+    VIEWER,
+    Served,
+    certificate,
+    csrf_of,
+    ended,
+    scan,
+    serve,
+    sign_in,
+    until,
+)
 from starlette.routing import Mount
 
 from hardware.cli.main import main
@@ -464,11 +476,10 @@ def test_the_command_refuses_to_listen_to_everybody(tmp_path: Path, capsys: pyte
 
 
 def test_over_tls_cookies_are_for_tls(tmp_path: Path):
-    cert, key = tmp_path / "lab.pem", tmp_path / "lab.key"
-    make = "openssl req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=x -addext subjectAltName=IP:127.0.0.1"
-    subprocess.run([*make.split(), "-keyout", key, "-out", cert], check=True, capture_output=True)
-    served = serve(tmp_path / "lab", cert=cert, key=key)
-    with httpx.Client(base_url=served.url, verify=ssl.create_default_context(cafile=cert), trust_env=False) as client:
+    files = certificate(tmp_path)
+    served = serve(tmp_path / "lab", **files)
+    context = ssl.create_default_context(cafile=files["cert"])
+    with httpx.Client(base_url=served.url, verify=context, trust_env=False) as client:
         cookie = sign_in(client, VIEWER).headers["set-cookie"]
         assert "__Host-scanner=" in cookie
         assert "Secure" in cookie
