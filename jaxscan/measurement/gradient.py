@@ -64,7 +64,7 @@ def dimension_gradient(calibration: Calibration, dimension: MeasuredDimension) -
     return DimensionGradient(b, corners, stripes)
 
 
-@eqx.filter_jit
+# Not compiled as a whole: JAX keeps no program that may raise an error, and its parts are kept.
 @eqx.filter_grad
 def _gradient(adjustment: Adjustment, b: Float[Array, "leaves"]) -> Float[Array, ""]:
     return b @ ravel_pytree(refit(adjustment).rig)[0]
