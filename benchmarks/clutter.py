@@ -138,7 +138,7 @@ def _scanned(rig: Rig, folder: Path, seed: int, frames: int) -> Counts:
     height, steps, paths, drawn, true = reflectances(random), [], [], [], []
     for i in range(frames):
         profile = true_profile(rig, scene, {"stage": apart * i})
-        # What stands still has its own generator, begun anew for each photograph; the ghost goes with the stripe.
+        # What stands still has its own generator, begun again for each photograph; the ghost goes with the stripe.
         own = np.random.default_rng([seed, 2, i])
         one = photograph(profile.position, height, 1.2, _SCAN, own, still=np.random.default_rng([seed, 3]))
         drawn.append(one)

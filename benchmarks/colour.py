@@ -37,11 +37,11 @@ from jaxscan.simulation.solids import Box, Sphere
 from jaxscan.surface.albedo import albedo
 
 # Of the room, and of a stripe that is not burnt out.
-_ROOM: Final = replace(rig_2003.SCAN_LIGHTING, ambient=150.0, directional=70.0)
+ROOM: Final = replace(rig_2003.SCAN_LIGHTING, ambient=150.0, directional=70.0)
 _WEAK: Final = replace(rig_2003.SCAN_LIGHTING, ambient=20.0, directional=10.0, laser_power=700.0, laser_fan_mm=350.0)
 _GOALS: Final = {"rms": 3.0, "of_wrong_surface": 0.1, "albedo": 5.0}
 # Nearer to an edge pixels are mixed, px.
-_EDGE_PX: Final = 1.5
+EDGE_PX: Final = 1.5
 
 
 def measure(quick: bool) -> list[Metric]:
@@ -68,14 +68,14 @@ def _measured(seed: int, turning: bool, quick: bool) -> dict[str, float]:
     kind, found = "turning" if turning else "linear", {}
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
-        simulate_scan(here / "a", rig, scene, seed, axes=axes, lighting=_ROOM, laser_off=True)
+        simulate_scan(here / "a", rig, scene, seed, axes=axes, lighting=ROOM, laser_off=True)
         scan = read_scan(here / "a")
         image = reconstruct(rig, scan)
-        truth = Truth(rig, scene, image, _ROOM)
+        truth = Truth(rig, scene, image, ROOM)
         found |= truth.errors(f"{kind}.laser_off", image)
         alone = replace(scan, backgrounds=())
         image = reconstruct(rig, alone)
-        truth = Truth(rig, scene, image, _ROOM)
+        truth = Truth(rig, scene, image, ROOM)
         image = replace(image, colours=neighbour_colours(rig, alone, image))
         found |= truth.errors(f"{kind}.other_steps", image)
         simulate_scan(here / "b", rig, scene, seed, axes=axes, lighting=_WEAK)
@@ -128,8 +128,8 @@ class Truth:
             q = {axis: int(steps[i]) for axis, steps in image.positions.items()}
             here = carried(rig, scene, q).cast(np.float32)
             depth, key = trace(here, jnp.asarray(grid[..., 0]), jnp.asarray(grid[..., 1]))
-            edge = _edges(np.asarray(here.smooth(key)), np.asarray(depth))
-            near = np.asarray(binary_dilation(edge, np.ones((3, 3)), iterations=round(_EDGE_PX)), bool)
+            edge = edges(np.asarray(here.smooth(key)), np.asarray(depth))
+            near = np.asarray(binary_dilation(edge, np.ones((3, 3)), iterations=round(EDGE_PX)), bool)
             pixels = np.stack([line, image.pixels[i]], axis=-1)
             at = np.rint(np.nan_to_num(pixels)).astype(int)
             still = render(rig, scene, q=q, lighting=lighting, sensor=Sensor(blur_px=0.0, noise=0.0, bits=16))
@@ -145,10 +145,10 @@ class Truth:
         coloured = image.colours.any(axis=-1)
         some, mixed = self.inner & coloured, self.valid & ~self.inner & coloured
         return {
-            f"{name}.rms": 100 * _relative(image.colours[some], self.level[some]),
+            f"{name}.rms": 100 * relative(image.colours[some], self.level[some]),
             f"{name}.of_wrong_surface": 100 * float(self.wrong(image, some).mean()),
             f"{name}.without": 100 * float((self.valid & ~coloured).sum() / self.valid.sum()),
-            f"{name}.beside_edges": 100 * _relative(image.colours[mixed], self.level[mixed]),
+            f"{name}.beside_edges": 100 * relative(image.colours[mixed], self.level[mixed]),
         }
 
     def wrong(self, image: RangeImage, some: Bool[np.ndarray, "frames columns"]) -> Bool[np.ndarray, "some"]:
@@ -167,11 +167,11 @@ class Truth:
         return 100 * float(np.sqrt(np.mean((ratio / np.median(ratio) - 1) ** 2)))
 
 
-def _relative(found: np.ndarray, true: Float[np.ndarray, "points 3"]) -> float:
+def relative(found: np.ndarray, true: Float[np.ndarray, "points 3"]) -> float:
     return float(np.sqrt(np.mean((found - true) ** 2) / np.mean(true**2)))
 
 
-def _edges(key: np.ndarray, depth: np.ndarray) -> Bool[np.ndarray, "rows columns"]:
+def edges(key: np.ndarray, depth: np.ndarray) -> Bool[np.ndarray, "rows columns"]:
     """Pixels beside which another surface is seen, or one far behind."""
     edge = np.zeros(key.shape, bool)
     z = np.where(np.isfinite(depth), depth, 1e6)

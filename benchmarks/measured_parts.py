@@ -1,7 +1,7 @@
 """Parts of known dimensions, drawn scans of them, and what is to be measured: for the suite `measure`.
 
 A scan is where an ideal camera sees the sheet; to each drawing belongs a rig, drawn from the covariance of a
-calibration or solved anew, and noise of the stripe, part of it alike in neighbouring columns and frames, as speckle is.
+calibration or solved again, and noise of the stripe, part of it alike in neighbouring columns and frames, as speckle.
 """
 
 from collections.abc import Callable

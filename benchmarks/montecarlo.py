@@ -1,4 +1,4 @@
-"""Predicted against actual scatter: the same session solved anew from freshly drawn noise, again and again.
+"""Predicted against actual scatter: the same session solved from freshly drawn noise, again and again.
 
 Observations of the simulated rig of 2003 with normal noise go through `calibrate` as it is, its robust start, outlier
 rounds, σ and weights from the data included. Of every parameter, board pose, projected point and triangulated point,
@@ -48,7 +48,7 @@ Kinds = Mapping[str, Float[np.ndarray, "_"]]
 
 @dataclass(frozen=True)
 class Session:
-    """What is solved anew, and what is asked of each solution.
+    """What is solved again, and what is asked of each solution.
 
     Attributes:
         stem: how its figures begin.

@@ -1,7 +1,7 @@
 """Three photographs where the report would have the board held, against three more like those that there are.
 
 Sessions of the simulated rig of 2003, drawn: five views, or all eleven, and the stage. Each is calibrated, three poses
-are suggested, and the session is solved anew with three views more: the suggested ones; the same held by hand, 10 mm
+are suggested, and the session is solved again with three views more: the suggested ones; the same held by hand, 10 mm
 and 5° beside in every direction; and three poses drawn as the session's own are. What is compared is how far exact
 pixels of the true rig are triangulated wrong, RMS over fresh drawings of all noise, and the σ that each solve predicts.
 """

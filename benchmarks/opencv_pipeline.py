@@ -32,7 +32,7 @@ def opencv_pipeline(observations: Observations, folder: Path, scans: Sequence[Sc
     """Calibrate, then reconstruct.
 
     Args:
-        observations: corners of `cornerSubPix`; the stripes are found anew.
+        observations: corners of `cornerSubPix`; the stripes are found again.
         folder: of the session's photographs.
         scans: to be reconstructed.
         careful: sub-pixel stripes and undistorted rays; else as makers do.

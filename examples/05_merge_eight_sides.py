@@ -1,7 +1,7 @@
 """Eight scans of a figure, turned by hand in between, as one surface.
 
 Each scan is cleaned, its floor is found and taken away, and what stands on it becomes a *side*: points with normals,
-and σ of each along its normal. `coarse_register` finds about where the sides stand to each other, from angles that may
+and σ of each along its normal. `coarse_register` finds rough poses of the sides, from angles that may
 be wrong by 10°; `register` brings all of them together in one least-squares problem over every pair that overlaps, and
 gives the covariance of all poses; `merge` makes the surface on which every point weighs by its σ.
 

@@ -49,7 +49,7 @@ class StageDriver(Protocol):
         ...
 
     def position(self) -> int:
-        """The step count that the controller reports, read anew each time."""
+        """The step count that the controller reports, read again each time."""
         ...
 
     def check(self) -> None:
@@ -79,11 +79,11 @@ class Verifiable(Protocol):
         ...
 
     def verify(self) -> int:
-        """Meet the switch again, slowly, and count from it anew: by how many steps the count was off."""
+        """Meet the switch again, slowly, and count from it again: by how many steps the count was off."""
         ...
 
     def home(self) -> None:
-        """Count from the switch anew."""
+        """Count from the switch again."""
         ...
 
 

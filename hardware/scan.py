@@ -175,7 +175,7 @@ def _mark(folder: ScanFolder) -> None:
 def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int) -> list[str]:
     """Let the axes meet their switches again, and write down what that shows of the frames from one on.
 
-    Where a bad line spoils it, nothing is shown, and the axis counts anew from its next homing: why.
+    Where a bad line spoils it, nothing is shown, and the axis counts again from its next homing: why.
     """
     last = len(folder.done.frames) - 1
     lost, spoilt = lost_steps(axes)
@@ -195,7 +195,7 @@ def _check_places(folder: ScanFolder, axes: Mapping[str, Verifiable], first: int
 def lost_steps(axes: Mapping[str, Verifiable]) -> tuple[dict[str, int], str]:
     """Let axes meet their switches again: by how many steps those were off that lost some.
 
-    Where a bad line spoils it, nothing is shown, the axis counts anew from its next homing, and it is said why.
+    Where a bad line spoils it, nothing is shown, the axis counts again from its next homing, and it is said why.
 
     Raises:
         LineLostError: the line is gone.

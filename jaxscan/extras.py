@@ -14,7 +14,7 @@ EXTRAS: Final = {
     "simplify": ("to make a mesh of fewer triangles", "", ("fast_simplification",)),
     "viewer": ("to look at a surface in the browser", "; or draw it with --png", ("viser",)),
     "features": (
-        "to find by their shape how scans stand to each other",
+        "to find the poses of scans by their shape",
         "; or say it with --turn, --steps or --poses",
         ("kiss_matcher",),
     ),

@@ -25,6 +25,7 @@ from benchmarks.pictures import command_line as pictures_command_line
 from hardware.devices import read_scanner
 from jaxscan.cli.main import Program, main, parser_of
 from jaxscan.files.artefact_file import read_artefact
+from jaxscan.files.profiles import read_profiles
 from jaxscan.files.rig_file import read_rig
 from tests.small_world import CALIBRATE
 
@@ -124,6 +125,14 @@ def test_commands_are_as_the_programs_have_them(page: Path, capsys: pytest.Captu
         assert unknown == [], f"{page.name}: {line}"
 
 
+def write_profiles(folder: Path) -> None:
+    """Three profiles of each kind that docs/profiles.md shows."""
+    (folder / "profiles").mkdir(exist_ok=True)
+    for i in range(3):
+        (folder / "profiles" / f"{i}.csv").write_text("X [mm],Z [mm]\n-1.0,3.5\n1.0,-9999\n")
+    (folder / "map.raw").write_bytes(np.full((3, 1280, 2), 9000, "<u2").tobytes())
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "toml")], ids=lambda page: page.name)
 def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: Path):
     for folder in ("boards", "stage"):
@@ -139,7 +148,10 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
         # What may be added to a session is shown by itself.
         text = whole_session + text if text.startswith("[turntable]") else text
         path.write_text(text)
-        if "[scan]" in text:
+        if "[profiles]" in text:
+            write_profiles(tmp_path)
+            assert len(read_profiles(path).z) == 3
+        elif "[scan]" in text:
             assert jaxscan.read_scan(path).listed == 5
         elif "[board]" in text:
             assert len(jaxscan.read_session(path).views.boards) == 6

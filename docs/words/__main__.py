@@ -43,6 +43,8 @@ BANNED = {
     r"\blaid in\b": "initial",
     r"\bthe way round\b": "the loop",
     r"\bas good as none\b": "no use",
+    r"\banew\b": "again",
+    r"\bstands? to each other\b": "pose",
 }
 _BANNED = [(re.compile(pattern, re.IGNORECASE), better) for pattern, better in BANNED.items()]
 _ANY = re.compile("|".join(BANNED), re.IGNORECASE)

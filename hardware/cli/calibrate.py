@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the stage stands meanwhile, so that the board on the turntable is in view",
     )
     parser.add_argument(
-        "--show", type=Path, metavar="IMAGE", help="the live picture with corners and coverage, written anew again"
+        "--show", type=Path, metavar="IMAGE", help="the live picture with corners and coverage, written again and again"
     )
     add_scanner_arguments(parser)
 

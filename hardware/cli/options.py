@@ -129,10 +129,10 @@ def board_of(args: argparse.Namespace) -> "Board":
     Raises:
         InputError: they describe none.
     """
+    from jaxscan.cli.options import columns_and_rows
     from jaxscan.errors import InputError
     from jaxscan.images import Board
 
-    counts = args.board.lower().split("x")
-    if len(counts) != 2 or not all(count.isdecimal() for count in counts):
+    if (counts := columns_and_rows(args.board)) is None:
         raise InputError(f"--board {args.board}: give columns and rows of inner corners, as 9x6")
-    return Board.checkerboard([int(count) for count in counts], args.square)
+    return Board.checkerboard(counts, args.square)

@@ -18,6 +18,7 @@ from hardware.lab.logbook import Job
 from hardware.lab.orders import ProjectName, Work
 from hardware.lab.projects import Project
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
+from hardware.lab.rigs import CalibratedRig
 from hardware.lab.web import Administrator, LabHere, Operator, Person, Viewer, known_visitor
 
 _BOUNDARY = b"--picture\r\n"
@@ -65,6 +66,16 @@ class Live(_Body):
 
     on: bool
     laser: bool = False
+
+
+class Use(_Body):
+    """Which rig to take into use."""
+
+    name: str = Field(
+        max_length=64,
+        description='of the calibration session that it comes from; "" for that which the server was started with, '
+        "or for none",
+    )
 
 
 class Stopped(BaseModel):
@@ -343,6 +354,30 @@ async def calibrations(lab: LabHere, who: Viewer) -> list[Calibration]:
 async def session_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
     """The session folder, as `jaxscan calibrate` reads it once unpacked."""
     return _Zip(name, await lab.lists.run(who.name, lambda: lab.calibrations.archive(name)), lab.downloads, who.name)
+
+
+@router.post("/calibrations/{name}/rig", tags=["calibrations"], responses=_said(404, 409, 503))
+async def calibrate_session(lab: LabHere, who: Operator, name: ProjectPath) -> CalibratedRig:
+    """Calibrate from a session: its rig, and how good it is. That takes a minute or two; then it can be used."""
+    session = await lab.lists.run(who.name, lambda: lab.calibrations.session(name))
+    if lab.worker.uses(session=name):
+        raise Refusal(CONFLICT, f"a job adds photographs to {name}: end it first")
+    return await lab.solves.run(who.name, lambda: lab.rigs.calibrate(name, session))
+
+
+@router.get("/rigs", tags=["calibrations"])
+async def rigs(lab: LabHere, who: Viewer) -> list[CalibratedRig]:
+    """All rigs that can be taken into use, latest first."""
+    return await lab.lists.run(who.name, lab.rigs.all)
+
+
+@router.put("/rig", tags=["calibrations"], responses=_said(404, 409))
+async def use_rig(lab: LabHere, who: Operator, body: Use) -> State:
+    """Take a rig into use: points are made with it from now on, also by the next server."""
+    if lab.worker.busy:
+        raise Refusal(CONFLICT, "a job is under way, whose points are made with the rig: end it first")
+    await lab.lists.run(who.name, lambda: lab.rigs.use(body.name))
+    return lab.state()
 
 
 @router.delete("/calibrations/{name}", status_code=204, tags=["calibrations"], responses=_said(404, 409))

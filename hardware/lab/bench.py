@@ -18,7 +18,7 @@ from hardware.protocols import StageDriver, Verifiable
 from hardware.safety import left_on, safely
 from hardware.scan import Devices
 
-# After these a device may be one that answers no more, and is connected anew.
+# After these a device may be one that answers no more, and is connected again.
 _LOST = (CameraError, LeftOnError, LineLostError)
 
 

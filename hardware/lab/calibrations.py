@@ -66,6 +66,16 @@ class Calibrations:
         found = [self._calibration(path) for path in self._folder.iterdir() if path.is_dir() and any(path.iterdir())]
         return sorted(found, key=lambda one: -one.changed_s)
 
+    def session(self, name: str) -> Path:
+        """The folder of one that can be read.
+
+        Raises:
+            Refusal: there is none of that name, or it cannot be read.
+        """
+        path = named(self._folder, name)
+        self._session(path)
+        return path
+
     def archive(self, name: str) -> Generator[bytes, None, None]:
         """Its session folder as the bytes of a ZIP file.
 

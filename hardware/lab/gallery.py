@@ -8,7 +8,6 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -99,10 +98,19 @@ class Gallery:
         self._hub, self._stripe, self._rig = hub, stripe, rig
         # Of pictures only the latest is worth the work.
         self._pictures, self._profiles = _Thread("pictures", 1), _Thread("profiles", None)
+        self._kernel: Kernel | None = None
         self._compiled = False
         self._mutex = threading.Lock()
         self._project = ""
         self._cloud: list[Float[np.ndarray, "points 3"]] = []
+
+    def use(self, rig: "RigFile | None") -> None:
+        """Make points with another rig from the next photograph on, or none; those of the old one are dropped."""
+        self._profiles.do(lambda: self._use(rig))
+
+    def _use(self, rig: "RigFile | None") -> None:
+        self._rig, self._kernel = rig, None
+        self._clear(self._project)
 
     def begin(self, project: str, scan: ScanFolder) -> None:
         """A job adds photographs to a project: its cloud begins with those that it has."""
@@ -172,21 +180,17 @@ class Gallery:
             found["points"] = np.round(points.astype(float), 2).tolist()
         self._hub.publish("profile", json.dumps(found, separators=(",", ":")).encode())
 
-    @cached_property
-    def _kernel(self) -> "Kernel":
-        from jaxscan.reconstruction import Kernel
-
-        assert self._rig is not None
-        return Kernel.create(self._rig.rig, self._stripe.name)
-
     def _points(
         self, lines: np.ndarray, position: Float[np.ndarray, "points"], place: Place
     ) -> Float[np.ndarray, "points 3"]:
         """Stripe pixels to points of the object frame, mm; none where an axis has moved that the rig does not have."""
+        from jaxscan.reconstruction import Kernel
         from jaxscan.reconstruction.triangulate import FramePoses, triangulate
 
         assert self._rig is not None
         rig = self._rig.rig
+        if self._kernel is None:
+            self._kernel = Kernel.create(rig, self._stripe.name)
         axes = rig.axes()
         if any(step and name not in axes for name, step in place.items()):
             return np.zeros((0, 3), np.float32)

@@ -25,6 +25,7 @@ from hardware.lab.lock import Holder, OperatorLock
 from hardware.lab.logbook import Job, Logbook
 from hardware.lab.preview import Preview
 from hardware.lab.projects import Projects
+from hardware.lab.rigs import Rigs
 from hardware.lab.worker import Habits, Worker
 from hardware.scan import Devices
 
@@ -64,7 +65,8 @@ class State(BaseModel):
         guide: what a calibration session under way asks for.
         axes: by their names.
         live: whether the camera's live picture is on, and with the laser.
-        rig: whether one is loaded: profiles then come with points.
+        rig: whether one is in use: profiles then come with points.
+        rig_name: the calibration session that it comes from; "" where the server was started with it.
         rig_warnings: what is known against it, in words.
         lease_s: how long the operator may be silent.
     """
@@ -76,6 +78,7 @@ class State(BaseModel):
     live: bool
     live_laser: bool
     rig: bool
+    rig_name: str
     rig_warnings: tuple[str, ...]
     lease_s: float
 
@@ -87,7 +90,7 @@ class Lab:
         folder: where its data are; made if need be.
         connect: opens the devices.
         habits: of the scanner.
-        rig: of the scanner, for points.
+        rig: of the scanner, for points; by default that which was in use before.
         lease_s: of the operator's lock.
         live_s: time between live pictures.
 
@@ -106,7 +109,6 @@ class Lab:
     ):
         self.habits = habits or Habits()
         self.lease_s = lease_s
-        self._rig = rig
         self._ended = threading.Event()
         with ExitStack() as undo:
             make_folder(folder)
@@ -114,6 +116,9 @@ class Lab:
             undo.callback(only.close)
             database = Database(folder / DATABASE)
             undo.callback(database.close)
+            self.rigs = Rigs(folder, rig, self._use_rig)
+            undo.callback(self.rigs.close)
+            rig = self.rigs.current
             self.accounts, self.projects = Accounts(database), Projects(folder, rig)
             self.hub, self.bench = Hub(), Bench(connect)
             undo.callback(self.bench.close)
@@ -133,10 +138,11 @@ class Lab:
             undo.callback(self.preview.close)
             # What takes long, and never keeps anything else waiting.
             self.clouds = Workers("clouds", 1, 8, 2)
+            self.solves = Workers("calibrations", 1, 4, 1)
             self.downloads = Workers("downloads", 4, 16, 4)
             self.lists = Workers("lists", 4, 64, 16, 1.0)
             self.sign_ins = Workers("sign-ins", HASHES_AT_A_TIME, 16, 4, 1.0)
-            self._workers = (self.clouds, self.downloads, self.lists, self.sign_ins)
+            self._workers = (self.clouds, self.solves, self.downloads, self.lists, self.sign_ins)
             for workers in self._workers:
                 undo.callback(workers.close)
             undo.callback(self.projects.close)
@@ -152,7 +158,7 @@ class Lab:
 
     def state(self) -> State:
         """As it is now."""
-        places = self.bench.places
+        places, rig = self.bench.places, self.rigs.current
         return State(
             operator=self.lock.holder,
             job=self.worker.latest,
@@ -163,8 +169,9 @@ class Lab:
             },
             live=self.preview.on,
             live_laser=self.preview.laser,
-            rig=self._rig is not None,
-            rig_warnings=() if self._rig is None else self._rig.warnings,
+            rig=rig is not None,
+            rig_name=self.rigs.name,
+            rig_warnings=() if rig is None else rig.warnings,
             lease_s=self.lease_s,
         )
 
@@ -188,6 +195,10 @@ class Lab:
     def close(self) -> None:
         """End what is under way, switch everything off, and close."""
         self._close()
+
+    def _use_rig(self, rig: "RigFile | None") -> None:
+        self.projects.use(rig)
+        self.gallery.use(rig)
 
     def _lost(self, taken: bool) -> None:
         self.preview.switch(False, False)

@@ -51,11 +51,14 @@ class Projects:
 
     def __init__(self, folder: Path, rig: "RigFile | None" = None):
         self._home, self._folder, self._clouds = folder, folder / "projects", folder / "clouds"
-        self._rig = rig
         self._rig_text = "" if rig is None else _text(rig)
         self._reconstructing, self._reconstructor = threading.Lock(), Reconstructor()
         for made in (self._folder, self._clouds):
             make_private(made)
+
+    def use(self, rig: "RigFile | None") -> None:
+        """Make points with another rig, or none, from now on."""
+        self._rig_text = "" if rig is None else _text(rig)
 
     def path(self, name: str) -> Path:
         """The folder of a project, there or not.
@@ -138,13 +141,19 @@ class Projects:
         """Where the PLY file of its points is, or will be: one of this rig, these photographs, and this program.
 
         Raises:
-            Refusal: no rig is loaded, or there is no project.
+            Refusal: no rig is in use, or there is no project.
         """
+        return self._cloud_file(name, self._rig_text)
+
+    def _cloud_file(self, name: str, rig: str) -> Path:
         scan = self.scan(name)
-        if self._rig is None:
-            raise Refusal(CONFLICT, "no rig is loaded: start the server with scanner serve --rig rig.json")
+        if not rig:
+            raise Refusal(
+                CONFLICT,
+                "no rig is in use: calibrate a session and take its rig into use, or scanner serve --rig rig.json",
+            )
         # A rig as its file has it, and the program that reconstructs.
-        made_of = hashlib.sha256((self._rig_text + version("jaxscan")).encode())
+        made_of = hashlib.sha256((rig + version("jaxscan")).encode())
         for file in (scan.path, *scan.frames, *scan.backgrounds):
             found = file.stat()
             made_of.update(f"{file.name} {found.st_size} {found.st_mtime_ns}\n".encode())
@@ -157,11 +166,12 @@ class Projects:
         Raises:
             Refusal: as `cloud_file`, or there is nothing in the project.
         """
-        path = self.cloud_file(name)
+        rig = self._rig_text
+        path = self._cloud_file(name, rig)
         with self._reconstructing:
             if not path.exists():
                 try:
-                    self._reconstructor.make(self._rig_text, self.path(name), path)
+                    self._reconstructor.make(rig, self.path(name), path)
                 except JaxscanError as error:
                     raise Refusal(CONFLICT, within(self.path(name), error)) from error
                 self._forget_clouds(name, path)

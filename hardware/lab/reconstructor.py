@@ -1,4 +1,4 @@
-"""Points of projects, made in a process of their own.
+"""Points of projects and rigs of sessions, made in a process of their own.
 
 What compiles and computes there takes no turn at the interpreter that stops the scanner, and no memory of the server's.
 `python -m hardware.lab.reconstructor` reads orders line by line, and ends with the server that writes them.
@@ -40,6 +40,24 @@ class Reconstructor:
         Raises:
             InputError: it has none, or the process ended.
         """
+        self._order({"rig": rig, "scan": str(scan), "to": str(to)}, scan)
+
+    def calibrate(self, session: Path, to: Path) -> list[str]:
+        """Write the rig of a calibration session.
+
+        Args:
+            session: its folder.
+            to: the JSON file.
+
+        Returns:
+            The verdict on it: how good it is, what limits it, what to photograph next, and warnings, a line each.
+
+        Raises:
+            InputError: it has none, or the process ended.
+        """
+        return self._order({"session": str(session), "to": str(to)}, session)
+
+    def _order(self, order: dict[str, str], what: Path) -> list[str]:
         with self._mutex:
             if self._closed:
                 raise InputError("the server ends: ask the next one")
@@ -49,16 +67,17 @@ class Reconstructor:
             child = self._child
             assert child.stdin is not None
             assert child.stdout is not None
-            order = {"rig": rig, "scan": str(scan), "to": str(to)}
             answer = b""
             with contextlib.suppress(OSError):
                 child.stdin.write(json.dumps(order).encode() + b"\n")
                 child.stdin.flush()
                 answer = child.stdout.readline()
         if not answer:
-            raise InputError(f"{scan}: the process that makes its points ended, perhaps for want of memory: try again")
-        if words := json.loads(answer):
-            raise InputError(words)
+            raise InputError(f"{what}: the process that works on it ended, perhaps for want of memory: try again")
+        said = json.loads(answer)
+        if said["wrong"]:
+            raise InputError(said["wrong"])
+        return said["lines"]
 
     def close(self) -> None:
         """End the process, whatever it does."""
@@ -75,20 +94,37 @@ class Reconstructor:
         self._child = None
 
 
-def _make(order: dict[str, Any]) -> str:
-    """Carry out one order; why not, in words."""
+def _done(order: dict[str, Any]) -> dict[str, Any]:
+    """Carry out one order; what is to be said of it, or why it was not done."""
+    try:
+        return {"wrong": "", "lines": (_calibrate if "session" in order else _make)(order)}
+    except JaxscanError as error:
+        return {"wrong": str(error), "lines": []}
+    except Exception as error:  # noqa: BLE001 (the next order may do)
+        return {"wrong": f"unexpected error: {type(error).__name__}: {error}", "lines": []}
+
+
+def _make(order: dict[str, Any]) -> list[str]:
     from jaxscan import read_rig, read_scan, reconstruct, write_points
 
     with tempfile.TemporaryDirectory() as folder:
         rig = Path(folder) / "rig.json"
         rig.write_text(order["rig"])
-        try:
-            write_points(Path(order["to"]), reconstruct(read_rig(rig), read_scan(Path(order["scan"]))))
-        except JaxscanError as error:
-            return str(error)
-        except Exception as error:  # noqa: BLE001 (the next order may do)
-            return f"unexpected error: {type(error).__name__}: {error}"
-    return ""
+        write_points(Path(order["to"]), reconstruct(read_rig(rig), read_scan(Path(order["scan"]))))
+    return []
+
+
+def _calibrate(order: dict[str, Any]) -> list[str]:
+    from jaxscan.cli.calibrate import calibrate_session, judge_calibration
+
+    judged = judge_calibration(calibrate_session([Path(order["session"])], Path(order["to"])))
+    warned = [f"warning: {box.statement} {box.advice}".rstrip() for box in judged.warnings]
+    return [
+        judged.statement,
+        f"what limits it: {judged.limits}",
+        f"photograph next: {judged.next}",
+        *warned,
+    ]
 
 
 def main() -> None:
@@ -105,7 +141,7 @@ def main() -> None:
     os.dup2(2, 1)
     keep_compiled()
     for line in sys.stdin:
-        answers.write(json.dumps(_make(json.loads(line))) + "\n")
+        answers.write(json.dumps(_done(json.loads(line))) + "\n")
         answers.flush()
 
 

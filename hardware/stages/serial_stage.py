@@ -128,7 +128,7 @@ class SerialStage(ABC):
         return False
 
     def verify(self) -> int:
-        """Meet the switch again, slowly, and count from it anew; the axis then stands where `home` leaves it.
+        """Meet the switch again, slowly, and count from it again; the axis then stands where `home` leaves it.
 
         Returns:
             By how many steps the count was off: above 0, the load was nearer to the switch than the count had it.

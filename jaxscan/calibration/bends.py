@@ -83,7 +83,7 @@ def by_pose(
 
 
 def reduced(value: Arrow, jacobian: Jacobian, boards: int, sigma: float) -> list[Reduced]:
-    """Of a solve, as it came out with bends of this σ.
+    """The reduced equations of a solve, as it came out with bends of this σ.
 
     Args:
         value: its residuals, NumPy leaves.

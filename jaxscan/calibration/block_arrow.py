@@ -104,7 +104,7 @@ class NormalEquations(eqx.Module):
         return NormalEquations(self.U + damping * jnp.diag(D.shared), self.g, groups, self.total)
 
     def fall(self, step: Arrow, damping: Float[Array, ""], D: Arrow) -> Float[Array, ""]:
-        """By how much the linear model lets ‖r‖² fall along the step δ that was damped by λ diag D: −gᵀδ + λ δᵀDδ."""
+        """How much the linear model lets ‖r‖² fall along the step δ that was damped by λ diag D: −gᵀδ + λ δᵀDδ."""
         parts = [(self.g, step.shared, D.shared)]
         parts += [(group.g, s, d) for group, s, d in zip(self.groups, step.blocks, D.blocks, strict=True)]
         return sum((((damping * d * s - g) * s).sum() for g, s, d in parts), jnp.zeros_like(self.total))

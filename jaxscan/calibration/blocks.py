@@ -15,7 +15,7 @@ _LEAST = 12
 
 
 def bucket(count: int) -> int:
-    """The next size of a coarse series: a few more views or stripe points do not compile anew. Wastes at most 1/4.
+    """The next size of a coarse series: a few more views or stripe points do not compile again. Wastes at most 1/4.
 
     Few are solved for as many as a usual session has, none as none.
     """

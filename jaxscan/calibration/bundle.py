@@ -87,7 +87,7 @@ def as_arrow(
     """The problem in the shape of an arrow.
 
     A held parameter is read from where the system had it, so that its column of the Jacobian is zero. Which ones are
-    held is data, not structure: another choice does not compile anew.
+    held is data, not structure: another choice does not compile again.
 
     Returns:
         The unknowns, the way back to a system, and the residual as a function of the unknowns.

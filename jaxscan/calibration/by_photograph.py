@@ -112,7 +112,7 @@ class ByPhotograph:
 def rows_of(
     refined: Refined, group: int, k: int, count: int, scales: Float[np.ndarray, "2"]
 ) -> tuple[list[int], Float[np.ndarray, "rows"]]:
-    """Of a block's residuals, those of its k-th photograph, and their scales.
+    """The residuals of a block's k-th photograph, and their scales.
 
     What is known of the bends of a board that no axis moves is among them.
     """

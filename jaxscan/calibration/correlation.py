@@ -48,7 +48,7 @@ def weights_anew(
     errors: Sequence[Float[np.ndarray, "_"]],
     kept: Sequence[Bool[np.ndarray, "_"]],
 ) -> Float[np.ndarray, "2"]:
-    """By how much residuals of corners and of stripes weigh more once something more of them is explained.
+    """How much more residuals of corners and of stripes weigh once something more of them is explained.
 
     Args:
         before: the sums of squares of both as they were.

@@ -23,7 +23,7 @@ _REACH, _WINDOW = 2, 5
 
 
 def field_sparsity(system: System, groups: tuple[object, ...]) -> Sparsity | None:
-    """Of the residuals of groups, by the places where they stand for this system; None where they may depend on any.
+    """The sparsity of the residuals of groups, by where they lie for this system; None where they may depend on any.
 
     Args:
         system: whose lens has a field.

@@ -4,7 +4,7 @@ Ray and light give the point P = M(q)⁻¹ (x z) of the object frame, the gauge'
 gauge's frame, Rᵀ (P − t). With q the nearest point of the surface and m the normal there, d = m · (Rᵀ (P − t) − q) is
 the distance from the surface, and −d / (∂d/∂v) that from the seen stripe to the predicted one in rows (∂d/∂u, in
 columns, for a stripe found row by row), as for a stripe on a board. q and m are held while a solve lasts, and found
-anew between solves; at the end a curved surface errs by nothing, for there d is next to nought.
+again between solves; at the end a curved surface errs by nothing, for there d is next to nought.
 """
 
 import equinox as eqx

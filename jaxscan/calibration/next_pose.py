@@ -264,7 +264,7 @@ def _search(
 
 @eqx.filter_jit
 def _placed(reach: Reach, places: Float[Array, "places 6"]) -> tuple[Float[Array, "places"], Float[Array, "places 6"]]:
-    """By how much each place is beyond the limits, and its pose."""
+    """How far each place is beyond the limits, and its pose."""
     return jax.vmap(reach.excess)(places), jax.vmap(reach.pose)(places)
 
 

@@ -38,7 +38,7 @@ class Reach(eqx.Module):
     margin_px: Float[Array, ""]
 
     def bounds(self) -> list[tuple[float, float]]:
-        """Of each of the six numbers. Half a turn shows the same corners again."""
+        """The least and greatest of each of the six numbers. Half a turn shows the same corners again."""
         tilt = float(self.tilt)
         image = [(-0.5, n - 0.5) for n in self.camera.image_size]
         return [
@@ -61,7 +61,7 @@ class Reach(eqx.Module):
         return jnp.concatenate([matrix_to_vector(R), jnp.exp(place[2]) * ray - R @ self.outline.mean(axis=0)])
 
     def excess(self, place: Float[Array, "6"]) -> Float[Array, ""]:
-        """By how much the limits are overstepped that are no bounds of single numbers: 0 within, else of no unit.
+        """How far the limits are overstepped that are no bounds of single numbers: 0 within, else of no unit.
 
         They are the image, the lens's fold and the tilt. NaN where the lens has no ray for the middle's pixel, and for
         some boards that are partly behind the camera.

@@ -12,7 +12,7 @@ from jaxscan.rig.projection import pixel_rays
 
 
 def places_of_residuals(refined: Refined, calibration: Calibration) -> list[Float[np.ndarray, "blocks residuals 2"]]:
-    """Of each group of boards s and t (`rig.board_shape`) of what each residual sees, NaN where it sees nothing.
+    """The numbers s and t (`rig.board_shape`) of what each residual of each group sees, NaN where it sees nothing.
 
     Both residuals of a corner have its place; behind the corners stand the stripe points, where their rays meet the
     board's plane.

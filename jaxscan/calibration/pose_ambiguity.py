@@ -5,7 +5,7 @@ most of its corners count as outliers. And far away or small, a tilted board loo
 opposite way: the sum of squares over its pose has a minimum at each (D. Oberkampf, D. DeMenthon, L. Davis 1996;
 G. Schweighofer and A. Pinz 2006).
 
-So a board of which many corners were left out starts anew: mirrored, and from its corners in closed form with the
+So a board of which many corners were left out starts again: mirrored, and from its corners in closed form with the
 camera as it is now known. The camera is held, and each board keeps the pose of the least cost, which is that of the
 rounds of `rounds`: squares, up to the limit beyond which a corner is left out.
 """

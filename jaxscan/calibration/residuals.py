@@ -182,7 +182,7 @@ def _centre_of_gravity(
     centre: Float[Array, "3"],
     radius: Float[Array, ""],
 ) -> Float[Array, "2"]:
-    """Of the image of a disc on the board.
+    """The centre of gravity of the image of a disc on the board, px.
 
     The mean of the image u over the disc, weighted by how much |∂u / ∂(x, y)| each part of it is enlarged, by four
     points that have the disc's second moments: what is left out is of the fourth order in the radius. Perspective and

@@ -178,7 +178,7 @@ class Calibration:
         return RigFile(self.rig, self.covariance, fit)
 
     def widened_by(self) -> dict[str, float]:
-        """By how much σ of each of the rig's parameters is wider than noise alone would have it."""
+        """How much wider σ of each of the rig's parameters is than from noise alone, a factor."""
         formal = self.formal_covariance or self.covariance
         ratios = np.sqrt(np.diagonal(self.covariance.matrix) / np.diagonal(formal.matrix))
         return dict(zip(self.covariance.names, map(float, ratios), strict=True))

@@ -111,7 +111,7 @@ def refine(
         weigh: whether photographs are weighted by their own σ.
         begins: called with the number of each solve, from 1, as it begins.
     """
-    # What is reckoned between solves is NumPy's: small arrays of many shapes, for each of which JAX would compile anew.
+    # What is reckoned between solves is NumPy's: small arrays of many shapes; JAX would compile for each.
     groups = candidates = as_numpy(candidates)
     solves = futile = 0
     if reject:
@@ -298,7 +298,7 @@ def _at_least(a: Noise, b: Noise) -> Noise:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Of one group, photograph by photograph: sums of squared errors (px²) and of redundancies."""
+    """Sums of squared errors (px²) and of redundancies of one group, photograph by photograph."""
 
     corner_squares: Float[np.ndarray, "blocks photographs"]
     corner_redundancy: Float[np.ndarray, "blocks photographs"]

@@ -72,7 +72,7 @@ class Course:
 
     @property
     def middle(self) -> float:
-        """Of the photographs' steps."""
+        """The middle of the photographs' steps."""
         return float(self.steps.min() + self.steps.max()) / 2
 
     @property
@@ -100,7 +100,7 @@ class Course:
         return (self.along**2)[:, None]
 
     def play(self) -> Float[np.ndarray, "images 1"]:
-        """By how much a load is ahead of its steps that has a play of 1."""
+        """How far a load with a play of 1 is ahead of its steps."""
         return -self.way[:, None] / 2
 
     @property
@@ -124,7 +124,7 @@ class Course:
 
 
 def courses(calibration: Calibration) -> dict[str, Course]:
-    """Of each axis that moves its load along a line, more or less."""
+    """The course of each axis that moves its load along a line, more or less."""
     by_axis: dict[str, list[OwnPlaces]] = {}
     for places in own_places(calibration):
         if isinstance(calibration.rig.axis(places.sequence.axis), Line):
@@ -283,7 +283,7 @@ def _told(
 def _gains(
     course: Course, beside: Float[np.ndarray, "images others"], frequencies: Float[np.ndarray, "f"]
 ) -> Float[np.ndarray, "f"]:
-    """By how much χ² falls for a wave of each frequency; 0 where it cannot be determined."""
+    """How much χ² falls for a wave of each frequency; 0 where it cannot be determined."""
     N, g = _projected(course, beside, frequencies)
     told = np.linalg.eigvalsh(N)[:, 0] > LEAST_TOLD * (0.5 / course.sigma[:, 0] ** 2).sum()
     N[~told] = np.eye(2)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.atomic import make_folder
-from jaxscan.cli.options import add_outputs_argument, check_outputs, positive
+from jaxscan.cli.options import add_outputs_argument, check_outputs, columns_and_rows, positive
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -83,10 +83,8 @@ def _board(args: argparse.Namespace) -> "Board":
     from jaxscan.images import Board
 
     text = args.board or _COUNTS[args.kind]
-    counts = text.lower().split("x")
-    if len(counts) != 2 or not all(count.isdigit() for count in counts):
+    if (numbers := columns_and_rows(text)) is None:
         raise InputError(f"--board {text}: give columns and rows, as {_COUNTS[args.kind]}")
-    numbers = [int(count) for count in counts]
     for option, kind in (("marker", "charuco"), ("diameter", "circles")):
         if getattr(args, option) is not None and args.kind != kind:
             raise InputError(f"--{option}: only a board of --kind {kind} has it: leave it out")

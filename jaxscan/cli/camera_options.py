@@ -2,6 +2,8 @@
 
 import argparse
 
+from jaxscan.cli.options import columns_and_rows
+
 
 def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a file may leave open: which camera of several, and the size of its image."""
@@ -16,7 +18,6 @@ def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
 
 def image_size(text: str) -> tuple[int, int]:
     """Columns and rows from a text such as 640x480."""
-    columns, _, rows = text.lower().partition("x")
-    if not (columns.isdecimal() and rows.isdecimal() and int(columns) and int(rows)):
+    if (size := columns_and_rows(text)) is None:
         raise argparse.ArgumentTypeError(f'"{text}" is no size: write columns and rows, such as 640x480')
-    return int(columns), int(rows)
+    return size

@@ -69,7 +69,7 @@ class Estimate:
         return (self.sheet,) * len(own) if self.sheet else own
 
     def taken(self, observations: "Observations") -> "Observations":
-        """Of what was seen, what takes part.
+        """What takes part of what was seen.
 
         Raises:
             InputError: there is no such photograph.

@@ -83,6 +83,22 @@ def _scan(summary: Summary) -> Iterator[Line]:
         yield "exposure", f"{low:g} s" if low == high else f"{low:g} to {high:g} s"
 
 
+def _profiles(summary: Summary) -> Iterator[Line]:
+    if summary["name"]:
+        yield "name", summary["name"]
+    n = summary["profiles"] * summary["points_of_a_profile"]
+    yield "profiles", f"{summary['profiles']} of {summary['points_of_a_profile']} points"
+    yield "valid", f"{summary['points']} of {n} points"
+    for name in ("x", "z"):
+        low, high = summary[f"{name}_mm"]
+        yield name, f"{low:.4g} to {high:.4g} mm"
+    if summary["sigma_mm"] is not None:
+        yield "σ", f"{summary['sigma_mm']:g} mm"
+    for name, steps in summary["axes"].items():
+        kind = summary["motion"].get(name)
+        yield name, _positions(steps) + (f", {kind.replace('_', ' ')}" if kind else ", not of the motion")
+
+
 def _rig(summary: Summary) -> Iterator[Line]:
     yield from _intrinsics(summary["camera"])
     for light in summary["lights"]:
@@ -191,6 +207,7 @@ def _range_image(summary: Summary) -> Iterator[Line]:
 _WORDS: dict[str, Callable[[Summary], Iterator[Line]]] = {
     "session": _session,
     "scan": _scan,
+    "profiles": _profiles,
     "rig": _rig,
     "camera": _camera,
     "cloud": _cloud,

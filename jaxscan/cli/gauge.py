@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     with progress("fitting the gauge", 1, "rig") as advance:
         fit = refine_by_gauge(known, gauges, args.trust)
         advance(1)
-    # A light plane that the gauge has found anew is not the one that was warned of.
+    # A light plane that the gauge has found again is not the one that was warned of.
     kept = content.fit if "laser" in args.trust else {k: v for k, v in content.fit.items() if k != "warnings"}
     write_rig(args.output, fit.rig_file(kept))
     return {

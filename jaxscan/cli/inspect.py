@@ -16,6 +16,7 @@ HELP: Final = "say in words what a session, scan, rig, camera, cloud, range imag
 EXAMPLE: Final = "jaxscan inspect scans/cup --frame 12 --png cup-12.png"
 
 _DEFAULT: Final = "-"
+_FOLDERS: Final = ("session", "scan", "profiles")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "path",
         type=Path,
-        help="a folder with session.toml or scan.toml, one .toml, .ply, .npz, .stl, .obj, .glb, or a camera: "
+        help="a folder with session.toml, scan.toml or profiles.toml, one .toml, .ply, .npz, .stl, .obj, .glb, or a "
+        "camera: "
         f"{', '.join(ENDINGS)}",
     )
     parser.add_argument("--frame", type=int, metavar="N", help="which photograph to draw, counted from 0 (default: 0)")
@@ -63,6 +65,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     read = {
         "session": summary.session_summary,
         "scan": summary.scan_summary,
+        "profiles": summary.profiles_summary,
         "rig": summary.rig_summary,
         "PLY": summary.ply_summary,
         "mesh": summary.mesh_summary,
@@ -108,7 +111,8 @@ def _kind(path: Path) -> tuple[str, Path]:
     if ending == ".toml":
         from jaxscan.files.text import read_toml
 
-        return ("scan" if "scan" in read_toml(path) else "session"), path
+        table = read_toml(path)
+        return next((kind for kind in ("scan", "profiles") if kind in table), "session"), path
     kinds = dict.fromkeys(ENDINGS, "camera") | {".json": "rig", ".ply": "PLY", ".npz": "range image"}
     kinds |= dict.fromkeys((".stl", ".obj", ".glb"), "mesh")
     if ending not in kinds:
@@ -122,13 +126,15 @@ def _kind(path: Path) -> tuple[str, Path]:
 
 
 def _kind_of_folder(path: Path) -> tuple[str, Path]:
-    there = [kind for kind in ("session", "scan") if (path / f"{kind}.toml").is_file()]
+    there = [kind for kind in _FOLDERS if (path / f"{kind}.toml").is_file()]
     if not there:
         from jaxscan.files.settings import refuse_hidden_ending
 
-        for name in ("session.toml", "scan.toml"):
-            refuse_hidden_ending(path, name)
-        raise InputError(f"{path}: has neither session.toml nor scan.toml: name the folder that has, or a file")
+        for kind in _FOLDERS:
+            refuse_hidden_ending(path, f"{kind}.toml")
+        raise InputError(
+            f"{path}: has neither session.toml nor scan.toml nor profiles.toml: name the folder that has, or a file"
+        )
     if len(there) > 1:
-        raise InputError(f"{path}: has both session.toml and scan.toml: name one of the two files")
+        raise InputError(f"{path}: has both {there[0]}.toml and {there[1]}.toml: name one of the two files")
     return there[0], path / f"{there[0]}.toml"

@@ -32,6 +32,7 @@ COMMANDS: Final = {
     "board": "jaxscan.cli.board",
     "calibrate": "jaxscan.cli.calibrate",
     "reconstruct": "jaxscan.cli.reconstruct",
+    "profiles": "jaxscan.cli.profiles",
     "batch": "jaxscan.cli.batch",
     "mesh": "jaxscan.cli.mesh",
     "merge": "jaxscan.cli.merge",

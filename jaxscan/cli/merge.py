@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--poses",
         type=Path,
         metavar="FILE",
-        help="where the scans stand roughly, by their file names: .json (4 x 4, or position and quaternion w, x, y, "
+        help="rough poses of the scans, by their file names: .json (4 x 4, or position and quaternion w, x, y, "
         "z), or .conf of the Stanford scans",
     )
     parser.add_argument(

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.options import add_outputs_argument, add_units_argument, check_outputs, check_units, finite, numbers
+from jaxscan.cli.texture_options import add_texture_arguments, check_texture, texture_asked, texture_in_words
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from jaxscan.files.cloud import Cloud
     from jaxscan.reconstruction import RangeImage
     from jaxscan.surface.floor import Floor
+    from jaxscan.surface.texture import Texture
 
 HELP: Final = "make a surface of a scan's points: cleaned, without the floor, as STL, OBJ, PLY or GLB"
 EXAMPLE: Final = "jaxscan mesh cup.npz -o cup.stl --png cup.png"
@@ -60,8 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "poisson: a closed surface, by the extra poisson",
     )
     parser.add_argument(
-        "--rig", type=Path, help="whose light delaunay looks along (default: at right angles to the floor)"
+        "--rig",
+        type=Path,
+        help="whose light delaunay looks along (default: at right angles to the floor), and whose camera took "
+        "--photographs",
     )
+    add_texture_arguments(parser)
     parser.add_argument("--quads", action="store_true", help="write .ply with quadrilaterals where the grid has them")
     parser.add_argument("--simplify", type=int, metavar="N", help="reduce the mesh to N triangles (extra simplify)")
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw the mesh")
@@ -89,16 +95,18 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             from jaxscan.files.exchange import read_cloud
             from jaxscan.files.units import cloud_in_millimetres
 
-            image, floor, quads = None, None, None
+            scanned, image, floor, quads = None, None, None, None
             cloud = cloud_in_millimetres(str(args.points), read_cloud(args.points), args.units)
             mesh, painted = _of_cloud(cloud, args), cloud
         if args.simplify is not None:
             mesh = simplified(mesh, args.simplify)
             cloud, quads = None, None
-    colours = _colours(mesh, cloud, painted)
+    own = None if cloud is None else cloud.colours
+    texture = texture_asked(args, mesh, own, painted, scanned, result)
+    colours = _colours(mesh, own, painted)
     result["coloured"] = None if colours is None else int(colours.any(axis=1).sum())
     for path in args.output:
-        _write(path, mesh, cloud, quads if args.quads else None, image, colours)
+        _write(path, mesh, cloud, quads if args.quads else None, image, colours, texture)
     if args.png:
         import numpy as np
 
@@ -162,8 +170,12 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError(f"--simplify {args.simplify}: give 4 triangles or more")
     if args.quads and args.method not in (None, "grid"):
         raise InputError("--quads: only the grid has quadrilaterals: leave --method out")
-    if args.rig and args.method != "delaunay":
-        raise InputError("--rig: only --method delaunay looks along the light of a rig: add it, or leave --rig out")
+    check_texture(args)
+    if args.rig and args.method != "delaunay" and args.photographs is None:
+        raise InputError(
+            "--rig: only --method delaunay looks along the light of a rig, and only --photographs needs its camera: "
+            "add one of them, or leave --rig out"
+        )
     needed = {"plots": args.png, "poisson": args.method == "poisson", "simplify": args.simplify is not None}
     for name in [name for name, asked in needed.items() if asked]:
         extra(name)
@@ -313,14 +325,14 @@ def _of_cloud(cloud: "Cloud", args: argparse.Namespace) -> "trimesh.Trimesh":
     return trimesh.Trimesh(cloud.points, delaunay_surface(cloud.points, direction), process=False)
 
 
-def _colours(mesh: "trimesh.Trimesh", cloud: "Cloud | None", painted: "Cloud") -> "np.ndarray | None":
-    """Of the mesh's vertices: their own, or where they are no points of the scan those of the scan's points nearby."""
+def _colours(mesh: "trimesh.Trimesh", own: "np.ndarray | None", painted: "Cloud") -> "np.ndarray | None":
+    """Colours of the mesh's vertices: their own, or where they are no points of the scan those of points nearby."""
     import numpy as np
 
     from jaxscan.surface.painted import colours_near
 
-    if cloud is not None and cloud.colours is not None:
-        return cloud.colours
+    if own is not None:
+        return own
     if painted.colours is None:
         return None
     return colours_near(np.asarray(mesh.vertices, np.float32), painted)
@@ -333,6 +345,7 @@ def _write(
     quads: Any,
     image: "RangeImage | None",
     colours: "np.ndarray | None",
+    texture: "Texture | None",
 ) -> None:
     import numpy as np
 
@@ -348,6 +361,12 @@ def _write(
         triangles, four = quads if quads is not None else (np.asarray(mesh.faces), None)
         vertices = replace(cloud or Cloud(np.asarray(mesh.vertices, np.float32)), colours=colours)
         write_mesh_ply(path, vertices, triangles, four, np.asarray(mesh.vertex_normals, np.float32))
+    elif ending == ".glb" and texture is not None:
+        from jaxscan.files.glb import write_textured_glb
+
+        place, atlas = texture.atlas.place, texture.atlas
+        P, normals = (np.asarray(of)[place] for of in (mesh.vertices, mesh.vertex_normals))
+        write_textured_glb(path, P, atlas.triangles, normals, atlas.pixels, texture.picture)
     else:
         write_trimesh(path, mesh, colours)
 
@@ -365,7 +384,9 @@ def describe(result: dict[str, Any]) -> str:
         f"  surface    {result['area_mm2']:.6g} mm², {closed}",
     ]
     if result.get("coloured"):
-        lines.append(f"  colours    of {result['coloured']} of its points, in .ply, .obj and .glb")
+        lines.append(f"  colours    of {result['coloured']} of its points, in .ply and .obj")
+    if "texture" in result:
+        lines.append(texture_in_words(result["texture"]))
     if "removed" in result:
         words = ", ".join(f"{count} {rule}" for rule, count in result["removed"].items())
         lines.append(f"  removed    {words}, of {result['points_read']} points")

@@ -90,6 +90,15 @@ def optics_asked(args: argparse.Namespace) -> "Optics | None":
     return Optics(**asked)
 
 
+def columns_and_rows(text: str) -> tuple[int, int] | None:
+    """The two whole numbers of a text such as 9x6; None where it is none of that kind, or one of them is 0."""
+    counts = text.lower().split("x")
+    # Other digits than these, as ², are none that a number is written with.
+    if len(counts) != 2 or not all(count.isascii() and count.isdecimal() and int(count) for count in counts):
+        return None
+    return int(counts[0]), int(counts[1])
+
+
 def finite(text: str) -> float:
     """A number: neither nan nor inf, which Python takes for numbers too."""
     try:

@@ -170,7 +170,7 @@ def describe(result: dict[str, Any]) -> str:
 
 
 def _looks_in_words(result: dict[str, Any]) -> str:
-    """Of how many points colour and albedo are known."""
+    """A line each on how many points have a colour and an albedo."""
     points, coloured, lines = result["points"], result["points_with_colour"], ""
     if coloured is not None:
         lines += f"\ncolour: of {coloured} points" + (

@@ -20,6 +20,7 @@ from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
 from jaxscan.files.place_checks import check_values
 from jaxscan.files.ply import Element
 from jaxscan.files.ply_read import read_ply_file
+from jaxscan.files.profiles import read_profiles
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
@@ -93,6 +94,25 @@ def scan_summary(path: Path) -> Summary:
         "exposures_s": exposures and [min(exposures), max(exposures)],
         "checks": check_values(scan.checks),
         "laser": _laser_settings(scan.laser),
+    }
+
+
+def profiles_summary(path: Path) -> Summary:
+    """Summary of a profiler's profiles."""
+    profiles = read_profiles(path)
+    valid = np.isfinite(profiles.z)
+    return {
+        "kind": "profiles",
+        "path": str(profiles.path),
+        "name": profiles.name,
+        "profiles": len(valid),
+        "points_of_a_profile": valid.shape[1],
+        "points": int(valid.sum()),
+        "x_mm": [float(np.nanmin(profiles.x)), float(np.nanmax(profiles.x))],
+        "z_mm": [float(np.nanmin(profiles.z)), float(np.nanmax(profiles.z))],
+        "sigma_mm": profiles.sigma_mm,
+        "axes": {name: _steps(positions) for name, positions in profiles.positions.items()},
+        "motion": {part.axis: part.kind for part in profiles.motion.parts()},
     }
 
 

@@ -1,6 +1,6 @@
 """The history of a scanner's tests: a line of JSON for each, which is only ever added to.
 
-A test is added by writing the file anew beside itself and renaming it into place, so that it is there whole or not at
+A test is added by writing the file again beside itself and renaming it into place, so that it is there whole or not at
 all, and two programs that add at once are kept apart by a lock.
 """
 

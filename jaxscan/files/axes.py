@@ -40,12 +40,13 @@ def is_axis_name(name: str) -> bool:
     return _PLAIN_NAME.fullmatch(name) is not None
 
 
-def read_axes(scan: Table, n_frames: int | None) -> tuple[Positions, Rules]:
+def read_axes(scan: Table, n_frames: int | None, outer: str = "scan") -> tuple[Positions, Rules]:
     """The positions of each axis, in the order in which the file names the axes.
 
     Args:
         scan: the table with `steps`, `steps_per_frame` or `axes`.
         n_frames: how many frames there are; None for a video, which has as many as a list has positions.
+        outer: what the table is called.
 
     Returns:
         A position for each axis and frame. For a video of which nothing is a list, no positions but a rule for each
@@ -57,15 +58,17 @@ def read_axes(scan: Table, n_frames: int | None) -> tuple[Positions, Rules]:
     if "axes" in scan:
         for key in ("steps", "steps_per_frame"):
             if key in scan:
-                raise scan.error(key, f"[scan.axes] is given too: keep one of them; {key} is that of the axis {STAGE}")
-        table = scan.table("axes", "[scan.axes] ")
-        given = {name: _read_axis(table, name) for name in table.values}
+                raise scan.error(
+                    key, f"[{outer}.axes] is given too: keep one of them; {key} is that of the axis {STAGE}"
+                )
+        table = scan.table("axes", f"[{outer}.axes] ")
+        given = {name: _read_axis(table, name, outer) for name in table.values}
         if not given:
             raise scan.error("axes", "names no axis: add one, such as turntable = { start = 0, per_frame = 8 }")
     elif "steps" not in scan and "steps_per_frame" not in scan:
         raise scan.error(
             "steps",
-            "is missing: give the motor step count of each photograph, or steps_per_frame, or [scan.axes] where other "
+            f"is missing: give the motor step count of each frame, or steps_per_frame, or [{outer}.axes] where other "
             f"axes than the {STAGE} move",
         )
     else:
@@ -106,7 +109,7 @@ def axes_values(axes: Positions, rules: Rules) -> dict[str, Any]:
     }
 
 
-def _read_axis(axes: Table, name: str) -> tuple[int, ...] | StepRule:
+def _read_axis(axes: Table, name: str, outer: str) -> tuple[int, ...] | StepRule:
     """What is written for one axis: a list, one number, or where it starts and how far it goes for each frame."""
     value = axes.values[name]
     if not is_axis_name(name):
@@ -120,7 +123,7 @@ def _read_axis(axes: Table, name: str) -> tuple[int, ...] | StepRule:
                 "must be a list of motor steps, one number for all frames, or { start = 0, per_frame = 8 }",
             )
         return StepRule(axes.whole(name), 0)
-    rule = axes.table(name, f"[scan.axes] {name}.").only("start", "per_frame")
+    rule = axes.table(name, f"[{outer}.axes] {name}.").only("start", "per_frame")
     if "per_frame" not in rule:
         raise axes.error(
             name, f"has no per_frame: add it, or write {name} = {show(value.get('start', 0))} where it stands still"

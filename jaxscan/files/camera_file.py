@@ -197,7 +197,7 @@ def terms_for(path: Path, camera: Camera, count: int, title: str, *, tilts: bool
 def terms_from(
     table: Table, key: str, values: Sequence[float], counts: Sequence[int]
 ) -> tuple[Sequence[float], Sequence[float]]:
-    """Of coefficients in OpenCV's order the terms that we have, and the tilt of the sensor, empty where there is none.
+    """The terms that we have of coefficients in OpenCV's order, and the tilt of the sensor, empty where there is none.
 
     Raises:
         InputError: their number is none of `counts`, or one of s1 … s4 is not zero; it is named.

@@ -2,7 +2,7 @@
 
 `intrinsics` of a pinhole are f_u, f_v, u₀, v₀; `radtan` is OpenCV's k1 k2 p1 p2, `equidistant`
 the k1 k2 k3 k4 of its fisheye. Pixel (0, 0) is the centre of the top
-left pixel, as the corners are those of OpenCV's `cornerSubPix`. Where the cameras stand to each other and to an
+left pixel, as the corners are those of OpenCV's `cornerSubPix`. The poses of the cameras among each other and to an
 inertial sensor is passed over.
 
 Source: Kalibr's wiki, "YAML formats" and "Supported models".

@@ -126,7 +126,7 @@ class Dimension:
 
     @property
     def unit(self) -> str:
-        """Of its value: mm, ° or mm³."""
+        """The unit of its value: mm, ° or mm³."""
         return "°" if self.kind in ANGLES else "mm³" if self.kind == "volume" else "mm"
 
 

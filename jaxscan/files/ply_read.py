@@ -214,7 +214,7 @@ class _Bytes(_Body):
         return columns
 
     def _walk(self, name: str, count: int, properties: list[_Declared]) -> Iterator[Int[np.ndarray, "rows"]]:
-        """Of each property in turn where its items begin in each row; at the end of the element afterwards.
+        """Where the items of each property in turn begin in each row; at the end of the element afterwards.
 
         Where a row ends is known only once its lists' lengths are read: the one loop over rows that there is.
         """

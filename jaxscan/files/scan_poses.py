@@ -1,4 +1,4 @@
-"""Where scans stand to each other, as a person or another program has it: JSON, or a `.conf` of the Stanford scans.
+"""The poses of scans in one frame, as a person or another program has it: JSON, or a `.conf` of the Stanford scans.
 
 JSON is a list in the order of the scans, or an object with a pose for each scan's file name. A pose is a matrix of
 4 × 4 (or 3 × 4), row by row, or {"position": [x, y, z], "quaternion": [w, x, y, z]}: what carries the scan's points

@@ -14,7 +14,7 @@ from jaxscan.images import StripeSettings
 from jaxscan.images.stripe_settings import COLORS
 
 # By which table each is known from the other.
-_TELLING: Final = {"session.toml": "views", "scan.toml": "scan"}
+_TELLING: Final = {"session.toml": "views", "scan.toml": "scan", "profiles.toml": "profiles"}
 
 
 def toml_in(path: Path, name: str) -> Path:
@@ -46,8 +46,8 @@ def read_listing(path: Path, name: str, keys: Sequence[str]) -> Table:
     """
     wanted = f"the {name} that lists the photographs"
     table = read_toml(toml_in(path, name), wanted)
-    (other,) = (kind for kind in _TELLING if kind != name)
-    if _TELLING[other] in table and _TELLING[name] not in table:
+    other = next((kind for kind, key in _TELLING.items() if key in table), name)
+    if _TELLING[name] not in table and other != name:
         raise InputError(f"{table.path}: is a {other}, but a {name} is expected: name {wanted}")
     return table.only(*keys)
 

@@ -61,10 +61,32 @@ def parse_file(path: Path, kind: str, parse: Callable[[str], Any], wanted: str =
     Raises:
         InputError: the file is missing, empty, not text, or not of its kind; the text says where.
     """
+    text = read_text(path, kind, wanted)
+    try:
+        return parse(text)
+    except RecursionError as error:
+        raise InputError(f"{path}: is nested too deeply to be read as {kind}: write it again") from error
+    except ValueError as error:  # the parsers' own errors, which name line and column, and numbers without end
+        _refuse_other_kind(path, kind, wanted)
+        raise InputError(f"{path}: is not valid {kind}: {error}: correct it there, or name {wanted}") from error
+
+
+def read_text(path: Path, kind: str, wanted: str = "another file", longest: int = _LONGEST) -> str:
+    """The text of a file of some kind.
+
+    Args:
+        path: the file.
+        kind: what it should be, for errors: "TOML".
+        wanted: what to name in its place, for errors.
+        longest: it may have this number of letters.
+
+    Raises:
+        InputError: the file is missing, empty, longer, or not text.
+    """
     try:
         # utf-8-sig: editors on Windows put a byte order mark before the text. Newlines come out plain.
         with path.open(encoding="utf-8-sig") as file:
-            text = file.read(_LONGEST + 1)
+            text = file.read(longest + 1)
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such file: check the path") from error
     except IsADirectoryError as error:
@@ -77,20 +99,12 @@ def parse_file(path: Path, kind: str, parse: Callable[[str], Any], wanted: str =
         ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}): check its permissions") from error
-    if len(text) > _LONGEST:
+    if len(text) > longest:
         _refuse_other_kind(path, kind, wanted)
-        raise InputError(
-            f"{path}: is longer than {_LONGEST >> 20} million letters, as no {kind} file is: name {wanted}"
-        )
+        raise InputError(f"{path}: is longer than {longest >> 20} million letters, as no {kind} file is: name {wanted}")
     if not text.strip():
         raise InputError(f"{path}: is empty, but a {kind} file is expected: write it again")
-    try:
-        return parse(text)
-    except RecursionError as error:
-        raise InputError(f"{path}: is nested too deeply to be read as {kind}: write it again") from error
-    except ValueError as error:  # the parsers' own errors, which name line and column, and numbers without end
-        _refuse_other_kind(path, kind, wanted)
-        raise InputError(f"{path}: is not valid {kind}: {error}: correct it there, or name {wanted}") from error
+    return text
 
 
 def _refuse_other_kind(path: Path, kind: str, wanted: str) -> None:

@@ -227,7 +227,7 @@ def _axes(corners: Float[np.ndarray, "nodes corners 3"]) -> Float[np.ndarray, "n
 
 
 def _frames(pieces: Float[np.ndarray, "leaves 3 3"]) -> Float[np.ndarray, "leaves 12"]:
-    """Of each piece: the start of its longest side, the directions of x and y, the side's length, and c, h."""
+    """For each piece the start of its longest side, the directions of x and y, the side's length, and c, h."""
     sides = np.linalg.norm(np.roll(pieces, -1, axis=1) - pieces, axis=-1)
     which = (sides.argmax(axis=1)[:, None] + np.arange(3)) % 3
     a, b, c = np.moveaxis(np.take_along_axis(pieces, which[:, :, None], axis=1), 1, 0)

@@ -91,7 +91,7 @@ def _centre_of_gravity(
 
 
 def _two_levels(levels: Float[np.ndarray, "pixels"]) -> tuple[float, float]:
-    """Of dark and light, however few pixels either has: medians of what is below and above their middle.
+    """The levels of dark and light, however few pixels either has: medians of what is below and above their middle.
 
     (T. Ridler and S. Calvard, Picture thresholding using an iterative selection method, 1978.)
     """

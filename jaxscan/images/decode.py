@@ -20,7 +20,7 @@ import simplejpeg
 from jaxtyping import UInt
 
 from jaxscan.atomic import replacing
-from jaxscan.errors import InputError
+from jaxscan.errors import InputError, error_context
 from jaxscan.images.headers import JPEG_START, MOST_PIXELS, Header, check_size, is_whole, read_header
 from jaxscan.npy import NPY_START, NpyHeader, read_npy, read_npy_header
 
@@ -207,6 +207,23 @@ def check_image_ending(path: str | os.PathLike[str]) -> None:
         raise InputError(f'{path}: "{Path(path).suffix}" is no ending of an image: write .png or .jpg')
 
 
+def encoded(ending: str, image: Image) -> bytes:
+    """A grey or RGB image in the format of an ending, such as ".png".
+
+    Raises:
+        InputError: the format cannot hold the image.
+    """
+    stored = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    if image.dtype == np.uint16 and ending.lower() not in (".png", ".tif", ".tiff"):
+        raise InputError(f'"{ending}" does not hold 16 bits a channel: write .png or .tif')
+    try:
+        with _quiet():
+            _, data = cv2.imencode(ending, stored)
+    except cv2.error as error:
+        raise InputError(f'"{ending}" cannot hold this image ({error.err}): write .png or .jpg') from error
+    return data.tobytes()
+
+
 def write_image(path: str | os.PathLike[str], image: Image) -> None:
     """Write a grey or RGB image in the format that the name's ending asks for; whole or not at all.
 
@@ -214,17 +231,10 @@ def write_image(path: str | os.PathLike[str], image: Image) -> None:
         InputError: the ending is no image format's, the format cannot hold the image, or the place cannot be written.
     """
     check_image_ending(path)
-    stored = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    ending = Path(path).suffix
-    if image.dtype == np.uint16 and ending.lower() not in (".png", ".tif", ".tiff"):
-        raise InputError(f'{path}: "{ending}" does not hold 16 bits a channel: write .png or .tif')
-    try:
-        with _quiet():
-            _, data = cv2.imencode(ending, stored)
-    except cv2.error as error:
-        raise InputError(f'{path}: "{ending}" cannot hold this image ({error.err}): write .png or .jpg') from error
+    with error_context(path):
+        data = encoded(Path(path).suffix, image)
     with replacing(path) as file:
-        file.write(data.tobytes())
+        file.write(data)
 
 
 def _read_bytes(path: Path, limit: int = -1) -> bytes:

@@ -41,7 +41,7 @@ def order_grid(board: Board, corners: Corners, grey: UInt[np.ndarray, "rows colu
 
 
 def carry_order(board: Board, previous_corners: Corners, corners: Corners) -> Corners:
-    """Of the orders that one photograph cannot distinguish, the one nearest to the corners of the image before.
+    """The order nearest to the corners of the image before, of those that one photograph cannot distinguish.
 
     All points of the board are compared: those that are NaN stand where the others put them. So an order is not the
     nearer for what is hidden, and two photographs that share no point are ordered as well as any.

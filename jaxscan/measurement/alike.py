@@ -41,7 +41,7 @@ class Alike:
     doubt: float = 0.0
 
     def along(self, outline: bool) -> Float[np.ndarray, "lags lags"]:
-        """Of the grid; or of an outline, whose points are neighbours along a frame or a column, whichever is more."""
+        """The correlation in the grid; or along an outline, by frames or by columns, whichever is more."""
         if not outline:
             return self.rho
         frame, column = (n // 2 for n in self.rho.shape)

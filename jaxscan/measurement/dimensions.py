@@ -37,7 +37,7 @@ class Place:
 
 
 def place_of(shape: Shape) -> Place:
-    """Of a fitted shape."""
+    """The point of a fitted shape, with its direction or its normal."""
     if isinstance(shape, Plane):
         return Place(shape.point, normal=shape.axis)
     return Place(shape.point) if isinstance(shape, Ball | Circle) else Place(shape.point, direction=shape.axis)
@@ -83,7 +83,7 @@ def width_of(a: Plane, b: Plane) -> float:
 
 
 def distance_between(a: Place, b: Place) -> float:
-    """Of two places, mm, at the middle of the second where they are parallel."""
+    """The distance of two places, mm, at the middle of the second where they are parallel."""
     if a.normal is not None:
         return abs(float((b.point - a.point) @ a.normal))
     if b.normal is not None:
@@ -100,7 +100,7 @@ def distance_between(a: Place, b: Place) -> float:
 
 
 def angle_between(a: Place, b: Place) -> float:
-    """Of two planes, as they face, 0° to 180°; of two lines, or a line and a plane, 0° to 90°."""
+    """The angle of two planes, as they face, 0° to 180°; of two lines, or a line and a plane, 0° to 90°."""
     first = a.direction if a.direction is not None else a.normal
     second = b.direction if b.direction is not None else b.normal
     assert first is not None
@@ -163,7 +163,7 @@ class Shapes:
         return tuple(dict.fromkeys(name for part in parts for name in part))
 
     def value(self, dimension: Dimension) -> float:
-        """Of a dimension that shapes alone determine."""
+        """The value of a dimension that shapes alone determine: mm, ° or mm³."""
         kind, of = dimension.kind, dimension.of
         if kind in ("radius", "diameter"):
             radius = float(self.fitted[of[0]].radius)  # type: ignore[attr-defined]  # the reader has seen to the kind

@@ -75,7 +75,7 @@ class Fit:
 
     @property
     def rms_mm(self) -> float:
-        """Of the residuals."""
+        """The root mean square of the residuals, mm."""
         return float(np.sqrt((self.residuals**2).mean()))
 
     @property

@@ -149,7 +149,7 @@ def _cones(y: Points, normals: Points, random: np.random.Generator) -> list[Shap
 
 
 def _normals(y: Points) -> Float[np.ndarray, "points 3"]:
-    """Of the plane through the points around each."""
+    """The unit normal of the plane through the points around each."""
     index = KDTree(y).query(y, min(_AROUND, len(y)))[1]
     near = y[index] - y[index].mean(axis=1, keepdims=True)
     return np.linalg.eigh(near.swapaxes(1, 2) @ near)[1][:, :, 0]

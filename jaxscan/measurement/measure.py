@@ -133,7 +133,7 @@ class Measurement:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Of the whole part: conforming if every toleranced dimension is; None where none has a tolerance."""
+        """The verdict on the part: conforming if every toleranced dimension is; None where none has a tolerance."""
         return worst_of(each.verdict for each in self.dimensions)
 
 

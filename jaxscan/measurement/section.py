@@ -108,7 +108,7 @@ def _crossing(
 
 
 def _weights(t: Float[np.ndarray, "edges"]) -> Float[np.ndarray, "edges 4"]:
-    """Of Lagrange's cubic through its values at −1, 0, 1 and 2."""
+    """The weights of Lagrange's cubic through its values at −1, 0, 1 and 2."""
     u, v, w = t + 1, t - 1, t - 2
     return np.stack([-t * v * w / 6, u * v * w / 2, -u * t * w / 2, u * t * v / 6], axis=1)
 

@@ -97,7 +97,7 @@ class Plane(Shape):
         return (x - self.point) @ self.axis, np.broadcast_to(self.axis, x.shape)
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
-        """Of distances by the numbers."""
+        """The derivatives of distances by the numbers."""
         u, v = across(self.axis)
         d = x - self.point
         return np.stack([d @ u / self.size, d @ v / self.size, np.full(len(x), -1.0)], axis=1)
@@ -124,7 +124,7 @@ class Ball(Shape):
         return away - self.radius, d / np.maximum(away, 1e-300)[:, None]
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
-        """Of distances by the numbers."""
+        """The derivatives of distances by the numbers."""
         return np.concatenate([-self.gradient(x), np.full((len(x), 1), -1.0)], axis=1)
 
     def moved(self, by: Float[np.ndarray, "numbers"]) -> "Ball":
@@ -158,7 +158,7 @@ class Cylinder(_Round):
     numbers: ClassVar[int] = 5
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
-        """Of distances by the numbers."""
+        """The derivatives of distances by the numbers."""
         h, parts = (x - self.point) @ self.axis, self.turned_by(x)
         return np.concatenate([-parts, -parts * h[:, None] / self.size, np.full((len(x), 1), -1.0)], axis=1)
 
@@ -183,7 +183,7 @@ class Cone(Shape):
         return (rho - self.radius) * c - h * s, c * w - s * self.axis
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
-        """Of distances by the numbers."""
+        """The derivatives of distances by the numbers."""
         h, rho, _ = self._about_axis(x)
         parts = self.turned_by(x)
         c, s = np.cos(self.half_angle), np.sin(self.half_angle)
@@ -218,7 +218,7 @@ class Circle(_Round):
     numbers: ClassVar[int] = 3
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
-        """Of distances by the numbers."""
+        """The derivatives of distances by the numbers."""
         return np.concatenate([-self.turned_by(x), np.full((len(x), 1), -1.0)], axis=1)
 
     def moved(self, by: Float[np.ndarray, "numbers"]) -> "Circle":
@@ -248,7 +248,7 @@ class Line(Shape):
         return (x - self.point) @ self.aside, np.broadcast_to(self.aside, x.shape)
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
-        """Of distances by the numbers."""
+        """The derivatives of distances by the numbers."""
         return np.stack([np.full(len(x), -1.0), -((x - self.point) @ self.axis) / self.size], axis=1)
 
     def moved(self, by: Float[np.ndarray, "numbers"]) -> "Line":
@@ -265,5 +265,5 @@ def across(axis: Vector) -> tuple[Vector, Vector]:
 
 
 def lengths(vectors: Points) -> Float[np.ndarray, "points"]:
-    """Of vectors; three times as fast as `np.linalg.norm`, which reduces three numbers at a time."""
+    """The lengths of vectors; three times as fast as `np.linalg.norm`, which reduces three numbers at a time."""
     return np.sqrt(np.einsum("pi,pi->p", vectors, vectors))

@@ -39,7 +39,7 @@ class Volume:
 
 
 def volume_above(scanned: Scanned, plane: Fit, known: Known, alike: Alike) -> Volume:
-    """Of a surface above a fitted plane.
+    """The volume of a surface above a fitted plane, mm³.
 
     Args:
         scanned: the surface's points, with their places in the range image.

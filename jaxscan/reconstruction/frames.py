@@ -2,7 +2,7 @@
 
 Memory is that of the ring, whatever the scan's length. A buffer holds as many frames as the stripe detector looks at
 together, or fewer where they are large, and keeps that size to the end of the scan, so that its last frames are not
-compiled for anew.
+compiled for again.
 """
 
 from collections import deque

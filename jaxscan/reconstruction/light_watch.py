@@ -167,7 +167,7 @@ class LightWatch:
 
 
 def _rises(level: Float[np.ndarray, "frames rows columns"]) -> Float[np.ndarray, "pairs"]:
-    """By how much levels rise everywhere from frame to frame, in logarithms: by the quarter that changes least.
+    """How much levels rise everywhere from frame to frame, in logarithms: by the quarter that changes least.
 
     0 where quarters of the photograph disagree, for then something moves; NaN where fewer than three are lit.
     """

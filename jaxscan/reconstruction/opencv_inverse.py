@@ -39,7 +39,7 @@ _CORRECTIONS = (0, 1, 3, 6, 12)
 
 
 class LensInverse(eqx.Module):
-    """Distorted to undistorted rays: arrays alone, so that another lens of the same kind does not compile anew.
+    """Distorted to undistorted rays: arrays alone, so that another lens of the same kind does not compile again.
 
     Attributes:
         factor: coefficients c_i of S = Σ c_i (2ρ − 1)^i with ρ = r_d² / reach.

@@ -13,7 +13,7 @@ def overlapping(batches: Iterable[Frames], before: int, after: int, size: int) -
     """Every frame once, `size` at a time whatever the size of the batches that come in, with neighbours.
 
     Each batch's buffer holds first neighbours before, its frames, neighbours after, as far as the scan has them. It has
-    one size in all batches, so that a shorter batch compiles nothing anew; what is left of it is black. No more than
+    one size in all batches, so that a shorter batch compiles nothing again; what is left of it is black. No more than
     `before + size + after` frames and one batch that came in are held at a time.
 
     Args:

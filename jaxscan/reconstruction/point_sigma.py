@@ -186,7 +186,7 @@ def jacobian_along(
 def motion_shifts(rig: Rig, q: PositionsOfPoints, count: int) -> Float[np.ndarray, "points 3 numbers"]:
     """Derivative of the motion's shift of the camera's centre (mm) by the motion's parameters, at `count` positions."""
     with float64():
-        # Padded to the next size of a coarse series, so that a few frames more do not compile anew.
+        # Padded to the next size of a coarse series, so that a few frames more do not compile again.
         padded = {axis: np.resize(np.asarray(steps, np.float64), bucket(count)) for axis, steps in q.items()}
         shifts = np.asarray(_motion_shifts(as_float64(rig.motion), jax.tree.map(jnp.asarray, padded)))
     return np.broadcast_to(shifts, (max(len(shifts), count), *shifts.shape[1:]))[:count]

@@ -216,11 +216,12 @@ class RangeImage:
     def cloud(self) -> Cloud:
         """The valid points, frame after frame."""
         known = bool(np.isfinite(self.sigma[self.valid]).any())
+        bright = bool((self.strength[self.valid] > 0).any())
         return Cloud(
             points=self.points[self.valid],
             sigma=self.sigma[self.valid] if known else None,
             sigma_pixel=self.sigma_pixel[self.valid] if known else None,
-            strength=self.strength[self.valid],
+            strength=self.strength[self.valid] if bright else None,
             colours=None if self.colours is None else self.colours[self.valid],
             albedo=None if self.albedo is None else self.albedo[self.valid],
         )

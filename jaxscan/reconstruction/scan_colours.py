@@ -11,7 +11,7 @@ shade on a turning object, is that of the point's own step. Photographs that dis
 has no colour where no two agree: what was never scanned can hide it without being known (`neighbour_colours`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -45,6 +45,8 @@ _FILLED: Final = 12
 # Colours are alike that differ by less than this part, or these grey levels; this number must be.
 _ALIKE: Final = (0.15, 12.0)
 _LEAST_ALIKE: Final = 2
+# Points that are projected together, at least.
+_LEAST_SIZE: Final = 256
 # 0, 0, 0 is kept for a point without a colour.
 _LEAST: Final = 1
 
@@ -98,10 +100,38 @@ def neighbour_colours(rig: Rig, scan: Scan, image: RangeImage) -> UInt8[np.ndarr
         8 bits; 0, 0, 0 for a point that no other photograph shows.
 
     Raises:
-        InputError: the scan is a video, or a photograph cannot be read.
+        InputError: as `colours_at`.
+    """
+    found = colours_at(rig, scan, image, [image.points[i, image.valid[i]] for i in range(len(image.valid))])
+    colours = np.zeros((*image.valid.shape, 3), np.uint8)
+    colours[image.valid] = np.concatenate(found)
+    return colours
+
+
+def colours_at(
+    rig: Rig, scan: Scan, image: RangeImage, points: Sequence[Float[np.ndarray, "_ 3"]]
+) -> list[UInt8[np.ndarray, "_ 3"]]:
+    """The colours of any points of a scan's surface, from photographs in which they are clear of the stripe.
+
+    Args:
+        rig: as the scan was reconstructed with.
+        scan: as `neighbour_colours` has it.
+        image: all its points, which hide what is behind them.
+        points: for each frame those whose colour is wanted as that frame's light has it, object frame, mm.
+
+    Returns:
+        8 bits, for each frame; 0, 0, 0 for a point that no photograph shows.
+
+    Raises:
+        InputError: the scan is a video, has other frames than the range image, or a photograph cannot be read.
     """
     check_photographs(scan)
     photographs = _one_of_each_step(scan)
+    if len(photographs) != len(image.valid):
+        raise InputError(
+            f"{scan.path}: has {len(photographs)} steps, and the range image {len(image.valid)}: give the scan that "
+            "it was reconstructed from"
+        )
     dark = len(scan.backgrounds) == len(scan.frames) > 1
     back = image.from_camera().inverse()
     poses = [Pose(back.rotation[i], back.translation[i]) for i in range(len(image.valid))]
@@ -110,9 +140,9 @@ def neighbour_colours(rig: Rig, scan: Scan, image: RangeImage) -> UInt8[np.ndarr
     stride, around = _neighbours(project, poses, image, guard)
     occluders = _occluders(image, project, poses)
     kept: dict[int, _Shown] = {}
-    colours = np.zeros((*image.valid.shape, 3), np.uint8)
-    for i in range(len(image.valid)):
-        if not image.valid[i].any():
+    colours = [np.zeros((len(these), 3), np.uint8) for these in points]
+    for i, wanted_points in enumerate(points):
+        if not len(wanted_points):
             continue
         sides = [around(i, side) for side in (-1, 1)]
         wanted = [*sides[0], *sides[1], *([i] if dark and i % stride == 0 else [])]
@@ -120,14 +150,14 @@ def neighbour_colours(rig: Rig, scan: Scan, image: RangeImage) -> UInt8[np.ndarr
             del kept[j]
         samples = []
         for these in [*sides, [i] if i in wanted else []]:
-            taken = np.zeros(image.valid.shape[1], int)
+            taken = np.zeros(len(wanted_points), int)
             for j in these:
-                if (taken[image.valid[i]] >= _EACH_SIDE).all():
+                if (taken >= _EACH_SIDE).all():
                     break
                 if j not in kept:
                     kept[j] = _Shown(read_image(photographs[j]), project, poses[j], occluders)
-                pixels, depths = project(poses[j], image.points[i])
-                clear = image.valid[i] & visible(kept[j].nearest, pixels, depths) & (taken < _EACH_SIDE)
+                pixels, depths = project(poses[j], wanted_points)
+                clear = visible(kept[j].nearest, pixels, depths) & (taken < _EACH_SIDE)
                 if guard:
                     clear &= ~in_stripe(pixels, image.pixels[j], guard, columns=scan.laser.columns)
                 samples.append(np.where(clear[:, None], sampled(kept[j].photograph, pixels), np.nan))
@@ -152,7 +182,7 @@ def check_photographs(scan: Scan) -> None:
 
 
 class _Projector:
-    """Pixels and depths of points that the motion has carried, all lines of a frame at a time."""
+    """Pixels and depths of points that the motion has carried."""
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
@@ -162,7 +192,10 @@ class _Projector:
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points"]]:
         seen = pose.apply(np.asarray(points, np.float64))
         depths = np.where(seen[:, 2] > 0, seen[:, 2], np.nan)
-        return np.asarray(_pixels(self._camera, jnp.asarray(seen, jnp.float32)), np.float64), depths
+        # Few sizes, so that little is compiled.
+        filled = np.ones((max(_LEAST_SIZE, 1 << (len(seen) - 1).bit_length()), 3), np.float32)
+        filled[: len(seen)] = seen
+        return np.asarray(_pixels(self._camera, jnp.asarray(filled)), np.float64)[: len(seen)], depths
 
 
 @jax.jit

@@ -183,7 +183,7 @@ def spacetime_profiles(
     half, frames = half_window(sigma), 0
     for batch in overlapping(batches, half, half, _BATCH):
         count = batch.inner.stop - batch.inner.start
-        # The last batch is filled up with its last frame, so that it compiles nothing anew.
+        # The last batch is filled up with its last frame, so that it compiles nothing again.
         some = batch.inner.start + np.minimum(np.arange(_BATCH), count - 1)
         yield Profiles(
             *(x[:count] for x in _profiles(geometry, settings, batch, some, sigma, detector, choice, frames_at))

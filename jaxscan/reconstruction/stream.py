@@ -198,7 +198,7 @@ class Scanner:
         merged = merged_steps(scan, read, FRAMES_AT_ONCE) if several else read
         if self._spacetime or not (several or halo):
             return merged
-        # Merged steps come in batches of any size: they get one here, so that the last of them compiles nothing anew.
+        # Merged steps come in batches of any size: they get one here, so that the last of them compiles nothing again.
         return overlapping(merged, halo, halo, FRAMES_AT_ONCE - 2 * halo)
 
     def _stripes(self, laser: "_Laser", scan: Scan, batches: Iterable[Frames]) -> Iterator[Looked]:

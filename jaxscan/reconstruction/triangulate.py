@@ -29,7 +29,7 @@ from jaxscan.rig.light import nameless
 
 
 class Kernel(eqx.Module):
-    """Camera and light made ready: arrays alone, so that another rig of the same kinds does not compile anew.
+    """Camera and light made ready: arrays alone, so that another rig of the same kinds does not compile again.
 
     Attributes:
         principal: u₀, v₀, pixels.
@@ -132,7 +132,7 @@ def triangulate_into(
 ) -> Float[Array, "frames lines 3"]:
     """As `triangulate`, into the memory of `out`, an array that is used up.
 
-    For millions of points at a time: memory that is asked for anew is fetched page by page, which takes longer than the
+    For millions of points at a time: new memory is fetched page by page, which takes longer than the
     points.
     """
     return triangulate(kernel, frames, u, v)

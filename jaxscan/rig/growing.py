@@ -73,7 +73,7 @@ def inverse_and_steps(height: Height, widest: float, at: Float[Array, ""]) -> tu
         beyond = (value > target) | (slope <= 0) | (value < 0)
         low, high = jnp.where(beyond, low, r), jnp.where(beyond, r, high)
         new = r - (value - target) / jnp.where(slope > 0, slope, 1.0)
-        # At the root rounding may put a last Newton step just outside; halving would begin anew from there.
+        # At the root rounding may put a last Newton step just outside; halving would begin again from there.
         at_root = (jnp.abs(value - target) <= tolerance * (1 + target)) & (slope > 0)
         between = (slope > 0) & (value >= 0) & (new >= low) & (new <= high)
         new = jnp.where(at_root | between, new, 0.5 * (low + high))

@@ -64,7 +64,7 @@ class Runs:
                 moved = next((m - before for m in steps[i:].tolist() if m != before), 0)
                 self._run = FAR * int(np.sign(moved))
             by = n - before
-            # Behind a turn it begins anew.
+            # Behind a turn it begins again.
             self._run = int(self._run + by if by * self._run >= 0 else by)
             self._last = n
             found.append(self._run)

@@ -39,7 +39,7 @@ class Checks(Pattern):
     pitch: Number
 
     def dark(self, x: Float[Array, "*any"], y: Float[Array, "*any"]) -> Float[Array, "*any"]:
-        """By the parity of the square, which is dark where x and y are both before the first corner."""
+        """The albedo by the parity of the square, which is dark where x and y are both before the first corner."""
         i, j = jnp.floor(x / self.pitch) + 1, jnp.floor(y / self.pitch) + 1
         inside = (i >= 0) & (i <= self.counts[0]) & (j >= 0) & (j <= self.counts[1])
         odd = jnp.mod(i + j, 2)

@@ -1,4 +1,4 @@
-"""Where sides stand roughly: by the angles that the object was turned, or by features of its shape.
+"""Rough poses of sides: by the angles that the object was turned, or by features of its shape.
 
 Sides are joined one after the other, nearest in the order of the scans first, until all are connected. Of each two
 several starts are tried, followed with few points, and the best is judged by all: it counts where a tenth and more of

@@ -162,7 +162,7 @@ def links(image: RangeImage, how: Sampling | None = None) -> Links:
 
 
 def _joined(sweeps: list[Links]) -> Links:
-    """Of several sweeps, one behind the other; they are not linked to each other, and none with its own beginning."""
+    """The links of several sweeps, one behind the other; none is linked to another, or with its own beginning."""
     across = np.concatenate([linked.across for linked in sweeps])
     along = np.zeros((len(across), across.shape[1] + 1), bool)
     first = 0

@@ -16,7 +16,7 @@ _SAMPLE: Final = 2000
 
 
 def colours_near(vertices: Float32[np.ndarray, "vertices 3"], painted: Cloud) -> UInt8[np.ndarray, "vertices 3"]:
-    """Of each vertex the mean colour of the four coloured points nearest to it; 0, 0, 0 where none is near.
+    """The mean colour of the four coloured points nearest to each vertex; 0, 0, 0 where none is near.
 
     Args:
         vertices: object frame, mm.

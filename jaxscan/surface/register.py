@@ -1,6 +1,6 @@
 """Sides of one object brought together: two at a time to begin with, then all of them in one adjustment.
 
-In each round the points of every overlapping pair are matched anew (`jaxscan.surface.pairs`), and the poses of all
+In each round the points of every overlapping pair are matched again (`jaxscan.surface.pairs`), and the poses of all
 sides but the first take the Gauss-Newton step of Σ w r² / σ², w Tukey's weights. Two sides alone are the same thing
 with one pose. Since every pair that overlaps is in the one sum, a loop of scans closes.
 
@@ -66,7 +66,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Registration:
-    """Where the sides stand.
+    """The poses of the sides.
 
     Attributes:
         poses: T_first_side of each; the first one's is the identity.
@@ -159,7 +159,7 @@ def register(
     if not converged:
         warnings.warn(
             f"after {len(steps)} rounds the poses still moved, in the end by {left:.2g} of their σ: they and their σ "
-            "are not to be relied upon; begin nearer to how the scans stand, or scan more of what they have in common",
+            "are not to be relied upon; begin nearer to the poses of the scans, or scan more of what they share",
             NotSettledWarning,
             stacklevel=2,
         )

@@ -210,7 +210,15 @@ def stripes(diagnostics: Diagnostics) -> Section:
         )
         for s in diagnostics.stripes
     )
-    columns = ("photograph", "points", "offset", "tilt", "bend", "bend of noise alone", "noise")
+    columns = (
+        "photograph",
+        "points",
+        "offset / mm",
+        "tilt / mm",
+        "bend / mm",
+        "bend of noise alone / mm",
+        "noise / mm",
+    )
     caption = (
         "Distance of each stripe from the sheet of light along the stripe, the most bent first (red: the running "
         "mean). A stripe on a board of the shape that was solved for is a level band about zero; a curve is a plate "

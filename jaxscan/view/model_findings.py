@@ -283,7 +283,7 @@ def _drift(calibration: Calibration) -> list[Box]:
 
 
 def _curved(calibration: Calibration) -> dict[str, float]:
-    """Of each laser whose sheet is curved and was taken as flat, by how much: so far its stripes may lie beside it."""
+    """How far the stripes of each laser may lie beside it whose sheet is curved and was taken as flat."""
     return {curve.laser: abs(curve.curve_mm) for curve in calibration.sheet_curves}
 
 

@@ -25,30 +25,38 @@ Level = Literal["good", "care", "stop"]
 
 _DPI = 130
 _STYLE: Final = """
-:root { color-scheme: light; }
-body { margin: 0 auto; max-width: 54rem; padding: 1rem; color: #1c1c1c; background: #fff;
+:root { color-scheme: light dark; --ground: #fff; --ink: #1c1c1c; --soft: #444; --line: #ccc; --thin: #e4e4e4;
+  --box: #f4f4f4; --good: #eef8f1; --care: #fff7e8; --stop: #fdeceb; --link: #1f5fbf; }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ground: #14181d; --ink: #e6eaf0; --soft: #a9b3c0; --line: #46505c; --thin: #2c343d;
+    --box: #1f262e; --good: #14291c; --care: #33270f; --stop: #381a18; --link: #7fb0ff; }
+}
+body { margin: 0 auto; max-width: 54rem; padding: 1rem; color: var(--ink); background: var(--ground);
   font: 1rem/1.5 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
 h1 { font-size: 1.6rem; line-height: 1.2; margin: 0.5rem 0 0.2rem; }
-h2 { font-size: 1.25rem; margin: 2.2rem 0 0.5rem; border-bottom: 1px solid #ccc; padding-bottom: 0.2rem; }
+h2 { font-size: 1.25rem; margin: 2.2rem 0 0.5rem; border-bottom: 1px solid var(--line); padding-bottom: 0.2rem; }
 p { margin: 0.5rem 0; }
 .lead { font-size: 1.15rem; }
-.box { border-left: 0.5rem solid #888; background: #f4f4f4; padding: 0.5rem 1rem; margin: 0.7rem 0; }
+.box { border-left: 0.5rem solid #888; background: var(--box); padding: 0.5rem 1rem; margin: 0.7rem 0; }
 .box strong { display: block; }
-.good { border-color: #1e8449; background: #eef8f1; }
-.care { border-color: #c77700; background: #fff7e8; }
-.stop { border-color: #b3261e; background: #fdeceb; }
+.good { border-color: #1e8449; background: var(--good); }
+.care { border-color: #c77700; background: var(--care); }
+.stop { border-color: #b3261e; background: var(--stop); }
+a { color: var(--link); }
+nav ul { columns: 16rem; margin: 0.3rem 0 0; }
 figure { margin: 1.2rem 0; break-inside: avoid; }
-figure img { width: 100%; height: auto; }
-figcaption { font-size: 0.92rem; color: #444; }
+figure img { width: 100%; height: auto; background: #fff; border-radius: 4px; }
+figcaption { font-size: 0.92rem; color: var(--soft); }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding: 0.3rem 0; }
 caption span { position: sticky; left: 0; display: inline-block; max-width: calc(100vw - 2rem); }
-th, td { padding: 0.15rem 0.8rem 0.15rem 0; text-align: right; border-bottom: 1px solid #e4e4e4; white-space: nowrap; }
+th, td { padding: 0.15rem 0.8rem 0.15rem 0; text-align: right; border-bottom: 1px solid var(--thin);
+  white-space: nowrap; }
 th { font-weight: 600; vertical-align: bottom; white-space: normal; }
 th:first-child, td:first-child { text-align: left; }
 ul { padding-left: 1.2rem; }
-footer { margin-top: 3rem; font-size: 0.85rem; color: #555; }
+footer { margin-top: 3rem; font-size: 0.85rem; color: var(--soft); }
 @media screen and (max-width: 40rem) { figure img { width: 40rem; } figcaption::before { content: "↔ "; } }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; } .scroll { overflow: visible; } }
 """
@@ -207,8 +215,11 @@ def as_html(report: Report) -> str:
         f"<h1>{escape(report.title)}</h1>",
         _box(report.verdict, "lead "),
     ]
-    for section in report.sections:
-        parts += ["<section>", f"<h2>{escape(section.title)}</h2>"]
+    if len(report.sections) > 1:
+        links = (f'<li><a href="#part-{i}">{escape(s.title)}</a></li>' for i, s in enumerate(report.sections, 1))
+        parts += ['<nav aria-label="Contents"><ul>', *links, "</ul></nav>"]
+    for i, section in enumerate(report.sections, 1):
+        parts += [f'<section id="part-{i}">', f"<h2>{escape(section.title)}</h2>"]
         parts += [_box(box) for box in section.boxes]
         parts += [f"<p>{escape(text)}</p>" for text in section.paragraphs]
         if section.items:

@@ -112,17 +112,16 @@ def _of_image(image: RangeImage, rig: Rig | None) -> ViewData:
         up, height = floor.up, floor.height(points)
     except InputError:
         up, height = _upright(points)
-    values = {"height": height}
+    values, cloud = {"height": height}, image.cloud()
     for name in ("sigma", "strength", "albedo"):
-        known = getattr(image, name)
-        if known is not None and np.isfinite(known[image.valid]).any():
-            values[name] = known[image.valid].astype(np.float64)
+        known = getattr(cloud, name)
+        if known is not None and np.isfinite(known).any():
+            values[name] = known.astype(np.float64)
     at, every = image.from_camera(), max(1, len(image.valid) // _MOST_CAMERAS)
     some = np.append(np.arange(0, len(image.valid) - 1, every), len(image.valid) - 1)
     seen = image.seen()[image.valid]
     setup = _setup(seen, Pose(at.rotation[some], at.translation[some]), rig, image.sheets)
-    colours = None if image.colours is None else image.colours[image.valid]
-    return ViewData(points, up, values, None, setup, colours)
+    return ViewData(points, up, values, None, setup, cloud.colours)
 
 
 def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None) -> ViewData:

@@ -15,6 +15,11 @@ from jaxscan.view.view_data import PHOTOGRAPH, UNITS, ViewData
 HOST: Final = "127.0.0.1"
 # Of the colours' range, percentiles.
 _SHOWN: Final = (1.0, 99.0)
+_GRID, _SCALE = (150, 150, 150), (30, 30, 30)
+# Cells of the grid across what is shown, about.
+_CELLS: Final = 12
+# Colours of the bar, and what is written below it.
+_STOPS, _MARKS = 9, 3
 _CAMERA, _LIGHT, _TRAVEL = (60, 60, 60), (220, 40, 40), (40, 90, 200)
 
 
@@ -37,10 +42,9 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     scene = server.scene
     scene.set_up_direction(shown.up)
-    aside = np.cross(shown.up, [1.0, 0.0, 0.0] if abs(shown.up[0]) < 0.9 else [0.0, 1.0, 0.0])
     server.initial_camera.up = tuple(shown.up)
     server.initial_camera.look_at = (0.0, 0.0, 0.0)
-    server.initial_camera.position = tuple(size * (0.6 * shown.up + 0.7 * aside / np.linalg.norm(aside)))
+    server.initial_camera.position = tuple(size * (0.6 * shown.up + 0.7 * aside_of(shown.up)))
     centred = (points - middle).astype(np.float32)
 
     def draw(name: str) -> None:
@@ -55,14 +59,45 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
                 "/mesh", trimesh.Trimesh(centred, shown.triangles, vertex_colors=colours, process=False)
             )
 
+    cell = cell_mm(size)
+    aside, up = aside_of(shown.up), np.asarray(shown.up, np.float64)
+    below = float((centred @ up).min()) * up
+    turned = Rotation.from_matrix(np.stack([aside, np.cross(up, aside), up], axis=1))
+    across = 2 * cell * float(np.ceil(0.6 * size / cell))
+    grid = scene.add_grid(
+        "/grid",
+        across,
+        across,
+        cell_size=cell,
+        section_size=5 * cell,
+        cell_color=_GRID,
+        section_color=_GRID,
+        section_thickness=1.5,
+        fade_distance=100 * size,
+        shadow_opacity=0.0,
+        wxyz=turned.as_quat(scalar_first=True),
+        position=below,
+    )
+    # The side of one cell, with its length beside it, on the side that is looked at first.
+    near = cell * float(np.ceil(0.3 * size / cell))
+    start, end = (below + turned.apply([near, y, 0.0]) for y in (-near, cell - near))
+    bar = scene.add_line_segments("/scale", np.array([[start, end]], np.float32), _SCALE, thickness=0.008 * size)
+    label = scene.add_label("/scale/length", f"{cell:g} mm", position=(start + end) / 2, anchor="top-center")
     with server.gui.add_folder("jaxscan"):
         words = server.gui.add_markdown(_words(shown, colour))
         choice = server.gui.add_dropdown("colour", shown.looks, initial_value=colour)
+        legend = server.gui.add_html(colour_bar(shown, colour))
+        ruled = server.gui.add_checkbox(f"grid, squares of {cell:g} mm", initial_value=True)
 
     @choice.on_update
     def _(_: Any) -> None:
         draw(choice.value)
         words.content = _words(shown, choice.value)
+        legend.content = colour_bar(shown, choice.value)
+
+    @ruled.on_update
+    def _(_: Any) -> None:
+        grid.visible = bar.visible = label.visible = ruled.value
 
     draw(colour)
     if shown.setup is not None:
@@ -87,6 +122,35 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
             scene.add_mesh_simple("/scanner/light", corners, faces, color=_LIGHT, opacity=0.25, side="double")
     server.flush()
     return server
+
+
+def aside_of(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """A unit vector at right angles to a direction."""
+    aside = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    return aside / np.linalg.norm(aside)
+
+
+def cell_mm(size_mm: float) -> float:
+    """The side of a grid's cells for something of a size: 1, 2 or 5 times a power of ten, mm."""
+    rough = max(size_mm, 1e-6) / _CELLS
+    power = 10.0 ** np.floor(np.log10(rough))
+    return float(next(by * power for by in (1.0, 2.0, 5.0, 10.0) if by * power >= rough * (1 - 1e-9)))
+
+
+def colour_bar(shown: ViewData, name: str) -> str:
+    """The colours from the least value to the greatest, with numbers and unit, as HTML; "" for photographs."""
+    if name == PHOTOGRAPH:
+        return ""
+    low, high = limits(shown.values[name])
+    stops = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in sequential(np.linspace(0.0, 1.0, _STOPS)).tolist())
+    marks = "".join(f"<span>{value:.3g}</span>" for value in np.linspace(low, high, _MARKS))
+    return (
+        '<div style="padding: 0 1em 0.5em; font-size: 0.85em">'
+        f'<div role="img" aria-label="colours from {low:.3g} to {high:.3g} {UNITS[name]}" '
+        f'style="height: 0.9em; border-radius: 3px; background: linear-gradient(to right, {stops})"></div>'
+        f'<div style="display: flex; justify-content: space-between">{marks}</div>'
+        f"<div>{name}, {UNITS[name]}</div></div>"
+    )
 
 
 def coloured(values: Float[np.ndarray, "points"]) -> UInt8[np.ndarray, "points 3"]:

@@ -32,7 +32,7 @@ HALF = POINTS[:, :2].max(axis=0) / 2
 
 
 def surface(terms: np.ndarray) -> Callable:
-    """The five terms written anew, in the board's millimetres."""
+    """The five terms written again, in the board's millimetres."""
 
     def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         s, t = x / HALF[0] - 1, y / HALF[1] - 1

@@ -48,7 +48,7 @@ def test_a_term_is_held_at_zero_without_a_start(held):
 
 
 def test_what_is_held_stays_so_in_all_that_is_made_of_it(held, x64):
-    # Nothing else compiles anew: refit, halves, the ladder and the next poses read what is free as data.
+    # Nothing else compiles again: refit, halves, the ladder and the next poses read what is free as data.
     again = refit(held.adjustment).rig
     np.testing.assert_allclose(jax.tree.leaves(again), jax.tree.leaves(held.rig), rtol=1e-5, atol=1e-8)
     assert float(again.camera.lens.radial[2]) == 0.0

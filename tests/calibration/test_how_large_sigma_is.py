@@ -64,7 +64,7 @@ def test_what_is_beyond_the_limits_is_left_out_and_nothing_else() -> None:
 
 
 def drawn(seed: int):
-    """The session of the fixture, its stripes with errors that go on from column to column; drawn anew by the seed."""
+    """The session of the fixture, its stripes with errors that go on from column to column; drawn again by the seed."""
     clean = synthetic.observations(0, n_stage=5, noise=synthetic.Noise(0.0, 0.0))
     random = np.random.default_rng([7, seed])
 

@@ -140,7 +140,7 @@ def test_the_stripe_is_where_the_sheet_meets_the_board(suggested: tuple[NextPose
 def test_sigma_falls_as_predicted(
     calibration: Calibration, session: Observations, wanted: np.ndarray, suggested: tuple[NextPose, ...]
 ):
-    """The first is photographed and everything is solved anew, the σ of corners and stripes too, so they may move."""
+    """The first is photographed and everything is solved again, the σ of corners and stripes too, so they may move."""
     found = calibrate(replace(session, views=(*session.views, photographed(suggested[0], 0)))).covariance
     predicted = suggested[0].covariance
     np.testing.assert_allclose(np.sqrt(np.diagonal(predicted.matrix) / np.diagonal(found.matrix)), 1, atol=0.05)

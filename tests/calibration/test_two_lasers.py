@@ -16,7 +16,7 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.profile import true_profile
 from jaxscan.simulation.shapes import stair
 
-# Two lasers are a rig of their own shape, which compiles all of the solve anew.
+# Two lasers are a rig of their own shape, which compiles all of the solve again.
 pytestmark = pytest.mark.long
 
 STEPS = 6000.0 * np.arange(12)

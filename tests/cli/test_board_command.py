@@ -34,6 +34,10 @@ def test_the_session_has_the_board_that_is_printed(
     ("words", "said"),
     [
         ("--board 9", "--board 9: give columns and rows, as 9x6"),
+        ("--board 9x²", "--board 9x²: give columns and rows, as 9x6"),
+        ("--board 9x٣", "--board 9x٣: give columns and rows, as 9x6"),
+        ("--board 0x6", "--board 0x6: give columns and rows, as 9x6"),
+        ("--board 9x6x2", "--board 9x6x2: give columns and rows, as 9x6"),
         ("--marker 5", "--marker: only a board of --kind charuco has it"),
         ("--kind charuco --marker 30", "marker_mm = 30.0: a marker stands inside a square"),
         ("--kind charuco --dictionary DICT_9", 'dictionary = "DICT_9"'),

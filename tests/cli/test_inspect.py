@@ -302,7 +302,7 @@ def test_no_photograph_is_drawn_over(scan, capsys):
 
 def test_what_cannot_be_inspected(tmp_path, rig, scan, capsys):
     assert "no such file or folder" in refusal(capsys, tmp_path / "none")
-    assert "neither session.toml nor scan.toml" in refusal(capsys, tmp_path)
+    assert "neither session.toml nor scan.toml nor profiles.toml" in refusal(capsys, tmp_path)
     (tmp_path / "scan.toml.txt").write_text("")
     assert "rename it to scan.toml" in refusal(capsys, tmp_path)
     (scan / "session.toml").write_text("")

@@ -35,7 +35,7 @@ class Verdict:
 
 
 class Bench:
-    """Readers of a module that has `READERS`, in a process that is started anew whenever a case has ended it."""
+    """Readers of a module that has `READERS`, in a process that is started again whenever a case has ended it."""
 
     def __init__(self, module: str = "tests.fuzz.targets", longest_s: float = LONGEST_S):
         self._module, self._longest_s = module, longest_s

@@ -34,7 +34,7 @@ def test_a_motor_that_keeps_its_steps_is_found_to(tmp_path: Path, play: int, pla
     folder = ScanFolder.create(tmp_path / "cup", Plan({"stage": places}))
     take(folder, scanner, verify=0)
     assert read_scan(tmp_path / "cup").checks == (PlaceCheck(0, len(places) - 1),)
-    # It counts from the switch anew, and goes on.
+    # It counts from the switch again, and goes on.
     stage = scanner.axes["stage"]
     stage.move_to(4000)
     assert isinstance(stage, SimulatedStage)
@@ -110,7 +110,7 @@ def test_controllers_that_define_their_count_by_homing(kind: type[Grbl | Marlin]
     port = stage.line.port
     port.axis.push(-lost, port.clock.now_s())
     assert stage.verify() == pytest.approx(lost, abs=1)
-    # It counts anew, and its own limits hold again.
+    # It counts again, and its own limits hold again.
     stage.move_to(3000)
     assert port.axis.load(port.clock.now_s()) == 3000 + at_switch - TRAVEL.switch
     assert stage.verify() == 0

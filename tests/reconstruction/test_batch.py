@@ -132,7 +132,7 @@ def test_a_cluster_that_runs_a_task_again_does_not_do_its_work_again(tree, endin
     assert points > 100
     assert task.made_at() == made
 
-    # What stood there when a batch began is of other options, or older than the rig: it is made anew.
+    # What stood there when a batch began is of other options, or older than the rig: it is made again.
     assert reconstruct_one(*argument[:2], made, *argument[3:]) == Made(points)
     assert task.made_at() != made
     made = task.made_at()

@@ -1,7 +1,10 @@
 """The page and the JSON of a report: well formed, self-contained, and the same."""
 
 import json
+import os
 import re
+import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,6 +19,8 @@ from jaxscan.view import report as reports
 from jaxscan.view.calibration_report import calibration_report, compose
 from jaxscan.view.report import Box, Figure, Report, Section, Table
 from tests.calibration import sheets
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or os.environ.get("CHROMIUM", "")
 
 SMALL = Report(
     kind="test",
@@ -70,7 +75,12 @@ def check(report: Report) -> None:
     ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>"))
     parser = Texts()
     parser.feed(page)
-    assert all(address.startswith("data:image/png;base64,") for address in parser.addresses)
+    inside = [address for address in parser.addresses if address.startswith("#")]
+    assert all(address.startswith("data:image/png;base64,") for address in parser.addresses if address not in inside)
+    # Contents: a link to each part, in their order.
+    several = len(report.sections) > 1
+    assert inside == [f"#part-{i}" for i in range(1, len(report.sections) + 1)] * several
+    assert all(page.count(f'id="{address[1:]}"') == 1 for address in inside)
     assert "http:" not in page
     assert "https:" not in page
     values = json.loads(json.dumps(reports.as_dict(report), allow_nan=False))
@@ -87,6 +97,32 @@ def test_a_small_report_is_the_same_twice():
     assert values["format"] == "jaxscan-test/1"
     assert values["numbers"] == {"x": [1.0, None], "n": 3}
     assert values["sections"][0]["figures"] == [{"name": "dot", "caption": "a dot"}]
+
+
+def test_contents_and_a_dark_page(tmp_path):
+    """In a browser: each line of the contents leads to its part, and at night the page is dark."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if not CHROMIUM:
+        pytest.skip("chromium is not installed: no browser to look with")
+    long = tuple(Section(f"Part {i}", paragraphs=("words",) * 40) for i in (1, 2, 3))
+    reports.write_report_html(tmp_path / "r.html", replace(SMALL, sections=long))
+    with api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        for scheme, dark in (("light", False), ("dark", True)):
+            page = browser.new_page(color_scheme=scheme, viewport={"width": 390, "height": 700})
+            page.goto(f"file://{tmp_path / 'r.html'}")
+            page.get_by_role("link", name="Part 3").click()
+            top = page.get_by_role("heading", name="Part 3").bounding_box()
+            assert top is not None
+            assert 0 <= top["y"] < 700
+            ground, ink = page.locator("body").evaluate(
+                "body => ['backgroundColor', 'color'].map(key => getComputedStyle(body)[key].match(/\\d+/g)"
+                ".slice(0, 3).reduce((sum, n) => sum + Number(n), 0))"
+            )
+            assert (ground < ink) is dark
+            assert abs(ground - ink) > 400
+            assert page.locator("body").evaluate("body => body.scrollWidth") <= 390
+        browser.close()
 
 
 def test_the_report_of_a_calibration_is_the_same_twice(report):

@@ -16,8 +16,8 @@ from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import write_points
 from jaxscan.simulation.rig_2003 import simulated_rig, turning_axes, with_turntable
-from jaxscan.view.view_data import view_data
-from jaxscan.view.viewer import HOST, coloured, serve
+from jaxscan.view.view_data import PHOTOGRAPH, view_data
+from jaxscan.view.viewer import HOST, cell_mm, colour_bar, coloured, limits, serve
 from tests.surface.scenes import block
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or os.environ.get("CHROMIUM", "")
@@ -75,6 +75,25 @@ def test_colours_go_from_dark_to_bright():
     assert (colours[-1] == 128).all()
 
 
+def test_the_cells_of_the_grid_are_round_numbers():
+    assert [cell_mm(size) for size in (1.2, 12.0, 30.0, 120.0, 130.0, 700.0, 13000.0)] == [0.1, 1, 5, 10, 20, 100, 2000]
+    for size in np.geomspace(1e-3, 1e5, 200):
+        assert 4 < size / cell_mm(size) <= 12 + 1e-6
+
+
+def test_the_colour_bar_says_what_its_ends_are(folder):
+    shown = view_data(folder / "block.npz")
+    bar = colour_bar(shown, "strength")
+    low, high = limits(shown.values["strength"])
+    assert f"<span>{low:.3g}</span>" in bar
+    assert f"<span>{high:.3g}</span>" in bar
+    assert "strength, grey levels" in bar
+    # Its ends have the colours of these values.
+    first, last = (f"rgb({r}, {g}, {b})" for r, g, b in coloured(np.array([0.0, 1.0]))[[0, 1]].tolist())
+    assert bar.index(first) < bar.index(last)
+    assert colour_bar(shown, PHOTOGRAPH) == ""
+
+
 @pytest.mark.parametrize("words", ["block.npz --rig rig.json --colour sigma", "block.ply"])
 def test_a_still_picture(folder, capsys, monkeypatch, words):
     monkeypatch.chdir(folder)
@@ -116,6 +135,10 @@ def test_in_a_browser(folder):
             page = browser.new_page(viewport={"width": 640, "height": 480})
             page.goto(f"http://{HOST}:{server.get_port()}")
             page.wait_for_function("document.body.innerText.includes('7200 points; strength')", timeout=120_000)
+            # Colour bar, scale and grid; the grid can be taken away.
+            page.wait_for_function("document.body.innerText.includes('strength, grey levels')")
+            cell = cell_mm(float(np.linalg.norm(np.ptp(block().points[block().valid], axis=0))))
+            page.wait_for_function(f"document.body.innerText.includes('grid, squares of {cell:g} mm')")
             for _ in range(60):
                 page.wait_for_timeout(500)
                 picture = np.asarray(Image.open(io.BytesIO(page.screenshot(timeout=120_000))).convert("RGB"))
@@ -123,7 +146,12 @@ def test_in_a_browser(folder):
                 seen = (np.ptp(inner, axis=1) > 40).mean()
                 if seen > 0.02:
                     break
+            page.get_by_label("grid, squares of").uncheck()
+            page.wait_for_timeout(3000)
+            without = np.asarray(Image.open(io.BytesIO(page.screenshot(timeout=120_000))).convert("RGB"))
+            ruled = (np.abs(without.astype(int) - picture).max(axis=2) > 40)[:, :300].mean()
             browser.close()
     finally:
         server.stop()
     assert seen > 0.02
+    assert ruled > 0.003

@@ -7,7 +7,7 @@ const UNDER_WAY = ["running", "pausing", "paused"];
 const NAMES = { check: "Check of the devices", home: "Reset of the motor", move: "Move", shoot: "Step and shoot", scan: "Scan", calibrate: "Calibration" };
 const EDGES = ["upper", "lower", "left", "right"];
 const cloud = new CloudView(element("cloud"));
-let state = null, cloudOf = "", shown = null, lastProfile = null, slides = false;
+let state = null, cloudOf = "", shown = null, lastProfile = null, slides = false, focused = null, rigs = [];
 
 const mine = () => state?.operator?.seat === bench.seat;
 
@@ -30,7 +30,8 @@ function showState(now) {
   element("leave").hidden = !own;
   element("take-over").hidden = !operator || own || !(named || bench.administrator === "true");
   element("stop").hidden = !own && bench.administrator !== "true";
-  for (const part of document.querySelectorAll("[data-operator]")) part.disabled = !own;
+  showControls(own, Boolean(job) && UNDER_WAY.includes(job.state));
+  showRig(before, now, own);
   element("place").textContent = place === null ? "an unknown place: it is homed before it moves" : `${place} steps`;
   if (place !== null && !slides && !own) setPlace(place);
   showRest();
@@ -42,6 +43,61 @@ function showState(now) {
   const course = job && `${job.id} ${job.state}`;
   if (course !== shown && !element("said").classList.contains("problem")) say("");
   shown = course;
+}
+
+// What had the keyboard last: a control that is disabled loses it.
+addEventListener("focusin", ({ target }) => { focused = target; });
+
+/** Controls rest while a job runs; whatever had the keyboard then has it again afterwards. */
+function showControls(own, busy) {
+  for (const part of document.querySelectorAll("[data-operator]")) {
+    const rested = part.disabled;
+    part.disabled = !own || (busy && part.dataset.always === undefined);
+    if (rested && !part.disabled && document.activeElement === document.body && part.contains(focused)) focused.focus();
+  }
+}
+
+/** The rig in use, and what can be calibrated or taken into use. */
+function showRig(before, now, own) {
+  element("rig-name").textContent = now.rig ? now.rig_name || "the server's own" : "none";
+  element("cloud-card").hidden = !now.rig;
+  element("no-rig").hidden = now.rig;
+  element("rig-warnings").replaceChildren(...now.rig_warnings.map((warning) => line("p", `The rig's file warns: ${warning}.`, "hint")));
+  const done = before && before.job?.state !== now.job?.state && now.job?.work.kind === "calibrate";
+  const other = before && (before.rig !== now.rig || before.rig_name !== now.rig_name);
+  if (other) { cloudOf = ""; cloud.replace([]); element("no-cloud").hidden = false; element("cloud-of").textContent = ""; }
+  if (own && (!before || before.operator?.seat !== bench.seat || done || other)) loadRigs().catch((error) => say(error.message, true));
+}
+
+function line(kind, words, style = "") {
+  const made = document.createElement(kind);
+  made.textContent = words;
+  made.className = style;
+  return made;
+}
+
+/** What a list offers; what was chosen stays chosen, and `none` is said where it is empty. */
+function offer(id, named, none) {
+  const list = element(id), chosen = list.value;
+  list.replaceChildren(...named.map(([value, words]) => Object.assign(line("option", words), { value })));
+  if (named.some(([value]) => value === chosen)) list.value = chosen;
+  if (!named.length) list.replaceChildren(Object.assign(line("option", none), { value: "", disabled: true, selected: true }));
+}
+
+async function loadRigs(chosen) {
+  const [sessions, found] = await Promise.all([ask("GET", "/api/calibrations"), ask("GET", "/api/rigs")]);
+  rigs = found;
+  offer("session", sessions.filter((one) => !one.problem).map((one) => [one.name, `${one.name}: ${one.views} poses`]), "none yet: take a calibration session");
+  offer("rig", rigs.map((one) => [one.name, `${one.name || "the server's own"}${one.in_use ? " (in use)" : ""}`]), "none yet: calibrate a session");
+  if (chosen !== undefined) element("rig").value = chosen;
+  element("solve").disabled = !sessions.some((one) => !one.problem);
+  showVerdict();
+}
+
+function showVerdict() {
+  const one = rigs.find((rig) => rig.name === element("rig").value);
+  element("verdict").replaceChildren(...(one?.verdict ?? []).map((words) => line("li", words)));
+  element("use").disabled = !one || one.in_use;
 }
 
 function showJob(job, own) {
@@ -86,12 +142,14 @@ function showGuide(guide, own) {
 async function showProfile(profile) {
   lastProfile = profile;
   drawProfile(element("profile"), profile);
+  element("no-profile").hidden = true;
   element("profile-of").textContent = `${profile.project}, photograph ${profile.number}, ${profile.place}`;
   if (!profile.points) return;
   const added = profile.project === cloudOf && cloud.length + profile.points.length === profile.cloud_points;
   if (added) cloud.add(profile.points);
   else await loadCloud(profile.project);
   element("cloud-of").textContent = `${profile.project}: ${cloud.length}`;
+  element("no-cloud").hidden = cloud.length > 0;
 }
 
 addEventListener("resize", () => { if (lastProfile) drawProfile(element("profile"), lastProfile); });
@@ -270,6 +328,24 @@ element("calibration").addEventListener("submit", (event) => {
   for (const name in numbers) numbers[name] = Number(numbers[name]);
   trying(() => order({ kind: "calibrate", session, ...numbers }, "the devices are connected, then it begins"), event.submitter);
 });
+onClick("solve", async () => {
+  const session = element("session").value;
+  element("solving").textContent = `calibrating ${session}: a minute or two; nothing moves`;
+  try {
+    const made = await ask("POST", `/api/calibrations/${session}/rig`);
+    await loadRigs(made.name);
+    say(`${session} is calibrated: read the verdict, then use this rig`);
+  } finally {
+    element("solving").textContent = "a minute or two; nothing moves";
+  }
+});
+element("rig").addEventListener("change", showVerdict);
+// Here trying() would enable the button of what is in use already.
+element("use").addEventListener("click", () => trying(async () => {
+  showState(await ask("PUT", "/api/rig", { name: element("rig").value }));
+  await loadRigs();
+  say("points are made with this rig from now on");
+}));
 onClick("take-view", change("take"));
 onClick("enough", change("enough"));
 

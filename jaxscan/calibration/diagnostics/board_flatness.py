@@ -4,7 +4,7 @@ To first order a point of the board that stands h out of its plane moves its res
 is moved along its normal by h. So the derivatives by the terms of a shape (`rig.board_shape`) are those by the board's
 place, which the solve has, times the terms' values where each corner and each stripe point lies: a Gauss-Newton step in
 all that was sought, with these terms and each board's own bulges set free, is linear algebra of what is there. What the
-shape explains lowers σ and the correlation along stripes, which weigh it: these are found anew, a few times over.
+shape explains lowers σ and the correlation along stripes, which weigh it: these are found again, a few times over.
 
 By how much χ² falls for the terms is χ² distributed where there is no such shape, and by how much the restricted
 likelihood rises for bulges of each board likewise, half of the time zero (S. G. Self and K.-Y. Liang 1987). Sessions
@@ -205,7 +205,7 @@ def _columns(refined: Refined, calibration: Calibration, beside: list[Float[np.n
 
 
 def _heights(refined: Refined, calibration: Calibration) -> list[Float[np.ndarray, "_ _ _"]]:
-    """Of each group the terms' values where each row's point lies; NaN where there is none."""
+    """The terms' values where each row's point lies, for each group; NaN where there is none."""
     places = places_of_residuals(refined, calibration)
     return [basis(each[..., 0], each[..., 1], N_TERMS) for each in places]
 
@@ -241,7 +241,7 @@ def _scales(
     moved: Float[np.ndarray, "unknowns"],
     bends: float,
 ) -> Float[np.ndarray, "2"]:
-    """By how much corners and stripe points weigh more where the shape is followed."""
+    """How much more corners and stripe points weigh where the shape is followed."""
     squares, before = np.zeros(2), np.zeros(2)
     errors, used = [], []
     for group, q, blocks in zip(groups, Q, refined.groups, strict=False):

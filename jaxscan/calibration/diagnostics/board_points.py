@@ -141,7 +141,7 @@ class _Fields:
         return float(np.linalg.slogdet(M)[1] - f @ np.linalg.solve(M, f))
 
     def widens(self, sigmas: Float[np.ndarray, "2"]) -> Float[np.ndarray, "shared shared"]:
-        """By how much the covariance of what is shared grows for fields of these σ."""
+        """How much the covariance of what is shared grows for fields of these σ."""
         off = self.inverse @ self.tied * self._scale(sigmas)
         return off @ off.T
 

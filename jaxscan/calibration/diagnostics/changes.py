@@ -10,7 +10,7 @@ and T that of all, the score and the information of δ, with all else free, are
 (C. R. Rao 1948). What the step leaves of each photograph's score says by how much the σ of the solve, errors that
 neighbours share, or boards that are not as they were taken to be, make χ² too large: φ. F = χ² / (d φ) is tested, as
 often as steps were tried. What a change explains lowers σ and the correlation along stripes, which weigh both: these
-are found anew, and then the kind of change is that by which χ² falls most.
+are found again, and then the kind of change is that by which χ² falls most.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -212,7 +212,7 @@ class _Equations:
 
 
 def _clearest(kinds: Sequence[Kind], equations: _Equations, by: Callable[[_Step], float]) -> _Step | None:
-    """Of the steps that are none of chance, the first by some measure."""
+    """The first step by some measure, of those that are not by chance."""
     gains = [equations.gains(kind) for kind in kinds]
     least = np.log(_BY_CHANCE) - np.log(max(sum(map(len, gains)), 1))
     steps = [
@@ -224,7 +224,7 @@ def _clearest(kinds: Sequence[Kind], equations: _Equations, by: Callable[[_Step]
 
 
 def _scales(refined: Refined, equations: _Equations, step: _Step) -> Float[np.ndarray, "2"]:
-    """By how much corners and stripe points weigh more where a step is followed."""
+    """How much more corners and stripe points weigh where a step is followed."""
     value, jacobian = refined.last
     n = jacobian.shared.shape[1]
     squares, before = np.zeros(2), np.zeros(2)

@@ -51,7 +51,7 @@ class Rung:
         lens: its name.
         terms: how many coefficients were sought; those that the calibration held are not among them.
         rms_px: RMS distance of the corners in the fit; NaN where no minimum was found.
-        held_out_px: RMS distance of corners in views that the camera was not fitted to, their boards placed anew.
+        held_out_px: RMS distance of corners in views that the camera was not fitted to, their boards placed again.
         p: of the F-test against the best rung below it; None for the first.
         gain: by which share of the squared held-out error it is better than the best rung below it.
         gain_error: its standard error, from view to view.

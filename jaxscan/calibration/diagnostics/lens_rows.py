@@ -31,7 +31,7 @@ def unsought_terms(calibration: Calibration) -> Bool[np.ndarray, "leaves"]:
 
 
 def lens_rows(refined: Refined, calibration: Calibration) -> list[Float[np.ndarray, "_ _ _"]]:
-    """Of each group of boards, the derivatives of its residuals, in units of their σ, by `unsought_terms`."""
+    """The derivatives of each group's residuals, in units of their σ, by `unsought_terms`."""
     terms, camera = unsought_terms(calibration), calibration.rig.camera
     poses, points = calibration.photograph_poses(), calibration.observations.board.points()
     count = int(terms.sum())

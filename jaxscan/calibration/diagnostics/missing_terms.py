@@ -103,7 +103,7 @@ def _freed(
 
 
 def _inverse(N: Float[np.ndarray, "leaves leaves"], at: np.ndarray) -> Float[np.ndarray, "free free"]:
-    """Of some rows and columns, without rounding errors in directions that the corners do not determine."""
+    """The inverse of some rows and columns, without rounding errors in directions that corners do not determine."""
     scale = np.sqrt(np.maximum(np.diagonal(N)[at], np.finfo(float).tiny))
     return np.linalg.pinv(N[np.ix_(at, at)] / np.outer(scale, scale), _ROUNDING, hermitian=True) / np.outer(
         scale, scale

@@ -1,6 +1,6 @@
 """The joint solve of a calibration once more, on a part of its photographs.
 
-What is left out is masked, not removed, so the arrays keep their shapes and nothing compiles anew.
+What is left out is masked, not removed, so the arrays keep their shapes and nothing compiles again.
 """
 
 from collections.abc import Sequence

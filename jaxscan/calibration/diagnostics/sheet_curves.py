@@ -126,7 +126,7 @@ def unclear_bows(rig: Rig, covariance: Covariance) -> tuple[str, ...]:
 
 
 def bow_rows(refined: Refined, lasers: Sequence[str]) -> list[Float[np.ndarray, "blocks residuals bows"]]:
-    """Of each group of boards, the derivatives of its residuals, in units of their σ, by the bows of some flat sheets.
+    """The derivatives of each group's residuals, in units of their σ, by the bows of some flat sheets.
 
     Args:
         refined: where the rounds ended.

@@ -228,7 +228,7 @@ def _steps_more(
 def stage_rows(
     refined: Refined, calibration: Calibration, shapes: Sequence[tuple[Course, float | None, bool]]
 ) -> list[Float[np.ndarray, "blocks residuals columns"]]:
-    """Of each group of boards, the derivatives of its residuals by the bow and turn of some axes, their waves and play.
+    """The derivatives of each group's residuals by the bow and turn of some axes, their waves and play.
 
     The board's place at its positions of reference moves all its photographs alike; so each one's rows by that, times
     what the path does there, are those by the path.

@@ -1,7 +1,7 @@
 """Photographs that do not belong: of another camera, of another board, mirrored.
 
 A photograph is suspected when much of it was rejected or its corners fit much worse than those of the others. Then the
-rig is held, its board is placed anew by its own corners, and the same is done with the photograph mirrored left to
+rig is held, its board is placed again by its own corners, and the same is done with the photograph mirrored left to
 right, top to bottom, and turned by half: what fits then says what happened to it.
 """
 
@@ -47,8 +47,8 @@ class Suspect:
         staged: whether the board was on the stage.
         corners_rejected: share of its corners.
         stripe_rejected: share of its stripe points; None without any.
-        corner_median_px: median distance of its corners; where it is explained, with the board of a view placed anew by
-            them alone.
+        corner_median_px: median distance of its corners; where it is explained, with the board of a view placed by them
+            alone.
         usual_corner_median_px: the median of that over all photographs.
         stripe_median_px: median absolute error of its stripe then; None without any.
         explanation: what was done to it, where that makes it fit; else None.
@@ -69,7 +69,7 @@ def suspects(calibration: Calibration, explain: bool = True) -> tuple[Suspect, .
 
     Args:
         calibration: what `calibrate` returned.
-        explain: whether each is placed anew, mirrored and turned, which takes some solves.
+        explain: whether each is placed again, mirrored and turned, which takes some solves.
     """
     fits = [(fit, i, False) for i, fit in enumerate(calibration.fits)]
     fits += [(fit, i, True) for i, fit in enumerate(calibration.moved_fits)]
@@ -140,7 +140,7 @@ def _misfit(corner: float, stripe: float | None, usual: float, usual_stripe: flo
 def _placed(calibration: Calibration, index: int, view: View) -> tuple[float, float | None]:
     """The board of one view placed by its corners alone with the rig held: median errors of these, and of the stripe.
 
-    The view takes its place among the others, which are masked, so that nothing compiles anew.
+    The view takes its place among the others, which are masked, so that nothing compiles again.
     """
     observations = calibration.observations
     views = [*observations.views]

@@ -124,7 +124,7 @@ def detect_stripe(
         detector: how the centre is measured.
         choice: which is taken where there are several in a line.
         count: how many of the images are looked at, the first ones; all by default. A buffer that keeps its size and
-            is not always full compiles nothing anew.
+            is not always full compiles nothing again.
         band: the first and the last row (or column) of each line at which there can be a stripe; everywhere by default.
 
     Returns:
@@ -141,7 +141,7 @@ def detect_stripe(
     count = len(frames) if count is None else count
 
     def piece(first: int, device: Any) -> Stripe:
-        # The last piece begins early enough to be as long as the others, for another length would compile anew.
+        # The last piece begins early enough to be as long as the others, for another length would compile again.
         begin = max(0, min(first, len(frames) - length))
         some, inner = slice(begin, begin + length), slice(first - begin, None)
         # Both hold for the thread that they are set in.
@@ -206,7 +206,7 @@ def _detect(
     slim_frames = np.asarray(sensor.ln_s)[:count] < (_SLIM_LN_PX if detector == "likelihood" else -np.inf)
 
     def look(at: Places, half: int, model: Model, steps: int | None = None) -> Any:
-        """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles anew."""
+        """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles again."""
         found = []
         for group, count in _groups(*at, sizes=_GROUPS if model == "plain" else _GROUPS_AGAIN):
             windows = gather_windows(images, background, sensor, *group, color, columns, half)

@@ -171,7 +171,7 @@ def chance(
         return jnp.stack(each).sum(-1) / (groups * jnp.stack(number))
 
     def sums(regions: Sequence[Pixels], pairs: Sequence[tuple[Pixels, Pixels]]) -> list[PerLine]:
-        """Of products of pixels: in each region, and of those so far apart, everywhere."""
+        """Sums of products of pixels: in each region, and of those so far apart, everywhere."""
         own = _total([a * b for a, b in pairs])
         apart = [_total([a[:, lag:] * b[:, :-lag] + a[:, :-lag] * b[:, lag:] for a, b in pairs]) / 2 for lag in lags]
         return [*((at * own).sum(1) for at in regions), *(x.sum(1) for x in apart)]

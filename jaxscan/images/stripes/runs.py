@@ -134,7 +134,7 @@ def _parts_apart(points: Points, run: Int[np.ndarray, "points"]) -> Int[np.ndarr
 
 
 def _winners(points: Points, run: Int[np.ndarray, "points"], response: Response) -> Bool[np.ndarray, "points"]:
-    """Of runs that are lines, the points that stand."""
+    """Whether each point stays, of runs that are lines."""
     runs = int(run.max()) + 1
     length = np.bincount(run, minlength=runs)
     # The frame's usual stripe: half of all lines have something at least as strong.
@@ -180,7 +180,7 @@ def _winners(points: Points, run: Int[np.ndarray, "points"], response: Response)
 def _copies(
     points: Points, one: Int[np.ndarray, "pairs"], other: Int[np.ndarray, "pairs"], ln_strength: np.ndarray
 ) -> tuple[Float[np.ndarray, "pairs"], list[Float[np.ndarray, "points"]]]:
-    """Of a stripe and its copy, by how much the first of each pair is brighter over the whole frame; 0 of other pairs.
+    """How much brighter the first of each pair is over the whole frame, of a stripe and its copy; 0 of other pairs.
 
     A copy is the stripe once more, moved or upside down: the difference of their places, or the sum, is the same
     wherever both are seen. Step by step of reflectance either may be the brighter.

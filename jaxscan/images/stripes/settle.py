@@ -209,7 +209,7 @@ def _contest(
 
 @dataclass(frozen=True)
 class _Responses:
-    """By how much the response about places of a frame is above what is usual in their lines; 0 beyond the image.
+    """How far the response about places of a frame is above what is usual in their lines; 0 beyond the image.
 
     Attributes:
         peaks: of each block, packed.

@@ -133,7 +133,7 @@ def noise_correlation(
 
 
 def _channel_weights(color: str, weights: tuple[float, float], axes: int) -> Float[np.ndarray, "rgb"] | None:
-    """Of red, green and blue in the response; of luma where that is what is measured, for its pixels are its own."""
+    """The weights of red, green and blue in the response; of luma where that is measured, which has its own pixels."""
     if axes == 2:
         return None
     if color == "grey" or min(weights) < 0:
@@ -151,7 +151,7 @@ def widening(
     width: Float[np.ndarray, "lines"],
     height: Float[np.ndarray, "lines"],
 ) -> Float[np.ndarray, "lines"]:
-    """By how much σ of the stripe of each line is larger than it is of white noise of the same variance.
+    """How much larger σ of the stripe of each line is than for white noise of the same variance.
 
     Args:
         correlation: as `noise_correlation` gives it.

@@ -316,7 +316,7 @@ def _shown(correlation: Float[Array, "frames distances"]) -> Float[Array, "frame
 
 
 def _beside(r: Float[Array, "frames window lines"]) -> Float[Array, "frames"]:
-    """Of neighbouring pixels at the ends of the windows, the mean product over the mean square."""
+    """The mean product over the mean square of neighbouring pixels at the ends of the windows."""
     ends = jnp.stack([r[:, :_FLANK], r[:, -_FLANK:]])
     off = ends - ends.mean(-2, keepdims=True)
     squares, products = (off * off).sum(-2), (off[..., 1:, :] * off[..., :-1, :]).sum(-2)
@@ -417,7 +417,7 @@ def _chance(
 
 
 def _quotient(over: Pixels, under: Pixels) -> Float[Array, "frames"]:
-    """Of sums over each frame's lines; a few of these may be far off."""
+    """The quotient of sums over each frame's lines; a few of these may be far off."""
     some = over.shape[-1] // _GROUPS * _GROUPS
     over, under = (x[..., :some].sum(1).reshape(len(x), _GROUPS, -1).sum(-1) for x in (over, under))
     return jnp.nan_to_num(median(jnp.where(under > 0, over / under, jnp.nan)))

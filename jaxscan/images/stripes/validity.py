@@ -63,7 +63,7 @@ def in_a_line(
     fields = measured.position, measured.strength, measured.width, measured.thickness
     at, weight, width, thickness = (np.asarray(x).ravel()[place] for x in fields)
     apart = np.diff(line)
-    # The next frame's lines begin anew.
+    # The next frame's lines begin again.
     joined = (np.diff(place) <= GAP) & (apart > 0) & (np.abs(np.diff(at)) <= COMPANY_PX + STEEPEST * apart)
     joined &= np.abs(np.diff(np.log(width))) <= LN_WIDTHS
     starts = np.concatenate([[0], 1 + np.flatnonzero(~joined)])

@@ -194,8 +194,8 @@ def serve(
 ) -> Served:
     """Serve a lab until it is ended, with another scanner if need be; without profiles JAX compiles nothing.
 
-    What is for the server itself is in `server`. A turntable, which its camera does not see, is connected anew with the
-    stage.
+    What is for the server itself is in `server`. A turntable, which its camera does not see, is connected again
+    with the stage.
     """
     laser = SimulatedLaser()
     camera = StripeCamera(make_stage(speed), laser)

@@ -174,10 +174,11 @@ def test_a_scan_around_the_turntable(browser: Browser, tmp_path: Path):
     lab.end()
 
 
+@pytest.mark.timeout(900)
 def test_a_guided_calibration_session(browser: Browser, tmp_path: Path):
     """On the simulated scanner: somebody holds its board in another pose whenever the guide asks for one."""
     keep_compiled()
-    lab = serve(tmp_path / "lab", scanner=lambda: open_scanner(ScannerSettings()))
+    lab = serve(tmp_path / "lab", profiles=True, scanner=lambda: open_scanner(ScannerSettings()))
     page, watcher = sign_in(browser, lab, OPERATOR), sign_in(browser, lab, VIEWER, 390, "dark")
     page.get_by_role("button", name="Operate").click()
     for name, value in {"views": 4, "stage_frames": 2, "stage_apart": 16000}.items():
@@ -202,6 +203,26 @@ def test_a_guided_calibration_session(browser: Browser, tmp_path: Path):
     page.get_by_role("button", name="Begin the stage's sequence").click()
     expect(page.locator("#job-state")).to_have_text("done")
     expect(watcher.locator("#wish")).to_be_hidden()
+    # Its rig, solved by the server and taken into use, makes points of the next photographs.
+    expect(page.locator("#rig-name")).to_have_text("none")
+    expect(page.locator("#use")).to_be_disabled()
+    expect(page.locator("#cloud-card")).to_be_hidden()
+    expect(watcher.locator("#solve")).to_be_disabled()
+    page.locator("#session").select_option("calibration-1")
+    page.get_by_role("button", name="Calibrate").click()
+    expect(page.locator("#solving")).to_contain_text("calibrating calibration-1")
+    expect(page.locator("#said")).to_contain_text("calibration-1 is calibrated", timeout=10 * LATEST_MS)
+    expect(page.locator("#verdict")).to_contain_text("what limits it")
+    expect(page.locator("#rig-name")).to_have_text("none")
+    page.get_by_role("button", name="Use this rig").click()
+    expect(watcher.locator("#rig-name")).to_have_text("calibration-1")
+    expect(page.locator("#use")).to_be_disabled()
+    expect(page.locator("#no-rig")).to_be_hidden()
+    expect(page.locator("#no-cloud")).to_be_visible()
+    page.fill("#step", "20000")
+    page.get_by_role("button", name="Step and shoot").click()
+    expect(page.locator("#cloud-of")).to_have_text(re.compile(r"^scan-1: \d{2,}"), timeout=5 * LATEST_MS)
+    expect(page.locator("#no-cloud")).to_be_hidden()
     page.get_by_role("link", name="Projects").click()
     with page.expect_download() as downloading:
         page.get_by_role("link", name="Session (zip)").click()
@@ -236,6 +257,62 @@ def test_narrow_screens_and_the_keyboard(browser: Browser, lab: Served):
     expect(token).to_have_text(re.compile(r"^\S{40,}$"))
     assert lab.client(Authorization=f"Bearer {token.inner_text()}").get("/api/me").json()["name"] == ADMINISTRATOR
     page.context.close()
+
+
+def test_controls_rest_while_a_job_runs(browser: Browser, lab: Served):
+    page = sign_in(browser, lab, OPERATOR)
+    for what in ("#no-picture", "#no-profile"):
+        expect(page.locator(what)).to_contain_text("appear")
+    page.get_by_role("button", name="Operate").click()
+    start = page.get_by_role("button", name="Start")
+    expect(start).to_be_enabled()
+    lab.camera.exposure_s = 0.5
+    page.fill("[name=frames]", "8")
+    page.fill("[name=apart]", "500")
+    start.press("Enter")
+    expect(page.locator("#job-state")).to_have_text("running")
+    for name in ("Start", "Go there", "Reset motor", "Step and shoot", "Begin", "Calibrate"):
+        expect(page.get_by_role("button", name=name, exact=True)).to_be_disabled()
+    expect(page.get_by_label("Photographs")).to_be_disabled()
+    # What concerns the job, and what may be changed at any time, do not rest.
+    for name in ("Stop Esc", "Pause", "Abort"):
+        expect(page.get_by_role("button", name=name)).to_be_enabled()
+    expect(page.get_by_label("while nothing else is done")).to_be_enabled()
+    page.get_by_role("button", name="Pause").click()
+    expect(page.locator("#job-state")).to_have_text("paused")
+    expect(start).to_be_disabled()
+    lab.camera.exposure_s = 0.0
+    page.get_by_role("button", name="Abort").click()
+    expect(start).to_be_enabled()
+    page.context.close()
+
+
+def test_the_keyboard_is_where_it_was_once_a_job_is_done(browser: Browser, lab: Served):
+    page = sign_in(browser, lab, OPERATOR)
+    page.get_by_role("button", name="Operate").click()
+    lab.camera.exposure_s = 1.0
+    shoot = page.get_by_role("button", name="Step and shoot")
+    shoot.press("Enter")
+    expect(shoot).to_be_disabled()
+    expect(shoot).to_be_enabled()
+    expect(shoot).to_be_focused()
+    page.context.close()
+
+
+def test_a_phone_has_the_controls_first_and_the_night_is_dark(browser: Browser, lab: Served):
+    phone, desk = sign_in(browser, lab, VIEWER, 390, "dark"), sign_in(browser, lab, VIEWER)
+    for page, first, second in ((phone, ".controls", ".views"), (desk, ".views", ".views")):
+        tops = [page.locator(part).bounding_box() for part in (".status", first, second)]
+        assert all(tops)
+        assert tops[0]["y"] < tops[1]["y"] <= tops[2]["y"]
+    left, right = (desk.locator(part).bounding_box() for part in (".views", ".controls"))
+    assert left["x"] < right["x"]
+    assert abs(left["y"] - right["y"]) < 2
+    light = "element => getComputedStyle(element).backgroundColor.match(/\\d+/g).reduce((sum, n) => sum + Number(n), 0)"
+    assert phone.locator("body").evaluate(light) < 150
+    assert desk.locator("body").evaluate(light) > 600
+    for page in (phone, desk):
+        page.context.close()
 
 
 def test_a_refusal_is_said_on_the_page(browser: Browser, lab: Served):
