@@ -136,7 +136,7 @@ def _distance(table: Table, balls: dict[str, CertifiedBall], scale: float) -> Ce
     if len(of) != 2 or of[0] == of[1]:
         raise table.error("of", "must name two balls")
     for name in of:
-        if name not in balls:
+        if not isinstance(name, str) or name not in balls:
             raise table.error("of", f"no ball is called {name!r}: there are {', '.join(balls) or 'none'}")
     length, uncertainty = scale * _positive(table, "length"), scale * _positive(table, "uncertainty", zero=True)
     least = sum(balls[name].diameter for name in of) / 2

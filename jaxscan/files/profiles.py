@@ -36,6 +36,10 @@ _FORMATS: Final = {
     "Coord3D_AC32f": (2, np.dtype("<f4")),
 }
 _CSV, _MAPS, _ARRAYS, _RAW = (".csv", ".txt"), (".png", ".tif", ".tiff"), (".npy",), (".raw", ".bin")
+# A kilometre.
+_FARTHEST_MM: Final = 1e6
+# Of any device's numbers.
+_BRIGHTEST: Final = 1e12
 _PREFIX: Final = "[profiles] "
 
 
@@ -97,11 +101,19 @@ def read_profiles(path: str | os.PathLike[str]) -> Profiles:
     if none.all():
         raise table.error("files", f"none of {none.size} points is valid: check invalid, scale and offset")
     x, z = np.where(none, np.nan, x), np.where(none, np.nan, z)
+    farthest = max(np.abs(x[~none]).max(), np.abs(z[~none]).max())
+    if farthest > _FARTHEST_MM:
+        raise InputError(
+            f"{table.path}: a point lies {farthest:.3g} mm away, and no profiler sees so far: check units, invalid, "
+            "scale and offset"
+        )
     if (z[~none] <= 0).any():
         raise InputError(
             f"{table.path}: a point lies {z[~none].min():.4g} mm before the profiler: z is the distance from it, "
             'or with z = "height" the way to it, and standoff_mm is where its height is 0'
         )
+    if intensity is not None and np.nanmax(np.abs(intensity), initial=0.0) > _BRIGHTEST:
+        raise InputError(f"{table.path}: an intensity is more than {_BRIGHTEST:g}: check which column is the intensity")
     positions, _ = read_axes(table, len(x), "profiles")
     known = [part.axis for part in motion.parts()]
     for axis, steps in positions.items():
@@ -133,6 +145,8 @@ def _numbers(
 ]:
     """X, z and intensity in the file's unit, NaN where a point is not valid."""
     files = files_of(table, "files")
+    if not files:
+        raise table.error("files", "names none: give the CSV files or the range map")
     endings = {file.suffix.lower() for file in files}
     if not endings <= set((*_CSV, *_MAPS, *_ARRAYS, *_RAW)):
         raise table.error(

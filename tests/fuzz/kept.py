@@ -15,7 +15,7 @@ import numpy as np
 import scipy.io
 
 from tests import foreign_samples
-from tests.fuzz.seeds import RIG_1, RIG_2
+from tests.fuzz.seeds import ARTEFACT, MOVED, POINTS, RIG_1, RIG_2
 
 _RIG: Any = RIG_2
 
@@ -267,6 +267,26 @@ KEPT: dict[str, tuple[str, Callable[[], bytes], str]] = {
     ),
     "mat, a board that ends nowhere": ("bouguet", _endless_board, "its X has a number that is not finite"),
     "mat, 200 variables of 60 MB": ("bouguet", _inflating, "unfold to more than"),
+    "artefact, a ball whose name is a list": (
+        "artefact",
+        lambda: ARTEFACT.replace('of = ["left", "right"]', 'of = [["left"], "right"]').encode(),
+        "no ball is called ['left']",
+    ),
+    "profiles, of no files": (
+        "profiles",
+        lambda: b'[profiles]\nfiles = []\nunits = "mm"\nsteps_per_frame = 20\n' + MOVED.encode(),
+        "names none: give the CSV files or the range map",
+    ),
+    "profiles, a point 1e300 mm away": (
+        "profiles csv",
+        lambda: POINTS.replace("0;150;0;0", "0;1e300;0;0").encode(),
+        "no profiler sees so far",
+    ),
+    "profiles, an intensity of 1e300": (
+        "profiles csv",
+        lambda: POINTS.replace("0;150;0;0", "0;150;1e300;0").encode(),
+        "an intensity is more than",
+    ),
     "rig, a focal length of 1e-320": ("rig 2", lambda: _rig(camera__focal=[1e-320, 690.0]), "from 0.001 to 1e+09"),
     "rig 1, a focal length of 1e-320": ("rig 1", lambda: _rig(RIG_1, camera__focal=[700.0, 1e-320]), "from 0.001"),
     "rig, a focal length of 1e17": ("rig 2", lambda: _rig(camera__focal=[1e17, 690.0]), "from 0.001 to 1e+09"),

@@ -496,6 +496,83 @@ def _said(text: str) -> Callable[[Path], bytes]:
     return lambda folder: text.encode()
 
 
+def _profiles(file: str, *more: str) -> Callable[[Path], bytes]:
+    """The listing of four profiles in one file."""
+
+    def seed(folder: Path) -> bytes:
+        said = "\n".join((f'[profiles]\nfiles = "{file}"\nunits = "mm"\nsteps_per_frame = 20', *more, MOVED))
+        (folder / "profiles.toml").write_text(said)
+        (folder / "lines.csv").write_text(_LINES)
+        return said.encode()
+
+    return seed
+
+
+def _beside(listing: Callable[[Path], bytes], content: bytes) -> Callable[[Path], bytes]:
+    """A file that a listing beside it names."""
+
+    def seed(folder: Path) -> bytes:
+        listing(folder)
+        return content
+
+    return seed
+
+
+MOVED = '[[motion]]\naxis = "stage"\nkind = "linear"\nper_step = [0.0, 0.005, 0.0]\n'
+_ALONG = "[profiles.a]\nscale = 0.1\noffset = -0.5"
+_AWAY = "[profiles.c]\nscale = 0.002\noffset = 150.0"
+_LINES = "\n".join(",".join(f"{150 + i + 0.5 * j}" for j in range(6)) for i in range(4)) + "\n"
+POINTS = "x;z;intensity;profile\n" + "".join(f"{j};{150 + i};{9 * j};{i}\n" for i in range(4) for j in range(6))
+_RAW = np.arange(48, dtype="<u2").reshape(4, 6, 2) + np.uint16(100)
+_PART = """[part]
+name = "block"
+[[feature]]
+name = "dome"
+kind = "ball"
+ball = [-30.3, -7.4, 350.0, 8.5]
+[[feature]]
+name = "low"
+kind = "plane"
+ball = [9.6, -6.9, 355.2, 8.0]
+[[dimension]]
+name = "radius"
+kind = "radius"
+of = "dome"
+nominal = 9.0
+tolerance = [-0.1, 0.2]
+[[dimension]]
+name = "between"
+kind = "distance"
+of = ["dome", "low"]
+tolerance = 0.3
+nominal = 4.0
+"""
+ARTEFACT = """[artefact]
+name = "plate"
+[[ball]]
+name = "left"
+diameter = 14.0
+uncertainty = 0.01
+form = 0.002
+[[ball]]
+name = "right"
+diameter = 14.0
+uncertainty = 0.01
+[[distance]]
+of = ["left", "right"]
+length = 50.0
+uncertainty = 0.02
+[[plane]]
+flatness = 0.01
+[limits]
+probing_form = 0.8
+distance = 0.25
+"""
+_FIGURE = {"figure": "distance", "of": "left, right", "mean": 0.01, "worst": 0.02, "uncertainty": 0.005, "scans": 3}
+_HISTORY = {
+    "format": "jaxscan-acceptance/1", "date": "2026-01-01", "artefact": "plate", "certificate": "c", "rig": None,
+    "verdict": None, "figures": [_FIGURE | {"sigma": 0.001, "sigma_rig": None}],
+}  # fmt: skip
 _POSE = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]]
 _POSES = {"a.ply": _POSE, "b.ply": {"position": [1.0, 2.0, 3.0], "quaternion": [1.0, 0.0, 0.0, 0.0]}}
 _CONF = "camera 0 0 0 0 0 0 1\nbmesh a.ply 0 0 0 0 0 0 1\nbmesh b.ply 1 2 3 0.6 0 0 0.8\n"
@@ -536,6 +613,19 @@ TARGETS: dict[str, Target] = {
     "folder camera": Target("a.png", _picture(".png"), (_png, _png, mutate.of_bytes)),
     "avi": Target("a.avi", _video(".avi", "MJPG"), _IN_BYTES),
     "mp4": Target("a.mp4", _video(".mp4", "mp4v"), _IN_BYTES),
+    "part": Target("part.toml", _said(_PART), (_toml, _toml, _toml, _text)),
+    "artefact": Target("artefact.toml", _said(ARTEFACT), (_toml, _toml, _toml, _text)),
+    "history": Target("history.jsonl", _said(json.dumps(_HISTORY) + "\n"), (_json, _json, _text)),
+    "profiles": Target(
+        "profiles.toml", _profiles("lines.csv", "invalid = -9999", _ALONG), (_toml, _toml, _toml, _text)
+    ),
+    "profiles csv": Target("points.csv", _beside(_profiles("points.csv"), POINTS.encode()), _IN_TEXT),
+    "profiles lines": Target("lines.csv", _beside(_profiles("lines.csv", _ALONG), _LINES.encode()), _IN_TEXT),
+    "profiles raw": Target(
+        "map.raw",
+        _beside(_profiles("map.raw", 'pixel_format = "Coord3D_AC16"\nwidth = 6', _ALONG, _AWAY), _RAW.tobytes()),
+        _IN_BYTES,
+    ),
     "poses json": Target("poses.json", _said(json.dumps(_POSES)), (_json, _json, _text)),
     "poses conf": Target("poses.conf", _said(_CONF), _IN_TEXT),
 }

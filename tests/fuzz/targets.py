@@ -10,11 +10,15 @@ from hardware.cameras.folder import FolderCamera
 from hardware.devices import read_photograph, read_scanner
 from hardware.scan_plan import ScanFolder
 from jaxscan.calibration.board_views import observations_from
+from jaxscan.files.acceptance_history import read_history
+from jaxscan.files.artefact_file import read_artefact
 from jaxscan.files.camera_file import CameraFile
 from jaxscan.files.cameras import read_camera_file
 from jaxscan.files.cloud import cloud_of
 from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
+from jaxscan.files.part_file import read_part
 from jaxscan.files.ply_read import read_ply_file
+from jaxscan.files.profiles import read_profiles
 from jaxscan.files.range_npz import read_range_npz
 from jaxscan.files.range_scanner import read_scanner as read_scanner_of_range
 from jaxscan.files.rig_checks import image_rays
@@ -24,6 +28,7 @@ from jaxscan.files.scan_poses import read_scan_poses
 from jaxscan.files.session import read_session
 from jaxscan.files.units import cloud_in_millimetres
 from jaxscan.images import image_size, read_image, read_video
+from jaxscan.reconstruction.profiles import range_image_of_profiles
 from jaxscan.rig import Camera
 from jaxscan.simulation.folders import read_scan_truth
 
@@ -95,6 +100,11 @@ def _range(path: Path) -> None:
     read_scanner_of_range(path, read_range_npz(path))
 
 
+def _profiles(path: Path) -> None:
+    image = range_image_of_profiles(read_profiles(path.parent))
+    assert np.isfinite(image.points[image.valid]).all()
+
+
 READERS: dict[str, Callable[[Path], Any]] = {
     "session": read_session,
     "scan": read_scan,
@@ -129,6 +139,13 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "folder camera": _folder,
     "avi": _video,
     "mp4": _video,
+    "part": read_part,
+    "artefact": read_artefact,
+    "history": read_history,
+    "profiles": _profiles,
+    "profiles csv": _profiles,
+    "profiles lines": _profiles,
+    "profiles raw": _profiles,
     "poses json": lambda path: read_scan_poses(path, [Path("a.ply"), Path("b.ply")]),
     "poses conf": lambda path: read_scan_poses(path, [Path("a.ply"), Path("b.ply")]),
 }
