@@ -67,6 +67,7 @@ SUITES = {
     "texture": "the texture of a .glb against what was drawn, from photographs and from points; seams",
     "formats": "ten million points through each format and back: error, time, memory",
     "measure": "dimensions of drawn parts: coverage of their intervals, bias, false accepts, a million points",
+    "parts": "a photographed part with twelve features: coverage of intervals, errors over those of RANSAC and a fit",
     "demo": "time and memory of the whole demo",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
@@ -113,6 +114,7 @@ NOT_QUICK = {
     "texture",
     "formats",
     "measure",
+    "parts",
     "lab",
     "growth",
 }

@@ -1,16 +1,9 @@
-"""A shape through points: weighted least squares without outliers, and the covariance of the shape's numbers.
+"""A shape through points: weighted least squares without outliers.
 
 With distances d(x; p), J = ∂d/∂p, g = ∂d/∂x, and weights W = diag(1 / σᵢ²), σᵢ what an error of one σ of the stripe
 does to the distance of point i, the numbers follow a small error δ of the distances by
 
     δp = G δ,    G = −(Jᵀ W J)⁻¹ Jᵀ W.
-
-Every point has noise of its own, δᵢ = σᵢ εᵢ; with the rig's errors δθ all of them move, δ = D δθ, Dᵢ = gᵢ ∂xᵢ/∂θ. So
-
-    cov p = s² G C Gᵀ + (G D) Σ (G D)ᵀ,    Cᵢⱼ = σᵢ ρᵢⱼ σⱼ,
-
-Σ the rig's covariance; the second part does not shrink with the number of points. s² is what the residuals say of the
-noise, in units of σ², and ρ how alike errors of neighbours are, along a stripe and from frame to frame (`alike`).
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +15,7 @@ from scipy import ndimage
 
 from jaxscan.errors import InputError
 from jaxscan.files.part_file import Region
-from jaxscan.measurement.alike import Alike
+from jaxscan.measurement.alike import how_alike
 from jaxscan.measurement.guess import guess
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import Plane, Shape, Vector, lengths
@@ -41,18 +34,16 @@ _STILL, _ENOUGH, _ROUGHLY = 1e-13, 1e-6, 1e-4
 # The least that a σ across the surface is of that along the ray: where light grazes, other errors count.
 _BEST: Final = 0.3
 FEWEST: Final = 20
-# Of how many points the rig's part is taken: it is smooth over the surface.
-_OF_RIG: Final = 2000
 # The largest number of rounds that decide which points belong to a shape.
 _OF_ROUNDS: Final = 5000
+# How far off stripes are seen in the last pixels of a round shape, px, and the least part of its points that is left.
+_BESIDE_PX, _INNER = (0.2, 0.07, 0.03), 0.5
+# Of how many points halves are taken, and by how much their squares have to fall for another round.
+_OF_HALVES, _LESS = 1000, 0.9
 _GROWTHS: Final = 10
 # A residual below this part of the size is rounding, of float32 coordinates.
 _ROUNDING: Final = 1e-7
 _SINGULAR: Final = 1e-12
-# The least part of the noise that is taken to be left in the residuals.
-_LEFT: Final = 0.2
-# The least part of the residuals' squares that is taken to be noise, whatever the rig may have done to the form.
-_NOT_RIG: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -84,25 +75,6 @@ class Fit:
         return float(np.ptp(self.residuals))
 
 
-@dataclass(frozen=True)
-class Known:
-    """How well the numbers of a fitted shape are known.
-
-    Attributes:
-        scale: s, what the residuals are in units of the points' σ.
-        tau: how many points are worth one.
-        freedom: of the points' part of the variance, by `Alike.freedom`.
-        own: covariance of the shape's numbers by the points' own noise, mm².
-        by_rig: how the numbers move with the rig's leaves; None without a rig.
-    """
-
-    scale: float
-    tau: float
-    freedom: float
-    own: Float[np.ndarray, "numbers numbers"]
-    by_rig: Float[np.ndarray, "numbers leaves"] | None
-
-
 def fit_shape(
     scanned: Scanned,
     kind: str,
@@ -130,7 +102,8 @@ def fit_shape(
     if grow and (scanned.place is None or scanned.image is None):
         raise InputError("grow = true needs a range image (.npz), whose points have an order: enlarge the region")
     given = candidates
-    shape, inside, sigma = _settled(scanned, guess(kind, scanned.points[given], normal), given)
+    start = _concentrated(scanned, guess(kind, scanned.points[given], normal), given)
+    shape, inside, sigma = _settled(scanned, start, given)
     if region is not None and scanned.stripe is not None and not grow:
         reach = _FAR * sigma * float(np.median(lengths(scanned.stripe[given])))
         candidates = scanned.within(region.wider(reach))
@@ -147,6 +120,7 @@ def fit_shape(
             break
     used = candidates[inside]
     _enough(len(used), len(candidates))
+    used = _without_border(scanned, shape, used, sigma)
     if len(used) > _OF_ROUNDS:
         # A few are nearly there at once, so that all need a step or two.
         shape = _least_squares(scanned, shape, used[few(len(used), _OF_ROUNDS)])
@@ -163,6 +137,27 @@ def _enough(count: int, of: int | None = None) -> None:
             f"{count} points {where}, {FEWEST} or more are needed: enlarge the box or ball, or see that it is in the "
             "object frame, in mm (`jaxscan inspect` says how far the points reach)"
         )
+
+
+def _concentrated(scanned: Scanned, shape: Shape, candidates: Int[np.ndarray, "candidates"]) -> Shape:
+    """The least trimmed squares near a guess: each time through the half of the points that is nearest to it.
+
+    (P. J. Rousseeuw and K. Van Driessen, "Computing LTS regression for large data sets", 2006.) A guess that is off by
+    several σ would have a limit so wide that what stands beside the shape is taken in, and holds it there.
+    """
+    some = candidates[few(len(candidates), _OF_HALVES)]
+    half = max(len(some) // 2, min(FEWEST, len(some)))
+    least = np.inf
+    for _ in range(_ROUNDS):
+        off = _off(scanned, shape, some, nearest=True)
+        squares = (off.distance / off.spread) ** 2
+        nearest = np.argpartition(squares, half - 1)[:half]
+        now = float(squares[nearest].sum())
+        if not now < _LESS * least:
+            break
+        least = now
+        shape = _least_squares(scanned, shape, some[nearest], nearest=True)
+    return shape
 
 
 def _settled(
@@ -204,6 +199,57 @@ def _grown(scanned: Scanned, shape: Shape, seeds: Int[np.ndarray, "seeds"], sigm
     return every[near & np.isin(label[frames, columns], of_seeds[of_seeds > 0])]
 
 
+def _without_border(
+    scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"], sigma: float
+) -> Int[np.ndarray, "inner"]:
+    """The points that have others of the shape on both sides along the stripe, as far as light spreads in the image.
+
+    Lens and pixels mix what neighbouring columns see. On a surface that goes on this cancels; beside its edge, or where
+    it turns out of sight, the stripe is seen off by s² (v′ (ln I)′ + v″ / 2), v its row and I its brightness along the
+    columns: up to 0.3 px in the last columns of a ball, always outwards. On a small or noisy surface the border says
+    more than it harms. So it is made so wide that tr C₀⁻¹ (C + b bᵀ) is least, C what the points that are left make of
+    the noise, b what the errors beside an edge would do to the numbers, C₀ that of all points.
+    """
+    if scanned.place is None or scanned.image is None or scanned.stripe is None:
+        return used
+    border = int(np.ceil(len(_BESIDE_PX) / scanned.pitch_px))
+    place = scanned.place[used]
+    aside = np.array([0, border])
+    low, high = place.min(axis=0) - aside, place.max(axis=0) + aside + 1
+    near = np.flatnonzero(((scanned.place >= low) & (scanned.place < high)).all(axis=1))
+    grid = np.zeros(high - low, bool)
+    at, own = tuple((scanned.place[near] - low).T), tuple((place - low).T)
+    grid[own] = True
+    # A region's border is none of the shape.
+    asked = (ndimage.binary_dilation(grid, np.ones((1, 2 * border + 1))) & ~grid)[at]
+    if asked.any():
+        off = _off(scanned, shape, near[asked], nearest=True)
+        grid[tuple(axis[asked] for axis in at)] = np.abs(off.distance) <= _LIMIT * sigma * off.spread
+    # How many columns each point is from the end, up to those of a border; 0 in the last.
+    deep = np.zeros(len(used), int)
+    for columns in range(1, border + 1):
+        deep += np.asarray(ndimage.binary_erosion(grid, np.ones((1, 2 * columns + 1))), bool)[own]
+    off = _off(scanned, shape, used, nearest=True)
+    A = shape.jacobian(off.foot) / off.spread[:, None]
+    whole, least, best = A.T @ A, np.inf, used
+    sigma_px = float(np.median(lengths(scanned.stripe[used]))) / scanned.stripe_mm
+    beside = np.array([*_BESIDE_PX, 0.0])[np.minimum(deep * int(scanned.pitch_px), len(_BESIDE_PX))] / sigma_px
+    # Noise that neighbours share is worth more of the border; asked of the others, for its errors are alike too.
+    deepest = deep == border
+    left = off.distance[deepest] / off.spread[deepest]
+    tau = how_alike([(place[deepest], left, shape.numbers)]).tau() if len(left) >= FEWEST else 1.0
+    for columns in range(border + 1):
+        inner = deep >= columns
+        if inner.sum() < max(_INNER * len(used), FEWEST):
+            break
+        C = np.linalg.pinv(A[inner].T @ A[inner])
+        bias = C @ (A[inner].T @ beside[inner])
+        expected = float(np.trace(whole @ C)) * sigma**2 * tau + float(bias @ whole @ bias)
+        if expected < least:
+            least, best = expected, used[inner]
+    return best
+
+
 @dataclass(frozen=True)
 class _Off:
     """How far points are off a shape.
@@ -234,22 +280,22 @@ def _off(
     stripe, least = scanned.stripe[some], _BEST * scanned.sigma[some]
     distance, normal = shape.at(x)
     if nearest:
-        return _Off(x, distance, np.maximum(np.abs(_dots(normal, stripe)), least))
-    t = np.zeros(len(x)) if since is None else _dots(x - since.foot, stripe) / _dots(stripe, stripe)
+        return _Off(x, distance, np.maximum(np.abs(dots(normal, stripe)), least))
+    t = np.zeros(len(x)) if since is None else dots(x - since.foot, stripe) / dots(stripe, stripe)
     for _ in range(_NEWTON if since is None else 1):
         off, normal = shape.at(x - t[:, None] * stripe)
-        slope = _dots(normal, stripe)
+        slope = dots(normal, stripe)
         t = np.clip(t + off / np.where(np.abs(slope) > _GRAZES * least, slope, np.inf), -_FAR, _FAR)
     foot = x - t[:, None] * stripe
     off, normal = shape.at(foot)
-    slope = _dots(normal, stripe)
+    slope = dots(normal, stripe)
     # Asked of the foot alone, which the point's own error has not moved. What is left of Newton's steps is added.
     along = (np.abs(slope) > least) & (np.abs(t) < _FAR)
     foot = np.where(along[:, None], foot, x)
     return _Off(foot, np.where(along, t * slope + off, distance), np.maximum(np.abs(slope), least))
 
 
-def _dots(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+def dots(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
     """Scalar products, row by row."""
     return np.einsum("pi,pi->p", a, b)
 
@@ -291,67 +337,6 @@ def _facing(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]) -> Sh
         return shape
     camera = np.zeros(3) if scanned.camera is None else scanned.camera[used].mean(axis=0)
     return replace(shape, axis=-shape.axis) if shape.axis @ (camera - shape.point) < 0 else shape
-
-
-def known(scanned: Scanned, fit: Fit, alike: Alike, least: float = 0.0) -> Known:
-    """How well a fit determines the shape's numbers.
-
-    Args:
-        scanned: what it was fitted to.
-        fit: the fit.
-        alike: how alike neighbours' errors are in the scan.
-        least: the least scale, by what other features of the scan say.
-
-    Raises:
-        InputError: the points do not determine the shape.
-    """
-    shape, x = fit.shape, scanned.points[fit.used]
-    A = shape.jacobian(x) / fit.spread[:, None]
-    values = np.linalg.eigvalsh(A.T @ A)
-    if values[0] <= _SINGULAR * values[-1]:
-        raise InputError("its points do not determine it: they may lie on a line, or in one place; enlarge the region")
-    place = None if scanned.place is None else scanned.place[fit.used]
-    tau = alike.tau(scanned.image is None)
-    by_rig, of_rig = None, 0.0
-    if scanned.by_rig is not None and scanned.covariance is not None:
-        some = few(len(x), _OF_RIG)
-        moved = moved_by_rig(scanned, shape, fit.used[some])
-        by_rig = response(shape, x[some], fit.spread[some]) @ moved
-        left_by_rig = (moved + shape.jacobian(x[some]) @ by_rig) / fit.spread[some, None]
-        of_rig = len(x) * float(np.einsum("pi,ij,pj->p", left_by_rig, scanned.covariance, left_by_rig).mean())
-    share = grazing(scanned, fit)
-    # What the fit has taken up is `numbers` of the independent points, which are fewer than there are. What a wrong rig
-    # does to the form is in `by_rig`, and does not count as noise once more.
-    independent = float((share**2).sum())
-    left = max(independent - shape.numbers * tau, _LEFT * independent)
-    squares = float(((fit.residuals / fit.spread) ** 2).sum())
-    scale = max(float(np.sqrt(max(squares - of_rig, _NOT_RIG * squares) / left)), least)
-    follows = np.linalg.solve(A.T @ A, A.T) * share
-    own = scale**2 * alike.variance(place, follows, scanned.image is None)
-    return Known(scale, tau, alike.freedom(len(x), shape.numbers, scanned.image is None), own, by_rig)
-
-
-def grazing(scanned: Scanned, fit: Fit) -> Float[np.ndarray, "used"]:
-    """What the stripe's errors do to each distance, in units of `spread`: 1 but where the line grazes, less there."""
-    if scanned.stripe is None:
-        return np.ones(len(fit.used))
-    slope = _dots(fit.shape.gradient(scanned.points[fit.used]), scanned.stripe[fit.used])
-    return np.minimum(np.abs(slope) / fit.spread, 1.0)
-
-
-def response(
-    shape: Shape, x: Float[np.ndarray, "some 3"], spread: Float[np.ndarray, "some"]
-) -> Float[np.ndarray, "numbers some"]:
-    """G: how a shape's numbers follow the distances of its points."""
-    J = shape.jacobian(x)
-    weighted = J / spread[:, None] ** 2
-    return -np.linalg.solve(J.T @ weighted, weighted.T)
-
-
-def moved_by_rig(scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some leaves"]:
-    """D: how the distances of points from a shape follow the rig's leaves."""
-    assert scanned.by_rig is not None
-    return np.einsum("pi,pil->pl", shape.gradient(scanned.points[some]), scanned.by_rig(some))
 
 
 def few(count: int, most: int) -> Int[np.ndarray, "some"]:

@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.measurement.fit import Fit, Known, few, moved_by_rig
+from jaxscan.measurement.fit import Fit, few
+from jaxscan.measurement.known import Known, moved_by_rig
 from jaxscan.measurement.scanned import Scanned
 
 _PATCHES: Final = 6

@@ -40,15 +40,8 @@ def guess(kind: str, x: Points, normal: Vector | None = None) -> Shape:
     size = max(float(np.linalg.norm(np.ptp(sample, axis=0))), 1e-9)
     # About the middle, in units of the size: what is solved below is then well scaled.
     y = (sample - middle) / size
-    if kind in ("circle", "line"):
-        assert normal is not None
-        trials = (_circles if kind == "circle" else _lines)(y, normal, random)
-    elif kind in ("cylinder", "cone"):
-        trials = (_cylinders if kind == "cylinder" else _cones)(y, _normals(y), random)
-    else:
-        trials = (_planes if kind == "plane" else _balls)(y, random)
     best, least = None, np.inf
-    for trial in trials:
+    for trial in candidates(kind, y, random, normal):
         off = float(np.median(np.abs(trial.distances(y))))
         if off < least:
             best, least = trial, off
@@ -57,6 +50,23 @@ def guess(kind: str, x: Points, normal: Vector | None = None) -> Shape:
     scaled = {name: size * getattr(best, name) for name in ("radius",) if hasattr(best, name)}
     shape = type(best)(**{**vars(best), "point": middle + size * best.point, "size": size, **scaled})
     return shape.placed(sample)
+
+
+def candidates(kind: str, y: Points, random: np.random.Generator, normal: Vector | None = None) -> list[Shape]:
+    """Shapes of a kind, each through the fewest points that determine it, drawn at random.
+
+    Args:
+        kind: plane, ball, cylinder, cone, circle or line.
+        y: scaled so that they are about 1 apart.
+        random: draws them.
+        normal: of the plane in which a circle or a line lies.
+    """
+    if kind in ("circle", "line"):
+        assert normal is not None
+        return (_circles if kind == "circle" else _lines)(y, normal, random)
+    if kind in ("cylinder", "cone"):
+        return (_cylinders if kind == "cylinder" else _cones)(y, _normals(y), random)
+    return (_planes if kind == "plane" else _balls)(y, random)
 
 
 def _drawn(y: Points, random: np.random.Generator, count: int) -> list[Points]:

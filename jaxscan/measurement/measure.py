@@ -19,8 +19,9 @@ from jaxscan.errors import InputError, error_context
 from jaxscan.files.part_file import FITTED, IN_A_SECTION, OF_TWO_PLANES, Dimension, Feature, Part
 from jaxscan.measurement.alike import Alike, Place, how_alike
 from jaxscan.measurement.dimensions import Shapes, edge_of, slot_of
-from jaxscan.measurement.fit import Fit, Known, few, fit_shape, known
+from jaxscan.measurement.fit import Fit, few, fit_shape
 from jaxscan.measurement.form import CONFIDENCE, Form, form_of
+from jaxscan.measurement.known import Known, known
 from jaxscan.measurement.profile import profile_of
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.section import outline

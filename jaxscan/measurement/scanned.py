@@ -17,8 +17,9 @@ from jaxtyping import Float, Int
 from jaxscan.errors import InputError
 from jaxscan.files.part_file import IN_A_SECTION, OF_TWO_PLANES, Part, Region
 from jaxscan.files.rig_file import RigFile
+from jaxscan.measurement.shapes import lengths
 from jaxscan.reconstruction import RangeImage
-from jaxscan.reconstruction.point_sigma import point_jacobians
+from jaxscan.reconstruction.point_sigma import point_jacobians, ray_jacobian
 from jaxscan.rig import Rig
 from jaxscan.rig.projection import project_points
 from jaxscan.rig.rig import parameter_names
@@ -50,6 +51,9 @@ class Scanned:
         camera: from where each point was seen, mm; None where that is not known.
         why_not: why there are no intervals, and how to have them; "" where there are.
         image: the range image, where they are one's.
+        pitch_px: how far a column of it is from the next in the photographs, px.
+        column_mm: how wide a pixel is where the points are, mm; 0 without a rig.
+        stripe_mm: how far an error of the stripe of one pixel moves a point, mm; 0 without a rig.
         mesh: the mesh whose corners they are, if they are.
     """
 
@@ -63,6 +67,9 @@ class Scanned:
     camera: Float[np.ndarray, "points 3"] | None = None
     why_not: str = ""
     image: RangeImage | None = None
+    pitch_px: float = 1.0
+    column_mm: float = 0.0
+    stripe_mm: float = 0.0
     mesh: trimesh.Trimesh | None = field(default=None, repr=False)
 
     def within(self, region: Region | None) -> Int[np.ndarray, "some"]:
@@ -142,6 +149,11 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
         each = {axis: steps[frame[some]] for axis, steps in q.items()}
         return point_jacobians(rig.rig, name, pixels, each, columns)[0]
 
+    some = np.unique(np.linspace(0, len(points) - 1, _CHECKED).astype(int))
+    pixels = project_points(rig.rig.camera, seen[some]).pixels
+    per_px = np.abs(
+        ray_jacobian(rig.rig, name, pixels, {axis: each[frame[some]] for axis, each in q.items()}, columns)[1]
+    )
     return replace(
         plain,
         stripe=stripe,
@@ -149,7 +161,22 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
         by_rig=by_rig,
         covariance=rig.covariance.of_leaves(rig.rig),
         parameters=tuple(parameter_names(rig.rig)),
+        pitch_px=_pitch_px(rig.rig, place, seen, columns),
+        column_mm=float(np.median(seen[some, 2])) / float(rig.rig.camera.focal[0 if columns else 1]),
+        stripe_mm=float(np.median(lengths(stripe[some]) / sigma[some] * per_px)),
     )
+
+
+def _pitch_px(
+    rig: Rig, place: Int[np.ndarray, "points 2"], seen: Float[np.ndarray, "points 3"], columns: bool
+) -> float:
+    """From one column (or row) of the grid to the next, px: 1 but where the image has been thinned."""
+    beside = np.flatnonzero((np.diff(place, axis=0) == [0, 1]).all(axis=1))
+    if not len(beside):
+        return 1.0
+    beside = beside[np.unique(np.linspace(0, len(beside) - 1, _CHECKED).astype(int))]
+    a, b = (project_points(rig.camera, seen[some]).pixels[:, 0 if columns else 1] for some in (beside, beside + 1))
+    return max(float(np.round(np.median(np.abs(b - a)))), 1.0)
 
 
 def _looked_for(image: RangeImage, part: Part) -> RangeImage:

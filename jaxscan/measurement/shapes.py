@@ -58,6 +58,10 @@ class Shape:
     def moved(self, by: Float[np.ndarray, "numbers"]) -> Self:
         """The shape with its numbers changed."""
 
+    def curvature(self, x: Points) -> Float[np.ndarray, "points"]:
+        """The largest at points, 1/mm; 0 of what is straight."""
+        return np.zeros(len(x))
+
     def placed(self, x: Points) -> Self:
         """The same with its own point in the middle of these points, and their size."""
         middle = x.mean(axis=0)
@@ -123,6 +127,10 @@ class Ball(Shape):
         away = lengths(d)
         return away - self.radius, d / np.maximum(away, 1e-300)[:, None]
 
+    def curvature(self, x: Points) -> Float[np.ndarray, "points"]:
+        """1 / R."""
+        return np.full(len(x), 1 / self.radius)
+
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
         """The derivatives of distances by the numbers."""
         return np.concatenate([-self.gradient(x), np.full((len(x), 1), -1.0)], axis=1)
@@ -149,6 +157,10 @@ class _Round(Shape):
         """From its surface, positive outside; away from the axis."""
         _, rho, w = self._about_axis(x)
         return rho - self.radius, w
+
+    def curvature(self, x: Points) -> Float[np.ndarray, "points"]:
+        """1 / R, around the axis."""
+        return np.full(len(x), 1 / self.radius)
 
 
 @dataclass(frozen=True)
@@ -181,6 +193,10 @@ class Cone(Shape):
         h, rho, w = self._about_axis(x)
         c, s = np.cos(self.half_angle), np.sin(self.half_angle)
         return (rho - self.radius) * c - h * s, c * w - s * self.axis
+
+    def curvature(self, x: Points) -> Float[np.ndarray, "points"]:
+        """Cos φ / ρ, around the axis."""
+        return np.cos(self.half_angle) / np.maximum(self._about_axis(x)[1], 1e-3 * self.size)
 
     def jacobian(self, x: Points) -> Float[np.ndarray, "points numbers"]:
         """The derivatives of distances by the numbers."""

@@ -13,7 +13,8 @@ from jaxtyping import Float, Int
 
 from jaxscan.errors import InputError
 from jaxscan.measurement.alike import Alike
-from jaxscan.measurement.fit import Fit, Known
+from jaxscan.measurement.fit import Fit
+from jaxscan.measurement.known import Known
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import across
 

@@ -198,7 +198,7 @@ class Cylinder(Convex):
         d_across, m_across = cross(d, axis), cross(m, axis)
         a = jnp.maximum(dot(d_across, d_across), _TINY)
         side = _roots(a, dot(m_across, d_across), a * self.radius**2 - dot(axis, cross(m, d)) ** 2)
-        return _both(side, _slab(dot(m, axis), dot(d, axis), 0.0, self.length))
+        return both(side, slab(dot(m, axis), dot(d, axis), 0.0, self.length))
 
     def surfaces(self, x: Vec) -> list[Surface]:
         """Side, base, far end."""
@@ -234,11 +234,11 @@ class Box(Convex):
         """The intersection of three slabs."""
         m = subtract(rays.origin, vec(self.centre))
 
-        def slab(i: int) -> Interval:
+        def between(i: int) -> Interval:
             axis = vec(self.axes[i])
-            return _slab(dot(m, axis), dot(rays.direction, axis), -self.half[i], self.half[i])
+            return slab(dot(m, axis), dot(rays.direction, axis), -self.half[i], self.half[i])
 
-        return _both(_both(slab(0), slab(1)), slab(2))
+        return both(both(between(0), between(1)), between(2))
 
     def surfaces(self, x: Vec) -> list[Surface]:
         """Six planes."""
@@ -269,7 +269,7 @@ class HalfSpace(Convex):
     def span(self, rays: Rays) -> Interval:
         """From the plane to infinity, on one side."""
         normal = vec(self.normal)
-        fall = _nonzero(dot(rays.direction, normal))
+        fall = nonzero(dot(rays.direction, normal))
         t = (self.offset - dot(rays.origin, normal)) / fall
         return jnp.where(fall < 0, t, -jnp.inf), jnp.where(fall < 0, jnp.inf, t)
 
@@ -291,7 +291,7 @@ class Intersection(Convex):
 
     def span(self, rays: Rays) -> Interval:
         """The intersection of the spans."""
-        return _both(self.a.span(rays), self.b.span(rays))
+        return both(self.a.span(rays), self.b.span(rays))
 
     def surfaces(self, x: Vec) -> list[Surface]:
         """Those of both."""
@@ -360,18 +360,18 @@ def _roots(a: Number, b: Number, discriminant: Number) -> Interval:
     return jnp.where(real, (-b - root) / a, jnp.inf), jnp.where(real, (-b + root) / a, -jnp.inf)
 
 
-def _slab(start: Number, slope: Number, low: Number, high: Number) -> Interval:
+def slab(start: Number, slope: Number, low: Number, high: Number) -> Interval:
     """Where low ≤ start + t · slope ≤ high."""
-    slope = _nonzero(slope)
+    slope = nonzero(slope)
     a, b = (low - start) / slope, (high - start) / slope
     return jnp.minimum(a, b), jnp.maximum(a, b)
 
 
-def _both(a: Interval, b: Interval) -> Interval:
+def both(a: Interval, b: Interval) -> Interval:
     """The intersection of two intervals."""
     return jnp.maximum(a[0], b[0]), jnp.minimum(a[1], b[1])
 
 
-def _nonzero(x: Number) -> Number:
+def nonzero(x: Number) -> Number:
     """The number itself, or a tiny one in place of zero."""
     return jnp.where(jnp.abs(x) < _TINY, _TINY, x)

@@ -41,7 +41,7 @@ def scans(count, share=0.5, rig=None):
 def spoiled():
     """The light was knocked after the calibration: the rig's file has it where it was, 3 % nearer."""
     plane = lambda rig: rig.lights[0].plane[2]  # noqa: E731
-    return replace(KNOWN, rig=eqx.tree_at(plane, RIG, 1.03 * plane(RIG)))
+    return replace(KNOWN, rig=eqx.tree_at(plane, RIG, np.asarray(1.03 * plane(RIG))))
 
 
 @pytest.fixture

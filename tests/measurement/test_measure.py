@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.measured_parts import Scene, as_image, at, drawn_rig, implicit, scan
+from benchmarks.measured_parts import Scene, as_image, at, blocks_and_balls, drawn_rig, implicit, scan
 from jaxscan.errors import InputError
 from jaxscan.files.part_file import Dimension, Feature, Part, Region
 from jaxscan.files.rig_file import RigFile
@@ -82,29 +82,59 @@ def drawn(scene):
 @pytest.mark.parametrize("name", ["radius", "step"])
 def test_errors_are_as_large_as_is_said(drawn, share, name):
     each = [next(d for d in m.dimensions if d.dimension.name == name) for m in drawn[share]]
-    off = np.array([(d.value - TRUTH[name]) / d.sigma for d in each])
+    # Without noise only the rig is left, and what the residuals of a detector do not show.
+    off = np.array([(d.value - TRUTH[name]) / (d.sigma_rig if share < 1 else d.sigma) for d in each])
     assert 0.7 < np.sqrt(np.mean(off**2)) < 1.35
     assert np.mean([d.interval[0] <= TRUTH[name] <= d.interval[1] for d in each]) >= 0.85
-    rig = np.mean([d.sigma_rig / d.sigma for d in each])
-    # What a wrong rig does to the form of the dome stands in its residuals too, and is counted there once more.
-    assert rig > {"radius": 0.85, "step": 0.99}[name] if share < 1 else rig < 0.5
+    assert share < 1 or np.mean([d.sigma_rig / d.sigma for d in each]) < 0.5
+
+
+def test_what_a_detector_does_to_a_whole_face_is_never_below_its_floor(drawn):
+    """A hundredth of a pixel over thirds of a face; a pixel is worth about a millimetre and a half here."""
+    for m in drawn[1e-3]:
+        step = next(d for d in m.dimensions if d.dimension.name == "step")
+        rest = np.sqrt(step.sigma**2 - step.sigma_rig**2)
+        assert 0.004 < rest < 0.02
+
+
+def test_the_border_of_a_ball_does_not_count():
+    """The last three columns of each arc are seen too high, as light that spreads in the image has it.
+
+    The noise is that of photographs: 0.05 px, each column by itself. Of noise that neighbours share more is kept.
+    """
+    both, whole = [], blocks_and_balls()
+    R, origin = rig_2003.platform(RIG)
+    x = (as_image(whole.position, whole.steps, RIG).points - origin) @ R
+    with np.errstate(invalid="ignore"):
+        on_ball = np.abs(np.linalg.norm(x - np.array([-55.0, 30.0, 12.0]), axis=-1) - 12.0) < 1e-3
+    for off in (0.0, 0.12):
+        rows = whole.position.copy()
+        for frame, columns in enumerate(on_ball):
+            (where,) = np.nonzero(columns)
+            if len(where):
+                rows[frame, where[:3]] -= off
+                rows[frame, where[-3:]] -= off
+        noise = 0.05 * np.random.default_rng(1).normal(size=rows.shape)
+        image = as_image(rows + noise, whole.steps, RIG)
+        both.append(measure(scanned_image(image, KNOWN), whole.part).dimensions[0])
+    assert both[1].value == pytest.approx(both[0].value, abs=0.3 * both[0].sigma)
 
 
 def test_what_more_points_do_not_improve_is_the_rigs_part(scene):
     random = np.random.default_rng(3)
     own = drawn_rig(random, KNOWN)
     image = scan(scene, own, random)
-    fine, coarse = (measure(scanned_image(x, own), PART).dimensions[0] for x in (image, image[:, ::2]))
+    fine, coarse = (measure(scanned_image(x, own), PART).dimensions[1] for x in (image, image[:, ::2]))
     assert coarse.points == pytest.approx(fine.points / 2, rel=0.1)
     assert coarse.sigma_rig == pytest.approx(fine.sigma_rig, rel=0.02)
-    assert coarse.by_rig["camera.focal.0"] == pytest.approx(fine.by_rig["camera.focal.0"], rel=0.1)
+    assert coarse.by_rig["lights.0.plane.2"] == pytest.approx(fine.by_rig["lights.0.plane.2"], rel=0.1)
 
 
 def test_the_derivative_by_the_rig_is_that_of_another_rig(scene):
     """The step, measured with a rig of which one number is another."""
     found = measure(scanned_image(as_image(scene.position, STEPS, RIG), KNOWN), PART).dimensions[1]
     move = 3e-5
-    other = eqx.tree_at(lambda rig: rig.lights[0].plane[2], RIG, RIG.lights[0].plane[2] + move)
+    other = eqx.tree_at(lambda rig: rig.lights[0].plane[2], RIG, np.asarray(RIG.lights[0].plane[2] + move))
     again = scanned_image(as_image(scene.position, STEPS, other), replace(KNOWN, rig=other))
     moved = measure(again, PART).dimensions[1]
     assert found.by_rig["lights.0.plane.2"] == pytest.approx((moved.value - found.value) / move, rel=0.03)
@@ -160,7 +190,9 @@ def test_growing_goes_on_over_the_face(scene):
     part = replace(PART, features=(grown,), dimensions=())
     (face,) = measure(scanned_image(image, own), part).features
     x = (image.points[image.valid].astype(float) - np.array(at(0, 0, 0))) @ rig_2003.platform(RIG)[0]
-    assert face.points == pytest.approx((x[:, 0] > 20.5).sum(), rel=0.05)
+    # Without three columns of half a millimetre at either side; the ends of the scan are no borders.
+    inside = (x[:, 0] > 21.8) & (x[:, 0] < x[:, 0].max() - 1.4)
+    assert face.points == pytest.approx(inside.sum(), rel=0.02)
 
 
 def test_without_a_rig_or_sigma_there_are_no_intervals_and_that_is_said(scene):

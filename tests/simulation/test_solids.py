@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.precision import float64
+from jaxscan.simulation.cone import Cone
 from jaxscan.simulation.solids import Box, Cylinder, Difference, HalfSpace, Intersection, Solid, Sphere
 from jaxscan.simulation.vector import Rays, Vec
 
@@ -19,7 +20,14 @@ HALF_RING = Difference(
     Intersection(Cylinder(np.array([0.0, -3.0, 50.0]), np.array([0.0, 1.0, 0.0]), 9.0, 6.0), HalfSpace(AXIS, -40.0)),
     Cylinder(np.array([0.0, -9.0, 50.0]), np.array([0.0, 1.0, 0.0]), 5.0, 20.0),
 )
-SOLIDS = {"ball": BALL, "box": BOX, "cylinder": CYLINDER, "pot": POT, "half ring": HALF_RING}
+# Steeper than the rays that meet it, less steep than they are, and with a tip that the rays come from behind.
+CONES = {
+    "cone": Cone(np.array([0.0, 0.0, 58.0]), AXIS, 9.0, 3.0, 8.0),
+    "slender cone": Cone(np.array([-9.0, 2.0, 55.0]), np.array([0.96, 0.28, 0.0]), 6.0, 2.0, 20.0),
+    "blunt cone": Cone(np.array([1.0, 1.0, 58.0]), np.array([0.0, 0.0, -1.0]), 10.0, 0.0, 4.0),
+    "funnel": Cone(np.array([0.0, 0.0, 48.0]), -AXIS, 1.0, 9.0, 8.0),
+}
+SOLIDS = {"ball": BALL, "box": BOX, "cylinder": CYLINDER, "pot": POT, "half ring": HALF_RING, **CONES}
 
 
 def camera_rays(n: int, dtype: type = np.float64) -> np.ndarray:
@@ -113,6 +121,25 @@ def test_moved_solid_is_met_like_moved_rays() -> None:
             np.testing.assert_allclose(
                 meet(solid.moved(R, shift), to_rays(directions))[0], meet(solid, local)[0], rtol=1e-9
             )
+
+
+def test_a_cone_of_one_radius_is_a_cylinder() -> None:
+    same = Cone(CYLINDER.base, AXIS, CYLINDER.radius, CYLINDER.radius, CYLINDER.length)
+    with float64():
+        rays = to_rays(camera_rays(500))
+        np.testing.assert_allclose(meet(same, rays)[0], meet(CYLINDER, rays)[0], rtol=1e-12)
+
+
+def test_the_other_nappe_of_a_cone_is_not_there() -> None:
+    """A line through the tip, and lines that are parallel to the side."""
+    tip = Cone(np.array([0.0, 0.0, 50.0]), np.array([0.0, 0.0, -1.0]), 5.0, 0.0, 5.0)
+    with float64():
+        ahead = to_rays(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+        np.testing.assert_allclose(meet(tip, ahead)[0], [45.0, np.inf])
+        side = Vec(jnp.asarray([1.0, 1.0]), jnp.zeros(2), jnp.asarray([1.0, -1.0]))
+        start = Vec(jnp.asarray([-4.0, -9.0]), jnp.zeros(2), jnp.asarray([43.0, 53.0]))
+        # Along x = z - 47 the left side, x = 45 - z, is met at z = 46; along x = 44 - z nothing is.
+        np.testing.assert_allclose(meet(tip, Rays(start, side))[0], [3.0, np.inf], atol=1e-9)
 
 
 def test_rays_along_axes_and_faces() -> None:
