@@ -94,7 +94,7 @@ def changed_session(seed: int, name: str, times: float = 1.0) -> tuple[Observati
         behind = n + int(random.integers(3, len(sequence.views) - 3))
         pushed = _PUSH * times
     else:
-        later = as_numpy(_CHANGES[name](rig, times))
+        later = changed_rig(rig, name, times)
     poses = rig_2003.board_poses(rig, seed)
     views = exact_views(later, type(poses)(poses.rotation[behind:], poses.translation[behind:]))
     views = tuple(replace(view, name=f"view-{i + behind}") for i, view in enumerate(views))
@@ -108,6 +108,11 @@ def changed_session(seed: int, name: str, times: float = 1.0) -> tuple[Observati
     )
     exact = replace(exact, views=exact.views[:behind] + views, sequences=(replace(sequence, views=along),))
     return redrawn(exact, Noise(), random), behind
+
+
+def changed_rig(rig: Rig, name: str, times: float = 1.0) -> Rig:
+    """The rig behind a change, as `changed_session` names it; itself where the board was pushed."""
+    return as_numpy(_CHANGES[name](rig, times)) if name in _CHANGES else rig
 
 
 def refocused(rig: Rig, by: float) -> Rig:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         View,
         calibrate,
         calibrate_by_evidence,
+        calibrate_split,
         refit,
     )
     from jaxscan.calibration.observe import observe
@@ -56,6 +57,7 @@ _HOME = {
     "View": "jaxscan.calibration",
     "calibrate": "jaxscan.calibration",
     "calibrate_by_evidence": "jaxscan.calibration",
+    "calibrate_split": "jaxscan.calibration",
     "Model": "jaxscan.calibration",
     "refit": "jaxscan.calibration",
     "observe": "jaxscan.calibration.observe",
@@ -149,6 +151,7 @@ __all__ = [
     "View",
     "calibrate",
     "calibrate_by_evidence",
+    "calibrate_split",
     "clean",
     "coarse_register",
     "dimension_gradient",

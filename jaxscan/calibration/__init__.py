@@ -6,6 +6,7 @@ from jaxscan.calibration.choose import calibrate_by_evidence
 from jaxscan.calibration.model import Choice, Model
 from jaxscan.calibration.observations import BoardSequence, InlierMask, Observations, StripePoints, View
 from jaxscan.calibration.result import Calibration, PhotographFit
+from jaxscan.calibration.split import Split, calibrate_split
 
 __all__ = [
     "Adjustment",
@@ -16,9 +17,11 @@ __all__ = [
     "Model",
     "Observations",
     "PhotographFit",
+    "Split",
     "StripePoints",
     "View",
     "calibrate",
     "calibrate_by_evidence",
+    "calibrate_split",
     "refit",
 ]

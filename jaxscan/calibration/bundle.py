@@ -95,8 +95,8 @@ def as_arrow(
     start, unravel = ravel_pytree(system.shared)
 
     def back(y: Arrow) -> System:
-        rig, shape = unravel(jnp.where(free, y.shared, start))
-        return System(rig, y.blocks, shape)
+        rig, shape, earlier = unravel(jnp.where(free, y.shared, start))
+        return System(rig, y.blocks, shape, earlier)
 
     def residual(y: Arrow) -> Arrow:
         now = back(y)

@@ -1,6 +1,6 @@
 """`calibrate`: from observations to a rig with its covariance."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,18 +10,12 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.blocks import sequence_blocks, view_blocks
 from jaxscan.calibration.bundle import Factor
-from jaxscan.calibration.by_photograph import ByPhotograph
-from jaxscan.calibration.diagnostics.board_flatness import board_flatness
-from jaxscan.calibration.diagnostics.changes import find_change
-from jaxscan.calibration.diagnostics.light_planes import light_plane_doubts
-from jaxscan.calibration.diagnostics.sheet_curves import sheet_curves, unclear_bows
-from jaxscan.calibration.diagnostics.stage_shapes import rows_of_shapes, stage_shapes
-from jaxscan.calibration.diagnostics.stripe_shapes import stripe_shapes
+from jaxscan.calibration.diagnostics.sheet_curves import unclear_bows
 from jaxscan.calibration.first_camera import first_camera
 from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
 from jaxscan.calibration.held import held_parameters
-from jaxscan.calibration.leave_one_out import leave_one_out
+from jaxscan.calibration.judged import judged
 from jaxscan.calibration.lens_field import (
     FieldPrior,
     base_of,
@@ -46,8 +40,6 @@ from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import refine
 from jaxscan.calibration.stage_kinds import begun, first_approach, shape_parameters, with_kinds
-from jaxscan.calibration.stage_paths import courses
-from jaxscan.calibration.widening import widened
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_jax, float64
@@ -57,7 +49,7 @@ from jaxscan.rig.splined import Splined
 
 # σ of the bends to begin with, as a share of the board.
 _FIRST_BEND = 5e-4
-_PLAIN = "plain least squares: every corner took part with the same weight, also where it does not fit the others"
+PLAIN = "plain least squares: every corner took part with the same weight, also where it does not fit the others"
 
 
 def calibrate(
@@ -210,53 +202,16 @@ def calibrate(
                 refined = of_rig(system, free, groups, refined.noise, tuple(factors))
                 check_solved(refined, usable, free)
         advance("uncertainty")
-        result = assemble(refined, free, usable, held, unused, tuple(factors))
-        by_axis = courses(result)
-        stages = stage_shapes(refined, result, by_axis)
-        paths = rows_of_shapes(refined, result, by_axis, stages) if stages else None
-        curves = sheet_curves(refined, paths)
-        flatness = board_flatness(refined, result, curves, paths)
-        each = ByPhotograph.create(refined, usable, np.ones(2))
-        change = find_change(refined, result, each, [stage.axis for stage in stages])
-        formal = result.covariance
-        named = bool(stages or curves or flatness.statements)
-        off_grid = drift = None
-        if not plain:
-            wider, off_grid, drift = widened(refined, result, each, drifts=change is None and not named)
-            result = result if wider is refined else assemble(wider, free, usable, held, unused, tuple(factors))
+        result = judged(refined, free, usable, held, unused, tuple(factors), aliases, plain=plain)
     kept = iter(result.kept)
-    # What a term is named for is said once.
-    off_grid = None if off_grid is None else replace(off_grid, said=named)
-    left = () if off_grid is None else off_grid.statements
     return replace(
         result,
         kept=tuple(
             next(kept) if has_enough else InlierMask.none(view)
             for view, has_enough in zip(observations.photographs(), enough, strict=True)
         ),
-        plain=plain,
-        notes=(*result.notes, *approached, *unclear_bows(result.rig, result.covariance), *((_PLAIN,) if plain else ())),
-        warnings=(
-            *aliases,
-            *_sentences((*(each for found in (*stages, flatness) for each in found.statements), *left)),
-            *light_plane_doubts(stripe_shapes(result), curves),
-            *_sentences(each.statement for each in (change, drift) if each is not None),
-        ),
-        flatness=flatness,
-        sheet_curves=curves,
-        change=change,
-        undetermined_periods=tuple(aliases),
-        stage_shapes=stages,
-        off_grid=off_grid,
-        drift=drift,
-        formal_covariance=formal,
-        held_out=leave_one_out(refined, each),
+        notes=(*result.notes, *approached, *unclear_bows(result.rig, result.covariance), *((PLAIN,) if plain else ())),
     )
-
-
-def _sentences(statements: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """What is the case and what to do, without the last full stop, as warnings are."""
-    return (f"{what}. {fix}".removesuffix(".") for what, fix in statements)
 
 
 def _first_lights(

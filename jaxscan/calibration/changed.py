@@ -56,12 +56,12 @@ class Change:
 
     @property
     def _mend(self) -> str:
-        if self.kind == "light":
-            return (
-                f"For a rig as it was last: --laser-since {self.after}, which leaves out the stripes before; their "
-                "corners still help to determine the camera, which both parts share. If the camera was pushed and "
-                f"there is a stage, its photographs must be from {self.after} on too."
-            )
         if self.kind == "place":
-            return "Photograph the board along the axis once more, and fasten board and camera."
-        return f"For a rig as it was last: --since {self.after}, which leaves out the photographs before."
+            return (
+                f"--split {self.after} gives the board another place from there on, on an axis that both parts share. "
+                "Fasten board and camera."
+            )
+        return (
+            f"--split {self.after} solves both parts with what they share, for the rig as it is now and as it was "
+            f"before. --since {self.after} leaves out the photographs before."
+        )

@@ -82,7 +82,7 @@ class Coverage:
 
 
 def measure_coverage(observations: Observations, rig: Rig, poses: Pose[np.ndarray]) -> Coverage:
-    """What the views, the stripes and the photographs along the axes of a rig cover.
+    """What the views, of which there may be none, the stripes and the photographs along the axes of a rig cover.
 
     Args:
         observations: the photographs; those stripe points that do not lie on the board are NaN.
@@ -93,7 +93,7 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Pose[np.ndarra
     boards = Pose(poses.rotation[:n], poses.translation[:n])
     normals = boards.matrix()[..., 2]
     middles = boards.apply(observations.board.points().mean(axis=0))
-    corners = np.concatenate([view.corners[view.used()] for view in observations.views])
+    corners = np.concatenate([np.zeros((0, 2)), *(view.corners[view.used()] for view in observations.views)])
     size = np.asarray(observations.image_size)
     cell = np.floor((corners + 0.5) / size * CELLS).astype(int).clip(0, np.array(CELLS) - 1)
     counts = np.zeros(CELLS[::-1], int)
@@ -109,11 +109,11 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Pose[np.ndarra
     return Coverage(
         tilts_deg=np.degrees(np.arccos(np.abs(normals[:, 2]).clip(0, 1))),
         normals=normals,
-        tilt_spread_deg=float(np.degrees(np.arccos((normals @ normals.T).clip(-1, 1))).max()),
+        tilt_spread_deg=float(np.degrees(np.arccos((normals @ normals.T).clip(-1, 1))).max(initial=0.0)),
         distances_mm=np.linalg.norm(middles, axis=1),
         corners_in_cells=counts,
         image_share=float((counts > 0).mean()),
-        reach=float(np.linalg.norm(corners - (size - 1) / 2, axis=1).max() / np.linalg.norm(size / 2)),
+        reach=float(np.linalg.norm(corners - (size - 1) / 2, axis=1).max(initial=0.0) / np.linalg.norm(size / 2)),
         stripes=tuple(_stripes(observations, rig, poses, i) for i in range(len(rig.lights))),
         axes=axes,
     )

@@ -51,7 +51,7 @@ def _depends(
     system: System, poses: Float[Array, "blocks size"], group: Blocks, grid: np.ndarray
 ) -> Bool[Array, "blocks residuals shared"]:
     camera = system.rig.camera
-    stands = jax.vmap(partial(photograph_poses, system.rig))(poses[:, :6], group)
+    stands = jax.vmap(partial(photograph_poses, system))(poses[:, :6], group)
     corners = jax.vmap(partial(corner_errors, system))(poses, stands, group) + group.corners
     n = len(corners)
     # Of a corner (u, v in turn), of a stripe point, and of what is known of a board's bends.

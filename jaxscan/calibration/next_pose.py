@@ -214,7 +214,8 @@ def reachable(calibration: Calibration) -> Reach:
     The whole pattern in the image, tilted against the line of sight by 45° at most, and its middle within the depths of
     the boards that there are, or a tenth beyond: nothing says that it would be in focus elsewhere.
     """
-    observations, boards = calibration.observations, calibration.system.boards
+    observations = calibration.observations
+    boards = calibration.system.boards if observations.views else calibration.photograph_poses()
     outline = outline_of(observations.board)
     depths = boards.apply(outline.mean(axis=0))[:, 2]
     return Reach(
@@ -336,11 +337,13 @@ def _scene(calibration: Calibration) -> Scene:
     """The scene of a calibration; inside a `float64` block."""
     observations, rig = calibration.observations, calibration.rig
     columns = [
-        next(s.columns for view in observations.photographs() for s in view.stripes if s.laser == i)
+        next((s.columns for view in observations.photographs() for s in view.stripes if s.laser == i), True)
         for i in range(len(rig.lights))
     ]
-    corner = _usual([fit.corner_sigmas[fit.corner_kept] for fit in calibration.fits])
-    stripe = _usual([fit.stripe_sigmas[fit.stripe_kept] for fit in calibration.fits])
+    # A part of a session may have no views.
+    fits = calibration.fits or calibration.moved_fits
+    corner = _usual([fit.corner_sigmas[fit.corner_kept] for fit in fits])
+    stripe = _usual([fit.stripe_sigmas[fit.stripe_kept] for fit in fits])
     stripe *= np.sqrt(calibration.stripe_correlation or 1.0)
     return Scene(
         rig=as_float64(rig),

@@ -3,8 +3,9 @@
 Plain arrays that anyone can fill in; `observe` fills them in from the photographs of a session.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -230,31 +231,39 @@ class Observations:
 
     def since(self, name: str) -> "Observations":
         """Without the photographs before the one of this name: what was seen after something was changed."""
-        before = self._before(name)
-        views = tuple(view for view in self.views if view.name not in before)
-        sequences = [
-            sequence.only([i for i, view in enumerate(sequence.views) if view.name not in before])
-            for sequence in self.sequences
-        ]
-        kept = tuple(sequence for sequence in sequences if sequence.views)
+        before = self.before(name)
         left_out = (*self.left_out, *(f"{each}: before {name}" for each in before))
-        return replace(self, views=views, sequences=kept, left_out=left_out)
+        return replace(self.parted(before)[1], left_out=left_out)
 
-    def stripes_since(self, name: str) -> "Observations":
-        """Without the stripes before the photograph of this name, whose corners still help to determine the camera."""
-        before = self._before(name)
-        photographs = [replace(view, stripes=()) if view.name in before else view for view in self.photographs()]
-        had = [view.name for view in self.photographs() if view.name in before and view.stripes]
-        left_out = (*self.left_out, *(f"the stripe of {each}: before {name}" for each in had))
-        return replace(self.with_photographs(photographs), left_out=left_out)
+    def parted(self, names: Collection[str]) -> tuple["Observations", "Observations"]:
+        """The photographs of these names, and the others; a board on an axis that is in both has a sequence in each."""
 
-    def _before(self, name: str) -> list[str]:
-        """The names of the photographs before this one."""
+        def those(wanted: bool) -> Observations:
+            sequences = [
+                sequence.only([i for i, view in enumerate(sequence.views) if (view.name in names) == wanted])
+                for sequence in self.sequences
+            ]
+            return replace(
+                self,
+                views=tuple(view for view in self.views if (view.name in names) == wanted),
+                sequences=tuple(sequence for sequence in sequences if sequence.views),
+            )
+
+        return those(True), those(False)
+
+    def before(self, name: str) -> list[str]:
+        """The names of the photographs before the one of this name, in the order in which they were taken.
+
+        Raises:
+            InputError: there is no such photograph.
+        """
         photographs = self.photographs()
         names = [photographs[i].name for i in self.in_order()]
         if name not in names:
             known = ", ".join(names[:_NAMED]) + (" …" if len(names) > _NAMED else "")
-            raise InputError(f'there is no photograph "{name}": those with a board are {known}')
+            nearest = get_close_matches(name, names)
+            like = f"; the nearest names are {', '.join(nearest)}" if nearest else ""
+            raise InputError(f'there is no photograph "{name}"{like}: those with a board are {known}')
         return names[: names.index(name)]
 
     def remarks(self) -> str:

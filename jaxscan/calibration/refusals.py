@@ -34,7 +34,7 @@ _OF_SHAPE = {
 # The range of a shape, as a share of the board, that is no board's any more.
 _RUN_AWAY = 0.1
 FEWEST_STRIPES = 2
-_FEWEST_STRIPE_POINTS = 10
+FEWEST_STRIPE_POINTS = 10
 
 
 @contextmanager
@@ -111,7 +111,7 @@ def check_enough(observations: Observations) -> None:
             f"more poses, all of it in view and tilted in different directions{_on_axes_alone(observations)}"
         )
     for i, name in enumerate(observations.lasers):
-        striped = sum(_stripe_points(view, i) >= _FEWEST_STRIPE_POINTS for view in observations.photographs())
+        striped = sum(_stripe_points(view, i) >= FEWEST_STRIPE_POINTS for view in observations.photographs())
         if striped < FEWEST_STRIPES:
             which = f'of laser "{name}" ' if name else ""
             raise InputError(

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxscan.calibration.lens_field import FieldPrior
 from jaxscan.geometry import Pose, dual_plane_of
 from jaxscan.precision import as_jax
-from jaxscan.rig import Light, Rig, System
+from jaxscan.rig import Light, System
 from jaxscan.rig.board_shape import BentBoard, BoardShape, middle_and_half
 from jaxscan.rig.motion import carried
 
@@ -49,6 +49,8 @@ class Blocks(eqx.Module):
         stripe_columns: True where v was measured, False where u was.
         stripe_light: which light each belongs to.
         radius: of the circles about the points, mm; None where points are seen.
+        before: whether all photographs of a block were taken before something was changed (`System.earlier`); None
+            where the rig is one.
     """
 
     points: Float[Array, "*blocks corners 3"]
@@ -63,6 +65,7 @@ class Blocks(eqx.Module):
     stripe_columns: Bool[Array, "*blocks photographs stripe"]
     stripe_light: Int[Array, "*blocks photographs stripe"]
     radius: Float[Array, "*blocks corners"] | None = None
+    before: Bool[Array, "*blocks"] | None = None
 
     def residuals(
         self, system: System, poses: Float[Array, "blocks size"], noise: "Noise"
@@ -71,7 +74,7 @@ class Blocks(eqx.Module):
 
         Where no stripe takes part none is computed: their rays cost more than all else.
         """
-        stands = jax.vmap(partial(photograph_poses, system.rig))(poses[:, :6], self)
+        stands = jax.vmap(partial(photograph_poses, system))(poses[:, :6], self)
         corner = jax.vmap(partial(corner_errors, system))(poses, stands, self)
         corner = corner * (self.weights / noise.corner)[..., None]
         corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[..., None]
@@ -144,7 +147,7 @@ def corner_errors(
     system: System, pose: Float[Array, "size"], stands: Stands, block: Blocks
 ) -> Float[Array, "photographs corners 2"]:
     """Predicted minus seen position of each board point, or of the circle about it, pixels; zero where masked."""
-    points, camera, shape = block.points, system.rig.camera, shape_of_block(system, pose)
+    points, camera, shape = block.points, system.where(block.before).rig.camera, shape_of_block(system, pose)
     extent = middle_and_half(points)
     R, t = stands
     seen = jnp.where(block.corner_used[..., None], block.corners, 0.0)
@@ -171,9 +174,10 @@ def corner_errors(
     return jnp.where(block.corner_used[..., None], errors, 0.0)
 
 
-def photograph_poses(rig: Rig, pose: Float[Array, "6"], block: Blocks) -> Stands:
+def photograph_poses(system: System, pose: Float[Array, "6"], block: Blocks) -> Stands:
     """Where the board of a block stands in each of its photographs: R and t (mm)."""
-    R, t = carried(rig.motion, block.q, block.reference, Pose.from_vector(pose))
+    motion = system.where(block.before).rig.motion
+    R, t = carried(motion, block.q, block.reference, Pose.from_vector(pose))
     return (R, t) if block.q else (R[None], t[None])
 
 
@@ -221,7 +225,7 @@ def block_errors(
     system: System, pose: Float[Array, "size"], block: Blocks
 ) -> tuple[Float[Array, "photographs corners 2"], Float[Array, "photographs stripe"]]:
     """All errors of one block in pixels; zero where masked, whatever stands there."""
-    stands = photograph_poses(system.rig, pose[:6], block)
+    stands = photograph_poses(system, pose[:6], block)
     corner = corner_errors(system, pose, stands, block)
     if not system.rig.lights or not block.stripe_used.size:
         return corner, jnp.zeros(block.stripe_used.shape, corner.dtype)
@@ -232,7 +236,7 @@ def stripe_errors(
     system: System, pose: Float[Array, "size"], stands: Stands, block: Blocks
 ) -> Float[Array, "photographs stripe"]:
     """The stripe's errors of one block in pixels; zero where masked. The rig has a light, the block a stripe."""
-    rig, shape, (R, t) = system.rig, shape_of_block(system, pose), stands
+    rig, shape, (R, t) = system.where(block.before).rig, shape_of_block(system, pose), stands
     if shape is None:
         board = dual_plane_of(R, t)
     else:

@@ -20,6 +20,7 @@ from jaxscan.calibration.model import Choice
 from jaxscan.calibration.observations import InlierMask, Observations, Unused, View
 from jaxscan.calibration.off_grid import OffGrid
 from jaxscan.calibration.on_board import stripe_points_in_space
+from jaxscan.calibration.parted import Parted
 from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.stage_shape import StageShape
 from jaxscan.files.rig_file import RigFile
@@ -102,6 +103,7 @@ class Calibration:
         off_grid: errors of the board's points that all photographs share.
         drift: what goes on slowly from the first photograph to the last.
         choice: how the model was chosen, where it was.
+        parted: what differs between the two parts of a session that was solved in two, of which this is one.
         formal_covariance: that of the rig's parameters by noise alone; `covariance` has what `off_grid` and
             `drift` add.
         held_out: of each photograph, in the order of `Observations.in_order`, −2 log of the density at which the others
@@ -142,6 +144,7 @@ class Calibration:
     off_grid: OffGrid | None = None
     drift: Drift | None = None
     choice: Choice | None = None
+    parted: Parted | None = None
     formal_covariance: Covariance | None = None
     held_out: Float[np.ndarray, "photographs"] = field(default_factory=lambda: np.zeros(0))
 
@@ -169,6 +172,8 @@ class Calibration:
         fit |= self.shape_facts()
         if self.choice is not None:
             fit["model"] = self.choice.sentence
+        if self.parted is not None:
+            fit["parted"] = self.parted.sentence
         found = self.off_grid is not None or self.drift is not None
         # Of a rig that is held altogether there are none.
         if found and (ratios := self.widened_by()):
@@ -289,7 +294,7 @@ def assemble(
     covariance = with_normal_numbers(np.asarray(refined.precision.covariance), solved, free)[np.ix_(at, at)]
     fits = _photograph_fits(observations, refined)
     fits, moved_fits = fits[:n_views], fits[n_views:]
-    unused = unused.and_then(_rejected((*fits, *moved_fits)))
+    unused = unused.and_then(rejected_points((*fits, *moved_fits)))
     corners = np.concatenate([fit.corner_errors[fit.corner_kept] for fit in (*fits, *moved_fits)])
     stripe = np.concatenate([fit.stripe_errors[fit.stripe_kept] for fit in (*fits, *moved_fits)])
     return Calibration(
@@ -427,7 +432,7 @@ def _sigmas(sigma: float, weights: Float[Array, "*any"]) -> Float[np.ndarray, "*
     return np.divide(sigma, relative, out=np.full(relative.shape, np.inf), where=relative > 0)
 
 
-def _rejected(fits: Sequence[PhotographFit]) -> Unused:
+def rejected_points(fits: Sequence[PhotographFit]) -> Unused:
     """What the rounds threw out, photograph by photograph: wholly, or some of its points."""
     unused = Unused()
     for fit in fits:

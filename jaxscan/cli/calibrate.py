@@ -77,7 +77,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read the session, find corners and stripes, solve, and write the rig."""
     if args.output.suffix.lower() != ".json":
         raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")
-    check_outputs([args.output])
+    outputs = [args.output, *([before_path(args.output)] if args.split else [])]
+    check_outputs(outputs)
     if args.camera is None and (args.hold_camera or args.camera_name or args.free):
         raise InputError(
             "--hold-camera, --camera-name and --free need the camera of a file: name it with --camera FILE"
@@ -94,7 +95,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if pages:
         extra("plots")
         _make_folder(args.report)
-        check_outputs([args.output, *pages])
+        check_outputs([*outputs, *pages])
     estimate = estimate_asked(args)
     calibration = calibrate_session(
         args.session,
@@ -113,6 +114,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     said = plain(judged)
     return {
         **rig_summary(args.output),
+        "before": str(before_path(args.output)) if _differs(calibration) else None,
         "left_out": list(calibration.left_out),
         "rejected": list(calibration.rejected),
         "notes": list(calibration.notes),
@@ -133,12 +135,24 @@ def calibrate_session(
     estimate: Estimate = AS_THE_SESSION,
     needs_laser: bool = False,
 ) -> "Calibration":
-    """Calibrate as `solve_sessions`, and write the rig to `output`."""
+    """Calibrate as `solve_sessions`, and write the rig to `output`, and where it was another before, that beside it."""
     from jaxscan.files.rig_file import write_rig
 
-    calibration = solve_sessions(paths, camera, name, hold, detector, estimate, needs_laser)
+    before, calibration = _solved(paths, camera, name, hold, detector, estimate, needs_laser)
+    if _differs(calibration):
+        write_rig(before_path(output), before.rig_file())
     write_rig(output, calibration.rig_file())
     return calibration
+
+
+def before_path(output: Path) -> Path:
+    """Where the rig before a change is written: `rig.before.json` beside `rig.json`."""
+    return output.with_name(f"{output.stem}.before{output.suffix}")
+
+
+def _differs(calibration: "Calibration") -> bool:
+    """Whether the rig was another before one of the photographs."""
+    return calibration.parted is not None and calibration.parted.rig_differs
 
 
 def solve_sessions(
@@ -150,7 +164,7 @@ def solve_sessions(
     estimate: Estimate = AS_THE_SESSION,
     needs_laser: bool = False,
 ) -> "Calibration":
-    """Calibrate with progress bars.
+    """Calibrate with progress bars; a session in two parts as its second part is.
 
     Args:
         paths: the sessions, all of one rig; or a `.mat` with corners in place of one.
@@ -161,10 +175,23 @@ def solve_sessions(
         estimate: lens, held parameters, board's shape and weights, as far as they are not the sessions'.
         needs_laser: whether the limit of speckle is asked for, which only a laser's stripe can show.
     """
+    return _solved(paths, camera, name, hold, detector, estimate, needs_laser)[1]
+
+
+def _solved(
+    paths: Sequence[Path],
+    camera: Path | None,
+    name: str | None,
+    hold: bool,
+    detector: Detector,
+    estimate: Estimate,
+    needs_laser: bool,
+) -> tuple["Calibration", "Calibration"]:
+    """The rig before a change and now: one and the same where there was none."""
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
-    from jaxscan.calibration import calibrate, calibrate_by_evidence
+    from jaxscan.calibration import calibrate, calibrate_by_evidence, calibrate_split
     from jaxscan.calibration.board_views import observations_from
     from jaxscan.calibration.held import held_parameters
     from jaxscan.calibration.known_scale import scale_note
@@ -239,14 +266,24 @@ def solve_sessions(
     model = Model(lens, settings[0].tilt, shapes[0], sheets, motion, periods)
     rest = {"principal_point": settings[0].principal_point, "start": start, "hold": held}
     with progress("solving", unit="step") as advance:
-        if estimate.chooses:
+        if estimate.split is not None:
+            rest |= {"plain": estimate.plain, "advance": advance.says}
+            try:
+                split = calibrate_split(observations, estimate.split, **model.asked(), **rest)
+            except InputError as error:
+                raise InputError(f"--split: {error}") from None
+            both = [split.before, split.after]
+        elif estimate.chooses:
             fixed = estimate.fixed() | ({"lens"} if start else set())
-            found = calibrate_by_evidence(observations, model, fixed=fixed, advance=advance.says, **rest)
+            both = [calibrate_by_evidence(observations, model, fixed=fixed, advance=advance.says, **rest)] * 2
         else:
-            found = calibrate(observations, **model.asked(), **rest, plain=estimate.plain, advance=advance.says)
+            both = [calibrate(observations, **model.asked(), **rest, plain=estimate.plain, advance=advance.says)] * 2
     scaled = [content for content in contents if isinstance(content, Session) and content.stage is not None]
-    note = scale_note(found, scaled) if scaled else None
-    return replace(found, notes=(*found.notes, note)) if note else found
+    before, now = (
+        replace(found, notes=(*found.notes, note)) if scaled and (note := scale_note(found, scaled)) else found
+        for found in both
+    )
+    return before, now
 
 
 def _sheets(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], estimate: Estimate) -> tuple[str, ...]:
@@ -451,6 +488,7 @@ def describe(result: dict[str, Any]) -> str:
 
     # What the rig's file warns of is among what the verdict does.
     lines = [format_summary({**result, "warnings": []})]
+    lines += [f"before the change: {result['before']}"] if result["before"] else []
     lines += [f"left out: {line}" for line in _by_reason(result["left_out"])]
     if rejected := result["rejected"]:
         of = "1 photograph" if len(rejected) == 1 else f"{len(rejected)} photographs"

@@ -30,7 +30,7 @@ class Estimate:
         sheet: the kind of all lasers' sheets, in place of the session's.
         board_shape: in place of the session's.
         since: the first photograph that takes part.
-        laser_since: the first photograph whose stripes do.
+        split: the first photograph of the second part, where the session is solved in two.
         tilt: the tilt of the sensor is sought, whatever the session says.
         stage_motion: the kind of the stage's motion, in place of the session's.
         model: "auto" or "given", whether terms may be added that the photographs ask for.
@@ -43,15 +43,19 @@ class Estimate:
     sheet: str | None = None
     board_shape: str | None = None
     since: str | None = None
-    laser_since: str | None = None
+    split: str | None = None
     tilt: bool = False
     stage_motion: str | None = None
     model: str = "auto"
 
     @property
     def chooses(self) -> bool:
-        """Whether the photographs choose the model; plain least squares weigh nothing, so nothing is chosen by them."""
-        return self.model == "auto" and not self.plain
+        """Whether the photographs choose the model; plain least squares weigh nothing, so nothing is chosen by them.
+
+        Nor is it chosen for a session in two parts: what was changed looks like a lens, a board or a sheet that is not
+        followed.
+        """
+        return self.model == "auto" and not self.plain and self.split is None
 
     def fixed(self) -> set[str]:
         """The parts of the model, of `calibration.choose.PARTS`, that the command line gives."""
@@ -74,15 +78,11 @@ class Estimate:
         Raises:
             InputError: there is no such photograph.
         """
-        for option, name, of in (
-            ("--since", self.since, observations.since),
-            ("--laser-since", self.laser_since, observations.stripes_since),
-        ):
-            if name is not None:
-                try:
-                    observations = of(name)
-                except InputError as error:
-                    raise InputError(f"{option}: {error}") from None
+        if self.since is not None:
+            try:
+                return observations.since(self.since)
+            except InputError as error:
+                raise InputError(f"--since: {error}") from None
         return observations
 
     def zeros(self, path: Path, start: "Camera") -> tuple[str, ...]:
@@ -177,10 +177,12 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         "refocused before it",
     )
     parser.add_argument(
-        "--laser-since",
+        "--split",
         metavar="PHOTOGRAPH",
-        help="leave out only the stripes of the photographs before this one, where the laser was moved before it: "
-        "their corners still help to determine the camera",
+        help="solve the photographs before this one and those from it on as two parts, where something was moved or "
+        "refocused between them: which of focus, principal point, distortion, sheets of light and axes differ is found "
+        "from the photographs, all else from both parts together. RIG is the rig from this photograph on; "
+        "RIG with .before in its name is the rig before. The model is what session and options say",
     )
     parser.add_argument(
         "--plain",
@@ -200,6 +202,11 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
     hold, free = (tuple(name for names in given for name in names) for given in (args.hold, args.free))
     if both := sorted(set(hold) & set(free)):
         raise InputError(f"--hold and --free both name {', '.join(both)}: keep one of them")
+    if args.split is not None and args.since is not None:
+        raise InputError(
+            f"--split {args.split} and --since {args.since}: one solves the photographs before as a part of their own, "
+            "the other leaves them out: keep one of them"
+        )
     if args.lens is not None:
         from jaxscan.rig.kinds import lens_of_kind
 
@@ -229,7 +236,7 @@ def estimate_asked(args: argparse.Namespace) -> Estimate:
         args.sheet,
         args.board_shape,
         args.since,
-        args.laser_since,
+        args.split,
         args.tilt,
         args.stage_motion,
         args.model,

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxscan.geometry import Pose
 from jaxscan.rig.board_shape import BoardShape
@@ -14,6 +14,8 @@ from jaxscan.rig.rig import Rig, parameter_names
 
 # The names of the terms of a board's shape, in the order of its leaves.
 SHAPE_TERMS: Final = ("shape.bulge.0", "shape.bulge.1", "shape.twist.0", "shape.edge.0", "shape.edge.1")
+# What the names of `System.earlier` begin with.
+EARLIER: Final = "earlier."
 
 
 class System(eqx.Module):
@@ -25,16 +27,30 @@ class System(eqx.Module):
             each board that was moved by an axis, at its positions of reference; then of each gauge, T_object_gauge.
             For a board with its own bends, two bulges follow its pose, mm.
         shape: the board's, shared as well, or None for a flat one.
+        earlier: what the numbers of the rig were more by in photographs that were taken before something was changed,
+            leaf by leaf; None where the rig is one.
     """
 
     rig: Rig
     poses: tuple[Float[Array, "_ _"], ...]
     shape: BoardShape | None = None
+    earlier: Rig | None = None
 
     @property
-    def shared(self) -> tuple[Rig, BoardShape | None]:
+    def shared(self) -> tuple[Rig, BoardShape | None, Rig | None]:
         """What all residuals depend on, in the order of its leaves."""
-        return self.rig, self.shape
+        return self.rig, self.shape, self.earlier
+
+    def where(self, before: Bool[Array | np.ndarray, ""] | None) -> "System":
+        """As a block of photographs sees it that was taken before the change, or after it; itself where the rig is one.
+
+        Args:
+            before: whether it was taken before; None where the rig is one.
+        """
+        if self.earlier is None or before is None:
+            return self
+        rig = jax.tree.map(lambda now, more: now + jnp.where(before, more, 0.0), self.rig, self.earlier)
+        return System(rig, self.poses, self.shape)
 
     @property
     def boards(self) -> Pose:
@@ -52,7 +68,9 @@ class System(eqx.Module):
 
     def shared_names(self) -> list[str]:
         """The names of what is shared, in the order of its leaves."""
-        return [*parameter_names(self.rig), *SHAPE_TERMS[: len(jax.tree.leaves(self.shape))]]
+        names = parameter_names(self.rig)
+        earlier = [] if self.earlier is None else [f"{EARLIER}{name}" for name in names]
+        return [*names, *SHAPE_TERMS[: len(jax.tree.leaves(self.shape))], *earlier]
 
     def values(self) -> list[float]:
         """The values of the shared parameters, in the order of `shared_names`."""

@@ -341,8 +341,11 @@ def scene(calibration: Calibration, diagnostics: Diagnostics, points_in_space: S
             drawn.append(sheet)
             axes.add_collection3d(Poly3DCollection([sheet], facecolor=RED, edgecolor=RED, alpha=0.12, linewidth=0.8))
             named["light plane"] = Patch(facecolor=RED, alpha=0.2)
+    distances = diagnostics.coverage.distances_mm
+    if not len(distances):
+        distances = np.linalg.norm(np.asarray(places.translation), axis=1)
     (named["camera"],) = axes.plot(
-        *place(_frustum(calibration) * 0.2 * float(np.median(diagnostics.coverage.distances_mm))).T,
+        *place(_frustum(calibration) * 0.2 * float(np.median(distances))).T,
         color="black",
         linewidth=1,
     )

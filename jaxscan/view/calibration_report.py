@@ -92,6 +92,7 @@ def compose(
             "sigma_over_noise_alone": calibration.widened_by(),
             "model": calibration.choice.as_data() if calibration.choice is not None else None,
             "change": calibration.change,
+            "parted": calibration.parted,
             "stage_shapes": calibration.stage_shapes,
             "diagnostics": diagnostics,
             "working_volumes": volumes,

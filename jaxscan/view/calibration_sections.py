@@ -55,6 +55,7 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         paragraphs=(
             paragraph,
             *([f"Model: {calibration.choice.sentence}."] if calibration.choice is not None else []),
+            *([f"In two parts: {calibration.parted.sentence}."] if calibration.parted is not None else []),
             *_shapes(calibration),
         ),
         tables=(Table(title, columns, tuple(rows)),),
@@ -383,14 +384,17 @@ def lens(tried: Ladder) -> Section:
 
 def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     """What the photographs cover."""
-    cover = diagnostics.coverage
-    words = [
-        f"Boards: {len(cover.distances_mm)} views, {cover.distances_mm.min():.0f} to {cover.distances_mm.max():.0f} "
-        f"mm away, tilted by {cover.tilts_deg.min():.0f}° to {cover.tilts_deg.max():.0f}°, normals within "
-        f"{cover.tilt_spread_deg:.0f}° of each other.",
-        f"Corners: in {100 * cover.image_share:.0f} % of the image, as far as {100 * cover.reach:.0f} % of the way "
-        "from its centre to its corners.",
-    ]
+    cover, words = diagnostics.coverage, []
+    # A part of a session may have none.
+    viewed = len(cover.distances_mm) > 0
+    if viewed:
+        words += [
+            f"Boards: {len(cover.distances_mm)} views, {cover.distances_mm.min():.0f} to "
+            f"{cover.distances_mm.max():.0f} mm away, tilted by {cover.tilts_deg.min():.0f}° to "
+            f"{cover.tilts_deg.max():.0f}°, normals within {cover.tilt_spread_deg:.0f}° of each other.",
+            f"Corners: in {100 * cover.image_share:.0f} % of the image, as far as {100 * cover.reach:.0f} % of the way "
+            "from its centre to its corners.",
+        ]
     for s in cover.stripes:
         words.append(
             f"Stripes{' of laser ' + s.laser if s.laser else ''}: {s.points} points on {s.views} boards, "
@@ -407,7 +411,7 @@ def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
     return Section(
         "What the photographs cover",
         items=tuple(words),
-        figures=(draw("coverage", caption, plots.coverage(diagnostics)),),
+        figures=(draw("coverage", caption, plots.coverage(diagnostics)),) if viewed else (),
     )
 
 

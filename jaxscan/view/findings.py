@@ -211,7 +211,9 @@ def _worse(diagnostics: Diagnostics) -> list[Box]:
 def thin(diagnostics: Diagnostics) -> list[Box]:
     """Photographs that leave much to the model."""
     cover, boxes = diagnostics.coverage, []
-    if cover.tilt_spread_deg < _TILT_SPREAD_DEG:
+    # A part of a session without views has its camera from the other part, and says so.
+    viewed = len(cover.tilts_deg) > 0
+    if viewed and cover.tilt_spread_deg < _TILT_SPREAD_DEG:
         boxes.append(
             Box(
                 "care",
@@ -220,7 +222,7 @@ def thin(diagnostics: Diagnostics) -> list[Box]:
                 "Tilt the board by 30° or more, in different directions from view to view.",
             )
         )
-    if cover.image_share < _IMAGE_SHARE and cover.reach < _REACH:
+    if viewed and cover.image_share < _IMAGE_SHARE and cover.reach < _REACH:
         boxes.append(
             Box(
                 "care",

@@ -45,6 +45,7 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *_sheets(calibration, diagnostics, lens),
         *_bent(calibration, diagnostics),
         *_changed(calibration),
+        *_lent(calibration),
         *_drift(calibration),
         *_moved(calibration, diagnostics),
         *_stage(calibration, diagnostics),
@@ -272,6 +273,12 @@ def _changed(calibration: Calibration) -> list[Box]:
         return []
     what, fix = calibration.change.statement
     return [Box("stop", f"{what}.", fix)]
+
+
+def _lent(calibration: Calibration) -> list[Box]:
+    """What the photographs of one part of a session do not show."""
+    parted = calibration.parted
+    return [] if parted is None else [Box("care", f"{each[0].upper()}{each[1:]}.", "") for each in parted.lent]
 
 
 def _drift(calibration: Calibration) -> list[Box]:

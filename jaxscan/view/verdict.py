@@ -73,7 +73,8 @@ def judge(
     level: Level = found[0].level if found else "good"
     return Verdict(
         level=level,
-        statement=f"{_GRAVEST[level]}. {_precision(calibration, volumes, diagnostics.sigma_factor)}",
+        statement=f"{_GRAVEST[level]}. {_precision(calibration, volumes, diagnostics.sigma_factor)}"
+        f"{_parted(calibration)}",
         limits=limits(calibration, diagnostics, volumes)[0],
         next=_next(found, diagnostics, advice),
         warnings=found,
@@ -89,6 +90,16 @@ def _next(found: tuple[Box, ...], diagnostics: Diagnostics, advice: Advice) -> s
         return lacking[0].advice
     first = advice.words[0]
     return f"{first[0].upper()}{first[1:]}."
+
+
+def _parted(calibration: Calibration) -> str:
+    """What a session in two parts has found, and which part this is; nothing of a session solved whole."""
+    parted = calibration.parted
+    if parted is None:
+        return ""
+    where = f"from {parted.after} on" if parted.later else f"up to {parted.before}"
+    this = f" This is the rig {where}." if parted.rig_differs else ""
+    return f"{this} {parted.sentence[0].upper()}{parted.sentence[1:]}."
 
 
 def _precision(calibration: Calibration, volumes: tuple[WorkingVolume, ...], factor: float) -> str:

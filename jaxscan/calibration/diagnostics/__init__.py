@@ -109,7 +109,9 @@ def diagnose(
     each = sessions(calibration.observations)
     apart = [solve_apart(calibration, each[0], other) for other in each[1:]] if thorough else []
     advance(1)
-    found = any(name.startswith("camera") for name in calibration.covariance.names)
+    # A part of a session may have no views, and says nothing of the camera then.
+    viewed = bool(calibration.observations.views)
+    found = viewed and any(name.startswith("camera") for name in calibration.covariance.names)
     ladder = climb(calibration) if found and thorough else None
     advance(1)
     return Diagnostics(
@@ -124,7 +126,7 @@ def diagnose(
         stages=stage_errors(calibration),
         turntables=turntable_errors(calibration),
         stage_orders=stage_orders(calibration),
-        missing_terms=missing_terms(calibration),
+        missing_terms=missing_terms(calibration) if viewed else None,
         coverage=coverage,
         thorough=thorough,
         too_few_for_halves=parts is None,
