@@ -23,7 +23,11 @@ _KEPT_S = 14 * 24 * 3600
 
 # command: what it needs installed, what it runs, what it is for
 COMMANDS = {
-    "demo": ("viewer", ["jaxscan", "demo"], "simulate a scanner, calibrate it, scan a panda, compare with the truth"),
+    "demo": (
+        "plots,viewer",
+        ["jaxscan", "demo"],
+        "simulate a scanner, calibrate it, scan a panda, compare with the truth",
+    ),
     "test": ("dev", ["pytest"], "run the tests"),
     "lint": ("dev", ["ruff", "check"], "check the style, then the words"),
     "words": ("dev", ["python", "docs/words"], "check spelling, phrases, and how easy the pages are to read"),

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
     from jaxscan.surface.reference import Reference
 
+# A median beyond this part of the reference's size is no difference of form.
+_MISFIT: Final = 0.01
 HELP: Final = "say how far a cloud is from a reference: signed distances, steps, flatness"
 EXAMPLE: Final = "jaxscan compare cup.ply cup-cad.stl --fit -o difference.ply --png difference.png"
 
@@ -94,7 +96,18 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     return result
 
 
+def _other_things(cloud: Path, median_mm: float, size_mm: float) -> str:
+    """What is said where a fit has not carried the cloud onto the reference."""
+    return (
+        f"half of the points are more than {median_mm:.3g} mm off after the fit, and the reference is {size_mm:.3g} mm "
+        "large: the fit failed, or other things are in the cloud, as a floor: compare what "
+        f"`jaxscan mesh {cloud.stem}.npz -o object.npz` leaves, or cut the rest away (--crop of jaxscan mesh)"
+    )
+
+
 def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
+    import numpy as np
+
     from jaxscan.errors import error_context
     from jaxscan.surface.compare import compare
 
@@ -112,7 +125,10 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
     motion = None
     if found.motion is not None:
         motion = {"rotation": found.motion.matrix().tolist(), "translation_mm": found.motion.translation.tolist()}
+    size = float(np.linalg.norm(np.ptp(reference.bounds, axis=0)))
+    misfit = args.fit and figures["median_mm"] > _MISFIT * size
     return {
+        "warnings": [_other_things(args.cloud, float(figures["median_mm"]), size)] if misfit else [],
         "reference": str(args.reference),
         "reference_inside_out": bool(getattr(reference, "inside_out", False)),
         "figures": figures,
@@ -203,6 +219,7 @@ def describe(result: dict[str, Any]) -> str:
             f"95 % {figures['p95_mm']:.4f}, largest {figures['largest_mm']:.4f} mm",
             f"  mean       {figures['mean_mm']:+.4f} mm, positive in front of the reference",
         ]
+        lines += [f"warning: {words}" for words in result["warnings"]]
         if result["reference_inside_out"]:
             lines.append("  reference  is inside out, and was turned")
         if result["written"]:

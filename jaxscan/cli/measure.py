@@ -150,12 +150,15 @@ def describe(result: dict[str, Any]) -> str:
     """The result in words."""
     rows = result["dimensions"]
     wide = max([len(row["name"]) for row in rows], default=0)
-    lines = [f"{result['path']}: {result['part']}" + (f", {result['verdict']}" if result["verdict"] else "")]
+    open_rows = [row["name"] for row in rows if row["value"] is None]
+    where = f" in what was measured, {len(open_rows)} of {len(rows)} dimensions were not" if open_rows else ""
+    lines = [f"{result['path']}: {result['part']}" + (f", {result['verdict']}{where}" if result["verdict"] else "")]
     for row in rows:
         lines.append(f"  {row['name']:{wide}}  {in_words(row)}")
         lines += [f"  {'':{wide}}  note: {note}" for note in row["notes"]]
     lines += [f"note: {note}" for note in result["notes"]]
-    lines += [f"not measured: {problem}" for problem in result["failed"]]
+    # Of a dimension it was said in its line.
+    lines += [f"not measured: {problem}" for problem in result["failed"] if problem.split(": ")[0] not in open_rows]
     lines += [f"warning: {warning}." for warning in result.get("warnings", [])]
     if result.get("written"):
         lines.append(f"written: {', '.join(result['written'])}")

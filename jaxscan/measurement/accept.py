@@ -39,6 +39,8 @@ _CLEAR: Final = BEYOND + 0.2
 # Of an expanded uncertainty over σ.
 EXPANDED: Final = 2.0
 _UNEXPLAINED: Final = 3.0
+# A length that is off by more than this part of it is no error of a scanner.
+_ANOTHER: Final = 0.1
 # How many places of the artefact VDI/VDE 2634 part 2 asks for.
 PLACES: Final = {"probing_form": 10, "probing_size": 10, "distance": 7, "flatness": 6}
 
@@ -149,6 +151,13 @@ def _figures(name: str, image: RangeImage, rig: RigFile | None, artefact: Artefa
     found = measure(scanned_image(image, rig, part), part)
     if found.problems:
         raise InputError("; ".join(found.problems))
+    certified = [*(ball.diameter for ball in artefact.balls), *(d.length for d in artefact.distances)]
+    for measured, length in zip(found.dimensions, certified, strict=True):
+        if measured.value is not None and abs(measured.value - length) > _ANOTHER * length:
+            raise InputError(
+                f"{measured.dimension.name}: {measured.value:.4g} mm were found, {length:.4g} mm are certified, and no "
+                "scanner errs so much: the artefact is not in this scan, or is another one"
+            )
     by_name = {each.feature.name: each for each in found.features}
     figures = []
     for ball, size in zip(artefact.balls, found.dimensions, strict=False):

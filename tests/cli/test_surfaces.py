@@ -163,6 +163,15 @@ def test_compare_with_a_mesh_and_with_a_cloud(folder, capsys):
     assert "region 1" in capsys.readouterr().out
 
 
+def test_a_fit_that_fails_is_said(folder, capsys):
+    """The floor is most of the cloud, and the reference has none."""
+    trimesh.PointCloud(trimesh.creation.icosphere(2, 3.0).vertices).export(folder / "ball.ply")
+    assert main(["compare", str(folder / "block.npz"), str(folder / "ball.ply"), "--fit"]) == 0
+    said = capsys.readouterr().out
+    assert "warning: half of the points are more than" in said
+    assert "jaxscan mesh block.npz -o object.npz" in said
+
+
 def test_inspect_meshes_clouds_and_views(folder, capsys):
     run(capsys, "mesh", folder / "block.npz", "-o", folder / "seen.ply", "-o", folder / "seen.stl")
     for ending in ("ply", "stl"):

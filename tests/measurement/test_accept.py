@@ -142,6 +142,15 @@ def test_drift_is_named_only_where_it_is_more_than_its_uncertainty(artefact):
     assert changes(tests[:1]) == []
 
 
+def test_what_is_not_the_artefact_is_refused(artefact):
+    """Two balls that are elsewhere: nothing of it may get into the history."""
+    rig, each = scans(1)
+    other = replace(artefact, distances=tuple(replace(one, length=62.0) for one in artefact.distances))
+    found = accept(each, rig, other)
+    assert "62 mm are certified, and no scanner errs so much" in found.problems[0]
+    assert not found.figures
+
+
 def test_the_history_is_only_added_to(artefact, tmp_path):
     path = tmp_path / "history.jsonl"
     test = {"date": "2026-01-01", "artefact": "a", "certificate": "c", "rig": None, "verdict": None, "figures": []}
