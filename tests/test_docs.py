@@ -23,6 +23,7 @@ from benchmarks.__main__ import command_line as bench_command_line
 from benchmarks.headline import command_line as headline_command_line
 from benchmarks.pictures import command_line as pictures_command_line
 from hardware.devices import read_scanner
+from jaxscan.cli.board import EXAMPLE as BOARD_EXAMPLE
 from jaxscan.cli.main import Program, main, parser_of
 from jaxscan.files.artefact_file import read_artefact
 from jaxscan.files.profiles import read_profiles
@@ -88,6 +89,21 @@ def options_of(parser: argparse.ArgumentParser, command: str) -> set[str]:
         if isinstance(action, argparse._SubParsersAction):
             parser = action.choices[command]
     return set(chain.from_iterable(action.option_strings for action in parser._actions))
+
+
+def boards_shown() -> list[str]:
+    """All `jaxscan board` lines of pages and help, and a line for each `--square N` in the midst of a sentence."""
+    whole = [*chain.from_iterable((*commands(page), *mentioned(page)) for page in PAGES), *BOARD_EXAMPLE.splitlines()]
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    squares = [f"jaxscan board -o board.svg {square}" for square in re.findall(r"`(--square [\d.]+)`", text)]
+    return [*(line.strip() for line in whole if re.match(r"\s*jaxscan board .*-o ", line)), *squares]
+
+
+@pytest.mark.parametrize("line", boards_shown())
+def test_every_board_that_is_shown_fits_its_page(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split(line)[1:]) == 0
+    assert list(tmp_path.glob("board.*"))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("mkdocs") is None, reason="mkdocs is not installed (extra docs)")

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 HELP: Final = "draw a calibration board to print, and write the session.toml that goes with it"
 EXAMPLE: Final = (
     "jaxscan board -o board.pdf --session session\n"
-    "  jaxscan board -o board.svg --kind charuco --board 10x7 --square 25 --page letter"
+    "  jaxscan board -o board.svg --kind charuco --board 10x7 --square 24 --page letter"
 )
 
 _COUNTS: Final = {"checkerboard": "9x6", "circles": "9x6", "charuco": "10x7"}

@@ -383,8 +383,9 @@ def describe(result: dict[str, Any]) -> str:
         f"{result['triangles']} triangles between {result['vertices']} points: {', '.join(result['path'])}",
         f"  surface    {result['area_mm2']:.6g} mm², {closed}",
     ]
-    if result.get("coloured"):
-        lines.append(f"  colours    of {result['coloured']} of its points, in .ply and .obj")
+    kept = [ending for ending in (".ply", ".obj") if any(path.lower().endswith(ending) for path in result["path"])]
+    if result.get("coloured") and kept:
+        lines.append(f"  colours    of {result['coloured']} of its points, in {' and '.join(kept)}")
     if "texture" in result:
         lines.append(texture_in_words(result["texture"]))
     if "removed" in result:

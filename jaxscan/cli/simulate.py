@@ -358,16 +358,25 @@ def _each_pose(lasers: int, separate_stripes: bool) -> int:
 
 def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
-    out, sides = result["path"], result["sides"]
-    turned = f"--steps {result['steps_apart']:g}" if result["steps_apart"] else f"--turn {360 / sides:g}"
-    if sides == 1:
-        turned = "--turn 0"
-    joined = f"\nthen: jaxscan merge {out}/scan-* --rig {out}/rig.json {turned} -o {out}/model.stl"
-    return (
-        f"{result['photographs']} photographs of boards and of a {result['object']}, "
-        f"{result['true_points']} true points: "
-        f"{', '.join(f'{out}/{folder}' for folder in ('session', *result['scans'], 'truth'))}\n"
-        f"next: jaxscan calibrate {out}/session -o {out}/rig.json" + (joined if len(result["scans"]) > 1 else "")
+    out, sides, scans = result["path"], result["sides"], result["scans"]
+    if len(scans) > 1:
+        degrees = 360 / sides if sides > 1 else 0
+        turned = f"--steps {result['steps_apart']:g}" if result["steps_apart"] else f"--turn {degrees:g}"
+        then = [f"jaxscan merge {out}/scan-* --rig {out}/rig.json {turned} -o {out}/model.stl"]
+    else:
+        points = f"{out}/{scans[0]}.npz"
+        then = [
+            f"jaxscan reconstruct {out}/{scans[0]} --rig {out}/rig.json -o {points}",
+            f"jaxscan mesh {points} -o {out}/model.stl",
+        ]
+    return "\n".join(
+        [
+            f"{result['photographs']} photographs of boards and of a {result['object']}, "
+            f"{result['true_points']} true points: "
+            f"{', '.join(f'{out}/{folder}' for folder in ('session', *scans, 'truth'))}",
+            f"next: jaxscan calibrate {out}/session -o {out}/rig.json",
+            *(f"then: {line}" for line in then),
+        ]
     )
 
 

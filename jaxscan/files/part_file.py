@@ -23,6 +23,8 @@ OF_TWO_PLANES: Final = ("edge", "slot")
 _PLACES: Final = ("plane", "slot", "ball", "circle", "cylinder", "cone", "line", "edge")
 _DIRECTED: Final = ("plane", "slot", "cylinder", "cone", "line", "edge")
 _FLAT: Final = ("plane", "slot")
+# The keys of a feature of any kind; each kind has some of them.
+_FEATURE_KEYS: Final = ("name", "kind", "of", "point", "normal", "section", "box", "ball", "grow")
 _ROUND: Final = ("ball", "cylinder", "circle")
 
 # Of each kind of dimension: which kinds of feature it is of, one tuple for each feature.
@@ -179,6 +181,7 @@ def read_part(path: str | os.PathLike[str]) -> Part:
 
 def _feature(table: Table, known: dict[str, Feature], scale: float) -> Feature:
     kinds = (*FITTED, "surface", "section", *IN_A_SECTION, *OF_TWO_PLANES)
+    table.only(*_FEATURE_KEYS)
     kind = table.string("kind", choices=kinds)
     name = table.string("name")
     if name in known:
@@ -224,6 +227,7 @@ def _region(table: Table, scale: float) -> Region:
 
 
 def _dimension(table: Table, features: dict[str, Feature], scale: float) -> Dimension:
+    table.only("name", "kind", "of", "nominal", "tolerance", "reference", "fit")
     kind, name = table.string("kind", choices=tuple(DIMENSIONS)), table.string("name")
     of_profile = ("reference", "fit") if kind == "profile" else ()
     table.only("name", "kind", "of", "nominal", "tolerance", *of_profile)

@@ -42,9 +42,9 @@ def read_profiles_csv(table: Table, files: Sequence[Path]) -> Found:
     Raises:
         InputError: a number cannot be read, a column is missing, or profiles have different lengths.
     """
-    titles = _titles(table)
+    renamed = _renamed(table)
     invalid = table.number("invalid") if "invalid" in table else None
-    parts = [_read(table, file, titles, invalid) for file in files]
+    parts = [_read(file, renamed, invalid) for file in files]
     if isinstance(parts[0], np.ndarray):
         rows = [part for part in parts if isinstance(part, np.ndarray)]
         if len(rows) != len(parts) or len({part.shape[1] for part in rows}) > 1:
@@ -62,18 +62,17 @@ def read_profiles_csv(table: Table, files: Sequence[Path]) -> Found:
     return stacked["x"], stacked["z"], stacked.get("intensity")
 
 
-def _titles(table: Table) -> dict[str, tuple[str, ...]]:
-    """What each column may be called."""
+def _renamed(table: Table) -> dict[str, str]:
+    """What columns are called by the file of the profiles, as `[profiles.columns]` has it."""
     if "columns" not in table:
-        return dict(_USUAL)
+        return {}
     given = table.table("columns", "[profiles.columns] ").only(*_USUAL)
-    return {name: (given.string(name).lower(),) if name in given else usual for name, usual in _USUAL.items()}
+    return {name: given.string(name) for name in _USUAL if name in given}
 
 
-def _read(
-    table: Table, file: Path, titles: dict[str, tuple[str, ...]], invalid: float | None
-) -> Columns | Float[np.ndarray, "profiles points"]:
+def _read(file: Path, renamed: dict[str, str], invalid: float | None) -> Columns | Float[np.ndarray, "profiles points"]:
     """The columns of a file with a header; the lines of one without."""
+    titles = {name: (renamed[name].lower(),) if name in renamed else usual for name, usual in _USUAL.items()}
 
     def parse(text: str) -> Columns | Float[np.ndarray, "profiles points"]:
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
@@ -93,9 +92,10 @@ def _read(
         places = {name: next((header.index(t) for t in names if t in header), None) for name, names in titles.items()}
         for name in _NEEDED:
             if places[name] is None:
+                named = f", which [profiles.columns] {name} names" if name in renamed else ""
                 raise ValueError(
-                    f'has no column "{titles[name][0]}"; its columns are {", ".join(header)}: name the one that is '
-                    f"{name} under [profiles.columns]"
+                    f'has no column "{renamed.get(name, name)}"{named}; its columns are {", ".join(header)}: name the '
+                    f"one that is {name} under [profiles.columns]"
                 )
         if len(lines) == 1:
             raise ValueError("has a header and no points: export the profiles again")

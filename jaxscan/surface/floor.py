@@ -101,8 +101,9 @@ def find_floor(image: RangeImage) -> Floor:
     if floor.share < _LEAST_SHARE or under > _MOST_BELOW or floor.sigma_mm > _LARGEST_SIGMA_MM:
         raise InputError(
             f"no floor was found: the best plane holds {100 * floor.share:.0f} % of the points within "
-            f"{floor.tolerance_mm:.2g} mm, and {100 * under:.0f} % lie below it: pick points of the floor, scan the "
-            "bare stage, or keep what there is"
+            f"{floor.tolerance_mm:.2g} mm, and {100 * under:.0f} % lie below it: keep what there is (--floor keep); "
+            "`jaxscan mesh` also takes points of the floor (--floor X,Y,Z:X,Y,Z:X,Y,Z) or a scan of the bare stage "
+            "(--floor bare.npz)"
         )
     return floor
 
@@ -122,9 +123,16 @@ def floor_from_picks(image: RangeImage, picks: Sequence[Sequence[float]]) -> Flo
         raise InputError(f"{len(picks)} picked points give no plane: pick three or more, far from each other")
     around = []
     for pick in picks:
-        near = cloud[np.linalg.norm(cloud - pick, axis=1) < _AROUND_MM]
+        away = np.linalg.norm(cloud - pick, axis=1)
+        near = cloud[away < _AROUND_MM]
         if not len(near):
-            raise InputError(f"there is no point within {_AROUND_MM:g} mm of the pick {list(pick)}: pick on the points")
+            if not len(cloud):
+                raise InputError("0 points have no floor: scan more")
+            x, y, z = cloud[away.argmin()]
+            raise InputError(
+                f"there is no point within {_AROUND_MM:g} mm of the pick {list(pick)}; the nearest is {x:.2f},{y:.2f},"
+                f"{z:.2f}, {away.min():.3g} mm away: pick on the points"
+            )
         around.append(near)
     points = np.concatenate(around)
     middles = np.stack([near.mean(axis=0) for near in around])

@@ -83,7 +83,9 @@ def test_colours_and_albedo_in_every_file(folder, tmp_path, capsys, monkeypatch)
     first = next(line for line in Path("b.obj").read_text().splitlines() if line.startswith("v "))
     assert len(first.split()) == 7
     # Vertices that are none of the scan's points have the colours of those near them.
-    run(capsys, "mesh", "a.npz", "--grid", "0.7", "-o", "c.ply")
+    said = run(capsys, "mesh", "a.npz", "--grid", "0.7", "-o", "c.ply")
+    assert "of its points, in .ply\n" in said
+    assert "of its points, in" not in run(capsys, "mesh", "a.npz", "--grid", "0.7", "-o", "c.glb")
     assert is_green(read_cloud("c.ply").colours).mean() > 0.9
 
 

@@ -48,7 +48,13 @@ def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None
     assert (scan.moving, scan.axes["turntable"]) == (("turntable",), (0, 1600))
     assert scan.frames[0].suffix == ".jpg"
     assert (out / "truth" / "scan.npz").is_file()
-    assert "box" in simulate.describe(result)
+    first, *commands = simulate.describe(result).splitlines()
+    assert "box" in first
+    assert commands == [
+        f"next: jaxscan calibrate {out}/session -o {out}/rig.json",
+        f"then: jaxscan reconstruct {out}/scan --rig {out}/rig.json -o {out}/scan.npz",
+        f"then: jaxscan mesh {out}/scan.npz -o {out}/model.stl",
+    ]
 
 
 def test_a_box_from_three_sides(few_photographs: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,7 +65,10 @@ def test_a_box_from_three_sides(few_photographs: None, tmp_path: Path, monkeypat
     first, second = (read_scan_truth(out / "truth", which) for which in ("000", "120"))
     assert read_scan(out / "scan-240").axes["stage"] == (0, 18000, 36000) == tuple(first.axes["stage"])
     assert not np.array_equal(first.position, second.position, equal_nan=True)
-    assert "--turn 120" in simulate.describe(result)
+    assert simulate.describe(result).splitlines()[1:] == [
+        f"next: jaxscan calibrate {out}/session -o {out}/rig.json",
+        f"then: jaxscan merge {out}/scan-* --rig {out}/rig.json --turn 120 -o {out}/model.stl",
+    ]
 
 
 def test_boards_held_by_hand_and_a_laser_of_two_lobes(

@@ -142,6 +142,12 @@ WRONG = {
     "unit": (CSV, COMMON.replace("mm", "parsec"), MOTION, r'units = "parsec": must be one of um, mm, cm, m, inch'),
     "no unit": (CSV, "steps_per_frame = 1\n", MOTION, r"units: is missing: add it, one of um, mm"),
     "column": ("profile,x,y\n0,1,2\n", COMMON, MOTION, r'has no column "z"; its columns are profile, x, y: name'),
+    "column given": (
+        "profile,x,y\n0,1,2\n",
+        COMMON + '[profiles.columns]\nz = "Z"\n',
+        MOTION,
+        r'has no column "Z", which \[profiles.columns\] z names; its columns are profile, x, y: name',
+    ),
     "lengths": (CSV + "2,1,200\n", COMMON, MOTION, r"profile 2 has 1 points, the first 2: export all points"),
     "short line": (CSV + "2,1\n", COMMON, MOTION, r"line 6 has 2 numbers, the first has 3"),
     "words": (CSV + "2,1,far\n", COMMON, MOTION, r'line 6: "far" is no number: export it without text'),

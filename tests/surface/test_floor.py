@@ -62,10 +62,18 @@ def test_picked_points():
     for some, problem in (
         (picks[:2], "2 picked points give no plane"),
         ([*picks[:2], [0.0, -2.0, 300.0]], "lie on one line"),
-        ([*picks[:2], [0.0, 99.0, 300.0]], r"no point within 2 mm of the pick \[0.0, 99.0, 300.0\]"),
+        ([*picks[:2], [0.0, 99.0, 300.0]], r"no point within 2 mm of the pick \[0.0, 99.0, 300.0\]; the nearest is "),
     ):
         with pytest.raises(InputError, match=problem):
             floor_from_picks(image, some)
+
+
+def test_the_point_nearest_to_a_pick_beside_all_is_named():
+    image = block(noise=0.0)
+    x, y, z = image.points[0, 0].astype(float)
+    with pytest.raises(InputError, match="no point within 2 mm of the pick") as error:
+        floor_from_picks(image, [[x - 5.0, y, z]] * 3)
+    assert f"the nearest is {x:.2f},{y:.2f},{z:.2f}, 5 mm away: pick on the points" in str(error.value)
 
 
 def test_no_floor_and_nothing_on_it():
@@ -74,7 +82,10 @@ def test_no_floor_and_nothing_on_it():
         stands_on(flat, find_floor(flat))
     alone = ball(noise=0.02)
     alone = alone.where(alone.points[..., 2] < 297)
-    with pytest.raises(InputError, match="no floor was found"):
+    with pytest.raises(
+        InputError,
+        match=r"no floor was found: .* \(--floor keep\).* \(--floor X,Y,Z:X,Y,Z:X,Y,Z\) .* \(--floor bare.npz\)",
+    ):
         find_floor(alone)
     with pytest.raises(InputError, match="0 points have no floor"):
         find_floor(flat.where(np.zeros_like(flat.valid)))
