@@ -86,10 +86,11 @@ def _next(found: tuple[Box, ...], diagnostics: Diagnostics, advice: Advice) -> s
     """What is wrong comes first, then what the photographs do not cover, then what helps most."""
     if found and found[0].level == "stop" and found[0].advice:
         return f"First correct what is wrong. {found[0].advice}"
-    if not diagnostics.thorough and (lacking := thin(diagnostics)):
-        return lacking[0].advice
     first = advice.words[0]
-    return f"{first[0].upper()}{first[1:]}."
+    if not (lacking := thin(diagnostics)):
+        return f"{first[0].upper()}{first[1:]}."
+    # Beyond the photographs no pose can be planned, for what the lens does there is not known.
+    return f"{lacking[0].advice} Where it has been: {first}." if diagnostics.thorough else lacking[0].advice
 
 
 def _parted(calibration: Calibration) -> str:

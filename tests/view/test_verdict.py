@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Calibration, Observations, calibrate
+from jaxscan.calibration.diagnostics import diagnose
 from jaxscan.rig import Rig
 from jaxscan.rig.rig import parameter_names
+from jaxscan.view.advice import Advice
 from jaxscan.view.report import Report
-from jaxscan.view.verdict import verdict
+from jaxscan.view.verdict import judge, verdict
 from tests.calibration import synthetic
 from tests.calibration.synthetic import BOARD, IMAGE_SIZE, K1, Noise
 
@@ -83,6 +85,15 @@ def test_what_is_wrong_is_said_without_the_report(draw, how, change, lens, level
     assert found.limits
     assert found.statement.startswith({"care": "Usable, with care.", "stop": "Do not use"}[level])
     assert not found.thorough
+
+
+def test_with_the_report_and_without_it_the_same_is_asked_for(draw):
+    """What the photographs do not cover comes first in both, also where no board would lower a point's σ."""
+    calibration = calibrate(three_boards(draw(0)), lens="radial1")
+    quick, advice = diagnose(calibration, thorough=False), Advice(("none of the board will do much",))
+    said = [judge(calibration, one, (), advice).next for one in (quick, replace(quick, thorough=True))]
+    assert said[0].startswith("Hold the board")
+    assert said[1] == f"{said[0]} Where it has been: none of the board will do much."
 
 
 def test_mixed_up_photographs_are_not_suspected_one_by_one(draw):
