@@ -98,6 +98,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             scanned, image, floor, quads = None, None, None, None
             cloud = cloud_in_millimetres(str(args.points), read_cloud(args.points), args.units)
             mesh, painted = _of_cloud(cloud, args), cloud
+            if args.floor != "keep":
+                result["note"] = "a floor and stray points are kept: they are looked for in a range image (.npz) alone"
         if args.simplify is not None:
             mesh = simplified(mesh, args.simplify)
             cloud, quads = None, None
@@ -386,6 +388,8 @@ def describe(result: dict[str, Any]) -> str:
     kept = [ending for ending in (".ply", ".obj") if any(path.lower().endswith(ending) for path in result["path"])]
     if result.get("coloured") and kept:
         lines.append(f"  colours    of {result['coloured']} of its points, in {' and '.join(kept)}")
+    if "note" in result:
+        lines.append(f"  note       {result['note']}")
     if "texture" in result:
         lines.append(texture_in_words(result["texture"]))
     if "removed" in result:

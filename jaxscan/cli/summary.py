@@ -204,7 +204,8 @@ def range_summary(path: Path) -> Summary:
         "points": int(image.valid.sum()),
         "box_mm": _box(image.points[image.valid]),
         "sigma_mm": _median(image.sigma[image.valid]),
-        "strength": _median(image.strength[image.valid]),
+        # Of profiles of other devices it is not known, and 0 stands for it.
+        "strength": _median(image.strength[image.valid]) or None,
         "light": None if image.light is None or (light := Light.of([image.light])) is None else asdict(light),
     }
 

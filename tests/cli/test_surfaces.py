@@ -140,6 +140,8 @@ def test_floors_methods_and_options(folder, capsys):
     assert triangles("--method", "delaunay") == pytest.approx(alone, rel=0.05)
     cloud = run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply")
     assert cloud["triangles"] > 3 * alone
+    assert "looked for in a range image (.npz) alone" in cloud["note"]
+    assert "note" not in run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply", "--floor=keep")
 
 
 def test_compare_with_a_mesh_and_with_a_cloud(folder, capsys):
