@@ -63,6 +63,7 @@ def test_from_a_range_map_to_a_surface(folder: Path, capsys: pytest.CaptureFixtu
     shown = view_data(Path("ball.npz"))
     assert "height" in shown.looks
     assert "strength" not in shown.looks
+    assert json.loads(run(capsys, "inspect", "ball.npz", "--json"))["strength"] is None
     summary = json.loads(run(capsys, "inspect", "profiles.toml", "--json"))
     assert (summary["kind"], summary["profiles"], summary["points_of_a_profile"]) == ("profiles", 120, 301)
     assert "36080 of 36120 points" in run(capsys, "inspect", ".")
