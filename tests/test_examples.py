@@ -90,6 +90,7 @@ def test_06_drive_a_simulated_scanner(run):
     assert said.count("points") == 5
 
 
+@pytest.mark.long
 def test_07_what_narrows_a_dimension(run, folder):
     said = run("07_what_narrows_a_dimension.py")
     assert abs(number(said, "right over left:")) < 0.1

@@ -165,6 +165,7 @@ def test_a_board_that_was_pushed_on_its_axis_has_two_places_and_one_rig():
     assert (in_sigma(found.after, rig_2003.simulated_rig(0)) < 3).all()
 
 
+@pytest.mark.long
 def test_a_laser_that_was_pushed_along_the_stage_cuts_its_photographs():
     rig, exact = exact_session(2)
     later = changed_rig(rig, "laser_turned")

@@ -84,6 +84,7 @@ def test_fewer_triangles_keep_the_texture(folder, tmp_path) -> None:
     assert against_truth(folder, tmp_path / "a.glb")["rms"] < 3
 
 
+@pytest.mark.long
 def test_a_turn_from_all_around(tmp_path, capsys) -> None:
     """A box of a side of its own colour each: the fused surface has each colour on its side."""
     rig = rig_2003.with_turntable(rig_2003.simulated_rig(31), 31)

@@ -80,7 +80,8 @@ def test_a_whole_scan(browser: Browser, lab: Served, tmp_path: Path):
 
     page.get_by_role("button", name="Reset motor").click()
     expect(page.locator("#place")).to_have_text("0 steps")
-    # The slider by keyboard, then a photograph there.
+    # The slider by keyboard, then a photograph there. The place is said a moment before the controls are free again.
+    expect(page.locator("#slider")).to_be_enabled()
     page.locator("#slider").focus()
     for _ in range(3):
         page.keyboard.press("ArrowRight")
