@@ -76,7 +76,8 @@ def _compiled_once() -> dict[str, str]:
     checkout: a fresh clone need not compile again. What no run has read for two weeks is deleted.
     """
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxscan" / "tests"
-    folder = base / hashlib.sha256(b"".join((*_pins(), sys.version.encode(), _processor()))).hexdigest()[:16]
+    versions = (ROOT / "constraints.txt").read_bytes(), sys.version.encode(), _processor()
+    folder = base / hashlib.sha256(b"".join(versions)).hexdigest()[:16]
     for path in base.glob("*/*"):
         with contextlib.suppress(OSError):  # another run may have deleted it
             if time.time() - path.stat().st_atime > _KEPT_S:

@@ -67,6 +67,7 @@ def test_every_line_asks_for_something_that_there_is() -> None:
             "jaxscan",
             "jax",
             "build",
+            "httpx",
             "vision-calibration",
             f"dist/jaxscan-{PROJECT['version']}-py3-none-any.whl",
         }
