@@ -22,6 +22,7 @@ import numpy as np
 
 from benchmarks.full_disk import full
 from benchmarks.lab_processes import bearer
+from benchmarks.lab_tls import certificate
 from benchmarks.metric import Metric
 from benchmarks.stop_loads import LOADS, PROJECTS
 
@@ -47,7 +48,7 @@ def under_loads(quick: bool, prefix: str, tls: bool) -> list[Metric]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "idle").mkdir()
-        files = _certificate(folder) if tls else ()
+        files = certificate(folder) if tls else ()
         with _server(folder, *files) as (pid, url, tokens), _server(folder / "idle", *files) as (_, beside, other):
             # A scan connects its devices, which Stop then has to stop there too.
             _scan(beside, other, folder / "idle", "first", frames)
@@ -100,14 +101,6 @@ def _server(folder: Path, *files: Path) -> Iterator[tuple[int, str, list[str]]]:
     finally:
         child.terminate()
         child.communicate()
-
-
-def _certificate(folder: Path) -> tuple[Path, Path]:
-    """A certificate for this machine and its key."""
-    cert, key = folder / "lab.pem", folder / "lab.key"
-    make = "openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=lab -addext subjectAltName=IP:127.0.0.1"
-    subprocess.run([*make.split(), "-keyout", key, "-out", cert], check=True, capture_output=True)
-    return cert, key
 
 
 @contextlib.contextmanager

@@ -10,6 +10,8 @@ import sys
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+from benchmarks.lab_tls import unverified
+
 LOADS: Final = ("watchers", "clouds", "sign-ins", "half-open", "full disk", "batch")
 # Projects whose clouds are asked for.
 PROJECTS: Final = 60
@@ -22,11 +24,7 @@ class _Load:
 
     def __init__(self, url: str, token: str, sizes: dict[str, int]):
         self._url, self._token, self._sizes = urlsplit(url), token, sizes
-        self._tls = None
-        if self._url.scheme == "https":
-            # Any certificate is believed.
-            self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-            self._tls.check_hostname, self._tls.verify_mode = False, ssl.CERT_NONE
+        self._tls = unverified() if self._url.scheme == "https" else None
         self.tasks: list[asyncio.Task[Any]] = []
         self.child: asyncio.subprocess.Process | None = None
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hardware.lab.gate import Gate
-from hardware.lab.handing import HandedOn, pair
+from hardware.lab.handing import HandedOn
 from hardware.lab.processes import begin
 
 _LOG: Final = logging.getLogger(__name__)
@@ -91,21 +91,22 @@ class Doorway:
         tls: tuple[Path, Path] | None = None,
     ):
         listening.listen(backlog)
-        here, its = zip(*(pair() for _ in range(2)), strict=True)
+        here, its = zip(*(socket.socketpair() for _ in range(2)), strict=True)
         self.crowd, self.urgent = HandedOn(here[0], crowd), HandedOn(here[1], urgent)
         self._sockets = [listening, *its]
         how = {"head_s": head_s, "proxies": proxies}
-        come, before = listening, None
-        if tls is not None:
-            come, before = pair()
+        at_door = {**how, "connections": connections, "handed_on": tls is not None}
+        if tls is None:
+            self.children = [_Child("hardware.lab.door", (listening, *its), at_door)]
+        else:
+            come, before = socket.socketpair()
             self._sockets += [come, before]
-        self.children = [
-            _Child("hardware.lab.door", (come, *its), {**how, "connections": connections, "handed_on": tls is not None})
-        ]
-        if tls is not None and before is not None:
             files = {name: str(path.resolve()) for name, path in zip(("cert", "key"), tls, strict=True)}
-            most = int(_BEFORE * connections)
-            self.children.append(_Child("hardware.lab.tls", (listening, before), {**how, **files, "connections": most}))
+            at_tls = {**how, **files, "connections": int(_BEFORE * connections)}
+            self.children = [
+                _Child("hardware.lab.door", (come, *its), at_door),
+                _Child("hardware.lab.tls", (listening, before), at_tls),
+            ]
 
     def shut(self) -> None:
         """Let nobody come any more."""

@@ -22,11 +22,6 @@ def can_be() -> bool:
     return hasattr(select, "epoll") and hasattr(socket, "send_fds")
 
 
-def pair() -> tuple[socket.socket, socket.socket]:
-    """The two ends of a way from one process to another."""
-    return socket.socketpair()
-
-
 def hand(end: socket.socket, line: socket.socket, peer: Any) -> None:
     """Hand a connection on; the caller still has it, and closes it.
 

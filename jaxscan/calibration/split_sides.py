@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxscan.calibration.bends import without_poses
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.calibration.blocks import bucket
-from jaxscan.calibration.by_photograph import inverse_where_determined
+from jaxscan.calibration.by_photograph import determined_directions, inverse_where_determined
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.rounds import Refined
@@ -139,10 +139,9 @@ def _known(
     S, D = np.flatnonzero(shared), np.flatnonzero(differ)
     back = N[np.ix_(S, D)] @ inverse_where_determined(N[np.ix_(D, D)])[0]
     M, pull = N[np.ix_(S, S)] - back @ N[np.ix_(D, S)], g[S] - back @ g[D]
-    diagonal = np.diagonal(N)[S]
-    e = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
-    size, V = np.linalg.eigh(e[:, None] * M * e)
-    there = size > UNDETERMINED
+    # Scaled by what was there before the elimination: what that leaves of nothing is rounding.
+    e, size, V = determined_directions(M, UNDETERMINED, np.diagonal(N)[S])
+    there = size > 0
     size = np.where(there, size, 1.0)
     back_to = np.where(e > 0, 1 / np.where(e > 0, e, 1.0), 0.0)
     along = V.T @ (e * pull)

@@ -272,18 +272,17 @@ def _solved(
                 split = calibrate_split(observations, estimate.split, **model.asked(), **rest)
             except InputError as error:
                 raise InputError(f"--split: {error}") from None
-            both = [split.before, split.after]
+            found = [split.before, split.after]
         elif estimate.chooses:
             fixed = estimate.fixed() | ({"lens"} if start else set())
-            both = [calibrate_by_evidence(observations, model, fixed=fixed, advance=advance.says, **rest)] * 2
+            found = [calibrate_by_evidence(observations, model, fixed=fixed, advance=advance.says, **rest)]
         else:
-            both = [calibrate(observations, **model.asked(), **rest, plain=estimate.plain, advance=advance.says)] * 2
+            found = [calibrate(observations, **model.asked(), **rest, plain=estimate.plain, advance=advance.says)]
     scaled = [content for content in contents if isinstance(content, Session) and content.stage is not None]
-    before, now = (
-        replace(found, notes=(*found.notes, note)) if scaled and (note := scale_note(found, scaled)) else found
-        for found in both
-    )
-    return before, now
+    found = [
+        replace(one, notes=(*one.notes, note)) if scaled and (note := scale_note(one, scaled)) else one for one in found
+    ]
+    return found[0], found[-1]
 
 
 def _sheets(paths: Sequence[Path], contents: Sequence["Session | CameraFile"], estimate: Estimate) -> tuple[str, ...]:

@@ -106,10 +106,9 @@ def _other_things(cloud: Path, median_mm: float, size_mm: float) -> str:
 
 
 def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
-    import numpy as np
-
     from jaxscan.errors import error_context
     from jaxscan.surface.compare import compare
+    from jaxscan.surface.reference import diagonal
 
     reference = read_reference(args.reference, args.reference_units)
     with error_context(f"{args.cloud} against {args.reference}"):
@@ -125,7 +124,7 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
     motion = None
     if found.motion is not None:
         motion = {"rotation": found.motion.matrix().tolist(), "translation_mm": found.motion.translation.tolist()}
-    size = float(np.linalg.norm(np.ptp(reference.bounds, axis=0)))
+    size = diagonal(reference)
     misfit = args.fit and figures["median_mm"] > _MISFIT * size
     return {
         "warnings": [_other_things(args.cloud, float(figures["median_mm"]), size)] if misfit else [],

@@ -158,7 +158,11 @@ def describe(result: dict[str, Any]) -> str:
         lines += [f"  {'':{wide}}  note: {note}" for note in row["notes"]]
     lines += [f"note: {note}" for note in result["notes"]]
     # Of a dimension it was said in its line.
-    lines += [f"not measured: {problem}" for problem in result["failed"] if problem.split(": ")[0] not in open_rows]
+    lines += [
+        f"not measured: {each['name']}: {each['problem']}"
+        for each in result["features"]
+        if each["problem"] and each["name"] not in open_rows
+    ]
     lines += [f"warning: {warning}." for warning in result.get("warnings", [])]
     if result.get("written"):
         lines.append(f"written: {', '.join(result['written'])}")

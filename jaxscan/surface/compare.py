@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.surface.fit import rigid_fit_to
-from jaxscan.surface.reference import Reference, signed_distance
+from jaxscan.surface.reference import Reference, diagonal, signed_distance
 
 
 @dataclass(frozen=True)
@@ -118,5 +118,5 @@ def region(cloud: Float[np.ndarray, "points 3"], pick: Sequence[float], radius_m
 def _overlap(reference: Reference, points: Float[np.ndarray, "points 3"]) -> bool:
     """Whether any point is within the reference's box, widened by half of its diagonal."""
     low, high = reference.bounds
-    more = 0.5 * float(np.linalg.norm(high - low))
+    more = 0.5 * diagonal(reference)
     return bool(((points >= low - more) & (points <= high + more)).all(axis=1).any())

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.robust import NORMAL_MAD
-from jaxscan.surface.reference import Reference
+from jaxscan.surface.reference import Reference, diagonal
 
 _STILL_MM: Final = 1e-4
 _ROUNDS: Final = 100
@@ -44,7 +44,7 @@ def rigid_fit_to(reference: Reference, cloud: Float[np.ndarray, "points 3"]) -> 
     cloud = cloud[np.random.default_rng(_SEED).permutation(len(cloud))[:_POINTS]]
     few = cloud[:_TRY_POINTS]
     misfit, best = _best(reference, few)
-    if misfit > _SUSPICIOUS * _size(reference):
+    if misfit > _SUSPICIOUS * diagonal(reference):
         other, _ = _best(reference, few * [-1.0, 1.0, 1.0])
         if other < _MIRRORED * misfit:
             raise InputError(
@@ -92,9 +92,4 @@ def _rounds(reference: Reference, cloud: Float[np.ndarray, "points 3"], start: P
         if np.linalg.norm(step) < _STILL_MM:
             break
     # Outliers are as far away from every start, and count no more than this.
-    return float(np.minimum(away, _FAR * _size(reference)).mean()), T
-
-
-def _size(reference: Reference) -> float:
-    """The diagonal of a surface's box, mm."""
-    return float(np.linalg.norm(np.ptp(reference.bounds, axis=0)))
+    return float(np.minimum(away, _FAR * diagonal(reference)).mean()), T

@@ -35,6 +35,11 @@ class Reference(Protocol):
         ...
 
 
+def diagonal(reference: Reference) -> float:
+    """Of a surface's box, mm."""
+    return float(np.linalg.norm(np.ptp(reference.bounds, axis=0)))
+
+
 class MeshReference:
     """A triangle mesh; one that is closed and inside out is turned."""
 

@@ -1,8 +1,6 @@
 """A lab on a real server, on a loopback port, with a stage that is emulated and a camera that draws a stripe."""
 
 import re
-import ssl
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -14,6 +12,7 @@ import httpx
 import numpy as np
 from argon2 import PasswordHasher
 
+from benchmarks.lab_tls import certificate
 from hardware import Frame
 from hardware.clock import PacedClock
 from hardware.errors import CameraError
@@ -125,19 +124,9 @@ class Served:
         return self.stage.line.port.axis.moving(self.stage.line.clock.now_s())
 
 
-def certificate(folder: Path) -> dict[str, Path]:
-    """A certificate for 127.0.0.1 and its key, made in this folder, by the names that `serve` has for them."""
-    files = {"cert": folder / "lab.pem", "key": folder / "lab.key"}
-    make = "openssl req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=x -addext subjectAltName=IP:127.0.0.1"
-    subprocess.run([*make.split(), "-keyout", files["key"], "-out", files["cert"]], check=True, capture_output=True)
-    return files
-
-
-def unverified() -> ssl.SSLContext:
-    """TLS of a client that believes any certificate."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    return context
+def tls_files(folder: Path) -> dict[str, Path]:
+    """A certificate and its key, made in this folder, by the names that `serve` has for them."""
+    return dict(zip(("cert", "key"), certificate(folder), strict=True))
 
 
 class Witness:

@@ -18,13 +18,14 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from serving import ADMINISTRATOR, OPERATOR, VIEWER, Served, certificate, ended, scan, serve, until, unverified
+from serving import ADMINISTRATOR, OPERATOR, VIEWER, Served, ended, scan, serve, tls_files, until
 from test_disk import SERVE
 
+from benchmarks.lab_tls import unverified
 from hardware.lab import front
 from hardware.lab.door import Door, _Caller
 from hardware.lab.gate import Gate, Listening
-from hardware.lab.handing import can_be, pair
+from hardware.lab.handing import can_be
 from hardware.lab.limits import Limit, Limits
 from hardware.lab.refusal import Refusal
 from jaxscan.images import write_image
@@ -67,7 +68,7 @@ def other_than(pid: int, child: Any) -> bool:
 
 @both
 def test_sockets_that_say_half_a_request_keep_nobody_out(tmp_path: Path, tls: bool):
-    served = serve(tmp_path / "lab", server={"connections": ROOM}, **(certificate(tmp_path) if tls else {}))
+    served = serve(tmp_path / "lab", server={"connections": ROOM}, **(tls_files(tmp_path) if tls else {}))
     operator, administrator = served.program(OPERATOR), served.program(ADMINISTRATOR)
     operator.post("/api/lock", json={})
     # With TLS those that do not finish its first words, and those that do.
@@ -119,7 +120,7 @@ def blocked(served: Served) -> Iterator[None]:
 @pytest.mark.skipif(not can_be(), reason="there is no door on this system")
 @both
 def test_stop_and_renewal_while_the_loop_of_everybody_stands(tmp_path: Path, tls: bool):
-    served = serve(tmp_path / "lab", **(certificate(tmp_path) if tls else {}))
+    served = serve(tmp_path / "lab", **(tls_files(tmp_path) if tls else {}))
     operator, administrator, viewer = (served.program(name) for name in (OPERATOR, ADMINISTRATOR, VIEWER))
     operator.post("/api/lock", json={}).raise_for_status()
     browser = served.browser(ADMINISTRATOR)
@@ -144,7 +145,7 @@ def test_stop_and_renewal_while_the_loop_of_everybody_stands(tmp_path: Path, tls
 @pytest.mark.skipif(not can_be(), reason="there is no door on this system")
 @both
 def test_a_process_that_is_killed_at_the_door_is_begun_again(tmp_path: Path, tls: bool):
-    served = serve(tmp_path / "lab", **(certificate(tmp_path) if tls else {}))
+    served = serve(tmp_path / "lab", **(tls_files(tmp_path) if tls else {}))
     viewer = served.program(VIEWER)
     doorway = served.server._doorway
     assert doorway is not None
@@ -163,7 +164,7 @@ def test_an_address_that_asks_for_stop_all_the_time_takes_the_way_of_everybody()
     public, behind = ("198.51.100.7", 1), ("127.0.0.1", 1)
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
-    here, ends = zip(*(pair() for _ in range(2)), strict=True)
+    here, ends = zip(*(socket.socketpair() for _ in range(2)), strict=True)
     with contextlib.ExitStack() as opened:
         for one in (*here, *ends):
             opened.enter_context(contextlib.closing(one))
@@ -220,7 +221,7 @@ def ended_by_the_server(line: socket.socket, within_s: float = 30.0) -> bytes:
 )
 @both
 def test_a_request_that_drips(tmp_path: Path, said: bytes, tls: bool):
-    files = certificate(tmp_path) if tls else {}
+    files = tls_files(tmp_path) if tls else {}
     served = serve(tmp_path / "lab", server={"head_s": 1.0, "body_s": 1.0}, **files)
     with silent(served.address, 1, said, tls) as (line,):
         answer = ended_by_the_server(line)
@@ -230,7 +231,7 @@ def test_a_request_that_drips(tmp_path: Path, said: bytes, tls: bool):
 
 @both
 def test_an_answer_that_nobody_reads(tmp_path: Path, tls: bool):
-    served = serve(tmp_path / "lab", server={"send_s": 3.0}, **(certificate(tmp_path) if tls else {}))
+    served = serve(tmp_path / "lab", server={"send_s": 3.0}, **(tls_files(tmp_path) if tls else {}))
     client = served.program(VIEWER)
     folder = served.lab.projects.path("cup")
     (folder / "frames").mkdir(parents=True)

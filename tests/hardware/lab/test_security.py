@@ -17,12 +17,12 @@ from serving import (
     PASSWORD,
     VIEWER,
     Served,
-    certificate,
     csrf_of,
     ended,
     scan,
     serve,
     sign_in,
+    tls_files,
     until,
 )
 from starlette.routing import Mount
@@ -476,7 +476,7 @@ def test_the_command_refuses_to_listen_to_everybody(tmp_path: Path, capsys: pyte
 
 
 def test_over_tls_cookies_are_for_tls(tmp_path: Path):
-    files = certificate(tmp_path)
+    files = tls_files(tmp_path)
     served = serve(tmp_path / "lab", **files)
     context = ssl.create_default_context(cafile=files["cert"])
     with httpx.Client(base_url=served.url, verify=context, trust_env=False) as client:
