@@ -293,6 +293,8 @@ def test_the_keyboard_is_where_it_was_once_a_job_is_done(browser: Browser, lab: 
     page.get_by_role("button", name="Operate").click()
     lab.camera.exposure_s = 1.0
     shoot = page.get_by_role("button", name="Step and shoot")
+    # A key pressed before the seat is given would go nowhere.
+    expect(shoot).to_be_enabled()
     shoot.press("Enter")
     expect(shoot).to_be_disabled()
     expect(shoot).to_be_enabled()
