@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import time
@@ -36,7 +37,14 @@ COMMANDS = {
     "contract": ("dev", ["lint-imports"], "check which part imports which"),
     "docs": ("docs", ["mkdocs", "build"], "build the documentation, into site/"),
     "bench": ("dev", ["python", "-m", "benchmarks"], "run the benchmarks"),
+    "newest": ("dev", ["pytest"], "run the tests with the newest packages on 3.11, 3.12 and 3.13, those that are here"),
 }
+# The versions of Python that `newest` looks for, and the tests that it runs: without the hardware and the servers.
+PYTHONS = ("3.11", "3.12", "3.13")
+CORE = ("tests", "--ignore=tests/hardware", "--ignore=tests/test_install.py")
+
+# What answers --help with nothing installed.
+_OWN = {"demo": ["-m", "jaxscan.cli.main", "demo"], "bench": ["-m", "benchmarks"]}
 
 
 def main() -> int:
@@ -53,7 +61,11 @@ def main() -> int:
     if sys.version_info < (3, 11):  # noqa: UP036 (this file is what says so to an older Python)
         print(f"Python 3.11 or later is needed; this is {sys.version.split()[0]}", file=sys.stderr)
         return 2
+    if args.command in _OWN and {"-h", "--help"} & set(args.rest):
+        return subprocess.run([sys.executable, *_OWN[args.command], "--help"], cwd=ROOT).returncode
     try:
+        if args.command == "newest":
+            return newest(args.rest)
         set_up(extra)
     except subprocess.CalledProcessError as error:
         print(f"set-up failed: {' '.join(map(str, error.cmd))}", file=sys.stderr)
@@ -69,14 +81,54 @@ def main() -> int:
     return status
 
 
-def _compiled_once() -> dict[str, str]:
+def newest(versions: list[str]) -> int:
+    """Run the core's tests on each version of Python that this machine has, with the newest packages that pip finds.
+
+    Args:
+        versions: all that are known if empty.
+
+    Returns:
+        0 where all passed that were found, and one was.
+    """
+    failed, tested = 0, 0
+    for version in versions or PYTHONS:
+        python = python_of(version)
+        if python is None:
+            print(f"Python {version}: not on this machine, not tested", flush=True)
+            continue
+        venv = ROOT / f".venv-{version}"
+        programs = venv / BIN.name
+        if not (programs / "pip").exists():
+            subprocess.run([python, "-m", "venv", venv], check=True)
+        install = [programs / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--upgrade"]
+        subprocess.run([*install, "--upgrade-strategy", "eager", "--editable", ".[dev]"], cwd=ROOT, check=True)
+        said = "import jax, sys; print(f'Python {sys.version.split()[0]}, JAX {jax.__version__}', flush=True)"
+        subprocess.run([programs / "python", "-c", said], cwd=ROOT, check=True)
+        failed |= subprocess.run([programs / "pytest", *CORE], cwd=ROOT, env=_compiled_once(version)).returncode
+        tested += 1
+    return failed or int(not tested)
+
+
+def python_of(version: str) -> str | None:
+    """A Python of a version, as 3.12: on the path, or of pyenv; None where this machine has none."""
+    pyenv = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv") / "versions"
+    for path in (shutil.which(f"python{version}"), *sorted(pyenv.glob(f"{version}.*/bin/python"), reverse=True)):
+        # The path may have a shim of pyenv, which runs only what is chosen.
+        if path is not None and subprocess.run([path, "-c", ""], capture_output=True).returncode == 0:
+            return str(path)
+    return None
+
+
+def _compiled_once(version: str = "") -> dict[str, str]:
     """The environment, and where JAX keeps what one test or benchmark has compiled for the others, and for later runs.
 
     What is compiled depends on versions and on the processor, so each combination has a folder of its own, outside the
     checkout: a fresh clone need not compile again. What no run has read for two weeks is deleted.
     """
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxscan" / "tests"
-    versions = (ROOT / "constraints.txt").read_bytes(), sys.version.encode(), _processor()
+    # With a version of Python the packages are the newest, whatever the pins.
+    pins = version.encode() if version else (ROOT / "constraints.txt").read_bytes()
+    versions = pins, sys.version.encode(), _processor()
     folder = base / hashlib.sha256(b"".join(versions)).hexdigest()[:16]
     for path in base.glob("*/*"):
         with contextlib.suppress(OSError):  # another run may have deleted it

@@ -70,6 +70,7 @@ SUITES = {
     "measure": "dimensions of drawn parts: coverage of their intervals, bias, false accepts, a million points",
     "parts": "a photographed part with twelve features: coverage of intervals, errors over those of RANSAC and a fit",
     "demo": "time and memory of the whole demo",
+    "silence": "how long the screen stands still: the first word and the longest pause of each command, cold",
 }
 # What takes minutes even in its short form, or says nothing in it; `--only` runs it all the same.
 NOT_QUICK = {
@@ -113,12 +114,12 @@ NOT_QUICK = {
     "play",
     "batch",
     "colour",
-    "texture",
     "formats",
     "measure",
     "parts",
     "lab",
     "growth",
+    "silence",
 }
 
 
@@ -149,7 +150,7 @@ def main() -> int:
     figures = {metric.name: metric.value for metric in metrics}
     if args.json:
         _write(args.json, {"kind": key, "figures": figures})
-    stored = json.loads(BASELINE.read_text()) if BASELINE.exists() else {}
+    stored = json.loads(BASELINE.read_text(encoding="utf-8")) if BASELINE.exists() else {}
     if args.save_baseline:
         stored[key] = dict(sorted({**stored.get(key, {}), **figures}.items()))
         _write(BASELINE, stored)
@@ -159,7 +160,7 @@ def main() -> int:
 
 def _write(path: Path, content: dict) -> None:
     with replacing(path, "w") as file:
-        file.write(json.dumps(content, indent=2) + "\n")
+        file.write(json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
 def command_line() -> argparse.ArgumentParser:

@@ -22,8 +22,8 @@ from scipy.ndimage import binary_dilation
 
 from benchmarks.metric import Metric
 from jaxscan.files.scan import read_scan
+from jaxscan.images.sampled import sampled
 from jaxscan.reconstruction import RangeImage, reconstruct
-from jaxscan.reconstruction.point_colours import sampled
 from jaxscan.reconstruction.scan_colours import neighbour_colours
 from jaxscan.rig import Rig
 from jaxscan.rig.projection import pixel_rays

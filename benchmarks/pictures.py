@@ -4,6 +4,7 @@
 
 `cup.png`: a cup by the pipeline of 2003 and by ours, coloured by the distance from the true surface, and one profile of
 each. `views.png`: the error of a scan against the number of board views in the calibration, by each pipeline.
+`texture.png`: a printed box and balls as a textured .glb, as `jaxscan view --png` draws it.
 `placing.png`: σ of a point against the angle between laser and camera, and σ of a stripe against its width.
 """
 
@@ -18,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks import transcription
+from benchmarks.colour import ROOM, coloured_things
 from benchmarks.conditions import SHORT, Condition, Photographed, photograph
 from benchmarks.found import Found
 from benchmarks.pipelines import MATLAB, OURS, PIPELINES, Taken, matlab
@@ -26,8 +28,10 @@ from jaxscan.calibration import Observations
 from jaxscan.cli import demo
 from jaxscan.cli.calibrate import calibrate_session
 from jaxscan.cli.compiled import keep_compiled
+from jaxscan.cli.main import main as jaxscan
 from jaxscan.cli.reconstruct import reconstruct_scan
 from jaxscan.cli.simulate import simulate_into
+from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.reconstruction import read_range_image
 from jaxscan.reconstruction.point_sigma import ray_jacobian
@@ -35,6 +39,7 @@ from jaxscan.rig import Camera, LightPlane, Rig
 from jaxscan.simulation import rig_2003, shapes
 from jaxscan.simulation.accuracy import cloud_errors
 from jaxscan.simulation.distance import distance
+from jaxscan.simulation.folders import simulate_scan
 from jaxscan.view.matplotlib_setup import pyplot
 
 HERE: Final = Path(__file__).parents[1] / "docs" / "pictures"
@@ -72,6 +77,8 @@ def main() -> None:
         draw_cup(args.output / "cup.png")
     if args.only in (None, "views"):
         draw_views(args.output / "views.png", errors_of_seeds(range(args.seeds)))
+    if args.only in (None, "texture"):
+        draw_textured(args.output / "texture.png")
     if args.only in (None, "placing"):
         draw_placing(args.output / "placing.png")
 
@@ -79,7 +86,7 @@ def main() -> None:
 def command_line() -> argparse.ArgumentParser:
     """What may be asked for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__)
-    parser.add_argument("--only", choices=("scan", "cup", "views", "placing"), help="one of them")
+    parser.add_argument("--only", choices=("scan", "cup", "views", "texture", "placing"), help="one of them")
     parser.add_argument("--seeds", type=int, default=10, help="of the second picture (default: 10)")
     parser.add_argument("-o", "--output", type=Path, default=HERE, metavar="DIR", help="default: docs/pictures")
     return parser
@@ -96,6 +103,27 @@ def draw_one_scan(path: Path, apart: int = 500) -> None:
         image, floor = demo.object_alone(read_range_image(out / "panda.npz"))
         demo.draw_picture(out, "panda", image, floor, rig)
         path.write_bytes((out / "panda.png").read_bytes())
+
+
+def draw_textured(path: Path, seed: int = 200) -> None:
+    """The printed things of `benchmarks.colour`, 1 mm between frames, by their true rig, from their photographs."""
+    rig = rig_2003.simulated_rig(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        scene = rig_2003.scan_scene(rig, coloured_things(seed))
+        axes = {"stage": tuple(range(0, 72001, 1000))}
+        simulate_scan(here / "scan", rig, scene, seed, axes=axes, lighting=ROOM, laser_off=True)
+        write_rig(here / "rig.json", RigFile(rig))
+        scan, points, mesh = str(here / "scan"), str(here / "things.npz"), str(here / "things.glb")
+        seen = ["--rig", str(here / "rig.json")]
+        commands = (
+            ["reconstruct", scan, *seen, "-o", points],
+            ["mesh", points, "--photographs", scan, *seen, "-o", mesh],
+            ["view", mesh, "--png", str(path)],
+        )
+        for command in commands:
+            if jaxscan(command):
+                raise RuntimeError(f"jaxscan {' '.join(command)} failed")
 
 
 def draw_cup(path: Path, seed: int = 0) -> None:

@@ -15,7 +15,7 @@ EXTRAS: Final = {
     "viewer": ("to look at a surface in the browser", "; or draw it with --png", ("viser",)),
     "features": (
         "to find the poses of scans by their shape",
-        "; or say it with --turn, --steps or --poses",
+        "; or say it with --turn, --steps or --poses (from Python 3.13 on the only way)",
         ("kiss_matcher",),
     ),
     "exchange": ("to read or write .e57 or .laz", "; or use .ply", ("laspy", "lazrs", "pye57")),

@@ -16,12 +16,12 @@ SLOW_IMPORTS = ("jax", "numpy", "cv2", "equinox", "trimesh", "scipy", "matplotli
 
 HELP = f"""
 import contextlib, io, json, sys, time
-begin = time.perf_counter()
+begin = time.process_time()
 from jaxscan.cli.main import main
 with contextlib.redirect_stdout(io.StringIO()) as out:
     status = main(sys.argv[1:])
 slow = [name for name in {SLOW_IMPORTS} if name in sys.modules]
-print(json.dumps([status, time.perf_counter() - begin, slow, len(out.getvalue())]))
+print(json.dumps([status, time.process_time() - begin, slow, len(out.getvalue())]))
 """
 
 

@@ -160,3 +160,16 @@ def test_08_hands_ros_what_its_message_has(run, folder, world, monkeypatch):
     assert (message.header.stamp, message.header.frame_id) == (17, "scanner_optical_frame")
     assert len(message.data) == message.row_step == message.width * message.point_step
     assert [(each.name, each.offset) for each in message.fields][:3] == [("x", 0), ("y", 4), ("z", 8)]
+
+
+def test_09_profiles_of_a_gear(run, tmp_path):
+    said = run("09_profiles_of_a_gear.py")
+    assert "from 140 profiles of 321" in said
+    assert abs(number(said, "the gear is") - 6) < 0.003
+    mesh = trimesh.load_mesh(tmp_path / "gear.stl")
+    # One piece, of the area that was drawn: a tooth's width in angle follows the rim.
+    angle = np.linspace(0, 2 * np.pi, 100_000, endpoint=False)
+    rim = 12.0 + 1.5 * np.clip(3.0 * np.sin(14 * angle), -1.0, 1.0)
+    drawn = 0.5 * np.mean(rim**2 - 4.0**2) * 2 * np.pi
+    assert 0.93 < mesh.area / drawn < 1.0
+    assert (tmp_path / "gear" / "profiles.toml").is_file()

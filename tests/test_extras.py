@@ -38,6 +38,7 @@ COMES_WITH = {
     "dask": "distributed",
     "jaxlib": "jax",
     "mpl_toolkits": "matplotlib",
+    "PIL": "viser",
 }
 PACKAGES = {
     name: {
@@ -56,6 +57,7 @@ BEHIND = {
     "jaxscan/view/calibration_plots.py": "plots",
     "jaxscan/view/matplotlib_setup.py": "plots",
     "jaxscan/view/surface_plots.py": "plots",
+    "jaxscan/view/viewer.py": "viewer",
     "jaxscan/files/exchange.py": "exchange",
     "hardware/cameras/genicam.py": "genicam",
     "hardware/cameras/gphoto.py": "gphoto2",

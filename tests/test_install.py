@@ -153,6 +153,8 @@ def test_what_is_built_works_in_a_clean_environment(kind: str, built: Path, tmp_
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("extra", [name for name in EXTRAS if name not in NOT_HERE])
 def test_each_extra_installs_from_the_wheel(extra: str, built: Path, tmp_path: Path) -> None:
+    if extra == "features" and sys.version_info >= (3, 13):
+        pytest.skip("kiss-matcher has no wheel for Python 3.13 or later")
     (wheel,) = built.glob("*.whl")
     python = clean(tmp_path / "venv")
     pip(python, f"{wheel}[{extra}]")

@@ -15,6 +15,7 @@ from hardware.cli.options import (
     say,
     scanner,
 )
+from jaxscan.cli.progress import resting
 
 if TYPE_CHECKING:
     from hardware.guide import Operator, Sight
@@ -130,7 +131,8 @@ class _Terminal:
         if self._picture is not None:
             looking.start()
         try:
-            answer = input("Enter when it is held still, q to end: ")
+            with resting():
+                answer = input("Enter when it is held still, q to end: ")
         except EOFError:
             answer = "q"
         finally:

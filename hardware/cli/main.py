@@ -21,6 +21,8 @@ COMMANDS: Final = {
     "serve": "hardware.cli.serve",
     "user": "hardware.cli.user",
 }
+# The others wait for somebody.
+SHOWS_WORK: Final = COMMANDS.keys() - {"console", "serve", "user"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
     description = "Drive a laser line scanner: its stage, its laser and its camera, or simulated ones."
-    return run_program(Program("scanner", description, COMMANDS, (HardwareError,)), argv)
+    return run_program(Program("scanner", description, COMMANDS, (HardwareError,), SHOWS_WORK), argv)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -1,7 +1,6 @@
 """Arguments that several commands share."""
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -98,7 +97,10 @@ def axes_alone(args: argparse.Namespace) -> "Iterator[dict[str, StageDriver]]":
 
 def say(words: str) -> None:
     """One line to standard error, at once."""
-    print(words, file=sys.stderr, flush=True)
+    from jaxscan.cli import progress
+
+    progress.say(words)
+    progress.step("going on")
 
 
 def _described(args: argparse.Namespace) -> "ScannerSettings":

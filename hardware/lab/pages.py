@@ -17,7 +17,7 @@ from hardware.lab.accounts import SHORTEST_PASSWORD
 from hardware.lab.badges import LONGEST_S, Visitor
 from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
 from hardware.lab.throttle import network_of
-from hardware.lab.web import LabHere, PageVisitor, Viewer, same, session_cookie, set_cookie
+from hardware.lab.web import LabHere, PageReader, PageVisitor, Viewer, same, session_cookie, set_cookie
 
 router = APIRouter(include_in_schema=False)
 
@@ -138,15 +138,16 @@ def account_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLRespon
 
 
 @router.get("/api")
-def interface_page(request: Request, who: PageVisitor) -> HTMLResponse:
-    """The HTTP interface, in words."""
+def interface_page(request: Request, who: PageReader) -> HTMLResponse:
+    """The HTTP interface, in words; to a program without the links and forms of a session."""
     schema = request.app.openapi()
     operations = [
         {"path": path, "method": method.upper(), **operation}
         for path, methods in schema["paths"].items()
         for method, operation in methods.items()
     ]
-    return _page(request, "interface", who, description=schema["info"]["description"], operations=operations)
+    of_session = None if who.csrf is None else who
+    return _page(request, "interface", of_session, description=schema["info"]["description"], operations=operations)
 
 
 @router.get("/api/openapi.json")

@@ -124,6 +124,16 @@ def page_visitor(request: Request, lab: LabHere) -> Visitor:
     return found
 
 
+def page_reader(request: Request, lab: LabHere) -> Visitor:
+    """Who asks for a page that programs read too: by token, or by session.
+
+    Raises:
+        Refusal: the token is not valid.
+        SignInFirst: there is neither.
+    """
+    return visitor(request, lab) if "authorization" in request.headers else page_visitor(request, lab)
+
+
 def operator(lab: LabHere, who: Annotated[Visitor, Depends(visitor)]) -> Visitor:
     """The holder of the operator's lock.
 
@@ -161,6 +171,7 @@ Operator = Annotated[Visitor, Depends(operator)]
 Administrator = Annotated[Visitor, Depends(administrator)]
 Person = Annotated[Visitor, Depends(person)]
 PageVisitor = Annotated[Visitor, Depends(page_visitor)]
+PageReader = Annotated[Visitor, Depends(page_reader)]
 
 
 def same(given: str, expected: str | None) -> bool:

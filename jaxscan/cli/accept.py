@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.atomic import make_folder
 from jaxscan.cli.options import check_outputs
+from jaxscan.cli.progress import step
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -88,8 +89,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     rig = read_rig(args.rig) if args.rig else None
     scans = []
     for path in args.surface:
+        step(f"reading {path}")
         with error_context(path):
             scans.append((str(path), read_range_image(path)))
+    step("measuring")
     found = accept(scans, rig, artefact)
     written = _written(args, found)
     return _as_result(found) | {"written": written, "warnings": list(rig.warnings) if rig else []}

@@ -56,8 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Find the scans, leave out what is done, reconstruct the others, and report each that failed."""
-    import sys
-
     if args.scheduler:
         extra("cluster")
     if args.measure and args.ending != ".npz":
@@ -72,7 +70,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
-    from jaxscan.cli.progress import progress
+    from jaxscan.cli.progress import progress, say
     from jaxscan.files.rig_file import read_rig
     from jaxscan.reconstruction.batch import Options, find_tasks, held, run_batch
 
@@ -87,7 +85,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
                 of = {"scan": outcome.task.name}
                 if outcome.points is None:
                     failed.append({**of, "reason": outcome.reason})
-                    print(f"jaxscan: {outcome.reason}", file=sys.stderr)
+                    say(f"jaxscan: {outcome.reason}")
                 else:
                     made = {"path": str(outcome.task.output), "points": outcome.points}
                     done.append({**of, **made, "notes": list(outcome.notes)})
@@ -107,9 +105,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 def _measured(args: argparse.Namespace, tasks: "Sequence[Task]", part: "Part") -> dict[str, Any]:
     """Every scan that is there, as `jaxscan measure` has it; the table and the charts are written."""
-    import sys
-
     from jaxscan.cli.measure import read_surface
+    from jaxscan.cli.progress import say, step
     from jaxscan.files.measured_csv import write_scans_csv
     from jaxscan.measurement.measure import measure
     from jaxscan.measurement.rows import rows_of
@@ -118,10 +115,11 @@ def _measured(args: argparse.Namespace, tasks: "Sequence[Task]", part: "Part") -
     for task in tasks:
         if not task.output.exists():
             continue
+        step(f"measuring {task.name}")
         try:
             found = measure(read_surface(task.output, args.rig)[0], part)
         except InputError as error:
-            print(f"jaxscan: {error}", file=sys.stderr)
+            say(f"jaxscan: {error}")
             continue
         scans[task.name], verdicts[task.name] = rows_of(found), found.verdict
     written = []

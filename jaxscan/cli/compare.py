@@ -5,12 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.options import add_units_argument, check_outputs, check_units, numbers
+from jaxscan.cli.progress import step
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from jaxscan.simulation.folders import ScanTruth
     from jaxscan.surface.reference import Reference
 
 # A median beyond this part of the reference's size is no difference of form.
@@ -32,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="?",
         metavar="REFERENCE",
-        help="a mesh (.stl, .ply, .obj …) or a cloud (.ply, .npz)",
+        help="a mesh (.stl, .ply, .obj …), a cloud (.ply, .npz), or the folder truth of a simulated scan",
     )
     add_units_argument(parser, "the cloud")
     add_units_argument(parser, "the reference", "--reference-units")
@@ -77,6 +79,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.surface.compare import region
 
     check_units(args.cloud, args.units)
+    step(f"reading {args.cloud}")
     points = in_millimetres(str(args.cloud), read_points(args.cloud), args.units)
     result: dict[str, Any] = {"kind": "comparison", "path": str(args.cloud)}
     if args.reference is not None:
@@ -110,15 +113,28 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.surface.compare import compare
     from jaxscan.surface.reference import diagonal
 
-    reference = read_reference(args.reference, args.reference_units)
+    step(f"reading {args.reference}")
+    from jaxscan.simulation.folders import read_truth_file, truth_file
+
+    truth_path = truth_file(args.reference)
+    if args.reference.is_dir() and truth_path is None:
+        raise InputError(
+            f"{args.reference}: is a folder, and not the folder truth of a simulation: name a mesh, a cloud, or that "
+            "folder"
+        )
+    truth = None if truth_path is None else read_truth_file(truth_path)
+    reference = read_reference(args.reference, args.reference_units) if truth is None else _of_truth(truth)
+    step(f"{'fitting' if args.fit else 'comparing'} {len(points)} points")
     with error_context(f"{args.cloud} against {args.reference}"):
         found = compare(points, reference, fit=args.fit, within_mm=args.within)
     figures = found.figures()
     if args.output:
+        step(f"writing {args.output}")
         write_coloured(args.output, found.points, found.distance, float(figures["p95_mm"]))
     if args.png:
         from jaxscan.view.surface_plots import draw_comparison
 
+        step(f"drawing {args.png}")
         words = f"{figures['points']} points, {figures['rms_mm']:.3f} mm RMS, median {figures['median_mm']:.3f} mm"
         draw_comparison(args.png, found, f"{args.cloud.name} against {args.reference.name}: {words}")
     motion = None
@@ -132,8 +148,33 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
         "reference_inside_out": bool(getattr(reference, "inside_out", False)),
         "figures": figures,
         "fit": motion,
+        "truth": None if truth is None else _against_truth(args.cloud, truth),
         "written": [str(path) for path in (args.output, args.png) if path],
     }
+
+
+def _of_truth(truth: "ScanTruth") -> "Reference":
+    """The true points of a scan as a cloud."""
+    import numpy as np
+
+    from jaxscan.surface.reference import CloudReference
+
+    return CloudReference(truth.points[np.isfinite(truth.points).all(axis=-1)])
+
+
+def _against_truth(cloud: Path, truth: "ScanTruth") -> dict[str, Any] | None:
+    """What is known of the points of a range image by frame and column; None for another cloud, or parts of one."""
+    if cloud.suffix.lower() != ".npz":
+        return None
+    from jaxscan.errors import error_context
+    from jaxscan.reconstruction import read_range_image
+    from jaxscan.simulation.accuracy import pair_errors
+
+    image = read_range_image(cloud)
+    if image.points.shape != truth.points.shape:
+        return None
+    with error_context(cloud):
+        return pair_errors(truth.points, image.points, image.valid).as_dict()
 
 
 def read_points(path: Path) -> "np.ndarray":
@@ -218,6 +259,12 @@ def describe(result: dict[str, Any]) -> str:
             f"95 % {figures['p95_mm']:.4f}, largest {figures['largest_mm']:.4f} mm",
             f"  mean       {figures['mean_mm']:+.4f} mm, positive in front of the reference",
         ]
+        if truth := result["truth"]:
+            lines.append(
+                f"  true point {truth['to_true_point']:.4f} mm RMS from that of the same frame and column "
+                f"({truth['to_true_point_after_fit']:.4f} after a rigid fit), {truth['far_points']} points far off, "
+                f"{100 * truth['completeness']:.1f} % of what an ideal camera sees"
+            )
         lines += [f"warning: {words}" for words in result["warnings"]]
         if result["reference_inside_out"]:
             lines.append("  reference  is inside out, and was turned")

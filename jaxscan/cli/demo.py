@@ -92,7 +92,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 def _say(step: int, what: str) -> None:
     """Say what is done next, on standard error, where the progress bars are."""
-    print(f"{step}/{_STEPS} {what}", file=sys.stderr, flush=True)
+    from jaxscan.cli.progress import say
+
+    say(f"{step}/{_STEPS} {what}")
 
 
 def object_alone(image: "RangeImage") -> "tuple[RangeImage, Floor]":

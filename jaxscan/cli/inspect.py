@@ -8,6 +8,7 @@ from jaxscan.cli.camera_options import add_camera_arguments
 from jaxscan.cli.detector_options import add_choice_argument, add_detector_argument
 from jaxscan.cli.format_summary import format_summary
 from jaxscan.cli.options import add_optics_arguments, optics_asked
+from jaxscan.cli.progress import step
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 from jaxscan.files.formats import ENDINGS
@@ -77,6 +78,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             f"{path}: --rig, --f-number, --wavelength-nm and --pixel-um go together, and with a range image (.npz): "
             "give all four, or none"
         )
+    step(f"reading {path}")
     result = summary.camera_summary(path, args.name, args.image_size) if kind == "camera" else read[kind](path)
     if optics is not None:
         result["speckle_limit"] = summary.speckle_limit_summary(path, args.rig, optics)
@@ -88,6 +90,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         frame = args.frame or 0
         own = f"{path.stem}-views" if kind == "range image" else f"{path.absolute().parent.name}-{frame}"
         out = args.png if args.png != Path(_DEFAULT) else Path(f"{own}.png")
+        step(f"drawing {out}")
         if kind == "range image":
             result["picture"] = picture.draw_range_image(path, out)
         else:

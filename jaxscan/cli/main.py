@@ -19,13 +19,14 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import takewhile
 from typing import Any, Final, NoReturn, Protocol
 
+from jaxscan.cli.progress import say, working
 from jaxscan.errors import InputError, JaxscanError
 
 COMMANDS: Final = {
@@ -81,18 +82,20 @@ class Program:
         description: one sentence.
         commands: the module of each.
         errors: what its commands raise on purpose, beside `JaxscanError`.
+        shows_work: the commands of which it is shown what they are doing while they say nothing else.
     """
 
     name: str
     description: str
     commands: Mapping[str, str]
     errors: tuple[type[Exception], ...] = ()
+    shows_work: Collection[str] = ()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line of `jaxscan` and return its exit status, as `run_program`."""
     description = "Calibrate a laser line scanner, and turn its photographs into points."
-    return run_program(Program("jaxscan", description, COMMANDS), argv)
+    return run_program(Program("jaxscan", description, COMMANDS, shows_work=COMMANDS), argv)
 
 
 def run_program(program: Program, argv: Sequence[str] | None = None) -> int:
@@ -103,7 +106,7 @@ def run_program(program: Program, argv: Sequence[str] | None = None) -> int:
         return ended.code if isinstance(ended.code, int) else DONE
     try:
         with _warnings_in_words(program):
-            return _run(args)
+            return _run(args, program.shows_work)
     except KeyboardInterrupt:
         return _complain(program, "interrupted", INTERRUPTED)
     except BrokenPipeError:
@@ -116,9 +119,10 @@ def run_program(program: Program, argv: Sequence[str] | None = None) -> int:
         return _complain(program, _in_words(program, error), BAD_INPUT if isinstance(error, InputError) else FAILED)
 
 
-def _run(args: argparse.Namespace) -> int:
+def _run(args: argparse.Namespace, shows_work: Collection[str]) -> int:
     command: Command = args.command
-    result = command.run(args)
+    with working(args.command_name) if args.command_name in shows_work else nullcontext():
+        result = command.run(args)
     if args.json:
         print(json.dumps(result, ensure_ascii=False, allow_nan=False, indent=2))
     elif result is not None:
@@ -148,7 +152,7 @@ def _in_words(program: Program, error: Exception) -> str:
 def _warnings_in_words(program: Program) -> Iterator[None]:
     """Warnings as one line each, without the place in the source that only a programmer needs."""
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: print(f"{program.name}: warning: {message}", file=sys.stderr)
+        warnings.showwarning = lambda message, *_: say(f"{program.name}: warning: {message}")
         yield
 
 
@@ -175,7 +179,7 @@ def parser_of(program: Program) -> argparse.ArgumentParser:
             parents=[common],
         )
         command.add_arguments(sub)
-        sub.set_defaults(command=command)
+        sub.set_defaults(command=command, command_name=name)
     return parser
 
 

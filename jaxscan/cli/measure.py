@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.atomic import make_folder
 from jaxscan.cli.options import add_units_argument, check_outputs, check_units
+from jaxscan.cli.progress import step
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -59,13 +60,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.measurement.measure import measure
     from jaxscan.measurement.rows import rows_of
 
+    step(f"reading {args.surface}")
     scanned, warnings = read_surface(args.surface, args.rig, args.units)
+    step(f"measuring {len(part.dimensions)} dimensions")
     found = measure(scanned, part)
     rows = rows_of(found)
     if args.csv:
         write_csv(args.csv, rows)
     written = [str(path) for path in (args.csv, args.png) if path]
     if args.png or args.report:
+        step("drawing")
         written += _drawn(args, scanned, found)
     return as_result(args.surface, found, rows) | {"written": written, "warnings": warnings}
 

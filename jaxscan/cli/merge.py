@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
-    from jaxscan.cli.progress import progress
+    from jaxscan.cli.progress import progress, step
     from jaxscan.surface.coarse_register import check_fits, coarse_register
     from jaxscan.surface.merged import merge, merge_closed
     from jaxscan.surface.register import register
@@ -104,6 +104,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     result |= _registered(sides, starts, registration)
     if args.fit_turntable:
         result["turntable"] = _turntable(args, registration)
+    step("writing")
     return result | _written(args, sides, merged)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.options import add_outputs_argument, add_units_argument, check_outputs, check_units, finite, numbers
+from jaxscan.cli.progress import step
 from jaxscan.cli.texture_options import add_texture_arguments, check_texture, texture_asked, texture_in_words
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
@@ -81,6 +82,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     result: dict[str, Any] = {"kind": "mesh", "path": [str(path) for path in args.output]}
     meshed = bool(args.output or args.png)
+    step(f"reading {args.points}")
     with error_context(args.points):
         if args.points.suffix.lower() == ".npz":
             from jaxscan.reconstruction import read_range_image
@@ -89,6 +91,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             image, floor = _prepared(scanned, args, result)
             if not meshed:
                 return result
+            step("joining the points")
             painted = scanned.cloud()
             mesh, cloud, quads = _of_image(image, args, result)
         else:
@@ -97,17 +100,21 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
             scanned, image, floor, quads = None, None, None, None
             cloud = cloud_in_millimetres(str(args.points), read_cloud(args.points), args.units)
+            step("joining the points")
             mesh, painted = _of_cloud(cloud, args), cloud
             if args.floor != "keep":
                 result["note"] = "a floor and stray points are kept: they are looked for in a range image (.npz) alone"
         if args.simplify is not None:
+            step(f"reducing {len(mesh.faces)} triangles")
             mesh = simplified(mesh, args.simplify)
             cloud, quads = None, None
+    step("colouring")
     own = None if cloud is None else cloud.colours
     texture = texture_asked(args, mesh, own, painted, scanned, result)
     colours = _colours(mesh, own, painted)
     result["coloured"] = None if colours is None else int(colours.any(axis=1).sum())
     for path in args.output:
+        step(f"writing {path}")
         _write(path, mesh, cloud, quads if args.quads else None, image, colours, texture)
     if args.png:
         import numpy as np
@@ -115,10 +122,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         from jaxscan.geometry.robust_plane import dominant_plane
         from jaxscan.view.surface_plots import draw_mesh
 
+        step(f"drawing {args.png}")
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         up = floor.up if floor else dominant_plane(vertices).matrix()[:, 2]
         height = floor.height(vertices) if floor and "scan" in result["floor"] else None
-        draw_mesh(args.png, vertices, faces, up, f"{len(faces)} triangles", height)
+        draw_mesh(args.png, vertices, faces, up, f"{len(faces)} triangles", height, colours)
         result["picture"] = str(args.png)
     return result | {
         "vertices": len(mesh.vertices),
@@ -173,7 +181,9 @@ def _check(args: argparse.Namespace) -> None:
     if args.quads and args.method not in (None, "grid"):
         raise InputError("--quads: only the grid has quadrilaterals: leave --method out")
     check_texture(args)
-    if args.rig and args.method != "delaunay" and args.photographs is None:
+    # Without --method a cloud is joined by delaunay.
+    delaunay = args.method == "delaunay" or (args.method is None and ending != ".npz")
+    if args.rig and not delaunay and args.photographs is None:
         raise InputError(
             "--rig: only --method delaunay looks along the light of a rig, and only --photographs needs its camera: "
             "add one of them, or leave --rig out"
@@ -209,9 +219,11 @@ def _prepared(
     apart = [float(np.median(np.abs(sweep.gaps()))) * 360 / whole for sweep, whole in turns]
     result["degrees_apart"] = max(apart, default=None)
     if not args.raw:
+        step("cleaning")
         cleaned = clean(image, sampling(image))
         result["removed"] = cleaned.counts()
         image = cleaned.image
+    step("finding the floor")
     floor = _floor(image, args.floor)
     if floor is not None and args.plateaus:
         from jaxscan.surface.plateaus import plateaus
@@ -234,8 +246,10 @@ def _prepared(
             result["floor"] |= {"scan": args.floor, "points_beside_the_scan": int(beside.sum())}
         image = image.where(kept)
     if args.fill is not None:
+        step("filling holes")
         image = fill_holes(image, args.fill)
     if args.grid is not None:
+        step("resampling")
         from jaxscan.geometry.robust_plane import dominant_plane
 
         frame = floor.frame if floor else dominant_plane(image.points[image.valid])

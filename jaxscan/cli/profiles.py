@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from jaxscan.cli.options import add_outputs_argument, check_outputs
+from jaxscan.cli.progress import step
 
 HELP: Final = "turn the profiles of a laser profiler (CSV, range maps, GenICam Coord3D) into points"
 EXAMPLE: Final = "jaxscan profiles scans/gear -o gear.npz"
@@ -38,9 +39,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.reconstruction import write_points
     from jaxscan.reconstruction.profiles import range_image_of_profiles
 
+    step(f"reading {args.profiles}")
     profiles = read_profiles(args.profiles)
     image = range_image_of_profiles(profiles)
     for path in args.output:
+        step(f"writing {path}")
         write_points(path, image)
     points = image.points[image.valid]
     return {

@@ -2,6 +2,9 @@
 
 A thread beside the work watches it. Work that neither gets on nor uses the processor for too long is stuck, and the
 command ends with a message.
+
+`working` is for the rest of a command, in which nothing is counted: what it is doing stands in one line, which is
+wiped out again.
 """
 
 import faulthandler
@@ -10,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, Final, TypeVar
 
 from jaxscan.deadline import HOW_TO_GO_ON, patience_s
@@ -21,6 +24,9 @@ _PULSE_S: Final = 0.5
 # Without a terminal a line is printed this often: at first, and in work that takes longer than a minute.
 _LINE_S, _LATER_LINE_S = 4.0, 15.0
 _LATER_S: Final = 60.0
+# Work that is not counted is shown after this long. Its line fits the narrowest terminal.
+_QUIET_S: Final = 1.0
+_WIDTH: Final = 79
 # What is stuck uses less of one core than this.
 _IDLE: Final = 0.01
 
@@ -83,6 +89,99 @@ class Progress:
         os._exit(1)
 
 
+class Working:
+    """What a command shows while nothing else does."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._words = name, "starting"
+        self._began = time.monotonic()
+        # When the screen last said something.
+        self._said = self._began
+        self._shown, self._resting = "", 0
+        self._lock = threading.RLock()
+
+    def does(self, words: str) -> None:
+        """What is done from now on, in words."""
+        self._words = words
+
+    @contextmanager
+    def rest(self) -> Iterator[None]:
+        """Show nothing in the block, in which something else writes to the screen."""
+        with self._lock:
+            self._resting += 1
+            self._wipe()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._resting -= 1
+                self._said = time.monotonic()
+
+    def watch(self, ended: threading.Event) -> None:
+        """Show what is being done, until the event."""
+        while not ended.wait(_PULSE_S):
+            with self._lock:
+                if not self._resting:
+                    self._show()
+        with self._lock:
+            self._wipe()
+
+    def _show(self) -> None:
+        now, line = time.monotonic(), f"{self._name}: {self._words}"
+        if not sys.stderr.isatty():
+            # Who reads a log later does not wait, and short commands leave it empty.
+            if now - self._said > _LATER_LINE_S:
+                self._said = now
+                print(f"{line}, {now - self._began:.1f} s", file=sys.stderr, flush=True)
+        elif self._shown or now - self._said > _QUIET_S:
+            self._wipe()
+            seconds = f", {now - self._began:.0f} s"
+            self._shown = line[: _WIDTH - len(seconds)] + seconds
+            print(self._shown, end="", file=sys.stderr, flush=True)
+
+    def _wipe(self) -> None:
+        if self._shown:
+            print(f"\r{' ' * len(self._shown)}\r", end="", file=sys.stderr, flush=True)
+            self._shown = ""
+
+
+# That of the command that runs, if one does: a process runs one.
+_working: Working | None = None
+
+
+@contextmanager
+def working(name: str) -> Iterator[None]:
+    """Show what the command of a name is doing wherever it says nothing else for a second."""
+    global _working
+    _working = made = Working(name)
+    ended = threading.Event()
+    watch = threading.Thread(target=made.watch, args=(ended,), daemon=True)
+    watch.start()
+    try:
+        yield
+    finally:
+        _working = None
+        ended.set()
+        watch.join()
+
+
+def step(words: str) -> None:
+    """Say what the command does from now on, as "finding the floor"; shown where that takes a second."""
+    if _working is not None:
+        _working.does(words)
+
+
+def resting() -> Any:
+    """A block in which `working` shows nothing, for something else writes to the screen, or nothing goes on."""
+    return nullcontext() if _working is None else _working.rest()
+
+
+def say(line: str) -> None:
+    """Print a line on standard error, clear of what `working` shows."""
+    with resting():
+        print(line, file=sys.stderr, flush=True)
+
+
 @contextmanager
 def progress(words: str, total: int | None = None, unit: str = "image", elsewhere: bool = False) -> Iterator[Progress]:
     """A bar for the length of the block, advanced by the object that the block is given.
@@ -98,19 +197,21 @@ def progress(words: str, total: int | None = None, unit: str = "image", elsewher
     # Its monitor thread would outlive the command, and ours moves the bar.
     tqdm.monitor_interval = 0
     limit, ended = float("inf") if elsewhere else patience_s(), threading.Event()
-    with tqdm(desc=words, total=total, unit=unit, file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
-        # A bar that is not shown forgets its total.
-        bar.total = total
-        made = Progress(words, unit, bar)
-        watch = threading.Thread(target=made.watch, args=(ended, limit), daemon=True)
-        watch.start()
-        try:
-            yield made
-        finally:
-            ended.set()
-            watch.join()
-    if bar.disable:
-        print(made.line(), file=sys.stderr)
+    with resting():
+        with tqdm(desc=words, total=total, unit=unit, file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
+            # A bar that is not shown forgets its total.
+            bar.total = total
+            made = Progress(words, unit, bar)
+            watch = threading.Thread(target=made.watch, args=(ended, limit), daemon=True)
+            watch.start()
+            try:
+                yield made
+            finally:
+                ended.set()
+                watch.join()
+        if bar.disable:
+            print(made.line(), file=sys.stderr)
+    step("going on")
 
 
 def track(items: Iterable[Item], words: str, total: int | None = None, unit: str = "image") -> Iterator[Item]:

@@ -287,11 +287,12 @@ def simulate_into(
 
     keep_compiled()
     from jaxscan.atomic import replacing_folders
-    from jaxscan.cli.progress import progress
+    from jaxscan.cli.progress import progress, step
     from jaxscan.files.axes import STAGE
     from jaxscan.simulation import folders, rig_2003
     from jaxscan.simulation.hand import STILL
 
+    step("building the scene")
     rig = rig_2003.with_stage(rig_2003.simulated_rig(seed, lasers, bow_mm), **(stage or {}))
     rig = rig_2003.with_turntable(rig, seed) if turntable else rig
     if light.get("highlight"):
@@ -368,6 +369,7 @@ def describe(result: dict[str, Any]) -> str:
         then = [
             f"jaxscan reconstruct {out}/{scans[0]} --rig {out}/rig.json -o {points}",
             f"jaxscan mesh {points} -o {out}/model.stl",
+            f"jaxscan compare {points} {out}/truth",
         ]
     return "\n".join(
         [

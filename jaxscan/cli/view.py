@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from jaxscan.cli.options import check_outputs
+from jaxscan.cli.progress import resting, step
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -19,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--colour",
         choices=("height", "sigma", "strength", "albedo", "photograph"),
-        help="of the points; photograph: their own (default: height)",
+        help="of the points; photograph: their own (default: height; of a mesh that has colours, these)",
     )
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw a picture in place of opening the browser")
     parser.add_argument("--port", type=int, default=8080, help="of this machine (default: 8080, or the next free one)")
@@ -36,6 +37,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
     from jaxscan.view.view_data import view_data
 
     rig = None
+    step(f"reading {args.file}")
     if args.rig:
         from jaxscan.files.rig_file import read_rig
 
@@ -54,21 +56,23 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
     if args.png:
         from jaxscan.view.surface_plots import draw_view_data
 
+        step(f"drawing {args.png}")
         draw_view_data(args.png, shown, colour, args.file.name)
         return result | {"picture": str(args.png)}
     from jaxscan.view.viewer import HOST, serve
 
     server = serve(shown, args.port, colour)
     address = f"http://{HOST}:{server.get_port()}"
-    print(f"{args.file} at {address}, until Ctrl-C", flush=True)
-    if not args.no_browser:
-        import webbrowser
+    with resting():
+        print(f"{args.file} at {address}, until Ctrl-C", flush=True)
+        if not args.no_browser:
+            import webbrowser
 
-        webbrowser.open(address)
-    try:
-        server.sleep_forever()
-    finally:
-        server.stop()
+            webbrowser.open(address)
+        try:
+            server.sleep_forever()
+        finally:
+            server.stop()
     return None
 
 

@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import trimesh
@@ -15,6 +15,8 @@ from jaxscan.files.ply import Column, Element, Lists, Ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import write_ply_file
 from jaxscan.foreign import foreign
+from jaxscan.images.sampled import sampled
+from jaxscan.images.shaded import TextureMap
 
 _INDICES: Final = ("vertex_indices", "vertex_index")
 
@@ -35,6 +37,25 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
         if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
             raise _no_triangles(path)
         return _checked(path, mesh)
+
+
+def colours_of(mesh: trimesh.Trimesh) -> tuple[UInt8[np.ndarray, "vertices 3"] | None, TextureMap | None]:
+    """The colours of a mesh's vertices and its texture, where the file that `read_mesh` read has them."""
+    visual: Any = mesh.visual
+    if visual.kind in ("vertex", "face"):
+        return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8), None
+    if visual.kind != "texture" or np.shape(visual.uv) != (len(mesh.vertices), 2):
+        return None, None
+    material = visual.material
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if image is None:
+        return None, None
+    picture = np.asarray(image.convert("RGB"))
+    rows, columns = picture.shape[:2]
+    # trimesh has v upwards.
+    u, v = np.asarray(visual.uv, np.float64).T
+    pixels = np.stack([u * columns - 0.5, (1.0 - v) * rows - 0.5], axis=1)
+    return np.rint(sampled(picture, pixels)).astype(np.uint8), TextureMap(pixels, picture)
 
 
 def has_faces(content: Ply) -> bool:

@@ -44,6 +44,9 @@ def read_yaml(path: Path) -> Table:
             # OpenCV's own first line, %YAML:1.0, is none of YAML's.
             documents = _documents(re.sub(r"\A%YAML[^\n]*", "", text))
         except yaml.YAMLError as error:
+            # From PyYAML 6.0.4 on the parser has a limit of its own, and looks ahead.
+            if "maximum nesting depth" in str(error):
+                raise RecursionError from error
             raise ValueError(str(error)) from error
         if len(documents) > 1:
             raise InputError(f"{path}: holds {len(documents)} documents, divided by ---: keep one of them")

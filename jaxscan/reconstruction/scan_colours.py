@@ -24,9 +24,10 @@ from jaxscan.errors import InputError
 from jaxscan.files.scan import Scan
 from jaxscan.geometry import Pose
 from jaxscan.images.decode import NUMBERS_PER_LEVEL, Image, read_image
+from jaxscan.images.sampled import sampled
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.merged_steps import step_groups
-from jaxscan.reconstruction.point_colours import STRIPE_PX, in_stripe, least_depths, sampled, visible
+from jaxscan.reconstruction.point_colours import STRIPE_PX, in_stripe, least_depths, visible
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.rig import Camera, Rig
 

@@ -13,6 +13,7 @@ The truth is three kinds of files:
 """
 
 import json
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -305,6 +306,34 @@ def read_scan_truth(folder: Path, which: str = "") -> ScanTruth:
     path = folder / f"{scan_name(which)}.npz"
     if not path.is_file():
         raise InputError(f"{path}: there is no such file: name the folder truth of a simulation")
+    return read_truth_file(path, which)
+
+
+def truth_file(path: Path) -> Path | None:
+    """The file with the truth of a scan: the path itself, or the only one in a folder truth; None if it is neither.
+
+    Raises:
+        InputError: a folder has the truth of several scans.
+    """
+    if path.is_dir():
+        found = sorted(path.glob(f"{scan_name('')}*.npz")) if (path / TRUE_RIG).is_file() else []
+        if len(found) > 1:
+            names = ", ".join(each.name for each in found)
+            raise InputError(f"{path}: has the truth of {len(found)} scans: name one of its files: {names}")
+        return found[0] if found else None
+    if path.suffix.lower() != ".npz" or not zipfile.is_zipfile(path):
+        return None
+    with zipfile.ZipFile(path) as archive:
+        names = set(archive.namelist())
+    return path if names >= {"position.npy", "points.npy"} and "strength.npy" not in names else None
+
+
+def read_truth_file(path: Path, which: str = "") -> ScanTruth:
+    """Read one file that `write_truth` wrote of a scan.
+
+    Raises:
+        InputError: it holds something else.
+    """
     arrays = read_npz(path, lambda name: True)
     position, points = arrays.pop("position", np.zeros(0)), arrays.pop("points", np.zeros(0))
     if position.ndim != 2 or points.shape != (*position.shape, 3):

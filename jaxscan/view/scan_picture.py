@@ -11,6 +11,7 @@ from jaxscan.images.decode import Image
 from jaxscan.images.shaded import beside, cut_out, draw_surface
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface.triangles import grid_surface
+from jaxscan.view.mesh_picture import vertex_normals
 
 _SIZE: Final = (640, 560)
 _MARGIN: Final = 0.12
@@ -54,10 +55,10 @@ def draw_scan(
     scale = (1 - 2 * _MARGIN) * min(np.array(_SIZE) / (high - low))
     corners = scale * (flat - (low + high) / 2) + np.array(_SIZE) / 2
     light = toward + 0.7 * above - 0.6 * right
-    normals = _vertex_normals(vertices, surface.triangles, toward)
-    shaded = draw_surface(
-        corners, -vertices @ toward, normals, surface.triangles, paint, light / np.linalg.norm(light), _SIZE
-    )
+    normals, triangles = vertex_normals(vertices, surface.triangles), surface.triangles
+    if (normals @ toward).mean() < 0:
+        normals, triangles = -normals, triangles[:, ::-1]
+    shaded = draw_surface(corners, -vertices @ toward, normals, triangles, paint, light / np.linalg.norm(light), _SIZE)
     shown = draw_stripe(photograph, np.full_like(stripe, np.nan), True)
     found = image.pixels[image.valid]
     across = np.flatnonzero(image.valid.any(axis=0))
@@ -70,16 +71,3 @@ def _across(vector: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float
     """The unit vector at right angles to `up` that is nearest to a vector."""
     level = vector - (vector @ up) * up
     return level / np.linalg.norm(level)
-
-
-def _vertex_normals(
-    vertices: Float[np.ndarray, "vertices 3"], triangles: np.ndarray, toward: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "vertices 3"]:
-    """Unit normals at the vertices: the mean of those of their triangles, weighted by area."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    own = np.cross(b - a, c - a)
-    total = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(total, triangles[:, k], own)
-    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
-    return total if (total @ toward).mean() > 0 else -total

@@ -12,19 +12,21 @@ from jaxscan.files.cloud import shown_colours
 from jaxscan.reconstruction import RangeImage
 from jaxscan.surface import views
 from jaxscan.surface.clean import RULES
+from jaxscan.surface.colours import sequential
 from jaxscan.surface.compare import Comparison
 from jaxscan.surface.floor import Floor, find_floor
 from jaxscan.surface.links import sampling
 from jaxscan.view.matplotlib_setup import pyplot
+from jaxscan.view.mesh_picture import AZIMUTH, brightened, look, shaded_panel
 from jaxscan.view.view_data import PHOTOGRAPH, UNITS, ViewData
+from jaxscan.view.viewer import limits, painted
 
 # Values beyond these percentiles are shown in the colours of the ends.
 _SHOWN: Final = (1.0, 99.0)
 # Of what stayed, and of what each rule took.
 _REMOVED: Final = ("0.85", "tab:red", "tab:orange", "tab:blue")
-# From where meshes are looked at: so far above the floor, and so far to the side of the camera's up.
-_ELEVATION, _AZIMUTH = np.radians(35.0), np.radians(25.0)
-_MOST_TRIANGLES: Final = 60_000
+# Of a mesh without colours.
+_CLAY: Final = (240.0, 228.0, 204.0)
 _MOST_POINTS: Final = 100_000
 
 
@@ -96,6 +98,7 @@ def draw_mesh(
     up: Float[np.ndarray, "3"],
     title: str,
     height: Float[np.ndarray, "vertices"] | None = None,
+    colours: UInt8[np.ndarray, "vertices 3"] | None = None,
 ) -> None:
     """A mesh from two sides, shaded, its nearer triangles over the farther ones.
 
@@ -105,51 +108,34 @@ def draw_mesh(
         triangles: three vertices each, anticlockwise from outside.
         up: the direction that is up in the picture.
         title: over the picture.
-        height: of each vertex above the floor, mm: what it is coloured by, grey where it is not known.
+        height: of each vertex above the floor, mm: what it is coloured by where it is known.
+        colours: of each vertex otherwise, 0, 0, 0 for one without; clay if None.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
     """
     plt = pyplot()
     from matplotlib.cm import ScalarMappable
-    from matplotlib.collections import PolyCollection
     from matplotlib.colors import Normalize
 
     figure, axes = plt.subplots(1, 2, figsize=(15, 6.5), layout="constrained")
-    # A picture has no room for more: then only every Nth is drawn, larger.
-    every = max(1, len(triangles) // _MOST_TRIANGLES)
-    corners = vertices[triangles[::every]].astype(np.float64)
-    if every > 1:
-        middle = corners.mean(axis=1, keepdims=True)
-        corners = middle + np.sqrt(every) * (corners - middle)
-    own = np.full(len(corners), np.nan) if height is None else height[triangles[::every]].mean(axis=1)
-    known = np.isfinite(own)
-    colour = np.tile([0.95, 0.9, 0.8], (len(corners), 1))
-    if known.any():
-        scale = ScalarMappable(Normalize(*np.percentile(own[known], _SHOWN)), "viridis")
-        colour[known] = scale.to_rgba(own[known])[:, :3]
+    paint: Any = np.full((len(vertices), 3), _CLAY)
+    if colours is not None:
+        paint = brightened(shown_colours(colours).astype(np.float64))
+    known = np.zeros(0, bool) if height is None else np.isfinite(height)
+    if height is not None and known.any():
+        scale = ScalarMappable(Normalize(*np.percentile(height[known], _SHOWN)), "viridis")
+        paint[known] = 255 * scale.to_rgba(height[known])[:, :3]
         figure.colorbar(scale, ax=axes, label="height over the floor, mm", shrink=0.8)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    for ax, turn in zip(axes, (_AZIMUTH, _AZIMUTH + np.pi), strict=True):
-        across, above, toward = _look(up, turn)
-        seen = corners - corners.reshape(-1, 3).mean(axis=0)
-        flat = np.stack([seen @ across, seen @ above], axis=-1)
-        order = np.argsort((seen @ toward).mean(axis=1))
-        light = toward + 0.6 * above - 0.5 * across
-        shade = normals @ (light / np.linalg.norm(light))
-        # The back of a surface is shown too, and darker.
-        grey = np.where(normals @ toward > 0, 0.2 + 0.8 * np.clip(shade, 0, 1), 0.12)
-        colours = grey[order, None] * colour[order]
-        ax.add_collection(PolyCollection(flat[order].tolist(), facecolors=colours, edgecolors=colours, linewidths=0.3))
-        ax.autoscale_view()
-        ax.set(aspect="equal", xlabel="mm", ylabel="mm")
+    middle = vertices[triangles].reshape(-1, 3).mean(axis=0)
+    for ax, turn in zip(axes, (AZIMUTH, AZIMUTH + np.pi), strict=True):
+        shaded_panel(ax, vertices - middle, triangles, paint, look(up, turn))
     figure.suptitle(title)
     save_figure(plt, figure, path)
 
 
 def draw_view_data(path: str | os.PathLike[str], shown: ViewData, colour: str, title: str) -> None:
-    """What the viewer shows, from two sides, and where the scanner stood, as it is known.
+    """What the viewer shows, from two sides, and where the scanner stood, as it is known; a mesh is shaded.
 
     Args:
         path: the PNG to write.
@@ -161,42 +147,52 @@ def draw_view_data(path: str | os.PathLike[str], shown: ViewData, colour: str, t
         InputError: matplotlib is not installed, or the file cannot be written.
     """
     plt = pyplot()
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+
     panels = 2 if shown.setup is None else 3
     figure, axes = plt.subplots(1, panels, figsize=(7.5 * panels, 6.5), layout="constrained")
     points = shown.points.astype(np.float64)
-    if colour == PHOTOGRAPH and shown.colours is not None:
-        values = shown_colours(shown.colours) / 255.0
-    else:
-        values = shown.values[colour]
-    if shown.triangles is not None:
-        points, values = points[shown.triangles].mean(axis=1), values[shown.triangles].mean(axis=1)
-    every = max(1, len(points) // _MOST_POINTS)
-    points, values = points[::every], values[::every]
-    middle = points.mean(axis=0)
-    known = values[np.isfinite(values)]
-    look: dict[str, Any] = {"linewidths": 0}
-    if values.ndim == 1:
-        look |= {"cmap": "viridis", "plotnonfinite": True}
-    if len(known) and values.ndim == 1:
-        look |= dict(zip(("vmin", "vmax"), np.percentile(known, _SHOWN), strict=True))
-    dots = None
-    for ax, turn in zip(axes, (_AZIMUTH, _AZIMUTH + np.pi, _AZIMUTH + np.pi / 2), strict=False):
-        across, above, toward = _look(shown.up, turn)
-        seen = points - middle
-        order = np.argsort(seen @ toward)
-        size = 3.0 if ax is not axes[-1] or panels == 2 else 0.3
-        dots = ax.scatter(seen[order] @ across, seen[order] @ above, c=values[order], s=size, **look)
-        ax.set(aspect="equal", xlabel="mm", ylabel="mm")
+    middle = points.mean(axis=0) if shown.triangles is None else points[shown.triangles].reshape(-1, 3).mean(axis=0)
+    paint: Any = painted(shown, colour).astype(np.float64)
+    if colour == PHOTOGRAPH:
+        paint = brightened(paint if shown.texture is None else shown.texture)
+    for ax, turn in zip(axes, (AZIMUTH, AZIMUTH + np.pi, AZIMUTH + np.pi / 2), strict=False):
+        directions = look(shown.up, turn)
+        if shown.triangles is None:
+            size = 3.0 if ax is not axes[-1] or panels == 2 else 0.3
+            _scattered(ax, points - middle, paint, directions, size)
+        else:
+            shaded_panel(ax, points - middle, shown.triangles, paint, directions)
         if shown.setup is not None and ax is axes[-1]:
-            view = np.stack([across, above], axis=1)
+            view = np.stack(directions[:2], axis=1)
             travel, sheet = ((place - middle) @ view for place in (shown.setup.at.translation, shown.setup.sheet))
             ax.fill(*sheet.T, color="tab:red", alpha=0.25, label="light plane at the first frame")
             ax.plot(*travel.T, ".-", color="tab:blue", label="camera, from the first frame to the last")
+            ax.autoscale(tight=False)
             ax.legend(loc="lower left")
-    if values.ndim == 1:
-        figure.colorbar(dots, ax=axes[-1], label=f"{colour}, {UNITS[colour]}", shrink=0.8)
+    if colour != PHOTOGRAPH:
+        ramp = ListedColormap(sequential(np.linspace(0.0, 1.0, 256)) / 255.0)
+        scale = ScalarMappable(Normalize(*limits(shown.values[colour])), ramp)
+        figure.colorbar(scale, ax=axes[-1], label=f"{colour}, {UNITS[colour]}", shrink=0.8)
     figure.suptitle(title)
     save_figure(plt, figure, path)
+
+
+def _scattered(
+    ax: Any,
+    points: Float[np.ndarray, "points 3"],
+    paint: Float[np.ndarray, "points 3"],
+    directions: tuple[Float[np.ndarray, "3"], ...],
+    size: float,
+) -> None:
+    """Draw points, the nearer ones over the farther ones; of very many every Nth."""
+    across, above, toward = directions
+    every = max(1, len(points) // _MOST_POINTS)
+    seen, paint = points[::every], paint[::every]
+    order = np.argsort(seen @ toward)
+    ax.scatter(seen[order] @ across, seen[order] @ above, c=paint[order] / 255.0, s=size, linewidths=0)
+    ax.set(aspect="equal", xlabel="mm", ylabel="mm")
 
 
 def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title: str) -> None:
@@ -231,18 +227,6 @@ def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title:
     right.set(xlabel="signed distance / µm", ylabel="points")
     figure.suptitle(title)
     save_figure(plt, figure, path)
-
-
-def _look(up: Float[np.ndarray, "3"], turn: float) -> tuple[Float[np.ndarray, "3"], ...]:
-    """The directions to the right, up and toward the viewer, at an elevation and turned about `up`."""
-    start = np.array([0.0, 1.0, 0.0]) if abs(up[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    start = start - (start @ up) * up
-    start /= np.linalg.norm(start)
-    level = np.cos(turn) * start + np.sin(turn) * np.cross(up, start)
-    toward = np.cos(_ELEVATION) * level + np.sin(_ELEVATION) * up
-    across = np.cross(up, toward)
-    across /= np.linalg.norm(across)
-    return across, np.cross(toward, across), toward
 
 
 def save_figure(plt: Any, figure: Any, path: str | os.PathLike[str]) -> None:

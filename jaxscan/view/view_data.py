@@ -1,6 +1,6 @@
 """What `jaxscan view` shows of a file: points or a mesh, what is known of each point, and where the scanner stood."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -9,10 +9,11 @@ from jaxtyping import Float, Float32, Int, UInt8
 
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.cloud import Cloud, cloud_of
-from jaxscan.files.mesh import has_faces, mesh_of, read_mesh
+from jaxscan.files.mesh import colours_of, has_faces, mesh_of, read_mesh
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.geometry import Pose
 from jaxscan.geometry.robust_plane import dominant_plane
+from jaxscan.images.shaded import TextureMap
 from jaxscan.reconstruction import RangeImage, read_range_image
 from jaxscan.rig import Light, Rig
 from jaxscan.rig.light import section, sheet_axes
@@ -57,6 +58,7 @@ class ViewData:
         triangles: between the points; none for a cloud.
         setup: where the scanner stood.
         colours: red, green, blue as photographed, where they are known; 0, 0, 0 for a point without one.
+        texture: of a mesh that has one; `colours` are then what it shows at the points.
     """
 
     points: Float32[np.ndarray, "points 3"]
@@ -65,6 +67,7 @@ class ViewData:
     triangles: Int[np.ndarray, "triangles 3"] | None = None
     setup: Setup | None = None
     colours: UInt8[np.ndarray, "points 3"] | None = None
+    texture: TextureMap | None = None
 
     @property
     def looks(self) -> tuple[str, ...]:
@@ -72,13 +75,15 @@ class ViewData:
         return (*self.values, *([] if self.colours is None else [PHOTOGRAPH]))
 
     def colour(self, name: str | None) -> str:
-        """The name of the values to colour by; by default the height.
+        """The name of the values to colour by; by default the colours that a mesh has, or else the height.
 
         Raises:
             InputError: they are not known.
         """
         if name is not None and name not in self.looks:
             raise InputError(f'"{name}" is not known of these points: choose {", ".join(self.looks)}')
+        if name is None and self.triangles is not None and self.colours is not None:
+            return PHOTOGRAPH
         return name or "height"
 
 
@@ -95,7 +100,9 @@ def view_data(path: Path, rig: Rig | None = None) -> ViewData:
             return _of_image(image, rig)
     if ending != ".ply":
         mesh = read_mesh(path)
-        return _of_points(Cloud(np.asarray(mesh.vertices, np.float32)), np.asarray(mesh.faces), rig)
+        colours, texture = colours_of(mesh)
+        cloud = Cloud(np.asarray(mesh.vertices, np.float32), colours=colours)
+        return replace(_of_points(cloud, np.asarray(mesh.faces), rig), texture=texture)
     content = read_ply_file(path)
     if not has_faces(content):
         return _of_points(cloud_of(path, content), None, rig)

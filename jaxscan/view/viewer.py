@@ -4,12 +4,14 @@ from typing import Any, Final
 
 import numpy as np
 import trimesh
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 
 from jaxscan.extras import extra
 from jaxscan.files.cloud import shown_colours
+from jaxscan.images.shaded import TextureMap
 from jaxscan.surface.colours import sequential
+from jaxscan.view.picked import Picker
 from jaxscan.view.view_data import PHOTOGRAPH, UNITS, ViewData
 
 HOST: Final = "127.0.0.1"
@@ -49,7 +51,9 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
 
     def draw(name: str) -> None:
         colours = painted(shown, name)
-        if shown.triangles is None:
+        if name == PHOTOGRAPH and shown.texture is not None:
+            scene.add_mesh_trimesh("/mesh", _textured(centred, shown.triangles, shown.texture))
+        elif shown.triangles is None:
             spacing = size / np.sqrt(len(points))
             scene.add_point_cloud(
                 "/points", centred, colours, point_size=0.6 * spacing, point_shape="circle", precision="float32"
@@ -89,6 +93,8 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
         legend = server.gui.add_html(colour_bar(shown, colour))
         ruled = server.gui.add_checkbox(f"grid, squares of {cell:g} mm", initial_value=True)
 
+    Picker(server, shown, middle, size)
+
     @choice.on_update
     def _(_: Any) -> None:
         draw(choice.value)
@@ -122,6 +128,21 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
             scene.add_mesh_simple("/scanner/light", corners, faces, color=_LIGHT, opacity=0.25, side="double")
     server.flush()
     return server
+
+
+def _textured(
+    vertices: Float[np.ndarray, "vertices 3"], triangles: Int[np.ndarray, "triangles 3"] | None, texture: TextureMap
+) -> trimesh.Trimesh:
+    """The mesh with its texture."""
+    from PIL.Image import fromarray
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    rows, columns = texture.picture.shape[:2]
+    # trimesh has v upwards.
+    uv = (texture.pixels + 0.5) / [columns, rows] * [1.0, -1.0] + [0.0, 1.0]
+    material = PBRMaterial(baseColorTexture=fromarray(texture.picture), metallicFactor=0.0, roughnessFactor=1.0)
+    return trimesh.Trimesh(vertices, triangles, visual=TextureVisuals(uv, material=material), process=False)
 
 
 def aside_of(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

@@ -169,4 +169,5 @@ def test_a_reader_that_goes_away_is_no_accident(tmp_path):
     done = subprocess.run(command, stdout=write_end, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
     os.close(write_end)
     assert done.returncode == 1
-    assert done.stderr == ""
+    # A command that takes long says so; nothing else is said.
+    assert [line for line in done.stderr.splitlines() if not line.startswith("inspect: ")] == []

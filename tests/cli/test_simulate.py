@@ -54,6 +54,7 @@ def test_sessions_scans_and_truth(few_photographs: None, tmp_path: Path) -> None
         f"next: jaxscan calibrate {out}/session -o {out}/rig.json",
         f"then: jaxscan reconstruct {out}/scan --rig {out}/rig.json -o {out}/scan.npz",
         f"then: jaxscan mesh {out}/scan.npz -o {out}/model.stl",
+        f"then: jaxscan compare {out}/scan.npz {out}/truth",
     ]
 
 

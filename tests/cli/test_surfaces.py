@@ -11,9 +11,11 @@ import trimesh
 from jaxscan.cli.main import main
 from jaxscan.files.ply import Lists
 from jaxscan.files.ply_read import read_ply_file
+from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import RangeImage, read_range_image, write_points
 from jaxscan.rig import Linear
+from jaxscan.simulation.rig_2003 import simulated_rig
 from tests.surface import scenes
 
 
@@ -142,6 +144,13 @@ def test_floors_methods_and_options(folder, capsys):
     assert cloud["triangles"] > 3 * alone
     assert "looked for in a range image (.npz) alone" in cloud["note"]
     assert "note" not in run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply", "--floor=keep")
+    # A cloud is joined as the light of a rig shows it, with --method delaunay or without.
+    write_rig(folder / "lit.json", RigFile(simulated_rig(0)))
+    lit = [
+        run(capsys, "mesh", folder / "block.ply", "-o", folder / "cloud.ply", "--rig", folder / "lit.json", *words)
+        for words in ((), ("--method", "delaunay"))
+    ]
+    assert lit[0]["triangles"] == lit[1]["triangles"] != cloud["triangles"]
 
 
 def test_compare_with_a_mesh_and_with_a_cloud(folder, capsys):
@@ -212,6 +221,8 @@ def test_inspect_meshes_clouds_and_views(folder, capsys):
         ("mesh block.npz -o x.stl --every 0,1", "--every 0,1: give whole numbers"),
         ("mesh block.npz -o x.stl --every 1", "is not 2 finite numbers"),
         ("mesh block.npz -o nowhere/x.stl", "there is no folder"),
+        ("mesh block.npz -o x.stl --rig lit.json", "--rig: only --method delaunay looks along the light of a rig"),
+        ("mesh block.ply -o x.stl --rig lit.json --method poisson", "--rig: only --method delaunay looks along"),
         ("inspect one.npz --png x.png --frame 1", "--frame chooses a photograph, and a range image is drawn whole"),
         ("inspect one.npz --png x.png", "one.npz: a surface takes at least two frames"),
         ("compare block.ply", "give a REFERENCE"),

@@ -3,6 +3,7 @@
 import io
 import os
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -146,6 +147,16 @@ def test_in_a_browser(folder):
                 seen = (np.ptp(inner, axis=1) > 40).mean()
                 if seen > 0.02:
                     break
+            # A click on the block, which stands in the middle: its coordinates, and the regions around it.
+            for _ in range(20):
+                page.mouse.click(220, 300)
+                page.wait_for_timeout(1500)
+                if "x, y, z = " in page.inner_text("body"):
+                    break
+            said = page.inner_text("body").partition("x, y, z = ")[2].partition(" mm")[0]
+            page.wait_for_timeout(1000)
+            values = [field.input_value() for field in page.locator("input").all()]
+            fields = [next(value for value in values if value.startswith(kind)) for kind in ("ball", "box")]
             page.get_by_label("grid, squares of").uncheck()
             page.wait_for_timeout(3000)
             without = np.asarray(Image.open(io.BytesIO(page.screenshot(timeout=120_000))).convert("RGB"))
@@ -155,3 +166,9 @@ def test_in_a_browser(folder):
         server.stop()
     assert seen > 0.02
     assert ruled > 0.003
+    place = np.array([float(word) for word in said.split(",")])
+    image = block()
+    assert np.linalg.norm(image.points[image.valid] - place, axis=1).min() < 1.5
+    ball, box = (tomllib.loads(line) for line in fields)
+    np.testing.assert_allclose(ball["ball"][:3], place, atol=0.011)
+    np.testing.assert_allclose(np.mean(box["box"], axis=0), place, atol=0.011)

@@ -452,6 +452,22 @@ def test_headers_of_every_answer(lasting: Served):
         assert not re.search(r"""(src|href)=["'](https?:)?//""", client.get(path).text)
 
 
+def test_the_interface_is_described_to_programs_too(lasting: Served):
+    token = lasting.browser(OPERATOR).post("/api/tokens", json={"name": "a reader"}).json()["token"]
+    answer = lasting.client(Authorization=f"Bearer {token}").get("/api")
+    assert answer.status_code == 200
+    assert "/api/state" in answer.text
+    # Nothing of a session is in it.
+    assert "csrf" not in answer.text
+    assert "Sign out" not in answer.text
+    wrong = lasting.client(Authorization="Bearer nonsense").get("/api")
+    assert wrong.status_code == 401
+    assert "token is not valid" in wrong.json()["detail"]
+    # Other pages are for people alone, and who sends neither is asked to sign in.
+    assert lasting.client(Authorization=f"Bearer {token}").get("/projects", follow_redirects=False).status_code == 303
+    assert lasting.client().get("/api", follow_redirects=False).headers["Location"] == "/sign-in"
+
+
 def test_where_it_listens(tmp_path: Path):
     for host in ("127.0.0.1", "::1", "localhost"):
         bind(host, 0, tls=False, insecure=False).close()
