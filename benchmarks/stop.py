@@ -33,6 +33,7 @@ _FRAMES, _QUICK_FRAMES = 5, 3
 _SIZES = {"watchers": 200, "clouds": 50, "sign-ins": 100, "half-open": 2000}
 _QUICK_SIZES = {"watchers": 20, "clouds": 10, "sign-ins": 20, "half-open": 200}
 _GOAL_S = 0.5
+_END_S = 30.0
 
 
 def measure(quick: bool) -> list[Metric]:
@@ -99,8 +100,7 @@ def _server(folder: Path, *files: Path) -> Iterator[tuple[int, str, list[str]]]:
         url, tokens = json.loads(child.stdout.readline())
         yield child.pid, url, tokens
     finally:
-        child.terminate()
-        child.communicate()
+        _end(child)
 
 
 @contextlib.contextmanager
@@ -114,7 +114,16 @@ def _loaded(url: str, tokens: list[str], loads: list[str], sizes: dict[str, int]
             raise RuntimeError("the load did not begin")
         yield
     finally:
-        child.terminate()
+        _end(child)
+
+
+def _end(child: "subprocess.Popen[str]") -> None:
+    """End it, and what it has begun: by force where it takes too long."""
+    child.terminate()
+    try:
+        child.communicate(timeout=_END_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
         child.communicate()
 
 

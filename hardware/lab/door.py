@@ -9,7 +9,6 @@ system's buffer.
 """
 
 import contextlib
-import errno
 import json
 import re
 import select
@@ -17,11 +16,10 @@ import signal
 import socket
 import sys
 import time
-from collections import deque
 from typing import Any, Final, NamedTuple
 
 from hardware.lab.gate import TIMED_OUT, Gate, Listening
-from hardware.lab.handing import HandedOn, hand
+from hardware.lab.handing import HandedOn, Way, hand
 from hardware.lab.limits import STRANGER, Limits
 from hardware.lab.refusal import Refusal
 from hardware.lab.throttle import network_of
@@ -57,19 +55,18 @@ class Door:
         self, listening: Listening, crowd: socket.socket, urgent: socket.socket, head_s: float, proxies: tuple[str, ...]
     ):
         self._listening, self._gate = listening, listening.gate
-        self._crowd, self._urgent = crowd, urgent
+        self._urgent = urgent
         self._head_s = head_s
         self._proxies = {network_of(proxy) for proxy in proxies}
         self._limits = Limits()
         # The longest here first.
         self._callers: dict[int, _Caller] = {}
-        self._whole: deque[_Caller] = deque()
         self._poll = select.epoll()
-        for one in (listening, crowd, urgent):
+        for one in (listening, urgent):
             one.setblocking(False)
         self._poll.register(listening, select.EPOLLIN)
-        # Of these two only that the server is gone.
-        self._poll.register(crowd, 0)
+        self._crowd = Way(crowd, self._poll, self._end)
+        # Of this one only that the server is gone.
         self._poll.register(urgent, 0)
 
     def serve(self) -> None:
@@ -85,7 +82,7 @@ class Door:
                 elif number in ends:
                     if event & (select.EPOLLHUP | select.EPOLLERR):
                         return
-                    self._hand_on()
+                    self._crowd.go()
                 elif number in self._callers:
                     self._look(number, event)
             self._end_late()
@@ -112,18 +109,17 @@ class Door:
         if event & (select.EPOLLHUP | select.EPOLLERR):
             # Ended by its other side, or by the gate for another's sake; what it said is there still.
             self._forget(caller)
-            self._end(caller)
+            self._end(caller.line, caller.peer)
         elif said and (_WHOLE.search(said) or len(said) == _HEAD or not _FIRST.match(said)):
             self._forget(caller)
             if _URGENT.match(said) and _WHOLE.search(said) and self._urgently(caller, said):
                 return
             self._gate.note(caller.peer, "answer")
-            self._whole.append(caller)
-            self._hand_on()
+            self._crowd.add(caller.line, caller.peer)
         elif event & select.EPOLLRDHUP:
             # Nothing more will come.
             self._forget(caller)
-            self._end(caller)
+            self._end(caller.line, caller.peer)
 
     def _urgently(self, caller: _Caller, said: bytes) -> bool:
         """Hand on what asks for Stop; False where its address has asked for too much of that, or the way is full."""
@@ -133,7 +129,7 @@ class Door:
             hand(self._urgent, caller.line, caller.peer)
         except (Refusal, OSError):
             return False
-        self._end(caller)
+        self._end(caller.line, caller.peer)
         return True
 
     def _whose(self, caller: _Caller, said: bytes) -> str:
@@ -145,19 +141,6 @@ class Door:
         others = [other for name in named if (other := network_of(name.strip())) not in self._proxies]
         return others[-1] if others else network
 
-    def _hand_on(self) -> None:
-        """Hand on to the crowd's loop, as far as that keeps up."""
-        while self._whole:
-            try:
-                hand(self._crowd, self._whole[0].line, self._whole[0].peer)
-            except OSError as error:
-                if error.errno == errno.ETOOMANYREFS:
-                    time.sleep(0.001)
-                self._poll.modify(self._crowd, select.EPOLLOUT)
-                return
-            self._end(self._whole.popleft())
-        self._poll.modify(self._crowd, 0)
-
     def _end_late(self) -> None:
         now_s = time.monotonic()
         while self._callers and (caller := next(iter(self._callers.values()))).until_s <= now_s:
@@ -166,16 +149,16 @@ class Door:
                 caller.line.send(TIMED_OUT)
             with contextlib.suppress(OSError):
                 caller.line.shutdown(socket.SHUT_RDWR)
-            self._end(caller)
+            self._end(caller.line, caller.peer)
 
     def _forget(self, caller: _Caller) -> None:
         del self._callers[caller.line.fileno()]
         self._poll.unregister(caller.line)
 
-    def _end(self, caller: _Caller) -> None:
+    def _end(self, line: socket.socket, peer: Any) -> None:
         """Close it here; whoever has been given it keeps it."""
-        self._gate.left(caller.peer)
-        caller.line.close()
+        self._gate.left(peer)
+        line.close()
 
 
 def main() -> None:

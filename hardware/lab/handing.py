@@ -9,6 +9,9 @@ import json
 import os
 import select
 import socket
+import time
+from collections import deque
+from collections.abc import Callable
 from typing import Any, Final
 
 from hardware.lab.gate import Gate, Listening
@@ -34,6 +37,47 @@ def hand(end: socket.socket, line: socket.socket, peer: Any) -> None:
         OSError: the way is full (BlockingIOError), or nobody is there any more.
     """
     socket.send_fds(end, [json.dumps(peer).encode().ljust(_MESSAGE)], [line.fileno()])
+
+
+class Way:
+    """To another process: connections for which there is no room wait.
+
+    Args:
+        end: of the pair, to whoever takes them.
+        poll: that watches it. Whoever asks the poll calls `go` when it can be written to; it is told, too, when nobody
+            is there any more.
+        handed: called with each connection and its address once it is on its way.
+    """
+
+    def __init__(self, end: socket.socket, poll: "select.epoll", handed: Callable[[socket.socket, Any], None]):
+        self._end, self._poll, self._handed = end, poll, handed
+        self._waiting: deque[tuple[socket.socket, Any]] = deque()
+        end.setblocking(False)
+        poll.register(end, 0)
+
+    def fileno(self) -> int:
+        """The descriptor that the poll names."""
+        return self._end.fileno()
+
+    def add(self, line: socket.socket, peer: Any) -> None:
+        """Hand this one on, after those that wait."""
+        self._waiting.append((line, peer))
+        self.go()
+
+    def go(self) -> None:
+        """Hand on, as far as the other side keeps up."""
+        while self._waiting:
+            line, peer = self._waiting[0]
+            try:
+                hand(self._end, line, peer)
+            except OSError as error:
+                if error.errno == errno.ETOOMANYREFS:
+                    time.sleep(0.001)
+                self._poll.modify(self._end, select.EPOLLOUT)
+                return
+            self._waiting.popleft()
+            self._handed(line, peer)
+        self._poll.modify(self._end, 0)
 
 
 class HandedOn(Listening):

@@ -5,28 +5,38 @@ That needs plain bytes in a socket. So this process holds the keys, speaks TLS w
 end of a pair of sockets with the browser's address; between the two it passes bytes on, as fast as the slower side
 takes them.
 
+A handshake is most of the work. Where many begin at the same moment, the addresses take turns. Of one address the
+newest and the oldest take turns: in a flood most of those that come do not wait for it, and nobody waits for ever.
+
 `python -m hardware.lab.tls`, started by `hardware.lab.doorway`; it ends when the server is gone.
 """
 
-import asyncio
 import contextlib
 import gc
 import json
-import logging
+import select
 import signal
 import socket
 import ssl
 import sys
+import time
+from collections import OrderedDict, deque
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from hardware.lab.gate import Gate, Listening
-from hardware.lab.handing import hand
+from hardware.lab.handing import Way
+from hardware.lab.relay import Relay
+from hardware.lab.throttle import network_of
 
-# Bytes on their way to a side that does not take them, before the other side is asked to wait.
-_ON_THE_WAY: Final = 64 * 1024
 # A browser that does not answer the end of TLS.
 _FAREWELL_S: Final = 5.0
+_LATEST_S: Final = 1.0
+# Connections that are taken before those that are here are looked at.
+_IN_A_ROW: Final = 16
+# The first byte of every handshake.
+_HANDSHAKE: Final = b"\x16"
+_GONE: Final = select.EPOLLHUP | select.EPOLLERR
 
 
 def context_of(cert: Path, key: Path) -> ssl.SSLContext:
@@ -44,110 +54,188 @@ def context_of(cert: Path, key: Path) -> ssl.SSLContext:
     return context
 
 
-class _Side(asyncio.Protocol):
-    """One side of a connection: what it says is written to the other."""
+class Turns:
+    """Connections that wait for their handshake: each address in turn, and of one the newest and the oldest in turn."""
 
     def __init__(self) -> None:
-        self.transport: asyncio.Transport | None = None
-        self.other: _Side | None = None
+        self._waiting: OrderedDict[str, deque[socket.socket]] = OrderedDict()
+        self._newest = False
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """It begins."""
-        self.transport = cast("asyncio.Transport", transport)
-        self.transport.set_write_buffer_limits(_ON_THE_WAY)
+    def __bool__(self) -> bool:
+        return bool(self._waiting)
 
-    def data_received(self, data: bytes) -> None:
-        """Pass it on."""
-        if self.other is not None and self.other.transport is not None:
-            self.other.transport.write(data)
+    def add(self, line: socket.socket, network: str) -> None:
+        """Let one wait, of this address."""
+        self._waiting.setdefault(network, deque()).append(line)
 
-    def pause_writing(self) -> None:
-        """The other side waits until this one has taken what there is."""
-        if self.other is not None and self.other.transport is not None:
-            self.other.transport.pause_reading()
+    def take(self) -> socket.socket:
+        """The next one; it waits no more.
 
-    def resume_writing(self) -> None:
-        """It need not wait any more."""
-        if self.other is not None and self.other.transport is not None:
-            self.other.transport.resume_reading()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """The other side gets what is on its way, then ends too; at once if this one was broken off."""
-        if self.other is None or self.other.transport is None:
-            return
-        if exc is None:
-            self.other.transport.close()
-        else:
-            self.other.transport.abort()
+        Raises:
+            KeyError: nobody waits.
+        """
+        network, lines = self._waiting.popitem(last=False)
+        self._newest = not self._newest
+        line = lines.pop() if self._newest else lines.popleft()
+        if lines:
+            self._waiting[network] = lines
+        return line
 
 
-class _Outside(_Side):
-    """The side that speaks TLS; it is made when the handshake is done.
+class Before:
+    """Takes connections, speaks TLS with them and hands on what they say.
 
     Args:
-        gate: through which it came.
-        door: where its other side goes.
+        listening: where everybody comes; its gate says how many there may be.
+        door: to the door.
+        context: what TLS needs to know.
+        head_s: within which a handshake has to be done.
     """
 
-    def __init__(self, gate: Gate, door: socket.socket):
-        super().__init__()
-        self._gate, self._door = gate, door
-        self._peer: Any = None
-        self._task: asyncio.Task[None] | None = None
+    def __init__(self, listening: Listening, door: socket.socket, context: ssl.SSLContext, head_s: float):
+        self._listening, self._gate = listening, listening.gate
+        self._context, self._head_s = context, head_s
+        self._turns = Turns()
+        # Those without a handshake, and those that are said farewell, with the time until they may stay: both in the
+        # order in which they have to go.
+        self._young: dict[socket.socket, float] = {}
+        self._leaving: dict[socket.socket, float] = {}
+        self._lines: dict[int, tuple[socket.socket, Any]] = {}
+        # By the descriptors of both sides.
+        self._relays: dict[int, Relay] = {}
+        self._poll = select.epoll()
+        listening.setblocking(False)
+        self._poll.register(listening, select.EPOLLIN)
+        self._way = Way(door, self._poll, self._handed)
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Hand the other side of it to the door."""
-        super().connection_made(transport)
-        self._peer = transport.get_extra_info("peername")
-        # From here on the door and the server say how long it may be silent.
-        self._gate.note(self._peer, "answer")
-        assert self.transport is not None
-        self.transport.pause_reading()
-        self._task = asyncio.get_running_loop().create_task(self._begin())
+    def serve(self) -> None:
+        """Serve until the server is gone."""
+        while True:
+            arrived = False
+            for number, event in self._poll.poll(self._wait_s()):
+                if number == self._listening.fileno():
+                    arrived = True
+                elif number == self._way.fileno():
+                    if event & _GONE:
+                        return
+                    self._way.go()
+                elif (relay := self._relays.get(number)) is not None:
+                    self._pass_on(relay, number, event)
+                elif number in self._lines:
+                    self._hear(*self._lines[number], event)
+            if self._turns:
+                self._begin(self._turns.take())
+            if arrived:
+                # After the others: a descriptor that is free again would be taken for one that this round is about.
+                self._take()
+            self._end_late()
 
-    async def _begin(self) -> None:
-        assert self.transport is not None
-        try:
-            here, its = socket.socketpair()
-        except OSError:
-            # No descriptors are left.
-            self.transport.abort()
-            return
-        with its:
-            here.setblocking(False)
-            _, inside = await asyncio.get_running_loop().create_connection(_Side, sock=here)
-            assert inside.transport is not None
+    def _wait_s(self) -> float:
+        if self._turns:
+            return 0.0
+        ends_s = [next(iter(some.values())) for some in (self._young, self._leaving) if some]
+        return min([_LATEST_S, *(max(0.0, end_s - time.monotonic()) for end_s in ends_s)])
+
+    def _take(self) -> None:
+        for _ in range(_IN_A_ROW):
             try:
-                hand(self._door, its, self._peer)
+                line, peer = self._gate.accept(self._listening)
+            except ConnectionAbortedError:
+                continue
             except OSError:
-                # The door is behind with its work.
-                self.transport.abort()
-            if self.transport.is_closing():
-                inside.transport.abort()
                 return
-        self.other, inside.other = inside, self
-        self.transport.resume_reading()
+            line.setblocking(False)
+            self._lines[line.fileno()] = line, peer
+            self._young[line] = time.monotonic() + self._head_s
+            self._poll.register(line, select.EPOLLIN)
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        """It has ended."""
-        self._gate.left(self._peer)
-        super().connection_lost(exc)
+    def _hear(self, line: socket.socket, peer: Any, event: int) -> None:
+        """See how one begins that has not said anything, or whether one that leaves has gone."""
+        try:
+            said = line.recv(1, socket.MSG_PEEK) if line in self._young else line.recv(1 << 16)
+        except OSError:
+            said = b""
+        if event & _GONE or not said or (line in self._young and said != _HANDSHAKE):
+            self._end(line)
+        elif line in self._young:
+            # Ended meanwhile, it still says so.
+            self._poll.modify(line, 0)
+            self._turns.add(line, network_of(str(peer[0])))
 
+    def _begin(self, line: socket.socket) -> None:
+        """Begin the handshake of one whose turn it is."""
+        if line in self._young:
+            relay = self._relays[line.fileno()] = Relay(line, self._context, self._poll)
+            self._pass_on(relay, line.fileno(), select.EPOLLIN)
 
-async def _serve(listening: Listening, door: socket.socket, context: ssl.SSLContext, head_s: float) -> None:
-    """Serve until the server is gone."""
-    loop, gone = asyncio.get_running_loop(), asyncio.Event()
-    server = await loop.create_server(
-        lambda: _Outside(listening.gate, door),
-        sock=listening,
-        ssl=context,
-        ssl_handshake_timeout=head_s,
-        ssl_shutdown_timeout=_FAREWELL_S,
-    )
-    # Nothing is ever said on it: it becomes readable when the server's end is closed.
-    loop.add_reader(door, gone.set)
-    async with server:
-        await gone.wait()
+    def _pass_on(self, relay: Relay, number: int, event: int) -> None:
+        """Let one go on as far as it can."""
+        line = relay.browser
+        if event & _GONE and number == line.fileno():
+            self._end(line)
+            return
+        try:
+            if relay.server is None and relay.shake_hands():
+                self._open(relay)
+            if relay.server is not None:
+                relay.pass_on()
+            if relay.done:
+                self._leave(relay)
+            else:
+                relay.watch()
+        except OSError:
+            self._end(line)
+
+    def _open(self, relay: Relay) -> None:
+        """Give the door its side."""
+        line = relay.browser
+        peer = self._lines[line.fileno()][1]
+        del self._young[line]
+        # From here on the door and the server say how long it may be silent.
+        self._gate.note(peer, "answer")
+        here, its = socket.socketpair()
+        here.setblocking(False)
+        relay.server = here
+        self._relays[here.fileno()] = relay
+        self._way.add(its, peer)
+
+    @staticmethod
+    def _handed(its: socket.socket, _: Any) -> None:
+        """The door has it."""
+        its.close()
+
+    def _leave(self, relay: Relay) -> None:
+        """All is said: wait for the browser's farewell; without it, what is on its way to it might be lost."""
+        line = relay.browser
+        self._forget(relay)
+        line.shutdown(socket.SHUT_WR)
+        self._gate.note(self._lines[line.fileno()][1], "rest")
+        self._leaving[line] = time.monotonic() + _FAREWELL_S
+        self._poll.register(line, select.EPOLLIN)
+
+    def _forget(self, relay: Relay) -> None:
+        """Nothing more is passed on; the browser's side stays."""
+        for side in relay.sides:
+            del self._relays[side.fileno()]
+        relay.close()
+
+    def _end(self, line: socket.socket) -> None:
+        """End a connection, whatever it was about."""
+        number = line.fileno()
+        if (relay := self._relays.get(number)) is not None:
+            self._forget(relay)
+        with contextlib.suppress(FileNotFoundError):
+            self._poll.unregister(line)
+        self._gate.left(self._lines.pop(number)[1])
+        for some in (self._young, self._leaving):
+            some.pop(line, None)
+        line.close()
+
+    def _end_late(self) -> None:
+        now_s = time.monotonic()
+        for some in (self._young, self._leaving):
+            while some and (line := next(iter(some))) and some[line] <= now_s:
+                self._end(line)
 
 
 def main() -> None:
@@ -157,13 +245,9 @@ def main() -> None:
     how = json.loads(sys.argv[1])
     context = context_of(Path(how["cert"]), Path(how["key"]))
     bound, door = (socket.socket(fileno=number) for number in how["sockets"])
-    door.setblocking(False)
-    # What strangers say that is no TLS is no fault of this program.
-    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     gc.freeze()
     listening = Listening(bound, Gate(tuple(how["proxies"]), how["connections"]), tls=True)
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_serve(listening, door, context, how["head_s"]))
+    Before(listening, door, context, how["head_s"]).serve()
 
 
 if __name__ == "__main__":
