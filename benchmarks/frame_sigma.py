@@ -39,6 +39,9 @@ _FAR: Final = 4.0
 _INK, _HIGHLIGHT = 0.3, 900.0
 _CAMERAS: Final[dict[str, Color]] = {"colour": "red", "twelve_bits": "red", "grey_camera": "grey", "grey_laser": "grey"}
 
+# Where a column is looked at besides its middle, the nearest to it first, columns.
+_PARTS_OF_COLUMN: Final = (-0.12, 0.12, -0.25, 0.25, -0.37, 0.37, -0.49, 0.49)
+
 Photographs = np.ndarray
 
 
@@ -64,12 +67,16 @@ def measure(quick: bool) -> list[Metric]:
 def whole(rig: Rig, every: int) -> list[Metric]:
     """Points within 1, 2 and 3 σ in all of a scan: speckle, a floor with printed squares, a burnt-out highlight.
 
-    Nothing is left out: points at edges of depth and reflectance count, and so does what is no stripe.
+    Nothing is left out: points at edges of depth and reflectance count, and so does what is no stripe. Where a surface
+    ends within a column and its middle sees nothing, the truth is what the rest of the column sees.
     """
     scene = SCENES["bench"](rig, replace(SHORT, floor_ink=_INK))
     scene = eqx.tree_at(lambda s: s.bodies, scene, tuple(replace(body, glossy=True) for body in scene.bodies))
     lighting = replace(rig_2003.SCAN_LIGHTING, speckle=0.2, highlight=_HIGHLIGHT, direction=rig_2003.mirrored_lamp(rig))
     photographs, truth = draw(rig, scene, lighting, every)
+    beside = [draw_truth(_sideways(rig, part), scene, lighting, every) for part in _PARTS_OF_COLUMN]
+    for other in beside:
+        truth = np.where(np.isfinite(truth), truth, other)
     stripe = detect_stripe(developed(photographs, "colour"), StripeSettings("red"))
     valid = np.asarray(stripe.valid)
     off = np.abs(np.asarray(stripe.position, np.float64) - truth)[valid] / np.asarray(stripe.sigma)[valid]
@@ -89,14 +96,28 @@ def draw(
 ) -> tuple[Photographs, Float[np.ndarray, "frames columns"]]:
     """The photographs, 16 bits in colour, and the true row of the stripe in each column."""
     sensor = replace(rig_2003.SENSOR, bits=16)
-    images, rows = [], []
-    for i in range(0, rig_2003.SCAN_FRAMES, every):
-        steps = i * rig_2003.STEPS_APART
-        images.append(
-            render(rig, scene, q={"stage": steps}, laser=0, lighting=lighting, sensor=sensor, seed=(2003, 0, 2, i))
-        )
-        rows.append(true_profile(rig, scene, {"stage": steps}, laser=0, lighting=lighting)[0])
-    return np.stack(images), np.stack(rows)
+    images = [
+        render(rig, scene, q={"stage": steps}, laser=0, lighting=lighting, sensor=sensor, seed=(2003, 0, 2, i))
+        for i, steps in _stops(every)
+    ]
+    return np.stack(images), draw_truth(rig, scene, lighting, every)
+
+
+def draw_truth(rig: Rig, scene: Scene, lighting: Lighting, every: int) -> Float[np.ndarray, "frames columns"]:
+    """The true row of the stripe in the middle of each column."""
+    return np.stack(
+        [true_profile(rig, scene, {"stage": steps}, laser=0, lighting=lighting)[0] for _, steps in _stops(every)]
+    )
+
+
+def _stops(every: int) -> list[tuple[int, int]]:
+    """Number and place of each photograph, motor steps."""
+    return [(i, i * rig_2003.STEPS_APART) for i in range(0, rig_2003.SCAN_FRAMES, every)]
+
+
+def _sideways(rig: Rig, part: float) -> Rig:
+    """The rig whose columns are this part of a column further on."""
+    return eqx.tree_at(lambda r: r.camera.principal[0], rig, rig.camera.principal[0] - part)
 
 
 def developed(photographs: Photographs, camera: str) -> Photographs:

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.images.stripes.ranks import median
+from jaxscan.images.stripes import ranks
 from jaxscan.images.stripes.windows import Lines, Pixels
 
 # Number of distances for products of neighbouring pixels, plus one; from this number of pixels on there is no grain.
@@ -148,7 +148,7 @@ def chance(
         taken: Y, likewise.
         read2: the variance of the sensor's noise; of frames that do not show it, the most that it can be.
         known: which do.
-        groups: into how many groups of lines a frame is divided: of their sums the median is taken.
+        groups: into how many groups of lines a frame is divided: of their sums what is usual is taken.
         correlation: of all noise of pixels 1, 2, … apart, where a camera has smoothed it; then no grain is looked for.
     """
     lags = range(1, _LAGS)
@@ -165,7 +165,7 @@ def chance(
         which = jnp.where(read, groups * which // jnp.maximum(read.sum(1, keepdims=True), 1), -1)
         member = (which[..., None] == jnp.arange(groups)[None, None]).astype(jnp.float32)
         grouped = jnp.einsum("sfl,flg->sfg", jnp.stack(each), member)
-        return median(grouped / jnp.stack(number)[:, :, None])
+        return ranks.usual(grouped / jnp.stack(number)[:, :, None])
 
     def mean(each: list[PerLine], number: list[Frames]) -> Float[Array, "sums frames"]:
         return jnp.stack(each).sum(-1) / (groups * jnp.stack(number))

@@ -1,6 +1,7 @@
-"""Medians of few numbers, by their ranks."""
+"""What is usual of few numbers, by their ranks."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 
@@ -19,3 +20,13 @@ def median(values: Float[Array, "*of some"]) -> Float[Array, "*of"]:
         return jnp.where(known & (before <= rank) & (rank < upto), values, -jnp.inf).max(-1)
 
     return jnp.where(count[..., 0] > 0, (ranked((count - 1) // 2) + ranked(count // 2)) / 2, jnp.nan)
+
+
+def usual(values: Float[Array, "*of some"]) -> Float[Array, "*of"]:
+    """The median of the means of two, along the last axis (J. Hodges and E. Lehmann 1963).
+
+    Three in ten of the values may be anything, as with a median half of them may; of normal ones it scatters as 1.05
+    of the mean does, a median as 1.57 (variances), and skew moves it less.
+    """
+    first, second = np.triu_indices(values.shape[-1])
+    return median((values[..., first] + values[..., second]) / 2)

@@ -43,7 +43,7 @@ from jaxscan.images.stripes.windows import (
 )
 from jaxscan.robust import NORMAL_MAD
 
-# Lines of each frame that are looked at, and in how many groups the noise is taken before the median.
+# Lines of each frame that are looked at, and in how many groups the noise is taken before what is usual of them.
 _LINES, _GROUPS = 96, 8
 # A line seems to have a stripe that stands out by this part of what is usual of the strongest.
 _STANDS = 0.25
