@@ -38,6 +38,8 @@ _FRAMES, _APART = 74, 1000
 # How near to a shape a peer's points lie: three times the noise, mm.
 _PHOTOGRAPHED_MM, _DRAWN_MM = 0.15, 0.3
 _LEAST, _MOST, _OF_PEER = 90.0, 99.0, 0.7
+# Dimensions of one round shape.
+_ROUND = ("radius", "cone_angle")
 
 
 @dataclass(frozen=True)
@@ -162,14 +164,20 @@ def coverage(found: Found) -> list[Metric]:
 
 
 def ratios(kind: str, found: Found) -> list[Metric]:
-    """RMS errors over the peer's, of each dimension and in the median."""
+    """RMS errors over the peer's: of each dimension, in the median of all, and in that of round shapes."""
     shares = {
         name: _rms(np.array([one.off for one in each])) / _rms(np.array([one.peer_off for one in each]))
         for name, each in found.items()
         if np.isfinite(each[0].peer_off)
     }
+    of_round = [share for name, share in shares.items() if found[name][0].ours.dimension.kind in _ROUND]
     return [
         Metric(f"parts.{kind}.over_peer", float(np.median(list(shares.values()))), "", "lower", _OF_PEER, 0.2),
+        *(
+            [Metric(f"parts.{kind}.round.over_peer", float(np.median(of_round)), "", "lower", _OF_PEER, 0.2)]
+            if of_round
+            else []
+        ),
         *(Metric(f"parts.{kind}.{name.replace(' ', '_')}.over_peer", share) for name, share in shares.items()),
     ]
 

@@ -15,14 +15,13 @@ from scipy import ndimage
 
 from jaxscan.errors import InputError
 from jaxscan.files.part_file import Region
-from jaxscan.measurement.alike import how_alike
 from jaxscan.measurement.guess import guess
 from jaxscan.measurement.scanned import Scanned
-from jaxscan.measurement.shapes import Plane, Shape, Vector, lengths
+from jaxscan.measurement.shapes import Plane, Shape, Vector, lengths, total
 from jaxscan.robust import NORMAL_MAD
 
 # Points further than this number of robust σ from the shape do not belong to it.
-_LIMIT: Final = 4.0
+LIMIT: Final = 4.0
 _ROUNDS, _STEPS, _HALVES = 15, 50, 12
 # Steps to where a point's line meets the shape, and how many σ it may come.
 _NEWTON, _FAR = 3, 8.0
@@ -36,8 +35,6 @@ _BEST: Final = 0.3
 FEWEST: Final = 20
 # The largest number of rounds that decide which points belong to a shape.
 _OF_ROUNDS: Final = 5000
-# How far off stripes are seen in the last pixels of a round shape, px, and the least part of its points that is left.
-_BESIDE_PX, _INNER = (0.2, 0.07, 0.03), 0.5
 # Of how many points halves are taken, and by how much their squares have to fall for another round.
 _OF_HALVES, _LESS = 1000, 0.9
 _GROWTHS: Final = 10
@@ -56,6 +53,8 @@ class Fit:
         left_out: how many points of the region are not of it.
         residuals: signed distances of the points that are used, mm.
         spread: σ of these by the stripe alone, relative to each other, mm.
+        beside: what a shape's border may be off by, in these σ: RMS for each point, all with one sign.
+        blurred: how likely it is that the scan's photographs were, by what the borders of its shapes show.
     """
 
     shape: Shape
@@ -63,6 +62,8 @@ class Fit:
     left_out: int
     residuals: Float[np.ndarray, "used"]
     spread: Float[np.ndarray, "used"]
+    beside: Float[np.ndarray, "used"]
+    blurred: float
 
     @property
     def rms_mm(self) -> float:
@@ -75,6 +76,29 @@ class Fit:
         return float(np.ptp(self.residuals))
 
 
+@dataclass(frozen=True)
+class Settled:
+    """A shape that is nearly fitted, and the points that are of it.
+
+    Attributes:
+        shape: by some of its points.
+        used: the numbers of its points.
+        given: the numbers of the region's points.
+        sigma: robust σ of the residuals, in units of `Fit.spread`.
+        off: what its border is expected to be off by, in units of `Fit.spread`; the fit takes it off.
+        beside: as in `Fit`.
+        blurred: as in `Fit`.
+    """
+
+    shape: Shape
+    used: Int[np.ndarray, "used"]
+    given: Int[np.ndarray, "given"]
+    sigma: float
+    off: Float[np.ndarray, "used"]
+    beside: Float[np.ndarray, "used"]
+    blurred: float = 0.0
+
+
 def fit_shape(
     scanned: Scanned,
     kind: str,
@@ -84,7 +108,20 @@ def fit_shape(
     normal: Vector | None = None,
     region: Region | None = None,
 ) -> Fit:
-    """Fit a shape to the points of a region.
+    """Fit a shape to the points of a region: `settle`, then `finish`."""
+    return finish(scanned, settle(scanned, kind, candidates, grow=grow, normal=normal, region=region))
+
+
+def settle(
+    scanned: Scanned,
+    kind: str,
+    candidates: Int[np.ndarray, "candidates"],
+    *,
+    grow: bool = False,
+    normal: Vector | None = None,
+    region: Region | None = None,
+) -> Settled:
+    """Find a shape, and which points of a region are of it.
 
     Args:
         scanned: all points.
@@ -103,31 +140,41 @@ def fit_shape(
         raise InputError("grow = true needs a range image (.npz), whose points have an order: enlarge the region")
     given = candidates
     start = _concentrated(scanned, guess(kind, scanned.points[given], normal), given)
-    shape, inside, sigma = _settled(scanned, start, given)
+    shape, inside, sigma = _by_rounds(scanned, start, given)
     if region is not None and scanned.stripe is not None and not grow:
         reach = _FAR * sigma * float(np.median(lengths(scanned.stripe[given])))
         candidates = scanned.within(region.wider(reach))
-        off = _off(scanned, shape, candidates)
-        inside = (np.abs(off.distance) <= _LIMIT * sigma * off.spread) & region.holds(off.foot)
+        off = off_shape(scanned, shape, candidates)
+        inside = (np.abs(off.distance) <= LIMIT * sigma * off.spread) & region.holds(off.foot)
     for _ in range(_GROWTHS if grow else 0):
         grown = _grown(scanned, shape, candidates[inside], sigma)
         before = int(inside.sum())
         candidates = np.union1d(candidates, grown)
-        shape, inside, sigma = _settled(scanned, shape, candidates)
+        shape, inside, sigma = _by_rounds(scanned, shape, candidates)
         # Beyond the region only what is connected counts.
         inside &= np.isin(candidates, grown)
         if abs(int(inside.sum()) - before) <= 1e-3 * before:
             break
     used = candidates[inside]
     _enough(len(used), len(candidates))
-    used = _without_border(scanned, shape, used, sigma)
+    return Settled(shape, used, given, sigma, np.zeros(len(used)), np.zeros(len(used)))
+
+
+def finish(scanned: Scanned, settled: Settled) -> Fit:
+    """The least squares of a shape's points, less what its border does to them."""
+    shape, used = settled.shape, settled.used
     if len(used) > _OF_ROUNDS:
         # A few are nearly there at once, so that all need a step or two.
         shape = _least_squares(scanned, shape, used[few(len(used), _OF_ROUNDS)])
     shape = _facing(scanned, _least_squares(scanned, shape, used), used)
-    off = _off(scanned, shape, used)
-    left_out = int((~np.isin(given, used)).sum())
-    return Fit(shape, used, left_out, off.distance, off.spread)
+    off = off_shape(scanned, shape, used)
+    if settled.off.any():
+        A = shape.jacobian(off.foot) / off.spread[:, None]
+        by = np.linalg.lstsq(A.T @ A, A.T @ settled.off, rcond=_SINGULAR)[0]
+        shape = shape.moved(by).placed(scanned.points[used])
+        off = off_shape(scanned, shape, used)
+    left_out = int((~np.isin(settled.given, used)).sum())
+    return Fit(shape, used, left_out, off.distance, off.spread, settled.beside, settled.blurred)
 
 
 def _enough(count: int, of: int | None = None) -> None:
@@ -149,7 +196,7 @@ def _concentrated(scanned: Scanned, shape: Shape, candidates: Int[np.ndarray, "c
     half = max(len(some) // 2, min(FEWEST, len(some)))
     least = np.inf
     for _ in range(_ROUNDS):
-        off = _off(scanned, shape, some, nearest=True)
+        off = off_shape(scanned, shape, some, nearest=True)
         squares = (off.distance / off.spread) ** 2
         nearest = np.argpartition(squares, half - 1)[:half]
         now = float(squares[nearest].sum())
@@ -160,7 +207,7 @@ def _concentrated(scanned: Scanned, shape: Shape, candidates: Int[np.ndarray, "c
     return shape
 
 
-def _settled(
+def _by_rounds(
     scanned: Scanned, shape: Shape, candidates: Int[np.ndarray, "candidates"]
 ) -> tuple[Shape, np.ndarray, float]:
     """Rounds of least squares without outliers: the shape, who is of it, and σ in units of the points' own."""
@@ -168,19 +215,19 @@ def _settled(
     inside = np.ones(len(some), bool)
     sigma = 0.0
     for _ in range(_ROUNDS):
-        found = _off(scanned, shape, some, nearest=True)
+        found = off_shape(scanned, shape, some, nearest=True)
         off = np.abs(found.distance) / found.spread
         least = _ROUNDING * shape.size / float(np.median(found.spread))
         sigma = max(NORMAL_MAD * float(np.median(off[inside])), least)
-        now = off <= _LIMIT * sigma
+        now = off <= LIMIT * sigma
         if now.sum() < FEWEST:
             break
         shape = _least_squares(scanned, shape, some[now], nearest=True)
         if (now == inside).all():
             break
         inside = now
-    of_all = _off(scanned, shape, candidates, nearest=True)
-    return shape, np.abs(of_all.distance) <= _LIMIT * sigma * of_all.spread, sigma
+    of_all = off_shape(scanned, shape, candidates, nearest=True)
+    return shape, np.abs(of_all.distance) <= LIMIT * sigma * of_all.spread, sigma
 
 
 def _grown(scanned: Scanned, shape: Shape, seeds: Int[np.ndarray, "seeds"], sigma: float) -> Int[np.ndarray, "grown"]:
@@ -188,8 +235,8 @@ def _grown(scanned: Scanned, shape: Shape, seeds: Int[np.ndarray, "seeds"], sigm
     assert scanned.place is not None
     assert scanned.image is not None
     every = np.arange(len(scanned.points))
-    off = _off(scanned, shape, every, nearest=True)
-    near = np.abs(off.distance) <= _LIMIT * sigma * off.spread
+    off = off_shape(scanned, shape, every, nearest=True)
+    near = np.abs(off.distance) <= LIMIT * sigma * off.spread
     mask = np.zeros(scanned.image.valid.shape, bool)
     frames, columns = scanned.place.T
     mask[frames[near], columns[near]] = True
@@ -199,59 +246,8 @@ def _grown(scanned: Scanned, shape: Shape, seeds: Int[np.ndarray, "seeds"], sigm
     return every[near & np.isin(label[frames, columns], of_seeds[of_seeds > 0])]
 
 
-def _without_border(
-    scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"], sigma: float
-) -> Int[np.ndarray, "inner"]:
-    """The points that have others of the shape on both sides along the stripe, as far as light spreads in the image.
-
-    Lens and pixels mix what neighbouring columns see. On a surface that goes on this cancels; beside its edge, or where
-    it turns out of sight, the stripe is seen off by s² (v′ (ln I)′ + v″ / 2), v its row and I its brightness along the
-    columns: up to 0.3 px in the last columns of a ball, always outwards. On a small or noisy surface the border says
-    more than it harms. So it is made so wide that tr C₀⁻¹ (C + b bᵀ) is least, C what the points that are left make of
-    the noise, b what the errors beside an edge would do to the numbers, C₀ that of all points.
-    """
-    if scanned.place is None or scanned.image is None or scanned.stripe is None:
-        return used
-    border = int(np.ceil(len(_BESIDE_PX) / scanned.pitch_px))
-    place = scanned.place[used]
-    aside = np.array([0, border])
-    low, high = place.min(axis=0) - aside, place.max(axis=0) + aside + 1
-    near = np.flatnonzero(((scanned.place >= low) & (scanned.place < high)).all(axis=1))
-    grid = np.zeros(high - low, bool)
-    at, own = tuple((scanned.place[near] - low).T), tuple((place - low).T)
-    grid[own] = True
-    # A region's border is none of the shape.
-    asked = (ndimage.binary_dilation(grid, np.ones((1, 2 * border + 1))) & ~grid)[at]
-    if asked.any():
-        off = _off(scanned, shape, near[asked], nearest=True)
-        grid[tuple(axis[asked] for axis in at)] = np.abs(off.distance) <= _LIMIT * sigma * off.spread
-    # How many columns each point is from the end, up to those of a border; 0 in the last.
-    deep = np.zeros(len(used), int)
-    for columns in range(1, border + 1):
-        deep += np.asarray(ndimage.binary_erosion(grid, np.ones((1, 2 * columns + 1))), bool)[own]
-    off = _off(scanned, shape, used, nearest=True)
-    A = shape.jacobian(off.foot) / off.spread[:, None]
-    whole, least, best = A.T @ A, np.inf, used
-    sigma_px = float(np.median(lengths(scanned.stripe[used]))) / scanned.stripe_mm
-    beside = np.array([*_BESIDE_PX, 0.0])[np.minimum(deep * int(scanned.pitch_px), len(_BESIDE_PX))] / sigma_px
-    # Noise that neighbours share is worth more of the border; asked of the others, for its errors are alike too.
-    deepest = deep == border
-    left = off.distance[deepest] / off.spread[deepest]
-    tau = how_alike([(place[deepest], left, shape.numbers)]).tau() if len(left) >= FEWEST else 1.0
-    for columns in range(border + 1):
-        inner = deep >= columns
-        if inner.sum() < max(_INNER * len(used), FEWEST):
-            break
-        C = np.linalg.pinv(A[inner].T @ A[inner])
-        bias = C @ (A[inner].T @ beside[inner])
-        expected = float(np.trace(whole @ C)) * sigma**2 * tau + float(bias @ whole @ bias)
-        if expected < least:
-            least, best = expected, used[inner]
-    return best
-
-
 @dataclass(frozen=True)
-class _Off:
+class Off:
     """How far points are off a shape.
 
     Attributes:
@@ -265,9 +261,9 @@ class _Off:
     spread: Float[np.ndarray, "points"]
 
 
-def _off(
-    scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"], nearest: bool = False, since: _Off | None = None
-) -> _Off:
+def off_shape(
+    scanned: Scanned, shape: Shape, some: Int[np.ndarray, "some"], nearest: bool = False, since: Off | None = None
+) -> Off:
     """How far some points are off a shape; `nearest` for what is nearly so, and sooner; `since` is that of one near it.
 
     An error of the stripe moves a point along a line that is known. So it belongs to where this line meets the shape,
@@ -276,11 +272,11 @@ def _off(
     """
     x = scanned.points[some]
     if scanned.stripe is None or scanned.sigma is None:
-        return _Off(x, shape.distances(x), np.ones(len(x)))
+        return Off(x, shape.distances(x), np.ones(len(x)))
     stripe, least = scanned.stripe[some], _BEST * scanned.sigma[some]
     distance, normal = shape.at(x)
     if nearest:
-        return _Off(x, distance, np.maximum(np.abs(dots(normal, stripe)), least))
+        return Off(x, distance, np.maximum(np.abs(dots(normal, stripe)), least))
     t = np.zeros(len(x)) if since is None else dots(x - since.foot, stripe) / dots(stripe, stripe)
     for _ in range(_NEWTON if since is None else 1):
         off, normal = shape.at(x - t[:, None] * stripe)
@@ -292,7 +288,7 @@ def _off(
     # Asked of the foot alone, which the point's own error has not moved. What is left of Newton's steps is added.
     along = (np.abs(slope) > least) & (np.abs(t) < _FAR)
     foot = np.where(along[:, None], foot, x)
-    return _Off(foot, np.where(along, t * slope + off, distance), np.maximum(np.abs(slope), least))
+    return Off(foot, np.where(along, t * slope + off, distance), np.maximum(np.abs(slope), least))
 
 
 def dots(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
@@ -309,15 +305,15 @@ def _least_squares(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]
     """
     still = _STILL if scanned.stripe is None else _ROUGHLY if nearest else _ENOUGH
     shape = shape.placed(scanned.points[used])
-    off = _off(scanned, shape, used, nearest)
+    off = off_shape(scanned, shape, used, nearest)
     least = np.inf
     for _ in range(_STEPS):
         A, b = shape.jacobian(off.foot) / off.spread[:, None], off.distance / off.spread
         step = -np.linalg.lstsq(A.T @ A, A.T @ b, rcond=_SINGULAR)[0]
-        before = float(b @ b)
+        before = total(b, b)
         for _ in range(_HALVES):
             moved = shape.moved(step)
-            tried = _off(scanned, moved, used, nearest, off)
+            tried = off_shape(scanned, moved, used, nearest, off)
             after = float(((tried.distance / tried.spread) ** 2).sum())
             if after <= before * (1 + 1e-12):
                 break

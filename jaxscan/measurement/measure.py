@@ -18,10 +18,11 @@ from scipy.stats import t as students_t
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.part_file import FITTED, IN_A_SECTION, OF_TWO_PLANES, Dimension, Feature, Part
 from jaxscan.measurement.alike import Alike, Place, how_alike
+from jaxscan.measurement.border import without_borders
 from jaxscan.measurement.dimensions import Shapes, edge_of, slot_of
-from jaxscan.measurement.fit import Fit, few, fit_shape
+from jaxscan.measurement.fit import Fit, Settled, few, finish, fit_shape, settle
 from jaxscan.measurement.form import CONFIDENCE, Form, form_of
-from jaxscan.measurement.known import Known, known
+from jaxscan.measurement.known import Known, known, with_smooth_errors
 from jaxscan.measurement.profile import profile_of
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.section import outline
@@ -147,12 +148,7 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
         scanned: its surface, by `scanned_image` or `scanned_points`.
         part: by `read_part`.
     """
-    features: dict[str, MeasuredFeature] = {}
-    for feature in part.features:
-        try:
-            features[feature.name] = _feature(scanned, feature, features)
-        except InputError as error:
-            features[feature.name] = MeasuredFeature(feature, None, None, 0, 0, problem=str(error))
+    features = _features(scanned, part)
     alike = how_alike(_left(features.values()))
     # Surfaces first: of their many points the scale is better known than of an outline's few.
     for outlines in (False, True):
@@ -164,6 +160,8 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
                     features[name] = replace(each, known=known(each.scanned, each.fit, alike, least))
                 except InputError as error:
                     features[name] = replace(each, problem=str(error), fit=None)
+    by_scan = with_smooth_errors({name: each.known for name, each in features.items() if each.known is not None})
+    features |= {name: replace(features[name], known=each) for name, each in by_scan.items()}
     shapes = Shapes(
         {name: each.shape for name, each in features.items() if each.shape is not None},
         {name: each.feature for name, each in features.items() if each.feature.kind in OF_TWO_PLANES},
@@ -180,10 +178,33 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
             measured = replace(measured, verdict=verdict(measured.interval, (low, high)))
         dimensions.append(measured)
     notes = (f"measured without intervals: {scanned.why_not}",) if scanned.why_not else ()
-    return Measurement(part, tuple(features.values()), tuple(dimensions), notes)
+    return Measurement(part, tuple(features[each.name] for each in part.features), tuple(dimensions), notes)
 
 
-def _feature(scanned: Scanned, feature: Feature, before: Mapping[str, MeasuredFeature]) -> MeasuredFeature:
+def _features(scanned: Scanned, part: Part) -> dict[str, MeasuredFeature]:
+    """All features, fitted: the borders of all shapes of a scan are looked at together."""
+    features: dict[str, MeasuredFeature] = {}
+    settled: dict[str, Settled] = {}
+    for feature in part.features:
+        if feature.kind in FITTED:
+            try:
+                inside = scanned.within(feature.region)
+                settled[feature.name] = settle(scanned, feature.kind, inside, grow=feature.grow, region=feature.region)
+            except InputError as error:
+                features[feature.name] = MeasuredFeature(feature, None, None, 0, 0, problem=str(error))
+    settled = without_borders(scanned, settled)
+    for feature in part.features:
+        if feature.name not in features:
+            try:
+                features[feature.name] = _feature(scanned, feature, features, settled)
+            except InputError as error:
+                features[feature.name] = MeasuredFeature(feature, None, None, 0, 0, problem=str(error))
+    return features
+
+
+def _feature(
+    scanned: Scanned, feature: Feature, before: Mapping[str, MeasuredFeature], settled: Mapping[str, Settled]
+) -> MeasuredFeature:
     of = [_sound(before[name]) for name in feature.of]
     if feature.kind in OF_TWO_PLANES:
         a, b = (each.shape for each in of)
@@ -202,14 +223,15 @@ def _feature(scanned: Scanned, feature: Feature, before: Mapping[str, MeasuredFe
                 "(`jaxscan inspect` says how far the points reach)"
             )
         return MeasuredFeature(feature, None, scanned.part(inside), len(inside), 0)
-    assert feature.kind in (*FITTED, *IN_A_SECTION)
-    source, normal = scanned, None
-    if feature.kind in IN_A_SECTION:
+    if feature.kind in FITTED:
+        source, fit = scanned, finish(scanned, settled[feature.name])
+    else:
+        assert feature.kind in IN_A_SECTION
         cut, asked = of[0].scanned, of[0].feature.normal
         assert cut is not None
-        source, normal = cut, np.asarray(asked) / np.linalg.norm(np.asarray(asked))
-    inside, region = source.within(feature.region), feature.region
-    fit = fit_shape(source, feature.kind, inside, grow=feature.grow, normal=normal, region=region)
+        normal = np.asarray(asked) / np.linalg.norm(np.asarray(asked))
+        inside = cut.within(feature.region)
+        source, fit = cut, fit_shape(cut, feature.kind, inside, normal=normal, region=feature.region)
     notes = seen_part(fit.shape, source.points[fit.used])
     return MeasuredFeature(feature, fit, source, len(fit.used), fit.left_out, notes)
 

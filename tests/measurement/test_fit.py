@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import InputError
-from jaxscan.measurement.fit import _concentrated, _settled, fit_shape
+from jaxscan.measurement.fit import _by_rounds, _concentrated, fit_shape
 from jaxscan.measurement.scanned import scanned_points
 from jaxscan.measurement.shapes import Ball, Circle, Cone, Cylinder, Line, Plane, across
 
@@ -90,7 +90,7 @@ def test_what_stands_beside_a_shape_does_not_hold_the_fit():
     plane = CENTRE - 2 * U + side[:, None] * V + h[:, None] * AXIS
     scanned = scanned_points(np.concatenate([round_, plane]) + 0.05 * random.normal(size=(1200, 3)))
     start, every = Cylinder(CENTRE - U, AXIS, 10.0, 10.0), np.arange(1200)
-    held, free = (_settled(scanned, each, every)[0] for each in (start, _concentrated(scanned, start, every)))
+    held, free = (_by_rounds(scanned, each, every)[0] for each in (start, _concentrated(scanned, start, every)))
     assert abs(free.radius - 9.0) < 0.03 < abs(held.radius - 9.0)
     assert fit_shape(scanned, "cylinder", every).shape.radius == pytest.approx(9.0, abs=0.03)
 
