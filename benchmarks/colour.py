@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation
@@ -31,7 +30,7 @@ from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.plate import Checks, Circles, Plate
-from jaxscan.simulation.render import carried, render, trace
+from jaxscan.simulation.render import carried, render, sight_of, trace
 from jaxscan.simulation.scene import Body, Scene
 from jaxscan.simulation.solids import Box, Sphere
 from jaxscan.surface.albedo import albedo
@@ -127,7 +126,7 @@ class Truth:
         for i in range(len(image.valid)):
             q = {axis: int(steps[i]) for axis, steps in image.positions.items()}
             here = carried(rig, scene, q).cast(np.float32)
-            depth, key = trace(here, jnp.asarray(grid[..., 0]), jnp.asarray(grid[..., 1]))
+            depth, key = trace(here, sight_of(rig.camera, grid))
             edge = edges(np.asarray(here.smooth(key)), np.asarray(depth))
             near = np.asarray(binary_dilation(edge, np.ones((3, 3)), iterations=round(EDGE_PX)), bool)
             pixels = np.stack([line, image.pixels[i]], axis=-1)

@@ -5,6 +5,7 @@ meets, and one is on a stage. Asked besides are the camera's and the other parts
 pixels of points 48° and 66° off the axis.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -44,7 +45,7 @@ def measure(quick: bool) -> list[Metric]:
         View(f"stage-{i}", project(camera, points + moved)) for i, moved in enumerate(rig_2003.stage_travel(rig, steps))
     )
     views = tuple(
-        _view(i, rig, vector_to_matrix(rotation), translation)
+        view_of(i, rig, vector_to_matrix(rotation), translation)
         for i, (rotation, translation) in enumerate(zip(boards.rotation, boards.translation, strict=True))
     )
     seen = np.concatenate([view.corners for view in (*views, *along)])
@@ -96,22 +97,27 @@ def _poses(rig: Rig) -> Pose:
     return Pose(np.stack(rotations), np.stack(translations))
 
 
-def _view(number: int, rig: Rig, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]) -> View:
-    """What is seen of the board in a pose without any noise: its corners, and the stripe where the sheet meets it."""
+def view_of(number: int, rig: Rig, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]) -> View:
+    """What is seen of the board in a pose without any noise: its corners, and the stripe where the flat sheet meets it.
+
+    Column by column, so that a stripe which some column has twice is left out.
+    """
     board = rig_2003.BOARD
     low, high = (
         end[:2] + sign * board.pitch_mm / 2
         for end, sign in ((board.points().min(axis=0), -1), (board.points().max(axis=0), 1))
     )
     # The line a · (x, y) = 1 - ω · t of the board.
-    a = _OMEGA @ R[:, :2]
-    nearest, way = a * (1 - _OMEGA @ t) / (a @ a), np.array([-a[1], a[0]]) / np.hypot(*a)
+    omega = np.array([float(leaf) for leaf in jax.tree.leaves(rig.lights[0])])
+    a = omega @ R[:, :2]
+    nearest, way = a * (1 - omega @ t) / (a @ a), np.array([-a[1], a[0]]) / np.hypot(*a)
     line = nearest + np.linspace(-300, 300, _ALONG)[:, None] * way
     line = line[((line > low) & (line < high)).all(axis=1)]
     stripes: tuple[StripePoints, ...] = ()
-    if len(line) > 1:
-        seen = project(rig.camera, line @ R[:, :2].T + t)
-        u, v = seen[np.argsort(seen[:, 0])].T
+    seen = project(rig.camera, line @ R[:, :2].T + t)
+    seen = seen if len(line) > 1 and seen[0, 0] < seen[-1, 0] else seen[::-1]
+    if len(line) > 1 and (np.diff(seen[:, 0]) > 0).all():
+        u, v = seen.T
         columns = np.arange(0.0, rig.camera.image_size[0], _COLUMNS_APART)
         rows = CubicSpline(u, v, extrapolate=False)(columns)
         # No squares were drawn, so that their edges need not be kept away from.

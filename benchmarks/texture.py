@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import jax.numpy as jnp
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float
@@ -32,7 +31,7 @@ from jaxscan.rig.projection import pixel_rays, project_points
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.light import Sensor
-from jaxscan.simulation.render import carried, render, trace
+from jaxscan.simulation.render import carried, render, sight_of, trace
 from jaxscan.simulation.scene import Scene
 
 _GOAL: Final = 3.0
@@ -161,9 +160,9 @@ def _near_edges(
     depth_only: bool = False,
 ) -> Bool[np.ndarray, "points"]:
     u, v = np.meshgrid(*(np.arange(n) for n in rig.camera.image_size))
-    grid = jnp.asarray(pixel_rays(rig.camera, np.stack([u, v], axis=-1).astype(float)).astype(np.float32))
+    grid = pixel_rays(rig.camera, np.stack([u, v], axis=-1).astype(float)).astype(np.float32)
     here = carried(rig, scene, q).cast(np.float32)
-    depth, key = trace(here, grid[..., 0], grid[..., 1])
+    depth, key = trace(here, sight_of(rig.camera, grid))
     smooth = np.zeros(key.shape) if depth_only else np.asarray(here.smooth(key))
     near = np.asarray(
         binary_dilation(edges(smooth, np.asarray(depth)), np.ones((3, 3)), iterations=round(within_px)), bool

@@ -148,7 +148,7 @@ def _half_field(found: Calibration) -> float:
     camera = found.rig.camera
     seen = np.concatenate([view.corners[view.used()] for view in found.observations.photographs()])
     x = pixel_rays(camera, seen)
-    return float(np.nanmax(np.arctan(np.hypot(x[:, 0], x[:, 1]))))
+    return float(np.nanmax(np.arctan2(np.hypot(x[:, 0], x[:, 1]), x[:, 2])))
 
 
 @dataclass(frozen=True)

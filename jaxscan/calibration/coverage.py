@@ -26,7 +26,7 @@ class StripeCoverage:
         laser: its name, "" for the only one.
         views: how many views show it on the board.
         points: how many stripe points lie on boards.
-        depths_mm: from the nearest to the farthest of them, along the optical axis.
+        depths_mm: from the nearest to the farthest of them, along the optical axis; of a fisheye, from the camera.
         across_mm: how far the stripes are spread across their own direction, within the sheet.
         along_mm: and along it.
     """
@@ -121,14 +121,14 @@ def measure_coverage(observations: Observations, rig: Rig, poses: Pose[np.ndarra
 
 def _stripes(observations: Observations, rig: Rig, poses: Pose[np.ndarray], laser: int) -> StripeCoverage:
     X, view = stripe_points_in_space(observations, rig.camera, poses, laser)
-    light = rig.lights[laser]
+    light, ranges = rig.lights[laser], rig.camera.chart.range_of(X)
     if not len(X):
         return StripeCoverage(light.name, 0, 0, (np.nan, np.nan), 0.0, 0.0)
     return StripeCoverage(
         laser=light.name,
         views=len(np.unique(view)),
         points=len(X),
-        depths_mm=(float(X[:, 2].min()), float(X[:, 2].max())),
+        depths_mm=(float(ranges.min()), float(ranges.max())),
         across_mm=float(np.ptp(X @ sheet_axes(light)[1])),
         along_mm=float(np.ptp(X @ sheet_axes(light)[0])),
     )

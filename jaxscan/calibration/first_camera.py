@@ -39,7 +39,7 @@ def _reprojection(
     used: Bool[np.ndarray, "views corners"],
 ) -> float:
     """RMS distance in pixels with poses from the homographies; infinite where a corner has no ray."""
-    rays = pixel_rays(camera, seen)[..., :2]
+    rays = pixel_rays(camera, seen)
     if not np.isfinite(rays[used]).all():
         return np.inf
     R, t = initial.board_poses(points, rays, used)

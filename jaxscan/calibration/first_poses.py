@@ -17,7 +17,7 @@ from jaxscan.rig.projection import pixel_rays
 
 def first_poses(camera: Camera, blocks: Blocks) -> Float[Array, "blocks 6"]:
     """Poses of views' boards from their corners; those of padding are far away."""
-    rays = pixel_rays(camera, np.asarray(blocks.corners)[:, 0])[..., :2]
+    rays = pixel_rays(camera, np.asarray(blocks.corners)[:, 0])
     used = np.asarray(blocks.corner_used)[:, 0] & np.all(np.isfinite(rays), axis=-1)
     real = np.any(used, axis=1)
     R = np.broadcast_to(np.eye(3), (len(used), 3, 3)).copy()

@@ -5,12 +5,20 @@ for each view, h1ᵀ ω h2 = 0 and h1ᵀ ω h1 = h2ᵀ ω h2 with ω = K⁻ᵀ K
 known (Z. Zhang, PAMI 2000); it starts at the image centre. Everything here is NumPy, vectorised over views.
 """
 
+from typing import Final
+
 import numpy as np
 from jaxtyping import Bool, Float
+
+from jaxscan.geometry import vector_to_matrix
 
 _FOCAL_GRID = np.geomspace(0.3, 20.0, 24)
 # A start whose reprojection is off by more than this share of the image width is not trusted.
 _POOR_START = 0.02
+# A view that has a ray farther off the axis (radians) is looked at along its own middle.
+_FAR_OFF: Final = np.radians(60)
+# The least cosine between a ray of a view and their middle.
+_LEAST_AHEAD: Final = 0.05
 
 
 def homographies(
@@ -121,11 +129,36 @@ def poses_from_homographies(
 
 def board_poses(
     points: Float[np.ndarray, "corners 2"],
-    rays: Float[np.ndarray, "views corners 2"],
+    rays: Float[np.ndarray, "views corners 3"],
     used: Bool[np.ndarray, "views corners"],
 ) -> tuple[Float[np.ndarray, "views 3 3"], Float[np.ndarray, "views 3"]]:
-    """T_cam_board of each view for a known camera: rays (x, y) of its corners, already undistorted."""
-    return poses_from_homographies(homographies(points, rays, used))
+    """T_cam_board of each view for a known camera: rays of its corners, of any length.
+
+    A view far off the axis is looked at along the middle of its own rays, so that those at 90° to the axis and beyond
+    have an image too.
+    """
+    rays = np.where(used[..., None], rays, [0.0, 0.0, 1.0])
+    turns = _towards(rays, used)
+    seen = np.einsum("vij,vcj->vci", turns, rays)
+    # A board in one piece spans less than 180°; a camera for which it does not is none.
+    ahead = np.maximum(seen[..., 2:], _LEAST_AHEAD * np.linalg.norm(seen, axis=-1, keepdims=True))
+    R, t = poses_from_homographies(homographies(points, seen[..., :2] / ahead, used))
+    back = np.swapaxes(turns, 1, 2)
+    return back @ R, (back @ t[..., None])[..., 0]
+
+
+def _towards(
+    rays: Float[np.ndarray, "views corners 3"], used: Bool[np.ndarray, "views corners"]
+) -> Float[np.ndarray, "views 3 3"]:
+    """For each view a rotation that brings the middle of its rays to the axis; none where they are all near it."""
+    unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    middle = (unit * used[..., None]).sum(axis=1)
+    turns = np.broadcast_to(np.eye(3), (len(rays), 3, 3)).copy()
+    for i in np.flatnonzero((used & (unit[..., 2] < np.cos(_FAR_OFF))).any(axis=1)):
+        aside = np.array([middle[i, 1], -middle[i, 0], 0.0])
+        angle = np.arctan2(np.linalg.norm(aside), middle[i, 2])
+        turns[i] = vector_to_matrix(angle * aside / max(float(np.linalg.norm(aside)), 1e-300))
+    return turns
 
 
 def usual_rotation(vectors: Float[np.ndarray, "images 3"]) -> Float[np.ndarray, "3"]:

@@ -217,7 +217,7 @@ def reachable(calibration: Calibration) -> Reach:
     observations = calibration.observations
     boards = calibration.system.boards if observations.views else calibration.photograph_poses()
     outline = outline_of(observations.board)
-    depths = boards.apply(outline.mean(axis=0))[:, 2]
+    depths = calibration.rig.camera.chart.range_of(boards.apply(outline.mean(axis=0)))
     return Reach(
         camera=as_float64(calibration.rig.camera),
         outline=jnp.asarray(outline),

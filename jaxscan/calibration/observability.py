@@ -118,7 +118,7 @@ def undetermined_shape(
         light: where the solve ended.
         names: of its numbers, in their order.
         covariance: of these.
-        rays: of the whole image, (x, y, 1).
+        rays: of the whole image.
         noise_px: as for `undetermined`.
     """
     if not any(map(_is_shape, names)):

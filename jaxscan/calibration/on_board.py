@@ -76,7 +76,7 @@ def stripe_points_in_space(
         for stripe in each.stripes:
             if stripe.laser == laser:
                 X, _ = meet_board(camera, pose_of(poses, i), stripe.pixels, bent[i] if bent else None)
-                X = X[np.isfinite(X).all(axis=1) & (X[:, 2] > 0)]
+                X = X[np.isfinite(X).all(axis=1)]
                 points.append(X)
                 photograph.append(np.full(len(X), i))
     return np.concatenate(points), np.concatenate(photograph)
@@ -99,10 +99,11 @@ def _board_positions(
 def meet_board(
     camera: Camera, pose: Pose[np.ndarray], pixels: Float[np.ndarray, "points 2"], bent: BentBoard | None = None
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
-    """Where pixels' rays meet the board, flat or bent: in the camera frame and in the board frame (mm)."""
+    """Where pixels' rays meet the board, flat or bent: in the camera frame and in the board frame (mm), or NaN."""
     x, R, t = pixel_rays(camera, pixels), pose.matrix(), pose.translation
     with np.errstate(divide="ignore", invalid="ignore"):
-        X = x / (x @ dual_plane_of(R, t) if bent is None else bent.inverse_depth(x))[:, None]
+        w = x @ dual_plane_of(R, t) if bent is None else bent.inverse_depth(x)
+        X = x / np.where(w > 0, w, np.nan)[:, None]
     return X, (X - t) @ R
 
 

@@ -72,10 +72,10 @@ class Reach(eqx.Module):
         low, high = self.margin_px - 0.5, size[None] - 0.5 - self.margin_px
         # Beyond the fold of a lens, and behind the camera, a point has a pixel too.
         widest = self.camera.lens.invertible_radius(pixels.dtype)
-        radius = jnp.hypot(X[:, 0], X[:, 1])
+        x, _ = jax.vmap(self.camera.chart.coordinates)(X)
         tilt = jnp.hypot(place[3], place[4])
-        over = [(low - pixels) / size[None], (pixels - high) / size[None], radius / (widest * jnp.abs(X[:, 2])) - 1]
-        over += [-X[:, 2] / jnp.exp(place[2]), tilt / self.tilt - 1]
+        over = [(low - pixels) / size[None], (pixels - high) / size[None], jnp.hypot(x[:, 0], x[:, 1]) / widest - 1]
+        over += [-self.camera.chart.range_of(X) / jnp.exp(place[2]), tilt / self.tilt - 1]
         return sum((jnp.maximum(part, 0.0).sum() for part in over), jnp.zeros(()))
 
 

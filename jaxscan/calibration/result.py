@@ -259,8 +259,9 @@ class Calibration:
         return summary | ({} if self.bend_sigma_mm is None else {"board_bends_sigma_mm": self.bend_sigma_mm})
 
     def _stripe_depths(self) -> list[float] | None:
-        """The nearest and the farthest depth of a stripe on a board, along the optical axis, mm."""
-        seen = [self.stripe_points(i)[:, 2] for i in range(len(self.rig.lights))]
+        """The nearest and the farthest depth of a stripe on a board, mm: along the optical axis, or as its rays go."""
+        range_of = self.rig.camera.chart.range_of
+        seen = [range_of(self.stripe_points(i)) for i in range(len(self.rig.lights))]
         depths = np.concatenate(seen) if seen else np.empty(0)
         return [round(float(depths.min()), 1), round(float(depths.max()), 1)] if depths.size else None
 

@@ -7,7 +7,7 @@ Summary = dict[str, Any]
 Line = tuple[str, str]
 
 # What is said of a camera in addition to its lens's terms.
-_PINHOLE = ("image_size", "lens", "focal", "principal", "tilt")
+_PINHOLE = ("image_size", "lens", "focal", "principal", "tilt", "reach_deg", "image_without_rays")
 
 
 def format_summary(summary: Summary) -> str:
@@ -156,6 +156,10 @@ def _intrinsics(camera: Summary) -> Iterator[Line]:
     for name, terms in camera.items():
         if name not in _PINHOLE and terms["value"]:
             yield f"{name} terms", _values(terms)
+    if "reach_deg" in camera:
+        dark = f", and {100 * camera['image_without_rays']:.0f} % of the image is beyond it: no point is seen there"
+        also = dark if camera["image_without_rays"] else ""
+        yield "lens", f"sees up to {camera['reach_deg']:.0f}° off its axis{also}"
 
 
 def _cloud(summary: Summary) -> Iterator[Line]:

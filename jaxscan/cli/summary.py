@@ -27,8 +27,10 @@ from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
 from jaxscan.images import StripeSettings
 from jaxscan.images.light import Light
+from jaxscan.precision import float64
 from jaxscan.reconstruction import read_range_image
 from jaxscan.rig import Camera, is_run
+from jaxscan.rig.chart import AROUND
 from jaxscan.rig.speckle_limit import Optics, limit_of
 from jaxscan.rig.summary import axis_summary, light_summary
 
@@ -235,6 +237,17 @@ def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Summ
         **{part: _values(f"camera.{part}", getattr(camera, part), sigma) for part in ("focal", "principal")},
         **{name: _values(f"camera.{name}", getattr(camera.lens, name), sigma) for name in camera.lens.numbers},
         **({"tilt": _values("camera.tilt", camera.tilt, sigma)} if camera.tilt else {}),
+        **(_reach(camera) if camera.chart is AROUND else {}),
+    }
+
+
+def _reach(camera: Camera) -> Summary:
+    """How far off its axis a fisheye images anything, and the share of the image to which no ray comes."""
+    with float64():
+        widest = float(camera.lens.invertible_radius(np.float64))
+    return {
+        "reach_deg": float(np.degrees(widest)),
+        "image_without_rays": float(np.isnan(image_rays(camera)).any(axis=1).mean()),
     }
 
 

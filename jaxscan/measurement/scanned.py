@@ -132,9 +132,8 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
     T = np.broadcast_to(np.asarray(motion.translation), (len(image.valid), 3))
     # Frame by frame: a matrix for each point would not fit the processor's cache.
     seen = (np.matmul(image.points.astype(np.float64), R.swapaxes(1, 2)) + T[:, None])[image.valid]
-    ray = seen / seen[:, 2:]
-    e = along_line(np.asarray(rig.rig.lights[laser].gradient(seen)), ray, 0 if columns else 1)
-    along = np.abs((e * ray).sum(axis=1)) / np.linalg.norm(ray, axis=1)
+    e = along_line(np.asarray(rig.rig.lights[laser].gradient(seen)), seen, 0 if columns else 1)
+    along = np.abs((e * seen).sum(axis=1)) / np.linalg.norm(seen, axis=1)
     sigma = image.sigma_pixel[image.valid].astype(np.float64)
     sigma = sigma if known else np.ones(len(points))
     e *= (sigma / np.maximum(along, 1e-3 * np.linalg.norm(e, axis=1)))[:, None]
@@ -154,6 +153,7 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
     per_px = np.abs(
         ray_jacobian(rig.rig, name, pixels, {axis: each[frame[some]] for axis, each in q.items()}, columns)[1]
     )
+    focal = float(rig.rig.camera.focal[0 if columns else 1])
     return replace(
         plain,
         stripe=stripe,
@@ -162,7 +162,7 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
         covariance=rig.covariance.of_leaves(rig.rig),
         parameters=tuple(parameter_names(rig.rig)),
         pitch_px=_pitch_px(rig.rig, place, seen, columns),
-        column_mm=float(np.median(seen[some, 2])) / float(rig.rig.camera.focal[0 if columns else 1]),
+        column_mm=float(np.median(rig.rig.camera.chart.range_of(seen[some]))) / focal,
         stripe_mm=float(np.median(lengths(stripe[some]) / sigma[some] * per_px)),
     )
 
@@ -217,10 +217,11 @@ def _as_the_rig_sees_it(image: RangeImage, rig: Rig) -> tuple[int, bool, bool]:
     pose = rig.pose({axis: np.asarray(steps, np.float64)[frames] for axis, steps in image.positions.items()})
     X = image.points[frames, columns].astype(np.float64)
     seen = np.asarray(pose.apply(X[:, None]))[:, 0]
-    if not (seen[:, 2] > 0).all():
+    ranges = rig.camera.chart.range_of(seen)
+    if not (ranges > 0).all():
         raise InputError(_NOT_THIS_RIG)
-    w = np.asarray(rig.lights[laser].inverse_depth(seen / seen[:, 2:]))
-    if not float(np.median(np.abs(w * seen[:, 2] - 1))) < _OFF_SHEET:
+    w = np.asarray(rig.lights[laser].inverse_depth(seen / ranges[:, None]))
+    if not float(np.median(np.abs(w * ranges - 1))) < _OFF_SHEET:
         raise InputError(_NOT_THIS_RIG)
     pixels = project_points(rig.camera, seen).pixels
     measured = image.pixels[frames, columns].astype(np.float64)

@@ -143,8 +143,8 @@ def _first_pose(
     used: np.ndarray,
 ) -> Float[np.ndarray, "6"]:
     """T_object_board from one photograph."""
-    rays = pixel_rays(rig.camera, uv[None])[..., :2]
-    R, t = board_poses(points[:, :2], np.nan_to_num(rays), used[None] & np.isfinite(rays).all(axis=2))
+    rays = pixel_rays(rig.camera, uv[None])
+    R, t = board_poses(points[:, :2], rays, used[None] & np.isfinite(rays).all(axis=2))
     at = rig.pose(q)
     there = Pose(np.asarray(at.rotation), np.asarray(at.translation))
     return np.asarray((there.inverse() @ Pose.from_matrix(R[0], t[0])).as_vector())

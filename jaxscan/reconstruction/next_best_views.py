@@ -98,7 +98,7 @@ def wanted(calibration: Calibration, volumes: tuple[WorkingVolume, ...]) -> Want
 
 def _pixels(calibration: Calibration) -> Wanted:
     rig, boards = calibration.rig, calibration.system.boards
-    depth = float(np.median(np.asarray(boards.translation)[:, 2]))
+    depth = float(np.median(rig.camera.chart.range_of(np.asarray(boards.translation))))
     each = [np.linspace(-0.5, n - 0.5, count) for n, count in zip(rig.camera.image_size, _PIXELS, strict=True)]
     rays = pixel_rays(rig.camera, np.stack(np.meshgrid(*each), axis=-1).reshape(-1, 2))
     rays = rays[np.isfinite(rays).all(axis=1)]

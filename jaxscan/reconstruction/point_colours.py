@@ -43,8 +43,8 @@ def point_colours(
     """
     seen = pose.apply(np.asarray(points, np.float64))
     pixels = project_points(camera, seen).pixels
-    nearest = least_depths(pixels, seen[:, 2], photograph.shape[:2])
-    shown = visible(nearest, pixels, seen[:, 2])
+    ranges = camera.chart.range_of(seen)
+    shown = visible(least_depths(pixels, ranges, photograph.shape[:2]), pixels, ranges)
     if stripe is not None:
         shown &= ~in_stripe(pixels, stripe, STRIPE_PX, columns=columns)
     return np.where(shown[:, None], sampled(photograph, pixels), np.nan)

@@ -154,11 +154,12 @@ def jacobian_along(
     q: PositionsOfPoints,
     columns: bool,
 ) -> tuple[Float[np.ndarray, "points leaves"], Float[np.ndarray, "points"]]:
-    """What `ray_jacobian` gives, for points on rays (x, y, 1) that are known.
+    """What `ray_jacobian` gives, for points on rays that are known, of the length that the camera gives them.
 
-    With the pixel p = π(x; θ) held, ∂x/∂θ = −(∂π/∂x)⁻¹ ∂π/∂θ and ∂x/∂s = (∂π/∂x)⁻¹ e: no lens is inverted. With the
-    inverse depth w(x; θ), z = 1 / w, the point z x moves by dz x + z dx, dz = −z² dw; the motion moves it by −d · o,
-    o how far it moves what it brings to the camera's centre (`rig.motion.origin_shift`).
+    With the pixel p = π(x; θ) held, x the ray's coordinates in the lens's chart, ∂x/∂θ = −(∂π/∂x)⁻¹ ∂π/∂θ and
+    ∂x/∂s = (∂π/∂x)⁻¹ e: no lens is inverted. With them the ray moves by dr = (∂r/∂x) dx. With the inverse depth
+    w(r; θ), z = 1 / w, the point z r moves by dz r + z dr, dz = −z² dw; the motion moves it by −d · o, o how far it
+    moves what it brings to the camera's centre (`rig.motion.origin_shift`).
     """
     which = rig.lights.index(rig.light(laser))
     w, w_by_ray, w_by_numbers = inverse_depths(rig.lights[which], rays)
@@ -171,8 +172,8 @@ def jacobian_along(
         whole = np.isfinite(seen.by_ray).all(axis=(1, 2)) & np.isfinite(z)
         dx[whole] = np.linalg.solve(seen.by_ray[whole], right[whole])
     length = np.linalg.norm(rays, axis=1)
-    of_x = (z / length)[:, None] * rays[:, :2] - (z**2 * length)[:, None] * w_by_ray
-    moved = np.einsum("pi,pij->pj", of_x, dx)
+    of_ray = (z / length)[:, None] * rays - (z**2 * length)[:, None] * w_by_ray
+    moved = np.einsum("pi,pik,pkj->pj", of_ray, seen.turns, dx)
     J = np.zeros((len(rays), len(parameter_names(rig))))
     J[:, : moved.shape[1] - 1] = moved[:, :-1]
     J[:, leaves_of(rig, f"lights.{which}.")] = -(z**2 * length)[:, None] * w_by_numbers

@@ -183,7 +183,7 @@ def check_photographs(scan: Scan) -> None:
 
 
 class _Projector:
-    """Pixels and depths of points that the motion has carried."""
+    """Pixels and ranges of points that the motion has carried."""
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
@@ -192,17 +192,17 @@ class _Projector:
         self, pose: Pose, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points"]]:
         seen = pose.apply(np.asarray(points, np.float64))
-        depths = np.where(seen[:, 2] > 0, seen[:, 2], np.nan)
+        ranges = self._camera.chart.range_of(seen)
+        ranges = np.where(ranges > 0, ranges, np.nan)
         # Few sizes, so that little is compiled.
         filled = np.ones((max(_LEAST_SIZE, 1 << (len(seen) - 1).bit_length()), 3), np.float32)
         filled[: len(seen)] = seen
-        return np.asarray(_pixels(self._camera, jnp.asarray(filled)), np.float64)[: len(seen)], depths
+        return np.asarray(_pixels(self._camera, jnp.asarray(filled)), np.float64)[: len(seen)], ranges
 
 
 @jax.jit
 def _pixels(camera: Camera, points: Float[Array, "points 3"]) -> Float[Array, "points 2"]:
-    ahead = points[:, 2:] > 0
-    return jnp.where(ahead, jax.vmap(camera.project)(jnp.where(ahead, points, 1.0)), jnp.nan)
+    return jax.vmap(camera.project)(points)
 
 
 class _Shown:

@@ -25,7 +25,7 @@ _EVERY: Final = 4
 
 
 def depths_of(content: RigFile) -> tuple[float, float] | None:
-    """The depths of a rig's working volume along the optical axis, mm; None where the rig does not determine it."""
+    """The depths of a rig's working volume (`sheet_band`), mm; None where the rig does not determine it."""
     depths = content.fit.get("stripe_depths_mm")
     return None if depths is None else (float(depths[0]) / WIDENED, float(depths[1]) * WIDENED)
 
@@ -50,7 +50,7 @@ def sheet_band(
         kernel: of the laser.
         laser: whether lines are columns.
         size: columns and rows of the image.
-        depths_mm: the nearest and the farthest, along the optical axis.
+        depths_mm: the nearest and the farthest, along the optical axis; of a fisheye, from the camera's centre.
     """
     near, far = depths_mm
     if near == 0 and far == np.inf:
@@ -62,7 +62,7 @@ def sheet_band(
     u, v = (line, place) if laser.columns else (place, line)
     still = FramePoses.create(Fixed(), {}, len(line))
     found = triangulate(kernel, still, *(jnp.asarray(x, jnp.float32) for x in (u, v)))
-    depth: Float[np.ndarray, "lines places"] = np.asarray(found)[..., 2]
+    depth: Float[np.ndarray, "lines places"] = kernel.chart.range_of(np.asarray(found))
     # NaN where a ray does not meet the sheet.
     inside = (depth >= near) & (depth <= far)
     low = np.where(inside, place, np.inf).min(axis=1) - _EVERY

@@ -6,9 +6,10 @@ with the rig's parameters θ and the stripe's position s, to first order, by
 
     d · X_θ = J(u, v) − d · O(q),    J w² smooth;    d · X_s = P(u, v),    P w² smooth
 
-so that, with depth z = 1 / w and m = −Oᵀ d, the variance along the ray is
+so that, with the range z = 1 / w (the depth, or of a fisheye the distance: `rig.chart`) and m = −Oᵀ d, the variance
+along the ray is
 
-    σ² = z⁴ A + z² B · m + mᵀ S m + (z² D σ_s)²,    A = w⁴ J Σ Jᵀ,  B = 2 w² J Σ_m,  D = |P| w²,
+    σ² = z⁴ A + z² B · m + mᵀ S m + (z² D σ_s)²,    A = w⁴ J Σ Jᵀ,  B = 2 w² J Σ_m,  D = P w²,
 
 S the covariance of the motion's numbers and Σ_m their columns of Σ. What is left is as smooth as the lens, out to where
 the sheet leaves the camera's view: A, B, D and d are kept as Chebyshev polynomials in u and v, fitted to the exact
@@ -26,13 +27,16 @@ from numpy.polynomial import chebyshev
 
 from jaxscan.reconstruction.point_sigma import PositionsOfPoints, jacobian_along, motion_shifts
 from jaxscan.rig import Covariance, Rig
+from jaxscan.rig.chart import AROUND
 from jaxscan.rig.light import inverse_depths
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.rig.rig import leaves_of
 
 _DEGREE: Final = 10
-# Pixels to each side of the image at which the maps are fitted.
-_GRID: Final = 24
+# Of a fisheye, over whose image rays turn by up to 300°.
+_DEGREE_AROUND: Final = 26
+# Pixels to each side of the image at which the maps are fitted, for each degree.
+_PIXELS_PER_DEGREE: Final = 2.4
 # A point further than this multiple of the nearest distance in view is beyond what any scanner measures.
 _FURTHEST: Final = 20.0
 
@@ -54,7 +58,9 @@ class SigmaMap(eqx.Module):
     @staticmethod
     def create(rig: Rig, light: str, covariance: Covariance, columns: bool) -> "SigmaMap":
         """The maps of one light, for stripes found column by column (or row by row)."""
-        nodes = np.cos(np.pi * (np.arange(_GRID) + 0.5) / _GRID)
+        degree = _DEGREE_AROUND if rig.camera.chart is AROUND else _DEGREE
+        grid = round(_PIXELS_PER_DEGREE * degree)
+        nodes = np.cos(np.pi * (np.arange(grid) + 0.5) / grid)
         u, v = (x.ravel() for x in np.meshgrid(nodes, nodes, indexing="ij"))
         width, height = rig.camera.image_size
         pixels = np.stack([(u + 1) / 2 * (width - 1), (v + 1) / 2 * (height - 1)], axis=-1)
@@ -65,13 +71,17 @@ class SigmaMap(eqx.Module):
         # At the positions 0 the motion's numbers move nothing, whatever they are.
         A = np.einsum("pi,ij,pj->p", J, S, J)
         d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        values = np.concatenate([np.stack([A, np.abs(of_pixel) * w**2], axis=-1), d, 2 * J @ S[:, at]], axis=-1)
+        values = np.concatenate([np.stack([A, of_pixel * w**2], axis=-1), d, 2 * J @ S[:, at]], axis=-1)
         # Where the sheet is out of sight nothing is fitted, and nothing will be asked.
         seen = np.isfinite(values).all(axis=1) & (w > np.nanmax(w) / _FURTHEST)
-        basis = chebyshev.chebvander2d(u, v, [_DEGREE, _DEGREE])
-        fitted = np.linalg.lstsq(basis[seen], values[seen], rcond=1e-10)[0].reshape(_DEGREE + 1, _DEGREE + 1, -1)
+        basis = chebyshev.chebvander2d(u, v, [degree, degree])
+        # A spans decades, and where it is small it is known as well, in proportion.
+        weight = 1 / np.sqrt(np.maximum(A[seen], max(1e-9 * A[seen].max(initial=0.0), 1e-300)))[:, None]
+        weight /= np.median(weight)
+        fitted = np.linalg.lstsq(weight * basis[seen], weight * values[seen], rcond=1e-10)[0]
+        fitted = fitted.reshape(degree + 1, degree + 1, -1)
         lines, length = (width, height) if columns else (height, width)
-        across = chebyshev.chebvander(2 * np.arange(lines) / (lines - 1) - 1, _DEGREE)
+        across = chebyshev.chebvander(2 * np.arange(lines) / (lines - 1) - 1, degree)
         maps = np.einsum("li,ijm->jml" if columns else "lj,ijm->iml", across, fitted)
         return SigmaMap(*(jnp.asarray(x, jnp.float32) for x in (maps, length, S[np.ix_(at, at)])))
 
@@ -80,22 +90,22 @@ class MovedFrames(eqx.Module):
     """How the motion carried some frames.
 
     Attributes:
-        depth: the third row of T_camera_object: what takes a point to its depth in the camera frame.
+        rows: those of T_camera_object that take a point to what the square of its range is the sum of the squares of.
         shifts: O, mm for each unit of the motion's numbers.
     """
 
-    depth: Float[Array, "frames 4"]
+    rows: Float[Array, "frames rows 4"]
     shifts: Float[Array, "frames 3 numbers"]
 
     @staticmethod
     def create(rig: Rig, q: PositionsOfPoints, frames: int) -> "MovedFrames":
         """The frames of a rig at positions of its axes, one for each frame."""
         pose = rig.pose({axis: np.asarray(steps, np.float64) for axis, steps in q.items()})
-        row = np.concatenate([np.asarray(pose.matrix())[..., 2, :], np.asarray(pose.translation)[..., 2:]], axis=-1)
+        both = np.concatenate([np.asarray(pose.matrix()), np.asarray(pose.translation)[..., None]], axis=-1)
+        rows = both[..., rig.camera.chart.rows, :]
+        rows = np.broadcast_to(rows, (frames, *rows.shape[-2:]))
         shifts = motion_shifts(rig, q, frames)
-        return MovedFrames(
-            jnp.asarray(np.broadcast_to(row, (frames, 4)), jnp.float32), jnp.asarray(shifts, jnp.float32)
-        )
+        return MovedFrames(jnp.asarray(rows, jnp.float32), jnp.asarray(shifts, jnp.float32))
 
 
 @jax.jit
@@ -115,8 +125,10 @@ def point_sigmas(
         points: what it was triangulated to, object frame, mm.
         stripe_sigma_px: σ of the position.
     """
-    row = frames.depth[:, None]
-    z2 = (row[..., 0] * points[..., 0] + row[..., 1] * points[..., 1] + row[..., 2] * points[..., 2] + row[..., 3]) ** 2
+    z2 = jnp.zeros_like(position)
+    for row in jnp.moveaxis(frames.rows, 1, 0)[:, :, None]:
+        at = row[..., 0] * points[..., 0] + row[..., 1] * points[..., 1] + row[..., 2] * points[..., 2] + row[..., 3]
+        z2 = z2 + at**2
     t = 2 * position / (sigma_map.length - 1) - 1
     A, D, x, y, z, *B = (_clenshaw(sigma_map.maps[:, i, None], t) for i in range(sigma_map.maps.shape[1]))
     shifts, S = frames.shifts[:, None], sigma_map.S
@@ -126,7 +138,7 @@ def point_sigmas(
         variance = variance + m[k] * (z2 * of_rig + S[k, k] * m[k])
         for other in range(k):
             variance = variance + 2 * S[k, other] * m[k] * m[other]
-    pixel = z2 * D * stripe_sigma_px
+    pixel = jnp.abs(z2 * D) * stripe_sigma_px
     return jnp.sqrt(jnp.maximum(variance, 0.0) + pixel**2), pixel
 
 

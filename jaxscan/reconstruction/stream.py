@@ -52,7 +52,7 @@ class Scanner:
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
         spacetime: measure the time at which the light's centre passes each point; needs scans in small, equal steps.
-        depths_mm: nearest and farthest depth along the optical axis at which there can be a stripe, mm; by default that
+        depths_mm: nearest and farthest depth (`sheet_band`) at which there can be a stripe, mm; by default that
             of the rig's calibration, widened; (0, inf) for any. Spacetime analysis looks everywhere.
         decoders: how many threads decode photographs; as many as the machine has cores by default.
 

@@ -1,6 +1,6 @@
 """The triangulation kernel: stripe pixels of some frames → points of the object frame, as one fused pass over millions.
 
-With x the undistorted ray of pixel (u, v), i(x) the inverse depth at which it meets the light and x ↦ A x + b the
+With x the ray of pixel (u, v), i(x) the inverse depth at which it meets the light and x ↦ A x + b the
 motion from the camera's frame to the object's while the frame was taken, the point is
 
     X_j = (a_j · x) / i(x) + b_j,   a_j the rows of A.
@@ -25,6 +25,7 @@ from jaxscan.reconstruction.field_inverse import FieldInverse
 from jaxscan.reconstruction.lens_inverse import FittedInverse, TiltedInverse, lens_inverse
 from jaxscan.reconstruction.opencv_inverse import LensInverse
 from jaxscan.rig import Light, Motion, Positions, Rig
+from jaxscan.rig.chart import FLAT, Chart
 from jaxscan.rig.light import nameless
 
 
@@ -36,12 +37,14 @@ class Kernel(eqx.Module):
         inverse_focal: 1 / f_u, 1 / f_v.
         lens: the inverse of lens and sensor; pixels beyond its reach give NaN.
         light: with each of its numbers three times, once for each coordinate; of a light that moves, so for each frame.
+        chart: of the lens.
     """
 
     principal: Float[Array, "2"]
     inverse_focal: Float[Array, "2"]
     lens: LensInverse | FittedInverse | FieldInverse | TiltedInverse
     light: Light
+    chart: Chart = eqx.field(static=True, default=FLAT)
 
     @staticmethod
     def create(rig: Rig, light: str = "", dtype: str = "float32") -> "Kernel":
@@ -57,7 +60,7 @@ class Kernel(eqx.Module):
             lens_inverse(camera),
             jax.tree.map(lambda leaf: np.tile(np.asarray(leaf), 3), nameless(rig.light(light))),
         )
-        return Kernel(*jax.tree.map(lambda array: jnp.asarray(array, dtype), arrays))
+        return Kernel(*jax.tree.map(lambda array: jnp.asarray(array, dtype), arrays), chart=camera.chart)
 
     def with_lights(self, lights: Sequence[Light]) -> "Kernel":
         """The same camera, and a light that stands elsewhere in each frame.
@@ -77,13 +80,12 @@ class Kernel(eqx.Module):
         """One stripe pixel, where the light stood so, to its point (mm, object frame); NaN where it sees no sheet."""
         xd = (u - self.principal[0]) * self.inverse_focal[0]
         yd = (v - self.principal[1]) * self.inverse_focal[1]
-        x, y = self.lens(xd, yd)
-        ray = jnp.stack([x, y, jnp.ones_like(x)])
+        ray = jnp.stack(self.chart.components(*self.lens(xd, yd)))
 
         def coordinate(light: Light, a: Float[Array, "3"], b: Float[Array, ""]) -> Float[Array, ""]:
             inverse_depth = light.inverse_depth(ray)
             # In brackets, each term is one instruction with the next.
-            found = (a[0] * ray[0] + (a[1] * ray[1] + a[2])) / inverse_depth + b
+            found = (a[0] * ray[0] + (a[1] * ray[1] + a[2] * ray[2])) / inverse_depth + b
             # One comparison, NaN beyond the lens: a loop over the conjunction of two is not vectorised, and takes seven
             # times as long.
             return jnp.where(inverse_depth > 0, found, jnp.nan)

@@ -2,7 +2,8 @@
 
 The working volume is the part of the light sheet that the camera sees between the nearest and the farthest stripe point
 of the calibration. A point of it is given by its depth z and by its position s along the sheet, at right angles to the
-optical axis. Its σ is that along its ray, at motor step 0.
+optical axis; of a fisheye, by its distance from the camera and the arc within the sheet around the camera, on the
+circle of the middle distance. Its σ is that along its ray, at motor step 0.
 
 If a part of the rig (camera, light plane) were known exactly, the rest would have the conditional covariance
 Σ_rr − Σ_rk Σ_kk⁻¹ Σ_kr; how much σ would fall says what limits it.
@@ -16,8 +17,9 @@ from jaxtyping import Bool, Float
 
 from jaxscan.calibration import Calibration, Observations
 from jaxscan.reconstruction.point_sigma import jacobian_along, sigma_of
-from jaxscan.rig import Camera, Covariance, Rig
-from jaxscan.rig.light import section
+from jaxscan.rig import Camera, Covariance, Light, Rig
+from jaxscan.rig.chart import AROUND
+from jaxscan.rig.light import section, section_around
 from jaxscan.rig.projection import project_points, within_fold
 
 _DEPTHS, _POSITIONS = 25, 41
@@ -30,8 +32,8 @@ class WorkingVolume:
     Attributes:
         laser: its name, "" for the only one.
         columns: whether its stripe is found column by column.
-        depths_mm: along the optical axis.
-        positions_mm: along the sheet.
+        depths_mm: along the optical axis; of a fisheye, from the camera's centre.
+        positions_mm: along the sheet; of a fisheye, along the arc.
         sigma_mm: of a point along its ray, rig and pixel together.
         pixel_mm: the pixel's part.
         if_known_mm: for "camera" and "light plane" the median σ of a point if that part were known exactly.
@@ -72,7 +74,8 @@ def working_volumes(calibration: Calibration) -> tuple[WorkingVolume, ...]:
         if not len(points):
             continue
         columns = next(s.columns for view in observations.photographs() for s in view.stripes if s.laser == i)
-        depths = float(points[:, 2].min()), float(points[:, 2].max())
+        ranges = rig.camera.chart.range_of(points)
+        depths = float(ranges.min()), float(ranges.max())
         sigma = calibration.stripe_sigma_px or 0.0
         farthest = _farthest(observations)
         volumes.append(working_volume(rig, laser.name, calibration.covariance, sigma, columns, depths, farthest))
@@ -103,15 +106,17 @@ def working_volume(
     depths = np.linspace(*depths_mm, _DEPTHS)
     # Wide enough for the image's diagonal at the largest depth; what the camera does not see is left out below.
     reach = 0.6 * np.hypot(*rig.camera.image_size) * depths[-1] / float(min(rig.camera.focal))
+    if rig.camera.chart is AROUND:
+        reach = np.pi * _middle(depths)
     positions = np.linspace(-reach, reach, 8 * _POSITIONS)
-    seen = _seen(rig.camera, section(light, depths, positions))
+    seen = _seen(rig.camera, _section(rig.camera, light, depths, positions))
     if not seen.any():
         return None
     within = positions[seen.any(axis=0)]
     positions = np.linspace(within[0], within[-1], _POSITIONS)
-    sheet = section(light, depths, positions)
+    sheet = _section(rig.camera, light, depths, positions)
     seen = _seen(rig.camera, sheet)
-    rays = (sheet / sheet[..., 2:]).reshape(-1, 3)
+    rays = _rays(rig.camera, sheet).reshape(-1, 3)
 
     def sigma(covariance: Covariance, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         q = {axis: np.full(seen.size, steps) for axis, steps in at.items()}
@@ -142,9 +147,26 @@ def given(covariance: Covariance, stem: str) -> Covariance:
 
 
 def volume_rays(rig: Rig, volume: WorkingVolume) -> Float[np.ndarray, "points 3"]:
-    """The rays (x, y, 1) of those points of a working volume that the camera sees."""
-    sheet = section(rig.light(volume.laser), volume.depths_mm, volume.positions_mm)
-    return (sheet / sheet[..., 2:])[_seen(rig.camera, sheet)]
+    """The rays of those points of a working volume that the camera sees."""
+    sheet = _section(rig.camera, rig.light(volume.laser), volume.depths_mm, volume.positions_mm)
+    return _rays(rig.camera, sheet)[_seen(rig.camera, sheet)]
+
+
+def _section(
+    camera: Camera, light: Light, depths: Float[np.ndarray, "depths"], positions: Float[np.ndarray, "positions"]
+) -> Float[np.ndarray, "depths positions 3"]:
+    if camera.chart is AROUND:
+        return section_around(light, depths, positions / _middle(depths))
+    return section(light, depths, positions)
+
+
+def _middle(depths: Float[np.ndarray, "depths"]) -> float:
+    return float(depths[0] + depths[-1]) / 2
+
+
+def _rays(camera: Camera, X: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
+    """The rays to points, of the length that the camera gives them."""
+    return X / camera.chart.range_of(X)[..., None]
 
 
 def _farthest(observations: Observations) -> dict[str, float]:

@@ -84,7 +84,7 @@ class BoardShape(eqx.Module):
 
 
 class BentBoard(eqx.Module):
-    """A bent board where it stands, as rays (x, y, 1) of the camera meet it.
+    """A bent board where it stands, as rays of the camera meet it.
 
     Attributes:
         shape: its shape.
@@ -114,7 +114,7 @@ class BentBoard(eqx.Module):
         return BentBoard(shape, plane, places, offsets, xp.asarray(away))
 
     def inverse_depth(self, x: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
-        """1 / z of the point at which rays meet the board, 1/mm.
+        """1 / t of the point t ray at which rays meet the board, 1/mm: of (x, y, 1) one over its depth.
 
         One step of Newton's method from the plane's, w₀ = β · x: with h the board's height there and q its slope along
         the ray, w = w₀ (1 − h / (n · t + h − q)). What it leaves out is half the curvature times the square of the way

@@ -32,7 +32,7 @@ _STEEPEST = 0.2
 
 
 class BowedSheet(eqx.Module):
-    """The points X = x z of the camera frame, x = (x, y, 1), with ω · x + b (ω₂ x − ω₁ y)² = 1 / z.
+    """The points X = x z of the camera frame, x = (x, y, 1), with ω · x + b (ω₂ x − ω₁ y)² = 1 / z; none behind it.
 
     At ± f along the stripe and at depth z it is b (ω₁² + ω₂²) f² / (z |ω|) nearer to the camera than its plane, and the
     cone's slope τ is 2 b √(ω₁² + ω₂²). Turned about the camera's axis it has the same bow.
@@ -104,15 +104,14 @@ class BowedSheet(eqx.Module):
         return LightPlane(self.plane).gradient(point) + bent
 
     def inverse_depth(self, ray: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
-        """ω · x + b (ω₂ x − ω₁ y)²."""
-        return namespace(ray, self.bow[0]).asarray(
-            LightPlane(self.plane).inverse_depth(ray) + self.bow[0] * self.by_bow(ray)
-        )
+        """ω · x + b (ω₂ x − ω₁ y)² / x₃; 0 where x₃ is not positive: the light comes from there."""
+        xp = namespace(ray, self.bow[0])
+        bent = LightPlane(self.plane).inverse_depth(ray) + self.bow[0] * self.by_bow(ray)
+        return xp.where(ray[..., 2] > 0, bent, 0.0)
 
     def by_bow(self, ray: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
-        """The derivative of the inverse depth by b, 1/mm²: (ω₂ x − ω₁ y)²."""
-        along = self._along(ray)
-        return along * along
+        """The derivative of the inverse depth by b, 1/mm²: (ω₂ x − ω₁ y)² / x₃."""
+        return namespace(ray, self.bow[0]).asarray(self._along(ray) * self._slant(ray))
 
     def fault(self, rays: Float[np.ndarray, "rays 3"]) -> tuple[str, str] | None:
         """A plane through the camera, one that no pixel sees, or a bow that no laser has."""

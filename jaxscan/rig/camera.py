@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from jaxscan.errors import InputError
 from jaxscan.precision import Leaf
 from jaxscan.rig.batches import over_batch
+from jaxscan.rig.chart import FLAT, Chart
 from jaxscan.rig.kinds import LENSES, lens_of_kind
 from jaxscan.rig.lens import Lens, undistort, undistorted_change
 from jaxscan.rig.tilted_sensor import change_off_sensor, off_sensor, onto_sensor
@@ -90,7 +92,10 @@ class Camera(eqx.Module):
         return tuple(name for name, term in zip(names, terms, strict=True) if float(term) == 0)
 
     def project(self, point: Real[ArrayLike, "*batch xyz"]) -> Float[Array, "*batch 2"]:
-        """Points of the camera frame (mm) to their pixels (u, v); NaN for a point that is not in front of the camera.
+        """Points of the camera frame (mm) to their pixels (u, v); NaN for a point that the lens does not see.
+
+        That is one that is not in front of the camera; of a fisheye, one farther from the axis than where its image
+        stops growing.
 
         Args:
             point: one, of shape (3,), or any number of them, (…, 3).
@@ -101,14 +106,15 @@ class Camera(eqx.Module):
         return over_batch(self._project, 3, "Camera.project takes points x, y, z", point)
 
     def _project(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
-        in_front = point[2] > 0
-        depth = jnp.where(in_front, point[2], 1.0)
-        x = onto_sensor(self.tilt, self.lens.distort(point[:2] / depth))
-        pixel = jnp.stack(self.focal) * x + jnp.stack(self.principal)
-        return jnp.where(in_front, pixel, jnp.nan)
+        x, there = self.chart.coordinates(point)
+        return jnp.where(there, self.image(x), jnp.nan)
+
+    def image(self, x: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The pixel of a ray by its coordinates in the lens's chart."""
+        return jnp.stack(self.focal) * onto_sensor(self.tilt, self.lens.distort(x)) + jnp.stack(self.principal)
 
     def ray(self, pixel: Real[ArrayLike, "*batch uv"]) -> Float[Array, "*batch 3"]:
-        """Pixels (u, v) to their rays (x, y, 1); NaN outside the lens's invertible range.
+        """Pixels (u, v) to their rays (x, y, 1); of a fisheye, of length 1. NaN outside the lens's invertible range.
 
         The inverse is converged, and its derivative with respect to pixel and lens is exact.
 
@@ -121,17 +127,25 @@ class Camera(eqx.Module):
         return over_batch(self._ray, 2, "Camera.ray takes pixels u, v", pixel)
 
     def _ray(self, pixel: Float[Array, "2"]) -> Float[Array, "3"]:
-        x = undistort(self.lens, off_sensor(self.tilt, self._on_sensor(pixel)))
-        return jnp.concatenate([x, jnp.ones_like(x[:1])])
+        return self._along(undistort(self.lens, off_sensor(self.tilt, self._on_sensor(pixel))))
 
     def ray_and_change(
         self, pixel: Float[Array, "2"], along: Float[Array, "2"]
     ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
         """The ray of a pixel, and how it changes for each pixel in the direction `along`."""
-        x = self.ray(pixel)
-        xd_dot = change_off_sensor(self.tilt, self._on_sensor(pixel), along / jnp.stack(self.focal))
-        dx = undistorted_change(self.lens, x[:2], xd_dot)
-        return x, jnp.concatenate([dx, jnp.zeros_like(dx[:1])])
+        on_sensor = self._on_sensor(pixel)
+        x = undistort(self.lens, off_sensor(self.tilt, on_sensor))
+        xd_dot = change_off_sensor(self.tilt, on_sensor, along / jnp.stack(self.focal))
+        return jax.jvp(self._along, (x,), (undistorted_change(self.lens, x, xd_dot),))
+
+    @property
+    def chart(self) -> Chart:
+        """By which two numbers the lens knows a ray."""
+        return getattr(self.lens, "chart", FLAT)
+
+    def _along(self, x: Float[Array, "2"]) -> Float[Array, "3"]:
+        """The ray by its coordinates in the chart."""
+        return jnp.stack(self.chart.components(x[0], x[1]))
 
     def _on_sensor(self, pixel: Float[Array, "2"]) -> Float[Array, "2"]:
         """Normalised coordinates of a pixel."""

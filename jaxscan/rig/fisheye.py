@@ -4,7 +4,8 @@ The distance of the image from the axis is an odd polynomial of the angle θ bet
 
     r_d = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸).
 
-A ray is (x, y, 1), so that θ stays below 90°.
+A ray is θ and the direction from the axis (`rig.chart.AROUND`): at 90° it goes on as before, up to where r_d stops
+growing, or to 175°.
 """
 
 import math
@@ -12,15 +13,15 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscan.precision import Leaf
 from jaxscan.rig import growing
+from jaxscan.rig.chart import AROUND, Chart
 
-_WIDEST: Final = math.radians(84)
-# Below this r² the angle is taken by its series, which has a derivative on the axis.
-_NEAR_AXIS: Final = 1e-6
+_WIDEST: Final = math.radians(175)
 
 
 class Fisheye(eqx.Module):
@@ -29,6 +30,8 @@ class Fisheye(eqx.Module):
     Attributes:
         angular: k1 … k4.
     """
+
+    chart: ClassVar[Chart] = AROUND
 
     kind: ClassVar[str] = "fisheye"
     numbers: ClassVar[Mapping[str, int]] = {"angular": 4}
@@ -42,22 +45,22 @@ class Fisheye(eqx.Module):
         return cls(tuple(jnp.zeros(()) for _ in range(cls.numbers["angular"])))
 
     def distort(self, x: Float[Array, "2"]) -> Float[Array, "2"]:
-        """Undistorted to distorted normalised coordinates."""
-        r2 = x @ x
-        near = r2 < _NEAR_AXIS
-        r = jnp.sqrt(jnp.where(near, 1.0, r2))
-        share = jnp.where(near, 1 - r2 / 3 + r2**2 / 5, jnp.arctan(r) / r)  # θ / r
-        return x * share * self._factor(r2 * share**2)
+        """Where a ray at the angle |x| is imaged; NaN beyond the angle at which r_d stops growing."""
+        square = x[0] ** 2 + x[1] ** 2
+        fold, _ = growing.turning_point(jax.lax.stop_gradient(self)._height, _WIDEST, x.dtype)
+        # The turn is known to a sample; within it the slope says on which side a ray is.
+        grows = (square <= fold**2) & (self._slope(square) > 0)
+        return jnp.where(grows, x * self._factor(square), jnp.nan)
 
     def undistort(self, xd: Float[Array, "2"]) -> Float[Array, "2"]:
-        """Distorted to undistorted normalised coordinates; NaN beyond 84° and where the lens folds."""
+        """The ray that is imaged there; NaN beyond 175° and where the lens folds."""
         rd = jnp.sqrt(xd @ xd)
         angle = growing.inverse(self._height, _WIDEST, rd)
-        return xd * jnp.where(rd > 0, jnp.tan(angle) / jnp.where(rd > 0, rd, 1.0), 1.0)
+        return xd * jnp.where(rd > 0, angle / jnp.where(rd > 0, rd, 1.0), 1.0)
 
     def invertible_radius(self, dtype: Any) -> Float[Array, ""]:
-        """The tangent of the angle at which r_d stops growing, or of 84°."""
-        return jnp.tan(growing.turning_point(self._height, _WIDEST, dtype)[0])
+        """The angle at which r_d stops growing, or 175°."""
+        return growing.turning_point(self._height, _WIDEST, dtype)[0]
 
     def _height(self, angle: Float[Array, "*any"]) -> Float[Array, "*any"]:
         return angle * self._factor(angle**2)
@@ -65,3 +68,8 @@ class Fisheye(eqx.Module):
     def _factor(self, t: Float[Array, "*any"]) -> Float[Array, "*any"]:
         k1, k2, k3, k4 = self.angular
         return 1 + t * (k1 + t * (k2 + t * (k3 + t * k4)))
+
+    def _slope(self, t: Float[Array, "*any"]) -> Float[Array, "*any"]:
+        """Of the height by the angle, at its square."""
+        k1, k2, k3, k4 = self.angular
+        return 1 + t * (3 * k1 + t * (5 * k2 + t * (7 * k3 + t * 9 * k4)))

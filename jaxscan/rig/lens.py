@@ -1,5 +1,7 @@
 """The lens: from the ray of a point to where it is imaged, and back, in normalised coordinates.
 
+A ray is two numbers, in the chart that the kind has (`rig.chart`): (X / Z, Y / Z) where it names none.
+
 Which kinds there are is listed in `rig.kinds`. A kind says of itself where a ray goes and which ray comes from there.
 Derivatives of the way back are made here, by the implicit function theorem: from x_d = f(x, k) follows
 dx = f_x⁻¹ (dx_d − f_k dk), whatever the iterations did that found x.
@@ -17,13 +19,15 @@ from jaxtyping import Array, Float
 class Lens(Protocol):
     """What a lens does to rays. A pytree of tuples of leaves, one tuple for each of its `numbers`.
 
-    A ray (x, y, 1) is imaged at (x_d, y_d); the pixel is f_u x_d + u₀, f_v y_d + v₀. Its numbers stand in `rig.json`
+    A ray (x, y) is imaged at (x_d, y_d); the pixel is f_u x_d + u₀, f_v y_d + v₀. Its numbers stand in `rig.json`
     beside the camera's own, so none of them is called `focal`, `principal`, `image_size`, `tilt` or `lens`.
 
     Attributes:
         kind: what the rig file and `--lens` call it.
         numbers: its numbers in their order, and how many each has.
         pinhole: whether its nominal form leaves rays as they are.
+
+    A kind that sees at 90° to its axis and beyond has besides `chart = AROUND`, with (x, y) in the sense of that.
     """
 
     kind: ClassVar[str]
@@ -36,7 +40,7 @@ class Lens(Protocol):
         ...
 
     def distort(self, x: Float[Array, "2"]) -> Float[Array, "2"]:
-        """Where the ray (x, y, 1) is imaged; with derivatives, on the axis too."""
+        """Where the ray (x, y) is imaged; with derivatives, on the axis too."""
         ...
 
     def undistort(self, xd: Float[Array, "2"]) -> Float[Array, "2"]:

@@ -68,7 +68,10 @@ class Light(Protocol):
         ...
 
     def inverse_depth(self, ray: Float[A, "*rays 3"]) -> Float[A, "*rays"]:
-        """1 / z of the point at which a ray (x, y, 1) meets the sheet, 1/mm; not positive where it does not."""
+        """1 / t of the point t ray at which a ray meets the sheet, 1/mm; not positive where it does not.
+
+        Of a ray (x, y, 1) that is 1 / z, and so it is called; any other length is as good.
+        """
         ...
 
     def fault(self, rays: Float[np.ndarray, "rays 3"]) -> tuple[str, str] | None:
@@ -77,7 +80,7 @@ class Light(Protocol):
 
 
 def meet(light: Light, ray: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Where a camera ray meets the sheet, X = x z (mm); NaN where it does not, in front of the camera."""
+    """Where a camera ray meets the sheet (mm); NaN where it does not."""
     inverse_depth = light.inverse_depth(ray)
     meets = inverse_depth > 0
     return jnp.where(meets, ray / jnp.where(meets, inverse_depth, 1.0), jnp.nan)
@@ -114,6 +117,26 @@ def section(
     return X
 
 
+def section_around(
+    light: Light, distances: Float[np.ndarray, "distances"], angles: Float[np.ndarray, "angles"]
+) -> Float[np.ndarray, "distances angles 3"]:
+    """The points of the sheet about as far from the camera's centre, and at angles around it, camera frame, mm.
+
+    Angles (radians) are within the sheet, 0 where the light goes away from the camera. NaN where the sheet does not
+    come so near, or has no such point.
+    """
+    light = as_numpy(light)
+    along, way, normal = sheet_axes(light)
+    foot = -float(distance(light, np.zeros((1, 3)))[0]) * normal
+    with np.errstate(invalid="ignore", divide="ignore"):
+        radius = np.sqrt(distances**2 - foot @ foot)
+        around = np.cos(angles)[:, None] * way + np.sin(angles)[:, None] * along
+        # Of a sheet that is not flat these are points of the plane that touches it.
+        rays = foot + radius[:, None, None] * around
+        inverse = light.inverse_depth(rays)
+        return rays / np.where(inverse > 0, inverse, np.nan)[..., None]
+
+
 def turned_and_moved(
     light: Light,
     first: Float[np.ndarray, "numbers"],
@@ -143,13 +166,13 @@ def nameless(light: Light) -> Light:
 
 def inverse_depths(
     light: Light, rays: Float[np.ndarray, "rays 3"]
-) -> tuple[Float64[np.ndarray, "rays"], Float64[np.ndarray, "rays 2"], Float64[np.ndarray, "rays numbers"]]:
-    """The inverse depth along rays (x, y, 1), and its derivatives by x and y and by the light's numbers."""
+) -> tuple[Float64[np.ndarray, "rays"], Float64[np.ndarray, "rays 3"], Float64[np.ndarray, "rays numbers"]]:
+    """The inverse depth along rays, and its derivatives by the ray and by the light's numbers."""
     with float64():
         exact = as_float64(nameless(light))
         parts = [[np.asarray(part) for part in _inverse_depths(exact, batch)] for batch in batches_of(rays)]
     w, by_ray, by_numbers = (np.concatenate(part)[: len(rays)] for part in zip(*parts, strict=True))
-    return w, by_ray[:, :2], by_numbers
+    return w, by_ray, by_numbers
 
 
 @eqx.filter_jit

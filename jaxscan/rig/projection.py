@@ -1,11 +1,12 @@
 """How a camera's pixels move with the point that is seen and with the camera: what every covariance is made of.
 
-A pixel is a function of x = (X/Z, Y/Z) and of the camera's numbers θ. A lens of OpenCV's ladder is looked at as a
-rational one, whose further terms are zero, and points come in batches of one size: one compiled function for all of
-them. A lens of another kind is its own richest.
+A pixel is a function of the two coordinates of its ray (`rig.chart`) and of the camera's numbers θ. A lens of OpenCV's
+ladder is looked at as a rational one, whose further terms are zero, and points come in batches of one size: one
+compiled function for all of them. A lens of another kind is its own richest.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Float64
 
 from jaxscan.precision import AT_ONCE, as_float64, batches_of, float64
 from jaxscan.rig.camera import Camera, camera_parameters
+from jaxscan.rig.chart import Chart
 from jaxscan.rig.opencv_lens import LADDER, OpenCVLens, Rational
 
 # A whole image's rays come in larger ones.
@@ -30,15 +32,17 @@ class Projection:
     """Pixels of points, and their derivatives.
 
     Attributes:
-        pixels: (u, v); NaN for a point that is not in front of the camera.
+        pixels: (u, v); NaN for a point that the lens does not see.
         by_point: by the point's coordinates in the camera frame, px for each mm.
-        by_ray: by (x, y) of its ray (x, y, 1), px.
+        by_ray: by the coordinates of its ray in the lens's chart, px.
+        turns: the ray itself by these coordinates.
         by_camera: by the camera's leaves in their order; by those of the richest lens where that was asked for.
     """
 
     pixels: Float64[np.ndarray, "points 2"]
     by_point: Float64[np.ndarray, "points 2 3"]
     by_ray: Float64[np.ndarray, "points 2 2"]
+    turns: Float64[np.ndarray, "points 3 2"]
     by_camera: Float64[np.ndarray, "points 2 leaves"]
 
 
@@ -62,17 +66,14 @@ def project_points(camera: Camera, points: Float[np.ndarray, "points 3"], *, ric
         points: camera frame, mm.
         richest: whether derivatives are by all terms of the richest lens.
     """
-    depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
-    x = points[:, :2] / depth[:, None]
+    x, x_by_point, turns = _coordinates(camera.chart, points)
     pixels, by_ray, by_camera = _by_ray(camera, x)
-    # x = (X, Y) / Z
-    by_point = np.concatenate([by_ray, -by_ray @ x[:, :, None]], axis=2) / depth[:, None, None]
     own = lens_leaves(camera.lens.kind, tilted=bool(camera.tilt))
-    return Projection(pixels, by_point, by_ray, by_camera if richest else by_camera[..., own])
+    return Projection(pixels, by_ray @ x_by_point, by_ray, turns, by_camera if richest else by_camera[..., own])
 
 
 def pixel_rays(camera: Camera, pixels: Float[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 3"]:
-    """The rays (x, y, 1) of pixels; NaN outside the lens's invertible range, and for a pixel that is NaN."""
+    """The rays of pixels, as `Camera.ray`; NaN outside the lens's invertible range, and for a pixel that is NaN."""
     flat = pixels.reshape(-1, 2)
     size = AT_ONCE if len(flat) < _MANY else _MANY
     with float64():
@@ -84,12 +85,22 @@ def pixel_rays(camera: Camera, pixels: Float[np.ndarray, "*grid 2"]) -> Float64[
 def within_fold(camera: Camera, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
     """Whether the lens is one to one all the way from its axis to a point's ray: beyond, its pixel is another's."""
     along = np.linspace(0, 1, _ON_THE_WAY + 1)[1:]
-    x = (along[:, None, None] * (points[:, :2] / points[:, 2:])).reshape(-1, 2)
-    by_ray = _by_ray(camera, x)[1]
+    x = _coordinates(camera.chart, points)[0]
+    by_ray = _by_ray(camera, (along[:, None, None] * x).reshape(-1, 2))[1]
     # Symmetric but for focal lengths and a tilt: positive definite where its trace and its determinant are positive.
     with np.errstate(invalid="ignore"):
         grows = (np.trace(by_ray, axis1=1, axis2=2) > 0) & (np.linalg.det(by_ray) > 0)
-    return grows.reshape(_ON_THE_WAY, -1).all(axis=0) & (points[:, 2] > 0)
+    return grows.reshape(_ON_THE_WAY, -1).all(axis=0)
+
+
+def _coordinates(
+    chart: Chart, points: Float[np.ndarray, "points 3"]
+) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 3"], Float[np.ndarray, "points 3 2"]]:
+    """Those of points' rays, NaN where they have none; how they move with the point, and the ray with them."""
+    with float64():
+        parts = [[np.asarray(part) for part in _charted(chart, batch)] for batch in batches_of(points)]
+    x, by_point, turns = (np.concatenate(part)[: len(points)] for part in zip(*parts, strict=True))
+    return x, by_point, turns
 
 
 def _by_ray(
@@ -100,6 +111,22 @@ def _by_ray(
         parts = [[np.asarray(part) for part in _pixels(richest, batch)] for batch in batches_of(x)]
     pixels, by_ray, by_camera = (np.concatenate(part)[: len(x)] for part in zip(*parts, strict=True))
     return pixels, by_ray, by_camera
+
+
+@partial(jax.jit, static_argnums=0)
+def _charted(
+    chart: Chart, points: Float[Array, "batch 3"]
+) -> tuple[Float[Array, "batch 2"], Float[Array, "batch 2 3"], Float[Array, "batch 3 2"]]:
+    def coordinates(point: Float[Array, "3"]) -> tuple[Float[Array, "2"], tuple[Float[Array, "2"], Bool[Array, ""]]]:
+        x, there = chart.coordinates(point)
+        return x, (x, there)
+
+    def each(point: Float[Array, "3"]) -> tuple[Float[Array, "2"], Float[Array, "2 3"], Float[Array, "3 2"]]:
+        by_point, (x, there) = jax.jacfwd(coordinates, has_aux=True)(point)
+        turns = jax.jacfwd(lambda x: jnp.stack(chart.components(x[0], x[1])))(x)
+        return jnp.where(there, x, jnp.nan), by_point, turns
+
+    return jax.vmap(each)(points)
 
 
 @eqx.filter_jit
@@ -114,7 +141,7 @@ def _pixels(
     theta, unravel = ravel_pytree(camera)
 
     def pixel(x: Float[Array, "2"], theta: Float[Array, "leaves"]) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        seen = unravel(theta).project(jnp.concatenate([x, jnp.ones_like(x[:1])]))
+        seen = unravel(theta).image(x)
         return seen, seen
 
     def each(x: Float[Array, "2"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"], Float[Array, "2 leaves"]]:

@@ -35,7 +35,7 @@ def light_summary(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarra
     Args:
         rig: the rig.
         covariance: of its parameters, where it is known.
-        rays: (x, y, 1) over the image, the middle one in the middle.
+        rays: over the image, the middle one in the middle.
     """
     return [
         {

@@ -66,6 +66,20 @@ class Light(NamedTuple):
     scatter: Any
 
 
+class Sight(NamedTuple):
+    """Rays of the camera.
+
+    Attributes:
+        x: of their directions.
+        y: too.
+        z: too; None where it is 1.
+    """
+
+    x: Any
+    y: Any
+    z: Any = None
+
+
 class Sheet(NamedTuple):
     """One laser that is on.
 
@@ -89,40 +103,34 @@ class Sheet(NamedTuple):
 
 
 @jax.jit
-def depth_of(scene: Scene, x: Float[Array, "*rays"], y: Float[Array, "*rays"]) -> Float[Array, "*rays"]:
-    """Depth at which the camera's rays (x, y, 1) meet the scene (mm, infinite for none)."""
-    return scene.trace(camera_rays(x, y))[0]
+def depth_of(scene: Scene, ray: Sight) -> Float[Array, "*rays"]:
+    """Range at which the camera's rays meet the scene, in their length: of (x, y, 1) the depth; infinite for none."""
+    return scene.trace(camera_rays(ray))[0]
 
 
 @jax.jit
-def key_of(scene: Scene, x: Float[Array, "*rays"], y: Float[Array, "*rays"]) -> Int[Array, "*rays"]:
+def key_of(scene: Scene, ray: Sight) -> Int[Array, "*rays"]:
     """Body and patch that they meet."""
-    return scene.trace(camera_rays(x, y))[1]
+    return scene.trace(camera_rays(ray))[1]
 
 
 @jax.jit
-def depth_and_key_of(
-    scene: Scene, x: Float[Array, "*rays"], y: Float[Array, "*rays"]
-) -> tuple[Float[Array, "*rays"], Int[Array, "*rays"]]:
+def depth_and_key_of(scene: Scene, ray: Sight) -> tuple[Float[Array, "*rays"], Int[Array, "*rays"]]:
     """Both."""
-    return scene.trace(camera_rays(x, y))
+    return scene.trace(camera_rays(ray))
 
 
 @jax.jit
-def shade(
-    scene: Scene, light: Light, x: Float[Array, "*rays"], y: Float[Array, "*rays"], depth: Any, key: Any
-) -> Float[Array, "*rays"]:
+def shade(scene: Scene, light: Light, ray: Sight, depth: Any, key: Any) -> Float[Array, "*rays"]:
     """Brightness of a white body without the laser (grey levels)."""
-    normal = scene.normal(_point(x, y, depth, key), key)
+    normal = scene.normal(_point(ray, depth, key), key)
     return light.ambient + light.directional * jnp.maximum(dot(normal, vec(light.direction)), 0)
 
 
 @jax.jit
-def glance(
-    scene: Scene, light: Light, x: Float[Array, "*rays"], y: Float[Array, "*rays"], depth: Any, key: Any
-) -> Float[Array, "*rays"]:
+def glance(scene: Scene, light: Light, ray: Sight, depth: Any, key: Any) -> Float[Array, "*rays"]:
     """Brightness of the lamp's reflection in glossy bodies (grey levels)."""
-    point, to_lamp = _point(x, y, depth, key), vec(light.direction)
+    point, to_lamp = _point(ray, depth, key), vec(light.direction)
     half = subtract(to_lamp, scale(point, 1 / jnp.sqrt(dot(point, point))))
     normal = scene.normal(point, key)
     off = 1 - dot(normal, half) / jnp.sqrt(dot(half, half))
@@ -145,14 +153,14 @@ def paint(
 
 
 @jax.jit
-def shine(scene: Scene, sheet: Sheet, x: Float[Array, "*rays"], y: Float[Array, "*rays"], depth: Any, key: Any) -> Any:
+def shine(scene: Scene, sheet: Sheet, ray: Sight, depth: Any, key: Any) -> Any:
     """Brightness of a white body by the laser alone, as a part of the laser's power."""
-    point = _point(x, y, depth, key)
+    point = _point(ray, depth, key)
     to_source = subtract(vec(sheet.source), point)
     distance = jnp.sqrt(dot(to_source, to_source))
     facing = jnp.maximum(dot(scene.normal(point, key), to_source), 0) / distance
     lit = (key >= 0) & ~scene.blocks(Rays(point, to_source), _SHADOW_MARGIN_MM / distance)
-    d = sheet_distance(sheet, x, y, depth)
+    d = sheet_distance(sheet, ray, depth)
     profile = jnp.zeros_like(d)
     # A few bells, written out: one loop over the rays.
     for height, place, sigma in jnp.asarray(sheet.bells):
@@ -165,14 +173,13 @@ def shine(scene: Scene, sheet: Sheet, x: Float[Array, "*rays"], y: Float[Array, 
 def coarse(
     scene: Scene,
     sheet: Sheet | None,
-    x: Float[Array, "rows columns"],
-    y: Float[Array, "rows columns"],
+    ray: Sight,
     depth: Any,
     key: Any,
 ) -> Bool[Array, "rows columns"]:
     """Which cells one ray does not do for: those beside an edge, and those near the sheet."""
     smooth, z = scene.smooth(key), jnp.where(key >= 0, depth, 1e6)
-    d = None if sheet is None else sheet_distance(sheet, x, y, depth)
+    d = None if sheet is None else sheet_distance(sheet, ray, depth)
 
     def differ(a: Any, b: Any) -> Any:
         edge = (smooth[a] != smooth[b]) | (jnp.abs(z[a] - z[b]) > _DEPTH_JUMP * z[a])
@@ -186,20 +193,18 @@ def coarse(
 
 
 @jax.jit
-def spray(
-    x: Float[Array, "rows columns"], y: Float[Array, "rows columns"], cells: Int[Array, "cells"]
-) -> tuple[Float[Array, "cells 25"], Float[Array, "cells 25"]]:
+def spray(ray: Sight, cells: Int[Array, "cells"]) -> Sight:
     """25 rays through each of a list of cells (indices into the flattened grid).
 
     Within a cell rays are linear in the pixel: the lens bends them by less than 1e-5 px over a sixth of a pixel.
     """
-    rows, columns = x.shape
+    rows, columns = ray.x.shape
     row, column = jnp.minimum(cells // columns, rows - 1), cells % columns
     r, c = jnp.clip(row, 1, rows - 2), jnp.clip(column, 1, columns - 2)
     # Shifts from a low-discrepancy sequence in two dimensions (M. Roberts 2018): even over neighbouring cells.
     shift_u = jnp.mod(row * 0.7548776662 + column * 0.5698402910, 1.0)[:, None]
     shift_v = jnp.mod(row * 0.5698402910 + column * 0.7548776662, 1.0)[:, None]
-    lattice = jnp.asarray(_LATTICE, x.dtype)
+    lattice = jnp.asarray(_LATTICE, ray.x.dtype)
     du = jnp.mod(lattice[None, :, 0] + shift_u, 1.0) - 0.5
     dv = jnp.mod(lattice[None, :, 1] + shift_v, 1.0) - 0.5
 
@@ -207,7 +212,7 @@ def spray(
         along_u, along_v = (a[r, c + 1] - a[r, c - 1]) / 2, (a[r + 1, c] - a[r - 1, c]) / 2
         return a[row, column][:, None] + along_u[:, None] * du + along_v[:, None] * dv
 
-    return linear(x), linear(y)
+    return Sight(*(None if part is None else linear(part) for part in ray))
 
 
 @jax.jit
@@ -233,25 +238,25 @@ def merge(
     return fine.reshape(3, -1).at[:, cells].set(colour, mode="drop").reshape(fine.shape)
 
 
-def sheet_distance(sheet: Sheet, x: Any, y: Any, depth: Any) -> Any:
+def sheet_distance(sheet: Sheet, ray: Sight, depth: Any) -> Any:
     """Distance of a point of a ray from the sheet (mm, signed)."""
     omega = vec(sheet.omega)
     if sheet.surface is None:
-        inverse_depth = omega.x * x + omega.y * y + omega.z
+        inverse_depth = omega.x * ray.x + omega.y * ray.y + (omega.z if ray.z is None else omega.z * ray.z)
     else:
-        inverse_depth = sheet.surface.inverse_depth(jnp.stack([x, y, jnp.ones_like(x)], axis=-1))
+        inverse_depth = sheet.surface.inverse_depth(jnp.stack(camera_rays(ray).direction, axis=-1))
     return (depth * inverse_depth - 1) / jnp.sqrt(dot(omega, omega))
 
 
-def camera_rays(x: Any, y: Any) -> Rays:
-    """The camera's rays (x, y, 1), along which t is the depth."""
-    zero = jnp.zeros((), x.dtype)
-    return Rays(Vec(zero, zero, zero), Vec(x, y, jnp.ones_like(x)))
+def camera_rays(ray: Sight) -> Rays:
+    """The camera's rays; along (x, y, 1) t is the depth."""
+    zero = jnp.zeros((), ray.x.dtype)
+    return Rays(Vec(zero, zero, zero), Vec(ray.x, ray.y, jnp.ones_like(ray.x) if ray.z is None else ray.z))
 
 
-def _point(x: Any, y: Any, depth: Any, key: Any) -> Vec:
+def _point(ray: Sight, depth: Any, key: Any) -> Vec:
     """What the rays meet; some point of the ray where they meet nothing."""
-    return camera_rays(x, y).at(jnp.where(key >= 0, depth, 1.0))
+    return camera_rays(ray).at(jnp.where(key >= 0, depth, 1.0))
 
 
 @jax.jit

@@ -12,15 +12,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, Positions, Rig
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
-from jaxscan.simulation.kernels import FINE, Sheet
+from jaxscan.simulation.kernels import FINE, Sheet, Sight, camera_rays
 from jaxscan.simulation.light import Lighting
-from jaxscan.simulation.render import carried, sheet_of, trace
+from jaxscan.simulation.render import carried, sheet_of, sight_of, trace
 from jaxscan.simulation.scene import Scene
 
 # Candidates are refined in multiples of this many, so that frames share a compilation.
@@ -71,11 +71,11 @@ def true_profile(
     q = {axis: np.float64(steps) for axis, steps in (q or {}).items()}
     here = carried(rig, scene, q)
     back = as_numpy(rig.pose(q)).inverse()
-    x, y = _line_rays(rig.camera, columns)
-    n_lines = x.shape[1]
+    ray = _line_rays(rig.camera, columns)
+    n_lines = ray.x.shape[1]
     coarse = here.cast(np.float32)
-    depth = kernels.depth_of(coarse, x, y)
-    g = np.asarray(kernels.sheet_distance(sheet_of(rig, laser, lighting), x, y, depth))
+    depth = kernels.depth_of(coarse, ray)
+    g = np.asarray(kernels.sheet_distance(sheet_of(rig, laser, lighting), ray, depth))
     fine_row, line = np.nonzero((g[:-1] < 0) != (g[1:] < 0))
     profile = Profile(np.full(n_lines, np.nan), np.full((n_lines, 3), np.nan))
     if not len(line):
@@ -90,19 +90,20 @@ def true_profile(
     rays = np.pad(rays, ((0, 0), (0, size - len(line)), (0, 0)), mode="edge")
     before = np.pad(g[fine_row, line] < 0, (0, size - len(line)))
     with float64():
-        found = _halve(here.cast(np.float64), sheet_of(rig, laser, lighting, np.float64), rays, before)
+        seen = sight_of(rig.camera, rays)
+        found = _halve(here.cast(np.float64), sheet_of(rig, laser, lighting, np.float64), seen, before)
     s, point, brightness = (array[: len(line)] for array in found)
     rows = position[0] + s * (position[2] - position[0])
     # The last of those that are written to one place stays: the brightest.
     for i in np.argsort(brightness):
-        if brightness[i] > 0 and -0.5 <= rows[i] < x.shape[0] / FINE - 0.5:
+        if brightness[i] > 0 and -0.5 <= rows[i] < ray.x.shape[0] / FINE - 0.5:
             profile.position[line[i]] = rows[i]
             profile.points[line[i]] = back.apply(point[i])
     return profile
 
 
 def _halve(
-    scene: Scene, sheet: Sheet, rays: Float[np.ndarray, "3 brackets 3"], before: Bool[np.ndarray, "brackets"]
+    scene: Scene, sheet: Sheet, rays: Sight, before: Bool[np.ndarray, "brackets"]
 ) -> tuple[Float[np.ndarray, "brackets"], Float[np.ndarray, "brackets 3"], Float[np.ndarray, "brackets"]]:
     """Where in each bracket the surface crosses the sheet.
 
@@ -117,41 +118,42 @@ def _halve(
         an outline.
     """
 
-    def ray(s: Any) -> tuple[Any, Any]:
+    def ray_at(s: Any) -> Sight:
         weights = np.stack([2 * (s - 0.5) * (s - 1), -4 * s * (s - 1), 2 * s * (s - 0.5)])
-        x, y = ((weights * rays[:, :, c]).sum(axis=0) for c in (0, 1))
-        return x, y
+        return Sight(*(None if part is None else (weights * np.asarray(part)).sum(axis=0) for part in rays))
 
-    def off_sheet(x: Any, y: Any, depth: Any) -> Any:
-        return np.asarray(kernels.sheet_distance(sheet, x, y, np.asarray(depth)))
+    def off_sheet(ray: Sight, depth: Any) -> Any:
+        # Nothing is met infinitely far away, also where the sheet runs along a ray.
+        with np.errstate(invalid="ignore"):
+            return np.asarray(kernels.sheet_distance(sheet, ray, np.asarray(depth)))
 
     low, high = np.zeros(len(before)), np.ones(len(before))
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        x, y = ray(middle)
-        first = (off_sheet(x, y, kernels.depth_of(scene, x, y)) < 0) == before
+        ray = ray_at(middle)
+        first = (off_sheet(ray, kernels.depth_of(scene, ray)) < 0) == before
         low, high = np.where(first, middle, low), np.where(first, high, middle)
     s = (low + high) / 2
-    x, y = ray(s)
-    depth, key = (np.asarray(array) for array in trace(scene, x, y))
-    brightness = np.asarray(kernels.shine(scene, sheet, x, y, depth, key))
-    on_sheet = np.abs(off_sheet(x, y, depth)) < _ON_SHEET_MM
-    return s, np.stack([x * depth, y * depth, depth], axis=-1), np.where(on_sheet, brightness, 0)
+    ray = ray_at(s)
+    depth, key = (np.asarray(array) for array in trace(scene, ray))
+    brightness = np.asarray(kernels.shine(scene, sheet, ray, depth, key))
+    on_sheet = np.abs(off_sheet(ray, depth)) < _ON_SHEET_MM
+    points = np.stack([np.asarray(part) for part in camera_rays(ray).at(jnp.asarray(depth))], axis=-1)
+    return s, points, np.where(on_sheet, brightness, 0)
 
 
-def _line_rays(camera: Camera, columns: bool) -> tuple[Array, Array]:
+def _line_rays(camera: Camera, columns: bool) -> Sight:
     """Rays along the middle of each image column at the rows of the fine grid (or the other way round)."""
     leaves, structure = jax.tree.flatten(as_numpy(camera))
     return _kept_line_rays(tuple(float(leaf) for leaf in leaves), structure, columns)
 
 
 @lru_cache(maxsize=_CAMERAS_KEPT)
-def _kept_line_rays(leaves: tuple[float, ...], structure: Any, columns: bool) -> tuple[Array, Array]:
+def _kept_line_rays(leaves: tuple[float, ...], structure: Any, columns: bool) -> Sight:
     camera = jax.tree.unflatten(structure, leaves)
     u, v = (np.arange(n, dtype=float) for n in camera.image_size)
     fine_u, fine_v = ((np.arange(FINE * n) + 0.5) / FINE - 0.5 for n in camera.image_size)
     pixels = np.stack(np.meshgrid(u, fine_v) if columns else np.meshgrid(fine_u, v), axis=-1)
     if not columns:
         pixels = np.swapaxes(pixels, 0, 1)
-    rays = pixel_rays(camera, pixels).astype(np.float32)
-    return jnp.asarray(rays[..., 0]), jnp.asarray(rays[..., 1])
+    return sight_of(camera, pixel_rays(camera, pixels).astype(np.float32))

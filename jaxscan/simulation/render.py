@@ -18,10 +18,11 @@ from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.precision import as_numpy
 from jaxscan.rig import Camera, LightPlane, Positions, Rig, is_run
 from jaxscan.rig import Light as SheetOfLight
+from jaxscan.rig.chart import FLAT
 from jaxscan.rig.light import nameless
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import kernels
-from jaxscan.simulation.kernels import CHUNK, FINE, Light, Sheet
+from jaxscan.simulation.kernels import CHUNK, FINE, Light, Sheet, Sight
 from jaxscan.simulation.laser_profiles import bells
 from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.scene import Scene
@@ -68,12 +69,12 @@ def render(
     moments = [carried(rig, each, q or {}) for each in ([scene] if isinstance(scene, Scene) else scene)]
     light, sheet = _light(lighting), None if laser is None else sheet_of(rig, laser, lighting)
     grainy = sheet is not None and lighting.speckle > 0
-    x, y = fine_rays(rig.camera)
+    ray = fine_rays(rig.camera)
     apart = grainy or (sheet is not None and lighting.ghost > 0)
     weights = kernels.spread(sensor.blur_px)
     level, laser_level = None, None
     for each in moments:
-        fine, laser_fine = _survey_and_refine(each.cast(np.float32), light, sheet, x, y, apart=apart)
+        fine, laser_fine = _survey_and_refine(each.cast(np.float32), light, sheet, ray, apart=apart)
         level, laser_level = _with_light(level, fine, weights), _with_light(laser_level, laser_fine, weights)
     level, laser_level = (None if part is None else part / np.float32(len(moments)) for part in (level, laser_level))
     rows, columns = rig.camera.image_size[::-1]
@@ -125,19 +126,25 @@ def sheet_of(rig: Rig, laser: int, lighting: Lighting, dtype: type = np.float32)
     return Sheet(*(np.asarray(value, dtype) for value in values), surface=surface, fan=fan)
 
 
-def fine_rays(camera: Camera) -> tuple[Float[Array, "rows columns"], Float[Array, "rows columns"]]:
-    """The rays (x, y, 1) through the centre of every fine cell, float32; kept for the cameras used last."""
+def fine_rays(camera: Camera) -> Sight:
+    """The rays through the centre of every fine cell, float32; kept for the cameras used last."""
     leaves, structure = jax.tree.flatten(camera)
     return _fine_rays(tuple(float(leaf) for leaf in leaves), structure)
 
 
 @lru_cache(maxsize=_CAMERAS_KEPT)
-def _fine_rays(leaves: tuple[float, ...], structure: Any) -> Any:
+def _fine_rays(leaves: tuple[float, ...], structure: Any) -> Sight:
     columns, rows = jax.tree.unflatten(structure, leaves).image_size
     u, v = ((np.arange(FINE * n) + 0.5) / FINE - 0.5 for n in (columns, rows))
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    rays = pixel_rays(jax.tree.unflatten(structure, leaves), pixels).astype(np.float32)
-    return tuple(jnp.asarray(rays[:, i].reshape(len(v), len(u))) for i in (0, 1))
+    camera = jax.tree.unflatten(structure, leaves)
+    return sight_of(camera, pixel_rays(camera, pixels).astype(np.float32).reshape(len(v), len(u), 3))
+
+
+def sight_of(camera: Camera, rays: Float[np.ndarray, "*rays 3"]) -> Sight:
+    """A camera's rays for the kernels."""
+    given = rays[..., :2] if camera.chart is FLAT else rays
+    return Sight(*(jnp.asarray(part) for part in np.moveaxis(given, -1, 0)))
 
 
 def _light(lighting: Lighting) -> Light:
@@ -154,21 +161,21 @@ def _light(lighting: Lighting) -> Light:
 
 
 def _survey_and_refine(
-    scene: Scene, light: Light, sheet: Sheet | None, x: Array, y: Array, *, apart: bool
+    scene: Scene, light: Light, sheet: Sheet | None, ray: Sight, *, apart: bool
 ) -> tuple[Float[Array, "rgb rows columns"], Float[Array, "rgb rows columns"] | None]:
     """Brightness of every fine cell; with `apart` without the laser's, which comes beside it."""
-    depth, key = trace(scene, x, y)
-    fine = _ambient(scene, light, x, y, depth, key)
+    depth, key = trace(scene, ray)
+    fine = _ambient(scene, light, ray, depth, key)
     laser = jnp.zeros_like(fine) if apart else None
-    cells = np.flatnonzero(np.asarray(kernels.coarse(scene, sheet, x, y, depth, key))).astype(np.int32)
+    cells = np.flatnonzero(np.asarray(kernels.coarse(scene, sheet, ray, depth, key))).astype(np.int32)
     # The last list is filled up with a cell that is not there.
-    cells = np.pad(cells, (0, -len(cells) % CHUNK), constant_values=x.size)
+    cells = np.pad(cells, (0, -len(cells) % CHUNK), constant_values=ray.x.size)
     for some in cells.reshape(-1, CHUNK):
-        ray_x, ray_y = kernels.spray(x, y, some)
-        depth, key = trace(scene, ray_x, ray_y)
-        parts = [_ambient(scene, light, ray_x, ray_y, depth, key)]
+        within = kernels.spray(ray, some)
+        depth, key = trace(scene, within)
+        parts = [_ambient(scene, light, within, depth, key)]
         if sheet is not None:
-            lit = kernels.illuminate(scene, sheet, kernels.shine(scene, sheet, ray_x, ray_y, depth, key), key)
+            lit = kernels.illuminate(scene, sheet, kernels.shine(scene, sheet, within, depth, key), key)
             if laser is None:
                 parts.append(lit)
             else:
@@ -203,22 +210,22 @@ def _gather(fine: Array, weights: Float[np.ndarray, "taps"]) -> Float[np.ndarray
     return light
 
 
-def _ambient(scene: Scene, light: Light, x: Array, y: Array, depth: Array, key: Array) -> Float[Array, "rgb *rays"]:
+def _ambient(scene: Scene, light: Light, ray: Sight, depth: Array, key: Array) -> Float[Array, "rgb *rays"]:
     """Brightness of what rays meet without the laser."""
-    level = kernels.shade(scene, light, x, y, depth, key)
+    level = kernels.shade(scene, light, ray, depth, key)
     shining = light.highlight > 0 and any(body.glossy for body in scene.bodies)
-    highlight = kernels.glance(scene, light, x, y, depth, key) if shining else None
+    highlight = kernels.glance(scene, light, ray, depth, key) if shining else None
     return kernels.paint(scene, light, level, highlight, key)
 
 
-def trace(scene: Scene, x: Array, y: Array) -> tuple[Array, Array]:
-    """Depth and key of what rays meet.
+def trace(scene: Scene, ray: Sight) -> tuple[Array, Array]:
+    """Range and key of what rays meet.
 
     Two kernels of one output each are four times as fast as one of two; a call back to the host is made once.
     """
     if scene.on_host:
-        return kernels.depth_and_key_of(scene, x, y)
-    return kernels.depth_of(scene, x, y), kernels.key_of(scene, x, y)
+        return kernels.depth_and_key_of(scene, ray)
+    return kernels.depth_of(scene, ray), kernels.key_of(scene, ray)
 
 
 def plane_of(light: SheetOfLight) -> Float[np.ndarray, "3"]:

@@ -152,30 +152,29 @@ def error_direction(image: RangeImage) -> Float[np.ndarray, "frames columns 3"]:
     """The direction in which a stripe's error moves each point: unit; NaN where there is no point."""
     seen = image.seen()
     normal = _sheet_normal(image, seen)
-    # Along a column of the image x / z stays the same, along a row y / z.
-    ray = seen / seen[..., 2:]
     if normal is None:
-        e = ray
+        e = seen
     else:
+        # Along a column of the image x / z stays the same, along a row y / z.
         full = image.valid.sum(axis=0) > 1
-        held = np.median(np.nanstd(ray[:, full], axis=0)[:, :2], axis=0).argmin()
-        e = along_line(normal, ray, int(held))
+        held = np.median(np.nanstd((seen / seen[..., 2:])[:, full], axis=0)[:, :2], axis=0).argmin()
+        e = along_line(normal, seen, int(held))
     e = e @ image.from_camera().matrix().swapaxes(-1, -2)
     return e / np.linalg.norm(e, axis=-1, keepdims=True)
 
 
 def along_line(
-    normal: Float[np.ndarray, "*points 3"], ray: Float[np.ndarray, "*points 3"], held: int
+    normal: Float[np.ndarray, "*points 3"], seen: Float[np.ndarray, "*points 3"], held: int
 ) -> Float[np.ndarray, "*points 3"]:
     """Along the line in which the sheet meets the plane of an image column (or row), camera frame; of any length.
 
     Args:
         normal: of the sheet.
-        ray: (x, y, 1) of each point.
+        seen: each point, or any other on its ray.
         held: which of x and y stays the same along the column (0) or the row (1).
     """
-    across = np.zeros_like(ray)
-    across[..., held], across[..., 2] = 1.0, -ray[..., held]
+    across = np.zeros_like(seen)
+    across[..., held], across[..., 2] = seen[..., 2], -seen[..., held]
     return np.cross(normal, across)
 
 

@@ -39,7 +39,8 @@ def test_focal_length_and_poses_of_a_pinhole(focal):
     used = np.ones(seen.shape[:2], bool)
     found = initial.focal_length(POINTS, seen, used, IMAGE_SIZE)
     np.testing.assert_allclose(found, focal, rtol=1e-6)
-    R, t = initial.board_poses(POINTS, (seen - (np.array(IMAGE_SIZE) - 1) / 2) / found, used)
+    x = (seen - (np.array(IMAGE_SIZE) - 1) / 2) / found
+    R, t = initial.board_poses(POINTS, np.concatenate([x, np.ones_like(x[..., :1])], axis=-1), used)
     np.testing.assert_allclose(R, [p[0] for p in poses], atol=1e-6)
     np.testing.assert_allclose(t, [p[1] for p in poses], atol=1e-4)
 

@@ -11,7 +11,11 @@ from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.rig import BowedSheet, Camera, Covariance, LightPlane, Linear, Rig, Rotary
 from jaxscan.rig.rig import parameter_names
 
-LENSES = {"radial1": ([-0.134], []), "rational": ([-0.1, 0.05, 0.0, 0.05, 0.02, 0.0], [1e-3, 1e-3])}
+LENSES = {
+    "radial1": ([-0.134], []),
+    "rational": ([-0.1, 0.05, 0.0, 0.05, 0.02, 0.0], [1e-3, 1e-3]),
+    "fisheye": ([0.012, -0.006, 0.0012, -0.00008],),
+}
 
 
 @pytest.mark.parametrize(
@@ -20,21 +24,26 @@ LENSES = {"radial1": ([-0.134], []), "rational": ([-0.1, 0.05, 0.0, 0.05, 0.02, 
         ("radial1", True, False, None),
         ("radial1", True, True, None),
         ("radial1", True, False, 16.0),
+        ("fisheye", True, True, None),
         pytest.param("rational", False, False, None, marks=pytest.mark.long),
         pytest.param("rational", False, True, None, marks=pytest.mark.long),
     ],
 )
 def test_sigma_is_that_of_the_exact_derivatives(lens, columns, turned, bow):
     plane = [0.0, -0.00494, 0.00303] if columns else [-0.004, 0.0005, 0.0024]
+    # A fisheye sees 115° to its sides, and the sheet behind it.
+    focal, plane = ([151.0, 149.0], [0.001, -0.0067, 0.001]) if lens == "fisheye" else ([697.7, 690.4], plane)
     with float64():
-        camera = Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], lens, *LENSES[lens])
+        camera = Camera.create((640, 480), focal, [310.3, 228.1], lens, *LENSES[lens])
         light = LightPlane.create(plane) if bow is None else BowedSheet.create(plane, bow)
         rig = as_numpy(Rig(camera, (light,), Linear.create([0.0, 1e-3, -4e-4])))
         if turned:
             rig = as_numpy(rig.with_axis(Rotary.create([1e-4, 1.5e-3, 2e-4], [3.0, 4.0, 340.0])))
     names = tuple(parameter_names(rig))
     random = np.random.default_rng(0)
-    scale = np.array([1e-3 if "radial" in n or "tangential" in n else 0.3 for n in names])
+    scale = np.array([1e-3 if n.split(".")[1] in ("radial", "tangential") else 0.3 for n in names])
+    if lens == "fisheye":
+        scale[4:8] = [3e-4, 2e-4, 5e-5, 6e-6]
     motion = next(i for i, n in enumerate(names) if n.startswith("motion"))
     plane_at = names.index("lights.0.plane.0")
     scale[plane_at : plane_at + 3], scale[motion : motion + 3] = [1e-6, 2e-6, 2e-6], 4e-6
@@ -55,9 +64,11 @@ def test_sigma_is_that_of_the_exact_derivatives(lens, columns, turned, bow):
     with float64():
         points = np.asarray(jax.vmap(rig.triangulate)(jnp.asarray(pixels), jax.tree.map(jnp.asarray, each)))
     pose = rig.pose(each)
-    camera_z = pose.apply(points[:, None])[:, 0, 2]
-    inside = np.isfinite(points).all(axis=1) & (camera_z > 0) & (camera_z < 2000)
+    seen = pose.apply(points[:, None])[:, 0]
+    far = camera.chart.range_of(seen)
+    inside = np.isfinite(points).all(axis=1) & (far > 0) & (far < 2000)
     assert inside.mean() > 0.4
+    assert lens != "fisheye" or (seen[inside, 2] < 0).mean() > 0.2
     exact = point_sigma(rig, "", covariance, stripe, pixels, each, columns)
     mapped = point_sigmas(
         SigmaMap.create(rig, "", covariance, columns),

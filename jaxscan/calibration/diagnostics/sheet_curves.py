@@ -33,6 +33,8 @@ _CLEAR = 3.5
 _UNCLEAR = 3.0
 # A curve of less than this share of the distance is not worth a word: 0.02 mm over 200 mm at 400 mm.
 _WORTH = 5e-5
+# Of rays flatter to the image than this cosine, beyond 80° of a fisheye, a bow says nothing.
+_LEAST_AHEAD = 0.17
 # A round width is one of these times a power of ten.
 _ROUND = np.array([1.0, 2.0, 5.0, 10.0])
 # Singular values of the columns below this share of the largest.
@@ -189,7 +191,7 @@ class _Stripes:
         poses: Pose[np.ndarray],
         J: Float[np.ndarray, "blocks residuals columns"],
     ) -> "_Stripes":
-        """From the Jacobian, whose columns by ω are in proportion to the ray (x, y, 1): −x / (∂h/∂v) by ω₁."""
+        """From the Jacobian, whose columns by ω are in proportion to the ray: −x / (∂h/∂v) by ω₁."""
         shape = group.stripe_used.shape
         J = J[:, J.shape[1] - shape[1] * shape[2] :].reshape(*shape, J.shape[2])
         light = np.asarray(group.stripe_light)
@@ -202,10 +204,11 @@ class _Stripes:
             bow[..., k] = np.where(own[..., 0], column, 0.0)
         used = np.asarray(group.stripe_used) & (by_plane[..., 2] != 0) & np.isfinite(bow).all(axis=-1)
         ray = np.where(used[..., None], by_plane, 1.0)
-        ray = ray / ray[..., 2:]
         R, t = _stands(group, motion, poses)
         X = ray / np.einsum("bpsi,bpi->bps", ray, dual_plane_of(R, t))[..., None]
         on_board = np.einsum("bpsi,bpij->bpsj", X - t[:, :, None], R)[..., :2]
+        # A bow is one of light that comes from beside the camera.
+        used &= X[..., 2] > _LEAST_AHEAD * np.linalg.norm(X, axis=-1)
         middle, half = middle_and_half(np.asarray(group.points)[0])
         places = (on_board - middle) / half
         return _Stripes(np.where(used[..., None], bow, 0.0), X, places, used, poses.matrix()[..., 2])
