@@ -61,7 +61,7 @@ class Scanner:
         left_out: how many lines of the last scan's frames have no point although something is bright in them, for each
             reason of `REASONS`.
 
-    Notes and counts are those of one scan at a time: threads that share one take a `copy.copy` of it each.
+    Notes and counts are those of the scan that ended last: threads that share one take a `copy.copy` of it each.
 
     Raises:
         InputError: the depths are none, or there is no such detector.
@@ -107,9 +107,10 @@ class Scanner:
         with error_context(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
-        self.notes, self.left_out = [*way_notes(self._content.rig, scan), *doubts(scan.checks)], {}
+        self.notes, self.left_out = [], {}
+        notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks)]
         verdicts, watch = np.zeros(len(Verdict), int), LightWatch()
-        for image, counts in self._images(laser, scan, advance, watch):
+        for image, counts in self._images(laser, scan, advance, watch, notes):
             frames += len(image.valid)
             verdicts += counts
             seen += int(np.isfinite(image.pixels).sum())
@@ -117,16 +118,16 @@ class Scanner:
             yield image
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
-        self.left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
-        notes = left_out_notes(self.left_out, points, self._depths_mm)
-        light = watch.notes(scan.exposures_s is not None, bool(scan.backgrounds))
+        left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
+        last = left_out_notes(left_out, points, self._depths_mm)
+        last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds))
         if not seen:
             raise InputError(
                 f"{scan.path}: no stripe was found in any of {frames} frames{in_another_colour(scan)}: check [laser] "
                 f'color ("{scan.laser.color}") and columns ({str(scan.laser.columns).lower()}), and look at one with '
-                "jaxscan inspect SCAN --frame 0 --png" + "".join(f"; {note}" for note in notes + light)
+                "jaxscan inspect SCAN --frame 0 --png" + "".join(f"; {note}" for note in last)
             )
-        self.notes += notes + light
+        self.notes, self.left_out = notes + last, left_out
         if not points:
             raise InputError(
                 f"{scan.path}: a stripe was found, but no ray through it meets the rig's light plane within its lens: "
@@ -165,9 +166,9 @@ class Scanner:
             yield ready.range_image(*_with_runs(some, axes, played))[0]
 
     def _images(
-        self, laser: "_Laser", scan: Scan, advance: Callable[[int], object], watch: LightWatch
+        self, laser: "_Laser", scan: Scan, advance: Callable[[int], object], watch: LightWatch, notes: list[str]
     ) -> Iterator[Counted]:
-        """Range images, and how many lines of each had which verdict."""
+        """Range images, and how many lines of each had which verdict; `watch` and `notes` are updated."""
         rig = self._content.rig
         passage = spacetime_geometry(rig, scan) if self._spacetime else None
         halo = HALO if self._choice == "coherent" else 0
@@ -178,7 +179,7 @@ class Scanner:
         own, done = range(before, before + (len(step_groups(scan)) or sys.maxsize)), 0
         batches = self._batches(longer, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         if passage is None:
-            found = self._stripes(laser, longer, batches)
+            found = self._stripes(laser, longer, batches, notes)
         else:
             found = laser.passages(*passage, batches, longer.axis_names)
         for image, stripe in found:
@@ -201,15 +202,15 @@ class Scanner:
         # Merged steps come in batches of any size: they get one here, so that the last of them compiles nothing again.
         return overlapping(merged, halo, halo, FRAMES_AT_ONCE - 2 * halo)
 
-    def _stripes(self, laser: "_Laser", scan: Scan, batches: Iterable[Frames]) -> Iterator[Looked]:
-        """The stripe of each frame by itself, and its points."""
+    def _stripes(self, laser: "_Laser", scan: Scan, batches: Iterable[Frames], notes: list[str]) -> Iterator[Looked]:
+        """The stripe of each frame by itself, and its points; `notes` is updated."""
         looked, standing = False, object_stands(self._content.rig, scan)
         for some in batches:
             with error_context(scan.path):
                 image, stripe = laser.range_image(some, scan.axis_names, standing)
             if not looked and np.isfinite(image.pixels).any():
                 looked = True
-                self.notes += _miscoloured(scan.laser, some, image)
+                notes += _miscoloured(scan.laser, some, image)
             yield image[some.inner, :], stripe[some.inner]
 
     def _laser(self, settings: StripeSettings) -> "_Laser":

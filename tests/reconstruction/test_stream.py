@@ -222,6 +222,21 @@ def test_a_stripe_of_another_colour_than_was_said_is_pointed_out(rig, photograph
     assert all('set color = "red"' in note for note in scanner.notes)
 
 
+def test_notes_of_two_scans_at_once_are_not_mixed(rig, photographs, tmp_path):
+    short = np.where(np.arange(photographs.shape[2]) < 32, photographs, 20)
+    coloured = np.stack([short, 20 + 0.3 * short, np.full(short.shape, 20)], axis=-1).astype(np.uint8)
+    wrong = replace(scan_of(tmp_path, np.repeat(coloured, 4, axis=0), ".png"), laser=StripeSettings("green"))
+    right = replace(wrong, laser=StripeSettings("red"))
+    scanner = Scanner(rig, "gravity")
+    first, second = scanner.scan(wrong), scanner.scan(right)
+    next(first)
+    next(second)
+    assert sum(image.valid.sum() for image in first)
+    assert ['set color = "red"' in note for note in scanner.notes] == [True]
+    assert sum(image.valid.sum() for image in second)
+    assert scanner.notes == []
+
+
 @pytest.mark.parametrize("mode", [{"choice": "coherent"}, {"exposures": True}])
 def test_a_scan_of_another_length_compiles_nothing(rig, photographs, tmp_path, mode):
     """Neither the last batch of a scan nor a shorter scan has shapes of its own."""
