@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.batch import batch_command, make_scans
 from benchmarks.killed_scans import Killed, fill_disk, kill_and_resume, prepare
-from benchmarks.lab_processes import bearer
+from benchmarks.lab_processes import bearer, end
 from benchmarks.lost_steps import KINDS, TRAVEL, stage_of
 from benchmarks.metric import Metric
 from benchmarks.stop_processes import photograph
@@ -200,8 +200,7 @@ def _server(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", httpx.Clien
         with httpx.Client(base_url=url, headers=bearer(tokens[0]), timeout=60, trust_env=False) as operator:
             yield child, operator
     finally:
-        child.terminate()
-        child.communicate()
+        end(child)
 
 
 def kill_batch(folder: Path, count: int) -> list[Struck]:

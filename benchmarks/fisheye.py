@@ -7,16 +7,15 @@ corners are up to 115° off it. The stripe is that of a flat sheet above the cam
 
 import cv2
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from benchmarks.drawn import Noise, project, redrawn
 from benchmarks.metric import Metric
-from benchmarks.montecarlo import DRAWS_QUICK, Session, compared, leaves, projected
-from benchmarks.montecarlo_fisheye import view_of
+from benchmarks.montecarlo import DRAWS_QUICK, Session, compared
+from benchmarks.montecarlo_fisheye import fisheye_session
 from benchmarks.throughput import kernel_beside_the_plain
-from jaxscan.calibration import BoardSequence, Observations, View, calibrate
+from jaxscan.calibration import Observations, View, calibrate
 from jaxscan.geometry import Pose, vector_to_matrix
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
@@ -24,7 +23,7 @@ from jaxscan.rig.projection import pixel_rays, project_points
 from jaxscan.simulation import rig_2003
 
 _DRAWS = 900
-_VIEWS, _STAGE_VIEWS, _STEPS_APART = 16, 11, 5000
+_VIEWS = 16
 _FOCAL, _PRINCIPAL, _ANGULAR = (151.0, 149.0), (316.3, 242.8), (0.012, -0.006, 0.0012, -0.00008)
 _OMEGA = np.array([0.002, -0.027, 0.004])
 _PER_STEP = 0.001 * np.array([0.92, 0.13, -0.39])
@@ -60,40 +59,9 @@ def wide_session(rig: Rig) -> tuple[Session, float]:
     """Boards all around, with the stripe, and one on a stage; and how far off the axis the furthest corner is, deg."""
     boards = _poses(rig.camera, _VIEWS, _MIDDLES_DEG, 180.0, sides=_TO_THE_SIDES)
     on_stage = Pose(*_facing(np.array([np.radians(62), 0.4]), 130.0, np.array([0.2, -0.3, 0.5])))
-    steps = _STEPS_APART * np.arange(_STAGE_VIEWS, dtype=float)
-    stands = on_stage.apply(rig_2003.BOARD.points())
-    travel = rig_2003.stage_travel(rig, steps)
-    along = tuple(View(f"stage-{i}", project(rig.camera, stands + moved)) for i, moved in enumerate(travel))
-    views = tuple(
-        view_of(i, rig, vector_to_matrix(rotation), translation)
-        for i, (rotation, translation) in enumerate(zip(boards.rotation, boards.translation, strict=True))
-    )
-    seen = np.concatenate([view.corners for view in (*views, *along)])
-    assert ((seen > 0) & (seen < np.array(rig_2003.IMAGE_SIZE) - 1)).all()
-    sequence = BoardSequence({"stage": steps}, along)
-    exact = Observations(rig_2003.IMAGE_SIZE, rig_2003.BOARD, views, (sequence,), lasers=("",))
-    session = Session(
-        "fisheye",
-        rig,
-        exact,
-        boards,
-        (on_stage,),
-        _PIXELS,
-        {"stage": np.full(len(_PIXELS), steps[-1])},
-        {
-            "focal": lambda rig: leaves(rig.camera.focal),
-            "principal_point": lambda rig: leaves(rig.camera.principal),
-            "lens": lambda rig: leaves(rig.camera.lens),
-            "light_plane": lambda rig: leaves(rig.lights),
-            "stage": lambda rig: leaves(rig.axis("stage")),
-            "projected_beyond_90_deg": _beyond,
-        },
-    )
+    session = fisheye_session("fisheye", rig, boards, on_stage, _PIXELS, {"projected_beyond_90_deg": _BEYOND})
+    seen = np.concatenate([view.corners for view in session.exact.photographs()])
     return session, float(_off_axis(pixel_rays(rig.camera, seen)).max())
-
-
-def _beyond(rig: Rig) -> Float[Array, "_"]:
-    return projected(rig, jnp.asarray(_BEYOND)).ravel()
 
 
 def _round_trip(camera: Camera) -> list[Metric]:

@@ -20,7 +20,7 @@ from typing import Any
 
 import httpx
 
-from benchmarks.lab_processes import bearer
+from benchmarks.lab_processes import bearer, end
 from benchmarks.metric import Metric
 
 _WATCHERS, _QUICK_WATCHERS = 200, 40
@@ -73,8 +73,7 @@ def _server(folder: Path, watchers: int) -> Iterator[tuple[str, list[str]]]:
     try:
         yield json.loads(child.stdout.readline())
     finally:
-        child.terminate()
-        child.communicate()
+        end(child)
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ import json
 import re
 import secrets
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Mapping
@@ -28,6 +29,7 @@ from hardware.stages import Travel
 OPERATOR, WATCHER = "operator", "watcher"
 # A move takes a second on a stage of a real controller, the least that its driver watches a leg.
 _FASTER: Final = 8
+_END_S: Final = 30.0
 _PHOTOGRAPHS, _SIZE = 40, (480, 640)
 
 
@@ -126,6 +128,16 @@ class _Watchers:
         except OSError:
             self.errors += 1
             raise
+
+
+def end(child: "subprocess.Popen[str]") -> None:
+    """End a process, and what it has begun: by force where it takes too long."""
+    child.terminate()
+    try:
+        child.communicate(timeout=_END_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.communicate()
 
 
 def bearer(token: str) -> dict[str, str]:

@@ -5,6 +5,8 @@ meets, and one is on a stage. Asked besides are the camera's and the other parts
 pixels of points 48° and 66° off the axis.
 """
 
+from collections.abc import Callable, Mapping
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,43 +40,62 @@ def measure(quick: bool) -> list[Metric]:
     with float64():
         camera = Camera.create(rig_2003.IMAGE_SIZE, _FOCAL, _PRINCIPAL, "fisheye", _ANGULAR)
         rig = as_numpy(Rig(camera, (LightPlane.create(_OMEGA),), Linear.create(_PER_STEP)))
-    boards, on_stage = _poses(rig), Pose(np.array([0.1, -0.15, 0.05]), np.array([-60.0, -62.0, 125.0]))
-    steps = _STEPS_APART * np.arange(_STAGE_VIEWS, dtype=float)
-    points = on_stage.apply(rig_2003.BOARD.points())
-    along = tuple(
-        View(f"stage-{i}", project(camera, points + moved)) for i, moved in enumerate(rig_2003.stage_travel(rig, steps))
+    on_stage = Pose(np.array([0.1, -0.15, 0.05]), np.array([-60.0, -62.0, 125.0]))
+    session = fisheye_session(
+        "montecarlo_fisheye", rig, _poses(rig), on_stage, _PIXELS, {"projected_at_the_border": _AT_THE_BORDER}
     )
+    return compared(session, DRAWS_QUICK if quick else _DRAWS, quick)
+
+
+def fisheye_session(
+    stem: str,
+    rig: Rig,
+    boards: Pose,
+    on_stage: Pose,
+    pixels: Float[np.ndarray, "points 2"],
+    places: Mapping[str, Float[np.ndarray, "points 3"]],
+) -> Session:
+    """Boards by themselves, with the stripe, and one on the stage.
+
+    Args:
+        stem: how its figures begin.
+        rig: the true one.
+        boards: T_cam_board of the views, stacked.
+        on_stage: T_cam_board of the board on the stage, at step 0.
+        pixels: of stripe points to triangulate.
+        places: of the camera frame, by names, mm: their pixels are asked for, besides the numbers of each part.
+    """
+    steps = _STEPS_APART * np.arange(_STAGE_VIEWS, dtype=float)
+    points, travel = on_stage.apply(rig_2003.BOARD.points()), rig_2003.stage_travel(rig, steps)
+    along = tuple(View(f"stage-{i}", project(rig.camera, points + moved)) for i, moved in enumerate(travel))
     views = tuple(
         view_of(i, rig, vector_to_matrix(rotation), translation)
         for i, (rotation, translation) in enumerate(zip(boards.rotation, boards.translation, strict=True))
     )
     seen = np.concatenate([view.corners for view in (*views, *along)])
     assert ((seen > 0) & (seen < np.array(rig_2003.IMAGE_SIZE) - 1)).all()
-    exact = Observations(
-        rig_2003.IMAGE_SIZE, rig_2003.BOARD, views, (BoardSequence({"stage": steps}, along),), lasers=("",)
-    )
-    session = Session(
-        "montecarlo_fisheye",
+    sequence = BoardSequence({"stage": steps}, along)
+
+    def pixels_of(X: Float[np.ndarray, "points 3"]) -> Callable[[Rig], Float[Array, "_"]]:
+        return lambda rig: projected(rig, jnp.asarray(X)).ravel()
+
+    return Session(
+        stem,
         rig,
-        exact,
+        Observations(rig_2003.IMAGE_SIZE, rig_2003.BOARD, views, (sequence,), lasers=("",)),
         boards,
         (on_stage,),
-        _PIXELS,
-        {"stage": np.full(len(_PIXELS), steps[-1])},
+        pixels,
+        {"stage": np.full(len(pixels), steps[-1])},
         {
             "focal": lambda rig: leaves(rig.camera.focal),
             "principal_point": lambda rig: leaves(rig.camera.principal),
             "lens": lambda rig: leaves(rig.camera.lens),
             "light_plane": lambda rig: leaves(rig.lights),
             "stage": lambda rig: leaves(rig.axis("stage")),
-            "projected_at_the_border": _at_the_border,
+            **{name: pixels_of(X) for name, X in places.items()},
         },
     )
-    return compared(session, DRAWS_QUICK if quick else _DRAWS, quick)
-
-
-def _at_the_border(rig: Rig) -> Float[Array, "_"]:
-    return projected(rig, jnp.asarray(_AT_THE_BORDER)).ravel()
 
 
 def _poses(rig: Rig) -> Pose:

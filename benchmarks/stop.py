@@ -21,7 +21,7 @@ import httpx
 import numpy as np
 
 from benchmarks.full_disk import full
-from benchmarks.lab_processes import bearer
+from benchmarks.lab_processes import bearer, end
 from benchmarks.lab_tls import certificate
 from benchmarks.metric import Metric
 from benchmarks.stop_loads import LOADS, PROJECTS
@@ -33,7 +33,6 @@ _FRAMES, _QUICK_FRAMES = 5, 3
 _SIZES = {"watchers": 200, "clouds": 50, "sign-ins": 100, "half-open": 2000}
 _QUICK_SIZES = {"watchers": 20, "clouds": 10, "sign-ins": 20, "half-open": 200}
 _GOAL_S = 0.5
-_END_S = 30.0
 # Another address of this machine than that of most of the crowd.
 _ELSEWHERE = "127.0.0.9"
 
@@ -104,7 +103,7 @@ def _server(folder: Path, *files: Path) -> Iterator[tuple[int, str, list[str]]]:
         url, tokens = json.loads(child.stdout.readline())
         yield child.pid, url, tokens
     finally:
-        _end(child)
+        end(child)
 
 
 @contextlib.contextmanager
@@ -118,17 +117,7 @@ def _loaded(url: str, tokens: list[str], loads: list[str], sizes: dict[str, int]
             raise RuntimeError("the load did not begin")
         yield
     finally:
-        _end(child)
-
-
-def _end(child: "subprocess.Popen[str]") -> None:
-    """End it, and what it has begun: by force where it takes too long."""
-    child.terminate()
-    try:
-        child.communicate(timeout=_END_S)
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.communicate()
+        end(child)
 
 
 def _stops(

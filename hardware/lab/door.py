@@ -30,8 +30,6 @@ _WHOLE: Final = re.compile(rb"\r?\n\r?\n")
 _FIRST: Final = re.compile(rb"[A-Z]{1,16}(?: [^\r\n]*)?(?:\r?\n|\r?$)")
 _URGENT: Final = re.compile(rb"(?:POST /api/stop|PUT /api/lock)(?:\?[^ \r\n]*)? HTTP/1\.[01]\r?\n")
 _FORWARDED: Final = re.compile(rb"(?i)\r?\nX-Forwarded-For:([^\r\n]*)")
-# Connections that are taken before those that are here are looked at.
-_IN_A_ROW: Final = 16
 _LATEST_S: Final = 1.0
 
 
@@ -88,14 +86,7 @@ class Door:
             self._end_late()
 
     def _take(self) -> None:
-        for _ in range(_IN_A_ROW):
-            try:
-                line, peer = self._gate.accept(self._listening)
-            except ConnectionAbortedError:
-                continue
-            except OSError:
-                return
-            line.setblocking(False)
+        for line, peer in self._gate.arrivals(self._listening):
             number = line.fileno()
             self._callers[number] = _Caller(line, peer, time.monotonic() + self._head_s)
             # Once for everything that comes: what is left unread would be said again and again.

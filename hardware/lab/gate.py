@@ -11,6 +11,7 @@ import os
 import socket
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -120,6 +121,18 @@ class Gate:
         self._lines[peer] = _Line(line, network)
         self._counts[network] += 1
         return line, peer
+
+    def arrivals(self, listening: "Listening") -> Iterator[tuple[socket.socket, Any]]:
+        """Those that have come, not blocking: some of them, before those that are here are looked at."""
+        for _ in range(_IN_A_ROW):
+            try:
+                line, peer = self.accept(listening)
+            except ConnectionAbortedError:
+                continue
+            except OSError:
+                return
+            line.setblocking(False)
+            yield line, peer
 
     def note(self, peer: Any, phase: Phase) -> None:
         """Note what a connection does now."""

@@ -32,8 +32,6 @@ from hardware.lab.throttle import network_of
 # A browser that does not answer the end of TLS.
 _FAREWELL_S: Final = 5.0
 _LATEST_S: Final = 1.0
-# Connections that are taken before those that are here are looked at.
-_IN_A_ROW: Final = 16
 # The first byte of every handshake.
 _HANDSHAKE: Final = b"\x16"
 _GONE: Final = select.EPOLLHUP | select.EPOLLERR
@@ -137,14 +135,7 @@ class Before:
         return min([_LATEST_S, *(max(0.0, end_s - time.monotonic()) for end_s in ends_s)])
 
     def _take(self) -> None:
-        for _ in range(_IN_A_ROW):
-            try:
-                line, peer = self._gate.accept(self._listening)
-            except ConnectionAbortedError:
-                continue
-            except OSError:
-                return
-            line.setblocking(False)
+        for line, peer in self._gate.arrivals(self._listening):
             self._lines[line.fileno()] = line, peer
             self._young[line] = time.monotonic() + self._head_s
             self._poll.register(line, select.EPOLLIN)
