@@ -40,11 +40,11 @@ _RIGHT: Final = {
 
 
 def measure(quick: bool) -> list[Metric]:
-    """Each change with many seeds, sizes of a half and of twice, clean sessions, and faults that are no changes."""
+    """Each change with many seeds and in four sizes, clean sessions, and faults that are no changes."""
     seeds = range(_SEEDS_QUICK if quick else _SEEDS)
     metrics = []
     for name in _RIGHT:
-        for times in (1.0,) if quick else (1.0, 0.5, 2.0):
+        for times in (1.0,) if quick else (1.0, 0.5, 0.25, 2.0):
             found = [_named(seed, name, times) for seed in seeds]
             stem = f"changes.{name}" + ("" if times == 1 else f".times_{times:g}")
             goal = ("higher", 0.95) if times == 1 else ("shown", None)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.drawn import Noise, project, redrawn
+from benchmarks.drawn_bent import Height, flat
 from benchmarks.metric import Metric
 from benchmarks.montecarlo import DRAWS_QUICK, Session, compared
 from benchmarks.montecarlo_fisheye import fisheye_session
@@ -55,11 +56,17 @@ def measure(quick: bool) -> list[Metric]:
     ]
 
 
-def wide_session(rig: Rig) -> tuple[Session, float]:
-    """Boards all around, with the stripe, and one on a stage; and how far off the axis the furthest corner is, deg."""
+def wide_session(rig: Rig, height: Height = flat) -> tuple[Session, float]:
+    """Boards all around, with the stripes, and one on a stage; and how far off the axis the furthest corner is, deg.
+
+    Args:
+        rig: the true one.
+        height: the board's shape.
+    """
     boards = _poses(rig.camera, _VIEWS, _MIDDLES_DEG, 180.0, sides=_TO_THE_SIDES)
     on_stage = Pose(*_facing(np.array([np.radians(62), 0.4]), 130.0, np.array([0.2, -0.3, 0.5])))
-    session = fisheye_session("fisheye", rig, boards, on_stage, _PIXELS, {"projected_beyond_90_deg": _BEYOND})
+    places = {"projected_beyond_90_deg": _BEYOND}
+    session = fisheye_session("fisheye", rig, boards, on_stage, _PIXELS, places, height)
     seen = np.concatenate([view.corners for view in session.exact.photographs()])
     return session, float(_off_axis(pixel_rays(rig.camera, seen)).max())
 

@@ -7,11 +7,12 @@ and of whatever else a session asks for,
 - the ratio of the predicted σ (root mean square over the draws) to the actual scatter, by kind the lowest and the
   highest,
 - the mean normalised squared error eᵀ Σ⁻¹ e / n of the parameters together, 1 when Σ is right,
-- the efficiency: the actual mean squared error over the Cramér-Rao bound.
+- the efficiency: the actual mean squared error over the Cramér-Rao bound,
+- for parameters and the first board, by how much the ratio is off by chance alone (`chance`).
 """
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -21,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
+from benchmarks.chance import by_chance
 from benchmarks.drawn import Noise, exact_session, redrawn
 from benchmarks.metric import Metric
 from jaxscan.calibration import Observations, calibrate, residuals
@@ -33,7 +35,7 @@ from jaxscan.rig import Covariance, Rig, System
 from jaxscan.rig.rig import parameter_names, with_normal_numbers
 from jaxscan.simulation import rig_2003
 
-_DRAWS, DRAWS_QUICK = 2000, 30
+_DRAWS, DRAWS_QUICK, _SEED = 2000, 30, 2003
 NOISE = Noise()
 # Pixels over the part of the image that the sheet's light comes to, and a step count at the end of a scan.
 PIXELS = np.stack(np.meshgrid([80.0, 320.0, 560.0], [60.0, 180.0, 300.0]), axis=-1).reshape(-1, 2)
@@ -99,7 +101,7 @@ def compared(session: Session, draws: int, quick: bool) -> list[Metric]:
     truth = np.array([float(leaf) for leaf in jax.tree.leaves(session.rig)])
     freedom = len(_essential(session.rig))
     bound = np.diagonal(cramer_rao(session).of_leaves(session.rig))
-    random = np.random.default_rng(2003)
+    random = np.random.default_rng(_SEED)
     solved = [solve(session, random) for _ in tqdm(range(draws), desc="  solving", file=sys.stderr)]
     mean_square = float(np.mean([draw.square for draw in solved]))
     band = _BAND * np.sqrt(2 / (freedom * draws))
@@ -118,6 +120,13 @@ def compared(session: Session, draws: int, quick: bool) -> list[Metric]:
             figure(f"{kind}.lowest_ratio", float(ratio.min()), "higher", 0.94),
             figure(f"{kind}.highest_ratio", float(ratio.max()), "lower", 1.06),
         ]
+    if not quick:
+        chance = by_chance(session.rig, _true_poses(session), session.exact, _noise_again(session, draws), NOISE)
+        for kind, ratio in chance.items():
+            metrics += [
+                Metric(f"{session.stem}.{kind}.lowest_ratio_by_chance", float(ratio.min())),
+                Metric(f"{session.stem}.{kind}.highest_ratio_by_chance", float(ratio.max())),
+            ]
     return [
         *metrics,
         Metric(f"{session.stem}.standard_error_of_a_ratio", float(1 / np.sqrt(2 * (draws - 1)))),
@@ -133,6 +142,25 @@ def compared(session: Session, draws: int, quick: bool) -> list[Metric]:
         figure("variance_over_bound.worst", float(efficiency.max()), "lower", 1.1),
         figure("variance_over_bound.mean", float(efficiency.mean()), "lower", 1.1),
     ]
+
+
+def _noise_again(session: Session, draws: int) -> Iterator[Observations]:
+    """The observations that `compared` solves."""
+    random = np.random.default_rng(_SEED)
+    for _ in range(draws):
+        yield redrawn(session.exact, NOISE, random)
+        # Of the pixels that are triangulated.
+        random.normal(size=(len(session.pixels), 1))
+
+
+def _true_poses(session: Session) -> tuple[Float[np.ndarray, "views 6"], Float[np.ndarray, "sequences 6"]]:
+    """Of the boards in the views, and of those on axes at the positions of reference."""
+    at_reference = [
+        session.rig.pose(reference_positions(sequence)) @ pose
+        for sequence, pose in zip(session.exact.sequences, session.moved, strict=True)
+    ]
+    views = np.concatenate([session.boards.rotation, session.boards.translation], axis=1)
+    return views, np.stack([np.concatenate([pose.rotation, pose.translation]) for pose in at_reference])
 
 
 def _columns(solved: list[Draw]) -> tuple[list[Kinds], list[Kinds]]:
@@ -202,19 +230,14 @@ def triangulated(rig: Rig, pixels: Float[Array, "m 2"], q: dict[str, Float[Array
 
 def cramer_rao(session: Session) -> Covariance:
     """The least covariance of any unbiased estimate: at the truth, with the true noise, every observation used."""
-    rig, exact, poses = session.rig, session.exact, session.boards
-    at_mean = [
-        rig.pose(reference_positions(sequence)) @ pose
-        for sequence, pose in zip(exact.sequences, session.moved, strict=True)
-    ]
+    rig, exact = session.rig, session.exact
+    views, moved = _true_poses(session)
     names = parameter_names(rig)
     free = np.array([name not in rig.surplus() for name in names])
     with float64():
         groups = (view_blocks(exact), sequence_blocks(exact))
-        views = np.concatenate([poses.rotation, poses.translation], axis=1)
         padded = np.ones((len(groups[0].corners), 6))
         padded[: len(views)] = views
-        moved = np.stack([np.concatenate([pose.rotation, pose.translation]) for pose in at_mean])
         system = System(as_float64(rig), (jnp.asarray(padded), jnp.asarray(moved)))
         sigma = residuals.Noise.create(NOISE.corner, NOISE.stripe)
         matrix = np.asarray(precision(system, jnp.asarray(free), groups, sigma).covariance)

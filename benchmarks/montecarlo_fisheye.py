@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from scipy.interpolate import CubicSpline
 
 from benchmarks.drawn import project
+from benchmarks.drawn_bent import Height, flat
 from benchmarks.metric import Metric
 from benchmarks.montecarlo import DRAWS_QUICK, Session, compared, leaves, projected
 from jaxscan.calibration import BoardSequence, Observations, StripePoints, View
@@ -30,6 +31,8 @@ _PER_STEP = 0.001 * np.array([0.03, 0.92, -0.39])
 _NEAREST, _FARTHEST, _LEAST_DEPTH, _BORDER_PX = 90.0, 160.0, 25.0, 2.0
 # Places along the stripe of a board; and columns from one point of it to the next: with all a draw takes long.
 _ALONG, _COLUMNS_APART = 6001, 8
+# Steps onto a board that is bent; points of a stripe that are one.
+_NEWTON, _FEWEST_ALONG = 6, 2
 # Where the stripe is seen: 105 to 165 mm deep in the middle of the image.
 _PIXELS = np.stack(np.meshgrid([80.0, 320.0, 560.0], [50.0, 100.0, 150.0]), axis=-1).reshape(-1, 2)
 _AT_THE_BORDER = np.array([[x, y, 100.0] for x in (-200.0, 0.0, 200.0) for y in (-110.0, 110.0)])
@@ -54,6 +57,7 @@ def fisheye_session(
     on_stage: Pose,
     pixels: Float[np.ndarray, "points 2"],
     places: Mapping[str, Float[np.ndarray, "points 3"]],
+    height: Height = flat,
 ) -> Session:
     """Boards by themselves, with the stripe, and one on the stage.
 
@@ -64,17 +68,19 @@ def fisheye_session(
         on_stage: T_cam_board of the board on the stage, at step 0.
         pixels: of stripe points to triangulate.
         places: of the camera frame, by names, mm: their pixels are asked for, besides the numbers of each part.
+        height: the board's shape.
     """
     steps = _STEPS_APART * np.arange(_STAGE_VIEWS, dtype=float)
-    points, travel = on_stage.apply(rig_2003.BOARD.points()), rig_2003.stage_travel(rig, steps)
+    board = _on(rig_2003.BOARD.points()[:, :2], height)
+    points, travel = on_stage.apply(board), rig_2003.stage_travel(rig, steps)
     along = tuple(View(f"stage-{i}", project(rig.camera, points + moved)) for i, moved in enumerate(travel))
     views = tuple(
-        view_of(i, rig, vector_to_matrix(rotation), translation)
+        view_of(i, rig, vector_to_matrix(rotation), translation, height)
         for i, (rotation, translation) in enumerate(zip(boards.rotation, boards.translation, strict=True))
     )
     seen = np.concatenate([view.corners for view in (*views, *along)])
     assert ((seen > 0) & (seen < np.array(rig_2003.IMAGE_SIZE) - 1)).all()
-    sequence = BoardSequence({"stage": steps}, along)
+    sequence, lasers = BoardSequence({"stage": steps}, along), tuple(light.name for light in rig.lights)
 
     def pixels_of(X: Float[np.ndarray, "points 3"]) -> Callable[[Rig], Float[Array, "_"]]:
         return lambda rig: projected(rig, jnp.asarray(X)).ravel()
@@ -82,7 +88,7 @@ def fisheye_session(
     return Session(
         stem,
         rig,
-        Observations(rig_2003.IMAGE_SIZE, rig_2003.BOARD, views, (sequence,), lasers=("",)),
+        Observations(rig_2003.IMAGE_SIZE, rig_2003.BOARD, views, (sequence,), lasers=lasers),
         boards,
         (on_stage,),
         pixels,
@@ -118,30 +124,62 @@ def _poses(rig: Rig) -> Pose:
     return Pose(np.stack(rotations), np.stack(translations))
 
 
-def view_of(number: int, rig: Rig, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]) -> View:
-    """What is seen of the board in a pose without any noise: its corners, and the stripe where the flat sheet meets it.
+def view_of(
+    number: int,
+    rig: Rig,
+    R: Float[np.ndarray, "3 3"],
+    t: Float[np.ndarray, "3"],
+    height: Height = flat,
+    columns_apart: int = _COLUMNS_APART,
+) -> View:
+    """What is seen of the board in a pose without any noise: its corners, and the stripes where flat sheets meet it.
 
     Column by column, so that a stripe which some column has twice is left out.
+
+    Args:
+        number: of the view.
+        rig: the true one.
+        R: of the board.
+        t: of the board, mm.
+        height: the board's shape.
+        columns_apart: from one stripe point to the next.
     """
+    board = rig_2003.BOARD.points()
+    corners = project(rig.camera, _on(board[:, :2], height) @ R.T + t)
+    stripes = (_stripe(rig, n, R, t, height, columns_apart) for n in range(len(rig.lights)))
+    return View(f"view-{number}", corners, stripes=tuple(stripe for stripe in stripes if stripe is not None))
+
+
+def _stripe(
+    rig: Rig, laser: int, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"], height: Height, columns_apart: int
+) -> StripePoints | None:
     board = rig_2003.BOARD
     low, high = (
         end[:2] + sign * board.pitch_mm / 2
         for end, sign in ((board.points().min(axis=0), -1), (board.points().max(axis=0), 1))
     )
-    # The line a · (x, y) = 1 - ω · t of the board.
-    omega = np.array([float(leaf) for leaf in jax.tree.leaves(rig.lights[0])])
+    # The line a · (x, y) = 1 - ω · t of the board's plane, and from there on to the bent one by Newton's steps.
+    omega = np.array([float(leaf) for leaf in jax.tree.leaves(rig.lights[laser])])
     a = omega @ R[:, :2]
     nearest, way = a * (1 - omega @ t) / (a @ a), np.array([-a[1], a[0]]) / np.hypot(*a)
     line = nearest + np.linspace(-300, 300, _ALONG)[:, None] * way
+    for _ in range(_NEWTON):
+        line = line - (((_on(line, height) @ R.T + t) @ omega - 1) / (a @ a))[:, None] * a
     line = line[((line > low) & (line < high)).all(axis=1)]
-    stripes: tuple[StripePoints, ...] = ()
-    seen = project(rig.camera, line @ R[:, :2].T + t)
-    seen = seen if len(line) > 1 and seen[0, 0] < seen[-1, 0] else seen[::-1]
-    if len(line) > 1 and (np.diff(seen[:, 0]) > 0).all():
-        u, v = seen.T
-        columns = np.arange(0.0, rig.camera.image_size[0], _COLUMNS_APART)
-        rows = CubicSpline(u, v, extrapolate=False)(columns)
-        # No squares were drawn, so that their edges need not be kept away from.
-        there = np.where(np.isfinite(rows), columns, np.nan)
-        stripes = (StripePoints(np.stack([there, rows], axis=1), half_width_px=1e-6),)
-    return View(f"view-{number}", project(rig.camera, board.points() @ R.T + t), stripes=stripes)
+    if len(line) < _FEWEST_ALONG:
+        return None
+    seen = project(rig.camera, _on(line, height) @ R.T + t)
+    seen = seen if seen[0, 0] < seen[-1, 0] else seen[::-1]
+    if not (np.diff(seen[:, 0]) > 0).all():
+        return None
+    u, v = seen.T
+    columns = np.arange(0.0, rig.camera.image_size[0], columns_apart)
+    rows = CubicSpline(u, v, extrapolate=False)(columns)
+    # No squares were drawn, so that their edges need not be kept away from.
+    there = np.where(np.isfinite(rows), columns, np.nan)
+    return StripePoints(np.stack([there, rows], axis=1), laser=laser, half_width_px=1e-6)
+
+
+def _on(xy: Float[np.ndarray, "points 2"], height: Height) -> Float[np.ndarray, "points 3"]:
+    """Points of the board at these places, mm."""
+    return np.concatenate([xy, height(xy[:, 0], xy[:, 1])[:, None]], axis=1)

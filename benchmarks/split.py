@@ -3,9 +3,15 @@
 The sessions are those of `changes`, and as many in which nothing changed. Points that the rig triangulates after the
 change are compared with those of the true rig then, beside the rigs of the photographs after the change alone, and of a
 split that is told which parts differ.
+
+With JAXSCAN_DATA real photographs are moved by whole pixels from one of them on, as by a lens that was pushed, and the
+session is split there, one photograph too early, and one too late.
 """
 
+import os
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import jax
@@ -15,8 +21,10 @@ from jaxtyping import Float
 from benchmarks.changes import changed_rig, changed_session
 from benchmarks.metric import Metric
 from jaxscan.calibration import Calibration, Observations, Split, calibrate, calibrate_split, split
+from jaxscan.calibration.observe import observe
 from jaxscan.calibration.split_parts import Chosen
 from jaxscan.errors import InputError
+from jaxscan.files.session import read_session
 from jaxscan.precision import float64
 from jaxscan.rig import Rig
 from jaxscan.rig.rig import parameter_names
@@ -32,6 +40,9 @@ _TRUE: Final = {
     "board_pushed": ("place",),
     "nothing": (),
 }
+# Real sessions, and how far they are moved along v from the middle photograph on, px; where they are split.
+_REAL: Final = {"opencv-left": 20.0, "etna-3": 60.0}
+_PLACES: Final = {"too_early": -1, "there": 0, "too_late": 1}
 _PARTS: Final = ("focus", "image", "lens", "light")
 # Along each side of the image, pixels whose points are compared where they are this far away, mm.
 _GRID, _NEAR, _FAR = 12, 300.0, 400.0
@@ -53,6 +64,43 @@ def measure(quick: bool) -> list[Metric]:
         if np.isfinite(alone).all():
             metrics.append(Metric(f"{stem}.points_over_side_alone", _rms(ours) / _rms(alone), "", "lower", 1.0))
         print("  " + ", ".join(f"{m.name} {m.value:.3f}" for m in metrics if m.name.startswith(stem)), flush=True)
+    return metrics if quick else [*metrics, *photographs()]
+
+
+def photographs() -> list[Metric]:
+    """Real sessions: how far the principal points of both parts are off, in their σ, by where the session is split.
+
+    They are compared with that of the session as it is, and with that moved.
+    """
+    folder, along = os.environ.get("JAXSCAN_DATA"), np.array([0.0, 1.0])
+    metrics: list[Metric] = []
+    if not folder:
+        print("  JAXSCAN_DATA is not set: no real photographs", flush=True)
+        return metrics
+    for name, px in _REAL.items():
+        session = observe(read_session(Path(folder) / name))
+        behind, v = len(session.views) // 2, "camera.principal.1"
+        true = float(calibrate(session, lens="radial2").rig.camera.principal[1])
+        moved = tuple(
+            replace(
+                view,
+                corners=view.corners + px * along,
+                stripes=tuple(replace(stripe, pixels=stripe.pixels + px * along) for stripe in view.stripes),
+            )
+            for view in session.views[behind:]
+        )
+        pushed = replace(session, views=(*session.views[:behind], *moved))
+        for word, place in _PLACES.items():
+            both = calibrate_split(pushed, pushed.views[behind + place].name, lens="radial2")
+            kinds = [each.part for each in both.parted.differ]
+            off = [
+                (float(side.rig.camera.principal[1]) - true - by) / (side.covariance.sigma(v) or np.nan)
+                for side, by in ((both.before, 0.0), (both.after, px))
+            ]
+            stem = f"split.real.{name}.{word}"
+            metrics.append(Metric(f"{stem}.image_alone_differs", float(kinds == ["image"])))
+            metrics.append(Metric(f"{stem}.principal_off", float(np.abs(off).max()), "σ"))
+            print(f"  {stem}: {kinds}, {', '.join(f'{each:.2f} σ' for each in off)}", flush=True)
     return metrics
 
 

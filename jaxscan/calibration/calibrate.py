@@ -29,6 +29,7 @@ from jaxscan.calibration.on_board import stripe_on_board, stripe_points_in_space
 from jaxscan.calibration.pose_ambiguity import resolve_pose_ambiguity
 from jaxscan.calibration.refusals import (
     FEWEST_STRIPES,
+    check_bows,
     check_enough,
     check_solved,
     check_views_for,
@@ -131,7 +132,7 @@ def calibrate(
     known: list[Observations] = [usable]
     aliases: list[str] = []
     approached: list[str] = []
-    with float64(), with_remarks(known):
+    with float64(), with_remarks(known, None if start else lens):
         check_enough(usable)
         unused = Unused(usable.left_out)
         check_views_for(board_shape, len(usable.views))
@@ -178,6 +179,7 @@ def calibrate(
                 usable, off_board = stripe_on_board(usable, camera, stood)
                 unused = unused.and_then(off_board)
                 known.append(replace(usable, left_out=unused.left_out))
+            check_bows(usable, camera, kinds)
             first, moved_poses = first_motions(usable, stood)
             moved_poses = tuple(_with_bends(each, bends) for each in moved_poses)
             rig = Rig(camera, _first_lights(usable, camera, stood, kinds), first)

@@ -6,6 +6,9 @@ session which needs no term pays for none. A term that is found is solved for, a
 the other photographs predict each one better with it than without: −2 log of the density has to fall by more than two
 of its standard errors, from photograph to photograph. Both are solved on the same observations, those that the richer
 model keeps.
+
+Where the corners' start shows that they are so far off the axis that only a fisheye sees them, it begins with one:
+what is solved with another lens there says nothing (docs/decisions/0047).
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -18,12 +21,15 @@ from jaxtyping import Float
 from jaxscan.calibration.calibrate import calibrate
 from jaxscan.calibration.diagnostics.ladder import climb
 from jaxscan.calibration.diagnostics.missing_terms import missing_terms
+from jaxscan.calibration.first_camera import beyond_the_ladder
 from jaxscan.calibration.model import Choice, Model, Trial
 from jaxscan.calibration.observations import InlierMask, Observations
+from jaxscan.calibration.refusals import FEWEST_VIEWS, with_enough_corners
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.rig import BowedSheet, LightPlane
 from jaxscan.rig.board_shape import rounded_mm
+from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER, is_off_centre
 from jaxscan.rig.projection import pixel_rays
@@ -57,7 +63,7 @@ def calibrate_by_evidence(
 
     Raises:
         InputError: as `calibrate`.
-        ObservabilityError: as `calibrate`, for the model to begin with.
+        ObservabilityError: as `calibrate`, for the model to begin with, or for a fisheye where it begins with that.
         SolveError: likewise.
     """
     lights = model.lights or (LightPlane.kind,) * len(observations.lasers)
@@ -68,7 +74,10 @@ def calibrate_by_evidence(
     def solved(each: Model, **more: Any) -> Calibration:
         return calibrate(observations, **each.asked(), advance=advance, **asked, **more)
 
-    found, trials = solved(model), []
+    began = None if "lens" in fixed else _fisheye(observations, model, asked.get("hold", ()))
+    trials = [] if began is None else [began]
+    model = model if began is None else began.model
+    found = solved(model)
     for _ in range(_MOST):
         best = None
         for proposals in _proposals(found, model, fixed):
@@ -81,6 +90,19 @@ def calibrate_by_evidence(
             break
         model, found = best.model, best.result
     return replace(found, choice=Choice(model, tuple(trials)))
+
+
+def _fisheye(observations: Observations, model: Model, hold: Collection[str]) -> Trial | None:
+    """The model with a fisheye where no lens of the ladder sees all corners; None where one does, or more is asked."""
+    usable, _ = with_enough_corners(observations)
+    if model.lens not in LADDER or model.tilted or len(usable.views) < FEWEST_VIEWS:
+        return None
+    # Terms that are held are of the lens that was asked for.
+    if set(hold) - set(camera_parameters(Fisheye.kind)) or (angle := beyond_the_ladder(usable)) is None:
+        return None
+    why = f"corners are {angle:.0f}° off the camera's axis, where only a fisheye sees them"
+    wide = replace(model, lens=Fisheye.kind)
+    return Trial(wide, wide.beyond(model), why, np.nan, np.nan, taken=True)
 
 
 def _proposals(found: Calibration, model: Model, fixed: Collection[str]) -> Iterator[list[tuple[Model, str]]]:

@@ -70,7 +70,7 @@ class Trial:
         of: what it has beyond the simpler one, in words.
         why: what asked for it, in words.
         gain: by how much −2 log of the density falls at which the others predict a photograph, in the mean of
-            all photographs; NaN where it was not solved.
+            all photographs; NaN where one of the two was not solved.
         error: the standard error of that, from photograph to photograph.
         taken: whether it took the place of the simpler one.
         refused: why it could not be solved, "" where it was.
@@ -116,8 +116,13 @@ class Choice:
         if not self.added:
             return f"{self.model.in_words()}, as asked: nothing that the photographs show asks for more"
         each = [
-            f"{trial.of}, since {trial.why}; photographs that were held out are predicted better by it "
-            f"(−2 log p is lower by {trial.gain:.3g} ± {trial.error:.2g} each)"
+            f"{trial.of}, since {trial.why}"
+            + (
+                "; photographs that were held out are predicted better by it "
+                f"(−2 log p is lower by {trial.gain:.3g} ± {trial.error:.2g} each)"
+                if math.isfinite(trial.gain)
+                else ""
+            )
             for trial in self.added
         ]
         return f"{self.model.in_words()}. Chosen: {'; '.join(each)}"

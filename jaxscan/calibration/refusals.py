@@ -1,6 +1,6 @@
 """What `calibrate` refuses, and why: too little to work with, what is not determined, and what ran away."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -13,14 +13,19 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.bundle import MAX_STEPS
 from jaxscan.calibration.coverage import measure_coverage
+from jaxscan.calibration.first_camera import beyond_the_ladder
 from jaxscan.calibration.first_poses import poses_of_photographs
 from jaxscan.calibration.observability import cause_and_fix, undetermined, undetermined_shape
 from jaxscan.calibration.observations import Observations, View
 from jaxscan.calibration.rounds import Refined
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_checks import image_rays
-from jaxscan.rig import MOTIONS, Rig, is_run
+from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, Rig, is_run
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
+from jaxscan.rig.fisheye import Fisheye
+from jaxscan.rig.opencv_lens import LADDER
+from jaxscan.rig.projection import pixel_rays
+from jaxscan.rig.splined import Splined
 
 _FEWEST_CORNERS = 6
 _FARTHEST_PX, _THINNEST_PX = 1e6, 0.1
@@ -31,6 +36,8 @@ _OF_SHAPE = {
     "warp": "the board's twist, and what its edges bend more or less than its middle,",
     "bend": "how much the board bends from view to view",
 }
+# As far off the axis (degrees) the model of a bowed sheet goes.
+_BOWS_END_DEG = 80.0
 # The range of a shape, as a share of the board, that is no board's any more.
 _RUN_AWAY = 0.1
 FEWEST_STRIPES = 2
@@ -38,12 +45,25 @@ FEWEST_STRIPE_POINTS = 10
 
 
 @contextmanager
-def with_remarks(known: list[Observations]) -> Iterator[None]:
-    """Add to a refusal what was wrong in the photographs (the last of what is known): often it is the reason."""
+def with_remarks(known: list[Observations], lens: str | None = None) -> Iterator[None]:
+    """Add to a refusal what was wrong in the photographs (the last of what is known): often it is the reason.
+
+    Args:
+        known: what is known of the photographs, the last is read.
+        lens: that was asked for; None where a camera was given.
+    """
     try:
         yield
     except (InputError, ObservabilityError, SolveError) as error:
-        if remarks := known[-1].remarks():
+        remarks = known[-1].remarks()
+        if not isinstance(error, InputError) and (lens in LADDER or lens == Splined.kind):
+            angle = beyond_the_ladder(known[-1])
+            if angle is not None:
+                remarks = (
+                    f". The corners are {angle:.0f}° off the camera's axis, where only a fisheye sees them: calibrate "
+                    f'with lens = "{Fisheye.kind}"{remarks}'
+                )
+        if remarks:
             raise type(error)(f"{error}{remarks}") from error
         raise
 
@@ -168,6 +188,40 @@ def check_views_for(board_shape: str, views: int) -> None:
             f'{views} usable views of the board; board_shape = "{board_shape}" needs {fewest}, to distinguish '
             f"{_OF_SHAPE[board_shape]} from the camera: photograph it in more poses, tilted in different directions, "
             f'or ask for board_shape = "{simpler[-1]}"'
+        )
+
+
+def check_bows(observations: Observations, camera: Camera, kinds: Sequence[str]) -> None:
+    """Refuse stripes beside the camera and behind it where a sheet is to be bowed.
+
+    The apex of the sheet's cone is taken to be in the plane of the camera's centre. One that is off that by a share of
+    the distance changes the bow by that share / cos θ, at the angle θ from the axis: 1 / cos 80° is 6.
+
+    Args:
+        observations: photographs with their stripes.
+        camera: as it is known, by the corners.
+        kinds: of each laser's sheet.
+
+    Raises:
+        InputError: a stripe is more than 80° off the axis.
+    """
+    if BowedSheet.kind not in kinds:
+        return
+    found: list[tuple[float, str]] = []
+    for view in observations.photographs():
+        for stripe in view.stripes:
+            if kinds[stripe.laser] == BowedSheet.kind:
+                rays = pixel_rays(camera, stripe.pixels[np.isfinite(stripe.pixels).all(axis=1)])
+                angles = np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+                found.append((float(np.nanmax(angles, initial=0.0)), view.name))
+    angle, name = max(found, default=(0.0, ""))
+    if angle > _BOWS_END_DEG:
+        count = sum(each > _BOWS_END_DEG for each, _ in found)
+        raise InputError(
+            f"the stripe in {name} is {angle:.0f}° off the camera's axis, and a bowed sheet is known only up to "
+            f"{_BOWS_END_DEG:g}°, since its light is taken to come from beside the camera: calibrate with a flat sheet "
+            f'(light = "{LightPlane.kind}", --sheet {LightPlane.kind}), or leave out the {count} stripes that are '
+            "farther off"
         )
 
 

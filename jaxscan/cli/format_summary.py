@@ -7,6 +7,8 @@ Summary = dict[str, Any]
 Line = tuple[str, str]
 
 # What is said of a camera in addition to its lens's terms.
+# Of more numbers than these their range is shown.
+_MOST_NUMBERS = 16
 _PINHOLE = ("image_size", "lens", "focal", "principal", "tilt", "reach_deg", "image_without_rays")
 
 
@@ -329,6 +331,11 @@ def format_turn(summary: Summary) -> tuple[str, str]:
 def _values(part: Summary, unit: str = "") -> str:
     """Numbers with their standard deviations, to the digits that these leave."""
     sigmas = part["sigma"] or [None] * len(part["value"])
+    if len(sigmas) > _MOST_NUMBERS:
+        known = [sigma for sigma in sigmas if sigma]
+        spread = f", σ {max(known):.2g} at most" if known else ""
+        ends = f"{min(part['value']):.3g} to {max(part['value']):.3g} {unit}".rstrip()
+        return f"{len(sigmas)} numbers, {ends}{spread}; all of them with --json"
     shown = []
     for value, sigma in zip(part["value"], sigmas, strict=True):
         shown.append(f"{value:.7g} ± {sigma:.2g}" if sigma else f"{value:.7g}")

@@ -1,5 +1,8 @@
 """A fisheye whose boards and stripes are at 90° to its axis and beyond: found, written, triangulated, photographed."""
 
+import json
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +10,9 @@ import pytest
 
 from benchmarks import fisheye
 from benchmarks.drawn import Noise, redrawn
-from jaxscan.calibration import calibrate
+from jaxscan.calibration import Model, calibrate, calibrate_by_evidence
 from jaxscan.calibration.next_pose import reachable
+from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_file import read_rig, write_rig
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import Kernel, triangulate
@@ -17,6 +21,7 @@ from jaxscan.reconstruction.point_sigma import point_covariance, point_sigma
 from jaxscan.reconstruction.triangulate import FramePoses
 from jaxscan.reconstruction.working_volume import working_volumes
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
+from jaxscan.rig.board_shape import middle_and_half
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation import rig_2003
@@ -41,6 +46,12 @@ def found(session):
     return calibrate(redrawn(session[0].exact, Noise(), np.random.default_rng(0)), lens="fisheye")
 
 
+def error_in_sigma(found, truth):
+    """The largest of the rig's numbers."""
+    sigma = np.array([found.covariance.sigma(name) for name in parameter_names(found.rig)])
+    return np.abs((np.array(jax.tree.leaves(found.rig)) - np.array(jax.tree.leaves(truth))) / sigma).max()
+
+
 def off_axis(rays):
     return np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
 
@@ -49,8 +60,7 @@ def test_the_rig_is_found_within_its_errors_and_written(truth, session, found, t
     assert session[1] > 110
     names = parameter_names(found.rig)
     sigma = np.array([found.covariance.sigma(name) for name in names])
-    z = (np.array(jax.tree.leaves(found.rig)) - np.array(jax.tree.leaves(truth))) / sigma
-    assert np.abs(z).max() < 4
+    assert error_in_sigma(found, truth) < 4
     assert sigma[:2].max() < 0.03
     assert 0.9 < found.stripe_rms_px / Noise().stripe < 1.1
     stripes = np.concatenate([found.stripe_points(0)])
@@ -122,3 +132,54 @@ def test_a_photograph_shows_board_and_stripe_where_the_rig_has_them(truth, sessi
     one = np.add.outer(np.arange(5), np.arange(8)) % 2 == 0
     a, b = sorted([grey[one], grey[~one]], key=np.mean)
     assert b.min() > 2 * a.max()
+
+
+def test_the_model_that_is_chosen_begins_with_a_fisheye(session):
+    seen = redrawn(session[0].exact, Noise(), np.random.default_rng(0))
+    found = calibrate_by_evidence(seen, Model())
+    assert found.choice.model == Model("fisheye", lights=("plane",))
+    (trial,) = found.choice.added
+    assert (trial.of, np.isnan(trial.gain)) == ("lens fisheye", True)
+    assert found.choice.sentence.endswith(
+        "since corners are 115° off the camera's axis, where only a fisheye sees them"
+    )
+    assert json.loads(json.dumps(found.choice.as_data()))["trials"][0]["gain"] is None
+    given = calibrate(seen, lens="fisheye")
+    np.testing.assert_array_equal(found.covariance.matrix, given.covariance.matrix)
+
+
+def test_another_lens_that_is_asked_for_is_refused_by_name_of_the_right_one(session):
+    seen = redrawn(session[0].exact, Noise(), np.random.default_rng(0))
+    with pytest.raises((ObservabilityError, SolveError), match=r'115° off .* calibrate with lens = "fisheye"$'):
+        calibrate(seen)
+
+
+def test_a_bowed_sheet_behind_the_camera_is_refused(session):
+    seen = redrawn(session[0].exact, Noise(), np.random.default_rng(0))
+    with pytest.raises(InputError, match=r"the stripe in view-\d+ is 105° off the camera's axis.*--sheet plane"):
+        calibrate(seen, lens="fisheye", light="bowed")
+
+
+@pytest.mark.long
+def test_two_lasers_are_found_behind_the_camera(truth):
+    below = LightPlane.create(np.array([-0.003, 0.024, 0.003]), "below")
+    two = as_numpy(replace(truth, lights=(replace(truth.lights[0], name="above"), below)))
+    exact = fisheye.wide_session(two)[0].exact
+    found = calibrate(redrawn(exact, Noise(), np.random.default_rng(1)), lens="fisheye")
+    assert error_in_sigma(found, two) < 4
+    assert all((off_axis(found.stripe_points(i)) > 90).sum() > 5 for i in range(2))
+
+
+@pytest.mark.long
+def test_bent_boards_are_found_behind_the_camera(truth):
+    middle, half = middle_and_half(rig_2003.BOARD.points())
+
+    def height(x, y):
+        s, t = (x - middle[0]) / half[0], (y - middle[1]) / half[1]
+        return 0.5 * (1 / 3 - s**2) + 0.2 * s * t
+
+    seen = redrawn(fisheye.wide_session(truth, height)[0].exact, Noise(), np.random.default_rng(0))
+    found = calibrate_by_evidence(seen, Model())
+    assert found.choice.model == Model("fisheye", board_shape="warp", lights=("plane",))
+    assert error_in_sigma(found, truth) < 4
+    np.testing.assert_allclose([*found.system.shape.bulge, *found.system.shape.twist], [0.5, 0.0, 0.2], atol=0.02)

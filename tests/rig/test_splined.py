@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from jaxscan.cli.format_summary import format_summary
+from jaxscan.cli.summary import rig_summary
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.precision import as_numpy, float64
@@ -94,6 +96,15 @@ def test_a_file_keeps_it_and_a_wrong_number_of_shifts_is_refused(tmp_path):
     path.write_text(text[:start] + "9.0" + text[text.index(",", start) :])
     with pytest.raises(InputError, match=r"camera.extent = .*must be the least x and y"):
         read_rig(path)
+
+
+def test_a_summary_has_the_range_of_so_many_numbers(tmp_path):
+    own = camera(1.0)
+    write_rig(tmp_path / "rig.json", RigFile(Rig(own)))
+    ends = f"{min(own.lens.shift_y):.3g} to {max(own.lens.shift_y):.3g}"
+    words = format_summary(rig_summary(tmp_path / "rig.json"))
+    assert f"{KNOTS} numbers, {ends}; all of them with --json" in words
+    assert max(map(len, words.splitlines())) < 120
 
 
 def test_formats_of_opencvs_terms_refuse_it(tmp_path):
