@@ -5,7 +5,7 @@ calibration or solved again, and noise of the stripe, part of it alike in neighb
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -34,6 +34,8 @@ from jaxscan.simulation.solids import Box, Cylinder, Solid, Sphere
 SIGMA_PX, OWN_PX, SPECKLE_PX, GRAIN = 0.1, 0.08, 0.08, (1.0, 2.0)
 _APART, _TRAVEL = 600, 60_000
 _STRENGTH = 250.0
+# Twice and more of what `scanned_image` keeps around a region, and of the largest error.
+_BESIDE_MM = 6.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,17 @@ def scan(scene: Scene, rig: RigFile, random: np.random.Generator, share: float =
     alike = gaussian_filter(random.normal(size=scene.position.shape), GRAIN, mode="wrap")
     noise += SPECKLE_PX * alike / alike.std()
     return as_image(scene.position + share * noise, scene.steps, rig.rig)
+
+
+def looked_at(scene: Scene) -> Scene:
+    """Without what lies further from all regions than a scan's errors bring it: `scanned_image` leaves it aside."""
+    image = as_image(scene.position, scene.steps, rig_2003.simulated_rig(0))
+    near = np.zeros(image.valid.shape, bool)
+    for feature in scene.part.features:
+        if feature.region is not None:
+            low, high = feature.region.wider(_BESIDE_MM).bounds()
+            near |= ((image.points >= low) & (image.points <= high)).all(axis=2)
+    return replace(scene, position=np.where(near, scene.position, np.nan))
 
 
 def as_image(rows: Float[np.ndarray, "frames columns"], steps: Float[np.ndarray, "frames"], rig: Rig) -> RangeImage:

@@ -15,6 +15,7 @@ from hardware.lab.calibrations import Calibration
 from hardware.lab.hub import Hub
 from hardware.lab.lab import Lab, State
 from hardware.lab.logbook import Job
+from hardware.lab.measuring import Clicks, Found
 from hardware.lab.orders import ProjectName, Work
 from hardware.lab.projects import Project
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
@@ -317,6 +318,24 @@ async def cloud_ply(lab: LabHere, who: Viewer, name: ProjectPath) -> FileRespons
     if not path.exists():
         path = await lab.clouds.run(who.name, lambda: lab.projects.cloud(name))
     return FileResponse(path, media_type="model/ply", filename=f"{name}.ply")
+
+
+@router.get(
+    "/projects/{name}/points",
+    tags=["projects"],
+    response_class=FileResponse,
+    responses={200: {"content": {"application/octet-stream": {}}}, **_said(404, 409)},
+)
+async def points(lab: LabHere, who: Viewer, name: ProjectPath) -> FileResponse:
+    """Some of its points, for a page to draw: float32 x, y, z, little endian, mm, object frame."""
+    path = await lab.clouds.run(who.name, lambda: lab.projects.drawn(name))
+    return FileResponse(path, media_type="application/octet-stream")
+
+
+@router.post("/projects/{name}/measure", tags=["projects"], responses=_said(404, 409))
+async def measure(lab: LabHere, who: Viewer, name: ProjectPath, body: Clicks) -> Found:
+    """Measure faces that were clicked on its points: planes, balls, cylinders, cones, and what is between two."""
+    return await lab.clouds.run(who.name, lambda: lab.projects.measured(name, body))
 
 
 @router.get(

@@ -14,6 +14,7 @@ from fastapi.templating import Jinja2Templates
 from markupsafe import Markup, escape
 
 from hardware.lab.accounts import SHORTEST_PASSWORD
+from hardware.lab.api import ProjectPath
 from hardware.lab.badges import LONGEST_S, Visitor
 from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
 from hardware.lab.throttle import network_of
@@ -129,6 +130,13 @@ async def projects_page(request: Request, lab: LabHere, who: PageVisitor) -> HTM
     """The projects."""
     projects, calibrations = await lab.lists.run(who.name, lambda: (lab.projects.all(), lab.calibrations.all()))
     return _page(request, "projects", who, projects=projects, calibrations=calibrations, rig=lab.state().rig)
+
+
+@router.get("/projects/{name}/measure")
+async def measure_page(request: Request, lab: LabHere, who: PageVisitor, name: ProjectPath) -> HTMLResponse:
+    """Points of a project, to be measured by clicks."""
+    project = await lab.lists.run(who.name, lambda: lab.projects.one(name))
+    return _page(request, "measure", who, project=project, rig=lab.state().rig)
 
 
 @router.get("/account")

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 
 from hardware.lab.archive import archive
 from hardware.lab.database import make_private
+from hardware.lab.measuring import Clicks, Found
 from hardware.lab.orders import PROJECT
 from hardware.lab.reconstructor import Reconstructor
 from hardware.lab.refusal import CONFLICT, NOT_THERE, Refusal
@@ -143,9 +144,9 @@ class Projects:
         Raises:
             Refusal: no rig is in use, or there is no project.
         """
-        return self._cloud_file(name, self._rig_text)
+        return self._made_file(name, self._rig_text, ".ply")
 
-    def _cloud_file(self, name: str, rig: str) -> Path:
+    def _made_file(self, name: str, rig: str, ending: str) -> Path:
         scan = self.scan(name)
         if not rig:
             raise Refusal(
@@ -158,7 +159,7 @@ class Projects:
             found = file.stat()
             made_of.update(f"{file.name} {found.st_size} {found.st_mtime_ns}\n".encode())
         made_of.update(scan.path.read_bytes())
-        return self._clouds / f"{name}.{made_of.hexdigest()[:32]}.ply"
+        return self._clouds / f"{name}.{made_of.hexdigest()[:32]}{ending}"
 
     def cloud(self, name: str) -> Path:
         """A PLY file of its points, reconstructed where it is not there yet.
@@ -166,15 +167,38 @@ class Projects:
         Raises:
             Refusal: as `cloud_file`, or there is nothing in the project.
         """
+        return self._made(name, self._rig_text, ".ply")
+
+    def drawn(self, name: str) -> Path:
+        """A file of some of its points, for a page to draw: x, y, z, float32, little endian, mm.
+
+        Raises:
+            Refusal: as `cloud`.
+        """
+        return self._made(name, self._rig_text, ".npz").with_suffix(".points")
+
+    def measured(self, name: str, clicks: Clicks) -> Found:
+        """Faces that were clicked on these points.
+
+        Raises:
+            Refusal: as `cloud`, or the clicks are none.
+        """
         rig = self._rig_text
-        path = self._cloud_file(name, rig)
+        image = self._made(name, rig, ".npz")
+        try:
+            return self._reconstructor.measure(rig, image, name, clicks)
+        except JaxscanError as error:
+            raise Refusal(CONFLICT, within(image, error)) from error
+
+    def _made(self, name: str, rig: str, ending: str) -> Path:
+        path = self._made_file(name, rig, ending)
         with self._reconstructing:
             if not path.exists():
                 try:
                     self._reconstructor.make(rig, self.path(name), path)
                 except JaxscanError as error:
                     raise Refusal(CONFLICT, within(self.path(name), error)) from error
-                self._forget_clouds(name, path)
+                self._forget_clouds(name, path.stem)
         return path
 
     def close(self) -> None:
@@ -197,9 +221,9 @@ class Projects:
         """A text without the place of the lab on its machine."""
         return words.replace(f"{self._home}/", "")
 
-    def _forget_clouds(self, name: str, but: Path | None = None) -> None:
-        for old in self._clouds.glob(f"{name}.*.ply"):
-            if old != but:
+    def _forget_clouds(self, name: str, but: str | None = None) -> None:
+        for old in self._clouds.glob(f"{name}.*"):
+            if old.stem != but:
                 old.unlink(missing_ok=True)
 
     @staticmethod

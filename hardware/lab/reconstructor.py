@@ -1,4 +1,4 @@
-"""Points of projects and rigs of sessions, made in a process of their own.
+"""Points of projects, what is measured of them, and rigs of sessions, made in a process of their own.
 
 What compiles and computes there takes no turn at the interpreter that stops the scanner, and no memory of the server's.
 `python -m hardware.lab.reconstructor` reads orders line by line, and ends with the server that writes them.
@@ -12,13 +12,23 @@ import subprocess
 import sys
 import tempfile
 import threading
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from hardware.lab.processes import begin
+from jaxscan.atomic import replacing
 from jaxscan.errors import InputError, JaxscanError
 
+if TYPE_CHECKING:
+    from hardware.lab.measuring import Clicks, Found
+    from jaxscan import RigFile
+    from jaxscan.measurement.scanned import Scanned
+
 _NICER: Final = 10
+# Most points of a scan, and of a face, that pages draw; digits of their coordinates, mm.
+_DRAWN, _OF_FACE, _DIGITS = 60_000, 400, 3
+_OF_DIMENSION: Final = ("name", "value", "uncertainty", "unit")
 
 
 class Reconstructor:
@@ -35,7 +45,8 @@ class Reconstructor:
         Args:
             rig: the text of its file.
             scan: the scan's folder.
-            to: the PLY file.
+            to: a PLY file; or a range image (.npz), beside which some of the points are put for pages to draw
+                (.points): x, y, z, float32, little endian, mm.
 
         Raises:
             InputError: it has none, or the process ended.
@@ -56,6 +67,23 @@ class Reconstructor:
             InputError: it has none, or the process ended.
         """
         return self._order({"session": str(session), "to": str(to)}, session)
+
+    def measure(self, rig: str, image: Path, name: str, clicks: "Clicks") -> "Found":
+        """Measure faces that were clicked.
+
+        Args:
+            rig: the text of its file.
+            image: the range image.
+            name: of the part.
+            clicks: the faces.
+
+        Raises:
+            InputError: they are none, or the process ended.
+        """
+        from hardware.lab.measuring import Found
+
+        order = {"rig": rig, "measure": str(image), "name": name, "clicks": clicks.model_dump_json()}
+        return Found.model_validate_json(self._order(order, image)[0])
 
     def _order(self, order: dict[str, str], what: Path) -> list[str]:
         with self._mutex:
@@ -97,7 +125,8 @@ class Reconstructor:
 def _done(order: dict[str, Any]) -> dict[str, Any]:
     """Carry out one order; what is to be said of it, or why it was not done."""
     try:
-        return {"wrong": "", "lines": (_calibrate if "session" in order else _make)(order)}
+        work = _calibrate if "session" in order else _measure if "measure" in order else _make
+        return {"wrong": "", "lines": work(order)}
     except JaxscanError as error:
         return {"wrong": str(error), "lines": []}
     except Exception as error:  # noqa: BLE001 (the next order may do)
@@ -105,13 +134,72 @@ def _done(order: dict[str, Any]) -> dict[str, Any]:
 
 
 def _make(order: dict[str, Any]) -> list[str]:
-    from jaxscan import read_rig, read_scan, reconstruct, write_points
+    import numpy as np
+
+    from jaxscan import read_scan, reconstruct, write_points
+
+    to = Path(order["to"])
+    image = reconstruct(_rig(order), read_scan(Path(order["scan"])))
+    if to.suffix == ".npz":
+        points = image.points[image.valid]
+        some = points[np.unique(np.linspace(0, len(points) - 1, min(len(points), _DRAWN)).astype(int))]
+        with replacing(to.with_suffix(".points"), "wb") as file:
+            file.write(some.astype("<f4").tobytes())
+    write_points(to, image)
+    return []
+
+
+def _rig(order: dict[str, Any]) -> "RigFile":
+    from jaxscan import read_rig
 
     with tempfile.TemporaryDirectory() as folder:
         rig = Path(folder) / "rig.json"
         rig.write_text(order["rig"])
-        write_points(Path(order["to"]), reconstruct(read_rig(rig), read_scan(Path(order["scan"]))))
-    return []
+        return read_rig(rig)
+
+
+def _measure(order: dict[str, Any]) -> list[str]:
+    from hardware.lab.measuring import Clicks, Face, Found, FoundDimension
+    from jaxscan.files.part_write import part_text
+    from jaxscan.measurement.clicked import Click, part_of_clicks
+    from jaxscan.measurement.measure import measure
+    from jaxscan.measurement.rows import in_words, rows_of
+
+    faces = Clicks.model_validate_json(order["clicks"]).faces
+    clicks = [
+        Click(each.kind, (each.place[0], each.place[1], each.place[2]), each.radius, each.grow, each.measured_from)
+        for each in faces
+    ]
+    part = part_of_clicks(clicks, order["name"])
+    found = measure(_scanned(order["measure"], order["rig"]), part)
+    notes = (*found.notes, *(note for each in found.dimensions for note in each.notes))
+    answer = Found(
+        faces=[
+            Face(
+                name=each.feature.name,
+                points=each.some_points(_OF_FACE).round(_DIGITS).tolist(),
+                count=each.points,
+                left_out=each.left_out,
+                problem=each.problem,
+            )
+            for each in found.features
+        ],
+        dimensions=[
+            FoundDimension(words=in_words(row).partition(";")[0], **{key: row[key] for key in _OF_DIMENSION})
+            for row in rows_of(found)
+        ],
+        notes=list(dict.fromkeys(notes)),
+        part=part_text(part),
+    )
+    return [answer.model_dump_json()]
+
+
+@lru_cache(1)
+def _scanned(image: str, rig: str) -> "Scanned":
+    """The last one stays: a page asks again with each click."""
+    from jaxscan import read_range_image, scanned_image
+
+    return scanned_image(read_range_image(image), _rig({"rig": rig}))
 
 
 def _calibrate(order: dict[str, Any]) -> list[str]:

@@ -156,7 +156,7 @@ def _table(result: dict[str, Any]) -> list[str]:
     """What was measured: of each scan a line, and where the table and the charts are."""
     if not result.get("measured"):
         return []
-    from jaxscan.cli.measure import in_words
+    from jaxscan.measurement.rows import in_words
 
     lines = []
     for each in result["measured"]:

@@ -152,6 +152,8 @@ def _drawn(args: argparse.Namespace, scanned: "Scanned", found: "Measurement") -
 
 def describe(result: dict[str, Any]) -> str:
     """The result in words."""
+    from jaxscan.measurement.rows import in_words
+
     rows = result["dimensions"]
     wide = max([len(row["name"]) for row in rows], default=0)
     open_rows = [row["name"] for row in rows if row["value"] is None]
@@ -171,17 +173,3 @@ def describe(result: dict[str, Any]) -> str:
     if result.get("written"):
         lines.append(f"written: {', '.join(result['written'])}")
     return "\n".join(lines)
-
-
-def in_words(row: dict[str, Any]) -> str:
-    """A dimension's value, interval, verdict and points."""
-    if row["value"] is None:
-        return f"not measured: {row['problem']}"
-    text = f"{row['value']:.4f}"
-    if row["uncertainty"] is not None:
-        text += f" ± {row['uncertainty']:.4f}"
-    text += f" {row['unit']}"
-    if row["verdict"]:
-        text += f", {row['verdict']} ({row['least']:.6g} to {row['largest']:.6g})"
-    out = f", {row['left_out']} left out" if row["left_out"] else ""
-    return f"{text}; {row['points']} points{out}"

@@ -59,9 +59,13 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
         step(f"drawing {args.png}")
         draw_view_data(args.png, shown, colour, args.file.name)
         return result | {"picture": str(args.png)}
+    from jaxscan.cli.compiled import keep_compiled
+    from jaxscan.cli.measure import read_surface
     from jaxscan.view.viewer import HOST, serve
 
-    server = serve(shown, args.port, colour)
+    keep_compiled()
+    rig_of_scan = args.rig if args.file.suffix.lower() == ".npz" else None
+    server = serve(shown, args.port, lambda: read_surface(args.file, rig_of_scan)[0], colour, args.file.stem)
     address = f"http://{HOST}:{server.get_port()}"
     with resting():
         print(f"{args.file} at {address}, until Ctrl-C", flush=True)

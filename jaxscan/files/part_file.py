@@ -45,6 +45,8 @@ DIMENSIONS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
     "profile": (("surface",),),
 }
 ANGLES: Final = ("angle", "cone_angle")
+# What has no nominal value but 0.
+FORMS: Final = ("flatness", "roundness", "straightness", "profile")
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,10 @@ class Region:
         if self.high is None:
             return replace(self, radius=self.radius + by)
         return Region(_triple([x - by for x in self.low]), _triple([x + by for x in self.high]))
+
+    def scaled(self, by: float) -> "Region":
+        """The region with all its numbers times a factor."""
+        return Region(_triple(self.low, by), self.high and _triple(self.high, by), by * self.radius)
 
     def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
         """Which points lie in it."""
@@ -233,7 +239,7 @@ def _dimension(table: Table, features: dict[str, Feature], scale: float) -> Dime
     table.only("name", "kind", "of", "nominal", "tolerance", *of_profile)
     of = _features(table, features, DIMENSIONS[kind])
     factor = 1.0 if kind in ANGLES else scale**3 if kind == "volume" else scale
-    form = kind in ("flatness", "roundness", "straightness", "profile")
+    form = kind in FORMS
     if form and "nominal" in table:
         raise table.error("nominal", f"a {kind} has none, it is 0: leave it out, and give the tolerance alone")
     nominal = 0.0 if form else factor * table.number("nominal") if "nominal" in table else None

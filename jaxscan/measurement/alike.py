@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.fft import next_fast_len
 
 # Autocorrelation is taken of at most the first number of frames and columns of a feature, up to the second number of
 # them apart.
@@ -52,14 +53,13 @@ class Alike:
         """How many points are worth one, where what is asked of them varies slowly."""
         return max(float(self.along(outline).sum()), 1.0)
 
-    def freedom(self, points: int, numbers: int, outline: bool = False) -> float:
-        """Degrees of freedom of a variance that is made of the mean square of points' errors and of τ.
+    def freedom(self, left: float, outline: bool = False) -> float:
+        """Degrees of freedom of a variance that is made of τ and of the mean square of `left` points' errors.
 
-        The mean square of n alike normal errors has the relative variance 2 Σ ρ² / n, and k numbers fitted to them take
-        up k τ of the n; a variance with ν degrees has 2 / ν (F. E. Satterthwaite, 1946).
+        The mean square of n alike normal errors has the relative variance 2 Σ ρ² / n; a variance with ν degrees has
+        2 / ν (F. E. Satterthwaite, 1946).
         """
-        left = max(points - numbers * self.tau(outline), 1.0)
-        return max(2 / (2 * float((self.along(outline) ** 2).sum()) / left + self.doubt), 1.0)
+        return max(2 / (2 * float((self.along(outline) ** 2).sum()) / max(left, 1.0) + self.doubt), 1.0)
 
     def variance(
         self, place: Place | None, weights: Float[np.ndarray, "sums points"], outline: bool = False
@@ -127,8 +127,8 @@ def _lags(grid: Grid) -> Float[np.ndarray, "lags lags"]:
 
 
 def _fast(n: int) -> int:
-    """The next power of two."""
-    return 1 << (n - 1).bit_length()
+    """The next length whose transform is quick."""
+    return int(next_fast_len(n, real=True))  # pyright: ignore[reportArgumentType]  # its types are those of another form
 
 
 def _wrapped(rho: Float[np.ndarray, "lags lags"], size: Sequence[int]) -> Grid:

@@ -32,7 +32,7 @@ from jaxscan.measurement.shapes import lengths, total
 # The errors of the last columns, as parts of the last one's, and the least part of a shape's points that is left.
 _PROFILE, _INNER = (1.0, 0.35, 0.2, 0.1), 0.5
 # What A may be, px, and how much likelier 0 is beforehand than that it is one of the others.
-_SIZES_PX, _SHARP = np.array([0.0, 0.0125, 0.025, 0.05, 0.1]), 9.0
+_SIZES_PX, _SHARP = np.array([0.0, 0.0125, 0.025, 0.05, 0.1]), 49.0
 # Of how many points the rig's part is taken.
 _OF_RIG: Final = 500
 # Where the shape itself takes up more than this of an error of the border, nothing is shown.

@@ -99,19 +99,6 @@ class Settled:
     blurred: float = 0.0
 
 
-def fit_shape(
-    scanned: Scanned,
-    kind: str,
-    candidates: Int[np.ndarray, "candidates"],
-    *,
-    grow: bool = False,
-    normal: Vector | None = None,
-    region: Region | None = None,
-) -> Fit:
-    """Fit a shape to the points of a region: `settle`, then `finish`."""
-    return finish(scanned, settle(scanned, kind, candidates, grow=grow, normal=normal, region=region))
-
-
 def settle(
     scanned: Scanned,
     kind: str,

@@ -59,14 +59,14 @@ class Known:
     by_rig: Float[np.ndarray, "numbers leaves"] | None
 
 
-def known(scanned: Scanned, fit: Fit, alike: Alike, least: float = 0.0) -> Known:
+def known(scanned: Scanned, fit: Fit, alike: Alike, least: tuple[float, float] = (0.0, 1.0)) -> Known:
     """How well a fit determines the shape's numbers.
 
     Args:
         scanned: what it was fitted to.
         fit: the fit.
         alike: how alike neighbours' errors are in the scan.
-        least: the least scale, by what other features of the scan say.
+        least: the least scale, by what other features of the scan say, and its degrees of freedom.
 
     Raises:
         InputError: the points do not determine the shape.
@@ -85,15 +85,19 @@ def known(scanned: Scanned, fit: Fit, alike: Alike, least: float = 0.0) -> Known
         left_by_rig = (moved + shape.jacobian(x[some]) @ by_rig) / fit.spread[some, None]
         of_rig = len(x) * float(np.einsum("pi,ij,pj->p", left_by_rig, scanned.covariance, left_by_rig).mean())
     share = grazing(scanned, shape, fit.used, fit.spread)
-    # What the fit has taken up is `numbers` of the independent points, which are fewer than there are. What a wrong rig
-    # does to the form is in `by_rig`, and does not count as noise once more.
-    independent = float((share**2).sum())
-    left = max(independent - shape.numbers * tau, _LEFT * independent)
-    squares = float(((fit.residuals / fit.spread) ** 2).sum())
-    scale = max(float(np.sqrt(max(squares - of_rig, _NOT_RIG * squares) / left)), least)
     follows = np.linalg.solve(A.T @ A, A.T)
-    own = scale**2 * alike.variance(place, follows * share, scanned.image is None)
-    freedom = alike.freedom(len(x), shape.numbers, scanned.image is None)
+    unit = alike.variance(place, follows * share, scanned.image is None)
+    # Of the noise's squares Σ share², a fit takes up tr Aᵀ A (G C Gᵀ) / s². What a wrong rig does to the form is in
+    # `by_rig`, and does not count as noise once more.
+    independent = float((share**2).sum())
+    taken_up = float(np.einsum("ij,ji->", A.T @ A, unit))
+    left = max(independent - taken_up, _LEFT * independent)
+    squares = float(((fit.residuals / fit.spread) ** 2).sum())
+    scale = float(np.sqrt(max(squares - of_rig, _NOT_RIG * squares) / left))
+    freedom = alike.freedom(left, scanned.image is None)
+    if scale < least[0]:
+        scale, freedom = least[0], max(freedom, least[1])
+    own = scale**2 * unit
     for wide in (follows @ _blurred(scanned, fit), follows @ fit.beside):
         own += np.outer(wide, wide)
     patches = _patches(scanned, fit, share)

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from jaxscan.errors import InputError
 from jaxscan.files.artefact_file import Artefact
 from jaxscan.files.part_file import Region
-from jaxscan.measurement.fit import few, fit_shape
+from jaxscan.measurement.fit import few, finish, settle
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import Ball, Points, Vector
 
@@ -87,7 +87,7 @@ def _balls(scanned: Scanned, radius: float, count: int) -> list[Vector]:
 def _fitted(scanned: Scanned, centre: Vector, radius: float) -> Vector | None:
     region = _region(centre, radius)
     try:
-        shape = fit_shape(scanned, "ball", scanned.within(region), region=region).shape
+        shape = finish(scanned, settle(scanned, "ball", scanned.within(region), region=region)).shape
     except InputError:
         return None
     assert isinstance(shape, Ball)

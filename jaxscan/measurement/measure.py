@@ -20,7 +20,7 @@ from jaxscan.files.part_file import FITTED, IN_A_SECTION, OF_TWO_PLANES, Dimensi
 from jaxscan.measurement.alike import Alike, Place, how_alike
 from jaxscan.measurement.border import without_borders
 from jaxscan.measurement.dimensions import Shapes, edge_of, slot_of
-from jaxscan.measurement.fit import Fit, Settled, few, finish, fit_shape, settle
+from jaxscan.measurement.fit import Fit, Settled, few, finish, settle
 from jaxscan.measurement.form import CONFIDENCE, Form, form_of
 from jaxscan.measurement.known import Known, known, with_smooth_errors
 from jaxscan.measurement.profile import profile_of
@@ -67,6 +67,13 @@ class MeasuredFeature:
     def shape(self) -> Shape | None:
         """As it was fitted."""
         return None if self.fit is None else self.fit.shape
+
+    def some_points(self, most: int) -> Float[np.ndarray, "points 3"]:
+        """At most `most` of its points, evenly chosen, mm; none of what is made of other features."""
+        if self.scanned is None:
+            return np.zeros((0, 3))
+        used = np.arange(len(self.scanned.points)) if self.fit is None else self.fit.used
+        return self.scanned.points[used[few(len(used), most)]]
 
 
 @dataclass(frozen=True)
@@ -152,12 +159,12 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
     alike = how_alike(_left(features.values()))
     # Surfaces first: of their many points the scale is better known than of an outline's few.
     for outlines in (False, True):
-        scales = [each.known.scale for each in features.values() if each.known is not None]
-        least = float(np.median(scales)) if outlines and scales else 0.0
+        before = [(each.known.scale, each.known.freedom) for each in features.values() if each.known is not None]
+        scale, freedom = np.median(before, axis=0).tolist() if outlines and before else (0.0, 1.0)
         for name, each in features.items():
             if each.fit is not None and each.scanned is not None and (each.scanned.image is None) == outlines:
                 try:
-                    features[name] = replace(each, known=known(each.scanned, each.fit, alike, least))
+                    features[name] = replace(each, known=known(each.scanned, each.fit, alike, (scale, freedom)))
                 except InputError as error:
                     features[name] = replace(each, problem=str(error), fit=None)
     by_scan = with_smooth_errors({name: each.known for name, each in features.items() if each.known is not None})
@@ -188,7 +195,7 @@ def _features(scanned: Scanned, part: Part) -> dict[str, MeasuredFeature]:
     for feature in part.features:
         if feature.kind in FITTED:
             try:
-                inside = scanned.within(feature.region)
+                inside = scanned.not_empty(feature.region)
                 settled[feature.name] = settle(scanned, feature.kind, inside, grow=feature.grow, region=feature.region)
             except InputError as error:
                 features[feature.name] = MeasuredFeature(feature, None, None, 0, 0, problem=str(error))
@@ -216,12 +223,7 @@ def _feature(
         cut = outline(scanned, feature)
         return MeasuredFeature(feature, None, cut, len(cut.points), 0)
     if feature.kind == "surface":
-        inside = scanned.within(feature.region)
-        if not len(inside):
-            raise InputError(
-                "no point lies in its region: enlarge the box or ball, or see that it is in the object frame, in mm "
-                "(`jaxscan inspect` says how far the points reach)"
-            )
+        inside = scanned.not_empty(feature.region)
         return MeasuredFeature(feature, None, scanned.part(inside), len(inside), 0)
     if feature.kind in FITTED:
         source, fit = scanned, finish(scanned, settled[feature.name])
@@ -231,7 +233,8 @@ def _feature(
         assert cut is not None
         normal = np.asarray(asked) / np.linalg.norm(np.asarray(asked))
         inside = cut.within(feature.region)
-        source, fit = cut, fit_shape(cut, feature.kind, inside, normal=normal, region=feature.region)
+        source = cut
+        fit = finish(cut, settle(cut, feature.kind, inside, normal=normal, region=feature.region))
     notes = seen_part(fit.shape, source.points[fit.used])
     return MeasuredFeature(feature, fit, source, len(fit.used), fit.left_out, notes)
 

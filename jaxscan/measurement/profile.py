@@ -15,8 +15,9 @@ from jaxscan.surface.reference import MeshReference
 
 _Moved = tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some leaves"]]
 _OF_RIG = 2000
-# A mesh and a scan of one part differ by less than this factor in size; those in other units by ten or more.
-_OTHER_SCALE = 5.0
+# How much larger a mesh may be than the surface that is moved onto it, and a surface, its errors and all, than a mesh.
+# Where units differ sizes do by ten or more.
+_OTHER_SCALE, _LARGER = 5.0, 1.5
 
 
 def profile_of(scanned: Scanned, dimension: Dimension) -> tuple[Form, float, tuple[str, ...]]:
@@ -30,7 +31,7 @@ def profile_of(scanned: Scanned, dimension: Dimension) -> tuple[Form, float, tup
     reference, points = MeshReference(mesh), scanned.points
     notes = () if mesh.is_watertight else ("the mesh has holes: where one is, the distance is that to its rim",)
     size, own = (float(np.linalg.norm(np.ptp(x, axis=0))) for x in (np.asarray(mesh.vertices), points))
-    if own > _OTHER_SCALE * size or (dimension.fit and size > _OTHER_SCALE * own):
+    if own > _LARGER * size or (dimension.fit and size > _OTHER_SCALE * own):
         raise InputError(
             f"the mesh is {size:.4g} mm across and the surface {own:.4g} mm: scale the mesh to mm, or choose the region"
         )

@@ -37,3 +37,17 @@ def rows_of(found: Measurement) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def in_words(row: dict[str, Any]) -> str:
+    """A dimension's value, interval, verdict and points."""
+    if row["value"] is None:
+        return f"not measured: {row['problem']}"
+    text = f"{row['value']:.4f}"
+    if row["uncertainty"] is not None:
+        text += f" ± {row['uncertainty']:.4f}"
+    text += f" {row['unit']}"
+    if row["verdict"]:
+        text += f", {row['verdict']} ({row['least']:.6g} to {row['largest']:.6g})"
+    out = f", {row['left_out']} left out" if row["left_out"] else ""
+    return f"{text}; {row['points']} points{out}"

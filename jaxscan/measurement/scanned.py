@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 from jaxscan.errors import InputError
 from jaxscan.files.part_file import IN_A_SECTION, OF_TWO_PLANES, Part, Region
 from jaxscan.files.rig_file import RigFile
+from jaxscan.files.units import UNITS
 from jaxscan.measurement.shapes import lengths
 from jaxscan.reconstruction import RangeImage
 from jaxscan.reconstruction.point_sigma import point_jacobians, ray_jacobian
@@ -79,6 +80,29 @@ class Scanned:
         low, high = region.bounds()
         inside = np.flatnonzero((self.points[:, 2] >= low[2]) & (self.points[:, 2] <= high[2]))
         return inside[region.holds(self.points[inside])]
+
+    def not_empty(self, region: Region | None) -> Int[np.ndarray, "some"]:
+        """As `within`.
+
+        Raises:
+            InputError: there are none; it says so where there would be some with the region in another unit.
+        """
+        inside = self.within(region)
+        if region is None or len(inside):
+            return inside
+        for unit, factor in UNITS.items():
+            if len(self.within(region.scaled(factor))):
+                raise InputError(
+                    f'no point lies in its region, but some would, were it in {unit}: {_SAY_UNITS} "{unit}"'
+                )
+            if len(self.within(region.scaled(1 / factor))):
+                raise InputError(
+                    f'no point lies in its region, but some would, were it in mm and not in {unit}: {_SAY_UNITS} "mm"'
+                )
+        raise InputError(
+            "no point lies in its region: enlarge the box or ball, or see that it is in the object frame, in mm "
+            "(`jaxscan inspect` says how far the points reach)"
+        )
 
     def part(self, some: Int[np.ndarray, "some"]) -> "Scanned":
         """Some of the points."""
@@ -238,6 +262,7 @@ def _as_the_rig_sees_it(image: RangeImage, rig: Rig) -> tuple[int, bool, bool]:
     return laser, by_columns, bool(len(sigma) and (np.isfinite(sigma) & (sigma > 0)).all())
 
 
+_SAY_UNITS: Final = "say so in part.toml by [part] units ="
 _NOT_THIS_RIG: Final = (
     "the points are not where this rig would see the stripe: give the rig.json with which the scan was reconstructed"
 )

@@ -5,10 +5,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxscan.measurement.fit import few
-from jaxscan.measurement.measure import MeasuredFeature, Measurement
+from jaxscan.measurement.measure import Measurement
 from jaxscan.measurement.rows import rows_of
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.view.matplotlib_setup import pyplot
@@ -35,7 +34,7 @@ def draw_measurement(scanned: Scanned, found: Measurement) -> Any:
     background = scanned.points[few(len(scanned.points), _BACKGROUND)] @ axes
     ax.scatter(*background.T, s=0.3, c="0.8", linewidths=0)
     for each in found.features:
-        cloud = points_of(each)
+        cloud = each.some_points(_OF_FEATURE)
         if len(cloud):
             flat = cloud @ axes
             ax.scatter(*flat.T, s=1.5, linewidths=0, label=each.feature.name)
@@ -43,14 +42,6 @@ def draw_measurement(scanned: Scanned, found: Measurement) -> Any:
     ax.set(aspect="equal", xlabel="mm", ylabel="mm", title=found.part.name)
     ax.invert_yaxis()
     return figure
-
-
-def points_of(each: MeasuredFeature) -> Float[np.ndarray, "points 3"]:
-    """Some of a feature's points, mm; none of what is made of other features."""
-    if each.scanned is None:
-        return np.zeros((0, 3))
-    used = np.arange(len(each.scanned.points)) if each.fit is None else each.fit.used
-    return each.scanned.points[used[few(len(used), _OF_FEATURE)]]
 
 
 def write_measurement_png(path: str | os.PathLike[str], figure: Any) -> None:

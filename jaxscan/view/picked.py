@@ -1,5 +1,6 @@
 """A click on what the viewer shows: where it meets the surface, and the region around it as part.toml has it."""
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -65,9 +66,18 @@ class Picker:
         shown: what it shows.
         middle: the place of the object frame that stands in the scene's origin, mm.
         size: of what is shown, mm.
+        clicked: is told each place, and the radius of the region around it, mm.
     """
 
-    def __init__(self, server: Any, shown: ViewData, middle: Float[np.ndarray, "3"], size: float) -> None:
+    def __init__(
+        self,
+        server: Any,
+        shown: ViewData,
+        middle: Float[np.ndarray, "3"],
+        size: float,
+        clicked: Callable[[Float[np.ndarray, "3"], float], None],
+    ) -> None:
+        self._told = clicked
         self._points, self._triangles = shown.points.astype(np.float64), shown.triangles
         self._scene, self._middle, self._spacing = server.scene, middle, size / np.sqrt(len(shown.points))
         self._place: np.ndarray | None = None
@@ -89,6 +99,7 @@ class Picker:
         if place is not None:
             self._place = place
             self._show()
+            self._told(place, float(self._radius.value))
 
     def _show(self, _: Any = None) -> None:
         if self._place is None:

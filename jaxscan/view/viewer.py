@@ -1,5 +1,6 @@
 """What is shown in the browser (extra `viewer`): viser on this machine alone, coordinates in float32."""
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from jaxscan.extras import extra
 from jaxscan.files.cloud import shown_colours
 from jaxscan.images.shaded import TextureMap
+from jaxscan.measurement.scanned import Scanned
 from jaxscan.surface.colours import sequential
+from jaxscan.view.measuring import Measuring
 from jaxscan.view.picked import Picker
 from jaxscan.view.view_data import PHOTOGRAPH, UNITS, ViewData
 
@@ -25,13 +28,17 @@ _STOPS, _MARKS = 9, 3
 _CAMERA, _LIGHT, _TRAVEL = (60, 60, 60), (220, 40, 40), (40, 90, 200)
 
 
-def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
+def serve(
+    shown: ViewData, port: int, read: Callable[[], Scanned], colour: str | None = None, name: str = "part"
+) -> Any:
     """Show what `view_data` read at http://127.0.0.1:port until the server that is returned is stopped.
 
     Args:
         shown: what to show.
         port: of this machine; if it is taken, the next one that is free.
+        read: reads the surface again as what is measured, when a face is clicked first.
         colour: the values to colour by; others are chosen in the browser.
+        name: of the part that is measured.
 
     Raises:
         InputError: viser is not installed, or the values are not known.
@@ -93,7 +100,7 @@ def serve(shown: ViewData, port: int, colour: str | None = None) -> Any:
         legend = server.gui.add_html(colour_bar(shown, colour))
         ruled = server.gui.add_checkbox(f"grid, squares of {cell:g} mm", initial_value=True)
 
-    Picker(server, shown, middle, size)
+    Picker(server, shown, middle, size, Measuring(server, read, middle, size, name).clicked)
 
     @choice.on_update
     def _(_: Any) -> None:

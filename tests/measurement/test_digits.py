@@ -9,7 +9,7 @@ from decimal import Decimal, getcontext
 import numpy as np
 import pytest
 
-from jaxscan.measurement.fit import fit_shape
+from jaxscan.measurement.fit import finish, settle
 from jaxscan.measurement.scanned import scanned_points
 
 DIGITS, COUNT = 50, 40
@@ -139,7 +139,8 @@ def test_a_fit_is_the_least_squares_to_its_last_digits(kind):
     x = points(kind)
     answer = solved(kind, x)
     normal = np.array([0.0, 0.0, 1.0]) if kind in ("circle", "line") else None
-    fit = fit_shape(scanned_points(x), kind, np.arange(COUNT), normal=normal)
+    scanned = scanned_points(x)
+    fit = finish(scanned, settle(scanned, kind, np.arange(COUNT), normal=normal))
     assert fit.left_out == 0
     found = numbers(kind, fit.shape)
     # Distances are rounded at 1e-15 of 10 mm; what is found from their differences has a few more.

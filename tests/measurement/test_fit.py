@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import InputError
-from jaxscan.measurement.fit import _by_rounds, _concentrated, fit_shape
+from jaxscan.measurement.fit import _by_rounds, _concentrated, finish, settle
 from jaxscan.measurement.scanned import scanned_points
 from jaxscan.measurement.shapes import Ball, Circle, Cone, Cylinder, Line, Plane, across
 
@@ -19,6 +19,11 @@ SHAPES = (
     Circle(CENTRE, AXIS, 10.0, 9.0),
     Line(CENTRE, U, 10.0, AXIS),
 )
+
+
+def fitted(scanned, kind, some, **how):
+    """The fit of the points that are of a shape."""
+    return finish(scanned, settle(scanned, kind, some, **how))
 
 
 def on(shape, count=400, seed=0):
@@ -65,7 +70,7 @@ def test_a_shape_is_found_to_the_last_digits_and_outliers_do_not_count(shape):
     x, n = on(shape)
     kind = type(shape).__name__.lower()
     normal = AXIS if kind in ("circle", "line") else None
-    clean = fit_shape(scanned_points(x), kind, np.arange(len(x)), normal=normal)
+    clean = fitted(scanned_points(x), kind, np.arange(len(x)), normal=normal)
     found = clean.shape
     np.testing.assert_allclose(found.distances(x), 0, atol=2e-12)
     for name in ("radius", "half_angle"):
@@ -75,7 +80,7 @@ def test_a_shape_is_found_to_the_last_digits_and_outliers_do_not_count(shape):
         assert found.radius == pytest.approx(9.0, abs=1e-11)
     far = x[:120] + 3.0 * n[:120]
     noisy = np.concatenate([x + 0.001 * np.random.default_rng(2).normal(size=(len(x), 1)) * n, far])
-    robust = fit_shape(scanned_points(noisy), kind, np.arange(len(noisy)), normal=normal)
+    robust = fitted(scanned_points(noisy), kind, np.arange(len(noisy)), normal=normal)
     assert robust.left_out >= 120
     assert robust.left_out < 130
     assert np.abs(robust.shape.distances(x)).max() < 0.002
@@ -92,7 +97,7 @@ def test_what_stands_beside_a_shape_does_not_hold_the_fit():
     start, every = Cylinder(CENTRE - U, AXIS, 10.0, 10.0), np.arange(1200)
     held, free = (_by_rounds(scanned, each, every)[0] for each in (start, _concentrated(scanned, start, every)))
     assert abs(free.radius - 9.0) < 0.03 < abs(held.radius - 9.0)
-    assert fit_shape(scanned, "cylinder", every).shape.radius == pytest.approx(9.0, abs=0.03)
+    assert fitted(scanned, "cylinder", every).shape.radius == pytest.approx(9.0, abs=0.03)
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
@@ -109,7 +114,7 @@ def test_least_squares_are_those_of_scipy():
 
     x, n = on(SHAPES[1])
     x = x + 0.05 * np.random.default_rng(3).normal(size=(len(x), 1)) * n
-    found = fit_shape(scanned_points(x), "ball", np.arange(len(x))).shape
+    found = fitted(scanned_points(x), "ball", np.arange(len(x))).shape
     other = least_squares(lambda p: np.linalg.norm(x - p[:3], axis=1) - p[3], [*CENTRE, 8.0], xtol=1e-15, ftol=1e-15)
     np.testing.assert_allclose([*found.point, found.radius], other.x, rtol=1e-7)
 
@@ -129,10 +134,10 @@ def test_a_cone_has_its_tip():
 )
 def test_what_cannot_be_fitted_is_refused(points, words):
     with pytest.raises(InputError, match=words):
-        fit_shape(scanned_points(points), "plane", np.arange(len(points)))
+        fitted(scanned_points(points), "plane", np.arange(len(points)))
 
 
 def test_growing_takes_a_grid():
     x = on(SHAPES[0])[0]
     with pytest.raises(InputError, match="grow = true needs a range image"):
-        fit_shape(scanned_points(x), "plane", np.arange(50), grow=True)
+        fitted(scanned_points(x), "plane", np.arange(50), grow=True)

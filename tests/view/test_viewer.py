@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from jaxscan.cli.main import main
+from jaxscan.cli.measure import read_surface
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.precision import as_numpy
@@ -127,7 +128,11 @@ def test_in_a_browser(folder):
     pytest.importorskip("viser", reason="viser (extra viewer) is not installed")
     if not CHROMIUM:
         pytest.skip("chromium is not installed: no browser to look with")
-    server = serve(view_data(folder / "block.npz", simulated_rig(0)), 8321, "strength")
+
+    def read():
+        return read_surface(folder / "block.npz")[0]
+
+    server = serve(view_data(folder / "block.npz", simulated_rig(0)), 8321, read, "strength")
     try:
         assert server.get_host() == HOST == "127.0.0.1"
         with api.sync_playwright() as play:

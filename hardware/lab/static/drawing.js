@@ -12,6 +12,10 @@ function ticks(low, high, count) {
   return found;
 }
 
+function mean(points) {
+  return [0, 1, 2].map((axis) => points.reduce((sum, point) => sum + point[axis], 0) / points.length);
+}
+
 function range(values, least) {
   let low = Infinity, high = -Infinity;
   for (const value of values) { low = Math.min(low, value); high = Math.max(high, value); }
@@ -52,32 +56,57 @@ export function drawProfile(canvas, profile) {
   for (let i = 0; i < across.length; i++) pen.fillRect(x(across[i]) - 1, y(depth[i]) - 1, 2.5, 2.5);
 }
 
-/** Points that turn: dragged, or with the arrow keys; plus, minus and the wheel zoom. */
-export class CloudView {
-  #canvas; #points = []; #yaw = 0.5; #pitch = 0.9; #zoom = 1; #asked = false;
+/** Points of an answer: x, y, z as float32. */
+export function pointsIn(buffer) {
+  const numbers = new Float32Array(buffer), points = [];
+  for (let i = 0; i < numbers.length; i += 3) points.push(numbers.subarray(i, i + 3));
+  return points;
+}
 
-  constructor(canvas) {
+// Colours of marked points, and how far beside a point a click may be, px.
+const MARKS = [[255, 90, 70], [80, 160, 255], [80, 220, 120], [220, 110, 255], [255, 190, 40], [60, 220, 220]], NEAR = 8;
+
+/** Points that turn: dragged, or with the arrow keys; plus, minus and the wheel zoom. A click, or Enter for the middle,
+    gives `picked` the point that it meets. */
+export class CloudView {
+  #canvas; #picked; #points = []; #marks = []; #yaw = 0.5; #pitch = 0.9; #zoom = 1; #asked = false;
+
+  constructor(canvas, picked = null) {
     this.#canvas = canvas;
-    let from = null;
-    canvas.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
-    canvas.addEventListener("pointerup", () => { from = null; });
+    this.#picked = picked;
+    let from = null, moved = 0;
+    canvas.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; moved = 0; canvas.setPointerCapture(event.pointerId); });
+    canvas.addEventListener("pointerup", (event) => {
+      if (from && moved < 4) this.#pick(event.offsetX * canvas.width / canvas.clientWidth, event.offsetY * canvas.height / canvas.clientHeight);
+      from = null;
+    });
     canvas.addEventListener("pointermove", (event) => {
-      if (from) this.#turn((event.clientX - from[0]) / 150, (event.clientY - from[1]) / 150);
-      if (from) from = [event.clientX, event.clientY];
+      if (!from) return;
+      const [x, y] = [event.clientX - from[0], event.clientY - from[1]];
+      moved += Math.hypot(x, y);
+      this.#turn(x / 150, y / 150);
+      from = [event.clientX, event.clientY];
     });
     canvas.addEventListener("wheel", (event) => { event.preventDefault(); this.#scale(event.deltaY < 0 ? 1.1 : 1 / 1.1); }, { passive: false });
     const keys = {
       ArrowLeft: () => this.#turn(-0.1, 0), ArrowRight: () => this.#turn(0.1, 0), ArrowUp: () => this.#turn(0, -0.1),
       ArrowDown: () => this.#turn(0, 0.1), "+": () => this.#scale(1.1), "-": () => this.#scale(1 / 1.1),
+      Enter: () => this.#pick(canvas.width / 2, canvas.height / 2),
     };
     canvas.addEventListener("keydown", (event) => { if (keys[event.key]) { event.preventDefault(); keys[event.key](); } });
   }
 
   get length() { return this.#points.length; }
 
+  /** From corner to corner of the box around the points. */
+  get size() { return Math.hypot(...this.#box().map(([, extent]) => extent)); }
+
   replace(points) { this.#points = points; this.#later(); }
 
   add(points) { for (const point of points) this.#points.push(point); this.#later(); }
+
+  /** Draw sets of points, each in a colour of its own with its name. */
+  mark(sets) { this.#marks = sets; this.#later(); }
 
   #turn(yaw, pitch) { this.#yaw += yaw; this.#pitch = Math.max(-1.6, Math.min(1.6, this.#pitch + pitch)); this.#later(); }
 
@@ -89,27 +118,59 @@ export class CloudView {
     requestAnimationFrame(() => { this.#asked = false; this.#draw(); });
   }
 
+  /** The middle and the extent of the points along each axis. */
+  #box() {
+    return [0, 1, 2].map((axis) => { const [low, high] = range(this.#points.map((point) => point[axis]), 0); return [(low + high) / 2, high - low]; });
+  }
+
+  /** A function that says where a point is seen: column, row, and how far away. */
+  #seen() {
+    const { width, height } = this.#canvas, box = this.#box();
+    const size = this.#zoom * 0.95 * Math.min(width, height) / Math.hypot(...box.map((one) => one[1]));
+    const [cy, sy, cp, sp] = [Math.cos(this.#yaw), Math.sin(this.#yaw), Math.cos(this.#pitch), Math.sin(this.#pitch)];
+    return (point) => {
+      const [dx, dy, dz] = [point[0] - box[0][0], point[1] - box[1][0], point[2] - box[2][0]];
+      const right = cy * dx - sy * dy, back = sy * dx + cy * dy;
+      return [width / 2 + size * right, height / 2 + size * (cp * back + sp * dz), cp * dz - sp * back];
+    };
+  }
+
+  #pick(column, row) {
+    if (!this.#picked || !this.#points.length) return;
+    const seen = this.#seen();
+    let best = null, least = Infinity;
+    for (const point of this.#points) {
+      const [x, y, away] = seen(point), beside = Math.hypot(x - column, y - row);
+      // The nearest to the eye of those that are about as near to the pointer.
+      const cost = beside < NEAR ? Math.floor(beside / 3) * 1e9 + away : Infinity;
+      if (cost < least) [least, best] = [cost, point];
+    }
+    if (best) this.#picked(best);
+  }
+
   #draw() {
     const { width, height } = this.#canvas, pen = this.#canvas.getContext("2d"), points = this.#points;
     const picture = pen.createImageData(width, height), pixels = new Uint32Array(picture.data.buffer);
-    const nearest = new Float32Array(width * height).fill(Infinity);
+    const nearest = new Float32Array(width * height).fill(Infinity), names = [];
     if (points.length) {
-      const middle = [0, 1, 2].map((axis) => { const [low, high] = range(points.map((point) => point[axis]), 0); return [(low + high) / 2, high - low]; });
-      const size = this.#zoom * 0.95 * Math.min(width, height) / Math.hypot(...middle.map((one) => one[1]));
-      const [cy, sy, cp, sp] = [Math.cos(this.#yaw), Math.sin(this.#yaw), Math.cos(this.#pitch), Math.sin(this.#pitch)];
-      const [lowest, span] = [middle[2][0] - middle[2][1] / 2, middle[2][1] || 1];
-      for (const point of points) {
-        const [dx, dy, dz] = [point[0] - middle[0][0], point[1] - middle[1][0], point[2] - middle[2][0]];
-        const right = cy * dx - sy * dy, back = sy * dx + cy * dy;
-        const down = cp * back + sp * dz, away = cp * dz - sp * back;
-        const column = Math.round(width / 2 + size * right), row = Math.round(height / 2 + size * down);
-        if (column < 0 || row < 0 || column >= width - 1 || row >= height - 1) continue;
-        const color = shade(1 - (point[2] - lowest) / span);
+      const seen = this.#seen(), [middle, span] = this.#box()[2], lowest = middle - span / 2, ahead = 0.01 * this.size;
+      const dot = (point, color, before) => {
+        const [x, y, away] = seen(point), [column, row] = [Math.round(x), Math.round(y)];
+        if (column < 0 || row < 0 || column >= width - 1 || row >= height - 1) return;
         for (const at of [row * width + column, row * width + column + 1, (row + 1) * width + column, (row + 1) * width + column + 1])
-          if (away < nearest[at]) { nearest[at] = away; pixels[at] = color; }
-      }
+          if (away - before < nearest[at]) { nearest[at] = away - before; pixels[at] = color; }
+      };
+      for (const point of points) dot(point, shade(1 - (point[2] - lowest) / (span || 1)), 0);
+      this.#marks.forEach((set, number) => {
+        const [r, g, b] = MARKS[number % MARKS.length];
+        for (const point of set.points) dot(point, (255 << 24) | (b << 16) | (g << 8) | r, ahead);
+        if (set.points.length) names.push([set.name, seen(mean(set.points))]);
+      });
     }
     pen.putImageData(picture, 0, 0);
+    pen.font = "14px system-ui, sans-serif";
+    pen.fillStyle = "#fff";
+    for (const [name, [x, y]] of names) pen.fillText(name, x + 4, y - 4);
   }
 }
 

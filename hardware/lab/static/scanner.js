@@ -1,5 +1,5 @@
 import { ask, element, say, trying } from "./lab.js";
-import { CloudView, drawProfile } from "./drawing.js";
+import { CloudView, drawProfile, pointsIn } from "./drawing.js";
 import { watchPictures } from "./pictures.js";
 
 const bench = element("bench").dataset;
@@ -159,9 +159,7 @@ async function loadCloud(project) {
   cloudOf = project;
   const answer = await fetch("/api/cloud");
   if (!answer.ok) return;
-  const numbers = new Float32Array(await answer.arrayBuffer()), points = [];
-  for (let i = 0; i < numbers.length; i += 3) points.push(numbers.subarray(i, i + 3));
-  cloud.replace(points);
+  cloud.replace(pointsIn(await answer.arrayBuffer()));
 }
 
 // --- streams ------------------------------------------------------------------------------------------------------

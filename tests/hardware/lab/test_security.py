@@ -40,14 +40,15 @@ from jaxscan.errors import InputError
 SAFE = {"GET", "HEAD"}
 # All that somebody who has not signed in may see.
 PUBLIC = {("GET", "/sign-in"), ("POST", "/sign-in")}
-# What changes something and yet is for everybody who has signed in: it is about themselves, or how one becomes the
-# operator. Whatever is not named here has to be refused to a viewer.
+# What is not read alone and yet is for everybody who has signed in: it is about themselves, how one becomes the
+# operator, or measures. Whatever is not named here has to be refused to a viewer.
 FOR_VIEWERS = {
     ("POST", "/sign-out"),
     ("POST", "/api/lock"),
     ("DELETE", "/api/lock"),
     ("POST", "/api/tokens"),
     ("DELETE", "/api/tokens/{number}"),
+    ("POST", "/api/projects/{name}/measure"),
 }
 VALUES = {"number": "1", "name": "cup", "action": "abort"}
 
@@ -292,7 +293,9 @@ def test_csrf(lasting: Served):
 def test_path_traversal(lasting: Served, name: str):
     client = lasting.program(OPERATOR)
     secret = lasting.lab.projects.path("x").parents[1] / "lab.sqlite3"
-    targets = [f"/api/projects/{name}/{tail}".rstrip("/") for tail in ("scan.zip", "cloud.ply", "frames/0", "")]
+    targets = [
+        f"/api/projects/{name}/{tail}".rstrip("/") for tail in ("scan.zip", "cloud.ply", "points", "frames/0", "")
+    ]
     for target in (*targets, f"/api/calibrations/{name}/session.zip"):
         # As it stands: a client would tidy it.
         with socket.create_connection(lasting.address, timeout=10) as line:
@@ -333,6 +336,7 @@ def test_what_somebody_put_into_the_folder(served: Served, tmp_path: Path):
             "projects/{}/scan.zip",
             "projects/{}/frames/0",
             "projects/{}/cloud.ply",
+            "projects/{}/points",
             "calibrations/{}/session.zip",
         ):
             answer = client.get("/api/" + path.format(name))
