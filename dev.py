@@ -135,7 +135,10 @@ def _compiled_once(version: str = "") -> dict[str, str]:
             if time.time() - path.stat().st_atime > _KEPT_S:
                 path.unlink()
     kept = {"JAX_COMPILATION_CACHE_DIR": str(folder), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    return kept | dict(os.environ)
+    env = kept | dict(os.environ)
+    # Otherwise each of pytest's processes would compile each module and rewrite each test in each run.
+    env.pop("PYTHONDONTWRITEBYTECODE", None)
+    return env
 
 
 def _pins() -> list[bytes]:

@@ -173,7 +173,7 @@ def _beside(name: str, plain: list[_Solved], bent: list[_Solved], goal: float) -
 
 
 def _named(name: str, mm: float, plain: list[_Solved], taken_flat: list[_Solved]) -> list[Metric]:
-    """Of sessions that were solved as flat: what that costs, how many are named, and how well their mm are said."""
+    """Sessions that were solved as flat: what that costs, how many are named, and how well their mm are said."""
     found = [each.calibration.flatness for each in taken_flat]
     said = [each.bent_mm for each in found if each is not None and each.bent]
     points = _rms(np.array([s.points_mm for s in taken_flat])) / _rms(np.array([s.points_mm for s in plain]))

@@ -95,7 +95,7 @@ def opencv_focal_and_principal(observations: Observations) -> tuple[Float[np.nda
 
 
 def _mean_residual(content: dict[str, Any], side: str, observations: Observations) -> float:
-    """Of the published camera and poses: the mean residual over its standard error, of u or of v, the larger."""
+    """With the published camera and poses: the mean residual over its standard error, of u or of v, the larger."""
     K, lens = (np.array(content[key][side]) for key in ("intrinsics", "distortion"))
     residuals = []
     for view, T in zip(observations.views, np.array(content["extrinsics"][side]), strict=True):

@@ -16,7 +16,7 @@ _FAR_PX = 0.3
 
 @dataclass(frozen=True)
 class Errors:
-    """Of the corners of some photographs.
+    """Errors of the corners of some photographs.
 
     Attributes:
         pixels: found minus true, px; NaN for a corner that was left out.
@@ -40,7 +40,7 @@ class Errors:
 
 
 def photographs(shots: list[Shot], seeds: Iterable[int]) -> list[Photograph]:
-    """Of each the poses of these seeds, side by side."""
+    """A photograph of each of these poses with each seed, side by side."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(lambda each: photograph(*each), [(shot, s) for shot in shots for s in seeds]))
 
@@ -55,7 +55,7 @@ def refined(p: Photograph) -> tuple[np.ndarray, np.ndarray]:
 
 
 def of_ours(taken: list[Photograph]) -> Errors:
-    """Of the library's corners."""
+    """Errors of the library's corners."""
     found = [refined(p) for p in taken]
     return Errors(
         np.concatenate([corners - p.corners for (corners, _), p in zip(found, taken, strict=True)]),
@@ -64,5 +64,5 @@ def of_ours(taken: list[Photograph]) -> Errors:
 
 
 def rms(values: np.ndarray) -> float:
-    """Of those that are numbers."""
+    """The RMS of those that are numbers."""
     return float(np.sqrt(np.nanmean(np.asarray(values) ** 2)))

@@ -254,7 +254,7 @@ def cramer_rao(p: Photograph) -> Float[np.ndarray, "corners"]:
 
 @jax.jit
 def _derivatives(parameters: Array, u: Array, v: Array) -> Float[Array, "pixels 12"]:
-    """Of the levels of a patch by the corner, two angles, two blurs, and six numbers of the light."""
+    """The derivatives of the levels of a patch by the corner, two angles, two blurs, and six numbers of the light."""
 
     def level(p: Array, u: Array, v: Array) -> Array:
         x, y = u - p[0], v - p[1]

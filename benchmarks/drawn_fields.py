@@ -46,7 +46,7 @@ class Field:
 
     @staticmethod
     def random(seed: int, rms_px: float, share: float = 1 / 3) -> "Field":
-        """Of a seed: shifts of an RMS along each axis, of wavelengths from 0.8 to 1.25 of a share of the image."""
+        """Shifts by a seed: of an RMS along each axis, of wavelengths from 0.8 to 1.25 of a share of the image."""
         random = np.random.default_rng([33, seed])
         length = share * IMAGE_SIZE[0] * random.uniform(0.8, 1.25, _WAVES)
         angle = random.uniform(0, 2 * np.pi, _WAVES)

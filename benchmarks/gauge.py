@@ -138,7 +138,7 @@ def faces(
     x: float = 0.0,
     whole_width: float = _WIDTH,
 ) -> tuple[Bool[np.ndarray, "frames columns"], ...]:
-    """By the true points: which frame and column is well within which face of a block, and which on the floor."""
+    """Which frame and column is well within which face of a block, and which on the floor, by the true points."""
     R, origin = rig_2003.platform(rig)
     at = (points - origin) @ R - [x, 0.0, 0.0]
     width = whole_width / len(block)

@@ -197,7 +197,7 @@ def _cell(value: float) -> str:
 
 
 def _median(of_seeds: Mapping[str, Mapping[str, Mapping[str, float]]], name: str, figure: str) -> float:
-    """Of the seeds that did not fail; NaN where there is none."""
+    """The median of the seeds that did not fail; NaN where there is none."""
     values = _values(of_seeds, name, figure)
     return float(np.median(values[np.isfinite(values)])) if np.isfinite(values).any() else np.nan
 

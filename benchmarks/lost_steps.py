@@ -146,6 +146,6 @@ def measure(quick: bool) -> list[Metric]:
 
 
 def _verified(found: list[Session], kind: str) -> float:
-    """Of photographs in sessions of a controller without a wrong place: the share that is said to be right."""
+    """The share of photographs that is said to be right, in sessions of a controller without a wrong place."""
     sound = [one for one in found if one.kind == kind and not one.wrong]
     return sum(one.right for one in sound) / max(1, sum(one.photographs for one in sound))

@@ -119,12 +119,12 @@ Pair = Callable[[Side, Side, Pose], Pose]
 
 
 def own_pair(a: Side, b: Side, start: Pose) -> Pose:
-    """By our own residual and weights."""
+    """Registration by our own residual and weights."""
     return register((a, b), (Pose.identity(), start)).poses[1]
 
 
 def peers_pair(kind: str, reach_mm: float) -> Pair:
-    """By small_gicp."""
+    """Registration by small_gicp."""
 
     def pair(a: Side, b: Side, start: Pose) -> Pose:
         clouds = [small_gicp.PointCloud(side.points) for side in (a, b)]

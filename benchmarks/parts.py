@@ -137,7 +137,7 @@ def _holds(each: Compared) -> bool:
 
 
 def coverage(found: Found) -> list[Metric]:
-    """Of all intervals, and of each dimension's, with RMS errors in units of σ."""
+    """Coverage of all intervals, and of each dimension's, with RMS errors in units of σ."""
     metrics, of_all, outside = [], [], 0
     for name, each in found.items():
         hits = [_holds(one) for one in each]

@@ -159,7 +159,7 @@ def draw_cup(path: Path, seed: int = 0) -> None:
 
 
 def errors_of_seeds(seeds: Sequence[int]) -> Mapping[str, list[list[float]]]:
-    """By pipeline, for each seed and each number of views."""
+    """Errors of each pipeline, for each seed and each number of views."""
     errors: dict[str, list[list[float]]] = {name: [] for name in PIPELINES}
     for seed in seeds:
         for name, of_seed in errors_by_views(seed).items():

@@ -143,7 +143,7 @@ def _solved(sessions: Sequence[Observations], kind: str | None = None) -> tuple[
 
 
 def _z_rms(found: Sequence[Calibration], play_mm: float) -> float:
-    """Of play minus the true one over its σ."""
+    """The RMS of errors of the play over their σ."""
     z = []
     for each in found:
         stage = each.rig.axis("stage")

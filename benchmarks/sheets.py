@@ -100,7 +100,7 @@ def _session(seed: int, level: Level) -> Observations:
 
 
 def _rms(found: list[Calibration], level: Level) -> float:
-    """Of the points that rigs make of the stripe on boards that they have not seen, from the true ones, mm."""
+    """Errors of the points that rigs make of the stripe on boards that they have not seen, mm."""
     pixels, truth = unseen(_RIG, 0, 2 * _VIEWS, level)
     squares = [((triangulated(each.rig, pixels) - truth) ** 2).sum(axis=1).mean() for each in found]
     return float(np.sqrt(np.mean(squares)))

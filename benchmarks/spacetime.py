@@ -103,7 +103,7 @@ def _sigma_off(widths: tuple[float, ...]) -> float:
 
 
 def _error_over_sigma(width: float, noise: float, speed: float) -> Float[np.ndarray, "positions"]:
-    """Of drawn passages: the wall turns 1° about the stripe's normal line and moves in its own plane.
+    """Errors of drawn passages: the wall turns 1° about the stripe's normal line and moves in its own plane.
 
     A point that is τ too far along its ray r is off the wall, of normal n, by τ n · r, and its stripe would be off by
     τ / (r · ∂X/∂v) pixels.

@@ -236,7 +236,7 @@ def _stripe(
 
 
 def rms(found: Sequence[Calibration], stages: Sequence[DrawnStage]) -> float:
-    """Of the points that rigs make of the sheet over the travel, from the true ones in the object frame, mm.
+    """Errors of the points that rigs make of the sheet over the travel, in the object frame, mm.
 
     Half of them by rising steps, half by falling ones, as far as that matters.
     """

@@ -370,7 +370,7 @@ def faces(image: RangeImage, floor: Floor) -> list[Metric]:
 
 
 def ball_radius(points: Float[np.ndarray, "points 3"]) -> float:
-    """Of the ball of least squared distances."""
+    """The ball of least squared distances."""
     return float(trimesh.nsphere.fit_nsphere(points)[1])
 
 

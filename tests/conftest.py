@@ -1,12 +1,21 @@
 """What all tests share: where the real data are, and strict JAX."""
 
+import gc
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+# Several processes share the cores: threads of BLAS would wait for each other by turning, and double the time. Before
+# NumPy is there; what pytest starts has it from here.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import jax
 import pytest
+from jaxtyping import config as checks
+
+from jaxscan.exclusive import InUseError, exclusive
 
 if TYPE_CHECKING:
     from jaxscan.calibration import Calibration, Observations
@@ -17,6 +26,20 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # A process may have 65530 areas of memory unless the system says otherwise, and each compiled function takes some.
 _MAPS = Path("/proc/self/maps")
 _MANY_MAPS = 30_000
+# Where shapes are checked at every call: the mathematics' own tests. Elsewhere the same functions are called again.
+_CHECKED = ("tests/geometry/", "tests/rig/", "tests/calibration/", "tests/reconstruction/", "tests/test_elimination.py")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def checked_shapes(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Shapes are checked at each call by the tests of what has them alone: it costs a quarter of the time.
+
+    With `--long` all tests check them.
+    """
+    checked = request.config.getoption("--long") or request.node.nodeid.startswith(_CHECKED)
+    checks.update("jaxtyping_disable", not checked)
+    yield
+    checks.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -37,12 +60,22 @@ def data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Photographs and what the commands make of them, `small_world.make`."""
+def world(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """Photographs and what the commands make of them, `small_world.make`; made once for all processes."""
     from tests.small_world import make
 
-    folder = tmp_path_factory.mktemp("small") / "world"
-    make(folder)
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if worker_id == "master" else base.parent) / "small" / "world"
+    folder.parent.mkdir(exist_ok=True)
+    made = folder.parent / "made"
+    while not made.exists():
+        try:
+            with exclusive(folder.parent / "lock", "the small world"):
+                if not made.exists():
+                    make(folder)
+                    made.touch()
+        except InUseError:
+            time.sleep(0.2)
     return folder
 
 
@@ -86,6 +119,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--long", action="store_true", help="also the tests that take long")
 
 
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """What was imported stays: to look through all of it for garbage again and again takes a tenth of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000, 10, 10)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Skip them by name otherwise."""
     if not config.getoption("--long"):
@@ -96,7 +136,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 # Modules that share what is dear to make: one worker runs them all.
 _TOGETHER = {
-    "calibrated": ("tests/calibration/", "tests/view/"),
+    "calibrated": ("tests/calibration/", "tests/view/", "tests/measurement/test_gradient.py"),
     "small world": ("tests/test_docs.py", "tests/test_end_to_end.py", "tests/test_examples.py"),
 }
 

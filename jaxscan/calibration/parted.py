@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Amount:
-    """By how much something differs behind a photograph.
+    """How much something differs behind a photograph.
 
     Attributes:
         value: in its unit.

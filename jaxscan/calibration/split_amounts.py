@@ -1,4 +1,4 @@
-"""By how much the parts of a rig differ before and behind a change, each amount with its σ."""
+"""How much the parts of a rig differ before and behind a change, each amount with its σ."""
 
 from collections.abc import Callable, Sequence
 
@@ -27,7 +27,7 @@ _POSE = 6
 
 
 def amounts(whole: Calibration, refined: Refined, part: Part, shared: int) -> tuple[Amount, ...]:
-    """By how much one part differs.
+    """How much one part differs.
 
     Args:
         whole: the session solved as one.
@@ -103,7 +103,7 @@ def _turned(before: Rig, now: Rig, axis: str) -> float:
 
 
 def _aside(before: Rig, now: Rig, axis: str) -> float:
-    """By how much an axis that something turns about stands elsewhere."""
+    """How far an axis that something turns about has moved."""
     at = leaves_of(now, f"motion.{axis}.centre.")
     a, b = (np.array([float(leaf) for leaf in jax.tree.leaves(rig.normal())])[at] for rig in (before, now))
     return float(np.linalg.norm(b - a))

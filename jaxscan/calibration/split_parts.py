@@ -182,19 +182,19 @@ def choose_parts(numbers: Sequence[Sequence[int]], d: Float[np.ndarray, "d"], C:
 
 
 def price(numbers: int) -> float:
-    """By how much χ² must fall for a part of this many numbers to be taken as another."""
+    """The fall of χ² that is needed for a part of this many numbers to be taken as another."""
     return 2 * numbers + 2 * float(np.log(_ODDS))
 
 
 def risen(shared: Sequence[int], d: Float[np.ndarray, "d"], C: Float[np.ndarray, "d d"]) -> float:
-    """By how much χ² rises where these numbers are taken to be the same."""
+    """The rise of χ² where these numbers are taken to be the same."""
     at = list(shared)
     inverse, _ = inverse_where_determined(C[np.ix_(at, at)], 0.0)
     return float(d[at] @ inverse @ d[at])
 
 
 def scatter(each: ByPhotograph) -> float:
-    """By which factor photographs contradict each other more than the covariance has it, in σ²; at least 1.
+    """The factor in σ² by which photographs contradict each other more than the covariance has it; at least 1.
 
     At the solution the gradients g_i of the photographs have the covariance N_i: Σ gᵢᵀ N_i⁻¹ gᵢ follows χ² with as many
     degrees of freedom as the photographs show numbers, less those that were found from them.

@@ -157,7 +157,7 @@ class _Patches:
         return np.stack([np.bincount(self.which, self.weight * each, _THIRDS**2) for each in values.T], axis=1)
 
     def part(self, some: Int[np.ndarray, "some"]) -> "_Patches":
-        """Of some of the points."""
+        """The patches of some of the points."""
         return _Patches(self.which[some], self.weight[some])
 
 

@@ -140,7 +140,7 @@ class Camera(eqx.Module):
 
     @property
     def chart(self) -> Chart:
-        """By which two numbers the lens knows a ray."""
+        """The kind of two numbers by which the lens knows a ray."""
         return getattr(self.lens, "chart", FLAT)
 
     def _along(self, x: Float[Array, "2"]) -> Float[Array, "3"]:

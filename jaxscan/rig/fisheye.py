@@ -70,6 +70,6 @@ class Fisheye(eqx.Module):
         return 1 + t * (k1 + t * (k2 + t * (k3 + t * k4)))
 
     def _slope(self, t: Float[Array, "*any"]) -> Float[Array, "*any"]:
-        """Of the height by the angle, at its square."""
+        """The derivative of the height by the angle, at the square of the angle."""
         k1, k2, k3, k4 = self.angular
         return 1 + t * (3 * k1 + t * (5 * k2 + t * (7 * k3 + t * 9 * k4)))

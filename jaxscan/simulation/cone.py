@@ -88,7 +88,7 @@ class Cone(Convex):
         ]
 
     def _slope(self) -> Number:
-        """By how much the radius grows with the height, k."""
+        """The slope k of the radius over the height."""
         return (self.top - self.radius) / self.length
 
     def moved(self, R: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> "Cone":

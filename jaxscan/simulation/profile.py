@@ -94,11 +94,11 @@ def true_profile(
         found = _halve(here.cast(np.float64), sheet_of(rig, laser, lighting, np.float64), seen, before)
     s, point, brightness = (array[: len(line)] for array in found)
     rows = position[0] + s * (position[2] - position[0])
+    order = np.argsort(brightness)
+    order = order[(brightness > 0)[order] & (rows >= -0.5)[order] & (rows < ray.x.shape[0] / FINE - 0.5)[order]]
     # The last of those that are written to one place stays: the brightest.
-    for i in np.argsort(brightness):
-        if brightness[i] > 0 and -0.5 <= rows[i] < ray.x.shape[0] / FINE - 0.5:
-            profile.position[line[i]] = rows[i]
-            profile.points[line[i]] = back.apply(point[i])
+    profile.position[line[order]] = rows[order]
+    profile.points[line[order]] = back.apply(point[order])
     return profile
 
 

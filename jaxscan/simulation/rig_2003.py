@@ -16,7 +16,7 @@ from typing import Final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Num
+from jaxtyping import Array, Bool, Float, Int, Num
 from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
@@ -77,6 +77,7 @@ _NEAREST, _FARTHEST, _TILT, _ROLL = 310.0, 380.0, 0.6, 0.15
 # How far the middle of a board may stand from the stripe and from the middle of the image, mm.
 _ASIDE, _OFF_STRIPE = 30.0, 25.0
 _STAGE_DISTANCE, _STAGE_TILT = 345.0, 0.25
+_TRIED_AT_ONCE = 64
 # The pattern with one square around it stays this far within the image, px.
 _BORDER_PX = 6.0
 # The platform, from (x, y) to (x, y) of its own frame, and the middle of what stands on it, mm.
@@ -193,12 +194,16 @@ def stage_pose(rig: Rig, seed: int) -> Pose:
     """T_cam_board at step 0 of the board that is fixed on the stage: in view over its whole travel."""
     random = np.random.default_rng([2003, seed, 2])
     travel = stage_travel(rig, np.arange(STAGE_VIEWS) * STEPS_APART)
+    widest = np.array([_STAGE_TILT, _STAGE_TILT, _STAGE_TILT, 5.0, 3.0])
     while True:
-        rotation = random.uniform(-_STAGE_TILT, _STAGE_TILT, 3) * [1, 1, 0.3]
-        middle = np.array([random.uniform(-5, 5), random.uniform(-3, 3), _STAGE_DISTANCE]) - travel[-1] / 2
-        R, translation = _about_middle(rotation, middle)
-        if in_view(rig.camera, R, translation + travel[[0, -1]]):
-            return Pose(rotation, translation)
+        # Many at once: of a stage that is no line hardly any pose is in view all the way.
+        tries = random.uniform(-widest, widest, (_TRIED_AT_ONCE, len(widest)))
+        rotations = tries[:, :3] * [1, 1, 0.3]
+        middles = np.insert(tries[:, 3:], 2, _STAGE_DISTANCE, axis=1) - travel[-1] / 2
+        R, translations = _about_middle(rotations, middles)
+        seen = np.flatnonzero(in_view(rig.camera, R, translations[:, None] + travel[[0, -1]]))
+        if len(seen):
+            return Pose(rotations[seen[0]], translations[seen[0]])
 
 
 def with_turntable(rig: Rig, seed: int) -> Rig:
@@ -357,18 +362,21 @@ def _turned(vector: Float[np.ndarray, "3"], random: np.random.Generator) -> Floa
 
 
 def _about_middle(
-    rotation: Float[np.ndarray, "3"], middle: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    rotation: Float[np.ndarray, "*stack 3"], middle: Float[np.ndarray, "*stack 3"]
+) -> tuple[Float[np.ndarray, "*stack 3 3"], Float[np.ndarray, "*stack 3"]]:
     """Rotation matrix and translation of T_cam_board with the middle of the board at a place."""
     R = vector_to_matrix(rotation)
     return R, middle - R @ BOARD.points().mean(axis=0)
 
 
-def in_view(camera: Camera, R: Float[np.ndarray, "3 3"], translations: Float[np.ndarray, "places 3"]) -> bool:
-    """Whether the pattern, with the squares around its points, is within the image at each place."""
-    pixels = _pixels(camera, _outline() @ R.T + translations[:, None])
+def in_view(
+    camera: Camera, R: Float[np.ndarray, "*stack 3 3"], translations: Float[np.ndarray, "*stack places 3"]
+) -> Bool[np.ndarray, "*stack"]:
+    """Whether the pattern, with the squares around its points, is within the image at each of a pose's places."""
+    corners = (_outline() @ R.swapaxes(-1, -2))[..., None, :, :] + translations[..., None, :]
+    pixels = _pixels(camera, corners)
     inside = (pixels > -0.5 + _BORDER_PX) & (pixels < np.asarray(camera.image_size) - 0.5 - _BORDER_PX)
-    return bool(inside.all())
+    return np.asarray(inside.all(axis=(-3, -2, -1)))
 
 
 def _outline() -> Float[np.ndarray, "4 3"]:

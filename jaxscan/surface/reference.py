@@ -36,7 +36,7 @@ class Reference(Protocol):
 
 
 def diagonal(reference: Reference) -> float:
-    """Of a surface's box, mm."""
+    """The diagonal of a surface's box, mm."""
     return float(np.linalg.norm(np.ptp(reference.bounds, axis=0)))
 
 

@@ -97,7 +97,7 @@ def test_rays_meet_the_bent_board(tilt: float):
     assert np.abs(straight - X[:, 2]).max() > 0.1
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_rig_shape_and_bends_lie_within_their_sigma(seed: int):
     """Stripes on the bent boards in the hand and on the stage, too."""
     result = solved(seed, EACH, "bend")
@@ -117,16 +117,16 @@ def test_rig_shape_and_bends_lie_within_their_sigma(seed: int):
     )
 
 
-def test_bulges_alone_and_five_terms_follow_boards_that_have_no_more():
+@pytest.mark.parametrize(("shape", "count"), [("bulge", 2), pytest.param("warp", 5, marks=pytest.mark.long)])
+def test_bulges_alone_and_five_terms_follow_boards_that_have_no_more(shape: str, count: int):
     truth, exact = bent_session(3, lambda _: surface(np.array([0.5, 0.2, 0, 0, 0])), stage_views=7, columns_apart=6)
     seen = redrawn(exact, Noise(), np.random.default_rng(3))
-    for shape, count in (("bulge", 2), ("warp", 5)):
-        result = calibrate(seen, board_shape=shape)
-        assert max(map(abs, in_sigma(result, truth).values())) < 4.0
-        assert result.shape_covariance is not None
-        assert len(result.shape_covariance.names) == count
-        assert result.bend_sigma_mm is None
-        assert result.board_bent_by()[0] == pytest.approx(0.7, abs=0.03)
+    result = calibrate(seen, board_shape=shape)
+    assert max(map(abs, in_sigma(result, truth).values())) < 4.0
+    assert result.shape_covariance is not None
+    assert len(result.shape_covariance.names) == count
+    assert result.bend_sigma_mm is None
+    assert result.board_bent_by()[0] == pytest.approx(0.7, abs=0.03)
 
 
 def test_flat_boards_lose_nothing():

@@ -2,15 +2,17 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
-from benchmarks.models import session
+from benchmarks.models import session as drawn_session
 from jaxscan.calibration import Model, calibrate, calibrate_by_evidence
 from jaxscan.calibration.model import Choice, Trial
 
 PLAIN = Model(lights=("plane",))
+session = cache(drawn_session)
 
 
 def chosen(observations, **asked):
@@ -32,9 +34,10 @@ def test_where_nothing_is_amiss_nothing_is_added_and_nothing_else_is_solved():
     ("kind", "model"),
     [
         ("radial2", {"lens": "radial2"}),
-        ("bent", {"board_shape": "warp"}),
         ("bowed", {"lights": ("bowed",)}),
-        ("guide", {"motion": {"stage": "guide"}}),
+        # That a motion is chosen is in test_played_stages.py.
+        pytest.param("bent", {"board_shape": "warp"}, marks=pytest.mark.long),
+        pytest.param("guide", {"motion": {"stage": "guide"}}, marks=pytest.mark.long),
         # The benchmark `models` has ten kinds.
         pytest.param("brown_on_guide", {"lens": "brown", "motion": {"stage": "guide"}}, marks=pytest.mark.long),
     ],

@@ -63,9 +63,8 @@ def test_what_is_beyond_the_limits_is_left_out_and_nothing_else() -> None:
     np.testing.assert_array_equal(np.asarray(kept.stripe_used)[0, 0], [True, True, False, False, False, False])
 
 
-def drawn(seed: int):
-    """The session of the fixture, its stripes with errors that go on from column to column; drawn again by the seed."""
-    clean = synthetic.observations(0, n_stage=5, noise=synthetic.Noise(0.0, 0.0))
+def drawn(clean, seed: int):
+    """A session, its stripes with errors that go on from column to column; drawn again by the seed."""
     random = np.random.default_rng([7, seed])
 
     def noisy(view):
@@ -89,7 +88,8 @@ def drawn(seed: int):
 
 @pytest.fixture(scope="module")
 def solved():
-    return [calibrate(drawn(seed)) for seed in range(DRAWS)]
+    clean = synthetic.observations(0, n_stage=5, noise=synthetic.Noise(0.0, 0.0))
+    return [calibrate(drawn(clean, seed)) for seed in range(DRAWS)]
 
 
 def test_errors_that_are_tied_along_the_stripe_have_their_tau(solved) -> None:

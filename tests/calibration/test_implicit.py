@@ -8,7 +8,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxscan.calibration.block_arrow import Arrow
-from jaxscan.calibration.implicit import BlockArrowSolver
+from jaxscan.calibration.implicit import BlockArrowSolver, UncheckedAdjoint
 from jaxscan.calibration.levenberg_marquardt import BlockArrowLevenbergMarquardt
 
 START = Arrow(jnp.array([0.7, -0.4]), (jnp.full((3, 2), 0.3), jnp.full((2, 1), -0.2)))
@@ -26,22 +26,24 @@ def residual(y, theta):
     return Arrow(a - theta[3:], (first - seen, second))
 
 
-def minimum(theta):
+def minimum(theta, adjoint):
     solver = BlockArrowLevenbergMarquardt()
     start = jax.tree.map(lambda leaf: leaf.astype(theta.dtype), START)
-    return optx.least_squares(
-        residual, solver, start, theta, adjoint=optx.ImplicitAdjoint(BlockArrowSolver()), max_steps=200
-    ).value
+    return optx.least_squares(residual, solver, start, theta, adjoint=adjoint, max_steps=200).value
 
 
 THETA = (0.3, -1.2, 0.8, 0.5, -0.3)
 
 
-@pytest.mark.long
+@pytest.mark.parametrize(
+    "adjoint",
+    [UncheckedAdjoint(), pytest.param(optx.ImplicitAdjoint(BlockArrowSolver()), marks=pytest.mark.long)],
+    ids=["unchecked", "checked"],
+)
 @pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
-def test_both_modes_are_the_dense_implicit_derivative(x64, derivative):
+def test_both_modes_are_the_dense_implicit_derivative(x64, derivative, adjoint):
     theta = jnp.asarray(THETA)
-    y, back = ravel_pytree(minimum(theta))
+    y, back = ravel_pytree(minimum(theta, adjoint))
 
     def objective(y, theta):
         return 0.5 * sum((leaf**2).sum() for leaf in jax.tree.leaves(residual(back(y), theta)))
@@ -54,5 +56,5 @@ def test_both_modes_are_the_dense_implicit_derivative(x64, derivative):
     gauss_newton = -np.linalg.solve(J.T @ J, mixed)
     # Otherwise this could not tell the Hessian from Gauss and Newton's part of it.
     assert np.abs(gauss_newton - expected).max() > 0.03
-    found = derivative(lambda theta: ravel_pytree(minimum(theta))[0])(theta)
+    found = derivative(lambda theta: ravel_pytree(minimum(theta, adjoint))[0])(theta)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())

@@ -38,7 +38,7 @@ def z_of(found, play_mm):
     return (float(found.rig.axis("stage").play[0]) - true) / found.covariance.sigma("motion.stage.play.0")
 
 
-@pytest.mark.parametrize("play_mm", [0.05, 0.2])
+@pytest.mark.parametrize("play_mm", [0.05, pytest.param(0.2, marks=pytest.mark.long)])
 def test_it_is_found_within_its_sigma_and_named(play_mm):
     seen = session(0, play_mm=play_mm)
     line, found = calibrate(seen), calibrate(seen, motion={"stage": KIND})
@@ -64,7 +64,7 @@ def test_it_is_found_beside_a_bow_and_a_screw():
     assert not found.stage_shapes
 
 
-@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("side", [pytest.param(1, marks=pytest.mark.long), -1])
 def test_the_first_photograph_may_have_been_approached_from_either_side(side):
     run = runs(THERE)
     run[0] *= side
@@ -89,30 +89,26 @@ def _drift(mm):
     return mm * np.linspace(-1, 1, len(THERE))[:, None] * np.array(synthetic.PER_STEP) / 1e-3
 
 
+# How the board is off its line, or how it was photographed; and whether a quick run tries it.
+NO_PLAY = {
+    "there and back": ({}, True),
+    "wobble": ({"aside": 0.02 * np.random.default_rng(1).normal(size=(31, 3))}, False),
+    "large wobble": ({"aside": 0.05 * np.random.default_rng(2).normal(size=(31, 3))}, False),
+    "drift": ({"aside": _drift(0.1)}, False),
+    "pushed": ({"aside": np.where(np.arange(31) > 7, 0.1, 0.0)[:, None] * np.array([0.0, 0.8, 0.6])}, False),
+    "pushed across at the turn": (
+        {"aside": np.where(np.arange(31) > 15, 0.1, 0.0)[:, None] * np.array([0.9, 0.3, 0.3])},
+        True,
+    ),
+    "screw": ({"of": {"wave_mm": 0.05}}, False),
+    "one pass": ({"play_mm": 0.2, "steps": np.sort(THERE)}, True),
+    "one pass back": ({"play_mm": 0.2, "steps": np.sort(THERE)[::-1]}, False),
+}
+
+
 @pytest.mark.parametrize(
     "how",
-    [
-        {},
-        {"aside": 0.02 * np.random.default_rng(1).normal(size=(31, 3))},
-        {"aside": 0.05 * np.random.default_rng(2).normal(size=(31, 3))},
-        {"aside": _drift(0.1)},
-        {"aside": np.where(np.arange(31) > 7, 0.1, 0.0)[:, None] * np.array([0.0, 0.8, 0.6])},
-        {"aside": np.where(np.arange(31) > 15, 0.1, 0.0)[:, None] * np.array([0.9, 0.3, 0.3])},
-        {"of": {"wave_mm": 0.05}},
-        {"play_mm": 0.2, "steps": np.sort(THERE)},
-        {"play_mm": 0.2, "steps": np.sort(THERE)[::-1]},
-    ],
-    ids=[
-        "there and back",
-        "wobble",
-        "large wobble",
-        "drift",
-        "pushed",
-        "pushed across at the turn",
-        "screw",
-        "one pass",
-        "one pass back",
-    ],
+    [pytest.param(how, id=name, marks=[] if quick else [pytest.mark.long]) for name, (how, quick) in NO_PLAY.items()],
 )
 def test_it_is_not_named_where_there_is_none_or_nothing_tells_it(how):
     assert not any(shape.play_mm for shape in calibrate(session(4, **{"play_mm": 0.0, **how})).stage_shapes)
@@ -176,26 +172,35 @@ def test_a_turntable_has_it_too():
     assert summary["play_deg"] == pytest.approx(4.0 * summary["degrees_per_step"], rel=0.2)
 
 
-def test_a_gantry_of_two_lines_has_the_scale_and_the_play_of_each():
+GANTRY = {"x": np.array([1.1e-3, 2e-5, 0.0]), "y": np.array([-1e-5, 0.9e-3, 1e-4])}
+
+
+def gantry():
+    """Two lines, of which the first has a play of 60 steps."""
     known = synthetic.observations(10, n_stage=0, noise=synthetic.Noise(0.03))
     random, steps = np.random.default_rng(10), np.r_[0:30000:3000, 29000:0:-3000].astype(float)
-    ways = {"x": np.array([1.1e-3, 2e-5, 0.0]), "y": np.array([-1e-5, 0.9e-3, 1e-4])}
     plays = {"x": 60.0, "y": 0.0}
     board = Pose(np.array([0.1, -0.2, 0.05]), np.array([-36.0, -30.0, 345.0]))
     sequences = []
-    for axis, way in ways.items():
+    for axis, way in GANTRY.items():
         lag = np.sign(runs(steps)) * plays[axis] / 2
         stood = Pose(np.zeros((len(steps), 3)), (steps - lag)[:, None] * way) @ board
         sequences.append(BoardSequence({axis: steps}, _seen(known, stood, random, axis), axis, Linear.kind))
-    seen = replace(known, sequences=tuple(sequences))
-    line = calibrate(seen)
-    assert [(shape.axis, shape.kind) for shape in line.stage_shapes] == [("x", KIND)]
-    found = calibrate(seen, motion={"x": KIND})
-    for axis, way in ways.items():
+    return replace(known, sequences=tuple(sequences))
+
+
+@pytest.mark.long
+def test_a_gantrys_line_with_play_is_named():
+    assert [(shape.axis, shape.kind) for shape in calibrate(gantry()).stage_shapes] == [("x", KIND)]
+
+
+def test_a_gantry_of_two_lines_has_the_scale_and_the_play_of_each():
+    found = calibrate(gantry(), motion={"x": KIND})
+    for axis, way in GANTRY.items():
         for i in range(3):
             sigma = found.covariance.sigma(f"motion.{axis}.per_step.{i}")
             assert abs(float(found.rig.axis(axis).per_step[i]) - way[i]) < 4.5 * sigma, (axis, i)
     assert abs(float(found.rig.axis("x").play[0]) - 60.0) < 4.5 * found.covariance.sigma("motion.x.play.0")
     # Where both have moved, the object has gone both ways, each by its own scale.
     at = found.rig.pose({"x": np.float64(20000), "y": np.float64(10000)}).translation
-    np.testing.assert_allclose(at, 20000 * ways["x"] + 10000 * ways["y"], atol=0.02)
+    np.testing.assert_allclose(at, 20000 * GANTRY["x"] + 10000 * GANTRY["y"], atol=0.02)

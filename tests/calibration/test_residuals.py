@@ -88,6 +88,30 @@ def test_robust_loss_is_square_then_straight(x64):
     np.testing.assert_allclose(loss, 2 * (np.sqrt(1 + r**2) - 1), rtol=1e-6)
 
 
+def test_corners_and_stripes_are_both_trusted_less_where_they_are_far_off(x64):
+    views = view_blocks(synthetic.observations(seed=1, n_views=3, n_stage=0))
+    poses = jnp.tile(jnp.array([0.1, 0.2, 0.0, -60.0, -40.0, 340.0]), (len(views.points), 1))
+    one = jnp.ones(())
+
+    def of(robustness):
+        found = views.residuals(System(true_rig(), ()), poses, Noise(one, one, robustness * one))
+        corners = 2 * views.weights[0].size
+        n = len(found)
+        return np.asarray(found[:, :corners]).reshape(n, -1, 2), np.asarray(found[:, corners:])
+
+    (corner, stripe), (tamed_corner, tamed_stripe) = of(0.0), of(1.0)
+    # A weight is one over σ.
+    half = replace(views, weights=0.5 * views.weights, stripe_weights=0.5 * views.stripe_weights)
+    lighter = np.asarray(half.residuals(System(true_rig(), ()), poses, Noise(one, one, 0 * one)))
+    np.testing.assert_allclose(lighter[:, -stripe.shape[1] :], 0.5 * stripe, rtol=1e-12)
+    np.testing.assert_allclose(lighter[:, : -stripe.shape[1]].reshape(corner.shape), 0.5 * corner, rtol=1e-12)
+    square = (corner**2).sum(axis=-1)
+    assert square.max() > 100
+    assert np.abs(stripe).max() > 10
+    np.testing.assert_allclose((tamed_corner**2).sum(axis=-1), 2 * (np.sqrt(1 + square) - 1), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(tamed_stripe**2, 2 * (np.sqrt(1 + stripe**2) - 1), rtol=1e-6, atol=1e-12)
+
+
 def test_a_stripe_that_takes_no_part_is_not_computed(x64, monkeypatch):
     computed, real = [], residuals.stripe_errors
 

@@ -53,7 +53,11 @@ def kinds(found: Split) -> list[str]:
 
 @pytest.mark.parametrize(
     ("name", "part", "value"),
-    [("refocus", "focus", 0.3), ("lens_pushed", "image", 0.5), ("laser_turned", "light", 0.05)],
+    [
+        ("refocus", "focus", 0.3),
+        pytest.param("lens_pushed", "image", 0.5, marks=pytest.mark.long),
+        pytest.param("laser_turned", "light", 0.05, marks=pytest.mark.long),
+    ],
 )
 def test_the_part_that_was_changed_is_found_and_both_rigs_are_within_their_sigma(name, part, value):
     session, behind = changed_session(1, name)
@@ -106,7 +110,7 @@ def test_a_part_has_of_the_other_what_that_one_says_by_itself(split, later):
     assert not root[:, focal].any()
 
 
-@pytest.mark.parametrize("later", [False, True])
+@pytest.mark.parametrize("later", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_part_is_the_minimum_of_its_own_problem_and_has_its_covariance(split, later):
     result = split.after if later else split.before
     with float64():
@@ -238,6 +242,7 @@ def test_a_camera_without_laser_and_stage(refocused):
     assert float(found.after.rig.camera.focal[0]) > float(found.before.rig.camera.focal[0])
 
 
+@pytest.mark.long
 def test_other_settings_of_jax_give_the_same(split, refocused):
     with jax.enable_x64(True):
         again = calibrate_split(*refocused)

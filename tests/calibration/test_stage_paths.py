@@ -17,7 +17,11 @@ GUIDE, SCREW = {"sag_mm": 0.1}, {"wave_mm": 0.05, "phase": 1.0}
 CASES = {"guide": GUIDE, "screw": SCREW, "screw_on_guide": {**GUIDE, **SCREW}}
 
 
-@pytest.fixture(scope="module", params=CASES)
+# A quick run looks at both together.
+@pytest.fixture(
+    scope="module",
+    params=["screw_on_guide", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("guide", "screw"))],
+)
 def solved(request):
     of = stages.stage(**CASES[request.param])
     session = stages.session(0, of)

@@ -13,7 +13,10 @@ from typing import Any
 
 from tests.fuzz.worker import GIB
 
+# Of the processor: others may use it too.
 LONGEST_S = 5.0
+# By the clock an answer may take this many times as long.
+_SLOWEST = 4
 # Beyond the file itself. What a header allows is not granted on top: no seed's header needs it.
 MOST_BYTES = GIB
 _START_S = 120.0
@@ -66,7 +69,7 @@ class Bench:
         assert self._process is not None
         if self._process.poll() is None:
             self._end()
-            return Verdict("hang", f"no answer in {2 * self._longest_s:g} s")
+            return Verdict("hang", f"no answer in {_SLOWEST * self._longest_s:g} s")
         status = self._process.returncode
         self._said.seek(0)
         said = self._said.read()[-300:]
@@ -80,7 +83,7 @@ class Bench:
         assert process.stdin is not None
         process.stdin.write(json.dumps(request) + "\n")
         process.stdin.flush()
-        line = _line(process, 2 * self._longest_s)
+        line = _line(process, _SLOWEST * self._longest_s)
         return json.loads(line) if line else None
 
     def _started(self) -> "subprocess.Popen[str]":

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from benchmarks.board_shape import HALF, seen_by
-from benchmarks.drawn_bent import clean_session
 from benchmarks.left_over import stretched
 from jaxscan.calibration import calibrate
+from tests.calibration.clean import clean
 
 
 def like_an_s(seed):
@@ -25,16 +25,16 @@ def in_sigma(rig, result, covariance):
     return np.abs(own - true) / np.sqrt(np.diagonal(covariance.of_leaves(result.rig)))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_points_that_are_where_they_should_be_widen_nothing(seed):
-    result = calibrate(clean_session(seed))
+    result = clean(seed)
     assert result.off_grid is None
     np.testing.assert_array_equal(result.covariance.matrix, result.formal_covariance.matrix)
     assert set(result.widened_by().values()) == {1.0}
     assert "sigma_over_noise_alone" not in result.rig_file().fit
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.long)])
 def test_a_board_like_an_s_is_told_by_its_height(seed):
     rig, session = like_an_s(seed)
     result = calibrate(session, board_shape="bend")

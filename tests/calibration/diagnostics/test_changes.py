@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.changes import changed_session
 from benchmarks.drawn import Noise, exact_session, redrawn
-from benchmarks.drawn_bent import clean_session
 from jaxscan.calibration import Observations, calibrate
 from jaxscan.calibration.changed import Change
 from jaxscan.calibration.diagnostics import diagnose
@@ -17,21 +16,22 @@ from jaxscan.cli.estimate_options import Estimate
 from jaxscan.errors import InputError
 from jaxscan.simulation import rig_2003
 from jaxscan.view.model_findings import model_findings
+from tests.calibration.clean import clean, refocused
 
 
 @pytest.mark.parametrize(
     ("name", "kind", "size"),
     [
         ("refocus", "focus", 3e-3),
-        ("lens_pushed", "image", 0.5),
-        ("laser_turned", "light", 0.35),
+        pytest.param("lens_pushed", "image", 0.5, marks=pytest.mark.long),
+        pytest.param("laser_turned", "light", 0.35, marks=pytest.mark.long),
         ("camera_turned", "light", 0.21),
         ("board_pushed", "place", 0.1),
     ],
 )
 def test_a_change_is_named_with_its_photograph_and_its_size(name, kind, size):
     session, behind = changed_session(0, name)
-    result = calibrate(session)
+    result = refocused() if name == "refocus" else calibrate(session)
     names = [view.name for view in session.photographs()]
     assert result.change is not None
     assert (result.change.kind, result.change.before, result.change.after) == (kind, names[behind - 1], names[behind])
@@ -52,9 +52,9 @@ def test_a_change_between_two_sessions_is_named_with_them():
     assert (change.before, change.after) == (f"monday/view-{behind - 1}", f"tuesday/view-{behind}")
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_nothing_is_named_where_nothing_changed(seed):
-    assert calibrate(clean_session(seed)).change is None
+    assert clean(seed).change is None
 
 
 def test_one_photograph_that_is_odd_is_no_change():

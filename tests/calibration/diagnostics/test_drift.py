@@ -4,13 +4,14 @@ import jax
 import numpy as np
 import pytest
 
-from benchmarks.changes import changed_session
-from benchmarks.drawn_bent import clean_session
 from benchmarks.left_over import drifting
 from jaxscan.calibration import calibrate
+from tests.calibration.clean import clean, refocused
 
 
-@pytest.mark.parametrize(("seed", "by"), [(0, 2e-3), (1, 2e-3), (1, -2e-3)])
+@pytest.mark.parametrize(
+    ("seed", "by"), [(0, 2e-3), *(pytest.param(1, by, marks=pytest.mark.long) for by in (2e-3, -2e-3))]
+)
 def test_a_lens_that_warms_up_is_named_and_its_rig_lies_within_sigma(seed, by):
     first, middle, session = drifting(seed, by)
     result = calibrate(session)
@@ -30,12 +31,12 @@ def test_a_lens_that_warms_up_is_named_and_its_rig_lies_within_sigma(seed, by):
     assert abs(own - true)[-1] > 30 * formal
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_nothing_drifts_in_a_clean_session(seed):
-    assert calibrate(clean_session(seed)).drift is None
+    assert clean(seed).drift is None
 
 
 def test_a_lens_that_was_refocused_once_does_not_drift():
-    result = calibrate(changed_session(0, "refocus")[0])
+    result = refocused()
     assert result.change.kind == "focus"
     assert result.drift is None

@@ -9,7 +9,7 @@ from jaxscan.view.model_findings import model_findings
 from tests.calibration import sheets, synthetic
 
 
-@pytest.mark.parametrize("sag", [0.05, 0.3, -2.0])
+@pytest.mark.parametrize("sag", [0.05, pytest.param(0.3, marks=pytest.mark.long), -2.0])
 def test_a_curved_sheet_is_named_with_its_millimetres(sag, tmp_path):
     result = calibrate(sheets.session(0, sheets.cone(sag)))
     (curve,) = result.sheet_curves
@@ -36,18 +36,29 @@ def test_what_was_named_is_mended():
 
 
 @pytest.mark.parametrize("bend", [(0.0, 0.0), (0.3, 0.0), (0.1, -0.2)])
-def test_a_flat_sheet_on_a_flat_or_a_bent_board_is_not_called_curved(bend):
-    for seed in range(3):
-        assert calibrate(sheets.session(seed, sheets.cone(0.0), board_mm=bend)).sheet_curves == ()
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
+def test_a_flat_sheet_on_a_flat_or_a_bent_board_is_not_called_curved(bend, seed):
+    assert calibrate(sheets.session(seed, sheets.cone(0.0), board_mm=bend)).sheet_curves == ()
 
 
 def test_stripes_on_boards_that_move_count():
     assert calibrate(synthetic.observations(0, n_stage=8, stripes_on_stage=True)).sheet_curves == ()
 
 
-@pytest.mark.parametrize("sag", [0.05, 0.3])
-@pytest.mark.parametrize("bulge", [0.0, 0.2])
-@pytest.mark.parametrize("taken", [{}, {"light": "bowed"}, {"board_shape": "bend"}])
+TAKEN = ({}, {"light": "bowed"}, {"board_shape": "bend"})
+# Of a sheet's curve, a board's bulge (mm) and how both are taken a quick run tries these.
+QUICK = [(0.05, 0.0, 0), *((0.3, 0.2, i) for i in range(3))]
+
+
+@pytest.mark.parametrize(
+    ("sag", "bulge", "taken"),
+    [
+        pytest.param(sag, bulge, TAKEN[i], marks=[] if (sag, bulge, i) in QUICK else [pytest.mark.long])
+        for sag in (0.05, 0.3)
+        for bulge in (0.0, 0.2)
+        for i in range(3)
+    ],
+)
 def test_a_curved_sheet_and_a_bent_board_are_told_apart(sag, bulge, taken):
     result = calibrate(sheets.session(1, sheets.cone(sag), board_mm=(bulge, 0.0)), **taken)
     assert result.flatness is not None
