@@ -20,8 +20,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.images.stripes.likelihood import FWHM, REACH, REACH_PX
+from jaxscan.images.stripes.ranks import ranked
 from jaxscan.images.stripes.variogram import variogram
-from jaxscan.images.stripes.windows import Sensor
+from jaxscan.images.stripes.windows import Sensor, smoothed_speckle
 
 # Distances, in lines: the largest grain that the filter of `grain` holds is gone at the last.
 _DISTANCES: Final = np.arange(1, 9)
@@ -56,15 +57,19 @@ def with_grain(sensor: Sensor, ln_light: Lines, seen: Bool[np.ndarray, "frames l
         seen: which lines have a whole stripe that is not burnt out.
     """
     speckle, grain = (np.array(x) for x in (sensor.speckle, sensor.grain))
-    ln_s, read, shot = (np.asarray(x) for x in (sensor.ln_s, sensor.read, sensor.shot))
+    of_pixels = sensor.of_pixels()
+    ln_s, read, shot = (np.asarray(x) for x in (sensor.ln_s, of_pixels.read, of_pixels.shot))
+    smooth = np.zeros(len(ln_s), bool) if sensor.smooth is None else np.asarray(sensor.smooth)
     ln_light = np.where(seen, ln_light, 0.0)
     near, far = (_usual_difference(ln_light, seen, int(k)) for k in _DISTANCES[[0, -1]])
     some = np.flatnonzero(near < _LESS * far)
     s = np.exp(ln_s[some].astype(np.float64))
-    height = [np.exp(np.median(ln_light[frame, seen[frame]])) for frame in some] / s
+    height = np.exp(ranked(ln_light[some], seen[some], 0.5)) / s
     noise = [_noise_of_ln_light(*of) for of in zip(s, height, read[some], shot[some], strict=True)]
     for frame, width, V, rho in zip(some, s, *_told(ln_light[some], seen[some], np.array(noise)), strict=True):
         C2 = V / _of_profile(width, rho)
+        if smooth[frame]:
+            C2, rho = smoothed_speckle(C2, rho)
         # No speckle has more contrast than 1: that is a surface whose reflectance changes. And a grain that is seen
         # across the stripe as well is known better from there.
         if 0 < C2 < 1 and (speckle[frame] < C2 or not grain[frame]):
@@ -118,15 +123,15 @@ def widened_by_scatter(sigma: Lines, position: Lines, burnt: Bool[np.ndarray, "f
     whole = known[:, :-2] & known[:, 1:-1] & known[:, 2:]
     bends = np.abs(np.diff(np.where(known, position, 0.0), 2, axis=1))
     sigma = sigma.copy()
-    unread, ln_s = np.asarray(sensor.speckle)[: len(sigma)] == 0, np.asarray(sensor.ln_s)
-    for frame in np.flatnonzero(unread & (whole.sum(axis=1) >= _FEWEST)):
-        of = whole[frame]
-        by = np.quantile(bends[frame, of] / expected[frame, of], _USUAL) / _USUAL_OVER_SIGMA
-        usual = np.median(sigma[frame, known[frame]])
-        most = _MOST_OF_SPECKLE * np.exp(ln_s[frame] / 2)
-        if by > 1 + _SURE * _SCATTER_OF_SIGMA / np.sqrt(of.sum()) and by * usual < most:
-            missing = np.sqrt(by**2 - 1) * usual
-            sigma[frame, known[frame]] = np.hypot(sigma[frame, known[frame]], np.float32(missing))
+    unread, ln_s = np.asarray(sensor.speckle)[: len(sigma)] == 0, np.asarray(sensor.ln_s)[: len(sigma)]
+    few, most = np.maximum(whole.sum(axis=1), 1), _MOST_OF_SPECKLE * np.exp(ln_s / 2)
+    by = ranked(bends / np.maximum(expected, _TINY), whole, _USUAL) / _USUAL_OVER_SIGMA
+    usual = ranked(sigma, known, 0.5)
+    with np.errstate(invalid="ignore"):
+        needed = (by > 1 + _SURE * _SCATTER_OF_SIGMA / np.sqrt(few)) & (by * usual < most)
+    for frame in np.flatnonzero(unread & (few >= _FEWEST) & needed):
+        missing = np.sqrt(by[frame] ** 2 - 1) * usual[frame]
+        sigma[frame, known[frame]] = np.hypot(sigma[frame, known[frame]], np.float32(missing))
     return sigma
 
 
@@ -143,8 +148,7 @@ def _usual_difference(
 def _told(values: Lines, used: Bool[np.ndarray, "frames lines"], noise: Frames | None) -> tuple[Frames, Frames]:
     """V and ρ of each frame, n given or not; V is 0 where it is not needed to explain what is seen."""
     V, rho = np.zeros((2, len(values)))
-    gamma = np.array([[variogram(*of, int(k), _FEWEST) for k in _DISTANCES] for of in zip(values, used, strict=True)])
-    gamma = gamma.reshape(len(values), len(_DISTANCES))
+    gamma = np.stack([variogram(values, used, int(k), _FEWEST) for k in _DISTANCES], axis=1)
     few = np.maximum((used[:, _DISTANCES[-1] :] & used[:, : -_DISTANCES[-1]]).sum(axis=1), 1)
     far = gamma[:, len(_DISTANCES) // 2 :].mean(axis=1)
     sure = (gamma > 0).all(axis=1) & (far - gamma[:, 0] > _SURE * _SCATTER / np.sqrt(few) * far)
@@ -174,18 +178,19 @@ def _least_squares(
 
     Of each set of the surface's numbers that are not zero the solution is written down; the least possible one counts.
     """
-    best, need = np.zeros_like(by[:, 0]), np.full_like(by[:, 0], np.inf)
-    for chosen in product((False, True), repeat=surface.shape[-1]):
-        columns = surface[..., chosen]
-        turned = np.swapaxes(columns, 1, 2)
-        inverse = np.linalg.solve(turned @ columns, turned)
-        own, rest = (x - columns @ (inverse @ x) for x in (by, left))
-        V = np.maximum((own * rest).sum(axis=1), 0.0) / np.maximum((own**2).sum(axis=1), _TINY)
-        squares = ((rest - V[:, None] * own) ** 2).sum(axis=1)
-        possible = (inverse @ (left - V[:, None] * by) >= 0).all(axis=1)
-        better = possible & (squares < need)
-        best, need = np.where(better, V, best), np.where(better, squares, need)
-    return best, need
+    chosen = np.array(list(product((False, True), repeat=surface.shape[-1])))[:, None]
+    columns = surface * chosen[..., None, :]
+    turned = np.swapaxes(columns, 2, 3)
+    # A number that is not chosen is 0.
+    inverse = np.linalg.solve(turned @ columns + np.eye(chosen.shape[-1]) * ~chosen[..., None], turned)
+    own, rest = (x - columns @ (inverse @ x) for x in (by, left))
+    V = np.maximum((own * rest).sum(axis=2), 0.0) / np.maximum((own**2).sum(axis=2), _TINY)
+    squares = ((rest - V[:, :, None] * own) ** 2).sum(axis=2)
+    possible = (inverse @ (left - V[:, :, None] * by) >= 0).all(axis=2)
+    squares = np.where(possible, squares, np.inf)
+    best = squares.argmin(axis=0)[None]
+    V, need = (np.take_along_axis(x, best, axis=0)[0] for x in (V, squares))
+    return V, need
 
 
 def _of_profile(s: float, rho: float) -> float:

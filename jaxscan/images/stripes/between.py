@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.images.stripes.ranks import ranked
 from jaxscan.robust import NORMAL_MAD
 
 # Neighbours of one side, in lines: the next one may see both surfaces too. All show whether that side is even.
@@ -60,5 +61,4 @@ def widened_between(sigma: Lines, position: Lines, width: Lines) -> Lines:
 def _own_scatter(position: Lines) -> Float[np.ndarray, "frames"]:
     """The standard deviation of each frame's lines about their neighbours, by second differences; 0 of empty frames."""
     bends = np.abs(np.diff(position, 2, axis=1))
-    found = [np.median(each[known]) if (known := np.isfinite(each)).any() else 0.0 for each in bends]
-    return np.array(found, position.dtype) * NORMAL_MAD / np.float32(np.sqrt(6))
+    return np.nan_to_num(ranked(bends, np.isfinite(bends), 0.5)) * np.float32(NORMAL_MAD / np.sqrt(6))

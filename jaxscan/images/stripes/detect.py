@@ -46,6 +46,8 @@ FRAMES_AT_ONCE: Final = 16
 _SHORT, _NARROW, _WIDE = 8, 12, 40
 # Stripes of a standard deviation up to 1.7 px are within short windows, with some background.
 _SLIM_LN_PX = float(np.log(1.7))
+# Up to this one, a JPEG's error in the stripe's blocks is large beside what the stripe leaves of its own steepness.
+_SHARP_LN_PX = float(np.log(1.3))
 # A peak below this multiple of the least strength is measured again in a longer window.
 _FAINT = 2.0
 _LEAST_STRENGTH = 10.0
@@ -201,16 +203,25 @@ def _detect(
     smoothed = np.flatnonzero(correlation[: len(peak), 0])
     if len(smoothed):
         sensor = survey(*looking, correlation)
+    at_first, smooth = sensor, None
+    ln_s = np.asarray(sensor.ln_s) if detector == "likelihood" else np.full(len(correlation), np.inf)
+    slim = ln_s < _SLIM_LN_PX
+    blocky = (ln_s < _SHARP_LN_PX) & _keeps_blocks(sensor) & (correlation[:, 0] == 0)
+    if frames.dtype == np.uint8 and blocky.any():
+        smooth = blocky
+        sensor = survey(*looking, correlation if len(smoothed) else None, smooth)
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
-    slim_frames = np.asarray(sensor.ln_s)[:count] < (_SLIM_LN_PX if detector == "likelihood" else -np.inf)
+    slim_frames = slim[:count]
 
     def look(at: Places, half: int, model: Model, steps: int | None = None) -> Any:
         """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles again."""
         found = []
+        # An edge of reflectance is looked for in the pixels as they are.
+        here = sensor.of_pixels() if model == "edge" else sensor
         for group, count in _groups(*at, sizes=_GROUPS if model == "plain" else _GROUPS_AGAIN):
-            windows = gather_windows(images, background, sensor, *group, color, columns, half)
-            measured = measure(windows, sensor, group[0], detector, model, steps)
+            windows = gather_windows(images, background, here, *group, color, columns, half)
+            measured = measure(windows, here, group[0], detector, model, steps)
             found.append(jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measured))
         return found[0] if len(found) == 1 else jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
@@ -295,7 +306,7 @@ def _detect(
         misled &= broad
         if misled.any():
             stands[misled[:, None] & ~even] = np.iinfo(stands.dtype).min
-            sensor = with_grain(survey(*looking, correlation if len(smoothed) else None), *along)
+            sensor = with_grain(survey(*looking, correlation if len(smoothed) else None, smooth), *along)
             sensor = replace(sensor, ln_s=_whole_width(np.array(sensor.ln_s), measured.width, plain, misled))
             which = np.repeat(misled, peak.shape[1])
             again = looked_at(tuple(index[which] for index in (*everywhere[:2], peak.ravel())))
@@ -320,10 +331,14 @@ def _detect(
     sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
     sigma = widened_by_scatter(sigma, position, measured.burnt, sensor)
     sigma = widened_between(sigma, position, width)
-    seen_in = images, background, sensor, correlation, settings, short
+    seen_in = images, background, sensor.of_pixels(), correlation, settings, short
     sigma = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(_groups, sizes=_GROUPS))
     around = surroundings(sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
-    light = np.where(valid.any(axis=1, keepdims=True), light_of(sensor, color)[: len(valid)], np.float32(np.nan))
+    light = light_of(sensor, color)
+    if smooth is not None:
+        # The noise of pixels as they are, not of smoothed windows.
+        light = np.where(smooth[:, None], light_of(at_first, color), light)
+    light = np.where(valid.any(axis=1, keepdims=True), light[: len(valid)], np.float32(np.nan))
     return Stripe(
         position,
         sigma,
@@ -355,6 +370,12 @@ def _correlations(
         if told is not None:
             found[i] = told
     return found
+
+
+def _keeps_blocks(sensor: Sensor) -> Bool[np.ndarray, "most"]:
+    """In which frames a JPEG has left an error of its own in the blocks that the stripe crosses."""
+    blocks = np.asarray(sensor.blocks)
+    return blocks if sensor.detail is None else blocks | np.any([np.asarray(by) != 0 for by in sensor.detail], axis=0)
 
 
 def _whole_width(

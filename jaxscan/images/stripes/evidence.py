@@ -152,7 +152,7 @@ def _chance(
     h: Lines, known: Bool[np.ndarray, "frames lines"]
 ) -> tuple[Float[np.ndarray, "frames 1"], Float[np.ndarray, "frames 1"]]:
     """τ and v of each frame, by medians, which the ends of edges do not move."""
-    each = [[variogram(*line, k) for line in zip(h, known, strict=True)] for k in range(1, _GRAIN + 1)]
+    each = [variogram(h, known, k) for k in range(1, _GRAIN + 1)]
     *nearer, last = np.nan_to_num(each)[:, :, None]
     tau = 1 + 2 * sum(np.clip(1 - one / np.maximum(last, _TINY), 0.0, 1.0) for one in nearer)
     return np.asarray(tau), last

@@ -14,7 +14,7 @@ and R. Kalman's filter (1960) makes of a sequence of pixels its innovations over
 unit variance, in one pass along the window.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import jax
@@ -33,6 +33,8 @@ _MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
 _MODEL = 0.1
 # What each further number must explain at the least, in squares of standard deviations.
 _PRICE: Final = 4.0
+# A JPEG leaves this multiple of what lies beside the stripe in its tails, or more (variances).
+_OF_BLOCKS: Final = 1.5
 # Every Nth line serves to estimate the expected residuals of the others.
 _EXPECTED: Final = 2
 _TINY: Final = 1e-12
@@ -107,7 +109,8 @@ def innovations(
 class Chance(NamedTuple):
     """How a frame's pixels scatter: variance of the sensor's noise, shot noise, C² of the speckle, ρ.
 
-    Where a camera has smoothed its noise, `even` is 1 if it did so on the stripe too, 0 if not there.
+    Where a camera has smoothed its noise, `even` is 1 if it did so on the stripe too, 0 if not there. `blocks` is
+    whether more is left in the stripe's tails than lies beside it.
     """
 
     read2: Frames
@@ -115,6 +118,7 @@ class Chance(NamedTuple):
     speckle: Frames
     grain: Frames
     even: Frames
+    blocks: Bool[Array, "frames"]
 
 
 def chance(
@@ -127,6 +131,7 @@ def chance(
     read2: Frames,
     known: Bool[Array, "frames"],
     groups: int,
+    by_tails: Bool[Array, "frames"],
     correlation: Float[Array, "frames distances"] | None = None,
 ) -> Chance:
     """Noise and speckle of each frame, from what fits of its stripes leave.
@@ -149,6 +154,7 @@ def chance(
         read2: the variance of the sensor's noise; of frames that do not show it, the most that it can be.
         known: which do.
         groups: into how many groups of lines a frame is divided: of their sums what is usual is taken.
+        by_tails: in which frames read noise is that of the stripe's tails, where it is more than lies beside.
         correlation: of all noise of pixels 1, 2, … apart, where a camera has smoothed it; then no grain is looked for.
     """
     lags = range(1, _LAGS)
@@ -167,63 +173,38 @@ def chance(
         grouped = jnp.einsum("sfl,flg->sfg", jnp.stack(each), member)
         return ranks.usual(grouped / jnp.stack(number)[:, :, None])
 
-    def mean(each: list[PerLine], number: list[Frames]) -> Float[Array, "sums frames"]:
-        return jnp.stack(each).sum(-1) / (groups * jnp.stack(number))
-
-    def sums(regions: Sequence[Pixels], pairs: Sequence[tuple[Pixels, Pixels]]) -> list[PerLine]:
-        """Sums of products of pixels: in each region, and of those so far apart, everywhere."""
-        own = _total([a * b for a, b in pairs])
-        apart = [_total([a[:, lag:] * b[:, :-lag] + a[:, :-lag] * b[:, lag:] for a, b in pairs]) / 2 for lag in lags]
-        return [*((at * own).sum(1) for at in regions), *(x.sum(1) for x in apart)]
-
     read = (unit > 0).any(1)
     number = numbers(regions, unit, taken)
-    seen = usual(sums(regions, [(standard, standard)]), number)
+    own = [(at * standard**2).sum(1) for at in regions]
+    seen = usual([*own, *((standard[:, lag:] * standard[:, :-lag]).sum(1) for lag in lags)], number)
     # What is expected differs less from line to line than what is seen: some of the lines suffice.
     regions, taken = ([x[..., ::_EXPECTED] for x in each] for each in (regions, taken))
     unit, photons, light = (x[..., ::_EXPECTED] for x in (unit, photons, light))
-    expected, count = numbers(regions, unit, taken), len(taken)
-    again = {(i, k): sums(regions, [(taken[i], taken[k])]) for i in range(count) for k in range(i + 1)}
+    expected, projected = numbers(regions, unit, taken), _projected(regions, taken)
 
-    def left(direct: Sequence[PerLine | float], through: Callable[[Pixels], Pixels]) -> list[PerLine]:
-        """What is left of a covariance's sums, from its own sums and what it makes of Y."""
-        made = [through(y) for y in taken]
-        lost = sums(regions, list(zip(taken, made, strict=True)))
-        shared = {(i, k): (1 if i == k else 2) * (taken[i] * made[k]).sum(1) for i, k in again}
-        return [
-            one - 2 * two + sum((shared[pair] * again[pair][n] for pair in again), start=jnp.zeros(()))
-            for n, (one, two) in enumerate(zip(direct, lost, strict=True))
-        ]
+    def left(root: Pixels, apart: int) -> Float[Array, "sums frames"]:
+        """What is left of noise whose pixels so far apart are alike: of each line, to the mean."""
+        size = root.shape[1] - apart
+        covariance = (2 if apart else 1) * root[:, apart:] * root[:, :size]
+        return (projected[apart] * covariance[None]).sum((2, 3)) / (groups * jnp.stack(expected))
 
-    def independent(v: Pixels) -> list[PerLine]:
-        return left([*((at * v).sum(1) for at in regions), *[0.0] * len(lags)], lambda y: v * y)
-
-    def alike(root: Pixels, apart: int) -> list[PerLine]:
-        direct = [(root[:, apart:] * root[:, :-apart]).sum(1) if lag == apart else 0.0 for lag in lags]
-        return left([*[0.0] * len(regions), *direct], lambda y: root * _both_ways(root * y, apart))
-
-    def smoothed(root: Pixels, by: Float[Array, "frames distances"]) -> list[PerLine]:
-        near = [(1 + j, by[:, j, None, None]) for j in range(by.shape[1])]
-        direct = [(by[:, lag - 1, None, None] * root[:, lag:] * root[:, :-lag]).sum(1) for lag in lags]
-        return left(
-            [*((at * root**2).sum(1) for at in regions), *direct],
-            lambda y: root * (root * y + sum(rho * _both_ways(root * y, apart) for apart, rho in near)),
-        )
-
-    by_read, by_photons, *by_distance = (mean(independent(v), expected) for v in (unit, photons, light**2))
+    roots = jnp.sqrt(unit), jnp.sqrt(photons), light
+    by_read, by_photons, *by_distance = (left(root, 0) for root in roots)
     if correlation is None:
         rho = jnp.linspace(0.0, _MOST, _STEPS)
         priced = jnp.where(rho > 0, 1.0, 0.0)
-        by_distance += [mean(alike(light, apart), expected) for apart in range(1, _DISTANCES)]
+        by_distance += [left(light, apart) for apart in range(1, _DISTANCES)]
         powers = rho[None] ** (jnp.arange(_DISTANCES)[:, None] ** 2)
         by_speckle, by_photons = jnp.einsum("jg,jsf->sgf", powers, jnp.stack(by_distance)), by_photons[:, None]
     else:
         # The stripe's own noise is smoothed like that beside it, or, by a filter that keeps edges, it is not.
         rho, priced = jnp.zeros(2), jnp.arange(2.0)
-        by_read, *even = (mean(smoothed(v, correlation), expected) for v in (jnp.sqrt(unit), jnp.sqrt(photons), light))
-        by_photons, by_speckle = (
-            jnp.stack(each, axis=1) for each in zip(even, (by_photons, *by_distance), strict=True)
+        white = by_read, by_photons, *by_distance
+        by_read, *even = (
+            own + sum(correlation[None, :, apart - 1] * left(root, apart) for apart in range(1, _DISTANCES))
+            for own, root in zip(white, roots, strict=True)
         )
+        by_photons, by_speckle = (jnp.stack(each, axis=1) for each in zip(even, white[1:], strict=True))
     # How well each is known: z² of variance v scatters by 2 v², the product of two such numbers by v².
     own = [v**2 for v in seen[: len(regions)]]
     product = jnp.stack([n * v for n, v in zip(number, own, strict=False)]).sum(0) / number[-1]
@@ -233,11 +214,16 @@ def chance(
     weight = jnp.stack([1 / jnp.maximum(v * part, _TINY) for v, part in zip(scatter, within, strict=True)])
     equations = seen[:, None], weight[:, None], by_read[:, None], by_photons, by_speckle
     found = _least(*equations, rho, priced, read2, known)
+    free = _least(*equations, rho, priced, read2, jnp.zeros_like(known))
+    blocks = known & (free.read2 > _OF_BLOCKS * read2)
+    more = blocks & by_tails
+    found = Chance(*(jnp.where(more, one, other) for one, other in zip(free, found, strict=True)))
     # What goes on as far as the list does is no speckle, but a profile that is not the model's.
     sure = found.grain < _MOST_SURE
     found = found._replace(speckle=jnp.where(sure, found.speckle, 0.0), grain=jnp.where(sure, found.grain, 0.0))
     # More than what is seen beside the stripe no sensor makes.
-    return found._replace(read2=jnp.where(known | ~(found.read2 > 0), read2, jnp.minimum(found.read2, read2)))
+    own = jnp.where(more, found.read2, jnp.minimum(found.read2, read2))
+    return found._replace(read2=jnp.where((known & ~more) | ~(found.read2 > 0), read2, own), blocks=blocks)
 
 
 def _least(
@@ -296,11 +282,35 @@ def _least(
         chosen = jnp.broadcast_to(jnp.minimum(at, by.shape[1] - 1)[None], (len(whole), *at.shape))
         left -= number[None, None] * jnp.take_along_axis(by, chosen, axis=1)
     own = (dot(by_read, left) / dot(by_read, by_read))[0]
-    return Chance(own, shot, speckle, grain, jnp.where(at[0] == 0, 1.0, 0.0))
+    return Chance(own, shot, speckle, grain, jnp.where(at[0] == 0, 1.0, 0.0), jnp.zeros_like(known))
 
 
-def _total(parts: list[Pixels]) -> Pixels:
-    return sum(parts[1:], start=parts[0])
+def _projected(regions: Sequence[Pixels], taken: Sequence[Pixels]) -> list[Float[Array, "sums frames pixels lines"]]:
+    """Diagonals of N = (I − Y Yᵀ) M (I − Y Yᵀ), M what takes one of the sums, zᵀ M z; of pixels 0, 1, … apart.
+
+    Then E zᵀ M z = tr(N C), C = W^½ V W^½. With S = M Y − Y (Yᵀ M Y) / 2,
+
+        N = M − Y Sᵀ − S Yᵀ
+    """
+    size, lags = taken[0].shape[1], range(1, _LAGS)
+    made = [jnp.stack([*(at * y for at in regions), *(_both_ways(y, lag) / 2 for lag in lags)]) for y in taken]
+    Y = [y[None] for y in taken]
+    shared = [[(one * y).sum(2, keepdims=True) for y in Y] for one in made]
+    S = [one - _dot(row, Y) / 2 for one, row in zip(made, shared, strict=True)]
+    diagonals = []
+    for apart in range(_DISTANCES):
+        near, far = slice(0, size - apart), slice(apart, size)
+        lost = _dot([y[:, :, near] for y in Y], [s[:, :, far] for s in S])
+        lost += _dot([y[:, :, far] for y in Y], [s[:, :, near] for s in S])
+        of_regions = [at if apart == 0 else jnp.zeros_like(lost[0]) for at in regions]
+        of_pairs = [jnp.full_like(lost[0], 0.5 if lag == apart else 0.0) for lag in lags]
+        diagonals.append(jnp.stack([*of_regions, *of_pairs]) - lost)
+    return diagonals
+
+
+def _dot(one: Sequence[Array], other: Sequence[Array]) -> Array:
+    first, *rest = (a * b for a, b in zip(one, other, strict=True))
+    return sum(rest, start=first)
 
 
 def _both_ways(values: Pixels, apart: int) -> Pixels:

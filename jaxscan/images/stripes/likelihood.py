@@ -21,6 +21,7 @@ Cholesky factor, c being last, is 1 / σ_c with the other three unknown.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -148,13 +149,13 @@ def likelihood(
     scatter = (FREEDOM_OF_NOISE + squares) / (FREEDOM_OF_NOISE + freedom)
     sigma = jnp.sqrt(scatter) / found.inverse_sigma
     profile = found.profile
-    s = jnp.exp(profile.ln_s)
     within = (profile.centre > outline.start) & (profile.centre < outline.end)
     # The shot noise is itself taken from residuals, so it is not asked here.
     usual = sensor.read**2 + (_USUAL_MISFIT * (outline.top - outline.floor)) ** 2
     squares = (found.residual**2).sum(1, keepdims=True)
     strained = squares > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
-    estimate = Estimate(profile.centre, sigma, FWHM * s, jnp.isfinite(sigma) & within)
+    width = FWHM * jnp.exp(windows.as_it_is(profile.ln_s))
+    estimate = Estimate(profile.centre, sigma, width, jnp.isfinite(sigma) & within)
     light, settled = profile.ln_height + profile.ln_s, found.moved_by < _ARRIVED
     return estimate, Misfit(strained, *_hermite(profile, found.residual), light, settled)
 
@@ -189,6 +190,7 @@ def fit(
         further_px: how much further out than usual pixels are used.
         grain_steps: how many steps follow with pixels whose speckle is correlated.
     """
+    sensor = replace(sensor, ln_s=windows.as_seen(sensor.ln_s))
     start = first_guess(windows, outline, sensor, censored)
     reach = outline.width / 2 + REACH * jnp.exp(start.ln_s) + REACH_PX + further_px
     # A dark grain splits a stripe, so that its outline shows little. And the light's tails determine the centre as

@@ -25,6 +25,7 @@ laser's own channel, the channel at full resolution is
     l + (g / q − 1) (Y − S Y)
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
@@ -53,6 +54,8 @@ FULL_OF_LUMA: Final = 0.9
 # Chroma is at half resolution where its third differences within pairs are at most this multiple of pure rounding, and
 # those across pairs are this multiple of those within; decided from at least this number of pairs.
 _OF_ROUNDING, _ACROSS, _TOLD_BY = 1.5, 3.0, 100
+# Chroma's part of its usual share of noise, below which it is dull.
+_DULL: Final = 0.4
 # Of light that is whiter than this, in parts of the laser's own channel, the colour does not show.
 _MOST_WHITE: Final = 0.3
 # What red, green and blue take of chroma, Cb and Cr; and how far that is off beside a stripe, grey levels.
@@ -207,6 +210,29 @@ def has_half_chroma(
     rounding = 20 * _ROUNDING * rounded
     told = jnp.minimum(count, others) >= _TOLD_BY
     return told & (inside < _OF_ROUNDING * rounding) & (across > _ACROSS * inside)
+
+
+def dull_chroma(levels: Sequence[Array], color: str) -> Bool[Array, "frames"]:
+    """Whether colours have much less noise than luma has, as a JPEG leaves them where nothing is to be seen.
+
+    Noise of a sensor's own pixels is as strong in each channel: then the differences of the three from luma have 5.2
+    times the variance of luma. It is read from second differences, in which a smooth texture does not show.
+
+    Args:
+        levels: the three channels of pixels beside the stripe, or one of a grey photograph, in which nothing shows it.
+        color: of the laser.
+    """
+    if color == "grey":
+        return jnp.zeros(len(levels[0]), bool)
+
+    def power(x: Array) -> Float[Array, "frames"]:
+        return (jnp.diff(x.astype(jnp.float32), 2, axis=1) ** 2).mean((1, 2))
+
+    own = _luma_weights(color)
+    Y = _luma(tuple(levels), own)
+    squares = sum(w * w for w in own)
+    usual = sum(1 - 2 * w + squares for w in own) / squares
+    return jnp.stack([power(x - Y) for x in levels]).sum(0) < _DULL * usual * power(Y)
 
 
 def detail_of(

@@ -28,7 +28,7 @@ DISTANCES: Final = 4
 # Noise is white below this correlation of neighbours.
 LEAST: Final = 0.15
 # About this number of stretches of a photograph are looked at.
-_MOST_LOOKED_AT = 1024
+_MOST_LOOKED_AT = 512
 # Two blocks of a JPEG make a stretch.
 _BLOCK: Final = 8
 # A stretch is this far away from the stripe, px; its trend is a parabola.

@@ -24,6 +24,7 @@ from jaxscan.images.stripes.response import (
     channels,
     detail_of,
     detailed,
+    dull_chroma,
     has_half_chroma,
     luma_error,
     noise_gain,
@@ -40,6 +41,7 @@ from jaxscan.images.stripes.windows import (
     first_pixel,
     gather_pixels,
     outline,
+    smoothed,
 )
 from jaxscan.robust import NORMAL_MAD
 
@@ -99,6 +101,7 @@ def survey(
     half: int,
     most: int,
     correlation: Float[np.ndarray, "most distances"] | None = None,
+    smooth: Bool[np.ndarray, "most"] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor.
 
@@ -115,6 +118,7 @@ def survey(
             no number of frames is compiled again.
         correlation: of each frame's noise, from `noise_correlation`; 0 of frames whose noise is white, None
             where all are such.
+        smooth: in which frames windows are smoothed; None where in none.
     """
     of = np.minimum(np.arange(most, dtype=np.int32), len(peak) - 1)
     line = _lines_with_a_stripe(stands)[of]
@@ -126,9 +130,8 @@ def survey(
     first = first_pixel(images, jnp.asarray(row), columns, half)
     # Merged exposures have 16 bits, and their own rounding.
     chroma = None if color == "grey" or lit.dtype != jnp.uint8 else has_half_chroma(lit, first, color)
-    if chroma is None or not np.asarray(chroma).any():
-        return survey_windows(lit, dark, ambient, color, correlation=correlation)
-    return survey_windows(lit, dark, ambient, color, chroma=(chroma, first), correlation=correlation)
+    by = None if chroma is None or not np.asarray(chroma).any() else (chroma, first)
+    return survey_windows(lit, dark, ambient, color, chroma=by, correlation=correlation, smooth=smooth)
 
 
 def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames some"]:
@@ -155,6 +158,7 @@ def survey_windows(
     gain: Pixels | None = None,
     chroma: tuple[Bool[Array, "frames"], Places] | None = None,
     correlation: Float[Array, "frames distances"] | None = None,
+    smooth: Bool[Array, "frames"] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor in some of its windows.
 
@@ -166,6 +170,7 @@ def survey_windows(
         gain: as that of `Windows`; the noise is that of single pixels.
         chroma: whether each frame's colours are at half resolution, and the windows' first pixels; None where none are.
         correlation: as that of `survey`.
+        smooth: as that of `survey`.
     """
     levels = channels(lit, dark, color)
     laser = numbers(lit, color)
@@ -182,6 +187,9 @@ def survey_windows(
     plain = response(levels, NEUTRAL, ambient[:, None, None])
     weights = (one, one) if color == "grey" else _weights(levels, plain, burnt, half, color)
     r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
+    added = None
+    if smooth is not None:
+        r, added = smoothed(r, smooth[:, None, None] & ~burnt.any(1, keepdims=True))
     # Of a colour its own light counts twice; in luma a channel's light counts for its part of it.
     in_luma = color == "grey" and levels[0].ndim < lit.ndim
     span = full.astype(jnp.float32) * (_part_of_luma(laser, r, burnt) if in_luma else 1 if color == "grey" else 2)
@@ -196,10 +204,27 @@ def survey_windows(
     zero = jnp.zeros_like(one)
     unknown, white = _UNKNOWN * one, jnp.ones(len(lit), bool)
     sensor = Sensor(
-        weights, ambient, full, span, ground, read, zero, zero, zero, zero, unknown, _beside(r), zero, white, detail
+        weights,
+        ambient,
+        full,
+        span,
+        ground,
+        read,
+        zero,
+        zero,
+        zero,
+        zero,
+        unknown,
+        _beside(r),
+        zero,
+        white,
+        ~white,
+        detail,
+        smooth,
     )
+    dull = dull_chroma([jnp.concatenate([x[:, :_FLANK], x[:, -_FLANK:]], 2) for x in levels], color)
     around = outline(r)
-    windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain)
+    windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added)
     # With no idea of the noise some lines will do.
     some, about = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
     first = _look(some, about, sensor, read, correlation, roughly=True)
@@ -213,7 +238,8 @@ def survey_windows(
         return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].speckle > ROUGH).any())
 
     start = jnp.asarray(0), first
-    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1]
+    found = jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1]
+    return replace(found, blocks=found.blocks & dull)
 
 
 def _look(
@@ -227,12 +253,12 @@ def _look(
     """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
     found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
     known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
-    ln_s = jnp.where(known, found.profile.ln_s[:, 0], jnp.nan)
+    ln_s = jnp.where(known, windows.as_it_is(found.profile.ln_s)[:, 0], jnp.nan)
     usual = median(ln_s)
     spread = jnp.maximum(NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
-    light, apart = _chance(found, windows, around, shines, read, sensor.span, sensor.apart, correlation, roughly)
+    light, apart = _chance(found, windows, around, shines, read, sensor, correlation, roughly)
     return replace(
         sensor,
         read=jnp.sqrt(light.read2),
@@ -240,6 +266,7 @@ def _look(
         speckle=light.speckle,
         grain=light.grain,
         even=light.even,
+        blocks=light.blocks,
         ln_s=jnp.where(known.any(1), usual, 0.0),
         ln_s_spread=jnp.where(known.any(1), spread, _UNKNOWN),
         apart=apart,
@@ -344,8 +371,7 @@ def _chance(
     around: Outline,
     shines: Bool[Array, "frames lines"],
     ground: Float[Array, "frames"],
-    span: Float[Array, "frames"],
-    apart: Bool[Array, "frames"],
+    sensor: Sensor,
     correlation: Float[Array, "frames distances"] | None,
     roughly: bool,
 ) -> tuple[Chance, Bool[Array, "frames"]]:
@@ -363,8 +389,7 @@ def _chance(
         around: its outline.
         shines: which lines have a stripe.
         ground: σ at the ends of the windows.
-        span: the response of a full pixel, without light in the other channels.
-        apart: in which frames the stripes have left nothing in common so far.
+        sensor: what is known of it so far.
         correlation: as that of `survey`.
         roughly: whether speckle of single pixels will do, as weights of a next fit.
     """
@@ -379,7 +404,7 @@ def _chance(
     every = jnp.where((shines & usable)[:, None], jnp.sqrt(found.weight), 0.0)
     every = every / jnp.sqrt(jnp.maximum(left, usual))[:, None]
     share = _share_in_common(every * found.residual, every * peak, found.profile.centre)
-    apart &= share < _MOST_COMMON
+    apart = sensor.apart & (share < _MOST_COMMON)
     burnt = ~enough[:, None, None]
     read = (fair & usable & (enough | apart)[:, None])[:, None]
     root = jnp.where(read, jnp.sqrt(found.weight), 0.0)
@@ -389,14 +414,14 @@ def _chance(
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
     taken = [root * y for y in _taken(found)]
     # Where speckle may fill a pixel, only its lesser values are left to be seen.
-    shown = jnp.where(burnt & (height > _MAY_FILL * span[:, None, None]), 0.0, 1.0)
+    shown = jnp.where(burnt & (height > _MAY_FILL * sensor.span[:, None, None]), 0.0, 1.0)
     if roughly:
         # Of a projection's trace: what a fit takes of independent pixels, all together.
         rest = square - square * sum(y * y for y in taken)
         rest *= shown
         speckle = _quotient(shown * standard**2 - rest * ground[:, None, None] ** 2, rest * height**2)
         zero = jnp.zeros_like(ground)
-        return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero, zero), apart
+        return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero, zero, sensor.blocks), apart
     core, tail = (jnp.where(where, shown, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     light = chance(
@@ -410,6 +435,7 @@ def _chance(
         read2=ground**2,
         known=clear,
         groups=_GROUPS,
+        by_tails=jnp.zeros_like(apart) if sensor.smooth is None else sensor.smooth,
         correlation=correlation,
     )
     # A profile that is not the model's is off over several pixels, as grains are.

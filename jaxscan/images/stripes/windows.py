@@ -5,6 +5,7 @@ the first, so a detector is written for all lines of all frames at once. What is
 (groups, 1, lines).
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
@@ -13,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
+from jaxscan.geometry.rotation import A
 from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channels, detailed, numbers, response
 
 Pixels = Float[Array, "groups window lines"]
@@ -23,6 +25,12 @@ Places = Int[Array, "groups lines"]
 _SMOOTHING_FWHM2 = 5.545
 _LEAST_WIDTH_PX: Final = 1.0
 _SMOOTHING = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
+# The least variance of a stripe, px².
+_LEAST_S2: Final = 0.01
+# What `smoothed` adds to the variance of a stripe, px².
+_ADDED_PX2: Final = 0.5
+# What it leaves of the variance of independent pixels; of what those 1, 2 pixels apart share it leaves the rest twice.
+_LESS_NOISE, _SHARED, _SHARED_FAR = 6 / 16, 4 / 16, 1 / 16
 
 
 class Bump(eqx.Module):
@@ -80,7 +88,10 @@ class Sensor(eqx.Module):
         even: of noise that is alike in neighbouring pixels beside the stripe, 1 if it is so on the stripe, 0 if not.
         apart: whether what the plain profile leaves in the lines has nothing in common, as chance leaves it, or has a
             shape: that of a laser that is no bell, of a halo, or of what a camera sharpens.
+        blocks: whether more is left in the stripe's tails than lies beside it: a JPEG keeps an error of its own in each
+            block that a stripe crosses.
         detail: how far L, M and N gain by luma's detail; None where the colours of all frames are at full resolution.
+        smooth: in which frames windows are smoothed; None where in none.
     """
 
     weights: tuple[Float[Array, "*of"], Float[Array, "*of"]]
@@ -97,11 +108,20 @@ class Sensor(eqx.Module):
     beside: Float[Array, "*of"]
     even: Float[Array, "*of"]
     apart: Bool[Array, "*of"]
+    blocks: Bool[Array, "*of"]
     detail: tuple[Float[Array, "*of"], ...] | None = None
+    smooth: Bool[Array, "*of"] | None = None
 
     def of(self, frame: Places) -> "Sensor":
         """The numbers of each line's frame, as (groups, 1, lines)."""
         return jax.tree.map(lambda x: x[frame][:, None], self)
+
+    def of_pixels(self) -> "Sensor":
+        """With the noise of single pixels in frames whose windows are smoothed, which are smoothed no more."""
+        if self.smooth is None:
+            return self
+        by = jnp.where(self.smooth, _LESS_NOISE, 1.0)
+        return replace(self, read=self.read / jnp.sqrt(by), shot=self.shot / by, smooth=None)
 
 
 class Windows(eqx.Module):
@@ -113,6 +133,7 @@ class Windows(eqx.Module):
         full: whether the laser's channel was full there: then r is a lower bound.
         first: the row (or column) of the window's first pixel.
         gain: variance of the noise of r over that of a pixel, where r is interpolated; None where it is not.
+        added: what smoothing has added to the variance of each line's stripe, px²; None where none is smoothed.
     """
 
     response: Pixels
@@ -120,6 +141,17 @@ class Windows(eqx.Module):
     full: Bool[Array, "groups window lines"]
     first: Places
     gain: Pixels | None = None
+    added: Lines | None = None
+
+    def as_seen(self, ln_s: Lines) -> Lines:
+        """The logarithm of a stripe's standard deviation with what smoothing adds to it."""
+        return ln_s if self.added is None else 0.5 * jnp.log(jnp.exp(2 * ln_s) + self.added)
+
+    def as_it_is(self, ln_s: Lines) -> Lines:
+        """The logarithm of its standard deviation without."""
+        if self.added is None:
+            return ln_s
+        return 0.5 * jnp.log(jnp.maximum(jnp.exp(2 * ln_s) - self.added, _LEAST_S2))
 
     def variance(self, height: Pixels, sensor: Sensor) -> Pixels:
         """The noise of pixels that stand so high above the background."""
@@ -186,12 +218,37 @@ def gather_windows(
     if here.detail is not None:
         laser = detailed(channels(lit, None, color), first, here.detail, color)[0]
         levels = detailed(levels, first, here.detail, color)
-    return Windows(
-        response(levels, here.weights, here.ambient),
-        None if color == "grey" else response(levels, NEUTRAL, here.ambient),
-        laser >= here.full.astype(laser.dtype),
-        first,
-    )
+    r, full = response(levels, here.weights, here.ambient), laser >= here.full.astype(laser.dtype)
+    r, added = (r, None) if here.smooth is None else smoothed(r, here.smooth & ~full.any(1, keepdims=True))
+    return Windows(r, None if color == "grey" else response(levels, NEUTRAL, here.ambient), full, first, added=added)
+
+
+def smoothed(r: Pixels, which: Bool[Array, "groups 1 lines"]) -> tuple[Pixels, Lines]:
+    """The response smoothed by (1 2 1) / 4 in some lines, and what this adds to the variance of their stripes, px².
+
+    What a JPEG of full colour resolution leaves beside the truth is larger the higher the frequency: its tables of
+    quantisation (ITU-T T.81, annex K) take steps ten times as long there. A fit that takes pixels for independent then
+    reads the centre from the flanks' steepest pixels, where the error is. Smoothed, they are nearly independent.
+    """
+    padded = jnp.pad(r, [(0, 0), (1, 1), (0, 0)], mode="edge")
+    soft = (padded[:, :-2] + 2 * r + padded[:, 2:]) / 4
+    return jnp.where(which, soft, r), jnp.where(which, _ADDED_PX2, 0.0)
+
+
+def smoothed_speckle(speckle: A, grain: A) -> tuple[A, A]:
+    """Squared contrast of speckle, and correlation of neighbours, once windows are smoothed.
+
+    Args:
+        speckle: squared contrast.
+        grain: correlation ρ of neighbours; of pixels k apart it is ρ^(k²).
+    """
+    shared = [
+        _LESS_NOISE * grain ** (k * k)
+        + _SHARED * (grain ** ((k - 1) ** 2) + grain ** ((k + 1) ** 2))
+        + _SHARED_FAR * (grain ** ((k - 2) ** 2) + grain ** ((k + 2) ** 2))
+        for k in (0, 1)
+    ]
+    return speckle * shared[0], shared[1] / shared[0]
 
 
 def bump(r: Pixels) -> Bump:
