@@ -57,8 +57,7 @@ def with_grain(sensor: Sensor, ln_light: Lines, seen: Bool[np.ndarray, "frames l
         seen: which lines have a whole stripe that is not burnt out.
     """
     speckle, grain = (np.array(x) for x in (sensor.speckle, sensor.grain))
-    of_pixels = sensor.of_pixels()
-    ln_s, read, shot = (np.asarray(x) for x in (sensor.ln_s, of_pixels.read, of_pixels.shot))
+    ln_s, read, shot = (np.asarray(x) for x in (sensor.ln_s, sensor.read, sensor.shot))
     smooth = np.zeros(len(ln_s), bool) if sensor.smooth is None else np.asarray(sensor.smooth)
     ln_light = np.where(seen, ln_light, 0.0)
     near, far = (_usual_difference(ln_light, seen, int(k)) for k in _DISTANCES[[0, -1]])

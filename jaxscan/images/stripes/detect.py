@@ -48,6 +48,9 @@ _SHORT, _NARROW, _WIDE = 8, 12, 40
 _SLIM_LN_PX = float(np.log(1.7))
 # Up to this one, a JPEG's error in the stripe's blocks is large beside what the stripe leaves of its own steepness.
 _SHARP_LN_PX = float(np.log(1.3))
+# What a JPEG leaves is alike over several pixels of a block, and hides speckle: σ is larger by this factor than that of
+# independent pixels. It is the usual one of drawn stripes and photographs of a cup, with speckle and without (1 to 3).
+_BLOCKS_ALIKE = 1.8
 # A peak below this multiple of the least strength is measured again in a longer window.
 _FAINT = 2.0
 _LEAST_STRENGTH = 10.0
@@ -218,7 +221,7 @@ def _detect(
         """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles again."""
         found = []
         # An edge of reflectance is looked for in the pixels as they are.
-        here = sensor.of_pixels() if model == "edge" else sensor
+        here = replace(sensor, smooth=None) if model == "edge" else sensor
         for group, count in _groups(*at, sizes=_GROUPS if model == "plain" else _GROUPS_AGAIN):
             windows = gather_windows(images, background, here, *group, color, columns, half)
             measured = measure(windows, here, group[0], detector, model, steps)
@@ -331,7 +334,9 @@ def _detect(
     sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
     sigma = widened_by_scatter(sigma, position, measured.burnt, sensor)
     sigma = widened_between(sigma, position, width)
-    seen_in = images, background, sensor.of_pixels(), correlation, settings, short
+    if smooth is not None:
+        sigma[smooth[: len(sigma)]] *= np.float32(_BLOCKS_ALIKE)
+    seen_in = images, background, sensor, correlation, settings, short
     sigma = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(_groups, sizes=_GROUPS))
     around = surroundings(sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
     light = light_of(sensor, color)

@@ -55,7 +55,9 @@ FULL_OF_LUMA: Final = 0.9
 # those across pairs are this multiple of those within; decided from at least this number of pairs.
 _OF_ROUNDING, _ACROSS, _TOLD_BY = 1.5, 3.0, 100
 # Chroma's part of its usual share of noise, below which it is dull.
-_DULL: Final = 0.4
+_DULL: Final = 0.7
+# Noise of no more than this multiple of rounding's is none.
+_SILENT: Final = 2.5
 # Of light that is whiter than this, in parts of the laser's own channel, the colour does not show.
 _MOST_WHITE: Final = 0.3
 # What red, green and blue take of chroma, Cb and Cr; and how far that is off beside a stripe, grey levels.
@@ -212,8 +214,8 @@ def has_half_chroma(
     return told & (inside < _OF_ROUNDING * rounding) & (across > _ACROSS * inside)
 
 
-def dull_chroma(levels: Sequence[Array], color: str) -> Bool[Array, "frames"]:
-    """Whether colours have much less noise than luma has, as a JPEG leaves them where nothing is to be seen.
+def jpeg_noise(levels: Sequence[Array], color: str) -> Bool[Array, "frames"]:
+    """Whether noise is as a JPEG leaves it where nothing is to be seen: of colours less than of luma, or none.
 
     Noise of a sensor's own pixels is as strong in each channel: then the differences of the three from luma have 5.2
     times the variance of luma. It is read from second differences, in which a smooth texture does not show.
@@ -232,7 +234,10 @@ def dull_chroma(levels: Sequence[Array], color: str) -> Bool[Array, "frames"]:
     Y = _luma(tuple(levels), own)
     squares = sum(w * w for w in own)
     usual = sum(1 - 2 * w + squares for w in own) / squares
-    return jnp.stack([power(x - Y) for x in levels]).sum(0) < _DULL * usual * power(Y)
+    dull = jnp.stack([power(x - Y) for x in levels]).sum(0) < _DULL * usual * power(Y)
+    # 6 = 1 + 4 + 1.
+    silent = jnp.stack([power(x) for x in levels]).mean(0) < _SILENT * 6 * _ROUNDING
+    return dull | silent
 
 
 def detail_of(

@@ -24,8 +24,8 @@ from jaxscan.images.stripes.response import (
     channels,
     detail_of,
     detailed,
-    dull_chroma,
     has_half_chroma,
+    jpeg_noise,
     luma_error,
     noise_gain,
     numbers,
@@ -187,14 +187,13 @@ def survey_windows(
     plain = response(levels, NEUTRAL, ambient[:, None, None])
     weights = (one, one) if color == "grey" else _weights(levels, plain, burnt, half, color)
     r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
-    added = None
+    added, ground = None, _ground(plain, burnt, gain)
     if smooth is not None:
-        r, added = smoothed(r, smooth[:, None, None] & ~burnt.any(1, keepdims=True))
+        r, gain, added = smoothed(r, smooth[:, None, None] & ~burnt.any(1, keepdims=True))
     # Of a colour its own light counts twice; in luma a channel's light counts for its part of it.
     in_luma = color == "grey" and levels[0].ndim < lit.ndim
     span = full.astype(jnp.float32) * (_part_of_luma(laser, r, burnt) if in_luma else 1 if color == "grey" else 2)
     rounding = _ROUNDING * noise_gain(weights, color)
-    ground = _ground(plain, burnt, gain)
     if half is not None and detail is not None:
         rounding = jnp.hypot(rounding, luma_error(detail, half, weights))
     noise = _ground(r, burnt, gain)
@@ -222,7 +221,7 @@ def survey_windows(
         detail,
         smooth,
     )
-    dull = dull_chroma([jnp.concatenate([x[:, :_FLANK], x[:, -_FLANK:]], 2) for x in levels], color)
+    a_jpegs = jpeg_noise([jnp.concatenate([x[:, :_FLANK], x[:, -_FLANK:]], 2) for x in levels], color)
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added)
     # With no idea of the noise some lines will do.
@@ -239,7 +238,7 @@ def survey_windows(
 
     start = jnp.asarray(0), first
     found = jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1]
-    return replace(found, blocks=found.blocks & dull)
+    return replace(found, blocks=found.blocks & a_jpegs)
 
 
 def _look(

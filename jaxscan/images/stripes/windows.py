@@ -5,7 +5,6 @@ the first, so a detector is written for all lines of all frames at once. What is
 (groups, 1, lines).
 """
 
-from dataclasses import replace
 from functools import partial
 from typing import Final
 
@@ -29,8 +28,8 @@ _SMOOTHING = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 _LEAST_S2: Final = 0.01
 # What `smoothed` adds to the variance of a stripe, px².
 _ADDED_PX2: Final = 0.5
-# What it leaves of the variance of independent pixels; of what those 1, 2 pixels apart share it leaves the rest twice.
-_LESS_NOISE, _SHARED, _SHARED_FAR = 6 / 16, 4 / 16, 1 / 16
+# What it leaves of the variance of independent pixels, and what pixels 1 and 2 apart then share of it.
+_SOFT_GAIN, _SHARED, _SHARED_FAR = 6 / 16, 4 / 16, 1 / 16
 
 
 class Bump(eqx.Module):
@@ -116,13 +115,6 @@ class Sensor(eqx.Module):
         """The numbers of each line's frame, as (groups, 1, lines)."""
         return jax.tree.map(lambda x: x[frame][:, None], self)
 
-    def of_pixels(self) -> "Sensor":
-        """With the noise of single pixels in frames whose windows are smoothed, which are smoothed no more."""
-        if self.smooth is None:
-            return self
-        by = jnp.where(self.smooth, _LESS_NOISE, 1.0)
-        return replace(self, read=self.read / jnp.sqrt(by), shot=self.shot / by, smooth=None)
-
 
 class Windows(eqx.Module):
     """The response in windows, one for each line: a column of the image, or a row.
@@ -132,7 +124,7 @@ class Windows(eqx.Module):
         neutral: the response in which neutral light cancels; None where there are no colours.
         full: whether the laser's channel was full there: then r is a lower bound.
         first: the row (or column) of the window's first pixel.
-        gain: variance of the noise of r over that of a pixel, where r is interpolated; None where it is not.
+        gain: variance of the noise of r over that of a pixel, where r is interpolated or smoothed; None where neither.
         added: what smoothing has added to the variance of each line's stripe, px²; None where none is smoothed.
     """
 
@@ -219,12 +211,14 @@ def gather_windows(
         laser = detailed(channels(lit, None, color), first, here.detail, color)[0]
         levels = detailed(levels, first, here.detail, color)
     r, full = response(levels, here.weights, here.ambient), laser >= here.full.astype(laser.dtype)
-    r, added = (r, None) if here.smooth is None else smoothed(r, here.smooth & ~full.any(1, keepdims=True))
-    return Windows(r, None if color == "grey" else response(levels, NEUTRAL, here.ambient), full, first, added=added)
+    gain = added = None
+    if here.smooth is not None:
+        r, gain, added = smoothed(r, here.smooth & ~full.any(1, keepdims=True))
+    return Windows(r, None if color == "grey" else response(levels, NEUTRAL, here.ambient), full, first, gain, added)
 
 
-def smoothed(r: Pixels, which: Bool[Array, "groups 1 lines"]) -> tuple[Pixels, Lines]:
-    """The response smoothed by (1 2 1) / 4 in some lines, and what this adds to the variance of their stripes, px².
+def smoothed(r: Pixels, which: Bool[Array, "groups 1 lines"]) -> tuple[Pixels, Pixels, Lines]:
+    """The response smoothed by (1 2 1) / 4 in some lines, its gain, and what this adds to a stripe's variance, px².
 
     What a JPEG of full colour resolution leaves beside the truth is larger the higher the frequency: its tables of
     quantisation (ITU-T T.81, annex K) take steps ten times as long there. A fit that takes pixels for independent then
@@ -232,23 +226,24 @@ def smoothed(r: Pixels, which: Bool[Array, "groups 1 lines"]) -> tuple[Pixels, L
     """
     padded = jnp.pad(r, [(0, 0), (1, 1), (0, 0)], mode="edge")
     soft = (padded[:, :-2] + 2 * r + padded[:, 2:]) / 4
-    return jnp.where(which, soft, r), jnp.where(which, _ADDED_PX2, 0.0)
+    gain = jnp.broadcast_to(jnp.where(which, _SOFT_GAIN, 1.0), r.shape)
+    return jnp.where(which, soft, r), gain, jnp.where(which, _ADDED_PX2, 0.0)
 
 
 def smoothed_speckle(speckle: A, grain: A) -> tuple[A, A]:
-    """Squared contrast of speckle, and correlation of neighbours, once windows are smoothed.
+    """Squared contrast of speckle in smoothed windows, over the gain of single pixels, and correlation of neighbours.
 
     Args:
-        speckle: squared contrast.
+        speckle: squared contrast in a pixel.
         grain: correlation ρ of neighbours; of pixels k apart it is ρ^(k²).
     """
-    shared = [
-        _LESS_NOISE * grain ** (k * k)
+    apart, near = (
+        _SOFT_GAIN * grain ** (k * k)
         + _SHARED * (grain ** ((k - 1) ** 2) + grain ** ((k + 1) ** 2))
         + _SHARED_FAR * (grain ** ((k - 2) ** 2) + grain ** ((k + 2) ** 2))
         for k in (0, 1)
-    ]
-    return speckle * shared[0], shared[1] / shared[0]
+    )
+    return speckle * apart / _SOFT_GAIN, near / apart
 
 
 def bump(r: Pixels) -> Bump:
