@@ -26,6 +26,7 @@ from jaxscan.errors import InputError
 from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.along import widened_by_flanks, widened_by_scatter, with_grain
 from jaxscan.images.stripes.between import widened_between
+from jaxscan.images.stripes.blocks import has_blocks
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
@@ -209,7 +210,7 @@ def _detect(
     at_first, smooth = sensor, None
     ln_s = np.asarray(sensor.ln_s) if detector == "likelihood" else np.full(len(correlation), np.inf)
     slim = ln_s < _SLIM_LN_PX
-    blocky = (ln_s < _SHARP_LN_PX) & _keeps_blocks(sensor) & (correlation[:, 0] == 0)
+    blocky = _keep_blocks(frames, settings, sensor, peak, (ln_s < _SHARP_LN_PX) & (correlation[:, 0] == 0))
     if frames.dtype == np.uint8 and blocky.any():
         smooth = blocky
         sensor = survey(*looking, correlation if len(smoothed) else None, smooth)
@@ -377,10 +378,19 @@ def _correlations(
     return found
 
 
-def _keeps_blocks(sensor: Sensor) -> Bool[np.ndarray, "most"]:
-    """In which frames a JPEG has left an error of its own in the blocks that the stripe crosses."""
-    blocks = np.asarray(sensor.blocks)
-    return blocks if sensor.detail is None else blocks | np.any([np.asarray(by) != 0 for by in sensor.detail], axis=0)
+def _keep_blocks(
+    frames: np.ndarray | Array,
+    settings: StripeSettings,
+    sensor: Sensor,
+    peak: Int[np.ndarray, "frames lines"],
+    asked: Bool[np.ndarray, "most"],
+) -> Bool[np.ndarray, "most"]:
+    """Which of the frames that are asked of are JPEGs: by colours at half resolution, or by their blocks."""
+    half = np.any([np.asarray(by) != 0 for by in sensor.detail], axis=0) if sensor.detail else np.zeros_like(asked)
+    found = asked & half
+    for i in np.flatnonzero(asked[: len(peak)] & ~half[: len(peak)]):
+        found[i] = has_blocks(np.asarray(frames[i]), settings, peak[i])
+    return found
 
 
 def _whole_width(

@@ -33,8 +33,6 @@ _MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
 _MODEL = 0.1
 # What each further number must explain at the least, in squares of standard deviations.
 _PRICE: Final = 4.0
-# A JPEG leaves this multiple of what lies beside the stripe in its tails, or more (variances).
-_OF_BLOCKS: Final = 1.5
 # Every Nth line serves to estimate the expected residuals of the others.
 _EXPECTED: Final = 2
 _TINY: Final = 1e-12
@@ -109,8 +107,7 @@ def innovations(
 class Chance(NamedTuple):
     """How a frame's pixels scatter: variance of the sensor's noise, shot noise, C² of the speckle, ρ.
 
-    Where a camera has smoothed its noise, `even` is 1 if it did so on the stripe too, 0 if not there. `blocks` is
-    whether more is left in the stripe's tails than lies beside it.
+    Where a camera has smoothed its noise, `even` is 1 if it did so on the stripe too, 0 if not there.
     """
 
     read2: Frames
@@ -118,7 +115,6 @@ class Chance(NamedTuple):
     speckle: Frames
     grain: Frames
     even: Frames
-    blocks: Bool[Array, "frames"]
 
 
 def chance(
@@ -154,7 +150,7 @@ def chance(
         read2: the variance of the sensor's noise; of frames that do not show it, the most that it can be.
         known: which do.
         groups: into how many groups of lines a frame is divided: of their sums what is usual is taken.
-        by_tails: in which frames read noise is that of the stripe's tails, where it is more than lies beside.
+        by_tails: in which frames all that is left in the stripe's tails is read noise, if that is more.
         correlation: of all noise of pixels 1, 2, … apart, where a camera has smoothed it; then no grain is looked for.
     """
     lags = range(1, _LAGS)
@@ -213,17 +209,14 @@ def chance(
     within = [1 / (groups * n) + _MODEL**2 for n in number]
     weight = jnp.stack([1 / jnp.maximum(v * part, _TINY) for v, part in zip(scatter, within, strict=True)])
     equations = seen[:, None], weight[:, None], by_read[:, None], by_photons, by_speckle
+    read2 = jnp.where(by_tails, jnp.maximum(read2, jnp.nan_to_num(seen[0] / by_read[0])), read2)
+    known |= by_tails
     found = _least(*equations, rho, priced, read2, known)
-    free = _least(*equations, rho, priced, read2, jnp.zeros_like(known))
-    blocks = known & (free.read2 > _OF_BLOCKS * read2)
-    more = blocks & by_tails
-    found = Chance(*(jnp.where(more, one, other) for one, other in zip(free, found, strict=True)))
     # What goes on as far as the list does is no speckle, but a profile that is not the model's.
     sure = found.grain < _MOST_SURE
     found = found._replace(speckle=jnp.where(sure, found.speckle, 0.0), grain=jnp.where(sure, found.grain, 0.0))
     # More than what is seen beside the stripe no sensor makes.
-    own = jnp.where(more, found.read2, jnp.minimum(found.read2, read2))
-    return found._replace(read2=jnp.where((known & ~more) | ~(found.read2 > 0), read2, own), blocks=blocks)
+    return found._replace(read2=jnp.where(known | ~(found.read2 > 0), read2, jnp.minimum(found.read2, read2)))
 
 
 def _least(
@@ -282,7 +275,7 @@ def _least(
         chosen = jnp.broadcast_to(jnp.minimum(at, by.shape[1] - 1)[None], (len(whole), *at.shape))
         left -= number[None, None] * jnp.take_along_axis(by, chosen, axis=1)
     own = (dot(by_read, left) / dot(by_read, by_read))[0]
-    return Chance(own, shot, speckle, grain, jnp.where(at[0] == 0, 1.0, 0.0), jnp.zeros_like(known))
+    return Chance(own, shot, speckle, grain, jnp.where(at[0] == 0, 1.0, 0.0))
 
 
 def _projected(regions: Sequence[Pixels], taken: Sequence[Pixels]) -> list[Float[Array, "sums frames pixels lines"]]:

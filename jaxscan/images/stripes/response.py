@@ -25,7 +25,6 @@ laser's own channel, the channel at full resolution is
     l + (g / q − 1) (Y − S Y)
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
@@ -54,10 +53,6 @@ FULL_OF_LUMA: Final = 0.9
 # Chroma is at half resolution where its third differences within pairs are at most this multiple of pure rounding, and
 # those across pairs are this multiple of those within; decided from at least this number of pairs.
 _OF_ROUNDING, _ACROSS, _TOLD_BY = 1.5, 3.0, 100
-# Chroma's part of its usual share of noise, below which it is dull.
-_DULL: Final = 0.7
-# Noise of no more than this multiple of rounding's is none.
-_SILENT: Final = 2.5
 # Of light that is whiter than this, in parts of the laser's own channel, the colour does not show.
 _MOST_WHITE: Final = 0.3
 # What red, green and blue take of chroma, Cb and Cr; and how far that is off beside a stripe, grey levels.
@@ -212,32 +207,6 @@ def has_half_chroma(
     rounding = 20 * _ROUNDING * rounded
     told = jnp.minimum(count, others) >= _TOLD_BY
     return told & (inside < _OF_ROUNDING * rounding) & (across > _ACROSS * inside)
-
-
-def jpeg_noise(levels: Sequence[Array], color: str) -> Bool[Array, "frames"]:
-    """Whether noise is as a JPEG leaves it where nothing is to be seen: of colours less than of luma, or none.
-
-    Noise of a sensor's own pixels is as strong in each channel: then the differences of the three from luma have 5.2
-    times the variance of luma. It is read from second differences, in which a smooth texture does not show.
-
-    Args:
-        levels: the three channels of pixels beside the stripe, or one of a grey photograph, in which nothing shows it.
-        color: of the laser.
-    """
-    if color == "grey":
-        return jnp.zeros(len(levels[0]), bool)
-
-    def power(x: Array) -> Float[Array, "frames"]:
-        return (jnp.diff(x.astype(jnp.float32), 2, axis=1) ** 2).mean((1, 2))
-
-    own = _luma_weights(color)
-    Y = _luma(tuple(levels), own)
-    squares = sum(w * w for w in own)
-    usual = sum(1 - 2 * w + squares for w in own) / squares
-    dull = jnp.stack([power(x - Y) for x in levels]).sum(0) < _DULL * usual * power(Y)
-    # 6 = 1 + 4 + 1.
-    silent = jnp.stack([power(x) for x in levels]).mean(0) < _SILENT * 6 * _ROUNDING
-    return dull | silent
 
 
 def detail_of(

@@ -25,7 +25,6 @@ from jaxscan.images.stripes.response import (
     detail_of,
     detailed,
     has_half_chroma,
-    jpeg_noise,
     luma_error,
     noise_gain,
     numbers,
@@ -217,11 +216,9 @@ def survey_windows(
         _beside(r),
         zero,
         white,
-        ~white,
         detail,
         smooth,
     )
-    a_jpegs = jpeg_noise([jnp.concatenate([x[:, :_FLANK], x[:, -_FLANK:]], 2) for x in levels], color)
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added)
     # With no idea of the noise some lines will do.
@@ -237,8 +234,7 @@ def survey_windows(
         return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].speckle > ROUGH).any())
 
     start = jnp.asarray(0), first
-    found = jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1]
-    return replace(found, blocks=found.blocks & a_jpegs)
+    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1]
 
 
 def _look(
@@ -265,7 +261,6 @@ def _look(
         speckle=light.speckle,
         grain=light.grain,
         even=light.even,
-        blocks=light.blocks,
         ln_s=jnp.where(known.any(1), usual, 0.0),
         ln_s_spread=jnp.where(known.any(1), spread, _UNKNOWN),
         apart=apart,
@@ -420,7 +415,7 @@ def _chance(
         rest *= shown
         speckle = _quotient(shown * standard**2 - rest * ground[:, None, None] ** 2, rest * height**2)
         zero = jnp.zeros_like(ground)
-        return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero, zero, sensor.blocks), apart
+        return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero, zero), apart
     core, tail = (jnp.where(where, shown, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     light = chance(

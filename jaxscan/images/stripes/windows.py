@@ -87,8 +87,6 @@ class Sensor(eqx.Module):
         even: of noise that is alike in neighbouring pixels beside the stripe, 1 if it is so on the stripe, 0 if not.
         apart: whether what the plain profile leaves in the lines has nothing in common, as chance leaves it, or has a
             shape: that of a laser that is no bell, of a halo, or of what a camera sharpens.
-        blocks: whether more is left in the stripe's tails than lies beside it: a JPEG keeps an error of its own in each
-            block that a stripe crosses.
         detail: how far L, M and N gain by luma's detail; None where the colours of all frames are at full resolution.
         smooth: in which frames windows are smoothed; None where in none.
     """
@@ -107,7 +105,6 @@ class Sensor(eqx.Module):
     beside: Float[Array, "*of"]
     even: Float[Array, "*of"]
     apart: Bool[Array, "*of"]
-    blocks: Bool[Array, "*of"]
     detail: tuple[Float[Array, "*of"], ...] | None = None
     smooth: Bool[Array, "*of"] | None = None
 
