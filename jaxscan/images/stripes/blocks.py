@@ -16,8 +16,8 @@ from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.response import LUMA
 
 _SIZE: Final = 8
-# At most this number of blocks are looked at, of so many by so many over the photograph that come no nearer to the
-# stripe than this number of pixels: the quotient is known to 6 %.
+# Blocks are taken from this number of rows and columns of them, evenly spread; at most this number of those that come
+# no nearer to the stripe than this number of pixels is looked at: the quotient is then known to 6 %.
 _MOST, _SPREAD, _AWAY_PX = 64, 12, 16
 _FEWEST: Final = 24
 # Frequencies whose numbers add up to so much are high.
