@@ -20,7 +20,7 @@ _SIZE: Final = 8
 # no nearer to the stripe than this number of pixels is looked at: the quotient is then known to 6 %.
 _MOST, _SPREAD, _AWAY_PX = 64, 12, 16
 _FEWEST: Final = 24
-# Frequencies whose numbers add up to so much are high.
+# Frequencies (u, v) with u + v from this on are high.
 _HIGH: Final = 8
 # A JPEG's own blocks have less than this part of the squares at high frequencies that shifted blocks have.
 _LESS: Final = 0.75
