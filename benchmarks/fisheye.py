@@ -20,7 +20,7 @@ from jaxscan.calibration import Observations, View, calibrate
 from jaxscan.geometry import Pose, vector_to_matrix
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
-from jaxscan.rig.projection import pixel_rays, project_points
+from jaxscan.rig.projection import off_axis, pixel_rays, project_points
 from jaxscan.simulation import rig_2003
 
 _DRAWS = 900
@@ -68,7 +68,7 @@ def wide_session(rig: Rig, height: Height = flat) -> tuple[Session, float]:
     places = {"projected_beyond_90_deg": _BEYOND}
     session = fisheye_session("fisheye", rig, boards, on_stage, _PIXELS, places, height)
     seen = np.concatenate([view.corners for view in session.exact.photographs()])
-    return session, float(_off_axis(pixel_rays(rig.camera, seen)).max())
+    return session, float(np.degrees(off_axis(pixel_rays(rig.camera, seen))).max())
 
 
 def _round_trip(camera: Camera) -> list[Metric]:
@@ -131,7 +131,7 @@ def _poses(camera: Camera, count: int, middles_deg: float, corners_deg: float, s
         tilt = np.array([*random.uniform(-0.6, 0.6, 2), random.uniform(-np.pi, np.pi)])
         rotation, translation = _facing(towards, random.uniform(_NEAREST, _FARTHEST), tilt)
         X = points @ vector_to_matrix(rotation).T + translation
-        if _off_axis(X).max() > corners_deg:
+        if np.degrees(off_axis(X)).max() > corners_deg:
             continue
         seen = project(camera, X)
         if ((seen > _BORDER_PX) & (seen < size - 1 - _BORDER_PX)).all():
@@ -149,8 +149,3 @@ def _facing(
     R = turn @ vector_to_matrix(tilt)
     pose = Pose.from_matrix(R, distance * turn[:, 2] - R @ rig_2003.BOARD.points().mean(axis=0))
     return np.asarray(pose.rotation), np.asarray(pose.translation)
-
-
-def _off_axis(rays: Float[np.ndarray, "rays 3"]) -> Float[np.ndarray, "rays"]:
-    """Degrees from the axis."""
-    return np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))

@@ -148,9 +148,14 @@ def _noise_again(session: Session, draws: int) -> Iterator[Observations]:
     """The observations that `compared` solves."""
     random = np.random.default_rng(_SEED)
     for _ in range(draws):
-        yield redrawn(session.exact, NOISE, random)
-        # Of the pixels that are triangulated.
-        random.normal(size=(len(session.pixels), 1))
+        yield _drawing(session, random)[0]
+
+
+def _drawing(session: Session, random: np.random.Generator) -> tuple[Observations, Float[np.ndarray, "points 2"]]:
+    """The observations with noise, and so the pixels that are triangulated."""
+    observations = redrawn(session.exact, NOISE, random)
+    pixels = session.pixels
+    return observations, pixels + NOISE.stripe * random.normal(size=(len(pixels), 1)) * [0.0, 1.0]
 
 
 def _true_poses(session: Session) -> tuple[Float[np.ndarray, "views 6"], Float[np.ndarray, "sequences 6"]]:
@@ -169,11 +174,11 @@ def _columns(solved: list[Draw]) -> tuple[list[Kinds], list[Kinds]]:
 
 def solve(session: Session, random: np.random.Generator) -> Draw:
     """Calibrate one drawing of the observations; triangulate pixels that are drawn too."""
-    calibration = calibrate(redrawn(session.exact, NOISE, random), lens=session.rig.camera.lens.kind)
+    observations, drawn = _drawing(session, random)
+    calibration = calibrate(observations, lens=session.rig.camera.lens.kind)
     rig, covariance, system = calibration.rig, calibration.covariance, calibration.system
     theta, truth = (np.array([float(leaf) for leaf in jax.tree.leaves(each)]) for each in (rig, session.rig))
     pixels, steps = session.pixels, session.positions
-    drawn = pixels + NOISE.stripe * random.normal(size=(len(pixels), 1)) * [0.0, 1.0]
     with float64():
         q = jax.tree.map(jnp.asarray, dict(steps))
         rig64 = as_float64(rig)

@@ -36,6 +36,11 @@ def _said(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"model": Detail} for status in statuses}
 
 
+def _answers(response: type[Response], media: str, *statuses: int) -> dict[str, Any]:
+    """Of a route whose answer is no JSON: its class and type, and with which statuses it may refuse."""
+    return {"response_class": response, "responses": {200: {"content": {media: {}}}, **_said(*statuses)}}
+
+
 router = APIRouter(prefix="/api", responses=_said(401, 403, 413, 429))
 
 ProjectPath = Annotated[ProjectName, Path()]
@@ -130,8 +135,7 @@ def state(lab: LabHere, who: Viewer) -> State:
 @router.get(
     "/events",
     tags=["watch"],
-    response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {}}}, **_said(503)},
+    **_answers(StreamingResponse, "text/event-stream", 503),
 )
 async def events(lab: LabHere, who: Viewer, request: Request) -> StreamingResponse:
     """Server-sent events: `state`, `profile`, and `ping`, at which the operator renews its lease."""
@@ -147,8 +151,7 @@ async def events(lab: LabHere, who: Viewer, request: Request) -> StreamingRespon
 @router.get(
     "/pictures",
     tags=["watch"],
-    response_class=StreamingResponse,
-    responses={200: {"content": {"multipart/x-mixed-replace": {}}}, **_said(503)},
+    **_answers(StreamingResponse, "multipart/x-mixed-replace", 503),
 )
 async def pictures(lab: LabHere, who: Viewer, request: Request) -> StreamingResponse:
     """Every photograph as it is taken, as a stream of JPEGs that video players show."""
@@ -202,8 +205,7 @@ def profile(lab: LabHere, who: Viewer, request: Request) -> dict[str, Any]:
 @router.get(
     "/cloud",
     tags=["watch"],
-    response_class=Response,
-    responses={200: {"content": {"application/octet-stream": {}}}},
+    **_answers(Response, "application/octet-stream"),
 )
 def cloud(lab: LabHere, who: Viewer) -> Response:
     """The points of the last scan so far, thinned: float32 x, y, z, little endian, mm, object frame."""
@@ -298,8 +300,7 @@ async def project(lab: LabHere, who: Viewer, name: ProjectPath) -> Project:
 @router.get(
     "/projects/{name}/scan.zip",
     tags=["projects"],
-    response_class=StreamingResponse,
-    responses={200: {"content": {"application/zip": {}}}, **_said(404, 409)},
+    **_answers(StreamingResponse, "application/zip", 404, 409),
 )
 async def scan_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
     """The scan folder, as `jaxscan reconstruct` reads it once unpacked."""
@@ -309,8 +310,7 @@ async def scan_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingRes
 @router.get(
     "/projects/{name}/cloud.ply",
     tags=["projects"],
-    response_class=FileResponse,
-    responses={200: {"content": {"model/ply": {}}}, **_said(404, 409)},
+    **_answers(FileResponse, "model/ply", 404, 409),
 )
 async def cloud_ply(lab: LabHere, who: Viewer, name: ProjectPath) -> FileResponse:
     """Its points, reconstructed with the rig that is loaded; that takes its time, one after the other."""
@@ -323,8 +323,7 @@ async def cloud_ply(lab: LabHere, who: Viewer, name: ProjectPath) -> FileRespons
 @router.get(
     "/projects/{name}/points",
     tags=["projects"],
-    response_class=FileResponse,
-    responses={200: {"content": {"application/octet-stream": {}}}, **_said(404, 409)},
+    **_answers(FileResponse, "application/octet-stream", 404, 409),
 )
 async def points(lab: LabHere, who: Viewer, name: ProjectPath) -> FileResponse:
     """Some of its points, for a page to draw: float32 x, y, z, little endian, mm, object frame."""
@@ -341,8 +340,7 @@ async def measure(lab: LabHere, who: Viewer, name: ProjectPath, body: Clicks) ->
 @router.get(
     "/projects/{name}/frames/{number}",
     tags=["projects"],
-    response_class=FileResponse,
-    responses={200: {"content": {"image/png": {}}}, **_said(404, 409)},
+    **_answers(FileResponse, "image/png", 404, 409),
 )
 async def frame(lab: LabHere, who: Viewer, name: ProjectPath, number: Number) -> FileResponse:
     """One photograph, counted from 0."""
@@ -367,8 +365,7 @@ async def calibrations(lab: LabHere, who: Viewer) -> list[Calibration]:
 @router.get(
     "/calibrations/{name}/session.zip",
     tags=["calibrations"],
-    response_class=StreamingResponse,
-    responses={200: {"content": {"application/zip": {}}}, **_said(404, 409)},
+    **_answers(StreamingResponse, "application/zip", 404, 409),
 )
 async def session_zip(lab: LabHere, who: Viewer, name: ProjectPath) -> StreamingResponse:
     """The session folder, as `jaxscan calibrate` reads it once unpacked."""

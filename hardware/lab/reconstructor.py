@@ -163,7 +163,7 @@ def _measure(order: dict[str, Any]) -> list[str]:
     from jaxscan.files.part_write import part_text
     from jaxscan.measurement.clicked import Click, part_of_clicks
     from jaxscan.measurement.measure import measure
-    from jaxscan.measurement.rows import in_words, rows_of
+    from jaxscan.measurement.rows import rows_of, value_in_words
 
     faces = Clicks.model_validate_json(order["clicks"]).faces
     clicks = [
@@ -172,7 +172,6 @@ def _measure(order: dict[str, Any]) -> list[str]:
     ]
     part = part_of_clicks(clicks, order["name"])
     found = measure(_scanned(order["measure"], order["rig"]), part)
-    notes = (*found.notes, *(note for each in found.dimensions for note in each.notes))
     answer = Found(
         faces=[
             Face(
@@ -185,10 +184,10 @@ def _measure(order: dict[str, Any]) -> list[str]:
             for each in found.features
         ],
         dimensions=[
-            FoundDimension(words=in_words(row).partition(";")[0], **{key: row[key] for key in _OF_DIMENSION})
+            FoundDimension(words=value_in_words(row), **{key: row[key] for key in _OF_DIMENSION})
             for row in rows_of(found)
         ],
-        notes=list(dict.fromkeys(notes)),
+        notes=list(found.every_note),
         part=part_text(part),
     )
     return [answer.model_dump_json()]

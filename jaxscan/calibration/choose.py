@@ -32,7 +32,7 @@ from jaxscan.rig.board_shape import rounded_mm
 from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER, is_off_centre
-from jaxscan.rig.projection import pixel_rays
+from jaxscan.rig.projection import off_axis, pixel_rays
 
 # Limit, standard errors: a richer model must predict the photographs better by this.
 _STANDARD_ERRORS = 2.0
@@ -169,8 +169,7 @@ def _half_field(found: Calibration) -> float:
     """The angle between the axis and the ray of the farthest corner that was seen, radians."""
     camera = found.rig.camera
     seen = np.concatenate([view.corners[view.used()] for view in found.observations.photographs()])
-    x = pixel_rays(camera, seen)
-    return float(np.nanmax(np.arctan2(np.hypot(x[:, 0], x[:, 1]), x[:, 2])))
+    return float(np.nanmax(off_axis(pixel_rays(camera, seen))))
 
 
 @dataclass(frozen=True)

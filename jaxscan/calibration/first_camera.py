@@ -9,7 +9,7 @@ from jaxscan.precision import float64
 from jaxscan.rig import LENSES, Camera
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER
-from jaxscan.rig.projection import pixel_rays, project_points
+from jaxscan.rig.projection import off_axis, pixel_rays, project_points
 
 # In widths of the image: of a lens that is no pinhole even nominally.
 _FOCAL_GRID = np.geomspace(0.15, 10.0, 64)
@@ -56,8 +56,7 @@ def beyond_the_ladder(observations: Observations) -> float | None:
         fisheye = first_camera(observations, Fisheye.kind)
         if not _reprojection(fisheye, points, seen, used) < _FISHEYE * pinhole:
             return None
-        x = pixel_rays(fisheye, seen[used])
-    angle = float(np.degrees(np.arctan2(np.hypot(x[:, 0], x[:, 1]), x[:, 2])).max())
+        angle = float(np.degrees(off_axis(pixel_rays(fisheye, seen[used]))).max())
     return angle if angle > _LADDER_ENDS_DEG else None
 
 

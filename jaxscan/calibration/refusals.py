@@ -24,7 +24,7 @@ from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, Rig, is_run
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER
-from jaxscan.rig.projection import pixel_rays
+from jaxscan.rig.projection import off_axis, pixel_rays
 from jaxscan.rig.splined import Splined
 
 _FEWEST_CORNERS = 6
@@ -212,7 +212,7 @@ def check_bows(observations: Observations, camera: Camera, kinds: Sequence[str])
         for stripe in view.stripes:
             if kinds[stripe.laser] == BowedSheet.kind:
                 rays = pixel_rays(camera, stripe.pixels[np.isfinite(stripe.pixels).all(axis=1)])
-                angles = np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+                angles = np.degrees(off_axis(rays))
                 found.append((float(np.nanmax(angles, initial=0.0)), view.name))
     angle, name = max(found, default=(0.0, ""))
     if angle > _BOWS_END_DEG:

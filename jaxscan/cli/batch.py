@@ -156,10 +156,10 @@ def _table(result: dict[str, Any]) -> list[str]:
     """What was measured: of each scan a line, and where the table and the charts are."""
     if not result.get("measured"):
         return []
-    from jaxscan.measurement.rows import in_words
+    from jaxscan.measurement.rows import value_in_words
 
     lines = []
     for each in result["measured"]:
-        cells = "; ".join(f"{row['name']} {in_words(row).partition(';')[0]}" for row in each["dimensions"])
+        cells = "; ".join(f"{row['name']} {value_in_words(row)}" for row in each["dimensions"])
         lines.append(f"  {each['scan']}: {cells}")
     return [*lines, f"written: {', '.join(result['written'])}"]

@@ -6,9 +6,9 @@ from typing import Any
 Summary = dict[str, Any]
 Line = tuple[str, str]
 
-# What is said of a camera in addition to its lens's terms.
 # Of more numbers than these their range is shown.
 _MOST_NUMBERS = 16
+# What is said of a camera in addition to its lens's terms.
 _PINHOLE = ("image_size", "lens", "focal", "principal", "tilt", "reach_deg", "image_without_rays")
 
 

@@ -135,6 +135,11 @@ class Measurement:
     notes: tuple[str, ...]
 
     @property
+    def every_note(self) -> tuple[str, ...]:
+        """What is to be said of all of it and of its dimensions, each sentence once."""
+        return tuple(dict.fromkeys((*self.notes, *(note for each in self.dimensions for note in each.notes))))
+
+    @property
     def problems(self) -> tuple[str, ...]:
         """What could not be measured, and why."""
         features = [f"{each.feature.name}: {each.problem}" for each in self.features if each.problem]

@@ -39,6 +39,11 @@ def rows_of(found: Measurement) -> list[dict[str, Any]]:
     return rows
 
 
+def value_in_words(row: dict[str, Any]) -> str:
+    """A dimension's value, interval and verdict, as a cell of a table has them."""
+    return in_words(row).partition(";")[0]
+
+
 def in_words(row: dict[str, Any]) -> str:
     """A dimension's value, interval, verdict and points."""
     if row["value"] is None:

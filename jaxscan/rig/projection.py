@@ -82,6 +82,11 @@ def pixel_rays(camera: Camera, pixels: Float[np.ndarray, "*grid 2"]) -> Float64[
     return np.concatenate(batches)[: len(flat)].reshape(*pixels.shape[:-1], 3)
 
 
+def off_axis(rays: Float[np.ndarray, "*rays 3"]) -> Float[np.ndarray, "*rays"]:
+    """The angle between the camera's axis and each ray, radians; NaN of no ray."""
+    return np.arctan2(np.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
+
+
 def within_fold(camera: Camera, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
     """Whether the lens is one to one all the way from its axis to a point's ray: beyond, its pixel is another's."""
     along = np.linspace(0, 1, _ON_THE_WAY + 1)[1:]

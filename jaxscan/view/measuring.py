@@ -12,7 +12,7 @@ from jaxscan.files.part_file import FITTED, PART_FILE
 from jaxscan.files.part_write import part_text
 from jaxscan.measurement.clicked import Click, part_of_clicks
 from jaxscan.measurement.measure import Measurement, measure
-from jaxscan.measurement.rows import in_words, rows_of
+from jaxscan.measurement.rows import rows_of, value_in_words
 from jaxscan.measurement.scanned import Scanned
 
 _NOTHING, _BEFORE, _NONE = "nothing", "the one before", "none"
@@ -40,6 +40,7 @@ class Measuring:
         self._scene, self._read, self._middle, self._size, self._name = server.scene, read, middle, size, name
         self._scanned: Scanned | None = None
         self._clicks: tuple[Click, ...] = ()
+        self._table = "Click a face."
         self._drawn: list[Any] = []
         self._mutex = threading.Lock()
         gui = server.gui
@@ -80,11 +81,10 @@ class Measuring:
                 return
             problem = next((each for each in reversed(found.features) if each.problem), None)
             if problem is not None:
-                known = self._measured(self._clicks)
-                self._words.content = f"{_table(known)}\n\nNot a {problem.feature.kind}: {problem.problem}"
+                self._words.content = f"{self._table}\n\nNot a {problem.feature.kind}: {problem.problem}"
                 return
-            self._clicks = clicks
-            self._words.content = _table(found)
+            self._clicks, self._table = clicks, _table(found)
+            self._words.content = self._table
             self._undo.visible = self._save.visible = bool(clicks)
             names = tuple(each.feature.name for each in found.features)
             kept = self._from.value
@@ -122,6 +122,6 @@ def _table(found: Measurement) -> str:
     """Features and dimensions as a table of Markdown, and what is to be said of all."""
     lines = ["| | |", "|---|---|"]
     lines += [f"| {each.feature.name} | {each.points} points, {each.left_out} left out |" for each in found.features]
-    lines += [f"| {row['name']} | {in_words(row).partition(';')[0]} |" for row in rows_of(found)]
-    notes = dict.fromkeys((*found.notes, *(note for each in found.dimensions for note in each.notes)))
-    return "\n".join([*(lines if found.features else ["Click a face."]), *(f"\n{note}" for note in notes)])
+    lines += [f"| {row['name']} | {value_in_words(row)} |" for row in rows_of(found)]
+    shown = lines if found.features else ["Click a face."]
+    return "\n".join([*shown, *(f"\n{note}" for note in found.every_note)])

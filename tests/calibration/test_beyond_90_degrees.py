@@ -22,7 +22,7 @@ from jaxscan.reconstruction.triangulate import FramePoses
 from jaxscan.reconstruction.working_volume import working_volumes
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
 from jaxscan.rig.board_shape import middle_and_half
-from jaxscan.rig.projection import pixel_rays
+from jaxscan.rig.projection import off_axis, pixel_rays
 from jaxscan.rig.rig import parameter_names
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.profile import true_profile
@@ -52,10 +52,6 @@ def error_in_sigma(found, truth):
     return np.abs((np.array(jax.tree.leaves(found.rig)) - np.array(jax.tree.leaves(truth))) / sigma).max()
 
 
-def off_axis(rays):
-    return np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
-
-
 def test_the_rig_is_found_within_its_errors_and_written(truth, session, found, tmp_path):
     assert session[1] > 110
     names = parameter_names(found.rig)
@@ -64,7 +60,7 @@ def test_the_rig_is_found_within_its_errors_and_written(truth, session, found, t
     assert sigma[:2].max() < 0.03
     assert 0.9 < found.stripe_rms_px / Noise().stripe < 1.1
     stripes = np.concatenate([found.stripe_points(0)])
-    assert (off_axis(stripes) > 90).sum() > 5
+    assert (np.degrees(off_axis(stripes)) > 90).sum() > 5
     write_rig(tmp_path / "rig.json", found.rig_file())
     back = read_rig(tmp_path / "rig.json")
     assert jax.tree.leaves(back.rig) == jax.tree.leaves(found.rig)
@@ -85,7 +81,7 @@ def test_the_kernel_and_its_covariance_are_those_of_the_formula(found):
     np.testing.assert_array_equal(np.isfinite(points), np.isfinite(exact))
     rays = pixel_rays(rig.camera, pixels)
     near = np.isfinite(exact).all(axis=1) & (np.linalg.norm(exact, axis=1) < 400)
-    assert (off_axis(rays[near]) > 90).sum() > 200
+    assert (np.degrees(off_axis(rays[near])) > 90).sum() > 200
     np.testing.assert_allclose(points[near], exact[near], atol=2e-3)
     some = np.flatnonzero(near)[::7]
     each = {"stage": q["stage"][some]}
@@ -118,7 +114,7 @@ def test_a_photograph_shows_board_and_stripe_where_the_rig_has_them(truth, sessi
     pixels = np.stack([np.flatnonzero(seen), profile.position[seen]], axis=1)
     with float64():
         points = np.asarray(jax.vmap(lambda p: truth.triangulate(p, {}))(jnp.asarray(pixels)))
-    assert off_axis(points).max() > 100
+    assert np.degrees(off_axis(points)).max() > 100
     np.testing.assert_allclose(profile.points[seen], points, atol=1e-5)
     dark, lit = (render(truth, scene, laser=laser, seed=1).astype(float)[..., 0] for laser in (None, 0))
     rows = np.rint(pixels).astype(int)
@@ -167,7 +163,7 @@ def test_two_lasers_are_found_behind_the_camera(truth):
     exact = fisheye.wide_session(two)[0].exact
     found = calibrate(redrawn(exact, Noise(), np.random.default_rng(1)), lens="fisheye")
     assert error_in_sigma(found, two) < 4
-    assert all((off_axis(found.stripe_points(i)) > 90).sum() > 5 for i in range(2))
+    assert all((np.degrees(off_axis(found.stripe_points(i))) > 90).sum() > 5 for i in range(2))
 
 
 @pytest.mark.long

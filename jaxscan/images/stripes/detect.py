@@ -205,15 +205,17 @@ def _detect(
     sensor = survey(*looking)
     correlation = _correlations(frames, dark, settings, sensor, peak)
     smoothed = np.flatnonzero(correlation[: len(peak), 0])
-    if len(smoothed):
-        sensor = survey(*looking, correlation)
+    alike = correlation if len(smoothed) else None
+    if alike is not None:
+        sensor = survey(*looking, alike)
     at_first, smooth = sensor, None
     ln_s = np.asarray(sensor.ln_s) if detector == "likelihood" else np.full(len(correlation), np.inf)
     slim = ln_s < _SLIM_LN_PX
-    blocky = _keep_blocks(frames, settings, sensor, peak, (ln_s < _SHARP_LN_PX) & (correlation[:, 0] == 0))
-    if frames.dtype == np.uint8 and blocky.any():
+    sharp = (ln_s < _SHARP_LN_PX) & (correlation[:, 0] == 0) & (frames.dtype == np.uint8)
+    blocky = _keep_blocks(frames, settings, sensor, peak, sharp)
+    if blocky.any():
         smooth = blocky
-        sensor = survey(*looking, correlation if len(smoothed) else None, smooth)
+        sensor = survey(*looking, alike, smooth)
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
     slim_frames = slim[:count]
@@ -310,7 +312,7 @@ def _detect(
         misled &= broad
         if misled.any():
             stands[misled[:, None] & ~even] = np.iinfo(stands.dtype).min
-            sensor = with_grain(survey(*looking, correlation if len(smoothed) else None, smooth), *along)
+            sensor = with_grain(survey(*looking, alike, smooth), *along)
             sensor = replace(sensor, ln_s=_whole_width(np.array(sensor.ln_s), measured.width, plain, misled))
             which = np.repeat(misled, peak.shape[1])
             again = looked_at(tuple(index[which] for index in (*everywhere[:2], peak.ravel())))

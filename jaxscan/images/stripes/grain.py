@@ -289,21 +289,21 @@ def _projected(regions: Sequence[Pixels], taken: Sequence[Pixels]) -> list[Float
     made = [jnp.stack([*(at * y for at in regions), *(_both_ways(y, lag) / 2 for lag in lags)]) for y in taken]
     Y = [y[None] for y in taken]
     shared = [[(one * y).sum(2, keepdims=True) for y in Y] for one in made]
-    S = [one - _dot(row, Y) / 2 for one, row in zip(made, shared, strict=True)]
+    S = [one - dot(row, Y) / 2 for one, row in zip(made, shared, strict=True)]
     diagonals = []
     for apart in range(_DISTANCES):
         near, far = slice(0, size - apart), slice(apart, size)
-        lost = _dot([y[:, :, near] for y in Y], [s[:, :, far] for s in S])
-        lost += _dot([y[:, :, far] for y in Y], [s[:, :, near] for s in S])
+        ahead = dot([y[:, :, near] for y in Y], [s[:, :, far] for s in S])
+        lost = jnp.asarray(ahead + dot([y[:, :, far] for y in Y], [s[:, :, near] for s in S]))
         of_regions = [at if apart == 0 else jnp.zeros_like(lost[0]) for at in regions]
         of_pairs = [jnp.full_like(lost[0], 0.5 if lag == apart else 0.0) for lag in lags]
         diagonals.append(jnp.stack([*of_regions, *of_pairs]) - lost)
     return diagonals
 
 
-def _dot(one: Sequence[Array], other: Sequence[Array]) -> Array:
-    first, *rest = (a * b for a, b in zip(one, other, strict=True))
-    return sum(rest, start=first)
+def dot(one: Sequence[Array], other: Sequence[Array]) -> Array | float:
+    """The sum of the products of arrays; 0 of none."""
+    return sum(a * b for a, b in zip(one, other, strict=True))
 
 
 def _both_ways(values: Pixels, apart: int) -> Pixels:

@@ -30,7 +30,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.grain import innovations
+from jaxscan.images.stripes.grain import dot, innovations
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
@@ -363,23 +363,19 @@ def factor(jacobian: Sequence[Pixels], weight: Pixels, precision: Sequence[Array
     for i, J in enumerate(jacobian):
         row: list[Lines] = []
         for j in range(i):
-            rest = (J * jacobian[j] * weight).sum(1, keepdims=True) - _dot(row, L[j][:j])
+            rest = (J * jacobian[j] * weight).sum(1, keepdims=True) - dot(row, L[j][:j])
             row.append(rest / L[j][j])
-        pivot = (J * J * weight).sum(1, keepdims=True) + precision[i] - _dot(row, row)
+        pivot = (J * J * weight).sum(1, keepdims=True) + precision[i] - dot(row, row)
         L.append([*row, jnp.sqrt(jnp.maximum(pivot, _LEAST_PIVOT))])
     return L
-
-
-def _dot(a: list[Lines], b: list[Lines]) -> Lines | float:
-    return sum(x * y for x, y in zip(a, b, strict=True))
 
 
 def solve(L: list[list[Lines]], right: list[Lines]) -> list[Lines]:
     """Substitution forwards, then backwards."""
     y: list[Lines] = []
     for i, value in enumerate(right):
-        y.append((value - _dot(L[i][:i], y)) / L[i][i])
+        y.append((value - dot(L[i][:i], y)) / L[i][i])
     x: list[Lines] = []
     for i in reversed(range(len(y))):
-        x.insert(0, (y[i] - _dot([row[i] for row in L[i + 1 :]], x)) / L[i][i])
+        x.insert(0, (y[i] - dot([row[i] for row in L[i + 1 :]], x)) / L[i][i])
     return x

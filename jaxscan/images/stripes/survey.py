@@ -186,7 +186,8 @@ def survey_windows(
     plain = response(levels, NEUTRAL, ambient[:, None, None])
     weights = (one, one) if color == "grey" else _weights(levels, plain, burnt, half, color)
     r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
-    added, ground = None, _ground(plain, burnt, gain)
+    ground = _ground(plain, burnt, gain)
+    added = None
     if smooth is not None:
         r, gain, added = smoothed(r, smooth[:, None, None] & ~burnt.any(1, keepdims=True))
     # Of a colour its own light counts twice; in luma a channel's light counts for its part of it.
@@ -202,22 +203,22 @@ def survey_windows(
     zero = jnp.zeros_like(one)
     unknown, white = _UNKNOWN * one, jnp.ones(len(lit), bool)
     sensor = Sensor(
-        weights,
-        ambient,
-        full,
-        span,
-        ground,
-        read,
-        zero,
-        zero,
-        zero,
-        zero,
-        unknown,
-        _beside(r),
-        zero,
-        white,
-        detail,
-        smooth,
+        weights=weights,
+        ambient=ambient,
+        full=full,
+        span=span,
+        ground=ground,
+        read=read,
+        shot=zero,
+        speckle=zero,
+        grain=zero,
+        ln_s=zero,
+        ln_s_spread=unknown,
+        beside=_beside(r),
+        even=zero,
+        apart=white,
+        detail=detail,
+        smooth=smooth,
     )
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added)
