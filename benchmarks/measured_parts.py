@@ -17,7 +17,8 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks.stages import line_stage, session
 from jaxscan.calibration import calibrate
-from jaxscan.files.part_file import Dimension, Feature, Part, Region
+from jaxscan.files.part_file import Dimension, Feature, Part
+from jaxscan.files.region import Region
 from jaxscan.files.rig_file import RigFile
 from jaxscan.precision import as_float64, as_numpy, float64
 from jaxscan.reconstruction import RangeImage

@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.files.part_file import OF_TWO_PLANES, Dimension, Feature, Part, Region
+from jaxscan.files.part_file import OF_TWO_PLANES, Dimension, Feature, Part
+from jaxscan.files.region import Region
 from jaxscan.measurement.dimensions import Shapes
 from jaxscan.measurement.shapes import Ball, Circle, Line, Plane, Shape
 from jaxscan.measurement.shapes import Cone as ConeShape

@@ -13,7 +13,8 @@ import photographs
 
 import jaxscan
 from jaxscan.calibration.next_pose import suggest
-from jaxscan.files.part_file import Dimension, Feature, Part, Region
+from jaxscan.files.part_file import Dimension, Feature, Part
+from jaxscan.files.region import Region
 
 calibration = photographs.calibration()
 content = calibration.rig_file()

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import dev
 import hardware.cli.main
@@ -172,6 +173,8 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
         elif "[board]" in text:
             assert len(jaxscan.read_session(path).views.boards) == 6
         elif "[[feature]]" in text:
+            green = trimesh.creation.box(face_colors=[0x20, 0xA0, 0x30, 255])
+            green.export(tmp_path / "block.ply")
             assert jaxscan.read_part(path).dimensions
         elif "[artefact]" in text:
             assert read_artefact(path).limits

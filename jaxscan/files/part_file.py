@@ -1,14 +1,11 @@
 """`part.toml`: what is to be measured on a part: features, where their points lie, and dimensions with tolerances."""
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from jaxtyping import Bool, Float
-
+from jaxscan.files.region import OF_REFERENCE, REGIONS, AnyRegion, Region, RegionReader, triple
 from jaxscan.files.settings import toml_in
 from jaxscan.files.table import Table
 from jaxscan.files.text import read_toml
@@ -24,7 +21,7 @@ _PLACES: Final = ("plane", "slot", "ball", "circle", "cylinder", "cone", "line",
 _DIRECTED: Final = ("plane", "slot", "cylinder", "cone", "line", "edge")
 _FLAT: Final = ("plane", "slot")
 # The keys of a feature of any kind; each kind has some of them.
-_FEATURE_KEYS: Final = ("name", "kind", "of", "point", "normal", "section", "box", "ball", "grow")
+_FEATURE_KEYS: Final = ("name", "kind", "of", "point", "normal", "section", *REGIONS, "grow")
 _ROUND: Final = ("ball", "cylinder", "circle")
 
 # Of each kind of dimension: which kinds of feature it is of, one tuple for each feature.
@@ -50,44 +47,6 @@ FORMS: Final = ("flatness", "roundness", "straightness", "profile")
 
 
 @dataclass(frozen=True)
-class Region:
-    """Where points are looked for, object frame, mm: a box, or a ball.
-
-    Attributes:
-        low: the box's corner of least coordinates; the ball's centre.
-        high: the box's other corner; None for a ball.
-        radius: of the ball.
-    """
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float] | None = None
-    radius: float = 0.0
-
-    def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """The corners of the box around it."""
-        if self.high is not None:
-            return self.low, self.high
-        return tuple(x - self.radius for x in self.low), tuple(x + self.radius for x in self.low)
-
-    def wider(self, by: float) -> "Region":
-        """The region, grown by this distance (mm) on all sides."""
-        if self.high is None:
-            return replace(self, radius=self.radius + by)
-        return Region(_triple([x - by for x in self.low]), _triple([x + by for x in self.high]))
-
-    def scaled(self, by: float) -> "Region":
-        """The region with all its numbers times a factor."""
-        return Region(_triple(self.low, by), self.high and _triple(self.high, by), by * self.radius)
-
-    def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
-        """Which points lie in it."""
-        if self.high is not None:
-            return np.asarray(((points >= self.low) & (points <= self.high)).all(axis=1))
-        off = points - np.asarray(self.low)
-        return np.einsum("pi,pi->p", off, off) <= self.radius**2
-
-
-@dataclass(frozen=True)
 class Feature:
     """A feature of a part.
 
@@ -103,7 +62,7 @@ class Feature:
 
     name: str
     kind: str
-    region: Region | None = None
+    region: AnyRegion | None = None
     grow: bool = False
     of: tuple[str, ...] = ()
     point: tuple[float, float, float] | None = None
@@ -147,12 +106,16 @@ class Part:
         name: of the part.
         features: in an order in which each comes after those that it is made of.
         dimensions: in the file's order.
+        fit: whether the mesh whose colours mark regions is moved onto the surface first.
+        where: the points onto which it is moved; None for all.
     """
 
     path: Path
     name: str
     features: tuple[Feature, ...]
     dimensions: tuple[Dimension, ...]
+    fit: bool = False
+    where: Region | None = None
 
 
 def read_part(path: str | os.PathLike[str]) -> Part:
@@ -167,25 +130,26 @@ def read_part(path: str | os.PathLike[str]) -> Part:
     top = read_toml(toml_in(Path(path), PART_FILE), f"the {PART_FILE} that lists features and dimensions")
     top.only("part", "feature", "dimension")
     about = top.optional_table("part", "[part] ")
-    about.only("name", "units")
+    about.only("name", "units", *OF_REFERENCE)
     scale = UNITS[about.string("units", "mm", tuple(UNITS))]
     name = about.string("name") if "name" in about else top.path.resolve().parent.name or "part"
+    regions = RegionReader.of(about, scale)
     features: dict[str, Feature] = {}
     for table in top.tables("feature"):
-        feature = _feature(table, features, scale)
+        feature = _feature(table, features, regions)
         features[feature.name] = feature
     if not features:
-        raise top.error("feature", "is missing: add a table [[feature]] with name, kind and box or ball")
+        raise top.error("feature", "is missing: add a table [[feature]] with name, kind and box, ball or colour")
     dimensions: dict[str, Dimension] = {}
     for table in top.tables("dimension"):
         dimension = _dimension(table, features, scale)
         if dimension.name in dimensions:
             raise table.error("name", "two dimensions have this name: give each its own")
         dimensions[dimension.name] = dimension
-    return Part(top.path, name, tuple(features.values()), tuple(dimensions.values()))
+    return Part(top.path, name, tuple(features.values()), tuple(dimensions.values()), regions.fit, regions.where)
 
 
-def _feature(table: Table, known: dict[str, Feature], scale: float) -> Feature:
+def _feature(table: Table, known: dict[str, Feature], regions: RegionReader) -> Feature:
     kinds = (*FITTED, "surface", "section", *IN_A_SECTION, *OF_TWO_PLANES)
     table.only(*_FEATURE_KEYS)
     kind = table.string("kind", choices=kinds)
@@ -196,40 +160,22 @@ def _feature(table: Table, known: dict[str, Feature], scale: float) -> Feature:
         table.only("name", "kind", "of")
         return Feature(name, kind, of=_features(table, known, (("plane",), ("plane",))))
     if kind == "section":
-        table.only("name", "kind", "point", "normal", "box", "ball")
+        table.only("name", "kind", "point", "normal", *REGIONS)
         normal = table.numbers("normal", 3)
         if not any(normal):
             raise table.error("normal", "has no direction: give that in which the section's plane faces")
-        point = _triple(table.numbers("point", 3), scale)
-        region = _region(table, scale) if "box" in table or "ball" in table else None
-        return Feature(name, kind, region, point=point, normal=_triple(normal))
+        point = triple(table.numbers("point", 3), regions.scale)
+        region = regions.read(table) if any(key in table for key in REGIONS) else None
+        return Feature(name, kind, region, point=point, normal=triple(normal))
     if kind in IN_A_SECTION:
-        table.only("name", "kind", "section", "box", "ball")
+        table.only("name", "kind", "section", *REGIONS)
         of = table.string("section")
         if of not in known or known[of].kind != "section":
             raise table.error("section", "no section of this name stands above: write the section first")
-        region = _region(table, scale) if "box" in table or "ball" in table else None
+        region = regions.read(table) if any(key in table for key in REGIONS) else None
         return Feature(name, kind, region, of=(of,))
-    table.only("name", "kind", "box", "ball", *(("grow",) if kind != "surface" else ()))
-    return Feature(name, kind, _region(table, scale), table.boolean("grow", False))
-
-
-def _region(table: Table, scale: float) -> Region:
-    if ("box" in table) == ("ball" in table):
-        raise table.error("box", "give one of box = [[x, y, z], [x, y, z]] and ball = [x, y, z, radius], in mm")
-    if "ball" in table:
-        *centre, radius = table.numbers("ball", 4)
-        if not radius > 0:
-            raise table.error("ball", "its radius, the fourth number, must be more than 0")
-        return Region(_triple(centre, scale), None, scale * radius)
-    corners = table.sequence("box", "two corners")
-    inner = Table(table.path, f"{table.prefix}box: ", {f"corner {i}": each for i, each in enumerate(corners, 1)})
-    if len(corners) != 2:
-        raise table.error("box", "must hold two corners, [x, y, z] each: that of the least numbers, then the other")
-    low, high = inner.numbers("corner 1", 3), inner.numbers("corner 2", 3)
-    if not all(a < b for a, b in zip(low, high, strict=True)):
-        raise table.error("box", "each number of the second corner must be more than that of the first")
-    return Region(_triple(low, scale), _triple(high, scale))
+    table.only("name", "kind", *REGIONS, *(("grow",) if kind != "surface" else ()))
+    return Feature(name, kind, regions.read(table), table.boolean("grow", False))
 
 
 def _dimension(table: Table, features: dict[str, Feature], scale: float) -> Dimension:
@@ -286,8 +232,3 @@ def _features(table: Table, known: dict[str, Feature], kinds: tuple[tuple[str, .
     if len(set(names)) < len(names):
         raise table.error("of", "names one feature twice: name two")
     return tuple(names)
-
-
-def _triple(values: Sequence[float], scale: float = 1.0) -> tuple[float, float, float]:
-    x, y, z = (scale * value for value in values)
-    return x, y, z

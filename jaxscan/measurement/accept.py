@@ -24,7 +24,8 @@ from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.artefact_file import Artefact
-from jaxscan.files.part_file import Dimension, Feature, Part, Region
+from jaxscan.files.part_file import Dimension, Feature, Part
+from jaxscan.files.region import Region
 from jaxscan.files.rig_file import RigFile
 from jaxscan.measurement.known_balls import BEYOND, known_balls
 from jaxscan.measurement.measure import MeasuredDimension, MeasuredFeature, measure

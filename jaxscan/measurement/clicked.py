@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from jaxscan.errors import InputError
-from jaxscan.files.part_file import DIMENSIONS, FITTED, PART_FILE, Dimension, Feature, Part, Region
+from jaxscan.files.part_file import DIMENSIONS, FITTED, PART_FILE, Dimension, Feature, Part
+from jaxscan.files.region import Region
 
 # What is measured of a feature by itself, and of two.
 _OF_ONE: Final = {"plane": "flatness", "ball": "diameter", "cylinder": "diameter", "cone": "cone_angle"}

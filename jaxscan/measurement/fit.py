@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 
 from jaxscan.errors import InputError
-from jaxscan.files.part_file import Region
+from jaxscan.files.region import AnyRegion
 from jaxscan.measurement.guess import guess
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import Plane, Shape, Vector, lengths, total
@@ -106,7 +106,7 @@ def settle(
     *,
     grow: bool = False,
     normal: Vector | None = None,
-    region: Region | None = None,
+    region: AnyRegion | None = None,
 ) -> Settled:
     """Find a shape, and which points of a region are of it.
 
@@ -168,7 +168,7 @@ def _enough(count: int, of: int | None = None) -> None:
     if count < FEWEST:
         where = "lie in its region" if of is None else f"of {of} in its region lie on it"
         raise InputError(
-            f"{count} points {where}, {FEWEST} or more are needed: enlarge the box or ball, or see that it is in the "
+            f"{count} points {where}, {FEWEST} or more are needed: enlarge the region, or see that it is in the "
             "object frame, in mm (`jaxscan inspect` says how far the points reach)"
         )
 

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from jaxscan.errors import InputError
 from jaxscan.files.artefact_file import Artefact
-from jaxscan.files.part_file import Region
+from jaxscan.files.region import Region
 from jaxscan.measurement.fit import few, finish, settle
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.shapes import Ball, Points, Vector

@@ -23,6 +23,7 @@ from jaxscan.measurement.dimensions import Shapes, edge_of, slot_of
 from jaxscan.measurement.fit import Fit, Settled, few, finish, settle
 from jaxscan.measurement.form import CONFIDENCE, Form, form_of
 from jaxscan.measurement.known import Known, known, with_smooth_errors
+from jaxscan.measurement.placed import placed
 from jaxscan.measurement.profile import profile_of
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.section import outline
@@ -159,7 +160,11 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
     Args:
         scanned: its surface, by `scanned_image` or `scanned_points`.
         part: by `read_part`.
+
+    Raises:
+        InputError: the part's reference mesh is to be moved onto the surface, and does not fit it.
     """
+    part, moved = placed(part, scanned.points)
     features = _features(scanned, part)
     alike = how_alike(_left(features.values()))
     # Surfaces first: of their many points the scale is better known than of an outline's few.
@@ -189,7 +194,8 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
             low, high = (dimension.nominal + off for off in dimension.tolerance)
             measured = replace(measured, verdict=verdict(measured.interval, (low, high)))
         dimensions.append(measured)
-    notes = (f"measured without intervals: {scanned.why_not}",) if scanned.why_not else ()
+    without = (f"measured without intervals: {scanned.why_not}",) if scanned.why_not else ()
+    notes = (*moved, *without)
     return Measurement(part, tuple(features[each.name] for each in part.features), tuple(dimensions), notes)
 
 

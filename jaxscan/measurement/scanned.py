@@ -15,7 +15,8 @@ import trimesh
 from jaxtyping import Float, Int
 
 from jaxscan.errors import InputError
-from jaxscan.files.part_file import IN_A_SECTION, OF_TWO_PLANES, Part, Region
+from jaxscan.files.part_file import IN_A_SECTION, OF_TWO_PLANES, Part
+from jaxscan.files.region import AnyRegion
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.units import UNITS
 from jaxscan.measurement.shapes import lengths
@@ -73,7 +74,7 @@ class Scanned:
     stripe_mm: float = 0.0
     mesh: trimesh.Trimesh | None = field(default=None, repr=False)
 
-    def within(self, region: Region | None) -> Int[np.ndarray, "some"]:
+    def within(self, region: AnyRegion | None) -> Int[np.ndarray, "some"]:
         """The numbers of the points in a region; all without one."""
         if region is None:
             return np.arange(len(self.points))
@@ -81,7 +82,7 @@ class Scanned:
         inside = np.flatnonzero((self.points[:, 2] >= low[2]) & (self.points[:, 2] <= high[2]))
         return inside[region.holds(self.points[inside])]
 
-    def not_empty(self, region: Region | None) -> Int[np.ndarray, "some"]:
+    def not_empty(self, region: AnyRegion | None) -> Int[np.ndarray, "some"]:
         """As `within`.
 
         Raises:
@@ -100,7 +101,7 @@ class Scanned:
                     f'no point lies in its region, but some would, were it in mm and not in {unit}: {_SAY_UNITS} "mm"'
                 )
         raise InputError(
-            "no point lies in its region: enlarge the box or ball, or see that it is in the object frame, in mm "
+            "no point lies in its region: enlarge the region, or see that it is in the object frame, in mm "
             "(`jaxscan inspect` says how far the points reach)"
         )
 
@@ -204,9 +205,9 @@ def _pitch_px(
 
 
 def _looked_for(image: RangeImage, part: Part) -> RangeImage:
-    """The points in the boxes around all regions; all, where a feature grows or has no region."""
+    """The points in the boxes around all regions; all, where a feature grows or has no region, or regions are moved."""
     regions = [feature.region for feature in part.features if feature.kind not in (*OF_TWO_PLANES, *IN_A_SECTION)]
-    if any(region is None for region in regions) or any(feature.grow for feature in part.features):
+    if any(region is None for region in regions) or any(feature.grow for feature in part.features) or part.fit:
         return image
     inside = np.zeros(image.valid.shape, bool)
     coordinates = [np.ascontiguousarray(image.points[..., axis]) for axis in range(3)]

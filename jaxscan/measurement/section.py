@@ -46,7 +46,7 @@ def outline(scanned: Scanned, feature: Feature) -> Scanned:
         )
     inside = cut.within(feature.region)
     if not len(inside):
-        raise InputError("its plane meets no points: move `point`, turn `normal`, or enlarge the box or ball")
+        raise InputError("its plane meets no points: move `point`, turn `normal`, or enlarge the region")
     return cut.part(inside)
 
 

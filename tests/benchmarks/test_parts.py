@@ -6,7 +6,8 @@ import pytest
 from benchmarks.parts import Compared, coverage, ratios
 from benchmarks.peer_fits import peer_shapes
 from benchmarks.photographed_part import part_of
-from jaxscan.files.part_file import Dimension, Feature, Part, Region
+from jaxscan.files.part_file import Dimension, Feature, Part
+from jaxscan.files.region import Region
 from jaxscan.measurement.measure import MeasuredDimension
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.profile import true_profile

@@ -21,7 +21,8 @@ from benchmarks.measured_parts import (
     scan,
 )
 from jaxscan.errors import InputError
-from jaxscan.files.part_file import Dimension, Feature, Part, Region
+from jaxscan.files.part_file import Dimension, Feature, Part
+from jaxscan.files.region import Region
 from jaxscan.files.rig_file import RigFile
 from jaxscan.measurement.measure import measure
 from jaxscan.measurement.scanned import scanned_image, scanned_points

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.measured_parts import as_image, at, drawn_rig, implicit
 from jaxscan.errors import InputError
-from jaxscan.files.part_file import Dimension, Feature, Part, Region, read_part
+from jaxscan.files.part_file import Dimension, Feature, Part, read_part
 from jaxscan.files.part_write import part_text
+from jaxscan.files.region import Region
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.measurement.clicked import Click, part_of_clicks
 from jaxscan.measurement.measure import measure
