@@ -64,7 +64,7 @@ class Photographable:
         """The true value of a dimension.
 
         A plane or a line stands for itself at the middle of its points, so that its true place is where these lie: the
-        point of the true plane or line that is nearest to it. Only the width between leaning sides depon_step on that.
+        point of the true plane or line that is nearest to it. Only the width between leaning sides depends on that.
         """
         if dimension.kind == "volume":
             return self.volume

@@ -3,9 +3,12 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from jaxscan.rig import MOTIONS, LightPlane
+
+# What has an error of this or more is written without digits after the point.
+_WHOLE: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -119,10 +122,16 @@ class Choice:
             f"{trial.of}, since {trial.why}"
             + (
                 "; photographs that were held out are predicted better by it "
-                f"(−2 log p is lower by {trial.gain:.3g} ± {trial.error:.2g} each)"
+                f"(−2 log p is lower by {_with_error(trial.gain, trial.error)} each)"
                 if math.isfinite(trial.gain)
                 else ""
             )
             for trial in self.added
         ]
         return f"{self.model.in_words()}. Chosen: {'; '.join(each)}"
+
+
+def _with_error(value: float, error: float) -> str:
+    """With the digits that the error leaves."""
+    digits = 0 if error >= _WHOLE else 1
+    return f"{value:.{digits}f} ± {error:.{digits}f}"

@@ -23,6 +23,8 @@ _OBJECTS: Final = ("panda", "cup", "sphere", "box", "stair", "figure")
 _MOST_SIDES: Final = 36
 # A line laser's sheet is not off its plane by more at 100 mm to either side.
 _MOST_BOW_MM: Final = 5.0
+# A board that is bent by more is no board.
+_MOST_BEND_MM: Final = 5.0
 # A guide or a screw that is worse than this is broken.
 _MOST_STAGE_MM: Final = 2.0
 # What is added to the seed from side to side: their noise has nothing in common.
@@ -120,6 +122,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the laser (default: 0, flat)",
     )
     parser.add_argument(
+        "--board-bend-mm",
+        type=finite,
+        default=0.0,
+        metavar="MM",
+        help="bend the board like a sheet of paper, its middle by MM off the line between the ends of its rows, 30 "
+        "degrees askew: 0.3 is a board of cardboard, 0.05 a good print (default: 0, flat)",
+    )
+    parser.add_argument(
         "--guide-mm",
         type=finite,
         default=0.0,
@@ -196,6 +206,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         check_quality(args.quality, "--quality")
     if abs(args.sheet_bow_mm) > _MOST_BOW_MM:
         raise InputError(f"--sheet-bow-mm {args.sheet_bow_mm:g}: give {-_MOST_BOW_MM:g} to {_MOST_BOW_MM:g}")
+    if abs(args.board_bend_mm) > _MOST_BEND_MM:
+        raise InputError(f"--board-bend-mm {args.board_bend_mm:g}: give {-_MOST_BEND_MM:g} to {_MOST_BEND_MM:g}")
     for option, value in (("--guide-mm", args.guide_mm), ("--screw-mm", args.screw_mm)):
         if abs(value) > _MOST_STAGE_MM:
             raise InputError(f"{option} {value:g}: give {-_MOST_STAGE_MM:g} to {_MOST_STAGE_MM:g}")
@@ -229,6 +241,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         },
         hand=Hand(args.shake_mm),
         bow_mm=args.sheet_bow_mm,
+        bend_mm=args.board_bend_mm,
         stage={
             "guide_mm": args.guide_mm,
             "screw_mm": args.screw_mm,
@@ -269,6 +282,7 @@ def simulate_into(
     light: Mapping[str, Any],
     hand: "Hand | None" = None,
     bow_mm: float = 0.0,
+    bend_mm: float = 0.0,
     stage: Mapping[str, float] | None = None,
     turntable: bool = False,
     separate_stripes: bool = False,
@@ -327,6 +341,7 @@ def simulate_into(
             rig=rig,
             lighting=replace(rig_2003.BOARD_LIGHTING, **light),
             hand=hand or STILL,
+            bend_mm=bend_mm,
             separate_stripes=separate_stripes,
             advance=advance,
             **common,

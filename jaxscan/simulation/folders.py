@@ -108,6 +108,7 @@ def simulate_session(
     lighting: Lighting = rig_2003.BOARD_LIGHTING,
     sensor: Sensor = rig_2003.SENSOR,
     hand: Hand = STILL,
+    bend_mm: float = 0.0,
     separate_stripes: bool = False,
     ending: str = ".png",
     quality: int = JPEG_QUALITY,
@@ -128,6 +129,7 @@ def simulate_session(
         lighting: of the boards with a stripe; the stage photographs have the same without the laser. Boards are matt.
         sensor: of all photographs.
         hand: how still it holds the boards of the views; those on stage and turntable do not shake.
+        bend_mm: of the board, as `shapes.board_plate` has it.
         separate_stripes: photograph every pose once without the laser and once with it, into `stripes/`.
         ending: format of the photographs.
         quality: of JPEG, whose colour has half the resolution (4:2:0).
@@ -162,12 +164,12 @@ def simulate_session(
     stripe_images: dict[str, list[Path | None]] = {laser.name: [] for laser in rig.lights}
     for i in range(views):
         pose = Pose(np.asarray(boards.rotation[i]), np.asarray(boards.translation[i]))
-        exposures = rig_2003.held(rig, hand, pose, (seed, i), 1 + (len(rig.lights) if separate else 0))
+        exposures = rig_2003.held(rig, hand, pose, (seed, i), 1 + (len(rig.lights) if separate else 0), bend_mm)
         board_images.append(shoot(f"boards/{i:02d}", exposures[0], _BOARD_NOISE, i, laser=None if separate else 0))
         for n, laser in enumerate(rig.lights if separate else ()):
             name = f"stripes/{laser.name or 'stripe'}-{i:02d}"
             stripe_images[laser.name].append(shoot(name, exposures[1 + n], _STRIPE_NOISE + n, i, laser=n))
-    scene = rig_2003.board_scene(np.asarray(stage.rotation), np.asarray(stage.translation))
+    scene = rig_2003.board_scene(np.asarray(stage.rotation), np.asarray(stage.translation), bend_mm)
     stage_images = [
         shoot(f"stage/{i:02d}", scene, _STAGE_NOISE, i, q={name: each[i] for name, each in come.items()})
         for i in range(len(steps))
@@ -176,7 +178,7 @@ def simulate_session(
     turns = tuple(rig_2003.turns_of(turntable_views or rig_2003.TURNTABLE_VIEWS).tolist()) if leaning else ()
     on_stage, turned = rig_2003.turntable_stage_step(rig) if leaning else 0, []
     for i, pose in enumerate(rig_2003.turned_boards(rig, leaning, np.array(turns)) if leaning else ()):
-        scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation))
+        scene = rig_2003.board_scene(np.asarray(pose.rotation), np.asarray(pose.translation), bend_mm)
         turned.append(shoot(f"turntable/{i:02d}", scene, _TURNTABLE_NOISE, i, q={STAGE: on_stage}))
     stripes = {name: tuple(paths) for name, paths in stripe_images.items()} if separate and rig.lights else None
     write_session(

@@ -1,6 +1,7 @@
 """A flat rectangular plate without thickness, with a pattern printed on it: calibration boards, floors, walls."""
 
 from abc import abstractmethod
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -129,12 +130,4 @@ class Plate(Solid):
 
     def moved(self, R: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> "Plate":
         """Origin and axes move."""
-        return Plate(
-            R @ self.origin + translation,
-            R @ self.x_axis,
-            R @ self.y_axis,
-            self.low,
-            self.high,
-            self.pattern,
-            self.ink,
-        )
+        return replace(self, origin=R @ self.origin + translation, x_axis=R @ self.x_axis, y_axis=R @ self.y_axis)

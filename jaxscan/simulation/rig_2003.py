@@ -327,12 +327,14 @@ def turned_on(rig: Rig, bodies: Sequence[Body], steps: float) -> tuple[Body, ...
     return tuple(body.moved(R.T @ turn @ R, R.T @ (turn @ origin + T.translation - origin)) for body in bodies)
 
 
-def board_scene(rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"]) -> Scene:
-    """The board alone, in the pose T_cam_board, fixed on the stage where there is one."""
-    return Scene((board_plate(BOARD).moved(vector_to_matrix(rotation), translation),))
+def board_scene(rotation: Float[np.ndarray, "3"], translation: Float[np.ndarray, "3"], bend_mm: float = 0.0) -> Scene:
+    """The board alone, in the pose T_cam_board, fixed on the stage where there is one; bent, where it is."""
+    return Scene((board_plate(BOARD, bend_mm=bend_mm).moved(vector_to_matrix(rotation), translation),))
 
 
-def held(rig: Rig, hand: Hand, pose: Pose, seed: tuple[int, int], exposures: int) -> list[list[Scene]]:
+def held(
+    rig: Rig, hand: Hand, pose: Pose, seed: tuple[int, int], exposures: int, bend_mm: float = 0.0
+) -> list[list[Scene]]:
     """The board alone, held in the pose T_cam_board: at even times of each of several exposures.
 
     Args:
@@ -341,10 +343,13 @@ def held(rig: Rig, hand: Hand, pose: Pose, seed: tuple[int, int], exposures: int
         pose: the mean one over the first exposure.
         seed: of the session, and which view it is.
         exposures: how many, right after each other.
+        bend_mm: of the board.
     """
     px_per_mm = max(float(f) for f in rig.camera.focal) / float(pose.apply(BOARD.points())[:, 2].min())
     moments = hand.held(pose, BOARD.points(), (2003, seed[0], 5, seed[1]), exposures, px_per_mm)
-    return [[board_scene(np.asarray(at.rotation), np.asarray(at.translation)) for at in each] for each in moments]
+    return [
+        [board_scene(np.asarray(at.rotation), np.asarray(at.translation), bend_mm) for at in each] for each in moments
+    ]
 
 
 def _sheet_point(rig: Rig, depth: float) -> Float[np.ndarray, "3"]:

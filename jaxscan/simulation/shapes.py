@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from jaxscan.errors import InputError
 from jaxscan.files.mesh import read_mesh
 from jaxscan.images import Board
+from jaxscan.simulation.bent_plate import bent
 from jaxscan.simulation.plate import Checks, Circles, Pattern, Plate
 from jaxscan.simulation.scene import Body
 from jaxscan.simulation.solids import Box, Cylinder, Difference, HalfSpace, Intersection, Sphere
@@ -24,6 +25,8 @@ _ACROSS = np.array([0.0, 1.0, 0.0])
 
 # Radius of a calibration board's circles, in parts of their pitch, where the board does not say.
 _CIRCLE_RADIUS = 0.3
+# From a board's rows to the direction in which it bends.
+_ASKEW = np.radians(30.0)
 # What a scan of 74 mm takes of a mesh: x, y, z, and the least of its largest extent, mm.
 _LARGEST = np.array([140.0, 66.0, 60.0])
 _SMALLEST = 5.0
@@ -183,7 +186,9 @@ def mesh_to_scan(path: Path) -> trimesh.Trimesh:
     return triangles
 
 
-def board_plate(board: Board, margin_mm: float = 8.0, white: float = 0.9, ink: float = 0.3) -> Body:
+def board_plate(
+    board: Board, margin_mm: float = 8.0, white: float = 0.9, ink: float = 0.3, bend_mm: float = 0.0
+) -> Body:
     """A calibration board in its own frame: the first point at the origin, z away from a camera that sees its front.
 
     Args:
@@ -191,6 +196,8 @@ def board_plate(board: Board, margin_mm: float = 8.0, white: float = 0.9, ink: f
         margin_mm: white around the pattern.
         white: albedo of the paper.
         ink: brightness of the ink, in parts of the paper's.
+        bend_mm: how far its middle is off the line between the ends of the pattern; it bends across its rows, 30°
+            askew, as paper does on a cylinder.
 
     Raises:
         InputError: a ChArUco board, whose markers are not simulated.
@@ -205,4 +212,7 @@ def board_plate(board: Board, margin_mm: float = 8.0, white: float = 0.9, ink: f
         pattern, reach = Checks(counts, pitch), pitch
     low, high = np.full(2, -reach - margin_mm), (counts - 1) * pitch + reach + margin_mm
     x_axis = np.array([1.0, 0.0, 0.0])
-    return Body(Plate(np.zeros(3), x_axis, _ACROSS, low, high, pattern, ink), grey(white))
+    plate = Plate(np.zeros(3), x_axis, _ACROSS, low, high, pattern, ink)
+    if bend_mm:
+        plate = bent(plate, bend_mm, float((counts[0] - 1) * pitch), _ASKEW)
+    return Body(plate, grey(white))

@@ -76,8 +76,8 @@ def _suspect(suspect: Suspect) -> Box:
         "It may be of another camera, zoom or focus, show another board or a reflection of the stripe, or be blurred: "
         "look at it, and leave it out or take it again."
         if rejected
-        else "It is blurred, the board was bent or moved, or the camera was focused again: leave it out or take it "
-        "again, with autofocus off.",
+        else "It is blurred, shows another board, the board was bent or moved, or the camera was focused again: leave "
+        "it out or take it again, with autofocus off.",
     )
 
 

@@ -79,5 +79,7 @@ def test_words():
     model = Model("brown", True, "bend", ("bowed", "bowed"), {"stage": "screw"})
     assert model.in_words() == "lens brown on a tilted sensor, board bend, sheet bowed, stage screw"
     assert model.beyond(PLAIN) == "lens brown, tilted sensor, board bend, sheet bowed, stage screw"
-    trial = Trial(replace(PLAIN, lens="brown"), "lens brown", "it is", 12.3, 1.0, True)
-    assert Choice(trial.model, (trial,)).sentence.endswith("(−2 log p is lower by 12.3 ± 1 each)")
+    trial = Trial(replace(PLAIN, lens="brown"), "lens brown", "it is", 12.34, 1.0, True)
+    assert Choice(trial.model, (trial,)).sentence.endswith("(−2 log p is lower by 12.3 ± 1.0 each)")
+    large = replace(trial, gain=699.4, error=123.4)
+    assert Choice(large.model, (large,)).sentence.endswith("(−2 log p is lower by 699 ± 123 each)")

@@ -1,0 +1,81 @@
+"""Boards that bend, sheets that curve and stages that are no lines, photographed: points, and the chosen model.
+
+The other suites of such faults draw corners and stripes by the numbers. Here the simulated rig of 2003 photographs a
+session with speckle and noise, the board on a cylinder 30° askew, which is no term of the model, and the detectors find
+corners and stripes. Each session is calibrated with the model that is chosen, and with the plain one. The error is that
+of exact pixels that the rig triangulates over the working volume (`benchmarks.simulated`), RMS, over the error of the
+session of the same seed without a fault.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks.metric import Metric
+from benchmarks.simulated import rig_errors
+from jaxscan.calibration import Calibration, calibrate, calibrate_by_evidence
+from jaxscan.calibration.model import Model
+from jaxscan.calibration.observe import observe
+from jaxscan.files.session import read_session
+from jaxscan.simulation import rig_2003
+from jaxscan.simulation.folders import simulate_session
+
+_SEEDS, _SEEDS_QUICK = 6, 1
+_STEPS_OF_SCREW = 3200.0
+# Of each fault: what is done to the rig and its session, what has to be chosen for it, and the goal.
+_FAULTS: dict[str, tuple[dict[str, Any], Callable[[Model], bool], float]] = {
+    "nothing": ({}, lambda m: m.board_shape == "flat" and m.lights == ("plane",) and not m.motion, 1.03),
+    "board_0.05": ({"bend_mm": 0.05}, lambda m: m.board_shape != "flat", 1.2),
+    "board_0.3": ({"bend_mm": 0.3}, lambda m: m.board_shape != "flat", 1.2),
+    "sheet_0.05": ({"bow_mm": 0.05}, lambda m: m.lights == ("bowed",), 1.1),
+    "sheet_0.3": ({"bow_mm": 0.3}, lambda m: m.lights == ("bowed",), 1.1),
+    "guide_0.1": ({"guide_mm": 0.1}, lambda m: m.motion == {"stage": "guide"}, 1.15),
+    "screw_0.05": ({"screw_mm": 0.05}, lambda m: m.motion == {"stage": "screw"}, 1.15),
+}
+
+
+def measure(quick: bool) -> list[Metric]:
+    """Six seeds of each fault, or one."""
+    seeds = range(_SEEDS_QUICK if quick else _SEEDS)
+    metrics, flat = [], np.zeros(0)
+    for name, (fault, right, goal) in _FAULTS.items():
+        chosen, plain, named = [], [], 0
+        for seed in seeds:
+            errors, plain_errors, model = _calibrated(seed, **fault)
+            chosen.append(errors)
+            plain.append(plain_errors)
+            named += right(model)
+            if not right(model):
+                print(f"  {name} {seed}: {model}", flush=True)
+        flat = np.array(plain) if name == "nothing" else flat
+        stem = f"photographed.{name}"
+        over, plainly = (float(np.sqrt(np.mean(np.square(x)) / np.mean(np.square(flat)))) for x in (chosen, plain))
+        metrics.append(Metric(f"{stem}.over_nothing", over, "", "lower", goal, slack=0.1))
+        metrics.append(Metric(f"{stem}.plain_over_nothing", plainly))
+        metrics.append(Metric(f"{stem}.right", named / len(seeds), "", "higher", 0.95, slack=0.05))
+        print(f"  {name}: {over:.3f}, taken as plain {plainly:.3g}; right {named} of {len(seeds)}", flush=True)
+        # Every model is compiled again, and the number of memory maps of a process is limited.
+        jax.clear_caches()
+    return [*metrics, Metric("photographed.nothing.points_mm", float(np.sqrt(np.mean(flat**2))), "mm")]
+
+
+def _calibrated(
+    seed: int, bend_mm: float = 0.0, bow_mm: float = 0.0, guide_mm: float = 0.0, screw_mm: float = 0.0
+) -> tuple[float, float, Model]:
+    """The points' error with the model that is chosen and with the plain one, mm, and that model."""
+    rig = rig_2003.simulated_rig(seed, 1, bow_mm)
+    rig = rig_2003.with_stage(rig, guide_mm=guide_mm, screw_mm=screw_mm, screw_steps=_STEPS_OF_SCREW, play_mm=0.0)
+    with tempfile.TemporaryDirectory() as folder:
+        truth = simulate_session(Path(folder) / "session", seed, rig=rig, bend_mm=bend_mm)
+        observations = observe(read_session(Path(folder) / "session"))
+
+    def error(found: Calibration) -> float:
+        return rig_errors(found.rig, truth.rig).points
+
+    found = calibrate_by_evidence(observations, Model())
+    assert found.choice is not None
+    return error(found), error(calibrate(observations)), found.choice.model
