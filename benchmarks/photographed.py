@@ -24,7 +24,7 @@ from jaxscan.files.session import read_session
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_session
 
-_SEEDS, _SEEDS_QUICK = 6, 1
+_SEEDS, _SEEDS_QUICK = 4, 1
 _STEPS_OF_SCREW = 3200.0
 # Of each fault: what is done to the rig and its session, what has to be chosen for it, and the goal.
 _FAULTS: dict[str, tuple[dict[str, Any], Callable[[Model], bool], float]] = {
@@ -39,7 +39,7 @@ _FAULTS: dict[str, tuple[dict[str, Any], Callable[[Model], bool], float]] = {
 
 
 def measure(quick: bool) -> list[Metric]:
-    """Six seeds of each fault, or one."""
+    """Four seeds of each fault, or one."""
     seeds = range(_SEEDS_QUICK if quick else _SEEDS)
     metrics, flat = [], np.zeros(0)
     for name, (fault, right, goal) in _FAULTS.items():
