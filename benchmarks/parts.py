@@ -92,12 +92,13 @@ Found = dict[str, list[Compared]]
 
 
 def measure(quick: bool) -> list[Metric]:
-    """Twenty seeds, or two, from JAXSCAN_FIRST_SEED on."""
+    """Twenty seeds, or two, from JAXSCAN_FIRST_SEED on; photographed with a speckle of JAXSCAN_SPECKLE."""
     first = int(os.environ.get("JAXSCAN_FIRST_SEED", "0"))
+    speckle = float(os.environ.get("JAXSCAN_SPECKLE", rig_2003.SPECKLE))
     seeds = range(first, first + (QUICK_SEEDS if quick else SEEDS))
     photographs: Found = defaultdict(list)
     for seed in seeds:
-        taken = photographed(seed)
+        taken = photographed(seed, speckle)
         compare(photographs, taken.image, taken.rig, taken.part.part, taken.part.truth, _PHOTOGRAPHED_MM)
         inside = [_holds(each[-1]) for each in photographs.values()]
         print(f"  seed {seed}: {int(taken.image.valid.sum())} points, {sum(inside)} of {len(inside)} hold", flush=True)
