@@ -260,10 +260,7 @@ class Observations:
         photographs = self.photographs()
         names = [photographs[i].name for i in self.in_order()]
         if name not in names:
-            known = ", ".join(names[:_NAMED]) + (" …" if len(names) > _NAMED else "")
-            nearest = get_close_matches(name, names)
-            like = f"; the nearest names are {', '.join(nearest)}" if nearest else ""
-            raise InputError(f'there is no photograph "{name}"{like}: those with a board are {known}')
+            raise no_such_photograph(name, names, "those with a board are")
         return names[: names.index(name)]
 
     def remarks(self) -> str:
@@ -285,6 +282,14 @@ class Observations:
                 "calibration of the same observations"
             )
         return self.with_photographs([mask.of(view) for mask, view in zip(keep, photographs, strict=True)])
+
+
+def no_such_photograph(name: str, names: Sequence[str], those: str) -> InputError:
+    """The error for a name that none of these photographs has."""
+    known = ", ".join(names[:_NAMED]) + (" …" if len(names) > _NAMED else "")
+    nearest = get_close_matches(name, names)
+    like = f"; the nearest names are {', '.join(nearest)}" if nearest else ""
+    return InputError(f'there is no photograph "{name}"{like}: {those} {known}')
 
 
 def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:

@@ -69,21 +69,17 @@ def observe(
         StalledError: the search in one of them did not end in time.
     """
 
-    def name(path: Path) -> str:
-        """As the session has it: photographs of the views and of the stage may share a file name."""
-        return relative_name(path, session.path.parent)
-
     def view(index: int) -> _Photograph:
         path, stripes = session.views.boards[index], session.views.stripes
         lit = [path if stripes is None else stripes[laser.name][index] for laser in session.lasers]
-        return _Photograph(name(path), *_look(path, session, lit, detector))
+        return _Photograph(_name(session, path), *_look(path, session, lit, detector))
 
     def along(sequence: StageImages, index: int) -> _Photograph:
         path = sequence.images[index]
         lit = [
             sequence.stripes[laser.name][index] if laser.name in sequence.stripes else None for laser in session.lasers
         ]
-        return _Photograph(name(path), *_look(path, session, lit, detector))
+        return _Photograph(_name(session, path), *_look(path, session, lit, detector))
 
     def looked_at(look: Callable[[Any], _Photograph], paths: Sequence[Path], each: Iterable[Any]) -> list[_Photograph]:
         seen = []
@@ -148,6 +144,17 @@ def unseen(session: Session) -> Observations:
 def photograph_count(session: Session) -> int:
     """How many poses `observe` looks at."""
     return len(session.views.boards) + sum(session.counts.values())
+
+
+def photograph_names(session: Session) -> list[str]:
+    """What `observe` calls the photographs of the board: those of the views, then those along the axes."""
+    along = [path for sequence in session.sequences.values() for path in sequence.images]
+    return [_name(session, path) for path in (*session.views.boards, *along)]
+
+
+def _name(session: Session, path: Path) -> str:
+    """As the session has it: photographs of the views and of the stage may share a file name."""
+    return relative_name(path, session.path.parent)
 
 
 def _stripe_of(laser: StripeSettings) -> str:

@@ -197,7 +197,7 @@ def _solved(
     from jaxscan.calibration.known_scale import scale_note
     from jaxscan.calibration.model import Model
     from jaxscan.calibration.observations import join
-    from jaxscan.calibration.observe import observe, photograph_count, unseen
+    from jaxscan.calibration.observe import observe, photograph_count, photograph_names, unseen
     from jaxscan.cli.progress import progress
     from jaxscan.files.cameras import read_camera_file
     from jaxscan.files.session import CameraSettings, Session, check_stage_known, read_session
@@ -231,7 +231,8 @@ def _solved(
     left, notes = _once(paths, contents)
     paths, contents, each = [paths[i] for i in left], list(left.values()), [each[i] for i in left]
     _check_poses(paths, contents, sum(len(given.views) for given in each), shapes[0])
-    check_stage_known([content for content in contents if isinstance(content, Session)])
+    sessions = [content for content in contents if isinstance(content, Session)]
+    check_stage_known(sessions)
     if needs_laser and not joined.lasers:
         raise InputError(
             f"{paths[0]}: has no [laser], and --f-number, --wavelength-nm and --pixel-um are for the stripe of one: "
@@ -249,7 +250,11 @@ def _solved(
         )
     holding = camera_parameters(lens, tilted=tilted) if hold else asked.hold
     held_parameters(holding, lens, asked.principal_point, has_start=start is not None, tilted=tilted)
-    photographs = sum(photograph_count(content) for content in contents if isinstance(content, Session))
+    if len(sessions) == len(contents):
+        named = [photograph_names(session) for session in sessions]
+        several = [f"{of}/{one}" for of, each_name in zip(_names(paths), named, strict=True) for one in each_name]
+        estimate.check_named(several if len(named) > 1 else named[0])
+    photographs = sum(map(photograph_count, sessions))
     with progress("finding boards and stripes", photographs) as advance:
         each = [
             observe(content, advance, detector) if isinstance(content, Session) else given

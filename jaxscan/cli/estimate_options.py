@@ -72,6 +72,18 @@ class Estimate:
         own = session.sheets or (PLANE,) * len(session.lasers)
         return (self.sheet,) * len(own) if self.sheet else own
 
+    def check_named(self, names: list[str]) -> None:
+        """Whether --since and --split name photographs, before any is looked at.
+
+        Raises:
+            InputError: one of them does not.
+        """
+        from jaxscan.calibration.observations import no_such_photograph
+
+        for option, name in (("--since", self.since), ("--split", self.split)):
+            if name is not None and name not in names:
+                raise InputError(f"{option}: {no_such_photograph(name, names, 'those of the board are')}")
+
     def taken(self, observations: "Observations") -> "Observations":
         """What takes part of what was seen.
 

@@ -303,9 +303,27 @@ def test_amounts_are_said_to_two_digits_of_sigma():
     assert str(Amount(-123.4, 56.0, "", "{}")) == "-123 ± 56"
 
 
+def seen_in_place_of_photographs(monkeypatch, session):
+    monkeypatch.setattr("jaxscan.calibration.observe.observe", lambda content, *_: session)
+    names = [view.name for view in session.photographs()]
+    monkeypatch.setattr("jaxscan.calibration.observe.photograph_names", lambda content: names)
+
+
+def test_a_name_that_no_photograph_has_is_refused_before_they_are_looked_at(world, tmp_path, monkeypatch, capsys):
+    def never(*_):
+        raise AssertionError
+
+    monkeypatch.setattr("jaxscan.calibration.observe.observe", never)
+    for option in ("--split", "--since"):
+        assert (
+            main(["calibrate", str(world / "session"), "-o", str(tmp_path / "rig.json"), option, "boards/77.png"]) == 2
+        )
+        assert f'{option}: there is no photograph "boards/77.png"; the nearest' in capsys.readouterr().err
+
+
 def test_the_command_writes_both_rigs(world, tmp_path, monkeypatch, capsys, refocused):
     session, name = refocused
-    monkeypatch.setattr("jaxscan.calibration.observe.observe", lambda content, *_: session)
+    seen_in_place_of_photographs(monkeypatch, session)
     out = tmp_path / "rig.json"
     words = ["calibrate", str(world / "session"), "-o", str(out), "--split", name]
     assert main(words) == 0
@@ -320,7 +338,7 @@ def test_the_command_writes_both_rigs(world, tmp_path, monkeypatch, capsys, refo
 
 def test_the_command_refuses_what_it_cannot_do(world, tmp_path, monkeypatch, capsys, refocused):
     session, name = refocused
-    monkeypatch.setattr("jaxscan.calibration.observe.observe", lambda content, *_: session)
+    seen_in_place_of_photographs(monkeypatch, session)
     words = ["calibrate", str(world / "session"), "-o", str(tmp_path / "rig.json")]
     assert main([*words, "--split", name, "--since", name]) == 2
     assert "keep one of them" in capsys.readouterr().err
