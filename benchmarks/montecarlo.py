@@ -159,7 +159,7 @@ def _drawing(session: Session, random: np.random.Generator) -> tuple[Observation
 
 
 def _true_poses(session: Session) -> tuple[Float[np.ndarray, "views 6"], Float[np.ndarray, "sequences 6"]]:
-    """Of the boards in the views, and of those on axes at the positions of reference."""
+    """The poses of the boards in the views, and of those on axes at the positions of reference."""
     at_reference = [
         session.rig.pose(reference_positions(sequence)) @ pose
         for sequence, pose in zip(session.exact.sequences, session.moved, strict=True)

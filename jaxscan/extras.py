@@ -13,6 +13,7 @@ EXTRAS: Final = {
     "poisson": ("a closed surface by screened Poisson", "", ("pymeshlab",)),
     "simplify": ("to make a mesh of fewer triangles", "", ("fast_simplification",)),
     "viewer": ("to look at a surface in the browser", "; or draw it with --png", ("viser",)),
+    "rerun": ("to write a recording for Rerun", "", ("rerun",)),
     "features": (
         "to find the poses of scans by their shape",
         "; or say it with --turn, --steps or --poses (from Python 3.13 on the only way)",

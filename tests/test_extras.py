@@ -29,6 +29,7 @@ IMPORTED = {
     "kiss-matcher": "kiss_matcher",
     "fast-simplification": "fast_simplification",
     "argon2-cffi": "argon2",
+    "rerun-sdk": "rerun",
 }
 COMES_WITH = {
     "starlette": "fastapi",
@@ -131,6 +132,7 @@ USES = [
     ("plots", "calibrate none -o OUT/rig.json --report OUT/report"),
     ("plots", "inspect OUT/image.npz --png OUT/m.png"),
     ("viewer", "view none.ply"),
+    ("rerun", "view none.ply --rerun OUT/m.rrd"),
     ("poisson", "mesh none.npz -o OUT/m.stl --method poisson"),
     ("poisson", "merge a.npz b.npz --turn 90 -o OUT/m.stl --closed"),
     ("simplify", "mesh none.npz -o OUT/m.stl --simplify 100"),

@@ -37,7 +37,7 @@ def _said(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def _answers(response: type[Response], media: str, *statuses: int) -> dict[str, Any]:
-    """Of a route whose answer is no JSON: its class and type, and with which statuses it may refuse."""
+    """What declares a route whose answer is no JSON: its class and type, and with which statuses it may refuse."""
     return {"response_class": response, "responses": {200: {"content": {media: {}}}, **_said(*statuses)}}
 
 

@@ -1,15 +1,19 @@
-"""`jaxscan view`: a cloud or a mesh in the browser, with the scanner around it; or as a still picture."""
+"""`jaxscan view`: a cloud or a mesh in the browser, with the scanner around it; as a picture; as a recording."""
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.options import check_outputs
 from jaxscan.cli.progress import resting, step
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
-HELP: Final = "look at a range image, a cloud or a mesh, in the browser or as a picture"
+if TYPE_CHECKING:
+    from jaxscan.rig import Rig
+    from jaxscan.view.view_data import ViewData
+
+HELP: Final = "look at a range image, a cloud or a mesh, in the browser, as a picture, or in Rerun"
 EXAMPLE: Final = "jaxscan view cup.npz --rig rig.json"
 
 
@@ -23,6 +27,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the points; photograph: their own (default: height; of a mesh that has colours, these)",
     )
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw a picture in place of opening the browser")
+    parser.add_argument(
+        "--rerun", type=Path, metavar="OUT", help="write a recording (.rrd) for Rerun in place of that (extra rerun)"
+    )
+    parser.add_argument(
+        "--photographs",
+        type=Path,
+        metavar="SCAN",
+        help="the scan of a range image (a folder with scan.toml): the recording has its photographs; needs --rig",
+    )
     parser.add_argument("--port", type=int, default=8080, help="of this machine (default: 8080, or the next free one)")
     parser.add_argument("--no-browser", action="store_true", help="serve, and open no window")
 
@@ -31,8 +44,9 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
     """Read and show."""
     if not 0 < args.port < 65536:
         raise InputError(f"--port {args.port}: give a number from 1 to 65535")
-    extra("plots" if args.png else "viewer")
-    check_outputs([], args.png, [args.file])
+    _check_recording(args)
+    extra("plots" if args.png else "rerun" if args.rerun else "viewer")
+    check_outputs([args.rerun] if args.rerun else [], args.png, [args.file, *([args.rig] if args.rig else [])])
     from jaxscan.errors import error_context
     from jaxscan.view.view_data import view_data
 
@@ -59,6 +73,9 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
         step(f"drawing {args.png}")
         draw_view_data(args.png, shown, colour, args.file.name)
         return result | {"picture": str(args.png)}
+    if args.rerun:
+        recorded = _record(args, shown, colour, rig)
+        return result | {"recording": str(args.rerun), "cameras": recorded[0], "photographs": recorded[1]}
     from jaxscan.cli.compiled import keep_compiled
     from jaxscan.cli.measure import read_surface
     from jaxscan.view.viewer import HOST, serve
@@ -80,7 +97,46 @@ def run(args: argparse.Namespace) -> dict[str, Any] | None:
     return None
 
 
+def _check_recording(args: argparse.Namespace) -> None:
+    """Refuse what does not go together, before any work."""
+    if args.rerun is None:
+        if args.photographs is not None:
+            raise InputError("--photographs: only a recording has them: add --rerun OUT.rrd, or leave it out")
+        return
+    if args.png is not None:
+        raise InputError("--rerun and --png: give one of them at a time")
+    if args.rerun.suffix.lower() != ".rrd":
+        raise InputError(f"--rerun {args.rerun}: a recording of Rerun is an .rrd: end its name with .rrd")
+    if args.photographs is not None and args.file.suffix.lower() != ".npz":
+        raise InputError(f"{args.file}: --photographs needs the frames of a range image: give the .npz")
+    if args.photographs is not None and args.rig is None:
+        raise InputError("--photographs: needs --rig too: the rig that the scan was reconstructed with")
+
+
+def _record(args: argparse.Namespace, shown: "ViewData", colour: str, rig: "Rig | None") -> tuple[int, int]:
+    """Write the recording; returned are how many camera poses and how many photographs it has."""
+    from jaxscan.view.recording import photographs_of, write_recording
+
+    photographs = ()
+    if args.photographs is not None:
+        from jaxscan.cli.compiled import keep_compiled
+        from jaxscan.files.scan import read_scan
+        from jaxscan.reconstruction import read_range_image
+
+        keep_compiled()
+        photographs = photographs_of(read_scan(args.photographs), len(read_range_image(args.file).valid))
+    step(f"writing {args.rerun}")
+    camera = None if rig is None else rig.camera
+    recorded = write_recording(args.rerun, shown, colour, camera, photographs)
+    return 0 if shown.setup is None else len(shown.setup.frames), recorded
+
+
 def describe(result: dict[str, Any]) -> str:
     """The result in words."""
     what = f"{result['points']} points" + (f", {result['triangles']} triangles" if result["triangles"] else "")
-    return f"{result['path']}: {what}, coloured by {result['colour']}: {result['picture']}"
+    where = result.get("picture")
+    if where is None:
+        where = result["recording"]
+        for name in ("cameras", "photographs"):
+            what += f", {result[name]} {name}" if result[name] else ""
+    return f"{result['path']}: {what}, coloured by {result['colour']}: {where}"

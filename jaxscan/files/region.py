@@ -1,12 +1,12 @@
 """Where the points of a feature lie: in a box, in a ball, or near the faces of one colour of a reference mesh."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
-from PIL import ImageColor
 
 from jaxscan.errors import InputError
 from jaxscan.files.coloured_faces import ColouredFaces, ColouredMesh, read_coloured_mesh
@@ -79,7 +79,7 @@ class RegionReader:
 
     @classmethod
     def of(cls, part: Table, scale: float) -> "RegionReader":
-        """By the table [part]; the mesh is read, which is in mm.
+        """The reader that the table [part] describes; its mesh, in mm, is read.
 
         Raises:
             InputError: the mesh is missing or has no colours, or a key needs it.
@@ -128,10 +128,10 @@ class RegionReader:
     def _coloured(self, table: Table) -> ColouredFaces:
         if self.mesh is None:
             raise table.error("colour", "there is no mesh whose faces have it: add reference = under [part]")
-        try:
-            red, green, blue = ImageColor.getrgb(table.string("colour"))[:3]
-        except ValueError:
-            raise table.error("colour", 'is no colour: write "#rrggbb", six digits of 0 to f, or "red"') from None
+        digits = re.fullmatch("#([0-9a-fA-F]{6})", table.string("colour"))
+        if digits is None:
+            raise table.error("colour", 'is no colour: write "#rrggbb", six digits of 0 to f')
+        red, green, blue = bytes.fromhex(digits[1])
         region = ColouredFaces(self.mesh, (red, green, blue), self.within)
         try:
             region.bounds()

@@ -36,12 +36,14 @@ class Setup:
 
     Attributes:
         at: T_object_camera from the first frame to the last, some in between; the identity where it did not move.
+        frames: the scan's frame at which each of these was, from 0; 0 where the scan is not known.
         sheet: corners of the light plane at the first frame, as far as the camera sees it there; none without a laser.
         fov: the camera's vertical field of view, radians.
         aspect: width of its image over the height.
     """
 
     at: Pose[np.ndarray]
+    frames: Int[np.ndarray, "poses"]
     sheet: Float[np.ndarray, "corners 3"]
     fov: float
     aspect: float
@@ -127,7 +129,7 @@ def _of_image(image: RangeImage, rig: Rig | None) -> ViewData:
     at, every = image.from_camera(), max(1, len(image.valid) // _MOST_CAMERAS)
     some = np.append(np.arange(0, len(image.valid) - 1, every), len(image.valid) - 1)
     seen = image.seen()[image.valid]
-    setup = _setup(seen, Pose(at.rotation[some], at.translation[some]), rig, image.sheets)
+    setup = _setup(seen, Pose(at.rotation[some], at.translation[some]), some, rig, image.sheets)
     return ViewData(points, up, values, None, setup, cloud.colours)
 
 
@@ -141,7 +143,7 @@ def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, r
         known = getattr(cloud, name)
         if known is not None:
             values[name] = known.astype(np.float64)
-    setup = _setup(cloud.points, Pose(*np.zeros((2, 1, 3))), rig)
+    setup = _setup(cloud.points, Pose(*np.zeros((2, 1, 3))), np.zeros(1, int), rig)
     return ViewData(cloud.points, up, values, triangles, setup, cloud.colours)
 
 
@@ -153,7 +155,11 @@ def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray,
 
 
 def _setup(
-    seen: Float[np.ndarray, "points 3"], at: Pose[np.ndarray], rig: Rig | None, sheets: tuple[Light, ...] = ()
+    seen: Float[np.ndarray, "points 3"],
+    at: Pose[np.ndarray],
+    frames: Int[np.ndarray, "poses"],
+    rig: Rig | None,
+    sheets: tuple[Light, ...] = (),
 ) -> Setup | None:
     """From the points in the frame of the camera that saw them, in the light that lit them or the rig's first."""
     if rig is None:
@@ -168,4 +174,4 @@ def _setup(
         ends = _WIDER * np.array([along.min(), along.max()])
         sheet = section(light, np.array([near, far]), ends).reshape(-1, 3)[[0, 1, 3, 2]]
         sheet = Pose(at.rotation[0], at.translation[0]).apply(sheet)
-    return Setup(at, sheet, float(2 * np.arctan(half[1])), columns / rows)
+    return Setup(at, frames, sheet, float(2 * np.arctan(half[1])), columns / rows)

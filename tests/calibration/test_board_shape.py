@@ -86,7 +86,7 @@ def test_slopes_are_derivatives_of_the_height():
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6, 1.05])
 def test_rays_meet_the_bent_board(tilt: float):
-    """Of points that lie on it, seen at up to 60° to its normal, within what the docstring says."""
+    """Rays to points of the board, at up to 60° to its normal, meet it within what the docstring says."""
     terms = TERMS / np.ptp(TERMS @ basis(*places_on_board(POINTS), 5)) * 0.5
     R, t = vector_to_matrix(np.array([0.3 * tilt, tilt, 0.1])), np.array([-60.0, -40.0, 350.0])
     X = np.stack([*POINTS[:, :2].T, surface(terms)(*POINTS[:, :2].T)], axis=-1) @ R.T + t
@@ -166,7 +166,7 @@ def test_what_is_advised_can_be_done_with_the_views_that_there_are():
 
 
 def test_the_mean_of_two_boards_is_not_named_beside_them():
-    """Of a flat board and of one bent by 0.8 mm it would be that "the board is bent by 0.35 mm"."""
+    """A flat board and one bent by 0.8 mm would be called "the board is bent by 0.35 mm"."""
     ((what, fix),) = found_bent(session="tuesday", differs_mm=0.81).statements
     assert "session tuesday has another shape" in what
     assert "apart" in fix

@@ -24,7 +24,7 @@ _OUTLINE = RADIUS * np.stack([np.cos(_TURNS), np.sin(_TURNS), 0 * _TURNS], axis=
 
 
 def centres_of_gravity(pose):
-    """Of the images of all circles, px."""
+    """The centres of gravity of the images of all circles, px."""
     outlines = BOARD.points()[:, None] + _OUTLINE
     pixels = cv2.projectPoints(outlines.reshape(-1, 3), pose[:3], pose[3:], _K, np.array([K1, 0, 0, 0]))[0]
     at = pixels.reshape(*outlines.shape[:2], 2)

@@ -71,7 +71,7 @@ def test_cause_and_mend_come_from_the_session(name, spread, words):
 
 @pytest.mark.parametrize("name", ["camera.focal.0", "camera.radial.1", "camera.tilt.0"])
 def test_corners_that_contradict_the_model_are_not_laid_on_the_poses(name):
-    """Of a board bent by 10 mm it was said: tilt the board by 30° or more."""
+    """A board bent by 10 mm once got the advice to tilt it by 30° or more."""
     question, coverage = OpenQuestion("", (name,)), replace(COVERAGE, tilt_spread_deg=70.0)
     text = cause_and_fix(question, coverage, 1.7)
     assert text.startswith("corners fit to 1.7 px, where a tenth of a pixel is usual")

@@ -53,7 +53,7 @@ def test_a_bow_that_short_stripes_leave_open_is_refused_with_the_photograph_that
 
 
 def test_a_bow_no_better_than_its_sigma_is_said_to_be_none():
-    """Of 0.34 ± 0.06 mm nothing is said, of 1.7 ± 1.2 mm nothing was."""
+    """A bow of 0.34 ± 0.06 mm is not remarked on; one of 1.7 ± 1.2 mm once was not either."""
     session = sheets.session(1, sheets.cone(0.3))
     assert calibrate(short(session, 270, 370), light="bowed").notes == ()
     assert calibrate(short(session, 305, 335)).notes == ()

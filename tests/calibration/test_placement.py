@@ -37,7 +37,7 @@ def _excess(reach: Reach, places: Float[Array, "places 6"]) -> tuple[Float[Array
 
 
 def placed(places: np.ndarray, reach: Reach | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """By how much each place is beyond the limits, and its pose; as many at once as there are at most."""
+    """How far each place is beyond the limits, and its pose; all calls have the largest count of places."""
     with float64():
         excess, poses = _excess(reach or reach_of(), jnp.asarray(np.resize(places, (81, 6))))
     return np.asarray(excess)[: len(places)], np.asarray(poses)[: len(places)]

@@ -48,7 +48,7 @@ def values(calibration: Calibration) -> np.ndarray:
 
 
 def chi2(error: np.ndarray, matrix: np.ndarray, rank: int) -> float:
-    """Of numbers whose covariance has a rank that is less than theirs."""
+    """χ² of numbers whose covariance has this rank, which is less than their count."""
     scale = np.sqrt(np.diagonal(matrix))
     spread, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     np.testing.assert_allclose(spread[:-rank], 0, atol=1e-9)

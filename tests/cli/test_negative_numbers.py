@@ -14,7 +14,7 @@ TEXTS = ("-1", "-.5", "-1e-3", *(",".join(["-2"] * count) for count in range(2, 
 
 
 def parsers() -> dict[str, argparse.ArgumentParser]:
-    """Of every command."""
+    """The parser of every command, by its name."""
     return {
         f"{program.name} {name}": parser
         for program in PROGRAMS

@@ -545,7 +545,7 @@ def test_a_motion_of_the_command_line_needs_a_stage(folder):
 
 
 def test_the_motion_reaches_the_solve(folder):
-    """By the session and by the command line; a screw's turn only where the motion has a screw."""
+    """The session and the command line name the motion; a screw's turn is there only where the motion has a screw."""
     read = session(folder, BOARD, VIEWS, STAGE_3 + 'motion = "screw"\nscrew_steps = 3200')
 
     def asked(motion=None):

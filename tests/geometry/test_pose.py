@@ -140,7 +140,7 @@ def test_vectors_and_matrices_come_back(x64):
 
 
 def test_derivatives_hold_at_no_turn_and_at_half_a_turn(x64):
-    """Of a motion and back, of T @ U: against finite differences that NumPy takes."""
+    """Derivatives of a motion, its inverse and T @ U agree with finite differences that NumPy takes."""
     given = Pose.from_vector(np.array([0.2, 0.1, -0.3, 4.0, 5.0, 6.0])), POINTS
 
     def moved(vector, other, points):

@@ -155,7 +155,7 @@ def test_a_count_that_was_kept_may_be_taken_over():
 
 @pytest.mark.parametrize(("byte", "stride"), [(b"=", 5), (b"g", 9), (b"!", 9)])
 def test_one_byte_garbled_anywhere_defines_no_position(byte, stride):
-    """Of `2000g` and `2000=`, or `-1?` and `-1=`, the second is understood as well."""
+    """The second of `2000g` and `2000=`, or of `-1?` and `-1=`, is understood as well."""
     for index in range(0, 400, stride):
         assert struck("bistep", index, byte[0]).fault == ""
 

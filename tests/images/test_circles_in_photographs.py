@@ -21,7 +21,7 @@ def seen(tilt):
 
 
 def centres_of_gravity(H, radius):
-    """Of the images of all circles, as polygons, px."""
+    """The centres of gravity of the images of all circles, taken as polygons, px."""
     outline = radius * np.stack([np.cos(_TURNS), np.sin(_TURNS), 0 * _TURNS], axis=-1)
     at = render.project(H, (BOARD.points()[:, None] + outline).reshape(-1, 3)).reshape(-1, len(_TURNS), 2)
     middle = at.mean(axis=1)

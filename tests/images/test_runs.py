@@ -10,7 +10,7 @@ LINES = np.arange(200)
 
 
 def points(*runs):
-    """Of (lines, positions, strength, width) each, sorted by line; and which run each point is of."""
+    """Points of runs (lines, positions, strength, width), sorted by line; and which run each point is of."""
     parts = [
         (line, *(np.broadcast_to(x, line.shape) for x in (at, strength, width, width)))
         for line, at, strength, width in runs
@@ -86,7 +86,7 @@ def test_a_ghost_goes_on_beyond_a_gap():
 
 
 def test_a_stripe_where_a_ghost_goes_straight_on_is_kept():
-    """Of a step as high as the ghost lies above the stripe one run was made, and left as one."""
+    """A step as high as the ghost lies above the stripe was once made one run with it, and left as one."""
     step = (LINES >= 80) & (LINES < 120)
     at, above = np.where(step, 50.0, 100.0), np.where(step, 0.0, 50.0)
     strength = np.where(step, 100.0, 35.0)

@@ -49,7 +49,7 @@ def test_a_border_is_off_by_what_it_shows_where_others_show_it_too():
 
 
 def test_a_sharp_scan_keeps_its_border_unless_it_is_off_by_chance():
-    """Of 300 scans with five shapes, as noisy as those of a drawn part."""
+    """The 300 scans have five shapes, and are as noisy as those of a drawn part."""
     blurred = [expected(shown(0.0, 0.04, 5, seed))[2] for seed in range(300)]
     assert np.median(blurred) < 0.1
     assert np.mean(np.array(blurred) > 0.5) < 0.02

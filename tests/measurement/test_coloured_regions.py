@@ -51,7 +51,7 @@ def reference(path, motion=None):
 def part_of(folder, about=""):
     text = f'[part]\nreference = "block.ply"\n{about}\n'
     for name, (kind, colour) in FEATURES.items():
-        text += f'[[feature]]\nname = "{name}"\nkind = "{kind}"\ncolour = "rgb{colour}"\n'
+        text += f'[[feature]]\nname = "{name}"\nkind = "{kind}"\ncolour = "#{bytes(colour).hex()}"\n'
     text += '[[dimension]]\nname = "radius"\nkind = "radius"\nof = "ball"\n'
     text += '[[dimension]]\nname = "step"\nkind = "step"\nof = ["low", "high"]\n'
     (folder / "part.toml").write_text(text)
@@ -157,10 +157,10 @@ def test_a_table_is_left_out_of_the_fit_by_a_box(tmp_path, scanned):
         ('"block.ply"', '"block.ply"\nwithin = 0', r"within = 0: must be more than 0"),
         ('"block.ply"', '"block.ply"\nball = [0, 0, 0, 9]', r"\[part\] ball = .*with it fit = true"),
         ('reference = "block.ply"', "fit = true", r"fit = true: is about a reference mesh"),
-        ("rgb(200, 30, 30)", "brick", r"colour = \"brick\": is no colour: write"),
-        ("rgb(200, 30, 30)", "#00ffff", r"no face of .*block\.ply has this colour: its faces have #"),
-        ('colour = "rgb(200, 30, 30)"', 'colour = "red"\nball = [0, 0, 0, 1]', r"give one of box = .*and colour ="),
-        ('"rgb(200, 30, 30)"', "[200, 30, 30]", r"colour = .*must be a text"),
+        ("#c81e1e", "red", r"colour = \"red\": is no colour: write"),
+        ("#c81e1e", "#00ffff", r"no face of .*block\.ply has this colour: its faces have #"),
+        ('colour = "#c81e1e"', 'colour = "red"\nball = [0, 0, 0, 1]', r"give one of box = .*and colour ="),
+        ('"#c81e1e"', "[200, 30, 30]", r"colour = .*must be a text"),
     ],
 )
 def test_what_is_refused(tmp_path, old, new, words):

@@ -116,7 +116,7 @@ def eliminated(A, b):
 
 
 def numbers(kind, shape):
-    """Of a fitted shape, as the decimals have them."""
+    """The numbers of a fitted shape, as the decimals have them."""
     axis, p = shape.axis, shape.point
     if kind == "plane":
         slope = -axis[:2] / axis[2]

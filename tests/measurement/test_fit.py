@@ -102,7 +102,7 @@ def test_what_stands_beside_a_shape_does_not_hold_the_fit():
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
 def test_curvature_is_the_divergence_of_the_normal(shape):
-    """Of a ball, which is round both ways, half of it."""
+    """A ball is round both ways, and its curvature is half of the divergence."""
     x, _ = on(shape)
     div = sum((shape.gradient(x + 1e-5 * axis) - shape.gradient(x - 1e-5 * axis)) @ axis / 2e-5 for axis in np.eye(3))
     expected = div / 2 if isinstance(shape, Ball) else div

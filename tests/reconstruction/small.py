@@ -10,7 +10,7 @@ ROWS, COLUMNS = 96, 128
 
 
 def small_rig() -> Rig:
-    """Of the size of the photographs."""
+    """The rig whose camera has the size of the photographs."""
     with float64():
         camera = Camera.create((COLUMNS, ROWS), [140.0, 140.0], [63.5, 47.5], "radial1", [-0.1])
         return as_numpy(Rig(camera, (LightPlane.create([0.0, -0.005, 0.003]),), Linear.create([0.0, 1e-3, -1e-4])))

@@ -84,7 +84,7 @@ def test_a_stripe_found_row_by_row_is_uncertain_along_u(rig, covariance):
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_derivatives_along_the_ray_are_differences(rig, turned):
-    """By a lens with all terms, two lasers and a stage; a pixel that does not see the sheet has none."""
+    """The rig has a lens with all terms, two lasers and a stage; a pixel off the sheet has no derivative."""
     with float64():
         lens = {"radial": [-0.13, 0.02, 0.003, 0.01, 0.002, 0.001], "tangential": [4e-4, -3e-4]}
         camera = Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], "rational", **lens)

@@ -72,7 +72,7 @@ def test_kernel_is_the_definition(lens):
     ],
 )
 def test_strong_lenses_in_float32_over_the_whole_image(lens, radial, tangential, focal):
-    """Of a lens that folds back inside the image, up to the fold."""
+    """The lens folds back inside the image; pixels up to the fold are tried."""
     with float64():
         camera = Camera.create((640, 480), [focal, focal], [327.0, 235.0], lens, radial, tangential)
         # A plane across the axis at the distance 1 sees the rays themselves.
@@ -206,7 +206,7 @@ def test_points_of_turned_and_shifted_frames_are_those_of_the_definition():
 
 
 def rig_points(rig: Rig, pixels: np.ndarray, q: dict) -> np.ndarray:
-    """Of frames and lines, as the rig itself says."""
+    """The points of frames and lines, as the rig itself computes them."""
     along = jax.vmap(jax.vmap(rig.triangulate, in_axes=(0, None)))
     return np.asarray(jax.jit(along)(jnp.asarray(pixels), {axis: jnp.asarray(steps) for axis, steps in q.items()}))
 

@@ -21,7 +21,7 @@ def rig():
 
 @pytest.fixture(scope="module")
 def covariance(rig):
-    """Of all parameters but one, in another order, with a pose's behind."""
+    """The covariance of all parameters but one, in another order, with a number of a pose behind them."""
     names = [*[name for name in parameter_names(rig) if name != HELD][::-1], "board.rotation.0"]
     random = np.random.default_rng(0)
     scale = np.array([2e-6, 2e-6, 1e-6, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3, 0.2, 0.3, 0.3, 1e-3])

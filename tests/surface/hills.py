@@ -16,7 +16,7 @@ _A, _C = np.diag([1.0, -1.0, -1.0]), np.array([0.0, -12.0, 300.0])
 
 
 def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Of the disc and its hills over the floor, mm; 0 beside it."""
+    """The height of the disc and its hills over the floor, mm; 0 beside it."""
     hills = sum(h * np.exp(-((x - a) ** 2 + (y - b) ** 2) / r**2) for a, b, h, r in _HILLS)
     return np.where(x**2 + y**2 < RADIUS**2, 3.0 + hills, 0.0)
 

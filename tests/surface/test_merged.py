@@ -33,7 +33,7 @@ def halves():
 
 @pytest.mark.parametrize("size", [1e-6, 1e-9])
 def test_cubes_beyond_counting_are_refused(halves, size):
-    """Of 1e-6 mm there are more than whole numbers reach."""
+    """There are more cubes of 1e-6 mm than whole numbers can count."""
     with pytest.raises(InputError, match=r"are too many.*give larger ones"):
         merge(halves, (STILL, STILL), cube_mm=size)
 

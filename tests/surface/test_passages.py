@@ -142,7 +142,7 @@ def test_a_full_turn_is_one_surface_up_to_its_axis(dome):
 
 
 def test_sigma_of_a_fused_surface_has_what_the_rig_is_wrong_by(dome):
-    """Of a rig whose principal point is off by its σ each way; averages leave that, and the noise becomes less."""
+    """The rig's principal point is off by its σ each way; averages leave that error, and reduce the noise."""
     image, scene, off_axis = dome
     image = image.where(off_axis(image.points) < 9.0)
     rig = rig_with_its_axis_in_the_sheet()

@@ -75,7 +75,7 @@ def test_photographs_with_the_stripe_in_them(folder, tmp_path) -> None:
 
 
 def test_fewer_triangles_keep_the_texture(folder, tmp_path) -> None:
-    """Of a mesh that is reduced, colours of vertices lose what a texture keeps."""
+    """The colours of vertices lose what a texture keeps where a mesh is reduced."""
     pytest.importorskip("fast_simplification", reason="the extra simplify is not installed")
     run(
         "mesh", folder / "a.npz", "--floor", "keep", "--simplify", "1500", *photographs(folder), "-o",

@@ -164,7 +164,7 @@ def test_the_json_has_the_pose_of_each_board_with_its_covariance(report, calibra
 
 
 def test_the_json_has_the_shapes_of_boards_and_what_speaks_for_others(report):
-    """Of a session whose boards bulge, and whose sheet is curved and was taken as flat."""
+    """The session's boards bulge, and its sheet is curved and was taken as flat."""
     seen = sheets.session(2, sheets.cone(0.3), board_mm=(0.3, -0.2))
     result = calibrate(seen, board_shape="bend")
     composed = compose(result, diagnose(result, thorough=False), (), report.numbers["next_best_views"])[0]

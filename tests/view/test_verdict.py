@@ -126,7 +126,7 @@ def test_a_held_camera_is_said_to_be_held(draw):
 
 
 def test_the_report_begins_with_the_same_judgement(calibration: Calibration, report: Report):
-    """Of what both look at, the words are the same: one function makes them."""
+    """Report and verdict use the same words for what both look at: one function makes them."""
     quick = verdict(calibration)
     assert report.verdict.statement == quick.statement
     assert report.verdict.level == quick.level

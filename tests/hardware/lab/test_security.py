@@ -526,7 +526,7 @@ def test_a_name_of_another_site_is_refused(lasting: Served, host: str):
 
 
 def test_content_length_with_transfer_encoding(lasting: Served):
-    """Of two lengths a proxy may believe the other one: what follows would be another request."""
+    """A proxy may believe the other one of two lengths: what follows would be another request."""
     token = lasting.program(OPERATOR).headers["Authorization"]
     with socket.create_connection(lasting.address, timeout=10) as line:
         head = f"POST /api/lock HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {token}\r\n"
