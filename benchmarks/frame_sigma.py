@@ -28,8 +28,8 @@ from jaxscan.simulation.shapes import cup
 
 Color = Literal["red", "green", "blue", "grey"]
 
-_SPECKLES: Final = (0.0, 0.2)
-_LOW, _HIGH = 0.85, 1.18
+SPECKLES: Final = (0.0, 0.2)
+LOW, HIGH = 0.85, 1.18
 # Points whose true row jumps by more than this within this number of columns are at an edge of depth.
 _JUMP_PX, _NEAR = 1.0, 4
 _FEWEST: Final = 100
@@ -49,16 +49,16 @@ def measure(quick: bool) -> list[Metric]:
     """Every frame, or every sixth."""
     rig, every, metrics = rig_2003.simulated_rig(0), 6 if quick else 1, []
     scene = rig_2003.scan_scene(rig, cup(rig_2003.OBJECT_Y))
-    for speckle in _SPECKLES:
+    for speckle in SPECKLES:
         photographs, truth = draw(rig, scene, replace(rig_2003.SCAN_LIGHTING, speckle=speckle), every)
         for camera, color in _CAMERAS.items():
             found = ratios(developed(photographs, camera), color, truth)
             print(f"  {camera}, speckle {speckle:g}: " + " ".join(f"{ratio:.2f}" for ratio in found), flush=True)
             name = f"frame_sigma.{camera}.speckle_{speckle:g}"
-            inside = np.mean((found > _LOW) & (found < _HIGH))
+            inside = np.mean((found > LOW) & (found < HIGH))
             metrics += [
-                Metric(f"{name}.least", found.min(), "", "higher", _LOW, 0.1),
-                Metric(f"{name}.most", found.max(), "", "lower", _HIGH, 0.1),
+                Metric(f"{name}.least", found.min(), "", "higher", LOW, 0.1),
+                Metric(f"{name}.most", found.max(), "", "lower", HIGH, 0.1),
                 Metric(f"{name}.frames_within", float(inside), "", "higher", 1.0, floor=0.05),
             ]
     return metrics + whole(rig, every)
@@ -133,16 +133,23 @@ def ratios(
 ) -> Float[np.ndarray, "frames"]:
     """σ over the actual scatter, in each frame that has enough points."""
     stripe = detect_stripe(photographs, StripeSettings(color))
-    known = np.asarray(stripe.valid) & ~_at_edges(truth)
-    found = []
-    for i, each in enumerate(known):
-        if each.sum() >= _FEWEST:
-            off = (np.asarray(stripe.position[i], np.float64)[each] - truth[i, each]) / stripe.sigma[i, each]
-            found.append(1 / np.sqrt(np.mean(off[np.abs(off) < _FAR] ** 2)))
-    return np.asarray(found)
+    known = np.asarray(stripe.valid) & ~at_edges(truth)
+    return frame_ratios(np.where(known, (np.asarray(stripe.position, np.float64) - truth) / stripe.sigma, np.nan))
 
 
-def _at_edges(truth: Float[np.ndarray, "frames columns"]) -> Bool[np.ndarray, "frames columns"]:
+def frame_ratios(off: Float[np.ndarray, "frames columns"]) -> Float[np.ndarray, "some_frames"]:
+    """σ over the actual scatter in each frame that has enough points, from error / σ; NaN where there is none."""
+    return np.asarray([ratio(each) for each in off if np.isfinite(each).sum() >= _FEWEST])
+
+
+def ratio(off: Float[np.ndarray, "*points"]) -> float:
+    """1 / RMS of error / σ, over what is not further off than 4."""
+    with np.errstate(invalid="ignore"):
+        return float(1 / np.sqrt(np.mean(off[np.abs(off) < _FAR] ** 2)))
+
+
+def at_edges(truth: Float[np.ndarray, "frames columns"]) -> Bool[np.ndarray, "frames columns"]:
+    """Which points are at an edge of depth, or have no truth."""
     jump = ~(np.abs(np.diff(truth, axis=1)) <= _JUMP_PX)
     jump = np.pad(jump, ((0, 0), (1, 1)), constant_values=True)
     at = ~np.isfinite(truth)

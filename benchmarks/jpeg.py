@@ -4,6 +4,9 @@ A stripe of the simulated rig of 2003 lies level on faces of known heights over 
 among the pixels is one and the same, and an error that depends on that place does not average out. Each face is read
 as the mean of its columns less that of the floor. A figure is the root mean square of the errors of faces on all
 surfaces, in several photographs each, of the worst width of stripe.
+
+And predicted σ over the actual error, of bent and sloping stripes of several widths, open and burnt out, with speckle
+and without, in photographs of three qualities.
 """
 
 import itertools
@@ -40,6 +43,10 @@ _PEAKS: Final = {"open": 0.7, "burnt": 3.0}
 _WIDTHS: Final = {"open": (0.7, 1.0, 1.5, 2.0, 3.0), "burnt": (0.7, 1.0, 1.5, 2.0)}
 _QUICK: Final = {"open": (0.7, 1.5), "burnt": (1.0,)}
 _GOAL_MM: Final = 0.02
+# Where σ is asked for: qualities, peaks in grey levels, contrasts of speckle, σ of stripes in px.
+_QUALITIES, _LEVELS, _SPECKLES = (95, 90, 75), (180.0, 600.0), (0.0, 0.2)
+_SIGMA_WIDTHS: Final = (0.74, 1.0, 1.5, 2.0, 3.0)
+_SIGMA_ROWS, _SIGMA_COLUMNS, _LOW, _HIGH = 176, 640, 0.85, 1.18
 
 Table = tuple[Float[np.ndarray, "heights"], Float[np.ndarray, "heights"]]
 Photograph = UInt[np.ndarray, "rows columns 3"]
@@ -62,7 +69,46 @@ def measure(quick: bool) -> list[Metric]:
                 for name, rms in found.items():
                     worst[color, peak, kind, name] = max(worst.get((color, peak, kind, name), 0.0), rms)
             print(f"    {color:6}{peak:6}{s:4} {cells}", flush=True)
-    return [_metric(*which, rms) for which, rms in worst.items()]
+    return [_metric(*which, rms) for which, rms in worst.items()] + _sigma(quick)
+
+
+def _sigma(quick: bool) -> list[Metric]:
+    """σ over the RMS error in each cell; in the short form at the middle quality."""
+    print(
+        "  σ over the error: quality, peak, speckle, colours; of a stripe of σ = " + ", ".join(map(str, _SIGMA_WIDTHS))
+    )
+    found: dict[bool, list[float]] = {False: [], True: []}
+    cases = itertools.product(_QUALITIES[1:2] if quick else _QUALITIES, _LEVELS, _SPECKLES, ("444", "420"))
+    for case in cases:
+        row = [_sigma_over_error(s, *case) for s in _SIGMA_WIDTHS]
+        level = _sigma_over_error(_SIGMA_WIDTHS[0], *case, level=True)
+        print("    {} {:g} {:g} {}  ".format(*case) + " ".join(f"{each:.2f}" for each in row), end="")
+        print(f"; level, {_SIGMA_WIDTHS[0]} px: {level:.2f}", flush=True)
+        found[False] += row
+        found[True].append(level)
+    inside = float(np.mean([_LOW < each < _HIGH for each in found[False]]))
+    return [
+        Metric("jpeg.sigma_least", min(found[False]), "", "higher", _LOW, 0.1),
+        Metric("jpeg.sigma_most", max(found[False]), "", "lower", _HIGH, 0.1),
+        Metric("jpeg.sigma_within", inside, "", "higher", 1.0, floor=0.05),
+        Metric("jpeg.sigma_level_least", min(found[True]), ""),
+        Metric("jpeg.sigma_level_most", max(found[True]), ""),
+    ]
+
+
+def _sigma_over_error(s: float, quality: int, peak: float, speckle: float, kind: str, level: bool = False) -> float:
+    x = np.arange(_SIGMA_COLUMNS)
+    bend = 0.0 * x if level else 0.03 * (x - len(x) / 2) + 4 * np.sin(x / 60)
+    frames, centres = [], []
+    # Of a level stripe each photograph shows one place among the pixels.
+    for seed in range(16 if level else 4):
+        random = np.random.default_rng(seed)
+        centres.append(_SIGMA_ROWS / 2 + random.uniform(-4, 4) + bend)
+        drawn = draw("red", peak, (40, 40, 40), centres[-1], s, random, _SIGMA_ROWS, speckle=speckle)
+        frames.append(simplejpeg.decode_jpeg(simplejpeg.encode_jpeg(drawn, quality, "RGB", kind)))
+    stripe = detect_stripe(np.stack(frames), StripeSettings("red"))
+    off = np.where(stripe.valid, (stripe.position - np.stack(centres)) / stripe.sigma, np.nan)
+    return float(1 / np.sqrt(np.nanmean(off**2)))
 
 
 def _metric(color: Color, peak: str, kind: str, name: Detector, rms: float) -> Metric:
@@ -113,14 +159,18 @@ def draw(
     s: float,
     random: np.random.Generator,
     rows: int = _ROWS,
+    noise: float = _NOISE,
+    speckle: float = 0.0,
 ) -> Photograph:
-    """A stripe of σ = s px, each pixel its exact mean, with noise, before it is full."""
+    """A stripe of σ = s px, each pixel its exact mean, with speckle and noise, before it is full."""
     edges = (np.arange(rows + 1)[:, None] - 0.5 - centre) / s
     light = s * np.sqrt(2 * np.pi) * np.diff(ndtr(edges), axis=0)
+    if speckle:
+        light *= random.gamma(speckle**-2, speckle**2, light.shape)
     levels = np.zeros((*light.shape, 3)) + np.asarray(ambient, float)
     for channel, part in zip(CHANNELS[color], _LASER, strict=True):
         levels[..., channel] += peak * part * light
-    return np.rint((levels + _NOISE * random.standard_normal(levels.shape)).clip(0, 255)).astype(np.uint8)
+    return np.rint((levels + noise * random.standard_normal(levels.shape)).clip(0, 255)).astype(np.uint8)
 
 
 def _kept(photograph: Photograph, kind: str) -> Photograph:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import simplejpeg
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
@@ -34,6 +35,45 @@ def test_blocks_tell_a_jpeg(kind, columns):
     assert has_blocks(jpeg(raw, kind)[..., 1].copy(), StripeSettings("grey", columns=columns), peak)
     for photograph in (raw, gaussian_filter(raw.astype(float), (0.7, 0.7, 0)).round().astype(np.uint8), raw // 60 * 60):
         assert not has_blocks(photograph, how, peak)
+
+
+def sloping(s, seed, noise, ambient=40, size=(176, 640)):
+    """A photograph of a bent, sloping stripe, and where it is."""
+    random = np.random.default_rng(seed)
+    rows, columns = size
+    centre = rows / 2 + 0.06 * (np.arange(columns) - columns / 2) + 3 * np.sin(np.arange(columns) / 40)
+    light = 180 * s * np.sqrt(2 * np.pi) * np.diff(ndtr((np.arange(rows + 1)[:, None] - 0.5 - centre) / s), axis=0)
+    levels = ambient + light[..., None] * (1.0, 0.06, 0.03) + noise * random.standard_normal((*light.shape, 3))
+    return np.rint(levels.clip(0, 255)).astype(np.uint8), centre
+
+
+@pytest.mark.parametrize("columns", [True, False])
+@pytest.mark.parametrize("ambient", [6, 40])
+@pytest.mark.parametrize("noise", [0.0, 0.2, 0.7])
+def test_blocks_tell_a_jpeg_without_noise(noise, ambient, columns):
+    """Nothing is left beside the stripe, but its own blocks are on the lattice of a quality."""
+    raw, centre = sloping(0.74, 1, noise, ambient)
+    peak, how = np.rint(centre).astype(int), StripeSettings("red", columns=columns)
+
+    def known(photograph):
+        return has_blocks(photograph if columns else np.swapaxes(photograph, 0, 1), how, peak)
+
+    for quality in (90, 80, 60):
+        kept = raw if columns else np.ascontiguousarray(np.swapaxes(raw, 0, 1))
+        decoded = simplejpeg.decode_jpeg(simplejpeg.encode_jpeg(kept, quality, "RGB", "444"))
+        assert has_blocks(decoded, how, peak)
+    for photograph in (raw, raw // 4 * 4, gaussian_filter(raw.astype(float), (0.6, 0.6, 0)).round().astype(np.uint8)):
+        assert not known(photograph)
+
+
+@pytest.mark.parametrize("s", [0.74, 2.0])
+@pytest.mark.parametrize(("quality", "kind"), [(90, "444"), (90, "420"), (75, "444"), (75, "420")])
+def test_sigma_is_that_of_the_error(s, quality, kind):
+    drawn = [sloping(s, seed, 1.5) for seed in range(6)]
+    kept = [simplejpeg.decode_jpeg(simplejpeg.encode_jpeg(x, quality, "RGB", kind)) for x, _ in drawn]
+    stripe = detect_stripe(np.stack(kept), StripeSettings("red"))
+    off = (stripe.position - np.stack([centre for _, centre in drawn])) / stripe.sigma
+    assert 0.8 < 1 / np.sqrt(np.nanmean(off**2)) < 1.25
 
 
 def test_a_burnt_out_stripe_is_found_too():

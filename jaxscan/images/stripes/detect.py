@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int, Int8
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.images.stripe_settings import StripeSettings
+from jaxscan.images.stripes.across_blocks import beyond_usual, sigma_across_blocks
 from jaxscan.images.stripes.along import widened_by_flanks, widened_by_scatter, with_grain
 from jaxscan.images.stripes.between import widened_between
 from jaxscan.images.stripes.blocks import has_blocks
@@ -49,9 +50,6 @@ _SHORT, _NARROW, _WIDE = 8, 12, 40
 _SLIM_LN_PX = float(np.log(1.7))
 # Up to this one, a JPEG's error in the stripe's blocks is large beside what the stripe leaves of its own steepness.
 _SHARP_LN_PX = float(np.log(1.3))
-# What a JPEG leaves is alike over several pixels of a block, and hides speckle: σ is larger by this factor than that of
-# independent pixels. It is the usual one of drawn stripes and photographs of a cup, with speckle and without (1 to 3).
-_BLOCKS_ALIKE = 1.8
 # A peak below this multiple of the least strength is measured again in a longer window.
 _FAINT = 2.0
 _LEAST_STRENGTH = 10.0
@@ -211,10 +209,13 @@ def _detect(
     at_first, smooth = sensor, None
     ln_s = np.asarray(sensor.ln_s) if detector == "likelihood" else np.full(len(correlation), np.inf)
     slim = ln_s < _SLIM_LN_PX
-    sharp = (ln_s < _SHARP_LN_PX) & (correlation[:, 0] == 0) & (frames.dtype == np.uint8)
-    blocky = _keep_blocks(frames, settings, sensor, peak, sharp)
-    if blocky.any():
-        smooth = blocky
+    sharp = ln_s < _SHARP_LN_PX
+    plain = (correlation[:, 0] == 0) & (frames.dtype == np.uint8) & (detector == "likelihood")
+    # The noise of a JPEG is white only where it has left it as it was.
+    asked = plain & (sharp | (np.asarray(sensor.beside) > _BESIDE))
+    jpeg = _are_jpegs(frames, settings, sensor, peak, plain, asked)
+    if (jpeg & sharp).any():
+        smooth = jpeg & sharp
         sensor = survey(*looking, alike, smooth)
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
@@ -335,12 +336,16 @@ def _detect(
     for i in smoothed:
         sigma[i] *= widening(correlation[i], sensor, int(i), width[i], measured.relief[i])
     sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
+    independent = sigma
     sigma = widened_by_scatter(sigma, position, measured.burnt, sensor)
+    some = jpeg[: len(sigma)]
+    if some.any():
+        sigma[some] = sigma_across_blocks(independent[some], position[some], width[some], sharp[: len(sigma)][some])
     sigma = widened_between(sigma, position, width)
-    if smooth is not None:
-        sigma[smooth[: len(sigma)]] *= np.float32(_BLOCKS_ALIKE)
     seen_in = images, background, sensor, correlation, settings, short
-    sigma = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(_groups, sizes=_GROUPS))
+    printed = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(_groups, sizes=_GROUPS))
+    printed[some] = beyond_usual(sigma[some], printed[some])
+    sigma = printed
     around = surroundings(sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
     light = light_of(sensor, color)
     if smooth is not None:
@@ -380,17 +385,18 @@ def _correlations(
     return found
 
 
-def _keep_blocks(
+def _are_jpegs(
     frames: np.ndarray | Array,
     settings: StripeSettings,
     sensor: Sensor,
     peak: Int[np.ndarray, "frames lines"],
+    may_be: Bool[np.ndarray, "most"],
     asked: Bool[np.ndarray, "most"],
 ) -> Bool[np.ndarray, "most"]:
-    """Which of the frames that are asked of are JPEGs: by colours at half resolution, or by their blocks."""
+    """Which frames are JPEGs: of those that may be by colours at half resolution, of those that are asked by blocks."""
     half = np.any([np.asarray(by) != 0 for by in sensor.detail], axis=0) if sensor.detail else np.zeros_like(asked)
-    found = asked & half
-    for i in np.flatnonzero(asked[: len(peak)] & ~half[: len(peak)]):
+    found = may_be & half
+    for i in np.flatnonzero((asked & ~half)[: len(peak)]):
         found[i] = has_blocks(np.asarray(frames[i]), settings, peak[i])
     return found
 

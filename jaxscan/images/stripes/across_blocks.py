@@ -1,0 +1,119 @@
+"""σ of a stripe in a JPEG: what lines in different blocks differ by.
+
+What a JPEG leaves in the blocks of 8 x 8 pixels that a stripe crosses is alike over the columns of one block, so that
+neither a line's own pixels nor its neighbours show it; and it hides speckle. Lines of different blocks have errors of
+their own. With c_x the centre in line x, on a smooth surface
+
+    c_x − 3 c_(x+k) + 3 c_(x+2k) − c_(x+3k),   k ≥ 8
+
+is error alone: of variance σ_x² + 9 σ_(x+k)² + 9 σ_(x+2k)² + σ_(x+3k)². That is quantisation, speckle and noise
+together, whatever the tables of the JPEG are.
+"""
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.images.stripes.likelihood import FWHM
+from jaxscan.images.stripes.ranks import ranked
+
+# Lines so far apart are in different blocks, or the next but one.
+_APART: Final = (8, 12)
+_THIRD: Final = (1, -3, 3, -1)
+# At a step between two neighbouring lines another surface begins, px.
+_STEP_PX: Final = 1.0
+# The scatter is read at this quantile: of a normal number it is this number of σ. What is more than this number of σ
+# away is no error but an edge of the surface; it is first estimated from the median, for which it is this number, and
+# then this number of times.
+_USUAL, _USUAL_OVER_SIGMA, _FAR, _MEDIAN_OVER_SIGMA, _LOOKS = 0.8, 1.2816, 4.0, 0.6745, 4
+# As few differences as this say nothing. More scatter than speckle of contrast 0.7 makes, this times √σ of the stripe
+# in px, is the surface's own.
+_FEWEST, _MOST = 100, 0.3
+# Where σ is not read, that of smoothed windows is larger by this factor than that of independent pixels: the usual one
+# of drawn stripes and photographs of a cup, with speckle and without (1 to 3).
+_USUAL_FACTOR = 1.8
+# A stripe is level if lines so far apart are less than this apart, px: its blocks have the same error.
+_LEVEL_BY, _LEVEL_PX = 40, 0.4
+
+Lines = Float[np.ndarray, "frames lines"]
+
+
+def sigma_across_blocks(sigma: Lines, position: Lines, width: Lines, smooth: Bool[np.ndarray, "frames"]) -> Lines:
+    """σ of lines in JPEGs, of each frame from how much they differ from block to block.
+
+    Which of a frame's lines are better, σ of independent pixels says by half: it is taken to the power of ½. A level
+    stripe has the same error in all blocks, so that there σ is no less than that of independent pixels.
+
+    Args:
+        sigma: of each line's centre, of independent pixels, px; NaN where there is none.
+        position: the centre, px.
+        width: of the stripe, full at half height, px.
+        smooth: in which frames windows were smoothed.
+    """
+    known = np.isfinite(sigma) & np.isfinite(position)
+    usual = ranked(sigma, known, 0.5)[:, None]
+    position = np.where(known, position, np.float32(0))
+    shape = np.where(known, np.sqrt(sigma * usual), np.float32(1))
+    step = ~(known[:, 1:] & known[:, :-1]) | (np.abs(np.diff(position, axis=1)) > _STEP_PX)
+    steps = np.pad(np.cumsum(step, axis=1), ((0, 0), (1, 0)))
+    otherwise = np.where(smooth[:, None], np.float32(_USUAL_FACTOR), np.float32(1)) * sigma
+    if sigma.shape[1] <= 3 * _APART[-1]:
+        return otherwise
+    parts = [_differences(position, shape, steps, apart) for apart in _APART]
+    by = _scatter(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))[:, None]
+    found = by * shape
+    level = _is_level(position, steps)[:, None]
+    found = np.where(level, np.maximum(found, sigma), found)
+    with np.errstate(invalid="ignore"):
+        told = by * usual < _MOST * np.sqrt(ranked(width, known, 0.5)[:, None] / FWHM)
+    return np.where(told, found, otherwise).astype(np.float32)
+
+
+def beyond_usual(sigma: Lines, widened: Lines) -> Lines:
+    """σ that has been widened line by line, by no more than is beyond the usual: that is in the scatter already.
+
+    Args:
+        sigma: as `sigma_across_blocks` gives it, px.
+        widened: the same as it was widened.
+    """
+    more = widened**2 - sigma**2
+    usual = ranked(np.nan_to_num(more), np.isfinite(more), 0.5)[:, None]
+    return np.sqrt(sigma**2 + np.maximum(more - np.nan_to_num(usual), 0)).astype(np.float32)
+
+
+def _differences(
+    position: Lines, sigma: Lines, steps: Int[np.ndarray, "frames lines"], apart: int
+) -> tuple[Float[np.ndarray, "frames some"], Bool[np.ndarray, "frames some"]]:
+    """Third differences over their σ, and which are of one surface."""
+    size, reach = position.shape[1], 3 * apart
+    at = [slice(k * apart, size - reach + k * apart) for k in range(len(_THIRD))]
+    bends = sum(by * position[:, here] for by, here in zip(_THIRD, at, strict=True))
+    variance = sum(by * by * sigma[:, here] ** 2 for by, here in zip(_THIRD, at, strict=True))
+    return np.abs(bends) / np.sqrt(variance), steps[:, reach:] == steps[:, :-reach]
+
+
+def _scatter(
+    values: Float[np.ndarray, "frames some"], used: Bool[np.ndarray, "frames some"]
+) -> Float[np.ndarray, "frames"]:
+    """The standard deviation of each frame's values, all positive, without those that are far off; NaN of few."""
+    count = used.sum(axis=1)
+    ordered = np.sort(np.where(used, values, np.inf), axis=1)
+    frames = np.arange(len(values))
+
+    def ranked(share: float, count: Int[np.ndarray, "frames"]) -> Float[np.ndarray, "frames"]:
+        return ordered[frames, (share * np.maximum(count - 1, 0)).astype(int)]
+
+    by = ranked(0.5, count) / _MEDIAN_OVER_SIGMA
+    for _ in range(_LOOKS):
+        by = ranked(_USUAL, (ordered < _FAR * by[:, None]).sum(axis=1)) / _USUAL_OVER_SIGMA
+    return np.where(count >= _FEWEST, by, np.nan)
+
+
+def _is_level(position: Lines, steps: Int[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames"]:
+    """In which frames the stripe stays where it is, from one block to the next."""
+    if position.shape[1] <= _LEVEL_BY:
+        return np.ones(len(position), bool)
+    one = steps[:, _LEVEL_BY:] == steps[:, :-_LEVEL_BY]
+    moved = ranked(np.abs(position[:, _LEVEL_BY:] - position[:, :-_LEVEL_BY]), one, 0.5)
+    return ~(moved >= _LEVEL_PX)

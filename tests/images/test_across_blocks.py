@@ -1,0 +1,91 @@
+"""σ of a stripe in a JPEG by what lines in different blocks differ by."""
+
+import numpy as np
+import pytest
+
+from jaxscan.images.stripes.across_blocks import beyond_usual, sigma_across_blocks
+
+FRAMES, LINES, BLOCK = 6, 640, 8
+SAID, WIDTH = 0.01, 1.8
+
+
+def scattered(error: float, seed: int = 0) -> np.ndarray:
+    """Errors that are alike within a block, px."""
+    of_blocks = np.random.default_rng(seed).standard_normal((FRAMES, LINES // BLOCK))
+    return error * np.repeat(of_blocks, BLOCK, axis=1)
+
+
+def told(position: np.ndarray, said: np.ndarray | float = SAID, smooth: bool = True) -> np.ndarray:
+    position = position.astype(np.float32)
+    sigma = np.where(np.isfinite(position), said, np.nan).astype(np.float32)
+    return sigma_across_blocks(sigma, position, np.full_like(position, WIDTH), np.full(len(position), smooth))
+
+
+x = np.arange(LINES)
+SURFACES = {
+    "slope": 100 + 0.05 * x,
+    "round": 100 + 60 * np.sqrt(1 - ((x - LINES / 2) / LINES) ** 2),
+    "folds": 100 + 0.5 * np.abs(x % 160 - 80),
+    "steps": 100 + 0.03 * x + 9 * (x // 200),
+}
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("error", [0.02, 0.1])
+def test_what_blocks_have_in_common_is_in_sigma(surface, error):
+    off = scattered(error)
+    actual = np.sqrt(np.mean(off**2))
+    assert 0.85 < np.sqrt(np.mean(told(SURFACES[surface] + off) ** 2)) / actual < 1.18
+
+
+def test_it_can_be_less_than_was_said():
+    assert np.median(told(SURFACES["slope"] + scattered(0.02), 0.08)) == pytest.approx(0.02, rel=0.2)
+
+
+def test_lines_that_are_missing_are_no_scatter():
+    position = SURFACES["slope"] + scattered(0.05)
+    position[:, 90:200], position[:, ::37] = np.nan, np.nan
+    sigma = told(position)
+    assert np.array_equal(np.isfinite(sigma), np.isfinite(position))
+    assert np.nanmedian(sigma) == pytest.approx(0.05, rel=0.25)
+
+
+def test_half_of_what_was_said_of_single_lines_is_kept():
+    said = np.where(x % 2, 0.01, 0.04)
+    sigma = told(SURFACES["slope"] + scattered(0.05), np.broadcast_to(said, (FRAMES, LINES)))
+    np.testing.assert_allclose(sigma[:, 0] / sigma[:, 1], 2, rtol=1e-5)
+
+
+def test_a_level_stripe_has_no_less_than_was_said():
+    """Its blocks all have the same error, which they do not show."""
+    np.testing.assert_allclose(told(100 + scattered(1e-4)), SAID, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("smooth", "by"), [(True, 1.8), (False, 1.0)])
+@pytest.mark.parametrize("kind", ["short", "rough", "narrow image", "nothing"])
+def test_without_enough_lines_or_on_a_rough_surface_the_usual_factor_holds(kind, smooth, by):
+    position = SURFACES["slope"] + scattered(1.0 if kind == "rough" else 0.05)
+    if kind == "short":
+        position[:, 60:] = np.nan
+    if kind == "narrow image":
+        position = position[:, :30]
+    if kind == "nothing":
+        position[:] = np.nan
+    sigma = told(position, smooth=smooth)
+    np.testing.assert_allclose(sigma, np.where(np.isfinite(position), by * SAID, np.nan), rtol=1e-5)
+
+
+def test_frames_do_not_depend_on_each_other():
+    position = np.stack([SURFACES["slope"] + scattered(e)[0] for e in (0.02, 0.1)])
+    np.testing.assert_array_equal(told(position)[1:], told(position[1:]))
+
+
+def test_what_most_lines_are_widened_by_is_left_out():
+    sigma = np.full((2, 100), 0.03, np.float32)
+    sigma[:, 7] = np.nan
+    widened = np.hypot(sigma, np.float32(0.04))
+    widened[:, :10] = np.hypot(sigma[:, :10], np.float32(0.5))
+    found = beyond_usual(sigma, widened)
+    np.testing.assert_allclose(found[:, 10:], 0.03, rtol=1e-5)
+    np.testing.assert_allclose(found[:, :7], np.sqrt(0.03**2 + 0.5**2 - 0.04**2), rtol=1e-5)
+    assert np.isnan(found[:, 7]).all()
