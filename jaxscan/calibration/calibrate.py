@@ -14,7 +14,7 @@ from jaxscan.calibration.diagnostics.sheet_curves import unclear_bows
 from jaxscan.calibration.first_camera import first_camera
 from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
-from jaxscan.calibration.held import held_parameters
+from jaxscan.calibration.held import held_parameters, parameters_beyond_camera, with_held_values
 from jaxscan.calibration.judged import judged
 from jaxscan.calibration.lens_field import (
     FieldPrior,
@@ -58,7 +58,7 @@ def calibrate(
     *,
     lens: str = "radial1",
     principal_point: str = "free",
-    start: Camera | None = None,
+    start: Camera | Rig | None = None,
     hold: Sequence[str] = (),
     tilted: bool = False,
     board_shape: str = "flat",
@@ -79,10 +79,12 @@ def calibrate(
         lens: a kind of lens: none, radial1, radial2, radial3, brown, rational, fisheye, splined, or one
             that was registered.
         principal_point: "free", or "centre" to hold it at the image centre.
-        start: a camera to start from; its lens takes the place of `lens`. Without it a closed-form start is used.
-        hold: names of the camera's parameters, as in `rig.json`, that keep the value of `start`; without a start lens
-            terms can be held, at 0: `lens="brown", hold=["camera.radial.2"]` is k1 k2 p1 p2 with k3 = 0. Zeros of a
-            camera that was read from a file were mostly held there: `hold=start.zero_terms()` holds them here.
+        start: a camera to start from; its lens takes the place of `lens`. Of a rig its camera; what lights and motion
+            of it are not held is found from the photographs. Without it a closed-form start is used.
+        hold: names of parameters, as in `rig.json`, that keep the value of `start`, those of lights and motion that of
+            a rig: `motion.stage.per_step.0`. Without a start lens terms can be held, at 0: `lens="brown",
+            hold=["camera.radial.2"]` is k1 k2 p1 p2 with k3 = 0. Zeros of a camera that was read from a file were
+            mostly held there: `hold=start.zero_terms()` holds them here.
         tilted: whether the sensor's tilt against the lens is found too, from that of `start`, or from none.
         board_shape: what of the board's shape is found too. "flat": nothing. "bulge": how far it bulges along columns
             and rows, the same in all photographs. "warp": also its twist, and by how much one edge bends more than
@@ -116,9 +118,16 @@ def calibrate(
         raise InputError(f"light names {len(kinds)} kinds for {len(observations.lasers)} lasers: give one for each")
     if board_shape not in BOARD_SHAPES:
         raise InputError(f'board_shape = "{board_shape}": there are {", ".join(BOARD_SHAPES)}')
+    known_rig = start if isinstance(start, Rig) else None
+    start = start.camera if isinstance(start, Rig) else start
     tilted = tilted or bool(start and start.tilt)
     held = held_parameters(
-        hold, start.lens.kind if start else lens, principal_point, has_start=start is not None, tilted=tilted
+        hold,
+        start.lens.kind if start else lens,
+        principal_point,
+        has_start=start is not None,
+        tilted=tilted,
+        beyond=parameters_beyond_camera(known_rig) if known_rig else (),
     )
     refuse_tracers(observations)
     if keep is not None:
@@ -183,6 +192,7 @@ def calibrate(
             first, moved_poses = first_motions(usable, stood)
             moved_poses = tuple(_with_bends(each, bends) for each in moved_poses)
             rig = Rig(camera, _first_lights(usable, camera, stood, kinds), first)
+            rig = rig if known_rig is None else with_held_values(rig, known_rig, hold)
             groups = (view_blocks(usable), sequence_blocks(usable)) if usable.sequences else (view_blocks(usable),)
             system = System(rig, (view_poses, *moved_poses), refined.system.shape)
             system = replace(system, poses=(*system.poses, *(factor.start(system) for factor in factors)))
@@ -199,6 +209,8 @@ def calibrate(
                     groups = (view_blocks(usable), sequence_blocks(usable))
                     as_lines = replace(as_lines, observations=usable)
                 system, no_wave, aliases = begun(refined.system, as_lines, periods or {})
+                if known_rig is not None:
+                    system = replace(system, rig=with_held_values(system.rig, known_rig, hold))
                 held = held | no_wave
                 free = _free(system, held | rig.surplus(), solved_for)
                 refined = of_rig(system, free, groups, refined.noise, tuple(factors))

@@ -32,7 +32,7 @@ from jaxscan.calibration.uncertainty import UNDETERMINED
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, as_jax, as_numpy, float64
-from jaxscan.rig import System
+from jaxscan.rig import Rig, System
 from jaxscan.rig.rig import parameter_names
 from jaxscan.rig.splined import Splined
 
@@ -93,6 +93,7 @@ def calibrate_split(
     names = observations.before(photograph)
     _check_sides(observations, names, photograph)
     start = asked.get("start")
+    start = start.camera if isinstance(start, Rig) else start
     if (start.lens.kind if start else asked.get("lens")) == Splined.kind:
         raise InputError('lens = "splined": a field of shifts is not solved in two parts: split with another lens')
     whole = calibrate(observations, advance=advance, **asked)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxscan.calibration import Calibration
     from jaxscan.files.camera_file import CameraFile
     from jaxscan.files.session import CameraSettings, Session
-    from jaxscan.rig import Camera
+    from jaxscan.rig import Camera, Rig
     from jaxscan.rig.speckle_limit import Optics
     from jaxscan.view.verdict import Verdict
 
@@ -193,7 +193,7 @@ def _solved(
     keep_compiled()
     from jaxscan.calibration import calibrate, calibrate_by_evidence, calibrate_split
     from jaxscan.calibration.board_views import observations_from
-    from jaxscan.calibration.held import held_parameters
+    from jaxscan.calibration.held import held_parameters, parameters_beyond_camera
     from jaxscan.calibration.known_scale import scale_note
     from jaxscan.calibration.model import Model
     from jaxscan.calibration.observations import join
@@ -248,8 +248,12 @@ def _solved(
             f"{camera}: its sensor is not tilted, and --hold-camera keeps it so; --tilt, or tilt under [camera], "
             "estimates a tilt: leave out one of them"
         )
-    holding = camera_parameters(lens, tilted=tilted) if hold else asked.hold
-    held_parameters(holding, lens, asked.principal_point, has_start=start is not None, tilted=tilted)
+    rig = _rig_with(camera, asked.hold) if camera else None
+    holding = asked.hold
+    if hold:
+        holding = tuple(dict.fromkeys((*camera_parameters(lens, tilted=tilted), *asked.hold)))
+    beyond = parameters_beyond_camera(rig) if rig else ()
+    held_parameters(holding, lens, asked.principal_point, has_start=start is not None, tilted=tilted, beyond=beyond)
     if len(sessions) == len(contents):
         named = [photograph_names(session) for session in sessions]
         several = [f"{of}/{one}" for of, each_name in zip(_names(paths), named, strict=True) for one in each_name]
@@ -269,7 +273,7 @@ def _solved(
         if zeros and not hold:
             observations = replace(observations, notes=(*observations.notes, _kept_at_zero(camera, zeros)))
     model = Model(lens, settings[0].tilt, shapes[0], sheets, motion, periods)
-    rest = {"principal_point": settings[0].principal_point, "start": start, "hold": held}
+    rest = {"principal_point": settings[0].principal_point, "start": rig or start, "hold": held}
     with progress("solving", unit="step") as advance:
         if estimate.split is not None:
             rest |= {"plain": estimate.plain, "advance": advance.says}
@@ -450,6 +454,16 @@ def _start(path: Path, name: str | None, settings: "CameraSettings", image_size:
             "leave out principal_point, or the camera"
         )
     return camera
+
+
+def _rig_with(path: Path, hold: Sequence[str]) -> "Rig | None":
+    """The rig of a rig.json, where what is held is more than its camera's."""
+    from jaxscan.files.cameras import format_of
+    from jaxscan.files.rig_file import read_rig
+
+    if all(name.startswith("camera.") for name in hold) or format_of(path) != "rig":
+        return None
+    return read_rig(path).rig
 
 
 def judge_calibration(calibration: "Calibration") -> "Verdict":

@@ -140,9 +140,10 @@ def add_estimate_arguments(parser: argparse.ArgumentParser) -> None:
         type=_names,
         default=[],
         metavar="NAME[,NAME]",
-        help="do not estimate this parameter of the camera, named as in rig.json: camera.focal.0 and .1, "
+        help="do not estimate this parameter, named as in rig.json: camera.focal.0 and .1, "
         "camera.principal.0 and .1; camera.radial.0 to .5 are k1 to k6, camera.tangential.0 and .1 are p1 and p2. It "
-        "keeps the value of --camera; without one a lens term is held at 0. `--lens brown` is OpenCV's default, "
+        "keeps the value of --camera; without one a lens term is held at 0. Those of light and stage, as "
+        "motion.stage.per_step.0, need a rig.json there. `--lens brown` is OpenCV's default, "
         "k1 k2 p1 p2 k3; with `--hold camera.radial.2` it is that of Bouguet's "
         "toolbox, k1 k2 p1 p2",
     )
