@@ -68,9 +68,7 @@ def test_what_cannot_be_held(drawn):
         calibrate(observations, hold=STAGE)
     with pytest.raises(InputError, match="there is no rig whose value it could keep"):
         calibrate(observations, start=true.camera, hold=STAGE)
-    with pytest.raises(
-        InputError, match=r"hold names motion\.stage\.speed: the rig to start from has .*per_step"
-    ):
+    with pytest.raises(InputError, match=r"hold names motion\.stage\.speed: the rig to start from has .*per_step"):
         calibrate(observations, start=true, hold=("motion.stage.speed",))
 
 
