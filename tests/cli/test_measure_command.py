@@ -24,14 +24,14 @@ def block(tmp_path_factory):
     write_points(folder / "block.npz", scan(scene, KNOWN, np.random.default_rng(4), 0.3))
     write_points(folder / "block.ply", scan(scene, KNOWN, np.random.default_rng(4), 0.3))
     write_rig(folder / "rig.json", KNOWN)
-    (text,) = blocks(ROOT / "docs" / "measure.md", "toml")
+    text, *_ = blocks(ROOT / "docs" / "measure.md", "toml")
     (folder / "part.toml").write_text(text)
     return folder
 
 
 def test_the_guide(block, monkeypatch, capsys):
     monkeypatch.chdir(block)
-    (line,) = (each for each in commands(ROOT / "docs" / "measure.md") if each.startswith("jaxscan measure"))
+    (line,) = (each for each in commands(ROOT / "docs" / "measure.md") if each.startswith("jaxscan measure block"))
     assert main(shlex.split(line)[1:]) == 0
     said = capsys.readouterr().out
     assert "block, conforming" in said

@@ -330,7 +330,7 @@ def test_a_profile_against_a_mesh(scene, tmp_path):
         (1 / 25.4, 'some would, were it in inch: say so in part.toml by [part] units = "inch"'),
         (25.4, 'some would, were it in mm and not in inch: say so in part.toml by [part] units = "mm"'),
         (1e-3, 'some would, were it in m: say so in part.toml by [part] units = "m"'),
-        (100.0, "enlarge the box or ball"),
+        (100.0, "enlarge the region"),
     ],
 )
 @pytest.mark.parametrize("kind", ["plane", "surface"])
