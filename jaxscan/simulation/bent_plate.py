@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxscan.simulation.plate import Plate
-from jaxscan.simulation.solids import Interval, Number, Surface, Vector
+from jaxscan.simulation.solids import Number, Surface, Vector
 from jaxscan.simulation.vector import Rays, Vec, add, dot, scale, subtract, vec
 
 # Newton steps from the flat plate's point: each squares an error that is a thousandth at first.
@@ -48,8 +48,8 @@ class BentPlate(Plate):
         more = self.radius * jnp.arcsin(jnp.clip(u / self.radius, -1, 1)) - u
         return Vec(p.x + more * self.across[0], p.y + more * self.across[1], p.z - self._rise(u)[0])
 
-    def pieces(self, rays: Rays) -> list[Interval]:
-        """One point, the crossing with the surface that is nearest to that with the flat plate."""
+    def _crossing(self, rays: Rays) -> Float[Array, "*any"]:
+        """Where the surface is crossed that is nearest to the flat plate."""
         o = self._local(rays.origin)
         d = Vec(
             dot(rays.direction, vec(self.x_axis)),
@@ -60,14 +60,7 @@ class BentPlate(Plate):
         for _ in range(_STEPS):
             rise, slope = self._rise(self._along(add(o, scale(d, t))))
             t = t - (o.z + t * d.z - rise) / (d.z - slope * (d.x * self.across[0] + d.y * self.across[1]))
-        p = self._paper(rays.at(t))
-        inside = (p.x >= self.low[0]) & (p.x <= self.high[0]) & (p.y >= self.low[1]) & (p.y <= self.high[1])
-        return [(jnp.where(inside, t, jnp.inf), jnp.where(inside, t, -jnp.inf))]
-
-    def patch(self, x: Vec) -> Int[Array, "*any"]:
-        """1 where the pattern is dark, else 0."""
-        p = self._paper(x)
-        return self.pattern.dark(p.x, p.y).astype(jnp.int32)
+        return t
 
     def normal_at(self, x: Vec, patch: Int[Array, "*any"]) -> Vec:
         """The cylinder's, on the side of the plate's."""
@@ -77,15 +70,8 @@ class BentPlate(Plate):
         return scale(subtract(self._normal(), scale(across, slope)), over)
 
     def surfaces(self, x: Vec) -> list[Surface]:
-        """The surface, as the unsigned distance from it: there is no inside."""
+        """The surface, as the unsigned distance from it to first order of its slope: there is no inside."""
         return [Surface(self.height(x), self.normal_at(x, jnp.zeros_like(x.x, jnp.int32)))]
-
-    def height(self, x: Vec) -> Float[Array, "*any"]:
-        """The distance from the surface, to first order of its slope."""
-        p = self._paper(x)
-        beyond_x = jnp.maximum(jnp.maximum(self.low[0] - p.x, p.x - self.high[0]), 0)
-        beyond_y = jnp.maximum(jnp.maximum(self.low[1] - p.y, p.y - self.high[1]), 0)
-        return jnp.sqrt(beyond_x**2 + beyond_y**2 + p.z**2)
 
 
 def bent(plate: Plate, bend_mm: float, over_mm: float, angle: float) -> BentPlate:

@@ -95,17 +95,25 @@ class Plate(Solid):
     def _normal(self) -> Vec:
         return cross(vec(self.x_axis), vec(self.y_axis))
 
+    def _crossing(self, rays: Rays) -> Float[Array, "*any"]:
+        """The ray parameter where rays cross the plate, or where they would if it went on."""
+        normal = self._normal()
+        return dot(subtract(vec(self.origin), rays.origin), normal) / dot(rays.direction, normal)
+
+    def _paper(self, x: Vec) -> Vec:
+        """Where points are on the flat paper, x and y, and their height above the plate."""
+        return self._local(x)
+
     def pieces(self, rays: Rays) -> list[Interval]:
         """One point, where the ray crosses the rectangle."""
-        normal = self._normal()
-        t = dot(subtract(vec(self.origin), rays.origin), normal) / dot(rays.direction, normal)
-        p = self._local(rays.at(t))
+        t = self._crossing(rays)
+        p = self._paper(rays.at(t))
         inside = (p.x >= self.low[0]) & (p.x <= self.high[0]) & (p.y >= self.low[1]) & (p.y <= self.high[1])
         return [(jnp.where(inside, t, jnp.inf), jnp.where(inside, t, -jnp.inf))]
 
     def patch(self, x: Vec) -> Int[Array, "*any"]:
         """1 where the pattern is dark, else 0."""
-        p = self._local(x)
+        p = self._paper(x)
         return self.pattern.dark(p.x, p.y).astype(jnp.int32)
 
     def tone(self, patch: Int[Array, "*any"]) -> Number:
@@ -123,7 +131,7 @@ class Plate(Solid):
 
     def height(self, x: Vec) -> Float[Array, "*any"]:
         """The distance from the rectangle."""
-        p = self._local(x)
+        p = self._paper(x)
         beyond_x = jnp.maximum(jnp.maximum(self.low[0] - p.x, p.x - self.high[0]), 0)
         beyond_y = jnp.maximum(jnp.maximum(self.low[1] - p.y, p.y - self.high[1]), 0)
         return jnp.sqrt(beyond_x**2 + beyond_y**2 + p.z**2)
