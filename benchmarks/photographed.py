@@ -16,6 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from benchmarks.drawn_sheets import triangulated
 from benchmarks.metric import Metric
 from jaxscan.calibration import Calibration, calibrate, calibrate_by_evidence
 from jaxscan.calibration.model import Model
@@ -23,12 +24,10 @@ from jaxscan.calibration.observe import observe
 from jaxscan.files.axes import STAGE
 from jaxscan.files.session import read_session
 from jaxscan.rig import Rig
-from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_session
 
 _SEEDS, _SEEDS_QUICK = 4, 1
-_STEPS_OF_SCREW = 3200.0
 # Depths that count, mm; motor steps of the stage's photographs, and at how many places of them points are compared.
 _NEAREST, _FARTHEST, _PLACES = 260.0, 400.0, 5
 _TRAVEL = rig_2003.STEPS_APART * (rig_2003.STAGE_VIEWS - 1)
@@ -74,15 +73,16 @@ def _calibrated(
 ) -> tuple[float, float, Model]:
     """The points' error with the model that is chosen and with the plain one, mm, and that model."""
     rig = rig_2003.simulated_rig(seed, 1, bow_mm)
-    rig = rig_2003.with_stage(rig, guide_mm=guide_mm, screw_mm=screw_mm, screw_steps=_STEPS_OF_SCREW, play_mm=0.0)
+    rig = rig_2003.with_stage(rig, guide_mm=guide_mm, screw_mm=screw_mm)
     with tempfile.TemporaryDirectory() as folder:
         truth = simulate_session(Path(folder) / "session", seed, rig=rig, bend_mm=bend_mm)
         observations = observe(read_session(Path(folder) / "session"))
 
+    true = _points(truth.rig)
+    near = (true[0, :, 2] > _NEAREST) & (true[0, :, 2] < _FARTHEST)
+
     def error(found: Calibration) -> float:
-        true, own = (_points(rig) for rig in (truth.rig, found.rig))
-        near = (true[0, :, 2] > _NEAREST) & (true[0, :, 2] < _FARTHEST)
-        return float(np.sqrt(((own - true)[:, near] ** 2).sum(axis=-1).mean()))
+        return float(np.sqrt(((_points(found.rig) - true)[:, near] ** 2).sum(axis=-1).mean()))
 
     found = calibrate_by_evidence(observations, Model())
     assert found.choice is not None
@@ -93,7 +93,6 @@ def _points(rig: Rig) -> Float[np.ndarray, "places pixels 3"]:
     """Where the rays of pixels meet the sheet, in the object frame, at places of the stage."""
     columns, rows = rig.camera.image_size
     pixels = np.stack(np.meshgrid(np.arange(5.0, columns, 21), np.arange(5.0, rows, 21)), axis=-1).reshape(-1, 2)
-    rays = pixel_rays(rig.camera, pixels)
-    seen = rays / np.asarray(rig.lights[0].inverse_depth(rays))[:, None]
+    seen = triangulated(rig, pixels)
     poses = (rig.pose({STAGE: float(step)}).inverse() for step in np.linspace(0, _TRAVEL, _PLACES))
     return np.stack([np.asarray(pose.apply(seen)) for pose in poses])

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.errors import InputError
 from jaxscan.files.cloud import COLOURS, cloud_of
-from jaxscan.files.mesh import colours_of, mesh_of, read_mesh
+from jaxscan.files.mesh import colours_of, mesh_of, mesh_pieces
 from jaxscan.files.ply import Lists, Ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.geometry import Pose
@@ -45,6 +45,21 @@ class ColouredMesh:
     def closest(self) -> ClosestOnTriangles:
         """Its faces, ready to be asked for the nearest one."""
         return ClosestOnTriangles(self.triangles)
+
+    @cached_property
+    def _of_colours(self) -> dict[tuple[int, int, int], tuple[Float[np.ndarray, "some 3 3"], ClosestOnTriangles]]:
+        return {}
+
+    def of(self, colour: tuple[int, int, int]) -> tuple[Float[np.ndarray, "some 3 3"], ClosestOnTriangles]:
+        """The faces of a colour, and the same ready to be asked for the nearest one; made once for each colour.
+
+        Raises:
+            InputError: no face has it; it names the colours that there are.
+        """
+        if colour not in self._of_colours:
+            triangles = self.triangles[self.faces_of(colour)]
+            self._of_colours[colour] = triangles, ClosestOnTriangles(triangles)
+        return self._of_colours[colour]
 
     def scaled(self, by: float) -> "ColouredMesh":
         """The mesh with all coordinates times a factor."""
@@ -88,17 +103,9 @@ class ColouredFaces:
     within: float
     beside: float = 0.0
 
-    @cached_property
-    def _chosen(self) -> Float[np.ndarray, "faces 3 3"]:
-        return self.mesh.triangles[self.mesh.faces_of(self.colour)]
-
-    @cached_property
-    def _closest(self) -> ClosestOnTriangles:
-        return ClosestOnTriangles(self._chosen)
-
     def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """The corners of the box around it."""
-        corners = self._chosen.reshape(-1, 3)
+        corners = self.mesh.of(self.colour)[0].reshape(-1, 3)
         return tuple((corners.min(axis=0) - self.within).tolist()), tuple((corners.max(axis=0) + self.within).tolist())
 
     def wider(self, by: float) -> "ColouredFaces":
@@ -114,7 +121,7 @@ class ColouredFaces:
         holds = np.zeros(len(points), bool)
         low, high = self.bounds()
         near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        away = _distance(self._closest, points[near])
+        away = _distance(self.mesh.of(self.colour)[1], points[near])
         near, away = near[away <= self.within], away[away <= self.within]
         holds[near] = away <= _distance(self.mesh.closest, points[near]) + self.beside + _ROUNDED_MM
         return holds
@@ -135,10 +142,8 @@ def read_coloured_mesh(path: str | os.PathLike[str]) -> ColouredMesh:
         mesh = mesh_of(path, content, merge=False)
         triangles, colours = mesh.triangles, _of_ply(path, content, mesh)
     else:
-        # It is refused where it is no mesh.
-        read_mesh(path)
         # Each material by itself: put together, they would share a picture, and mix at its seams.
-        pieces = [mesh for mesh in trimesh.load_scene(path, process=False).dump() if isinstance(mesh, trimesh.Trimesh)]
+        pieces = mesh_pieces(path)
         triangles = np.concatenate([mesh.triangles for mesh in pieces])
         colours = np.concatenate([_of_visual(mesh) for mesh in pieces])
     if colours is None or (colours < 0).all():

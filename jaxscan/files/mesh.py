@@ -18,6 +18,7 @@ from jaxscan.foreign import foreign
 from jaxscan.images.sampled import sampled
 from jaxscan.images.shaded import TextureMap
 
+_UNREADABLE: Final = ("cannot be read as a mesh", "give an STL, PLY, OBJ or the like")
 _INDICES: Final = ("vertex_indices", "vertex_index")
 
 
@@ -32,11 +33,28 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
         raise InputError(f"{path}: there is no such file: check the name")
     if path.suffix.lower() == ".ply":
         return mesh_of(path, read_ply_file(path))
-    with foreign(path, "cannot be read as a mesh", "give an STL, PLY, OBJ or the like"):
+    with foreign(path, *_UNREADABLE):
         mesh = trimesh.load_mesh(path, process=False)
         if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
             raise _no_triangles(path)
         return _checked(path, mesh)
+
+
+def mesh_pieces(path: str | os.PathLike[str]) -> list[trimesh.Trimesh]:
+    """The triangle meshes of a file, not a PLY, in one frame: each material by itself, vertices as they are.
+
+    Raises:
+        InputError: as `read_mesh`.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file: check the name")
+    with foreign(path, *_UNREADABLE):
+        pieces = trimesh.load_scene(path, process=False).dump()
+        pieces = [each for each in pieces if isinstance(each, trimesh.Trimesh) and len(each.faces)]
+        if not pieces:
+            raise _no_triangles(path)
+        return [_checked(path, each, merge=False) for each in pieces]
 
 
 def colours_of(mesh: trimesh.Trimesh) -> tuple[UInt8[np.ndarray, "vertices 3"] | None, TextureMap | None]:

@@ -132,12 +132,11 @@ class RegionReader:
         if digits is None:
             raise table.error("colour", 'is no colour: write "#rrggbb", six digits of 0 to f')
         red, green, blue = bytes.fromhex(digits[1])
-        region = ColouredFaces(self.mesh, (red, green, blue), self.within)
         try:
-            region.bounds()
+            self.mesh.faces_of((red, green, blue))
         except InputError as error:
             raise table.error("colour", str(error)) from None
-        return region
+        return ColouredFaces(self.mesh, (red, green, blue), self.within)
 
     def _ball(self, table: Table) -> Region:
         *centre, radius = table.numbers("ball", 4)

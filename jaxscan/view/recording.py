@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
+from jaxscan.files.camera_file import matrix_of
 from jaxscan.files.scan import Scan
 from jaxscan.images.decode import NUMBERS_PER_LEVEL, read_image
 from jaxscan.reconstruction.merged_steps import step_groups
@@ -113,7 +114,7 @@ def pinhole_pixels(camera: Camera) -> Float[np.ndarray, "rows columns 2"]:
     """Where on the photograph that is which a pinhole of the same focal lengths sees in each pixel; (u, v), or NaN."""
     columns, rows = camera.image_size
     u, v = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
-    K = _matrix(camera)
+    K = np.array(matrix_of(camera))
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], axis=-1)
     pixels = np.array(camera.project(rays), np.float64)
     # Beyond its fold a lens's formula gives places of other rays.
@@ -157,7 +158,7 @@ def _record_scanner(rerun: Any, recording: Any, shown: ViewData, camera: Camera,
     places = setup.at.translation
     if len(places) > 1:
         recording.log("scanner/travel", rerun.LineStrips3D([places], colors=[_TRAVEL]), static=True)
-    K = _matrix(camera)
+    K = np.array(matrix_of(camera))
     K[:2, 2] += _CORNER
     size = float(np.linalg.norm(np.ptp(shown.points, axis=0)))
     pinhole = rerun.Pinhole(
@@ -190,9 +191,3 @@ def _eight_bits(path: Path, camera: Camera) -> UInt8[np.ndarray, "rows columns *
     if photograph.dtype == np.uint16:
         return np.clip(np.round(photograph / NUMBERS_PER_LEVEL), 0, 255).astype(np.uint8)
     return photograph.astype(np.uint8)
-
-
-def _matrix(camera: Camera) -> Float[np.ndarray, "3 3"]:
-    """K, from rays (x, y, 1) to pixels (u, v)."""
-    (fu, fv), (u, v) = camera.focal, camera.principal
-    return np.array([[float(fu), 0.0, float(u)], [0.0, float(fv), float(v)], [0.0, 0.0, 1.0]])
