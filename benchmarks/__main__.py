@@ -25,6 +25,7 @@ SUITES = {
     "clutter": "what is no stripe: highlights, ghosts, lamps, windows; weak light: strays, and the stripe that is kept",
     "jpeg": "step heights from JPEG, chroma at full and half resolution: three lasers, narrow and burnt out; σ",
     "cup_jpeg": "a scan of a cup kept as JPEG: error of the stripe's place over gravity's, σ over the error",
+    "mosaic": "a sensor with a mosaic of colour filters: error over full colour's and gravity's, σ, by interpolation",
     "known_jpeg": "which photographs are known as JPEGs by their blocks, by quality and noise; false alarms",
     "frame_sigma": "predicted σ over the actual scatter in each frame of a scan, by camera, with and without speckle",
     "throughput": "the kernel, detection and a scan from files to points against their limits; memory",

@@ -20,7 +20,7 @@ from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.rig import Rig
 from jaxscan.simulation import rig_2003
-from jaxscan.simulation.light import Lighting
+from jaxscan.simulation.light import Lighting, Sensor
 from jaxscan.simulation.profile import true_profile
 from jaxscan.simulation.render import render
 from jaxscan.simulation.scene import Scene
@@ -92,10 +92,10 @@ def whole(rig: Rig, every: int) -> list[Metric]:
 
 
 def draw(
-    rig: Rig, scene: Scene, lighting: Lighting, every: int
+    rig: Rig, scene: Scene, lighting: Lighting, every: int, seen_by: Sensor = rig_2003.SENSOR
 ) -> tuple[Photographs, Float[np.ndarray, "frames columns"]]:
     """The photographs, 16 bits in colour, and the true row of the stripe in each column."""
-    sensor = replace(rig_2003.SENSOR, bits=16)
+    sensor = replace(seen_by, bits=16)
     images = [
         render(rig, scene, q={"stage": steps}, laser=0, lighting=lighting, sensor=sensor, seed=(2003, 0, 2, i))
         for i, steps in _stops(every)

@@ -9,7 +9,6 @@ import itertools
 from collections.abc import Callable
 from typing import Final
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt
 from scipy.ndimage import gaussian_filter
@@ -17,6 +16,7 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.cup_jpeg import as_jpeg
 from benchmarks.jpeg import draw
 from benchmarks.metric import Metric
+from benchmarks.mosaic import bilinear
 from jaxscan.images import StripeSettings
 from jaxscan.images.stripes.blocks import has_blocks
 
@@ -96,12 +96,6 @@ def _is_known(photograph: Photograph, peak: Int[np.ndarray, "columns"]) -> bool:
     return has_blocks(np.ascontiguousarray(photograph), StripeSettings(color), peak)
 
 
-def _demosaiced(photograph: Photograph) -> Photograph:
-    mosaic = photograph[..., 1].copy()
-    mosaic[::2, ::2], mosaic[1::2, 1::2] = photograph[::2, ::2, 0], photograph[1::2, 1::2, 2]
-    return np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2BGR))
-
-
 def _rounded(levels: Float[np.ndarray, "rows columns 3"]) -> Photograph:
     return np.rint(levels).astype(np.uint8)
 
@@ -109,7 +103,7 @@ def _rounded(levels: Float[np.ndarray, "rows columns 3"]) -> Photograph:
 _NO_JPEGS: Final[dict[str, Callable[[Photograph, Int[np.ndarray, "columns"]], Drawn]]] = {
     "drawn": lambda x, at: (x, at),
     "grey": lambda x, at: (x[..., 0], at),
-    "mosaic": lambda x, at: (_demosaiced(x), at),
+    "mosaic": lambda x, at: (bilinear(x), at),
     "blurred": lambda x, at: (_rounded(gaussian_filter(x.astype(float), (0.6, 0.6, 0))), at),
     "few_levels": lambda x, at: (x // 4 * 4, at),
     "gamma": lambda x, at: (_rounded(255 * (x / 255) ** 0.45), at),

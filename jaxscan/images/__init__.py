@@ -15,11 +15,12 @@ from jaxscan.images.stripe_settings import StripeSettings
 if TYPE_CHECKING:
     from jaxscan.images.find import BoardView, find_board, shows_checkerboard
     from jaxscan.images.second_board import shows_second_board
-    from jaxscan.images.stripes.detect import Stripe, detect_stripe
+    from jaxscan.images.stripes.detect import detect_stripe
+    from jaxscan.images.stripes.stripe import Stripe
 
 _WITH_JAX = {
     "BoardView": "jaxscan.images.find",
-    "Stripe": "jaxscan.images.stripes.detect",
+    "Stripe": "jaxscan.images.stripes.stripe",
     "detect_stripe": "jaxscan.images.stripes.detect",
     "find_board": "jaxscan.images.find",
     "shows_second_board": "jaxscan.images.second_board",

@@ -33,6 +33,7 @@ class LightWatch:
     def __init__(self) -> None:
         self._correlation: list[float] = []
         self._odd: list[bool] = []
+        self._mosaic: list[bool] = []
         self._full: list[float] = []
         # By how much levels and stripe rise from the frame before, in logarithms; NaN where it cannot be determined.
         self._level_rise: list[float] = []
@@ -52,6 +53,7 @@ class LightWatch:
         shown = stripe.valid.any(axis=1)
         self._correlation += stripe.correlation[shown].tolist()
         self._odd += stripe.odd[shown].tolist()
+        self._mosaic += stripe.mosaic[shown].tolist()
         if self._before is not None:
             level, strength = (
                 np.concatenate([old, new]) for old, new in zip(self._before, (level, strength), strict=True)
@@ -89,6 +91,7 @@ class LightWatch:
         return [
             *self._smoothed(),
             *self._profile(),
+            *self._colours(),
             *self._overexposed(),
             *([] if exposures_known else self._jumps(background)),
             *self._flicker(background),
@@ -108,6 +111,16 @@ class LightWatch:
     def _profile(self) -> list[str]:
         said = no_bell(self._odd, "frames")
         return [] if said is None else [f"the stripe's {said}"]
+
+    def _colours(self) -> list[str]:
+        count = sum(self._mosaic)
+        if not count or count < _MANY_FRAMES * len(self._mosaic):
+            return []
+        return [
+            f"the camera has a mosaic of colour filters (seen in {count} of {len(self._mosaic)} frames): the stripe "
+            "was measured in the pixels that saw the laser's colour, every second one of a line, and neighbouring "
+            "lines are not independent of each other: a monochrome camera shows the stripe better"
+        ]
 
     def _overexposed(self) -> list[str]:
         full = np.array(self._full)

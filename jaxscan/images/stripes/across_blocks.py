@@ -18,8 +18,9 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.ranks import ranked
 
-# Lines so far apart are in different blocks, or the next but one.
-_APART: Final = (8, 12)
+# Lines so far apart are in different blocks, or the next but one; where lines have nothing in common, so near.
+IN_BLOCKS: Final = (8, 12)
+ALONE: Final = (2, 3)
 _THIRD: Final = (1, -3, 3, -1)
 # At a step between two neighbouring lines another surface begins, px.
 _STEP_PX: Final = 1.0
@@ -39,7 +40,13 @@ _LEVEL_BY, _LEVEL_PX = 40, 0.4
 Lines = Float[np.ndarray, "frames lines"]
 
 
-def sigma_across_blocks(sigma: Lines, position: Lines, width: Lines, smooth: Bool[np.ndarray, "frames"]) -> Lines:
+def sigma_across_blocks(
+    sigma: Lines,
+    position: Lines,
+    width: Lines,
+    smooth: Bool[np.ndarray, "frames"],
+    apart: tuple[int, ...] = IN_BLOCKS,
+) -> Lines:
     """σ of lines in JPEGs, of each frame from how much they differ from block to block.
 
     Which of a frame's lines are better, σ of independent pixels says by half: it is taken to the power of ½. A level
@@ -50,6 +57,7 @@ def sigma_across_blocks(sigma: Lines, position: Lines, width: Lines, smooth: Boo
         position: the centre, px.
         width: of the stripe, full at half height, px.
         smooth: in which frames windows were smoothed.
+        apart: k, how far the lines are apart of which differences are taken.
     """
     known = np.isfinite(sigma) & np.isfinite(position)
     usual = ranked(sigma, known, 0.5)[:, None]
@@ -58,9 +66,9 @@ def sigma_across_blocks(sigma: Lines, position: Lines, width: Lines, smooth: Boo
     step = ~(known[:, 1:] & known[:, :-1]) | (np.abs(np.diff(position, axis=1)) > _STEP_PX)
     steps = np.pad(np.cumsum(step, axis=1), ((0, 0), (1, 0)))
     otherwise = np.where(smooth[:, None], np.float32(_USUAL_FACTOR), np.float32(1)) * sigma
-    if sigma.shape[1] <= 3 * _APART[-1]:
+    if sigma.shape[1] <= 3 * apart[-1]:
         return otherwise
-    parts = [_differences(position, shape, steps, apart) for apart in _APART]
+    parts = [_differences(position, shape, steps, k) for k in apart]
     by = _scatter(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))[:, None]
     found = by * shape
     level = _is_level(position, steps)[:, None]

@@ -11,7 +11,7 @@ There is a stripe where the peak exceeds its background by a multiple of the fra
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import cycle
 from math import prod
@@ -19,12 +19,12 @@ from typing import Any, Final
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Float32, Int, Int8
+from jaxtyping import Array, Bool, Float, Float32, Int
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.images.stripe_settings import StripeSettings
-from jaxscan.images.stripes.across_blocks import beyond_usual, sigma_across_blocks
+from jaxscan.images.stripes.across_blocks import ALONE, beyond_usual, sigma_across_blocks
 from jaxscan.images.stripes.along import widened_by_flanks, widened_by_scatter, with_grain
 from jaxscan.images.stripes.between import widened_between
 from jaxscan.images.stripes.blocks import has_blocks
@@ -33,9 +33,11 @@ from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
 from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
 from jaxscan.images.stripes.likelihood import FEW_STEPS_CENSORED, FWHM, ROUGH, STEPS_CENSORED
+from jaxscan.images.stripes.mosaic import native_pixels, of_mosaics
 from jaxscan.images.stripes.printed import widened_by_print
 from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
 from jaxscan.images.stripes.smoothed import DISTANCES, noise_correlation, widening
+from jaxscan.images.stripes.stripe import Stripe
 from jaxscan.images.stripes.surroundings import ambient_levels, sample, surroundings
 from jaxscan.images.stripes.survey import LEAST_SIGNAL, light_of, survey
 from jaxscan.images.stripes.validity import Verdict
@@ -50,6 +52,8 @@ _SHORT, _NARROW, _WIDE = 8, 12, 40
 _SLIM_LN_PX = float(np.log(1.7))
 # Up to this one, a JPEG's error in the stripe's blocks is large beside what the stripe leaves of its own steepness.
 _SHARP_LN_PX = float(np.log(1.3))
+# Up to this one the stripe has about three pixels, which do not show their own noise.
+_SCARCE_LN_PX = float(np.log(0.6))
 # A peak below this multiple of the least strength is measured again in a longer window.
 _FAINT = 2.0
 _LEAST_STRENGTH = 10.0
@@ -68,45 +72,6 @@ _WHOLE = 0.9
 _GROUPS: Final = (4, 128), (20, 512)
 _GROUPS_AGAIN: Final = (4, 64), (8, 512)
 _FEW = 8
-
-
-@dataclass(frozen=True)
-class Stripe:
-    """The stripe in a batch of frames, one entry for each image column (or for each row, as the settings say).
-
-    Attributes:
-        position: its centre, the row v of each column (the column u of each row), px; NaN where it is not valid.
-        sigma: the predicted standard deviation of the position, px; NaN where it is not valid.
-        strength: its peak, smoothed over five pixels, above the local background: grey levels of 2 L − (M + N), L the
-            laser's channel, or of the intensity.
-        width: full width at half the height, px; NaN where it is not valid.
-        valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
-        verdict: what was made of the line, a `Verdict`.
-        burnt: whether some pixel near the line's stripe is full.
-        light: read noise, gain, speckle contrast and saturation of each frame (`images.light`); NaN without a stripe.
-        odd: in which frames the stripe's cross section is no bell, and that all along it.
-        correlation: of the noise of neighbouring pixels of each frame's lines; 0 where it is white, or not seen.
-        full: share of each frame's pixels whose laser channel is full.
-        surroundings: level of some pixels of each frame, of the channels that are not the laser's: grey levels of an
-            8-bit photograph.
-    """
-
-    position: Float32[np.ndarray, "frames lines"]
-    sigma: Float32[np.ndarray, "frames lines"]
-    strength: Float32[np.ndarray, "frames lines"]
-    width: Float32[np.ndarray, "frames lines"]
-    valid: Bool[np.ndarray, "frames lines"]
-    verdict: Int8[np.ndarray, "frames lines"]
-    burnt: Bool[np.ndarray, "frames lines"]
-    light: Float32[np.ndarray, "frames 4"]
-    odd: Bool[np.ndarray, "frames"]
-    correlation: Float32[np.ndarray, "frames"]
-    full: Float32[np.ndarray, "frames"]
-    surroundings: Float32[np.ndarray, "frames some_rows some_columns"]
-
-    def __getitem__(self, some: slice) -> "Stripe":
-        """Some of the frames."""
-        return Stripe(*(getattr(self, f.name)[some] for f in fields(self)))
 
 
 def detect_stripe(
@@ -171,11 +136,7 @@ def detect_stripe(
     else:
         with ThreadPoolExecutor(len(devices)) as pool:
             found = list(pool.map(piece, firsts, cycle(devices)))
-    return (
-        found[0]
-        if len(found) == 1
-        else Stripe(*(np.concatenate([getattr(s, f.name) for s in found]) for f in fields(Stripe)))
-    )
+    return found[0] if len(found) == 1 else Stripe.joined(found)
 
 
 def _detect(
@@ -186,8 +147,12 @@ def _detect(
     choice: Choice,
     count: int,
     band: Band | None,
+    mosaic: bool | None = None,
 ) -> Stripe:
-    """The stripe in the first `count` of no more frames than `FRAMES_AT_ONCE`."""
+    """The stripe in the first `count` of no more frames than `FRAMES_AT_ONCE`.
+
+    Whether they are the native pixels of a `mosaic` is known, or else looked for.
+    """
     color, columns = settings.color, settings.columns
     length = frames.shape[1 if columns else 2]
     short, narrow, wide = (min(half, (length - 1) // 2) for half in (_SHORT, _NARROW, _WIDE))
@@ -201,6 +166,15 @@ def _detect(
         peak = choose(rows, strength, choice)
     looking = (images, background, ambient, peak, stands, color, columns, narrow, FRAMES_AT_ONCE)
     sensor = survey(*looking)
+    native = None
+    if mosaic is None:
+        # Colours at half resolution show nothing of a mosaic any more.
+        coloured = ~_at_half_resolution(sensor)[: len(peak)]
+        native = native_pixels(frames, dark, settings, peak, coloured, alike=choice == "coherent")
+    if native is not None:
+        parts = partial(_detect, settings=settings, detector=detector, choice=choice)
+        around = surroundings(sample(frames)[:count], np.asarray(sensor.full)[:count], color)
+        return of_mosaics(frames, dark, columns, native, band, parts, around)
     correlation = _correlations(frames, dark, settings, sensor, peak)
     smoothed = np.flatnonzero(correlation[: len(peak), 0])
     alike = correlation if len(smoothed) else None
@@ -341,9 +315,15 @@ def _detect(
     some = jpeg[: len(sigma)]
     if some.any():
         sigma[some] = sigma_across_blocks(independent[some], position[some], width[some], sharp[: len(sigma)][some])
+    # The few native pixels of a stripe that is hardly wider than they are apart do not show its speckle.
+    scarce = (np.asarray(sensor.ln_s) < _SCARCE_LN_PX)[: len(sigma)] & bool(mosaic)
+    if scarce.any():
+        here = independent[scarce], position[scarce], width[scarce], sharp[: len(sigma)][scarce]
+        sigma[scarce] = sigma_across_blocks(*here, ALONE)
     sigma = widened_between(sigma, position, width)
     seen_in = images, background, sensor, correlation, settings, short
     printed = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(_groups, sizes=_GROUPS))
+    some |= scarce
     printed[some] = beyond_usual(sigma[some], printed[some])
     sigma = printed
     around = surroundings(sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
@@ -363,7 +343,9 @@ def _detect(
         light,
         odd,
         correlation[: len(valid), 0],
-        *around,
+        around[0],
+        np.full(len(valid), bool(mosaic)),
+        around[1],
     )
 
 
@@ -394,11 +376,17 @@ def _are_jpegs(
     asked: Bool[np.ndarray, "most"],
 ) -> Bool[np.ndarray, "most"]:
     """Which frames are JPEGs: of those that may be by colours at half resolution, of those that are asked by blocks."""
-    half = np.any([np.asarray(by) != 0 for by in sensor.detail], axis=0) if sensor.detail else np.zeros_like(asked)
+    half = _at_half_resolution(sensor)
     found = may_be & half
     for i in np.flatnonzero((asked & ~half)[: len(peak)]):
         found[i] = has_blocks(np.asarray(frames[i]), settings, peak[i])
     return found
+
+
+def _at_half_resolution(sensor: Sensor) -> Bool[np.ndarray, "most"]:
+    """Which frames have their colours at half resolution."""
+    none = np.zeros(len(sensor.ln_s), bool)
+    return np.any([np.asarray(by) != 0 for by in sensor.detail], axis=0) if sensor.detail else none
 
 
 def _whole_width(

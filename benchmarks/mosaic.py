@@ -1,0 +1,144 @@
+"""A stripe in photographs of a sensor with a mosaic of colour filters, whose colours were interpolated.
+
+The photographs are those of `frame_sigma`, of lenses of several sharpness, with speckle. Of each pixel one colour is
+kept, as of B. E. Bayer's pattern, and the others are interpolated: by means of neighbours (bilinear), along edges, by
+variable gradients (both OpenCV's), or by means corrected by the other colours' second differences (H. Malvar, L. He,
+R. Cutler 2004); means are also sharpened by an unsharp mask, mixed by a colour matrix, and encoded for a display.
+Errors are over those of the same photographs in full colour and over those of the plain centre of gravity. σ over the
+error is as in `cup_jpeg`.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt
+from scipy.ndimage import correlate
+
+from benchmarks.frame_sigma import HIGH, LOW, at_edges, developed, draw, ratio
+from benchmarks.metric import Metric
+from jaxscan.detectors import Detector
+from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.simulation import rig_2003
+from jaxscan.simulation.shapes import cup
+
+Photographs = UInt[np.ndarray, "frames rows columns 3"]
+Photograph = UInt[np.ndarray, "rows columns 3"]
+
+# Standard deviation of the lens's point spread, px: its stripes have 0.75, 1.0, 1.3 and 2.1 px.
+_BLURS, _BLURS_QUICK = (0.6, 0.9, 1.2, 2.0), (0.9,)
+_FAR_PX: Final = 0.5
+_MATRIX: Final = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [-0.1, -0.5, 1.6]])
+# Green where red or blue is; red where green is, in rows of red, and in columns of red; red where blue is.
+_GREEN: Final = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8
+_IN_ROWS: Final = (
+    np.array([[0, 0, 0.5, 0, 0], [0, -1, 0, -1, 0], [-1, 4, 5, 4, -1], [0, -1, 0, -1, 0], [0, 0, 0.5, 0, 0]]) / 8
+)
+_ACROSS: Final = (
+    np.array([[0, 0, -1.5, 0, 0], [0, 2, 0, 2, 0], [-1.5, 0, 6, 0, -1.5], [0, 2, 0, 2, 0], [0, 0, -1.5, 0, 0]]) / 8
+)
+
+
+def measure(quick: bool) -> list[Metric]:
+    """Every fourth photograph of each lens; in the short form every twelfth of one."""
+    rig, metrics = rig_2003.simulated_rig(0), []
+    scene = rig_2003.scan_scene(rig, cup(rig_2003.OBJECT_Y))
+    for blur in _BLURS_QUICK if quick else _BLURS:
+        lighting = replace(rig_2003.SCAN_LIGHTING, speckle=rig_2003.SPECKLE)
+        sensor = replace(rig_2003.SENSOR, blur_px=blur)
+        photographs, truth = draw(rig, scene, lighting, 12 if quick else 4, sensor)
+        photographs, asked = developed(photographs, "colour"), ~at_edges(truth)
+        full, _, _ = _errors(photographs, truth, asked, "likelihood")
+        print(f"  blur {blur:g} px, in full colour {_rms(full):.4f} px")
+        print("    RMS px, over full colour, over gravity; σ over the error; taken for a mosaic")
+        for how, interpolated in INTERPOLATED.items():
+            seen = np.stack([interpolated(each) for each in photographs])
+            off, sigma, share = _errors(seen, truth, asked, "likelihood")
+            by_gravity, _, _ = _errors(seen, truth, asked, "gravity")
+            rms, other, honest = _rms(off), _rms(by_gravity), ratio(off / sigma)
+            print(
+                f"    {how:10} {rms:.4f} {rms / _rms(full):.2f} {rms / other:.2f}   {honest:.2f}   {share:.2f}",
+                flush=True,
+            )
+            name = f"mosaic.blur_{blur:g}.{how}"
+            metrics += [
+                Metric(f"{name}.rms", rms, "px", "lower", None, 0.1),
+                Metric(f"{name}.over_full_colour", rms / _rms(full), "", "lower", None, 0.1),
+                Metric(f"{name}.over_gravity", rms / other, "", "lower", 1.0, 0.1),
+                Metric(f"{name}.sigma_at_least", honest, "", "higher", LOW, 0.1),
+                Metric(f"{name}.sigma_at_most", honest, "", "lower", HIGH, 0.1),
+                Metric(f"{name}.taken", share, "", "higher", None, 0.1),
+            ]
+    return metrics
+
+
+def mosaic(photograph: Photograph) -> UInt[np.ndarray, "rows columns"]:
+    """What such a sensor sees: red in even rows and columns, blue in odd ones, green in the others."""
+    seen = photograph[..., 1].copy()
+    seen[::2, ::2], seen[1::2, 1::2] = photograph[::2, ::2, 0], photograph[1::2, 1::2, 2]
+    return seen
+
+
+def bilinear(photograph: Photograph) -> Photograph:
+    """Colours from means of neighbours."""
+    return cv2.cvtColor(mosaic(photograph), cv2.COLOR_BayerBG2RGB)
+
+
+def _corrected(photograph: Photograph) -> Photograph:
+    m = mosaic(photograph).astype(float)
+    rows, columns = np.indices(m.shape) % 2
+    red, blue = (rows == 0) & (columns == 0), (rows == 1) & (columns == 1)
+    green, in_rows, in_columns, across = (
+        correlate(m, kernel, mode="mirror") for kernel in (_GREEN, _IN_ROWS, _IN_ROWS.T, _ACROSS)
+    )
+    both = np.where(red | blue, green, m)
+    r = np.where(red, m, np.where(blue, across, np.where(rows == 0, in_rows, in_columns)))
+    b = np.where(blue, m, np.where(red, across, np.where(rows == 1, in_rows, in_columns)))
+    return _levels(np.stack([r, both, b], axis=-1))
+
+
+def _sharpened(photograph: Photograph) -> Photograph:
+    levels = photograph.astype(np.float32)
+    return _levels(2 * levels - cv2.GaussianBlur(levels, (0, 0), 1.0))
+
+
+def _encoded(photograph: Photograph) -> Photograph:
+    """IEC 61966-2-1."""
+    light = photograph / 255.0
+    return _levels(255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
+
+
+def _levels(light: Float[np.ndarray, "rows columns 3"]) -> Photograph:
+    return np.rint(np.clip(light, 0, 255)).astype(np.uint8)
+
+
+INTERPOLATED: Final[dict[str, Callable[[Photograph], Photograph]]] = {
+    "bilinear": bilinear,
+    "edges": lambda x: cv2.cvtColor(mosaic(x), cv2.COLOR_BayerBG2RGB_EA),
+    "gradients": lambda x: cv2.cvtColor(mosaic(x), cv2.COLOR_BayerBG2RGB_VNG),
+    "corrected": _corrected,
+    "sharpened": lambda x: _sharpened(bilinear(x)),
+    "matrix": lambda x: _levels(bilinear(x) @ _MATRIX.T),
+    "encoded": lambda x: _encoded(bilinear(x)),
+}
+
+
+def _errors(
+    photographs: Photographs,
+    truth: Float[np.ndarray, "frames columns"],
+    asked: Bool[np.ndarray, "frames columns"],
+    detector: Detector,
+) -> tuple[Float[np.ndarray, "frames columns"], Float[np.ndarray, "frames columns"], float]:
+    """Error and σ of each point that is asked for, px, NaN elsewhere; the share of frames with a mosaic."""
+    stripe = detect_stripe(photographs, StripeSettings("red"), detector=detector)
+    known = np.asarray(stripe.valid) & asked
+    off = np.asarray(stripe.position, np.float64) - truth
+    sigma = np.asarray(stripe.sigma, np.float64)
+    return np.where(known, off, np.nan), np.where(known, sigma, np.nan), float(stripe.mosaic.mean())
+
+
+def _rms(off: Float[np.ndarray, "frames columns"]) -> float:
+    with np.errstate(invalid="ignore"):
+        return float(np.sqrt(np.mean(off[np.abs(off) < _FAR_PX] ** 2)))

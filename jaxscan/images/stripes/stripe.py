@@ -1,0 +1,53 @@
+"""What is known of the stripe in a batch of frames."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int8
+
+
+@dataclass(frozen=True)
+class Stripe:
+    """The stripe in a batch of frames, one entry for each image column (or for each row, as the settings say).
+
+    Attributes:
+        position: its centre, the row v of each column (the column u of each row), px; NaN where it is not valid.
+        sigma: the predicted standard deviation of the position, px; NaN where it is not valid.
+        strength: its peak, smoothed over five pixels, above the local background: grey levels of 2 L − (M + N), L the
+            laser's channel, or of the intensity.
+        width: full width at half the height, px; NaN where it is not valid.
+        valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
+        verdict: what was made of the line, a `Verdict`.
+        burnt: whether some pixel near the line's stripe is full.
+        light: read noise, gain, speckle contrast and saturation of each frame (`images.light`); NaN without a stripe.
+        odd: in which frames the stripe's cross section is no bell, and that all along it.
+        correlation: of the noise of neighbouring pixels of each frame's lines; 0 where it is white, or not seen.
+        full: share of each frame's pixels whose laser channel is full.
+        mosaic: in which frames only the pixels count that saw the laser's colour themselves (`mosaic`).
+        surroundings: level of some pixels of each frame, of the channels that are not the laser's: grey levels of an
+            8-bit photograph.
+    """
+
+    position: Float32[np.ndarray, "frames lines"]
+    sigma: Float32[np.ndarray, "frames lines"]
+    strength: Float32[np.ndarray, "frames lines"]
+    width: Float32[np.ndarray, "frames lines"]
+    valid: Bool[np.ndarray, "frames lines"]
+    verdict: Int8[np.ndarray, "frames lines"]
+    burnt: Bool[np.ndarray, "frames lines"]
+    light: Float32[np.ndarray, "frames 4"]
+    odd: Bool[np.ndarray, "frames"]
+    correlation: Float32[np.ndarray, "frames"]
+    full: Float32[np.ndarray, "frames"]
+    mosaic: Bool[np.ndarray, "frames"]
+    surroundings: Float32[np.ndarray, "frames some_rows some_columns"]
+
+    def __getitem__(self, some: slice | np.ndarray) -> "Stripe":
+        """Some of the frames; by their numbers, in any order."""
+        return Stripe(*(getattr(self, f.name)[some] for f in fields(self)))
+
+    @staticmethod
+    def joined(parts: "Sequence[Stripe]") -> "Stripe":
+        """The frames of several, in their order."""
+        return Stripe(*(np.concatenate([getattr(s, f.name) for s in parts]) for f in fields(Stripe)))
