@@ -16,9 +16,9 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.cup_jpeg import as_jpeg
 from benchmarks.jpeg import draw
 from benchmarks.metric import Metric
-from benchmarks.mosaic import bilinear
 from jaxscan.images import StripeSettings
 from jaxscan.images.stripes.blocks import has_blocks
+from jaxscan.simulation.mosaic import through_mosaic
 
 Photograph = UInt[np.ndarray, "rows columns *rgb"]
 Drawn = tuple[Photograph, Int[np.ndarray, "columns"]]
@@ -103,7 +103,7 @@ def _rounded(levels: Float[np.ndarray, "rows columns 3"]) -> Photograph:
 _NO_JPEGS: Final[dict[str, Callable[[Photograph, Int[np.ndarray, "columns"]], Drawn]]] = {
     "drawn": lambda x, at: (x, at),
     "grey": lambda x, at: (x[..., 0], at),
-    "mosaic": lambda x, at: (bilinear(x), at),
+    "mosaic": lambda x, at: (through_mosaic(x), at),
     "blurred": lambda x, at: (_rounded(gaussian_filter(x.astype(float), (0.6, 0.6, 0))), at),
     "few_levels": lambda x, at: (x // 4 * 4, at),
     "gamma": lambda x, at: (_rounded(255 * (x / 255) ** 0.45), at),

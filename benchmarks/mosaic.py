@@ -22,10 +22,10 @@ from benchmarks.metric import Metric
 from jaxscan.detectors import Detector
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.simulation import rig_2003
+from jaxscan.simulation.mosaic import Photograph, mosaic, through_mosaic
 from jaxscan.simulation.shapes import cup
 
 Photographs = UInt[np.ndarray, "frames rows columns 3"]
-Photograph = UInt[np.ndarray, "rows columns 3"]
 
 # Standard deviation of the lens's point spread, px: its stripes have 0.75, 1.0, 1.3 and 2.1 px.
 _BLURS, _BLURS_QUICK = (0.6, 0.9, 1.2, 2.0), (0.9,)
@@ -74,18 +74,6 @@ def measure(quick: bool) -> list[Metric]:
     return metrics
 
 
-def mosaic(photograph: Photograph) -> UInt[np.ndarray, "rows columns"]:
-    """What such a sensor sees: red in even rows and columns, blue in odd ones, green in the others."""
-    seen = photograph[..., 1].copy()
-    seen[::2, ::2], seen[1::2, 1::2] = photograph[::2, ::2, 0], photograph[1::2, 1::2, 2]
-    return seen
-
-
-def bilinear(photograph: Photograph) -> Photograph:
-    """Colours from means of neighbours."""
-    return cv2.cvtColor(mosaic(photograph), cv2.COLOR_BayerBG2RGB)
-
-
 def _corrected(photograph: Photograph) -> Photograph:
     m = mosaic(photograph).astype(float)
     rows, columns = np.indices(m.shape) % 2
@@ -115,13 +103,13 @@ def _levels(light: Float[np.ndarray, "rows columns 3"]) -> Photograph:
 
 
 INTERPOLATED: Final[dict[str, Callable[[Photograph], Photograph]]] = {
-    "bilinear": bilinear,
+    "bilinear": through_mosaic,
     "edges": lambda x: cv2.cvtColor(mosaic(x), cv2.COLOR_BayerBG2RGB_EA),
     "gradients": lambda x: cv2.cvtColor(mosaic(x), cv2.COLOR_BayerBG2RGB_VNG),
     "corrected": _corrected,
-    "sharpened": lambda x: _sharpened(bilinear(x)),
-    "matrix": lambda x: _levels(bilinear(x) @ _MATRIX.T),
-    "encoded": lambda x: _encoded(bilinear(x)),
+    "sharpened": lambda x: _sharpened(through_mosaic(x)),
+    "matrix": lambda x: _levels(through_mosaic(x) @ _MATRIX.T),
+    "encoded": lambda x: _encoded(through_mosaic(x)),
 }
 
 

@@ -56,6 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--noise", type=finite, default=2.0, help="of the sensor, grey levels (default: 2)")
     parser.add_argument("--blur", type=finite, default=0.6, help="of the lens, pixels (default: 0.6)")
     parser.add_argument(
+        "--mosaic",
+        action="store_true",
+        help="each pixel of the camera sees one colour, in the pattern of most colour cameras, and the others are "
+        "interpolated",
+    )
+    parser.add_argument(
         "--speckle",
         type=finite,
         default=0.2,
@@ -229,7 +235,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         lasers=args.lasers,
         sides=args.sides,
         apart=args.apart,
-        sensor=Sensor(blur_px=args.blur, noise=args.noise),
+        sensor=Sensor(blur_px=args.blur, noise=args.noise, mosaic=args.mosaic),
         light={
             "speckle": args.speckle,
             "speckle_length_px": tuple(args.speckle_length),

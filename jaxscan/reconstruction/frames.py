@@ -6,7 +6,7 @@ compiled for again.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from itertools import islice
@@ -62,7 +62,7 @@ class Frames:
             yield self.images[i].copy(), None if own is None else own[i].copy(), positions
 
 
-def frames_of_scan(scan: Scan, size: tuple[int, int], decoders: int | None = None) -> Iterator[Frames]:
+def frames_of_scan(scan: Scan, size: tuple[int, int], decoders: int | None = None) -> Generator[Frames, None, None]:
     """The frames of a scan, decoded on all cores, in their order.
 
     Args:
@@ -161,7 +161,7 @@ def wrong_size(path: Path | str, size: tuple[int, int], expected: tuple[int, int
     )
 
 
-def _of_files(scan: Scan, size: tuple[int, int], decoders: int | None) -> Iterator[Frames]:
+def _of_files(scan: Scan, size: tuple[int, int], decoders: int | None) -> Generator[Frames, None, None]:
     count = len(scan.frames)
     if not count:
         return
@@ -236,7 +236,7 @@ def _ring(
             under_way.append((following, slot, fill(following, slot)))
 
 
-def _of_video(scan: Scan, size: tuple[int, int]) -> Iterator[Frames]:
+def _of_video(scan: Scan, size: tuple[int, int]) -> Generator[Frames, None, None]:
     """A video is decoded by one thread, for each frame needs the one before."""
     video = scan.video or scan.path
     source = read_video(video)

@@ -5,6 +5,7 @@ The points of a frame are the same whatever is looked at together with it, and m
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -110,12 +111,14 @@ class Scanner:
         self.notes, self.left_out = [], {}
         notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks)]
         verdicts, watch = np.zeros(len(Verdict), int), LightWatch()
-        for image, counts in self._images(laser, scan, advance, watch, notes):
-            frames += len(image.valid)
-            verdicts += counts
-            seen += int(np.isfinite(image.pixels).sum())
-            points += int(image.valid.sum())
-            yield image
+        # Whoever stops early stops the reader too.
+        with ExitStack() as to_close:
+            for image, counts in self._images(laser, scan, advance, watch, notes, to_close):
+                frames += len(image.valid)
+                verdicts += counts
+                seen += int(np.isfinite(image.pixels).sum())
+                points += int(image.valid.sum())
+                yield image
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
         left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
@@ -166,9 +169,18 @@ class Scanner:
             yield ready.range_image(*_with_runs(some, axes, played))[0]
 
     def _images(
-        self, laser: "_Laser", scan: Scan, advance: Callable[[int], object], watch: LightWatch, notes: list[str]
+        self,
+        laser: "_Laser",
+        scan: Scan,
+        advance: Callable[[int], object],
+        watch: LightWatch,
+        notes: list[str],
+        to_close: ExitStack,
     ) -> Iterator[Counted]:
-        """Range images, and how many lines of each had which verdict; `watch` and `notes` are updated."""
+        """Range images, and how many lines of each had which verdict; `watch` and `notes` are updated.
+
+        The reader of the photographs is one of what is `to_close`.
+        """
         rig = self._content.rig
         passage = spacetime_geometry(rig, scan) if self._spacetime else None
         halo = HALO if self._choice == "coherent" else 0
@@ -177,7 +189,8 @@ class Scanner:
         longer, before = with_ends(scan, rig.motion, looked_at, equal=self._spacetime)
         longer = with_runs(longer, rig.motion)
         own, done = range(before, before + (len(step_groups(scan)) or sys.maxsize)), 0
-        batches = self._batches(longer, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
+        read = to_close.enter_context(closing(frames_of_scan(longer, rig.camera.image_size, self._decoders)))
+        batches = self._batches(longer, read, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         if passage is None:
             found = self._stripes(laser, longer, batches, notes)
         else:
@@ -192,9 +205,11 @@ class Scanner:
                 counts = np.bincount(stripe[here].verdict.ravel(), minlength=len(Verdict))
             yield image[here, :], counts
 
-    def _batches(self, scan: Scan, halo: int, advance: Callable[[int], object]) -> Iterator[Frames]:
-        """Read; the exposures of a step merged; neighbours in time at hand: each where it is asked for."""
-        read = _told(frames_of_scan(scan, self._content.rig.camera.image_size, self._decoders), advance)
+    def _batches(
+        self, scan: Scan, read: Iterator[Frames], halo: int, advance: Callable[[int], object]
+    ) -> Iterator[Frames]:
+        """What is read; the exposures of a step merged; neighbours in time at hand: each where it is asked for."""
+        read = _told(read, advance)
         several = scan.exposures_s is not None and len(set(scan.positions)) < scan.listed
         merged = merged_steps(scan, read, FRAMES_AT_ONCE) if several else read
         if self._spacetime or not (several or halo):

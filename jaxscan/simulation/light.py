@@ -99,6 +99,7 @@ class Sensor:
         gain: grey levels for one unit of light.
         bits: 8 or 16 bits a channel; a 16-bit photograph has 257 numbers for each grey level.
         saturation: grey level above which the detector is full, at most 255.
+        mosaic: whether each pixel sees one colour, the others being interpolated.
     """
 
     blur_px: float = 0.6
@@ -106,6 +107,7 @@ class Sensor:
     gain: float = 1.0
     bits: int = 8
     saturation: float = 255.0
+    mosaic: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what no sensor can be.

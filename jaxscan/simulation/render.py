@@ -25,6 +25,7 @@ from jaxscan.simulation import kernels
 from jaxscan.simulation.kernels import CHUNK, FINE, Light, Sheet, Sight
 from jaxscan.simulation.laser_profiles import bells
 from jaxscan.simulation.light import Lighting, Sensor
+from jaxscan.simulation.mosaic import through_mosaic
 from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.speckle import speckle
 
@@ -87,8 +88,9 @@ def render(
         grain = speckle(random, (rows, columns), lighting.speckle, length)
     numbers = 1 if sensor.bits == 8 else NUMBERS_PER_LEVEL
     levels = tuple(np.float32(number) for number in (sensor.gain, sensor.saturation, numbers, lighting.ghost))
-    image = kernels.develop(level, laser_level, grain, noise, levels)
-    return np.asarray(image).astype(np.uint8 if sensor.bits == 8 else np.uint16)
+    image = np.asarray(kernels.develop(level, laser_level, grain, noise, levels))
+    image = image.astype(np.uint8 if sensor.bits == 8 else np.uint16)
+    return through_mosaic(image) if sensor.mosaic else image
 
 
 def carried(rig: Rig, scene: Scene, q: Positions) -> Scene:

@@ -187,6 +187,28 @@ def test_sensor_noise_saturation_and_depth(rig: Rig, plain_light: Lighting) -> N
         assert (render(rig, scene, lighting=plain_light, sensor=sensor) == top).all()
 
 
+def test_a_mosaic_keeps_one_colour_of_each_pixel(rig: Rig, plain_light: Lighting) -> None:
+    wall = board_plate(BOARD, margin_mm=300, ink=1.0, white=0.5).moved(np.eye(3), np.array([0.0, 0.0, 300.0]))
+    for bits in (8, 16):
+        full, seen = (
+            render(
+                rig,
+                Scene((wall,), DARK),
+                lighting=plain_light,
+                sensor=Sensor(noise=9.0, bits=bits, mosaic=mosaic),
+                seed=3,
+            )
+            for mosaic in (False, True)
+        )
+        assert seen.dtype == full.dtype
+        # The outermost pixels repeat those beside them.
+        for color, (row, column) in enumerate(((2, 2), (3, 2), (3, 3))):
+            own = slice(row, -1, 2), slice(column, -1, 2), color
+            np.testing.assert_array_equal(seen[own], full[own])
+        means = (full[2:-4:2, 2:-2:2, 0].astype(int) + full[4:-2:2, 2:-2:2, 0]) / 2
+        assert np.abs(seen[3:-3:2, 2:-2:2, 0] - means).max() <= 0.5
+
+
 def test_seed_determines_the_photograph(rig: Rig) -> None:
     scene = board_scene(*TILTED)
     lighting = Lighting(speckle=0.5)
