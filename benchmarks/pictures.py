@@ -1,6 +1,6 @@
 """`python -m benchmarks.pictures`: the pictures of README and docs.
 
-`scan.png`: a scan beside one of its photographs.
+`scan.png`: a scan beside one of its photographs. `turntable.png`: a full turn beside one of its photographs.
 
 `cup.png`: a cup by the pipeline of 2003 and by ours, coloured by the distance from the true surface, and one profile of
 each. `views.png`: the error of a scan against the number of board views in the calibration, by each pipeline.
@@ -73,6 +73,8 @@ def main() -> None:
     args.output.mkdir(parents=True, exist_ok=True)
     if args.only in (None, "scan"):
         draw_one_scan(args.output / "scan.png")
+    if args.only in (None, "turntable"):
+        draw_turn(args.output / "turntable.png")
     if args.only in (None, "cup"):
         draw_cup(args.output / "cup.png")
     if args.only in (None, "views"):
@@ -86,7 +88,9 @@ def main() -> None:
 def command_line() -> argparse.ArgumentParser:
     """What may be asked for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__)
-    parser.add_argument("--only", choices=("scan", "cup", "views", "texture", "placing"), help="one of them")
+    parser.add_argument(
+        "--only", choices=("scan", "turntable", "cup", "views", "texture", "placing"), help="one of them"
+    )
     parser.add_argument("--seeds", type=int, default=10, help="of the second picture (default: 10)")
     parser.add_argument("-o", "--output", type=Path, default=HERE, metavar="DIR", help="default: docs/pictures")
     return parser
@@ -102,6 +106,14 @@ def draw_one_scan(path: Path, apart: int = 500) -> None:
         reconstruct_scan(out / "scan", out / "rig.json", [out / "panda.npz"])
         image, floor = demo.object_alone(read_range_image(out / "panda.npz"))
         demo.draw_picture(out, "panda", image, floor, rig)
+        path.write_bytes((out / "panda.png").read_bytes())
+
+
+def draw_turn(path: Path) -> None:
+    """What `jaxscan demo --turntable` draws."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "demo"
+        _run(["demo", "--turntable", "-o", str(out)])
         path.write_bytes((out / "panda.png").read_bytes())
 
 
@@ -122,8 +134,12 @@ def draw_textured(path: Path, seed: int = 200) -> None:
             ["view", mesh, "--png", str(path)],
         )
         for command in commands:
-            if jaxscan(command):
-                raise RuntimeError(f"jaxscan {' '.join(command)} failed")
+            _run(command)
+
+
+def _run(command: list[str]) -> None:
+    if jaxscan(command):
+        raise RuntimeError(f"jaxscan {' '.join(command)} failed")
 
 
 def draw_cup(path: Path, seed: int = 0) -> None:

@@ -32,13 +32,28 @@ if TYPE_CHECKING:
     from jaxscan.files.scan import Scan, read_scan
     from jaxscan.files.session import Session, read_session
     from jaxscan.geometry import Pose
-    from jaxscan.images import Board
+    from jaxscan.images import Board, BoardView, Stripe, StripeSettings, detect_stripe, find_board
     from jaxscan.measurement.gradient import dimension_gradient, narrowed
     from jaxscan.measurement.measure import Measurement, measure
     from jaxscan.measurement.scanned import scanned_image, scanned_points
     from jaxscan.reconstruction import RangeImage, Scanner, read_range_image, reconstruct, write_points, write_stream
     from jaxscan.reconstruction.next_best_views import next_best_views
-    from jaxscan.rig import BowedSheet, Camera, Chain, Covariance, Fixed, LightPlane, Linear, Rig, Rotary, System
+    from jaxscan.reconstruction.point_sigma import PointCovariance, point_covariance
+    from jaxscan.rig import (
+        BowedSheet,
+        Camera,
+        Chain,
+        Covariance,
+        Fixed,
+        Guide,
+        LightPlane,
+        Linear,
+        Rig,
+        Rotary,
+        Screw,
+        ScrewOnGuide,
+        System,
+    )
     from jaxscan.surface.clean import clean
     from jaxscan.surface.coarse_register import coarse_register
     from jaxscan.surface.floor import find_floor, stands_on
@@ -88,6 +103,11 @@ _HOME = {
     "read_session": "jaxscan.files.session",
     "Pose": "jaxscan.geometry",
     "Board": "jaxscan.images",
+    "BoardView": "jaxscan.images",
+    "Stripe": "jaxscan.images",
+    "StripeSettings": "jaxscan.images",
+    "detect_stripe": "jaxscan.images",
+    "find_board": "jaxscan.images",
     "RangeImage": "jaxscan.reconstruction",
     "Scanner": "jaxscan.reconstruction",
     "read_range_image": "jaxscan.reconstruction",
@@ -95,6 +115,8 @@ _HOME = {
     "write_points": "jaxscan.reconstruction",
     "write_stream": "jaxscan.reconstruction",
     "next_best_views": "jaxscan.reconstruction.next_best_views",
+    "PointCovariance": "jaxscan.reconstruction.point_sigma",
+    "point_covariance": "jaxscan.reconstruction.point_sigma",
     "BowedSheet": "jaxscan.rig",
     "Camera": "jaxscan.rig",
     "LightPlane": "jaxscan.rig",
@@ -103,6 +125,9 @@ _HOME = {
     "Rotary": "jaxscan.rig",
     "Chain": "jaxscan.rig",
     "Fixed": "jaxscan.rig",
+    "Guide": "jaxscan.rig",
+    "Screw": "jaxscan.rig",
+    "ScrewOnGuide": "jaxscan.rig",
     "System": "jaxscan.rig",
     "clean": "jaxscan.surface.clean",
     "coarse_register": "jaxscan.surface.coarse_register",
@@ -119,6 +144,7 @@ __all__ = [
     "Adjustment",
     "Board",
     "BoardSequence",
+    "BoardView",
     "BowedSheet",
     "Calibration",
     "Camera",
@@ -126,6 +152,7 @@ __all__ = [
     "Cloud",
     "Covariance",
     "Fixed",
+    "Guide",
     "InlierMask",
     "InputError",
     "JaxscanError",
@@ -136,6 +163,7 @@ __all__ = [
     "ObservabilityError",
     "Observations",
     "Part",
+    "PointCovariance",
     "Pose",
     "RangeImage",
     "Rig",
@@ -143,9 +171,13 @@ __all__ = [
     "Rotary",
     "Scan",
     "Scanner",
+    "Screw",
+    "ScrewOnGuide",
     "Session",
     "SolveError",
+    "Stripe",
     "StripePoints",
+    "StripeSettings",
     "System",
     "Verdict",
     "View",
@@ -154,13 +186,16 @@ __all__ = [
     "calibrate_split",
     "clean",
     "coarse_register",
+    "detect_stripe",
     "dimension_gradient",
+    "find_board",
     "find_floor",
     "measure",
     "merge",
     "narrowed",
     "next_best_views",
     "observe",
+    "point_covariance",
     "read_camera",
     "read_part",
     "read_ply",

@@ -2,6 +2,8 @@
 
 from typing import Final, Literal
 
+from jaxscan.errors import InputError
+
 # A name of `DETECTORS`.
 Detector = str
 Choice = Literal["likeliest", "strongest", "first", "last", "continuous", "coherent"]
@@ -25,3 +27,13 @@ CHOICES: Final[dict[Choice, str]] = {
 }
 DEFAULT: Final[Detector] = "likelihood"
 DEFAULT_CHOICE: Final[Choice] = "likeliest"
+
+
+def check_detector(name: Detector) -> None:
+    """Refuse a detector that there is not.
+
+    Raises:
+        InputError: with the names of those that there are.
+    """
+    if name not in DETECTORS:
+        raise InputError(f'there is no detector "{name}": use one of {", ".join(DETECTORS)}')

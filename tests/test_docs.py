@@ -4,6 +4,7 @@ import argparse
 import importlib.util
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -119,6 +120,14 @@ def test_the_site_builds_and_asks_nobody(tmp_path: Path):
         assert not re.findall(r'<(?:script|img|iframe)[^>]*src="https?:|<link[^>]*stylesheet[^>]*href="https?:', text)
     reference = (tmp_path / "api.html").read_text(encoding="utf-8")
     assert [name for name in jaxscan.__all__ if f">{name}<" not in reference.replace("</span>", "<")] == []
+
+
+@pytest.mark.skipif(importlib.util.find_spec("griffe") is None, reason="griffe is not installed (extra docs)")
+def test_the_page_of_public_names_is_that_of_the_sources():
+    reference = runpy.run_path(str(ROOT / "docs" / "reference"), run_name="reference")
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert reference["written"](page) == page, "write it again: python docs/reference"
+    assert [name for name in jaxscan.__all__ if f"### {name}\n" not in page] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -49,17 +49,33 @@ class View:
 
     Attributes:
         name: how messages call it, usually the file's name.
-        corners: pixel of each board point, in the order of `Board.points`; NaN for one that was not found.
+        corners: pixel of each board point, in the order of `Board.points`; NaN for one that was not found. OpenCV's
+            arrays of shape (points, 1, 2) are taken too.
         weights: relative weight (1 / σ) of each corner, or None for equal ones; 0 leaves a corner out.
         stripes: the stripes seen on the board in this pose.
         session: which session it is from; empty for the only one.
     """
 
     name: str
-    corners: Float[np.ndarray, "corners 2"]
+    corners: Float[np.ndarray, "corners *one 2"]
     weights: Float[np.ndarray, "corners"] | None = None
     stripes: tuple[StripePoints, ...] = ()
     session: str = ""
+
+    def __post_init__(self) -> None:
+        """Take OpenCV's arrays as well.
+
+        Raises:
+            InputError: the corners are no list of pixels.
+        """
+        corners = np.asarray(self.corners, np.float64)
+        if corners.ndim == 3 and corners.shape[1] == 1:
+            corners = corners[:, 0]
+        if corners.ndim != 2 or corners.shape[1] != 2:
+            raise InputError(
+                f"{self.name}: corners has the shape {corners.shape}: give (points, 2), or OpenCV's (points, 1, 2)"
+            )
+        object.__setattr__(self, "corners", corners)
 
     def used(self) -> Bool[np.ndarray, "corners"]:
         """Which corners take part."""
@@ -186,7 +202,8 @@ class Observations:
         for view in self.photographs():
             if view.corners.shape != (count, 2):
                 raise InputError(
-                    f"{view.name}: corners has the shape {view.corners.shape}, the board's {count} points need another"
+                    f"{view.name}: corners has the shape {view.corners.shape}, and the board {count} points: give "
+                    f"({count}, 2), NaN for a point that was not found"
                 )
             if view.weights is not None and view.weights.shape != (count,):
                 raise InputError(f"{view.name}: weights has the shape {view.weights.shape}, not ({count},)")

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.calibration.observations import BoardSequence, Observations, StripePoints, View
 from jaxscan.deadline import Workers, result_of
-from jaxscan.detectors import DEFAULT, Detector
+from jaxscan.detectors import DEFAULT, Detector, check_detector
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.session import Session, StageImages, TurntableImages
 from jaxscan.files.settings import relative_name
@@ -65,9 +65,10 @@ def observe(
         detector: how the stripe's centre is measured.
 
     Raises:
-        InputError: a photograph that cannot be read, or a board that is found in none of them.
+        InputError: a photograph that cannot be read, a board that is found in none of them, or an unknown detector.
         StalledError: the search in one of them did not end in time.
     """
+    check_detector(detector)
 
     def view(index: int) -> _Photograph:
         path, stripes = session.views.boards[index], session.views.stripes

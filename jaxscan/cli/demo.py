@@ -18,6 +18,8 @@ EXAMPLE: Final = "jaxscan demo -o jaxscan-demo"
 _STEPS: Final = 5
 # Motor steps from frame to frame: 1 mm.
 _APART: Final = 1000
+# How many photographs of a full turn give the points their colours.
+_LOOKS: Final = 8
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,9 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("jaxscan-demo"), metavar="DIR", help="default: ./jaxscan-demo"
     )
-    parser.add_argument(
-        "--turntable", action="store_true", help="scan a figure once all around on a turntable instead of the panda"
-    )
+    parser.add_argument("--turntable", action="store_true", help="scan it once all around on a turntable")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated rig, poses and noise (default: 0)")
 
 
@@ -36,21 +36,18 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     import time
 
     begin = time.monotonic()
-    out, name, object_ = args.output, "panda", "a panda"
-    if args.turntable:
-        name, object_ = "figure", "a figure"
+    out, name = args.output, "panda"
     from jaxscan.cli.simulate import check_folder, simulate_into
 
     check_folder(out, args.seed)
-    _say(1, f"photograph a calibration board, and {object_} as it passes through the laser's light (simulated)")
+    _say(1, f"photograph a calibration board, and a {name} as it passes through the laser's light (simulated)")
     from jaxscan.simulation.rig_2003 import OBJECT_Y, SPECKLE
-    from jaxscan.simulation.shapes import figure, panda
+    from jaxscan.simulation.shapes import panda
 
-    bodies = figure(OBJECT_Y) if args.turntable else panda(OBJECT_Y)
     scene, _, (truth,) = simulate_into(
         out,
         args.seed,
-        bodies,
+        panda(OBJECT_Y),
         name,
         light={"speckle": SPECKLE},
         turntable=args.turntable,
@@ -62,7 +59,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     _say(2, "calibrate: find camera, lens, laser plane and motion from the photographs of the board, all together")
     calibration = calibrate_session([out / "session"], out / "rig.json")
-    _say(3, f"reconstruct: turn the photographs of {object_} into points, each with its uncertainty")
+    _say(3, f"reconstruct: turn the photographs of a {name} into points, each with its uncertainty")
     reconstruct_scan(out / "scan", out / "rig.json", [out / f"{name}.ply", out / f"{name}.npz"])
     from jaxscan.reconstruction import read_range_image
     from jaxscan.simulation.accuracy import cloud_errors
@@ -109,12 +106,17 @@ def object_alone(image: "RangeImage") -> "tuple[RangeImage, Floor]":
 
 
 def _write_surface(path: Path, image: "RangeImage") -> None:
-    """Write the triangles of a scan."""
+    """Write the triangles of a scan; one surface of what a turn has shown twice."""
     import trimesh
 
     from jaxscan.files.mesh import write_trimesh
+    from jaxscan.surface.fused import fused
+    from jaxscan.surface.passages import passages
     from jaxscan.surface.triangles import grid_surface
 
+    if len(passages(image)) > 1:
+        write_trimesh(path, fused(image).mesh)
+        return
     surface = grid_surface(image)
     write_trimesh(path, trimesh.Trimesh(surface.vertices, surface.triangles, process=False))
 
@@ -126,25 +128,44 @@ def draw_picture(out: Path, name: str, image: "RangeImage", floor: "Floor", rig:
 
     frames = sorted((out / "scan" / "frames").iterdir())
     frame = int(image.valid.sum(axis=1).argmax())
-    colours = _colours(frames, image, rig) if image.moving == ("stage",) else None
-    draw_scan(out / f"{name}.png", read_image(frames[frame]), image.pixels[frame], image, floor.up, colours)
+    draw_scan(
+        out / f"{name}.png",
+        read_image(frames[frame]),
+        image.pixels[frame],
+        image,
+        floor.up,
+        _colours(frames, image, rig),
+    )
 
 
 def _colours(frames: list[Path], image: "RangeImage", rig: "Rig") -> "np.ndarray":
-    """The points' colours from the first photograph and the last, in which the stripe is beside the object."""
+    """The points' colours: their mean over the photographs that show them beside the stripe.
+
+    Of a travel the first and the last are looked at, of a turn some all around. In a turn the stripe never leaves what
+    is close to the axis: this gets the colours of the nearest points that have some.
+    """
     import numpy as np
+    from scipy.spatial import KDTree
 
     from jaxscan.images import read_image
     from jaxscan.precision import as_numpy
     from jaxscan.reconstruction.point_colours import point_colours
 
-    colours = np.full(image.points.shape, np.nan)
-    for i in (0, len(frames) - 1):
+    total, times = np.zeros((2, int(image.valid.sum()), 3))
+    whole = image.full_turn is not None
+    for i in np.arange(0, len(frames), len(frames) // _LOOKS) if whole else (0, len(frames) - 1):
         pose = as_numpy(rig.pose({axis: np.float64(steps[i]) for axis, steps in image.positions.items()}))
         own = point_colours(rig.camera, pose, image.points[image.valid], read_image(frames[i]), image.pixels[i])
-        known = np.isfinite(own).all(axis=1)
-        lacking = np.flatnonzero(image.valid)[known & np.isnan(colours[image.valid]).any(axis=1)]
-        colours.reshape(-1, 3)[lacking] = own[known & np.isnan(colours[image.valid]).any(axis=1)]
+        total += np.nan_to_num(own)
+        times += np.isfinite(own)
+    with np.errstate(invalid="ignore"):
+        found = total / times
+    known = times[:, 0] > 0
+    if whole and known.any():
+        points = image.points[image.valid]
+        found[~known] = found[known][KDTree(points[known]).query(points[~known])[1]]
+    colours = np.full(image.points.shape, np.nan)
+    colours[image.valid] = found
     brightest = np.nanpercentile(colours, 99) if np.isfinite(colours).any() else 255.0
     return np.clip(235.0 / brightest * colours, 0.0, 255.0)
 

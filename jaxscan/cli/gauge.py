@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     scans = [read_scan(path) for path in args.scan]
     known: RigFile | Calibration
     if args.session:
-        from jaxscan.cli.calibrate import solve_sessions
+        from jaxscan.cli.solve_sessions import solve_sessions
 
         known = solve_sessions(args.session)
         content = known.rig_file()

@@ -19,7 +19,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_checks import check_focal, check_image_size
 from jaxscan.files.table import PassedOverWarning, Table, show
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Camera
+from jaxscan.rig import Camera, Rig
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER, OpenCVLens
 
@@ -59,6 +59,7 @@ class CameraFile:
         views: the photographs of the board, where the format has them.
         unseen: the names of further photographs, in which no corner was found.
         beside: what else the file holds and no other format takes, in words.
+        rig: the whole rig, of a rig.json.
     """
 
     image_size: tuple[int, int]
@@ -67,6 +68,7 @@ class CameraFile:
     views: tuple[BoardView, ...] = ()
     unseen: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
+    rig: Rig | None = None
 
     def the_camera(self, path: Path) -> Camera:
         """The camera.

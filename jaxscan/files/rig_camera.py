@@ -23,6 +23,7 @@ def read(path: Path, name: str | None, image_size: tuple[int, int] | None) -> Ca
         rig.camera,
         {name: value for name, value in sigma.items() if name.startswith("camera.") and value is not None},
         beside=tuple(beside),
+        rig=rig,
     )
 
 

@@ -17,7 +17,7 @@ from typing import Final
 import cv2
 import numpy as np
 import simplejpeg
-from jaxtyping import UInt
+from jaxtyping import UInt, UInt8
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError, error_context
@@ -59,6 +59,11 @@ def decode_image(path: str | os.PathLike[str], data: bytes, out: Image | None = 
         return image
     np.copyto(out, image)
     return out
+
+
+def eight_bits(image: Image) -> UInt8[np.ndarray, "rows columns *rgb"]:
+    """A photograph in grey levels of 8 bits: as it is, or of 16 bits rounded."""
+    return image if image.dtype == np.uint8 else np.round(image / np.float32(NUMBERS_PER_LEVEL)).astype(np.uint8)
 
 
 def _whole(path: str | os.PathLike[str], data: bytes) -> Header:

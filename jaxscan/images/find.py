@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt, UInt8
 
+from jaxscan.errors import InputError
 from jaxscan.images.board import Board
 from jaxscan.images.circles import find_circles, radius_in_pitches, refine_circles
-from jaxscan.images.decode import NUMBERS_PER_LEVEL, Image, to_grey
+from jaxscan.images.decode import Image, eight_bits, to_grey
 from jaxscan.images.order import order_grid
 from jaxscan.images.refine import refine_corners
 
@@ -55,7 +56,20 @@ class BoardView:
 
 
 def find_board(board: Board, image: Image) -> BoardView | None:
-    """The board's points in a grey or RGB photograph of 8 or 16 bits; None when the board is not in it."""
+    """The board's points in a photograph; None when the board is not in it.
+
+    Args:
+        board: the pattern.
+        image: (rows, columns), or (rows, columns, 3) with red, green and blue; 8 or 16 bits.
+
+    Raises:
+        InputError: the array is no photograph.
+    """
+    if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
+        raise InputError(
+            f"the photograph has the shape {image.shape} and numbers of {image.dtype}: give (rows, columns) or (rows, "
+            "columns, 3), uint8 or uint16"
+        )
     grey = to_grey(image)
     if min(grey.shape) < 2 * max(board.counts):
         return None
@@ -134,23 +148,23 @@ def _stretched(grey: Grey) -> Iterator[tuple[Grey8, float]]:
     """The photograph at each size: at each white level, then as it is, for either may cut off too much."""
     for white in _WHITE_PERCENTILES:
         yield from _sizes(_stretch(grey, white))
-    yield from _sizes(grey if grey.dtype == np.uint8 else _to_8_bits(grey / np.float32(NUMBERS_PER_LEVEL)))
+    yield from _sizes(eight_bits(grey))
 
 
 def _stretch(grey: Grey, white: float) -> Grey8:
     """The photograph's levels up to a percentile, spread over 8 bits."""
     low, high = np.percentile(grey[::4, ::4], (_BLACK_PERCENTILE, white))
-    return _to_8_bits((grey.astype(np.float32) - low) * (255 / max(high - low, 1)))
+    return _clipped((grey.astype(np.float32) - low) * (255 / max(high - low, 1)))
 
 
 def _even_light(grey: Grey) -> Grey8:
     """Each level against the mean about it, on a scale of logarithms, so that neither lamp nor stripe matters."""
     level = np.log1p(grey.astype(np.float32))
     size = int(max(grey.shape) * _NEIGHBOURHOOD) | 1
-    return _to_8_bits(128 + 64 * (level - cv2.blur(level, (size, size))))
+    return _clipped(128 + 64 * (level - cv2.blur(level, (size, size))))
 
 
-def _to_8_bits(levels: Float[np.ndarray, "rows columns"]) -> Grey8:
+def _clipped(levels: Float[np.ndarray, "rows columns"]) -> Grey8:
     return levels.clip(0, 255).astype(np.uint8)
 
 

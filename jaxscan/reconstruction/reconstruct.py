@@ -8,11 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
+from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
+from jaxscan.images import StripeSettings
+from jaxscan.images.decode import Image
+from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.reconstruction.range_image import RangeImage, writing_points
 from jaxscan.reconstruction.stream import Scanner
-from jaxscan.rig import Rig
+from jaxscan.rig import Positions, Rig
 
 # The level of a pixel that is full.
 _FULL = 255
@@ -20,28 +24,68 @@ _FULL = 255
 
 def reconstruct(
     rig: RigFile | Rig,
-    scan: Scan,
+    scan: Scan | Iterable[tuple[Image, Positions | int]],
     advance: Callable[[int], object] = lambda by: None,
     detector: Detector = DEFAULT,
     choice: Choice = DEFAULT_CHOICE,
     spacetime: bool = False,
     depths_mm: tuple[float, float] | None = None,
+    *,
+    laser: StripeSettings | None = None,
+    background: Image | None = None,
 ) -> RangeImage:
     """Find the stripe in every frame and triangulate it.
 
     Args:
         rig: the rig, as `read_rig` gives it; with its covariance the points carry their σ.
-        scan: as `read_scan` gives it.
+        scan: as `read_scan` gives it; or photographs in memory, (rows, columns) or (rows, columns, 3) with red, green
+            and blue, 8 or 16 bits, each with the positions of the axes by their names, motor steps, or with the step
+            count of the stage.
         advance: called with the number of photographs read, batch after batch.
         detector: how the stripe's centre is measured.
         choice: which stripe is taken where a line has several.
         spacetime: measure the time at which the light's centre passes each point; needs a scan in small, equal steps.
         depths_mm: nearest and farthest depth at which there can be a stripe, as `Scanner` has it.
+        laser: of photographs in memory: which, and how its stripe is looked for; by default one red laser, and a point
+            for each column.
+        background: of photographs in memory: the scene with the laser off.
+
+    Returns:
+        The points, (frames, columns) of them or (frames, rows), object frame, mm.
 
     Raises:
         InputError: the scan does not fit the rig, a photograph cannot be read, or there is no stripe in any frame.
     """
-    return RangeImage.joined(list(Scanner(rig, detector, choice, spacetime, depths_mm).scan(scan, advance)))
+    scanner = Scanner(rig, detector, choice, spacetime, depths_mm)
+    if not isinstance(scan, Scan):
+        return _of_memory(scanner, scan, advance, spacetime, laser, background)
+    if laser is not None or background is not None:
+        raise InputError("laser= and background= are for photographs in memory: scan.toml names those of a scan")
+    return RangeImage.joined(list(scanner.scan(scan, advance)))
+
+
+def _of_memory(
+    scanner: Scanner,
+    frames: Iterable[tuple[Image, Positions | int]],
+    advance: Callable[[int], object],
+    spacetime: bool,
+    laser: StripeSettings | None,
+    background: Image | None,
+) -> RangeImage:
+    """The points of photographs in memory."""
+    if spacetime:
+        raise InputError("spacetime=True takes a scan that read_scan has read: write the photographs into a folder")
+    parts = []
+    for part in scanner.frames(frames, laser, background, FRAMES_AT_ONCE):
+        parts.append(part)
+        advance(len(part.valid))
+    if not parts:
+        raise InputError("there are no photographs: give at least one, with the positions of its axes")
+    image = RangeImage.joined(parts)
+    if not image.valid.any():
+        why = "".join(f"; {note}" for note in scanner.notes)
+        raise InputError(f"no point was found in any of {len(image.valid)} photographs{why}")
+    return image
 
 
 @dataclass(frozen=True)

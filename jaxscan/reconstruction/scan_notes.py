@@ -3,9 +3,12 @@
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float, UInt
 
 from jaxscan.files.scan import Scan
 from jaxscan.images.decode import read_image
+from jaxscan.images.stripe_settings import StripeSettings
+from jaxscan.images.stripes.brightest import brighter_color
 from jaxscan.images.stripes.other_colour import colour_that_shows
 from jaxscan.images.stripes.validity import Verdict
 
@@ -47,3 +50,46 @@ def in_another_colour(scan: Scan) -> str:
     some = np.unique(np.linspace(0, len(scan.frames) - 1, _TRIED + 2).astype(int)[1:-1])
     shown = colour_that_shows([read_image(scan.frames[i]) for i in some], scan.laser)
     return "" if shown is None else f', but with color = "{shown}" there is one'
+
+
+def brighter_colors(
+    photographs: UInt[np.ndarray, "frames rows columns *rgb"],
+    position: Float[np.ndarray, "frames lines"],
+    laser: StripeSettings,
+) -> list[str | None]:
+    """The colour in which each photograph's stripe is far brighter than in the laser's, or None; of those with one.
+
+    Args:
+        photographs: as they are, 8 or 16 bits.
+        position: of the stripe, the row of each column, or the column of each row, px; NaN for none.
+        laser: how it was looked for.
+    """
+    line = np.arange(position.shape[-1], dtype=np.float32)
+    return [
+        brighter_color(image, np.stack([line, at] if laser.columns else [at, line], axis=-1), laser)
+        for image, at in zip(photographs, position, strict=True)
+        if np.isfinite(at).any()
+    ]
+
+
+def channels_note(
+    photographs: UInt[np.ndarray, "frames rows columns *rgb"],
+    position: Float[np.ndarray, "frames lines"],
+    laser: StripeSettings,
+) -> str | None:
+    """What is said of photographs in memory whose stripe has another colour than it is looked for; None for nothing.
+
+    The arguments are those of `brighter_colors`.
+    """
+    found = brighter_colors(photographs, position, laser)
+    shown = next((color for color in set(found) if color and 2 * found.count(color) > len(found)), None)
+    if not found:
+        shown = colour_that_shows(photographs[:_TRIED], laser)
+    if shown is None:
+        return None
+    swapped = {shown, laser.color} == {"red", "blue"}
+    turn = "turn photographs that OpenCV has read, which are BGR, with image[..., ::-1]; or " if swapped else ""
+    return (
+        f"the stripe is looked for in {laser.color}, and the photographs show it in {shown}: {turn}give "
+        f'laser=StripeSettings(color="{shown}")'
+    )

@@ -4,6 +4,7 @@ The points of a frame are the same whatever is looked at together with it, and m
 """
 
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, DETECTORS, Choice, Detector
+from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector, check_detector
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.axes import STAGE
 from jaxscan.files.place_checks import doubts
@@ -20,7 +21,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import Stripe, StripeSettings, detect_stripe
 from jaxscan.images.decode import Image
-from jaxscan.images.stripes.brightest import brighter_color, miscoloured
+from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.images.stripes.validity import Verdict
@@ -31,7 +32,7 @@ from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands, own_colours
-from jaxscan.reconstruction.scan_notes import REASONS, in_another_colour, left_out_notes
+from jaxscan.reconstruction.scan_notes import REASONS, brighter_colors, channels_note, in_another_colour, left_out_notes
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
@@ -78,8 +79,7 @@ class Scanner:
         *,
         decoders: int | None = None,
     ) -> None:
-        if detector not in DETECTORS:
-            raise InputError(f'there is no detector "{detector}": use one of {", ".join(DETECTORS)}')
+        check_detector(detector)
         if depths_mm is not None:
             check_depths(depths_mm)
         self._content = rig if isinstance(rig, RigFile) else RigFile(rig)
@@ -146,9 +146,12 @@ class Scanner:
     ) -> Iterator[RangeImage]:
         """The points of photographs as they come, as from a camera that is scanning.
 
+        If the first of them show their stripe in another colour than the laser's, as photographs of OpenCV do, which
+        are blue, green and red, there is a warning, and a note in `notes`.
+
         Args:
-            frames: each photograph, (rows, columns) or (rows, columns, 3), and the positions of the axes by their
-                names, motor steps; or the step count of the stage.
+            frames: each photograph, (rows, columns) or (rows, columns, 3) with red, green and blue, and the positions
+                of the axes by their names, motor steps; or the step count of the stage.
             laser: which, and how its stripe is looked for; the default is one red laser, and a point for each column.
             background: the scene with the laser off.
             batch: how many photographs are waited for before they are looked at; the points do not depend on it, but
@@ -159,14 +162,22 @@ class Scanner:
             InputError: a photograph is not of the rig's size, or unlike the first, or its positions are not those of
                 the rig's axes.
         """
-        ready = self._laser(laser or StripeSettings())
+        settings = laser or StripeSettings()
+        ready = self._laser(settings)
+        self.notes, self.left_out = [], {}
         named = ((image, q if isinstance(q, Mapping) else {STAGE: q}) for image, q in frames)
-        first, played = None, {axis: Runs() for axis in played_axes(self._content.rig.motion)}
+        first, looked, played = None, False, {axis: Runs() for axis in played_axes(self._content.rig.motion)}
         for some, axes in frames_of(named, background, self._content.rig.camera.image_size, batch):
             first = some.positions[0] if first is None else first
             moving = [axis for axis, moved in zip(axes, (some.positions != first).any(axis=0), strict=True) if moved]
             check_axes(self._content.rig, moving, axes, "frames:")
-            yield ready.range_image(*_with_runs(some, axes, played))[0]
+            image = ready.range_image(*_with_runs(some, axes, played))[0]
+            if not looked:
+                looked = True
+                if (note := channels_note(some.images[: len(image.valid)], image.pixels, settings)) is not None:
+                    self.notes.append(note)
+                    warnings.warn(note, stacklevel=2)
+            yield image
 
     def _images(
         self,
@@ -327,12 +338,7 @@ class _Laser:
 
 def _miscoloured(laser: StripeSettings, frames: Frames, found: RangeImage) -> list[str]:
     """Whether the stripe has another colour than it is looked for."""
-    colors = [
-        brighter_color(image, np.stack(_u_and_v(at, laser.columns), axis=-1), laser)
-        for image, at in zip(frames.images, found.pixels, strict=False)
-        if np.isfinite(at).any()
-    ]
-    said = miscoloured(colors, laser)
+    said = miscoloured(brighter_colors(frames.images[: len(found.pixels)], found.pixels, laser), laser)
     return [] if said is None else [f"the stripe {said} in scan.toml"]
 
 

@@ -57,7 +57,9 @@ _MM_PER_STEP = 0.001
 _TURN = np.radians(2.0)
 STEPS_PER_TURN: Final = 3200
 # Where the middle of what stands on the platform comes under the sheet.
-_UNDER_SHEET = 37000
+_UNDER_SHEET: Final = 37000
+# How high above the platform objects are about the turntable's axis, mm.
+_TOP: Final = 26.0
 # Where in its turn a screw stands at step 0.
 _SCREW_PHASE = 1.0
 # Motor steps of the turntable from frame to frame of a scan that turns.
@@ -306,10 +308,30 @@ def scan_scene(rig: Rig, bodies: Sequence[Body]) -> Scene:
     return Scene(tuple(body.moved(R, origin) for body in (*bodies, floor(*_FLOOR))))
 
 
-def turning_axes(apart: int) -> dict[str, tuple[int, ...]]:
-    """A full turn of the turntable in frames `apart` motor steps apart, its axis under the sheet."""
+def turning_axes(apart: int, stage_step: int = _UNDER_SHEET) -> dict[str, tuple[int, ...]]:
+    """A full turn of the turntable in frames `apart` motor steps apart, the stage at one place meanwhile."""
     turns = tuple(range(0, STEPS_PER_TURN, apart))
-    return {"stage": (_UNDER_SHEET,) * len(turns), "turntable": turns}
+    return {"stage": (stage_step,) * len(turns), "turntable": turns}
+
+
+def step_over_axis(rig: Rig, laser: int = 0) -> int:
+    """The stage's step at which a sheet meets the turntable's axis at the top of what stands on it.
+
+    The axis is not in the sheet: at other heights a disc about it is never lit in a turn.
+
+    Args:
+        rig: with a turntable.
+        laser: which of its lasers (an index).
+    """
+    R, origin = platform(rig)
+    turntable = rig.axis("turntable")
+    assert isinstance(turntable, Rotary)
+    axis, centre = np.asarray(turntable.direction()), np.asarray(turntable.centre)
+    top = centre + axis * (_TOP - (centre - origin) @ R[:, 2]) / (axis @ R[:, 2])
+    with float64():
+        steps = np.arange(0.0, 2.0 * _UNDER_SHEET, 100.0)
+        level = np.asarray(rig.lights[laser].level(jnp.asarray(top + stage_travel(rig, steps))))
+    return int(steps[np.abs(level).argmin()])
 
 
 def turned(bodies: Sequence[Body], degrees: float) -> tuple[Body, ...]:

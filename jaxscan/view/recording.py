@@ -22,7 +22,7 @@ from jaxscan.errors import InputError
 from jaxscan.extras import extra
 from jaxscan.files.camera_file import matrix_of
 from jaxscan.files.scan import Scan
-from jaxscan.images.decode import NUMBERS_PER_LEVEL, read_image
+from jaxscan.images.decode import eight_bits, read_image
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.rig import Camera
 from jaxscan.view.view_data import PHOTOGRAPH, ViewData
@@ -174,12 +174,12 @@ def _record_scanner(rerun: Any, recording: Any, shown: ViewData, camera: Camera,
         turned = Rotation.from_rotvec(setup.at.rotation[i]).as_matrix()
         recording.log("scanner/camera", rerun.Transform3D(translation=places[i], mat3x3=turned))
         if pixels is not None:
-            seen = as_pinhole(_eight_bits(photographs[frame], camera), pixels)
+            seen = as_pinhole(_photograph_of(photographs[frame], camera), pixels)
             recording.log("scanner/camera/image", rerun.Image(seen).compress(jpeg_quality=_JPEG_QUALITY))
     return len(setup.frames) if photographs else 0
 
 
-def _eight_bits(path: Path, camera: Camera) -> UInt8[np.ndarray, "rows columns *rgb"]:
+def _photograph_of(path: Path, camera: Camera) -> UInt8[np.ndarray, "rows columns *rgb"]:
     photograph = read_image(path)
     rows, columns = photograph.shape[:2]
     if (columns, rows) != camera.image_size:
@@ -188,6 +188,4 @@ def _eight_bits(path: Path, camera: Camera) -> UInt8[np.ndarray, "rows columns *
             f"{path}: has {columns} x {rows} pixels, and the rig's camera {of_rig}: give the scan and the rig that the "
             "points were reconstructed with"
         )
-    if photograph.dtype == np.uint16:
-        return np.clip(np.round(photograph / NUMBERS_PER_LEVEL), 0, 255).astype(np.uint8)
-    return photograph.astype(np.uint8)
+    return eight_bits(photograph)

@@ -152,3 +152,15 @@ def test_the_circles_radius_is_given_or_that_of_most_photographs():
     assert _radius(Board.circles((3, 3), 10.0), views) == pytest.approx(2.1)
     assert _radius(Board.circles((3, 3), 10.0, 5.0), views) == 2.5
     assert _radius(Board.checkerboard((3, 4), 10.0), [BoardView(np.zeros((12, 2)), np.ones(12), False)]) == 0
+
+
+def test_corners_as_opencv_gives_them() -> None:
+    corners = np.arange(108.0).reshape(54, 2)
+    np.testing.assert_array_equal(View("a", corners.astype(np.float32)[:, None]).corners, corners)
+    with pytest.raises(InputError, match=r"a: corners has the shape \(54, 2, 2\): give \(points, 2\)"):
+        View("a", np.zeros((54, 2, 2)))
+
+
+def test_a_detector_that_there_is_not_is_named_before_any_work(folder: Path) -> None:
+    with pytest.raises(InputError, match='no detector "steger": use one of likelihood, gravity'):
+        observe(read_session(folder), detector="steger")

@@ -63,6 +63,7 @@ def test_a_box_from_three_sides(few_photographs: None, tmp_path: Path, monkeypat
     out = tmp_path / "world"
     result = simulate.run(parse(str(out), "--object", "box", "--sides", "3", "--apart", "18000"))
     assert result["scans"] == ["scan-000", "scan-120", "scan-240"]
+    assert "--object panda or figure" in result["warnings"][0]
     first, second = (read_scan_truth(out / "truth", which) for which in ("000", "120"))
     assert read_scan(out / "scan-240").axes["stage"] == (0, 18000, 36000) == tuple(first.axes["stage"])
     assert not np.array_equal(first.position, second.position, equal_nan=True)
@@ -70,6 +71,19 @@ def test_a_box_from_three_sides(few_photographs: None, tmp_path: Path, monkeypat
         f"next: jaxscan calibrate {out}/session -o {out}/rig.json",
         f"then: jaxscan merge {out}/scan-* --rig {out}/rig.json --turn 120 -o {out}/model.stl",
     ]
+
+
+@pytest.mark.parametrize(("name", "warned"), [("box", True), ("panda", False)])
+def test_sides_that_will_not_register_are_said_before_the_work(
+    name: str, warned: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def work(*words: Any, **more: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulate, "simulate_into", work)
+    with pytest.raises(KeyboardInterrupt):
+        simulate.run(parse(str(tmp_path / "world"), "--object", name, "--sides", "8"))
+    assert ("warning: jaxscan merge will not join the sides of a box" in capsys.readouterr().err) is warned
 
 
 def test_boards_held_by_hand_and_a_laser_of_two_lobes(

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration.model import Model
-from jaxscan.cli.calibrate import _stage_motion, solve_sessions
 from jaxscan.cli.estimate_options import Estimate, add_estimate_arguments, estimate_asked
+from jaxscan.cli.one_rig import stage_motion
+from jaxscan.cli.solve_sessions import solve_sessions
 from jaxscan.errors import InputError
 from jaxscan.files.session import CameraSettings, Session, StageImages, Views, read_session, write_session
 from jaxscan.images import Board, StripeSettings
@@ -549,7 +550,7 @@ def test_the_motion_reaches_the_solve(folder):
     read = session(folder, BOARD, VIEWS, STAGE_3 + 'motion = "screw"\nscrew_steps = 3200')
 
     def asked(motion=None):
-        return _stage_motion([read.path], [read], Estimate(stage_motion=motion))
+        return stage_motion([read.path], [read], Estimate(stage_motion=motion))
 
     assert asked() == ({"stage": "screw"}, {"stage": 3200.0})
     assert asked("screw_on_guide") == ({"stage": "screw_on_guide"}, {"stage": 3200.0})

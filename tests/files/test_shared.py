@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Observations
-from jaxscan.cli.calibrate import solve_sessions
+from jaxscan.cli.solve_sessions import solve_sessions
 from jaxscan.errors import InputError
 from jaxscan.files.session import Session, read_session
 from jaxscan.files.shared import listed_once

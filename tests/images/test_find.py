@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import render
 
+from jaxscan.errors import InputError
 from jaxscan.images import Board, carry_order, find_board, read_image
 from jaxscan.images.order import order_grid
 
@@ -267,3 +268,9 @@ def test_boards_are_found_the_same_in_float64_mode(x64):
         other = find_board(BOARD, image)
     np.testing.assert_array_equal(found.corners, other.corners)
     np.testing.assert_array_equal(found.sigma, other.sigma)
+
+
+@pytest.mark.parametrize("image", [np.zeros((90, 120)), np.zeros((90, 120, 4), np.uint8), np.zeros(90, np.uint8)])
+def test_what_is_no_photograph_is_refused_by_its_shape(image):
+    with pytest.raises((InputError, TypeError), match=r"the photograph has the shape|image"):
+        find_board(BOARD, image)

@@ -222,6 +222,34 @@ def test_a_stripe_of_another_colour_than_was_said_is_pointed_out(rig, photograph
     assert all('set color = "red"' in note for note in scanner.notes)
 
 
+def test_photographs_in_memory_are_a_range_image(rig, photographs, whole):
+    counted: list[int] = []
+    frames = ((photograph, 1000 * i) for i, photograph in enumerate(photographs))
+    assert_same(reconstruct(rig, frames, counted.append, "gravity", laser=GREY), whole)
+    assert sum(counted) == COUNT
+    with pytest.raises(InputError, match="no photographs"):
+        reconstruct(rig, [])
+    with pytest.raises(InputError, match="spacetime"):
+        reconstruct(rig, [], spacetime=True)
+
+
+@pytest.mark.parametrize("bright", [True, False], ids=["a little red too", "no red at all"])
+def test_photographs_that_opencv_has_read_are_recognised(rig, photographs, bright):
+    rgb = np.stack([photographs, *2 * [np.full(photographs.shape, 20)]], axis=-1).astype(np.uint8)
+    if bright:
+        rgb[..., 2] = 20 + 0.2 * (rgb[..., 0].astype(float) - 20)
+    assert reconstruct(rig, zip(rgb, range(0, 7000, 1000), strict=True), detector="gravity").valid.any()
+    scanner = Scanner(rig, "gravity")
+    with pytest.warns(UserWarning, match=r"show it in blue: .* BGR, with image\[\.\.\., ::-1\]"):
+        list(scanner.frames(zip(rgb[..., ::-1], range(0, 7000, 1000), strict=True), batch=COUNT))
+    assert len(scanner.notes) == 1
+
+
+def test_laser_and_background_are_for_photographs_in_memory(rig, photographs, tmp_path):
+    with pytest.raises(InputError, match=r"scan\.toml names those"):
+        reconstruct(rig, scan_of(tmp_path, photographs, ".png"), laser=GREY)
+
+
 def test_notes_of_two_scans_at_once_are_not_mixed(rig, photographs, tmp_path):
     short = np.where(np.arange(photographs.shape[2]) < 32, photographs, 20)
     coloured = np.stack([short, 20 + 0.3 * short, np.full(short.shape, 20)], axis=-1).astype(np.uint8)

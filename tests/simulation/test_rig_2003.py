@@ -20,8 +20,11 @@ from jaxscan.simulation.rig_2003 import (
     scan_scene,
     simulated_rig,
     stage_pose,
+    step_over_axis,
+    turning_axes,
+    with_turntable,
 )
-from jaxscan.simulation.shapes import cup
+from jaxscan.simulation.shapes import cup, panda
 
 SEED = 1
 K = np.array([[697.70833, 0, 310.29604], [0, 690.43328, 228.14934], [0, 0, 1]])
@@ -147,3 +150,18 @@ def test_a_lamp_that_the_platform_mirrors_where_the_sheet_meets_it() -> None:
     R, origin = platform(rig)
     halfway = np.asarray(mirrored_lamp(rig)) - origin / np.linalg.norm(origin)
     np.testing.assert_allclose(halfway / np.linalg.norm(halfway), R[:, 2], atol=1e-12)
+
+
+def test_a_turn_shows_the_object_up_to_the_axis_of_the_turntable():
+    rig = with_turntable(simulated_rig(0), 0)
+    R, origin = platform(rig)
+    scene = scan_scene(rig, panda(OBJECT_Y))
+    axes = turning_axes(800, step_over_axis(rig))
+    assert set(axes["stage"]) != set(turning_axes(800)["stage"])
+    axis, centre = np.asarray(rig.axis("turntable").direction()), np.asarray(rig.axis("turntable").centre)
+    nearest = []
+    for stage, turn in zip(*axes.values(), strict=True):
+        _, points = true_profile(rig, scene, {"stage": stage, "turntable": turn}, lighting=SCAN_LIGHTING)
+        seen = points[np.isfinite(points).all(axis=1) & ((points - origin) @ R[:, 2] > 20)]
+        nearest.append(np.linalg.norm(np.cross(seen - centre, axis), axis=1).min())
+    assert max(nearest) < 0.6
