@@ -140,11 +140,7 @@ def check_enough(observations: Observations) -> None:
                 f"photographs of its own, that boards and stripes are not exchanged"
             )
     for sequence in observations.sequences:
-        places, fewest = len(np.unique(sequence.steps)), MOTIONS[sequence.kind].fewest
-        if places < fewest:
-            raise InputError(
-                f"{places} usable {sequence.axis} photographs at different step counts; at least {fewest} are needed"
-            )
+        check_places(sequence.axis, sequence.kind, len(np.unique(sequence.steps)))
     moving = _moving(observations)
     for sequence in observations.sequences:
         for axis, steps in sequence.positions.items():
@@ -188,6 +184,20 @@ def check_views_for(board_shape: str, views: int) -> None:
             f'{views} usable views of the board; board_shape = "{board_shape}" needs {fewest}, to distinguish '
             f"{_OF_SHAPE[board_shape]} from the camera: photograph it in more poses, tilted in different directions, "
             f'or ask for board_shape = "{simpler[-1]}"'
+        )
+
+
+def check_places(axis: str, kind: str, places: int) -> None:
+    """Refuse photographs of the board on an axis that are at too few places for the kind of its motion.
+
+    Raises:
+        InputError: they are.
+    """
+    fewest = MOTIONS[kind].fewest
+    if places < fewest:
+        raise InputError(
+            f"{places} usable {axis} photographs at different step counts; at least {fewest} are needed to find a "
+            f"motion of the kind {kind}: photograph the board at more places of the {axis}, or ask for a simpler kind"
         )
 
 

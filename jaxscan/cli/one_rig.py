@@ -131,7 +131,7 @@ def read_together(paths: Sequence[Path], estimate: Estimate) -> Together:
         len(joined.lasers),
         notes,
     )
-    _check_poses(together)
+    _check_counts(together)
     check_stage_known(together.sessions)
     return together
 
@@ -245,13 +245,13 @@ def _once(
     return left, notes
 
 
-def _check_poses(together: Together) -> None:
-    """Refuse too few poses, before the long work where the number of listed photographs shows it.
+def _check_counts(together: Together) -> None:
+    """Refuse too few poses or places, before the long work where the number of listed photographs shows it.
 
     Raises:
         InputError: there are too few.
     """
-    from jaxscan.calibration.refusals import FEWEST_VIEWS, check_views_for
+    from jaxscan.calibration.refusals import FEWEST_VIEWS, check_places, check_views_for
 
     read = sum(len(given.views) for given in together.unseen)
     poses = read + sum(len(session.views.boards) for session in together.sessions)
@@ -264,6 +264,10 @@ def _check_poses(together: Together) -> None:
         )
     try:
         check_views_for(together.board_shape, poses)
+        for session in together.sessions:
+            for axis, sequence in session.sequences.items():
+                if axis in together.motion:
+                    check_places(axis, together.motion[axis], len(set(sequence.steps)))
     except InputError as error:
         raise InputError(f"{listed}: {error}") from None
 

@@ -556,3 +556,16 @@ def test_the_motion_reaches_the_solve(folder):
     assert asked("screw_on_guide") == ({"stage": "screw_on_guide"}, {"stage": 3200.0})
     motion, periods = asked("linear")
     assert Model(motion=motion, periods=periods).asked()["periods"] == {}
+
+
+@pytest.mark.parametrize(("kind", "fewest"), [("guide", 4), ("screw", 8)])
+def test_too_few_places_for_a_motion_are_refused_before_they_are_looked_at(folder, capsys, kind, fewest):
+    """The photographs were searched before, and the kind was not named."""
+    session(folder, BOARD, VIEWS, '[stage]\nimages = "stage/*.png"\nsteps = [0, 100, 200]')
+    text = (
+        rf"3 usable stage photographs .* at least {fewest} are needed to find a motion of the kind {kind}: photograph"
+    )
+    with pytest.raises(InputError, match=text) as refused:
+        solve_sessions([folder], estimate=Estimate(stage_motion=kind))
+    assert str(refused.value).startswith(f"{folder}: ")
+    assert "finding boards" not in capsys.readouterr().err
