@@ -6,7 +6,8 @@ as the mean of its columns less that of the floor. A figure is the root mean squ
 surfaces, in several photographs each, of the worst width of stripe.
 
 And predicted σ over the actual error, of bent and sloping stripes of several widths, open and burnt out, with speckle
-and without, in photographs of three qualities.
+and without, in photographs of three qualities. Of stripes that are burnt out in every second stretch, σ over the error
+and the error over that of the centre of gravity are told apart for burnt-out lines and others.
 """
 
 import itertools
@@ -47,6 +48,8 @@ _GOAL_MM: Final = 0.02
 _QUALITIES, _LEVELS, _SPECKLES = (95, 90, 75), (180.0, 600.0), (0.0, 0.2)
 _SIGMA_WIDTHS: Final = (0.74, 1.0, 1.5, 2.0, 3.0)
 _SIGMA_ROWS, _SIGMA_COLUMNS, _LOW, _HIGH = 176, 640, 0.85, 1.18
+# Stretches of a stripe that are burnt out in turn, lines, and their peaks; points further off than this are not read.
+_STRETCH, _IN_TURN, _FAR_PX = 107, (150.0, 600.0), 0.5
 
 Table = tuple[Float[np.ndarray, "heights"], Float[np.ndarray, "heights"]]
 Photograph = UInt[np.ndarray, "rows columns 3"]
@@ -69,7 +72,7 @@ def measure(quick: bool) -> list[Metric]:
                 for name, rms in found.items():
                     worst[color, peak, kind, name] = max(worst.get((color, peak, kind, name), 0.0), rms)
             print(f"    {color:6}{peak:6}{s:4} {cells}", flush=True)
-    return [_metric(*which, rms) for which, rms in worst.items()] + _sigma(quick)
+    return [_metric(*which, rms) for which, rms in worst.items()] + _sigma(quick) + _in_turn(quick)
 
 
 def _sigma(quick: bool) -> list[Metric]:
@@ -94,6 +97,51 @@ def _sigma(quick: bool) -> list[Metric]:
         Metric("jpeg.sigma_level_least", min(found[True]), ""),
         Metric("jpeg.sigma_level_most", max(found[True]), ""),
     ]
+
+
+def _in_turn(quick: bool) -> list[Metric]:
+    """Burnt-out lines and others of the same photographs; in the short form at the middle quality."""
+    print(
+        "  burnt out in turn: quality, speckle, colours; error over gravity's and σ over the error of burnt-out lines, "
+        "and of the others; of a stripe of σ = " + ", ".join(map(str, _SIGMA_WIDTHS))
+    )
+    found: list[tuple[float, float, float, float]] = []
+    for case in itertools.product(_QUALITIES[1:2] if quick else _QUALITIES, _SPECKLES, ("444", "422", "420")):
+        row = [_of_both_kinds(s, *case) for s in _SIGMA_WIDTHS]
+        cells = " | ".join("{:.2f} {:.2f}, {:.2f} {:.2f}".format(*each) for each in row)
+        print("    {} {:g} {}  ".format(*case) + cells, flush=True)
+        found += row
+    over, burnt, over_open, others = np.array(found).T
+    return [
+        Metric("jpeg.in_turn.burnt_over_gravity", over.max(), "", "lower", 1.0, 0.1),
+        Metric("jpeg.in_turn.others_over_gravity", over_open.max(), "", "lower", None, 0.1),
+        Metric("jpeg.in_turn.burnt_sigma_least", burnt.min(), "", "higher", _LOW, 0.1),
+        Metric("jpeg.in_turn.burnt_sigma_most", burnt.max(), "", "lower", _HIGH, 0.1),
+        Metric("jpeg.in_turn.others_sigma_least", others.min(), "", "higher", _LOW, 0.1),
+        Metric("jpeg.in_turn.others_sigma_most", others.max(), "", "lower", _HIGH, 0.1),
+    ]
+
+
+def _of_both_kinds(s: float, quality: int, speckle: float, kind: str) -> tuple[float, float, float, float]:
+    """Error over gravity's and σ over the error of burnt-out lines, and the same of the others."""
+    x = np.arange(_SIGMA_COLUMNS)
+    frames, centres = [], []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        centres.append(_SIGMA_ROWS / 2 + random.uniform(-4, 4) + 0.03 * (x - len(x) / 2) + 4 * np.sin(x / 60 + seed))
+        peak = np.where((x // _STRETCH + seed) % 2, *_IN_TURN)
+        drawn = draw("red", peak, (40, 40, 40), centres[-1], s, random, _SIGMA_ROWS, speckle=speckle)
+        frames.append(simplejpeg.decode_jpeg(simplejpeg.encode_jpeg(drawn, quality, "RGB", kind)))
+    own, other = (detect_stripe(np.stack(frames), StripeSettings("red"), detector=name) for name in _DETECTORS)
+    off, by_gravity = (np.where(each.valid, each.position - np.stack(centres), np.inf) for each in (own, other))
+    both = (np.abs(off) < _FAR_PX) & (np.abs(by_gravity) < _FAR_PX)
+    found = []
+    for which in (both & own.burnt, both & ~own.burnt):
+        rms, rms_of_gravity, in_sigma = (
+            float(np.sqrt(np.mean(x[which] ** 2))) for x in (off, by_gravity, off / own.sigma)
+        )
+        found += [rms / rms_of_gravity, 1 / in_sigma]
+    return found[0], found[1], found[2], found[3]
 
 
 def _sigma_over_error(s: float, quality: int, peak: float, speckle: float, kind: str, level: bool = False) -> float:
@@ -153,7 +201,7 @@ def _rms(
 
 def draw(
     color: Color,
-    peak: float,
+    peak: float | Float[np.ndarray, "columns"],
     ambient: tuple[float, float, float],
     centre: Float[np.ndarray, "columns"],
     s: float,

@@ -15,10 +15,13 @@ def scattered(error: float, seed: int = 0) -> np.ndarray:
     return error * np.repeat(of_blocks, BLOCK, axis=1)
 
 
-def told(position: np.ndarray, said: np.ndarray | float = SAID, smooth: bool = True) -> np.ndarray:
+def told(
+    position: np.ndarray, said: np.ndarray | float = SAID, smooth: bool = True, burnt: np.ndarray | bool = False
+) -> np.ndarray:
     position = position.astype(np.float32)
     sigma = np.where(np.isfinite(position), said, np.nan).astype(np.float32)
-    return sigma_across_blocks(sigma, position, np.full_like(position, WIDTH), np.full(len(position), smooth))
+    burnt = np.broadcast_to(burnt, position.shape)
+    return sigma_across_blocks(sigma, position, np.full_like(position, WIDTH), burnt, np.full(len(position), smooth))
 
 
 x = np.arange(LINES)
@@ -54,6 +57,21 @@ def test_half_of_what_was_said_of_single_lines_is_kept():
     said = np.where(x % 2, 0.01, 0.04)
     sigma = told(SURFACES["slope"] + scattered(0.05), np.broadcast_to(said, (FRAMES, LINES)))
     np.testing.assert_allclose(sigma[:, 0] / sigma[:, 1], 2, rtol=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
+def test_burnt_out_lines_have_a_scatter_of_their_own(share):
+    burnt = x < share * LINES
+    actual = np.where(burnt, 0.02, 0.06)
+    sigma = told(SURFACES["slope"] + actual * scattered(1), burnt=burnt)
+    for kind in (burnt, ~burnt):
+        assert np.median(sigma[:, kind]) == pytest.approx(np.median(actual[kind]), rel=0.2)
+
+
+def test_a_few_burnt_out_lines_have_that_of_all():
+    burnt = x < 60
+    position = SURFACES["slope"] + np.where(burnt, 0.02, 0.06) * scattered(1)
+    np.testing.assert_array_equal(told(position, burnt=burnt)[:, burnt], told(position)[:, burnt])
 
 
 def test_a_level_stripe_has_no_less_than_was_said():

@@ -34,6 +34,8 @@ _FEWEST, _MOST = 100, 0.3
 # Where σ is not read, that of smoothed windows is larger by this factor than that of independent pixels: the usual one
 # of drawn stripes and photographs of a cup, with speckle and without (1 to 3).
 _USUAL_FACTOR = 1.8
+# The middle two of four lines hold nine tenths of a third difference's variance: where both are burnt out, it is.
+_BURNT: Final = 2
 # A stripe is level if lines so far apart are less than this apart, px: its blocks have the same error.
 _LEVEL_BY, _LEVEL_PX = 40, 0.4
 
@@ -44,18 +46,21 @@ def sigma_across_blocks(
     sigma: Lines,
     position: Lines,
     width: Lines,
+    burnt: Bool[np.ndarray, "frames lines"],
     smooth: Bool[np.ndarray, "frames"],
     apart: tuple[int, ...] = IN_BLOCKS,
 ) -> Lines:
     """σ of lines in JPEGs, of each frame from how much they differ from block to block.
 
-    Which of a frame's lines are better, σ of independent pixels says by half: it is taken to the power of ½. A level
-    stripe has the same error in all blocks, so that there σ is no less than that of independent pixels.
+    Which of a frame's lines are better, σ of independent pixels says by half: it is taken to the power of ½. Burnt-out
+    lines and others, which are measured in different ways, have a scatter of their own where there are enough of them.
+    A level stripe has the same error in all blocks, so that there σ is no less than that of independent pixels.
 
     Args:
         sigma: of each line's centre, of independent pixels, px; NaN where there is none.
         position: the centre, px.
         width: of the stripe, full at half height, px.
+        burnt: whether some pixel near the line's stripe is full.
         smooth: in which frames windows were smoothed.
         apart: k, how far the lines are apart of which differences are taken.
     """
@@ -63,13 +68,17 @@ def sigma_across_blocks(
     usual = ranked(sigma, known, 0.5)[:, None]
     position = np.where(known, position, np.float32(0))
     shape = np.where(known, np.sqrt(sigma * usual), np.float32(1))
+    # σ of a few burnt-out lines among others is without the speckle that a JPEG hides.
+    some = (2 * (burnt & known).sum(axis=1) < known.sum(axis=1))[:, None]
+    shape = np.where(burnt & some, np.maximum(shape, usual), shape)
     step = ~(known[:, 1:] & known[:, :-1]) | (np.abs(np.diff(position, axis=1)) > _STEP_PX)
     steps = np.pad(np.cumsum(step, axis=1), ((0, 0), (1, 0)))
     otherwise = np.where(smooth[:, None], np.float32(_USUAL_FACTOR), np.float32(1)) * sigma
     if sigma.shape[1] <= 3 * apart[-1]:
         return otherwise
-    parts = [_differences(position, shape, steps, k) for k in apart]
-    by = _scatter(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))[:, None]
+    parts = [_differences(position, shape, steps, burnt, k) for k in apart]
+    values, used, kind = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+    by = np.where(burnt, *(_scatter_of_kind(values, used, kind == one)[:, None] for one in (_BURNT, 0)))
     found = by * shape
     level = _is_level(position, steps)[:, None]
     found = np.where(level, np.maximum(found, sigma), found)
@@ -91,14 +100,29 @@ def beyond_usual(sigma: Lines, widened: Lines) -> Lines:
 
 
 def _differences(
-    position: Lines, sigma: Lines, steps: Int[np.ndarray, "frames lines"], apart: int
-) -> tuple[Float[np.ndarray, "frames some"], Bool[np.ndarray, "frames some"]]:
-    """Third differences over their σ, and which are of one surface."""
+    position: Lines,
+    sigma: Lines,
+    steps: Int[np.ndarray, "frames lines"],
+    burnt: Bool[np.ndarray, "frames lines"],
+    apart: int,
+) -> tuple[Float[np.ndarray, "frames some"], Bool[np.ndarray, "frames some"], Int[np.ndarray, "frames some"]]:
+    """Third differences over their σ, which are of one surface, and how many of the middle two lines are burnt out."""
     size, reach = position.shape[1], 3 * apart
     at = [slice(k * apart, size - reach + k * apart) for k in range(len(_THIRD))]
     bends = sum(by * position[:, here] for by, here in zip(_THIRD, at, strict=True))
     variance = sum(by * by * sigma[:, here] ** 2 for by, here in zip(_THIRD, at, strict=True))
-    return np.abs(bends) / np.sqrt(variance), steps[:, reach:] == steps[:, :-reach]
+    middle = burnt[:, at[1]].astype(int) + burnt[:, at[2]]
+    return np.abs(bends) / np.sqrt(variance), steps[:, reach:] == steps[:, :-reach], middle
+
+
+def _scatter_of_kind(
+    values: Float[np.ndarray, "frames some"],
+    used: Bool[np.ndarray, "frames some"],
+    kind: Bool[np.ndarray, "frames some"],
+) -> Float[np.ndarray, "frames"]:
+    """The scatter of differences of one kind; of all where there are few of these."""
+    few = (used & kind).sum(axis=1) < _FEWEST
+    return _scatter(values, used & (kind | few[:, None]))
 
 
 def _scatter(

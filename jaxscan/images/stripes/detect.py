@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
-from jaxscan.images.stripe_settings import StripeSettings
+from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.across_blocks import ALONE, beyond_usual, sigma_across_blocks
 from jaxscan.images.stripes.along import widened_by_flanks, widened_by_scatter, with_grain
 from jaxscan.images.stripes.between import widened_between
@@ -61,6 +61,8 @@ _LEAST_STRENGTH = 10.0
 _BESIDE = -0.12
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
+# Lines that are asked whether they are burnt out, before any is measured, are this number of lines apart.
+_SOME = 8
 # Beyond this part of the lines with a stripe it is burnt out all along it.
 _ALL_BURNT = 0.75
 # ln of the standard deviation of the narrowest stripe in which an edge is measured, px.
@@ -185,12 +187,16 @@ def _detect(
     slim = ln_s < _SLIM_LN_PX
     sharp = ln_s < _SHARP_LN_PX
     plain = (correlation[:, 0] == 0) & (frames.dtype == np.uint8) & (detector == "likelihood")
-    # The noise of a JPEG is white only where it has left it as it was.
+    # The noise of a JPEG is white only where it has left it as it was; what it makes of full pixels counts always.
     asked = plain & (sharp | (np.asarray(sensor.beside) > _BESIDE))
+    asked[: len(peak)] |= plain[: len(peak)] & (_share_full(frames, settings, sensor, peak) > _MOSTLY_BURNT)
     jpeg = _are_jpegs(frames, settings, sensor, peak, plain, asked)
     if (jpeg & sharp).any():
         smooth = jpeg & sharp
         sensor = survey(*looking, alike, smooth)
+    # Of luma that is interpolated, and of luma whose channels are full each by itself, full pixels are bounds.
+    cut = jpeg & ~_at_half_resolution(sensor) & (color != "grey" or frames.ndim == peak.ndim + 1)
+    cut = cut if cut.any() else None
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
     slim_frames = slim[:count]
@@ -200,6 +206,8 @@ def _detect(
         found = []
         # An edge of reflectance is looked for in the pixels as they are.
         here = replace(sensor, smooth=None) if model == "edge" else sensor
+        if model == "censored":
+            here = replace(sensor, cut=cut)
         for group, count in _groups(*at, sizes=_GROUPS if model == "plain" else _GROUPS_AGAIN):
             windows = gather_windows(images, background, here, *group, color, columns, half)
             measured = measure(windows, here, group[0], detector, model, steps)
@@ -243,15 +251,20 @@ def _detect(
         strong = (measured.relief > least[at[0]]) | (measured.cramped & measured.burnt)
         cramped = measured.cramped & strong & (wide > narrow)
         burnt = measured.burnt & strong & ~cramped
+        as_burnt = burnt | all_cut[at[0]] & strong & ~cramped
         if detector == "likelihood":
             grained, rough = (strong & each for each in _speckled(sensor, at[0], measured.relief))
+            # What a JPEG leaves hides speckle in burnt-out lines.
             plain, even = measured, ~(grained | rough)
+            if cut is not None:
+                even |= cut[at[0]] & measured.burnt | all_cut[at[0]]
             measured = look_at_burnt(measured, at, cramped & even, wide)
-            measured = look_at_burnt(measured, at, burnt & even & ~slim, narrow)
-            measured = look_at_burnt(measured, at, burnt & even & slim, short)
+            measured = look_at_burnt(measured, at, as_burnt & even & ~slim, narrow)
+            measured = look_at_burnt(measured, at, as_burnt & even & slim, short)
             measured = look_again(measured, at, cramped & ~even, wide, "grained and censored")
-            measured = look_again(measured, at, (rough | grained & burnt) & ~cramped, narrow, "grained and censored")
-            measured = look_again(measured, at, grained & ~(rough | burnt | cramped), narrow, "grained")
+            again = (rough | grained & burnt) & ~(cramped | even)
+            measured = look_again(measured, at, again, narrow, "grained and censored")
+            measured = look_again(measured, at, grained & ~(rough | as_burnt | cramped), narrow, "grained")
             # Whether there is an edge is asked of the plain fit.
             measured = replace(measured, strained=plain.strained, h3=plain.h3, h4=plain.h4)
         else:
@@ -261,6 +274,11 @@ def _detect(
     everywhere = tuple(index.ravel() for index in (*np.indices(peak.shape, np.int32), peak))
     begun = first_look(everywhere)
     plainly = jax.tree.map(lambda x: x.reshape(peak.shape), begun[0])
+    # Noise that is read off burnt-out lines of a JPEG is no measure for those few between that are not.
+    all_cut = np.zeros(len(peak), bool)
+    if cut is not None:
+        shines = plainly.relief > least[:, None]
+        all_cut = cut[: len(peak)] & ((plainly.burnt & shines).sum(1) > _ALL_BURNT * shines.sum(1))
     seen = plainly.whole & ~plainly.burnt & (plainly.relief > least[:, None]) & (correlation[: len(peak), :1] == 0)
     along = plainly.ln_light, seen
     if detector == "likelihood":
@@ -314,11 +332,13 @@ def _detect(
     sigma = widened_by_scatter(sigma, position, measured.burnt, sensor)
     some = jpeg[: len(sigma)]
     if some.any():
-        sigma[some] = sigma_across_blocks(independent[some], position[some], width[some], sharp[: len(sigma)][some])
+        here = independent[some], position[some], width[some], measured.burnt[some], sharp[: len(sigma)][some]
+        sigma[some] = sigma_across_blocks(*here)
     # The few native pixels of a stripe that is hardly wider than they are apart do not show its speckle.
     scarce = (np.asarray(sensor.ln_s) < _SCARCE_LN_PX)[: len(sigma)] & bool(mosaic)
     if scarce.any():
-        here = independent[scarce], position[scarce], width[scarce], sharp[: len(sigma)][scarce]
+        one_kind = np.zeros_like(measured.burnt)
+        here = independent[scarce], position[scarce], width[scarce], one_kind[scarce], sharp[: len(sigma)][scarce]
         sigma[scarce] = sigma_across_blocks(*here, ALONE)
     sigma = widened_between(sigma, position, width)
     seen_in = images, background, sensor, correlation, settings, short
@@ -365,6 +385,20 @@ def _correlations(
         if told is not None:
             found[i] = told
     return found
+
+
+def _share_full(
+    frames: np.ndarray | Array, settings: StripeSettings, sensor: Sensor, peak: Int[np.ndarray, "frames lines"]
+) -> Float[np.ndarray, "frames"]:
+    """In which part of some lines of each frame the coarse peak is full."""
+    line = np.arange(0, peak.shape[1], _SOME)
+    places = (peak[:, line], line) if settings.columns else (line, peak[:, line])
+    pixels = np.asarray(frames[(np.arange(len(peak))[:, None], *places)])
+    if settings.color != "grey":
+        pixels = pixels[..., CHANNELS[settings.color][0]]
+    elif pixels.ndim > peak.ndim:
+        pixels = pixels.max(-1)
+    return (pixels >= np.asarray(sensor.full)[: len(peak), None]).mean(axis=1)
 
 
 def _are_jpegs(

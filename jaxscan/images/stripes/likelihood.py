@@ -11,6 +11,11 @@ and information of μ are
 
     (y − μ) / v,  1 / v               q(t) / √v,  q (q + t) / v       of a full pixel
 
+In a JPEG's burnt-out lines full pixels are numbers as the others are (`Cut`), y = min(μ, F) + error, with F where they
+were cut off: the minimum is taken as its mean over a small scatter τ of μ, t = (F − μ) / τ,
+
+    μ Φ(t) + F Φ(−t) − τ φ(t),    of the derivative Φ(t)
+
 and θ = (b, ln A, ln s, c) is refined by Newton's steps, with J = ∂μ / ∂θ, v as it stands, g and w these two,
 
     (Jᵀ diag(w) J + Λ) Δθ = Jᵀ g − Λ (θ − θ₀)
@@ -31,7 +36,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.images.stripes.classical import Estimate
 from jaxscan.images.stripes.grain import dot, innovations
-from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
+from jaxscan.images.stripes.windows import SOFT_GAIN, Cut, Lines, Outline, Pixels, Sensor, Windows, places
 
 # Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
 _STEPS, STEPS_CENSORED = 2, 8
@@ -59,6 +64,9 @@ FREEDOM_OF_NOISE = 10.0
 # Pixels are strained if the RMS residual exceeds `_STRAIN` times the noise and this part of the peak together.
 _USUAL_MISFIT, _STRAIN = 0.03, 1.5
 _ROOT_HALF, _ROOT_HALF_PI, _ROOT_2_OVER_PI = 0.70710678, 1.2533141, 0.79788456
+_ROOT_2_PI = 2.5066283
+# Of a pixel that was cut off τ, and the least σ of what a JPEG leaves in a burnt-out line, in parts of a full pixel.
+_SOFT_CUT, _LEFT_BY_JPEG = 0.05, 0.008
 # Φ of less is 1e-9: there float32 has few digits of it left.
 _LEAST_T = -6.0
 _LEAST_PIVOT = 1e-12
@@ -202,11 +210,17 @@ def fit(
     precision = Profile(*(jnp.zeros(()), jnp.asarray(LN_HEIGHT_SPREAD**-2), sensor.ln_s_spread**-2, jnp.zeros(())))
     used = jnp.abs(places(windows.response.shape[1]) - start.centre) <= reach
 
+    cut = windows.cut if censored else None
     free = used & ~windows.full if censored else used
+    if cut is not None:
+        free |= used & cut.lines
 
     def step(profile: Profile, grain: bool) -> Fit:
         height, jacobian = _pixels(profile, windows.response.shape[1])
         seen = weigh(profile.background, height, windows, used, sensor, censored)
+        if cut is not None:
+            jacobian, as_number = _weigh_cut(profile.background, height, jacobian, windows.response, cut, used, sensor)
+            seen = jax.tree.map(partial(jnp.where, cut.lines), as_number, seen)
         if grain:
             *basis, score = _independent(jacobian, height, seen, free, sensor, windows.gain)
             weight = jnp.ones_like(score)
@@ -317,6 +331,29 @@ def weigh(
         weight = jnp.where(windows.full, q * (q + t) / v, weight)
         residual = jnp.where(windows.full, 0.0, residual)
     return Weighed(*(jnp.where(used, value, 0.0) for value in (score, weight, residual)))
+
+
+def _weigh_cut(
+    background: Lines,
+    height: Pixels,
+    jacobian: tuple[Pixels, ...],
+    response: Pixels,
+    cut: Cut,
+    used: Bool[Array, "groups window lines"],
+    sensor: Sensor,
+) -> tuple[tuple[Pixels, ...], Weighed]:
+    """J, in lines that are cut off of what they show, and the comparison of min(μ, F) with their pixels.
+
+    What a JPEG leaves is alike in all pixels of the stripe, and hides photons' noise and speckle: all have one weight.
+    """
+    mu, tau = background + height, _SOFT_CUT * sensor.span
+    t = (cut.ceiling - mu) / tau
+    share = 0.5 * jax.lax.erfc(-_ROOT_HALF * t)
+    shown = mu * share + cut.ceiling * (1 - share) - tau / _ROOT_2_PI * jnp.exp(-0.5 * t * t)
+    slopes = tuple(jnp.where(cut.lines, cut.smoothed(J * share), J) for J in jacobian)
+    residual = response - cut.smoothed(shown)
+    v = SOFT_GAIN * jnp.maximum(sensor.read, _LEFT_BY_JPEG * sensor.span) ** 2
+    return slopes, Weighed(*(jnp.where(used, x, 0.0) for x in (residual / v, 1 / v, residual)))
 
 
 def _between(at_edges: Float[Array, "groups edges lines"]) -> Pixels:

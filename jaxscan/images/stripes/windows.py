@@ -29,7 +29,7 @@ _LEAST_S2: Final = 0.01
 # What `smoothed` adds to the variance of a stripe, px².
 _ADDED_PX2: Final = 0.5
 # What it leaves of the variance of independent pixels, and what pixels 1 and 2 apart then share of it.
-_SOFT_GAIN, _SHARED, _SHARED_FAR = 6 / 16, 4 / 16, 1 / 16
+SOFT_GAIN, _SHARED, _SHARED_FAR = 6 / 16, 4 / 16, 1 / 16
 
 
 class Bump(eqx.Module):
@@ -89,6 +89,7 @@ class Sensor(eqx.Module):
             shape: that of a laser that is no bell, of a halo, or of what a camera sharpens.
         detail: how far L, M and N gain by luma's detail; None where the colours of all frames are at full resolution.
         smooth: in which frames windows are smoothed; None where in none.
+        cut: in which frames a full pixel was cut off before a JPEG was made of it; None where it is a bound in all.
     """
 
     weights: tuple[Float[Array, "*of"], Float[Array, "*of"]]
@@ -107,10 +108,33 @@ class Sensor(eqx.Module):
     apart: Bool[Array, "*of"]
     detail: tuple[Float[Array, "*of"], ...] | None = None
     smooth: Bool[Array, "*of"] | None = None
+    cut: Bool[Array, "*of"] | None = None
 
     def of(self, frame: Places) -> "Sensor":
         """The numbers of each line's frame, as (groups, 1, lines)."""
         return jax.tree.map(lambda x: x[frame][:, None], self)
+
+
+class Cut(eqx.Module):
+    """Lines of JPEGs in which pixels may be full, and where these were cut off before the JPEG was made.
+
+    What a JPEG leaves is in full pixels too: some are read a little below full, others above. So a full pixel is no
+    bound of the light but a number, min(μ, F) with an error. The smoothing is that of the windows' response.
+
+    Attributes:
+        lines: which.
+        ceiling: F, the response that each pixel would have if it were full.
+        twice: which are smoothed twice.
+    """
+
+    lines: Bool[Array, "groups 1 lines"]
+    ceiling: Pixels
+    twice: Bool[Array, "groups 1 lines"]
+
+    def smoothed(self, x: Pixels) -> Pixels:
+        """Pixels smoothed as those of the lines' response are."""
+        once = _softened(x)
+        return jnp.where(self.twice, _softened(once), once)
 
 
 class Windows(eqx.Module):
@@ -123,6 +147,7 @@ class Windows(eqx.Module):
         first: the row (or column) of the window's first pixel.
         gain: variance of the noise of r over that of a pixel, where r is interpolated or smoothed; None where neither.
         added: what smoothing has added to the variance of each line's stripe, px²; None where none is smoothed.
+        cut: lines whose full pixels are numbers; None where there are none.
     """
 
     response: Pixels
@@ -131,6 +156,7 @@ class Windows(eqx.Module):
     first: Places
     gain: Pixels | None = None
     added: Lines | None = None
+    cut: Cut | None = None
 
     def as_seen(self, ln_s: Lines) -> Lines:
         """The logarithm of a stripe's standard deviation with what smoothing adds to it."""
@@ -208,10 +234,18 @@ def gather_windows(
         laser = detailed(channels(lit, None, color), first, here.detail, color)[0]
         levels = detailed(levels, first, here.detail, color)
     r, full = response(levels, here.weights, here.ambient), laser >= here.full.astype(laser.dtype)
-    gain = added = None
+    gain = added = cut = None
+    if here.cut is not None:
+        below = jnp.iinfo(lit.dtype).max - laser.astype(jnp.float32)
+        ceiling = r + (1 if color == "grey" else 2) * below
+        cut = Cut(here.cut, ceiling, jnp.ones_like(here.cut) if here.smooth is None else ~here.smooth)
     if here.smooth is not None:
-        r, gain, added = smoothed(r, here.smooth & ~full.any(1, keepdims=True))
-    return Windows(r, None if color == "grey" else response(levels, NEUTRAL, here.ambient), full, first, gain, added)
+        plain = ~full.any(1, keepdims=True)
+        r, gain, added = smoothed(r, here.smooth & (plain if cut is None else plain & ~cut.lines))
+    if cut is not None:
+        r = jnp.where(cut.lines, cut.smoothed(r), r)
+    neutral = None if color == "grey" else response(levels, NEUTRAL, here.ambient)
+    return Windows(r, neutral, full, first, gain, added, cut)
 
 
 def smoothed(r: Pixels, which: Bool[Array, "groups 1 lines"]) -> tuple[Pixels, Pixels, Lines]:
@@ -221,10 +255,13 @@ def smoothed(r: Pixels, which: Bool[Array, "groups 1 lines"]) -> tuple[Pixels, P
     quantisation (ITU-T T.81, annex K) take steps ten times as long there. A fit that takes pixels for independent then
     reads the centre from the flanks' steepest pixels, where the error is. Smoothed, they are nearly independent.
     """
-    padded = jnp.pad(r, [(0, 0), (1, 1), (0, 0)], mode="edge")
-    soft = (padded[:, :-2] + 2 * r + padded[:, 2:]) / 4
-    gain = jnp.broadcast_to(jnp.where(which, _SOFT_GAIN, 1.0), r.shape)
-    return jnp.where(which, soft, r), gain, jnp.where(which, _ADDED_PX2, 0.0)
+    gain = jnp.broadcast_to(jnp.where(which, SOFT_GAIN, 1.0), r.shape)
+    return jnp.where(which, _softened(r), r), gain, jnp.where(which, _ADDED_PX2, 0.0)
+
+
+def _softened(x: Pixels) -> Pixels:
+    padded = jnp.pad(x, [(0, 0), (1, 1), (0, 0)], mode="edge")
+    return (padded[:, :-2] + 2 * x + padded[:, 2:]) / 4
 
 
 def smoothed_speckle(speckle: A, grain: A) -> tuple[A, A]:
@@ -235,12 +272,12 @@ def smoothed_speckle(speckle: A, grain: A) -> tuple[A, A]:
         grain: correlation ρ of neighbours; of pixels k apart it is ρ^(k²).
     """
     apart, near = (
-        _SOFT_GAIN * grain ** (k * k)
+        SOFT_GAIN * grain ** (k * k)
         + _SHARED * (grain ** ((k - 1) ** 2) + grain ** ((k + 1) ** 2))
         + _SHARED_FAR * (grain ** ((k - 2) ** 2) + grain ** ((k + 2) ** 2))
         for k in (0, 1)
     )
-    return speckle * apart / _SOFT_GAIN, near / apart
+    return speckle * apart / SOFT_GAIN, near / apart
 
 
 def bump(r: Pixels) -> Bump:
