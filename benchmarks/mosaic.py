@@ -3,9 +3,10 @@
 The photographs are those of `frame_sigma`, of lenses of several sharpness, with speckle. Of each pixel one colour is
 kept, as of B. E. Bayer's pattern, and the others are interpolated: by means of neighbours (bilinear), along edges, by
 variable gradients (both OpenCV's), or by means corrected by the other colours' second differences (H. Malvar, L. He,
-R. Cutler 2004); means are also sharpened by an unsharp mask, mixed by a colour matrix, and encoded for a display.
-Errors are over those of the same photographs in full colour and over those of the plain centre of gravity. σ over the
-error is as in `cup_jpeg`.
+R. Cutler 2004). Means are also sharpened by an unsharp mask; mixed by a colour matrix; encoded for a display; kept as
+JPEG of quality 90 with colours at half resolution; and encoded, sharpened and kept so, as a webcam does. Errors are
+over those of the same photographs in full colour and over those of the plain centre of gravity. σ over the error is as
+in `cup_jpeg`.
 """
 
 from collections.abc import Callable
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt
 from scipy.ndimage import correlate
 
+from benchmarks.cup_jpeg import as_jpeg
 from benchmarks.frame_sigma import HIGH, LOW, at_edges, developed, draw, ratio
 from benchmarks.metric import Metric
 from jaxscan.detectors import Detector
@@ -110,6 +112,8 @@ INTERPOLATED: Final[dict[str, Callable[[Photograph], Photograph]]] = {
     "sharpened": lambda x: _sharpened(through_mosaic(x)),
     "matrix": lambda x: _levels(through_mosaic(x) @ _MATRIX.T),
     "encoded": lambda x: _encoded(through_mosaic(x)),
+    "jpeg": lambda x: as_jpeg(through_mosaic(x)[None], 90, "420")[0],
+    "webcam": lambda x: as_jpeg(_sharpened(_encoded(through_mosaic(x)))[None], 90, "420")[0],
 }
 
 

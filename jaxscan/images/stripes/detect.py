@@ -23,11 +23,10 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
-from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
+from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.across_blocks import ALONE, beyond_usual, sigma_across_blocks
 from jaxscan.images.stripes.along import widened_by_flanks, widened_by_scatter, with_grain
 from jaxscan.images.stripes.between import widened_between
-from jaxscan.images.stripes.blocks import has_blocks
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.detectors import Model, measure
@@ -35,8 +34,9 @@ from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
 from jaxscan.images.stripes.likelihood import FEW_STEPS_CENSORED, FWHM, ROUGH, STEPS_CENSORED
 from jaxscan.images.stripes.mosaic import native_pixels, of_mosaics
 from jaxscan.images.stripes.printed import widened_by_print
+from jaxscan.images.stripes.processed import ALIKE_BESIDE, are_jpegs, at_half_resolution, correlations, share_full
 from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
-from jaxscan.images.stripes.smoothed import DISTANCES, noise_correlation, widening
+from jaxscan.images.stripes.smoothed import widening
 from jaxscan.images.stripes.stripe import Stripe
 from jaxscan.images.stripes.surroundings import ambient_levels, sample, surroundings
 from jaxscan.images.stripes.survey import LEAST_SIGNAL, light_of, survey
@@ -54,15 +54,13 @@ _SLIM_LN_PX = float(np.log(1.7))
 _SHARP_LN_PX = float(np.log(1.3))
 # Up to this one the stripe has about three pixels, which do not show their own noise.
 _SCARCE_LN_PX = float(np.log(0.6))
+# In a JPEG with colours at half resolution, up to this one the native pixels of a mosaic are better than all.
+_FINE_LN_PX = float(np.log(1.6))
 # A peak below this multiple of the least strength is measured again in a longer window.
 _FAINT = 2.0
 _LEAST_STRENGTH = 10.0
-# Neighbouring pixels beside the stripe are alike from this on, −0.2 being white: it is looked into.
-_BESIDE = -0.12
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 _MOSTLY_BURNT = 0.3
-# Lines that are asked whether they are burnt out, before any is measured, are this number of lines apart.
-_SOME = 8
 # Beyond this part of the lines with a stripe it is burnt out all along it.
 _ALL_BURNT = 0.75
 # ln of the standard deviation of the narrowest stripe in which an edge is measured, px.
@@ -170,14 +168,14 @@ def _detect(
     sensor = survey(*looking)
     native = None
     if mosaic is None:
-        # Colours at half resolution show nothing of a mosaic any more.
-        coloured = ~_at_half_resolution(sensor)[: len(peak)]
-        native = native_pixels(frames, dark, settings, peak, coloured, alike=choice == "coherent")
+        # Where colours have half the resolution, luma has all pixels: a broad stripe is better measured in these.
+        taken = ~at_half_resolution(sensor) | (np.asarray(sensor.ln_s) < _FINE_LN_PX)
+        native = native_pixels(frames, dark, settings, peak, taken[: len(peak)], alike=choice == "coherent")
     if native is not None:
         parts = partial(_detect, settings=settings, detector=detector, choice=choice)
         around = surroundings(sample(frames)[:count], np.asarray(sensor.full)[:count], color)
         return of_mosaics(frames, dark, columns, native, band, parts, around)
-    correlation = _correlations(frames, dark, settings, sensor, peak)
+    correlation = correlations(frames, dark, settings, sensor, peak)
     smoothed = np.flatnonzero(correlation[: len(peak), 0])
     alike = correlation if len(smoothed) else None
     if alike is not None:
@@ -188,14 +186,14 @@ def _detect(
     sharp = ln_s < _SHARP_LN_PX
     plain = (correlation[:, 0] == 0) & (frames.dtype == np.uint8) & (detector == "likelihood")
     # The noise of a JPEG is white only where it has left it as it was; what it makes of full pixels counts always.
-    asked = plain & (sharp | (np.asarray(sensor.beside) > _BESIDE))
-    asked[: len(peak)] |= plain[: len(peak)] & (_share_full(frames, settings, sensor, peak) > _MOSTLY_BURNT)
-    jpeg = _are_jpegs(frames, settings, sensor, peak, plain, asked)
+    asked = plain & (sharp | (np.asarray(sensor.beside) > ALIKE_BESIDE))
+    asked[: len(peak)] |= plain[: len(peak)] & (share_full(frames, settings, sensor, peak) > _MOSTLY_BURNT)
+    jpeg = are_jpegs(frames, settings, sensor, peak, plain, asked)
     if (jpeg & sharp).any():
         smooth = jpeg & sharp
         sensor = survey(*looking, alike, smooth)
     # Of luma that is interpolated, and of luma whose channels are full each by itself, full pixels are bounds.
-    cut = jpeg & ~_at_half_resolution(sensor) & (color != "grey" or frames.ndim == peak.ndim + 1)
+    cut = jpeg & ~at_half_resolution(sensor) & (color != "grey" or frames.ndim == peak.ndim + 1)
     cut = cut if cut.any() else None
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
@@ -367,60 +365,6 @@ def _detect(
         np.full(len(valid), bool(mosaic)),
         around[1],
     )
-
-
-def _correlations(
-    frames: np.ndarray | Array,
-    dark: np.ndarray | Array | None,
-    settings: StripeSettings,
-    sensor: Sensor,
-    peak: Int[np.ndarray, "frames lines"],
-) -> Float32[np.ndarray, "most distances"]:
-    """Correlation of the noise 1, 2, … pixels apart in each frame, 0 where it is white; as long as `sensor`."""
-    beside, m, n = (np.asarray(x) for x in (sensor.beside, *sensor.weights))
-    found = np.zeros((len(beside), DISTANCES), np.float32)
-    for i in np.flatnonzero(beside[: len(peak)] > _BESIDE):
-        ground = None if dark is None else np.asarray(dark[i if len(dark) > 1 else 0])
-        told = noise_correlation(np.asarray(frames[i]), ground, settings, (m[i], n[i]), peak[i])
-        if told is not None:
-            found[i] = told
-    return found
-
-
-def _share_full(
-    frames: np.ndarray | Array, settings: StripeSettings, sensor: Sensor, peak: Int[np.ndarray, "frames lines"]
-) -> Float[np.ndarray, "frames"]:
-    """In which part of some lines of each frame the coarse peak is full."""
-    line = np.arange(0, peak.shape[1], _SOME)
-    places = (peak[:, line], line) if settings.columns else (line, peak[:, line])
-    pixels = np.asarray(frames[(np.arange(len(peak))[:, None], *places)])
-    if settings.color != "grey":
-        pixels = pixels[..., CHANNELS[settings.color][0]]
-    elif pixels.ndim > peak.ndim:
-        pixels = pixels.max(-1)
-    return (pixels >= np.asarray(sensor.full)[: len(peak), None]).mean(axis=1)
-
-
-def _are_jpegs(
-    frames: np.ndarray | Array,
-    settings: StripeSettings,
-    sensor: Sensor,
-    peak: Int[np.ndarray, "frames lines"],
-    may_be: Bool[np.ndarray, "most"],
-    asked: Bool[np.ndarray, "most"],
-) -> Bool[np.ndarray, "most"]:
-    """Which frames are JPEGs: of those that may be by colours at half resolution, of those that are asked by blocks."""
-    half = _at_half_resolution(sensor)
-    found = may_be & half
-    for i in np.flatnonzero((asked & ~half)[: len(peak)]):
-        found[i] = has_blocks(np.asarray(frames[i]), settings, peak[i])
-    return found
-
-
-def _at_half_resolution(sensor: Sensor) -> Bool[np.ndarray, "most"]:
-    """Which frames have their colours at half resolution."""
-    none = np.zeros(len(sensor.ln_s), bool)
-    return np.any([np.asarray(by) != 0 for by in sensor.detail], axis=0) if sensor.detail else none
 
 
 def _whole_width(

@@ -52,7 +52,7 @@ def native_pixels(
     dark: np.ndarray | Array | None,
     settings: StripeSettings,
     peak: Int[np.ndarray, "frames lines"],
-    coloured: Bool[np.ndarray, "frames"],
+    taken: Bool[np.ndarray, "frames"],
     *,
     alike: bool = False,
 ) -> Int[np.ndarray, "frames"] | None:
@@ -63,7 +63,7 @@ def native_pixels(
         dark: the same with the laser off, one for all or one for each, or None.
         settings: the laser's colour, and which way lines run.
         peak: about where the stripe is in each line.
-        coloured: whether each frame has its colours at full resolution: in others no mosaic is looked for.
+        taken: in which frames the native pixels would be taken: in others no mosaic is looked for.
         alike: whether all frames go together, as the greater part of them does.
 
     Returns:
@@ -103,7 +103,7 @@ def native_pixels(
         found[parts[0] | parts[1]] = native
     # Every second pixel of a sensor is green, of each line, and what lies between is made of four: no row is without
     # any, and those of neighbouring lines differ in parity.
-    found = np.where((found[:, 0] == found[:, 1]) & coloured, found[:, 0], NO_MOSAIC)
+    found = np.where((found[:, 0] == found[:, 1]) & taken, found[:, 0], NO_MOSAIC)
     if alike:
         found[:] = np.median(found)
     return None if (found == NO_MOSAIC).all() else found
