@@ -7,6 +7,7 @@ from jaxtyping import Float, UInt
 
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.stripe_settings import CHANNELS
+from jaxscan.images.stripes.mosaic import NO_MOSAIC, native_pixels
 from jaxscan.images.stripes.stripe import Stripe
 
 _ROWS, _COLUMNS, _FRAMES = 160, 320, 3
@@ -151,3 +152,29 @@ def test_what_is_sharpened_denoised_or_grey_is_no_mosaic():
     for some in (blurred, sharp):
         assert not detect_stripe(some, StripeSettings()).mosaic.any()
     assert not detect_stripe(frames[..., 0], StripeSettings("grey")).mosaic.any()
+
+
+@pytest.mark.parametrize(
+    ("shape", "halved"), [((25, 320), False), ((48, 320), False), ((50, 320), True), ((60, 20), False)]
+)
+def test_small_photographs_are_looked_at(shape, halved):
+    """Half of one with fewer lines or pixels is too small to be looked at."""
+    rows = slice(70 - shape[0] // 2, 70 - shape[0] // 2 + shape[0])
+    u = np.arange(shape[1])
+    found = detect_stripe(_seen(np.roll(_photographs(1.2)[:1], -2, axis=1)[:, rows, : shape[1]]), StripeSettings())
+    assert found.position.shape == (1, len(u))
+    assert found.mosaic.tolist() == [halved]
+
+
+def test_frames_that_go_together_are_as_the_greater_part_of_them():
+    frames = _photographs(1.2)
+    seen = _seen(frames)
+    # The whole photograph of one row further on has the other parity.
+    mixed = np.stack([frames[0], seen[0], seen[1], np.roll(seen[2], 1, axis=0), seen[2]])
+    peak = np.stack([np.rint(_centre(i)).astype(int) + more for i, more in ((0, 0), (0, 0), (1, 0), (2, 1), (2, 0))])
+    each = native_pixels(mixed, None, StripeSettings(), peak, np.ones(5, bool))
+    assert each is not None
+    assert each.tolist() == [NO_MOSAIC, 0, 0, 1, 0]
+    together = native_pixels(mixed, None, StripeSettings(), peak, np.ones(5, bool), alike=True)
+    assert together is not None
+    assert together.tolist() == [0] * 5

@@ -167,7 +167,7 @@ def _detect(
     looking = (images, background, ambient, peak, stands, color, columns, narrow, FRAMES_AT_ONCE)
     sensor = survey(*looking)
     native = None
-    if mosaic is None:
+    if mosaic is None and length // 2 > 2 * _NARROW:
         # Where colours have half the resolution, luma has all pixels: a broad stripe is better measured in these.
         taken = ~at_half_resolution(sensor) | (np.asarray(sensor.ln_s) < _FINE_LN_PX)
         native = native_pixels(frames, dark, settings, peak, taken[: len(peak)], alike=choice == "coherent")

@@ -36,10 +36,10 @@ _BEGIN: Final = _HALF - 1 - _AROUND
 # A line counts whose centre is nearer than this to a pixel that may be interpolated, px.
 _NEAR_PX: Final = 0.5
 # Pixels are interpolated if the mean square of their d is less than this part of that of the pixels between them, over
-# at least this number of lines.
+# at least this number of lines. Where there is no mosaic it is 1.09 or more, of a bell of any width.
 _LESS, _FEWEST = 0.4, 16
 # A stripe that stays at one place may never be next to an interpolated pixel. Then the part is less than that of a bell
-# of any width that is level: 0.004 at the least, of s = 0.84 px.
+# of any width that is level: 0.007 at the least, of s = 0.83 px.
 _EXACTLY: Final = 0.001
 # Lines of each frame that are looked at, of either parity.
 _LINES: Final = 96
@@ -59,7 +59,7 @@ def native_pixels(
     """Which pixels along the lines show the laser as the sensor saw it: those of parity 0 or 1.
 
     Args:
-        frames: the photographs, of which there may be more than `peak` is of.
+        frames: the photographs, of which there may be more than `peak` is of; lines of 15 pixels or more.
         dark: the same with the laser off, one for all or one for each, or None.
         settings: the laser's colour, and which way lines run.
         peak: about where the stripe is in each line.
@@ -71,11 +71,12 @@ def native_pixels(
     """
     found = np.full((len(peak), 2), NO_MOSAIC)
     pairs = peak.shape[1] // 2
+    length = frames.shape[1 if settings.columns else 2]
     if settings.color == "grey" or frames.ndim == 3 or pairs < _FEWEST:
         return None
     # The same number of even and of odd lines, evenly spread: (frames, 2, lines, window).
     lines = 2 * np.linspace(0, pairs - 1, min(pairs, _LINES)).astype(int) + np.array([[0], [1]])
-    inside = np.clip(peak[:, lines], _HALF + 1, frames.shape[1 if settings.columns else 2] - _HALF - 2)
+    inside = np.clip(peak[:, lines], _HALF + 1, length - _HALF - 2)
     at = inside[..., None] + np.arange(-_HALF, _HALF + 1)
     numbers = _pixels(frames, at, lines[..., None], settings)
     full = numbers >= FULL * np.iinfo(numbers.dtype).max
@@ -101,11 +102,11 @@ def native_pixels(
             for lines_of, less in ((near, _LESS), (np.ones_like(near), _EXACTLY))
         ]
         found[parts[0] | parts[1]] = native
-    # Every second pixel of a sensor is green, of each line, and what lies between is made of four: no row is without
-    # any, and those of neighbouring lines differ in parity.
+    # Of green light the pixels of neighbouring lines differ in parity: those are left as they are.
     found = np.where((found[:, 0] == found[:, 1]) & taken, found[:, 0], NO_MOSAIC)
     if alike:
-        found[:] = np.median(found)
+        values, counts = np.unique(found, return_counts=True)
+        found[:] = values[np.argmax(counts)]
     return None if (found == NO_MOSAIC).all() else found
 
 
