@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -103,6 +104,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         bool(optics),
     )
     judged = write_report(calibration, pages[0], pages[1], optics) if pages else judge_calibration(calibration)
+    carry_on(judged, args.output)
     from jaxscan.cli.summary import rig_summary
     from jaxscan.view.report import plain
 
@@ -139,6 +141,18 @@ def calibrate_session(
         write_rig(before_path(output), before.rig_file())
     write_rig(output, calibration.rig_file())
     return calibration
+
+
+def carry_on(judged: "Verdict", output: Path) -> None:
+    """Write why the rig should not be used into its file, so that every command that uses it says so."""
+    from jaxscan.files.rig_file import read_rig, write_rig
+
+    content = read_rig(output)
+    gravest = [box.statement.rstrip(".") for box in judged.warnings if box.level == "stop"]
+    said = [words for words in gravest if words not in content.warnings]
+    if said:
+        warnings = [*content.warnings, *(f"The calibration was not to be used: {words}" for words in said)]
+        write_rig(output, replace(content, fit={**content.fit, "warnings": warnings}))
 
 
 def before_path(output: Path) -> Path:

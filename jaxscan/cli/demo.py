@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -176,12 +177,13 @@ def describe(result: dict[str, Any]) -> str:
 
     errors, out, name = result["errors"], result["path"], result["object"]
     command = "jaxscan" if shutil.which("jaxscan") else sys.argv[0]
+    needs = "" if find_spec("viser") else ' (after pip install "jaxscan[viewer]", from where jaxscan came)'
     return "\n".join(
         [
             f"the {name}: {result['points']} points, {errors['absolute']:.3f} mm RMS from the true surface "
             f"({errors['absolute_after_fit']:.3f} mm after a rigid fit), "
             f"{100 * errors['completeness']:.1f} % of what an ideal camera sees, in {result['seconds']:.0f} s",
             f"files: {out}/{name}.png (look at this first), {out}/{name}.stl, {out}/{name}.ply, {out}/rig.json",
-            f"see it in the browser: {command} view {out}/{name}.stl",
+            f"see it in the browser: {command} view {out}/{name}.stl{needs}",
         ]
     )

@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from jaxscan.errors import InputError
@@ -26,6 +27,7 @@ def over_batch(one: Callable[..., Array], size: int, what: str, values: ArrayLik
     Raises:
         InputError: the last axis has another length.
     """
+    values = np.asarray(values, float) if isinstance(values, list | tuple) else values
     shape = jnp.shape(values)
     if not shape or shape[-1] != size:
         raise InputError(f"{what}, in an array of shape ({size},) or (…, {size}); this one has the shape {shape}")

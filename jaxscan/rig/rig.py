@@ -1,6 +1,6 @@
 """The rig: what calibration finds and reconstruction uses."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Final
 
 import equinox as eqx
@@ -17,7 +17,7 @@ from jaxscan.rig.batches import over_batch
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.light import Light, meet
 from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
-from jaxscan.rig.play import ScrewOnGuideWithPlay
+from jaxscan.rig.play import ScrewOnGuideWithPlay, is_run
 
 _STAGE_SHAPES: Final = ScrewOnGuideWithPlay.shape()
 
@@ -94,6 +94,18 @@ class Rig(eqx.Module):
         """T_camera_object at positions of the axes (motor steps); one that is not named stands at 0."""
         return self.motion.pose(q)
 
+    def _check_axes(self, q: Positions) -> None:
+        """Refuse what are no positions, and names that the rig's axes do not have."""
+        own = [part.axis for part in self.motion.parts()]
+        has = f"this rig's axes: {', '.join(own)}" if own else "this rig has none"
+        if not isinstance(q, Mapping):
+            raise InputError(
+                f'{q} are no positions: give motor steps by the names of the axes, as {{"stage": 4000}}; {has}'
+            )
+        for axis in q:
+            if axis not in own and not is_run(axis):
+                raise InputError(f'there is no axis "{axis}": {has}')
+
     def triangulate(
         self, pixel: Real[ArrayLike, "*batch uv"], q: Positions, light: str = ""
     ) -> Float[Array, "*batch 3"]:
@@ -108,10 +120,11 @@ class Rig(eqx.Module):
             light: which laser; may be left out where there is one.
 
         Raises:
-            InputError: the last axis is not u, v; an axis has neither one position nor one for each pixel; no such
-                laser.
+            InputError: the last axis is not u, v; the rig has no axis of a name; an axis has neither one position nor
+                one for each pixel; no such laser.
         """
         sheet = self.light(light)
+        self._check_axes(q)
 
         def one(pixel: Array, q: Positions) -> Array:
             return self.pose(q).inverse().apply(meet(sheet, self.camera.ray(pixel)))

@@ -73,8 +73,8 @@ def _of_the_stripe(volumes: tuple[WorkingVolume, ...]) -> list[str]:
     if not volumes or (share := 1 - max(volumes, key=lambda v: v.median_mm).rig_share) <= 0.5:
         return []
     return [
-        f"none of the board will do much: {100 * share:.0f} % of a point's variance is the stripe's own, which "
-        "calibration does not change. A finer or brighter stripe and a longer exposure in the scans help more"
+        f"another photograph of the board hardly helps: {100 * share:.0f} % of a point's variance is the stripe's own, "
+        "which calibration does not change. A finer or brighter stripe and a longer exposure in the scans help more"
     ]
 
 

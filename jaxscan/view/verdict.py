@@ -90,7 +90,8 @@ def _next(found: tuple[Box, ...], diagnostics: Diagnostics, advice: Advice) -> s
     if not (lacking := thin(diagnostics)):
         return f"{first[0].upper()}{first[1:]}."
     # Beyond the photographs no pose can be planned, for what the lens does there is not known.
-    return f"{lacking[0].advice} Where it has been: {first}." if diagnostics.thorough else lacking[0].advice
+    covered = f" For the part of the image where it has been, {first}." if diagnostics.thorough else ""
+    return f"{lacking[0].advice}{covered}"
 
 
 def _parted(calibration: Calibration) -> str:

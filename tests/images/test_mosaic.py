@@ -178,3 +178,23 @@ def test_frames_that_go_together_are_as_the_greater_part_of_them():
     together = native_pixels(mixed, None, StripeSettings(), peak, np.ones(5, bool), alike=True)
     assert together is not None
     assert together.tolist() == [0] * 5
+
+
+@pytest.mark.parametrize("slope", [0.01, 0.03, 0.1])
+@pytest.mark.parametrize("shape", ["bell", "flat top", "peaked"])
+def test_a_burnt_out_stripe_over_squares_is_no_mosaic(shape, slope):
+    """Half of its lines are full: of a bell without its core every second pixel may be less curved."""
+    random, u = np.random.default_rng(3), np.arange(_COLUMNS)
+    frames = []
+    for i in range(8):
+        x = (np.arange(_ROWS)[:, None] - 80 - i / 7 - slope * (u - 160)) / 0.8
+        profile = {
+            "bell": np.exp(-0.5 * x**2),
+            "flat top": np.clip(1.5 - np.abs(x), 0, 1),
+            "peaked": np.exp(-np.abs(x)),
+        }
+        light = 40 + np.where(u // 20 % 2, 600, 150) * profile[shape] + random.standard_normal(x.shape)
+        frame = np.full((*x.shape, 3), 40.0)
+        frame[..., 0] = light
+        frames.append(np.rint(frame.clip(0, 255)).astype(np.uint8))
+    assert not detect_stripe(np.stack(frames), StripeSettings()).mosaic.any()

@@ -80,6 +80,8 @@ def test_a_point_that_the_stripe_limits_is_helped_by_none(calibration: Calibrati
     volumes = report.numbers["working_volumes"]
     dim = tuple(replace(v, pixel_mm=0.9 * v.sigma_mm) for v in volumes)
     words = advise(planned(0.06), dim, calibration.observations).words
-    assert words[0].startswith("none of the board will do much: 81 % of a point's variance is the stripe's own")
+    assert words[0].startswith(
+        "another photograph of the board hardly helps: 81 % of a point's variance is the stripe's own"
+    )
     assert words[0].endswith("help more. The most that the board can do is drawn in the report")
     assert "outline 1" in words[1]

@@ -70,7 +70,14 @@ def as_it_is(session: Observations) -> Observations:
         ({}, as_it_is, "none", "stop", 'kind "radial1" would explain', 'Set lens = "radial1"'),
         ({}, three_boards, "radial1", "care", "too few photographs to solve two halves", "Hold the board"),
         ({"tilt": 0.12}, as_it_is, "radial1", "care", "nearly parallel", "Tilt the board by 30°"),
-        ({"noise": Noise(0.05, 3.0)}, as_it_is, "radial1", "care", "scatter by 3.0 px", "None of the board"),
+        (
+            {"noise": Noise(0.05, 3.0)},
+            as_it_is,
+            "radial1",
+            "care",
+            "scatter by 3.0 px",
+            "Another photograph of the board hardly helps",
+        ),
         ({"noise": Noise(0.05, 6.0)}, as_it_is, "radial1", "stop", "scatter by [56].. px", "First correct"),
         ({}, mixed_up, "radial1", "stop", "do not go with their step counts", "correct images or steps"),
     ],
@@ -90,10 +97,13 @@ def test_what_is_wrong_is_said_without_the_report(draw, how, change, lens, level
 def test_with_the_report_and_without_it_the_same_is_asked_for(draw):
     """What the photographs do not cover comes first in both, also where no board would lower a point's σ."""
     calibration = calibrate(three_boards(draw(0)), lens="radial1")
-    quick, advice = diagnose(calibration, thorough=False), Advice(("none of the board will do much",))
+    quick, advice = diagnose(calibration, thorough=False), Advice(("another photograph of the board hardly helps",))
     said = [judge(calibration, one, (), advice).next for one in (quick, replace(quick, thorough=True))]
     assert said[0].startswith("Hold the board")
-    assert said[1] == f"{said[0]} Where it has been: none of the board will do much."
+    assert (
+        said[1]
+        == f"{said[0]} For the part of the image where it has been, another photograph of the board hardly helps."
+    )
 
 
 def test_mixed_up_photographs_are_not_suspected_one_by_one(draw):

@@ -10,9 +10,10 @@ measured as any photograph is. Green is seen by every second pixel of each line:
 neighbours, and is best left in.
 
 With r the response along a line and d_k = r_k − (r_(k−1) + r_(k+1)) / 2, an interpolated pixel has d near 0, and those
-between them all of the stripe's curvature. Where a stripe's centre is next to an interpolated pixel, a stripe of no
-mosaic has the larger d just there: so the two cannot be mistaken for each other, whatever the interpolation, and
-whatever a program has sharpened since.
+between them have all of the stripe's curvature. Let Q_0 and Q_1 be the quotient of d² of odd by that of even pixels in
+lines whose centre is nearest to an even and to an odd pixel. A stripe of any shape that passes all places among the
+pixels has Q_0 Q_1 = 1, for what even pixels are to it in the ones odd pixels are in the others. Of a mosaic both are
+small, or both large, whatever the interpolation, and whatever a program has sharpened since.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,18 +34,14 @@ from jaxscan.images.stripes.survey import FULL
 _AROUND, _HALF = 3, 6
 # Where d is looked at, of those that the window has.
 _BEGIN: Final = _HALF - 1 - _AROUND
-# A line counts whose centre is nearer than this to a pixel that may be interpolated, px.
+# The centre of a line is nearest to a pixel that is less than this away, px.
 _NEAR_PX: Final = 0.5
-# Pixels are interpolated if the mean square of their d is less than this part of that of the pixels between them, over
-# at least this number of lines. Where there is no mosaic it is 1.09 or more, of a bell of any width.
-_LESS, _FEWEST = 0.4, 16
-# A stripe that stays at one place may never be next to an interpolated pixel. Then the part is less than that of a bell
-# of any width that is level: 0.007 at the least, of s = 0.83 px.
-_EXACTLY: Final = 0.001
+# Pixels are interpolated if √(Q_0 Q_1) is less than this, or more than one over it, with this number of lines in each.
+_LESS, _FEWEST = 0.3, 16
 # Lines of each frame that are looked at, of either parity.
-_LINES: Final = 96
-# Where no parity is taken.
-NO_MOSAIC: Final = -1
+_LINES: Final = 160
+# Where no parity is taken; and before there is one.
+NO_MOSAIC, _UNKNOWN = -1, -2
 
 
 def native_pixels(
@@ -69,7 +66,7 @@ def native_pixels(
     Returns:
         The parity of each frame, `NO_MOSAIC` where the photograph shows none; None where no photograph does.
     """
-    found = np.full((len(peak), 2), NO_MOSAIC)
+    found = np.zeros((len(peak), 2), int)
     pairs = peak.shape[1] // 2
     length = frames.shape[1 if settings.columns else 2]
     if settings.color == "grey" or frames.ndim == 3 or pairs < _FEWEST:
@@ -83,25 +80,25 @@ def native_pixels(
     r = numbers.astype(np.float32)
     if dark is not None:
         r -= _pixels(dark, at, lines[..., None], settings)
-    # A pixel that is full has lost what it could say, and so have those that it was made of.
-    some = (inside == peak[:, lines])[..., None] & ~(full[..., :-2] | full[..., 1:-1] | full[..., 2:])
-    some = some[..., _BEGIN:-_BEGIN]
-    squares = np.where(some, (r[..., 1:-1] - (r[..., :-2] + r[..., 2:]) / 2)[..., _BEGIN:-_BEGIN], 0) ** 2
+    # Without the pixels that are full, those of a bell could be taken for a mosaic's: the whole of it is needed.
+    whole = (inside == peak[:, lines]) & ~full[..., _BEGIN:-_BEGIN].any(axis=-1)
+    squares = (r[..., 1:-1] - (r[..., :-2] + r[..., 2:]) / 2)[..., _BEGIN:-_BEGIN] ** 2
     light = np.maximum(r - np.median(r, axis=-1, keepdims=True), 0)
     from_peak = (light @ np.arange(-_HALF, _HALF + 1, dtype=np.float32)) / np.maximum(light.sum(axis=-1), 1e-9)
     odd = (at[..., 1:-1] % 2 == 1)[..., _BEGIN:-_BEGIN]
-    # Of the pixels of parity 0 and 1: sums over a line, and numbers of pixels.
-    d2, count = (np.stack([(x * ~odd).sum(-1), (x * odd).sum(-1)]) for x in (squares, some))
-    for native in (1, 0):
-        of, others = 1 - native, native
-        # How far the centre is from the next pixel of the other parity.
-        near = np.abs((inside % 2 + from_peak - of + 1) % 2 - 1) < _NEAR_PX
-        parts = [
-            np.where(lines_of.sum(-1) >= _FEWEST, _mean(d2[of], count[of], lines_of), np.inf)
-            < less * _mean(d2[others], count[others], lines_of)
-            for lines_of, less in ((near, _LESS), (np.ones_like(near), _EXACTLY))
-        ]
-        found[parts[0] | parts[1]] = native
+    # Of the pixels of parity 0 and 1 of each line.
+    d2 = [(squares * which).sum(-1) / which.sum(-1) for which in (~odd, odd)]
+    # Of lines whose centre is nearest to a pixel of parity 0 and 1: the quotient of parity 1's d² by parity 0's.
+    phase = inside + from_peak
+    quotients = []
+    for of in (0, 1):
+        nearest = whole & (np.abs((phase - of + 1) % 2 - 1) < _NEAR_PX)
+        even, uneven = (_mean(d2[parity], nearest) for parity in (0, 1))
+        known = (nearest.sum(-1) >= _FEWEST) & (even > 0) & (uneven > 0)
+        quotients.append(np.where(known, uneven, 1) / np.where(known, even, 1))
+        found[~known] = _UNKNOWN
+    both = np.sqrt(quotients[0] * quotients[1])
+    found = np.select([found == _UNKNOWN, both < _LESS, both > 1 / _LESS], [NO_MOSAIC, 0, 1], NO_MOSAIC)
     # Of green light the pixels of neighbouring lines differ in parity: those are left as they are.
     found = np.where((found[:, 0] == found[:, 1]) & taken, found[:, 0], NO_MOSAIC)
     if alike:
@@ -208,9 +205,7 @@ def _pixels(
 
 
 def _mean(
-    sums: Float[np.ndarray, "frames 2 lines"],
-    count: Int[np.ndarray, "frames 2 lines"],
-    which: Bool[np.ndarray, "frames 2 lines"],
+    values: Float[np.ndarray, "frames 2 lines"], of: Bool[np.ndarray, "frames 2 lines"]
 ) -> Float[np.ndarray, "frames 2"]:
-    """Over the pixels of some lines."""
-    return (sums * which).sum(-1) / np.maximum((count * which).sum(-1), 1)
+    """Over some lines."""
+    return (values * of).sum(-1) / np.maximum(of.sum(-1), 1)
