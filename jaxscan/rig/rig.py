@@ -95,16 +95,19 @@ class Rig(eqx.Module):
         return self.motion.pose(q)
 
     def _check_axes(self, q: Positions) -> None:
-        """Refuse what are no positions, and names that the rig's axes do not have."""
+        """Refuse what are no positions, and names that no axis has in place of those of the rig's axes.
+
+        Axes beside the rig's own, of a scanner that has more, may be named.
+        """
         own = [part.axis for part in self.motion.parts()]
         has = f"this rig's axes: {', '.join(own)}" if own else "this rig has none"
         if not isinstance(q, Mapping):
             raise InputError(
                 f'{q} are no positions: give motor steps by the names of the axes, as {{"stage": 4000}}; {has}'
             )
-        for axis in q:
-            if axis not in own and not is_run(axis):
-                raise InputError(f'there is no axis "{axis}": {has}')
+        strange = [axis for axis in q if axis not in own and not is_run(axis)]
+        if strange and any(axis not in q for axis in own):
+            raise InputError(f'there is no axis "{strange[0]}": {has}')
 
     def triangulate(
         self, pixel: Real[ArrayLike, "*batch uv"], q: Positions, light: str = ""
@@ -120,8 +123,8 @@ class Rig(eqx.Module):
             light: which laser; may be left out where there is one.
 
         Raises:
-            InputError: the last axis is not u, v; the rig has no axis of a name; an axis has neither one position nor
-                one for each pixel; no such laser.
+            InputError: the last axis is not u, v; an axis of the rig is called by a wrong name, or has neither one
+                position nor one for each pixel; no such laser.
         """
         sheet = self.light(light)
         self._check_axes(q)
