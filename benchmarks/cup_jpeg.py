@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float, UInt
 
 from benchmarks.frame_sigma import HIGH, LOW, SPECKLES, at_edges, developed, draw, frame_ratios, ratio
 from benchmarks.metric import Metric
-from jaxscan.detectors import Detector
-from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images import Stripe, StripeSettings, detect_stripe
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.shapes import cup
 
@@ -54,8 +53,11 @@ def measure(quick: bool) -> list[Metric]:
         print(f"  speckle {speckle:g}: RMS px, of gravity, quotient; σ over the error, of frames; further off, %")
         for quality, kind in _QUICK if quick else _ROWS:
             kept = as_jpeg(photographs, quality, kind)
-            own, by_gravity = (_errors(kept, truth, asked, name) for name in ("likelihood", "gravity"))
-            rms, other = (_rms(off) for off, _ in (own, by_gravity))
+            own, by_gravity = (
+                errors(detect_stripe(kept, StripeSettings("red"), detector=name), truth, asked)
+                for name in ("likelihood", "gravity")
+            )
+            rms, other = (rms_of(off) for off, _ in (own, by_gravity))
             off = own[0] / own[1]
             frames, far = frame_ratios(off), np.mean(np.abs(own[0][np.isfinite(own[0])]) > _FAR_PX)
             print(
@@ -85,19 +87,16 @@ def as_jpeg(photographs: Photographs, quality: int, kind: str) -> Photographs:
     )
 
 
-def _errors(
-    photographs: Photographs,
-    truth: Float[np.ndarray, "frames columns"],
-    asked: Bool[np.ndarray, "frames columns"],
-    detector: Detector,
+def errors(
+    stripe: Stripe, truth: Float[np.ndarray, "frames columns"], asked: Bool[np.ndarray, "frames columns"]
 ) -> tuple[Float[np.ndarray, "frames columns"], Float[np.ndarray, "frames columns"]]:
     """Error and σ of each point that is asked for, px; NaN elsewhere."""
-    stripe = detect_stripe(photographs, StripeSettings("red"), detector=detector)
     known = np.asarray(stripe.valid) & asked
     off = np.asarray(stripe.position, np.float64) - truth
     return np.where(known, off, np.nan), np.where(known, np.asarray(stripe.sigma, np.float64), np.nan)
 
 
-def _rms(off: Float[np.ndarray, "frames columns"]) -> float:
+def rms_of(off: Float[np.ndarray, "frames columns"]) -> float:
+    """Of the errors that are no more than half a pixel, px."""
     with np.errstate(invalid="ignore"):
         return float(np.sqrt(np.mean(off[np.abs(off) < _FAR_PX] ** 2)))

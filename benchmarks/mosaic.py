@@ -15,23 +15,19 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt
+from jaxtyping import Float
 from scipy.ndimage import correlate
 
-from benchmarks.cup_jpeg import as_jpeg
+from benchmarks.cup_jpeg import as_jpeg, errors, rms_of
 from benchmarks.frame_sigma import HIGH, LOW, at_edges, developed, draw, ratio
 from benchmarks.metric import Metric
-from jaxscan.detectors import Detector
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.mosaic import Photograph, mosaic, through_mosaic
 from jaxscan.simulation.shapes import cup
 
-Photographs = UInt[np.ndarray, "frames rows columns 3"]
-
 # Standard deviation of the lens's point spread, px: its stripes have 0.75, 1.0, 1.3 and 2.1 px.
 _BLURS, _BLURS_QUICK = (0.6, 0.9, 1.2, 2.0), (0.9,)
-_FAR_PX: Final = 0.5
 _MATRIX: Final = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [-0.1, -0.5, 1.6]])
 # Green where red or blue is; red where green is, in rows of red, and in columns of red; red where blue is.
 _GREEN: Final = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8
@@ -52,22 +48,25 @@ def measure(quick: bool) -> list[Metric]:
         sensor = replace(rig_2003.SENSOR, blur_px=blur)
         photographs, truth = draw(rig, scene, lighting, 12 if quick else 4, sensor)
         photographs, asked = developed(photographs, "colour"), ~at_edges(truth)
-        full, _, _ = _errors(photographs, truth, asked, "likelihood")
-        print(f"  blur {blur:g} px, in full colour {_rms(full):.4f} px")
+        full = rms_of(errors(detect_stripe(photographs, StripeSettings("red")), truth, asked)[0])
+        print(f"  blur {blur:g} px, in full colour {full:.4f} px")
         print("    RMS px, over full colour, over gravity; σ over the error; taken for a mosaic")
         for how, interpolated in INTERPOLATED.items():
             seen = np.stack([interpolated(each) for each in photographs])
-            off, sigma, share = _errors(seen, truth, asked, "likelihood")
-            by_gravity, _, _ = _errors(seen, truth, asked, "gravity")
-            rms, other, honest = _rms(off), _rms(by_gravity), ratio(off / sigma)
+            own, by_gravity = (
+                detect_stripe(seen, StripeSettings("red"), detector=name) for name in ("likelihood", "gravity")
+            )
+            off, sigma = errors(own, truth, asked)
+            rms, other = rms_of(off), rms_of(errors(by_gravity, truth, asked)[0])
+            honest, share = ratio(off / sigma), float(own.mosaic.mean())
             print(
-                f"    {how:10} {rms:.4f} {rms / _rms(full):.2f} {rms / other:.2f}   {honest:.2f}   {share:.2f}",
+                f"    {how:10} {rms:.4f} {rms / full:.2f} {rms / other:.2f}   {honest:.2f}   {share:.2f}",
                 flush=True,
             )
             name = f"mosaic.blur_{blur:g}.{how}"
             metrics += [
                 Metric(f"{name}.rms", rms, "px", "lower", None, 0.1),
-                Metric(f"{name}.over_full_colour", rms / _rms(full), "", "lower", None, 0.1),
+                Metric(f"{name}.over_full_colour", rms / full, "", "lower", None, 0.1),
                 Metric(f"{name}.over_gravity", rms / other, "", "lower", 1.0, 0.1),
                 Metric(f"{name}.sigma_at_least", honest, "", "higher", LOW, 0.1),
                 Metric(f"{name}.sigma_at_most", honest, "", "lower", HIGH, 0.1),
@@ -115,22 +114,3 @@ INTERPOLATED: Final[dict[str, Callable[[Photograph], Photograph]]] = {
     "jpeg": lambda x: as_jpeg(through_mosaic(x)[None], 90, "420")[0],
     "webcam": lambda x: as_jpeg(_sharpened(_encoded(through_mosaic(x)))[None], 90, "420")[0],
 }
-
-
-def _errors(
-    photographs: Photographs,
-    truth: Float[np.ndarray, "frames columns"],
-    asked: Bool[np.ndarray, "frames columns"],
-    detector: Detector,
-) -> tuple[Float[np.ndarray, "frames columns"], Float[np.ndarray, "frames columns"], float]:
-    """Error and σ of each point that is asked for, px, NaN elsewhere; the share of frames with a mosaic."""
-    stripe = detect_stripe(photographs, StripeSettings("red"), detector=detector)
-    known = np.asarray(stripe.valid) & asked
-    off = np.asarray(stripe.position, np.float64) - truth
-    sigma = np.asarray(stripe.sigma, np.float64)
-    return np.where(known, off, np.nan), np.where(known, sigma, np.nan), float(stripe.mosaic.mean())
-
-
-def _rms(off: Float[np.ndarray, "frames columns"]) -> float:
-    with np.errstate(invalid="ignore"):
-        return float(np.sqrt(np.mean(off[np.abs(off) < _FAR_PX] ** 2)))

@@ -4,18 +4,16 @@ The page is read in a checkout as it stands. On the site `hook.py` puts mkdocstr
 have the same text with links. Nothing is imported: griffe, which mkdocstrings uses too, reads the sources.
 """
 
-import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import griffe
+from hook import ENTRY
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "api.md"
-# An entry: its name, and what was written for it.
-ENTRY = re.compile(r"^<!-- (jaxscan[\w.]*) -->$.*?^<!-- / -->$", re.M | re.S)
 _WIDTH = 100
 
 

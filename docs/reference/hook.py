@@ -3,9 +3,10 @@
 import re
 from typing import Any
 
-_ENTRY = re.compile(r"^<!-- (jaxscan[\w.]*) -->$.*?^<!-- / -->$", re.M | re.S)
+# An entry: its name, and what was written for it.
+ENTRY = re.compile(r"^<!-- (jaxscan[\w.]*) -->$.*?^<!-- / -->$", re.M | re.S)
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """The page of the public names as mkdocstrings takes it."""
-    return _ENTRY.sub(r"::: \1", markdown) if page.file.src_uri == "api.md" else markdown
+    return ENTRY.sub(r"::: \1", markdown) if page.file.src_uri == "api.md" else markdown

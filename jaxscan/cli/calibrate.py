@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_detector_argument
-from jaxscan.cli.estimate_options import AS_THE_SESSION, Estimate, add_estimate_arguments, estimate_asked
+from jaxscan.cli.estimate_options import add_estimate_arguments, estimate_asked
 from jaxscan.cli.options import add_optics_arguments, check_outputs, optics_asked
-from jaxscan.detectors import DEFAULT, Detector
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
 if TYPE_CHECKING:
     from jaxscan.calibration import Calibration
+    from jaxscan.files.rig_file import RigFile
     from jaxscan.rig.speckle_limit import Optics
     from jaxscan.view.verdict import Verdict
 
@@ -93,18 +93,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         _make_folder(args.report)
         check_outputs([*outputs, *pages])
     estimate = estimate_asked(args)
-    calibration = calibrate_session(
-        args.session,
-        args.output,
-        args.camera,
-        args.camera_name,
-        args.hold_camera,
-        args.detector,
-        estimate,
-        bool(optics),
+    from jaxscan.cli.solve_sessions import solve_sessions
+
+    parts = solve_sessions(
+        args.session, args.camera, args.camera_name, args.hold_camera, args.detector, estimate, bool(optics)
     )
+    calibration = _write(parts, args.output)
     judged = write_report(calibration, pages[0], pages[1], optics) if pages else judge_calibration(calibration)
-    carry_on(judged, args.output)
+    carry_on(judged, calibration.rig_file(), args.output)
     from jaxscan.cli.summary import rig_summary
     from jaxscan.view.report import plain
 
@@ -122,37 +118,31 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def calibrate_session(
-    paths: Sequence[Path],
-    output: Path,
-    camera: Path | None = None,
-    name: str | None = None,
-    hold: bool = False,
-    detector: Detector = DEFAULT,
-    estimate: Estimate = AS_THE_SESSION,
-    needs_laser: bool = False,
-) -> "Calibration":
-    """As `solve_sessions.solve_sessions`, and write the rig to `output`; beside it what it was before a change."""
-    from jaxscan.cli.solve_sessions import solve_parts
+def calibrate_session(paths: Sequence[Path], output: Path) -> "Calibration":
+    """Calibrate as the sessions say, with progress bars, and write the rig; beside it what it was before a change."""
+    from jaxscan.cli.solve_sessions import solve_sessions
+
+    return _write(solve_sessions(paths), output)
+
+
+def _write(parts: tuple["Calibration", "Calibration"], output: Path) -> "Calibration":
     from jaxscan.files.rig_file import write_rig
 
-    before, calibration = solve_parts(paths, camera, name, hold, detector, estimate, needs_laser)
+    before, calibration = parts
     if _differs(calibration):
         write_rig(before_path(output), before.rig_file())
     write_rig(output, calibration.rig_file())
     return calibration
 
 
-def carry_on(judged: "Verdict", output: Path) -> None:
-    """Write why the rig should not be used into its file, so that every command that uses it says so."""
-    from jaxscan.files.rig_file import read_rig, write_rig
+def carry_on(judged: "Verdict", content: "RigFile", output: Path) -> None:
+    """Write a rig again with the reasons not to use it, where it has some: every command that uses it says them."""
+    from jaxscan.files.rig_file import write_rig
 
-    content = read_rig(output)
     gravest = [box.statement.rstrip(".") for box in judged.warnings if box.level == "stop"]
-    said = [words for words in gravest if words not in content.warnings]
+    said = [f"The calibration was not to be used: {words}" for words in gravest if words not in content.warnings]
     if said:
-        warnings = [*content.warnings, *(f"The calibration was not to be used: {words}" for words in said)]
-        write_rig(output, replace(content, fit={**content.fit, "warnings": warnings}))
+        write_rig(output, replace(content, fit={**content.fit, "warnings": [*content.warnings, *said]}))
 
 
 def before_path(output: Path) -> Path:

@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.session:
         from jaxscan.cli.solve_sessions import solve_sessions
 
-        known = solve_sessions(args.session)
+        _, known = solve_sessions(args.session)
         content = known.rig_file()
     else:
         known = content = read_rig(args.rig)

@@ -24,8 +24,8 @@ def solve_sessions(
     detector: Detector = DEFAULT,
     estimate: Estimate = AS_THE_SESSION,
     needs_laser: bool = False,
-) -> "Calibration":
-    """Calibrate with progress bars; a session in two parts as its second part is.
+) -> tuple["Calibration", "Calibration"]:
+    """Calibrate with progress bars.
 
     Args:
         paths: the sessions, all of one rig; or a `.mat` with corners in place of one.
@@ -35,20 +35,10 @@ def solve_sessions(
         detector: how the stripe's centre is measured.
         estimate: lens, held parameters, board's shape and weights, as far as they are not the sessions'.
         needs_laser: whether the limit of speckle is asked for, which only a laser's stripe can show.
+
+    Returns:
+        The rig before a change and now, of a session in two parts; one and the same of others.
     """
-    return solve_parts(paths, camera, name, hold, detector, estimate, needs_laser)[1]
-
-
-def solve_parts(
-    paths: Sequence[Path],
-    camera: Path | None,
-    name: str | None,
-    hold: bool,
-    detector: Detector,
-    estimate: Estimate,
-    needs_laser: bool,
-) -> tuple["Calibration", "Calibration"]:
-    """The rig before a change and now: one and the same where there was none. The arguments are `solve_sessions`'."""
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()

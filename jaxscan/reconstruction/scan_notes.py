@@ -10,6 +10,7 @@ from jaxscan.images.decode import read_image
 from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.brightest import brighter_color
 from jaxscan.images.stripes.other_colour import colour_that_shows
+from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.images.stripes.validity import Verdict
 
 # Why a line in which something is bright has no point, as reported to programs.
@@ -64,9 +65,8 @@ def brighter_colors(
         position: of the stripe, the row of each column, or the column of each row, px; NaN for none.
         laser: how it was looked for.
     """
-    line = np.arange(position.shape[-1], dtype=np.float32)
     return [
-        brighter_color(image, np.stack([line, at] if laser.columns else [at, line], axis=-1), laser)
+        brighter_color(image, np.stack(u_and_v(at, laser.columns), axis=-1), laser)
         for image, at in zip(photographs, position, strict=True)
         if np.isfinite(at).any()
     ]

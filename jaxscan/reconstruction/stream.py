@@ -24,6 +24,7 @@ from jaxscan.images.decode import Image
 from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
+from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan
 from jaxscan.reconstruction.light_watch import LightWatch
@@ -376,12 +377,5 @@ def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterato
 def _triangulated(
     kernel: Kernel, frames: FramePoses, position: Float[np.ndarray, "frames lines"], columns: bool
 ) -> Float[np.ndarray, "frames lines 3"]:
-    u, v = _u_and_v(position, columns)
+    u, v = u_and_v(position, columns)
     return np.asarray(triangulate(kernel, frames, jnp.asarray(u), jnp.asarray(v)))
-
-
-def _u_and_v(
-    position: Float[np.ndarray, "*frames lines"], columns: bool
-) -> tuple[Float[np.ndarray, "*frames lines"], Float[np.ndarray, "*frames lines"]]:
-    line = np.broadcast_to(np.arange(position.shape[-1], dtype=np.float32), position.shape)
-    return (line, position) if columns else (position, line)

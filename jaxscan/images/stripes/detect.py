@@ -341,7 +341,7 @@ def _detect(
     sigma = widened_between(sigma, position, width)
     seen_in = images, background, sensor, correlation, settings, short
     printed = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(_groups, sizes=_GROUPS))
-    some |= scarce
+    some = some | scarce
     printed[some] = beyond_usual(sigma[some], printed[some])
     sigma = printed
     around = surroundings(sample(frames)[: len(valid)], np.asarray(sensor.full)[: len(valid)], color)
@@ -361,9 +361,8 @@ def _detect(
         light,
         odd,
         correlation[: len(valid), 0],
-        around[0],
         np.full(len(valid), bool(mosaic)),
-        around[1],
+        *around,
     )
 
 

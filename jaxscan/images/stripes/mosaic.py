@@ -40,8 +40,8 @@ _NEAR_PX: Final = 0.5
 _LESS, _FEWEST = 0.3, 16
 # Lines of each frame that are looked at, of either parity.
 _LINES: Final = 160
-# Where no parity is taken; and before there is one.
-NO_MOSAIC, _UNKNOWN = -1, -2
+# Where no parity is taken.
+NO_MOSAIC: Final = -1
 
 
 def native_pixels(
@@ -66,7 +66,6 @@ def native_pixels(
     Returns:
         The parity of each frame, `NO_MOSAIC` where the photograph shows none; None where no photograph does.
     """
-    found = np.zeros((len(peak), 2), int)
     pairs = peak.shape[1] // 2
     length = frames.shape[1 if settings.columns else 2]
     if settings.color == "grey" or frames.ndim == 3 or pairs < _FEWEST:
@@ -90,15 +89,15 @@ def native_pixels(
     d2 = [(squares * which).sum(-1) / which.sum(-1) for which in (~odd, odd)]
     # Of lines whose centre is nearest to a pixel of parity 0 and 1: the quotient of parity 1's d² by parity 0's.
     phase = inside + from_peak
-    quotients = []
+    quotient, told = np.ones((len(peak), 2)), np.ones((len(peak), 2), bool)
     for of in (0, 1):
         nearest = whole & (np.abs((phase - of + 1) % 2 - 1) < _NEAR_PX)
         even, uneven = (_mean(d2[parity], nearest) for parity in (0, 1))
         known = (nearest.sum(-1) >= _FEWEST) & (even > 0) & (uneven > 0)
-        quotients.append(np.where(known, uneven, 1) / np.where(known, even, 1))
-        found[~known] = _UNKNOWN
-    both = np.sqrt(quotients[0] * quotients[1])
-    found = np.select([found == _UNKNOWN, both < _LESS, both > 1 / _LESS], [NO_MOSAIC, 0, 1], NO_MOSAIC)
+        quotient[known] *= uneven[known] / even[known]
+        told &= known
+    both = np.sqrt(quotient)
+    found = np.select([told & (both < _LESS), told & (both > 1 / _LESS)], [0, 1], NO_MOSAIC)
     # Of green light the pixels of neighbouring lines differ in parity: those are left as they are.
     found = np.where((found[:, 0] == found[:, 1]) & taken, found[:, 0], NO_MOSAIC)
     if alike:
@@ -186,8 +185,8 @@ def _interleaved(halves: Sequence[Stripe], parity: int) -> Stripe:
         light,
         halves[0].odd | halves[1].odd,
         np.maximum(halves[0].correlation, halves[1].correlation),
-        halves[0].full,
         halves[0].mosaic,
+        halves[0].full,
         halves[0].surroundings,
     )
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int8
+from jaxtyping import Bool, Float, Float32, Int8
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class Stripe:
         light: read noise, gain, speckle contrast and saturation of each frame (`images.light`); NaN without a stripe.
         odd: in which frames the stripe's cross section is no bell, and that all along it.
         correlation: of the noise of neighbouring pixels of each frame's lines; 0 where it is white, or not seen.
-        full: share of each frame's pixels whose laser channel is full.
         mosaic: in which frames only the pixels count that saw the laser's colour themselves (`mosaic`).
+        full: share of each frame's pixels whose laser channel is full.
         surroundings: level of some pixels of each frame, of the channels that are not the laser's: grey levels of an
             8-bit photograph.
     """
@@ -39,8 +39,8 @@ class Stripe:
     light: Float32[np.ndarray, "frames 4"]
     odd: Bool[np.ndarray, "frames"]
     correlation: Float32[np.ndarray, "frames"]
-    full: Float32[np.ndarray, "frames"]
     mosaic: Bool[np.ndarray, "frames"]
+    full: Float32[np.ndarray, "frames"]
     surroundings: Float32[np.ndarray, "frames some_rows some_columns"]
 
     def __getitem__(self, some: slice | np.ndarray) -> "Stripe":
@@ -51,3 +51,11 @@ class Stripe:
     def joined(parts: "Sequence[Stripe]") -> "Stripe":
         """The frames of several, in their order."""
         return Stripe(*(np.concatenate([getattr(s, f.name) for s in parts]) for f in fields(Stripe)))
+
+
+def u_and_v(
+    position: Float[np.ndarray, "*frames lines"], columns: bool
+) -> tuple[Float[np.ndarray, "*frames lines"], Float[np.ndarray, "*frames lines"]]:
+    """The pixels (u, v) of a stripe's positions, whose lines are columns, or else rows."""
+    line = np.broadcast_to(np.arange(position.shape[-1], dtype=np.float32), position.shape)
+    return (line, position) if columns else (position, line)
