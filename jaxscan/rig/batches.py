@@ -1,17 +1,18 @@
 """Functions of one point or pixel, for any number of them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from jaxscan.errors import InputError
 
 
-def over_batch(one: Callable[..., Array], size: int, what: str, values: ArrayLike, *beside: Any) -> Array:
+def over_batch(
+    one: Callable[..., Array], size: int, what: str, values: ArrayLike | Sequence[Any], *beside: Any
+) -> Array:
     """Apply a function to each vector of an array, along the last axis.
 
     Args:
@@ -27,13 +28,13 @@ def over_batch(one: Callable[..., Array], size: int, what: str, values: ArrayLik
     Raises:
         InputError: the last axis has another length.
     """
-    values = np.asarray(values, float) if isinstance(values, list | tuple) else values
-    shape = jnp.shape(values)
+    array: ArrayLike = jnp.asarray(values, float) if isinstance(values, Sequence) else values
+    shape = jnp.shape(array)
     if not shape or shape[-1] != size:
         raise InputError(f"{what}, in an array of shape ({size},) or (…, {size}); this one has the shape {shape}")
     if len(shape) == 1:
-        return one(values, *beside)
-    flat = jnp.reshape(jnp.asarray(values), (-1, size))
+        return one(array, *beside)
+    flat = jnp.reshape(jnp.asarray(array), (-1, size))
     rest = [jax.tree.map(lambda x: jnp.reshape(x, -1), tree) for tree in beside]
     found = jax.vmap(one)(flat, *rest)
     return jnp.reshape(found, (*shape[:-1], found.shape[-1]))

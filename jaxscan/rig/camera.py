@@ -1,6 +1,7 @@
 """The camera: a pinhole with a lens and a sensor, from points to pixels and from pixels to rays."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -91,7 +92,7 @@ class Camera(eqx.Module):
         names = lens_parameters(self.lens.kind)
         return tuple(name for name, term in zip(names, terms, strict=True) if float(term) == 0)
 
-    def project(self, point: Real[ArrayLike, "*batch xyz"]) -> Float[Array, "*batch 2"]:
+    def project(self, point: Real[ArrayLike, "*batch xyz"] | Sequence[Any]) -> Float[Array, "*batch 2"]:
         """Points of the camera frame (mm) to their pixels (u, v); NaN for a point that the lens does not see.
 
         That is one that is not in front of the camera; of a fisheye, one farther from the axis than where its image
@@ -113,7 +114,7 @@ class Camera(eqx.Module):
         """The pixel of a ray by its coordinates in the lens's chart."""
         return jnp.stack(self.focal) * onto_sensor(self.tilt, self.lens.distort(x)) + jnp.stack(self.principal)
 
-    def ray(self, pixel: Real[ArrayLike, "*batch uv"]) -> Float[Array, "*batch 3"]:
+    def ray(self, pixel: Real[ArrayLike, "*batch uv"] | Sequence[Any]) -> Float[Array, "*batch 3"]:
         """Pixels (u, v) to their rays (x, y, 1); of a fisheye, of length 1. NaN outside the lens's invertible range.
 
         The inverse is converged, and its derivative with respect to pixel and lens is exact.

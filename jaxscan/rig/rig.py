@@ -1,7 +1,7 @@
 """The rig: what calibration finds and reconstruction uses."""
 
-from collections.abc import Collection, Mapping
-from typing import Final
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Final
 
 import equinox as eqx
 import jax
@@ -110,7 +110,7 @@ class Rig(eqx.Module):
             raise InputError(f'there is no axis "{strange[0]}": {has}')
 
     def triangulate(
-        self, pixel: Real[ArrayLike, "*batch uv"], q: Positions, light: str = ""
+        self, pixel: Real[ArrayLike, "*batch uv"] | Sequence[Any], q: Positions, light: str = ""
     ) -> Float[Array, "*batch 3"]:
         """Stripe pixels (u, v) at positions of the axes to points of the object frame (mm): M(q)⁻¹ (x z).
 
@@ -132,7 +132,7 @@ class Rig(eqx.Module):
         def one(pixel: Array, q: Positions) -> Array:
             return self.pose(q).inverse().apply(meet(sheet, self.camera.ray(pixel)))
 
-        batch = jnp.shape(pixel)[:-1]
+        batch = np.shape(pixel)[:-1]
         if batch:
             q = {axis: _for_each(axis, steps, batch) for axis, steps in q.items()}
         return over_batch(one, 2, "Rig.triangulate takes pixels u, v", pixel, q)

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from jaxscan.cli.calibrate import carry_on
 from jaxscan.cli.main import main
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import read_rig, write_rig
+from jaxscan.view.report import Box
+from jaxscan.view.verdict import Verdict
 
 WARNING = "The light plane does not fit the stripes that it was found from"
 
@@ -86,3 +89,15 @@ def test_calibrate_ends_with_the_verdict_and_has_it_as_data(
     for box in said["warnings"]:
         assert set(box) == {"level", "statement", "advice"}
         assert f"warning: {box['statement']} {box['advice']}" in lines
+
+
+def test_a_red_verdict_is_carried_on_by_the_rigs_file(world: Path, doubtful: Path):
+    content = read_rig(doubtful)
+    boxes = (Box("stop", "The photographs are in another order."), Box("stop", f"{WARNING}."), Box("care", "Few."))
+    judged = Verdict("stop", "Do not use this calibration yet.", "", "", boxes, False)
+    carry_on(judged, content, doubtful)
+    said = "The calibration was not to be used: The photographs are in another order"
+    assert read_rig(doubtful).warnings == (WARNING, said)
+    before = (world / "rig.json").read_bytes()
+    carry_on(replace(judged, level="care", warnings=boxes[2:]), read_rig(world / "rig.json"), world / "rig.json")
+    assert (world / "rig.json").read_bytes() == before

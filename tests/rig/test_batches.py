@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import config as checks
 
 from jaxscan.errors import InputError
 from jaxscan.rig import Camera, LightPlane, Linear, Rig
@@ -66,3 +67,28 @@ def test_it_is_compiled_and_differentiated(rig: Rig) -> None:
 def test_a_wrong_shape_is_named(rig: Rig, call, said: str) -> None:
     with pytest.raises(InputError, match=said):
         call(rig)
+
+
+def test_lists_are_arrays(rig: Rig) -> None:
+    for found, array in (
+        (rig.camera.ray([320.0, 240.0]), rig.camera.ray(jnp.array([320.0, 240.0]))),
+        (rig.camera.project((0, 0, 350)), rig.camera.project(jnp.array([0.0, 0.0, 350.0]))),
+        (rig.triangulate([[320.0, 240.0]], {"stage": 9}), rig.triangulate(np.array([[320.0, 240.0]]), {"stage": 9})),
+    ):
+        np.testing.assert_array_equal(found, array)
+
+
+@pytest.mark.parametrize(("q", "words"), [({"stge": 4000}, 'there is no axis "stge"'), (4000, "4000 are no positions")])
+def test_positions_of_no_axis_are_refused(rig: Rig, q: object, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A misspelt axis gave the point of step 0."""
+    # As of a user: otherwise the annotation itself refuses what is no mapping.
+    monkeypatch.setattr(checks, "jaxtyping_disable", True)
+    with pytest.raises(InputError, match=f"{words}.*stage"):
+        rig.triangulate([320.0, 240.0], q)  # pyright: ignore[reportArgumentType]
+
+
+def test_axes_beside_the_rigs_own_may_be_named(rig: Rig) -> None:
+    np.testing.assert_array_equal(
+        rig.triangulate([320.0, 240.0], {"stage": 9.0, "turntable": 5.0}),
+        rig.triangulate([320.0, 240.0], {"stage": 9.0}),
+    )
