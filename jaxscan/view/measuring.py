@@ -21,6 +21,8 @@ _COLOURS: Final = ((230, 60, 40), (30, 110, 220), (30, 160, 70), (170, 60, 200),
 _POINT: Final = 0.004
 # Of how many points.
 _SHOWN: Final = 3000
+# Clicks nearer to each other than this part of the radius are on one place: the second of an impatient hand.
+_SAME: Final = 0.1
 
 
 class Measuring:
@@ -55,42 +57,49 @@ class Measuring:
             self._words = gui.add_markdown("Click a face; then another, for their distance.")
             self._undo = gui.add_button("undo the last", visible=False)
             self._save = gui.add_button(f"save {PART_FILE}", visible=False)
-        self._undo.on_click(lambda _: self._change(self._clicks[:-1]))
+        self._undo.on_click(self._undone)
         self._save.on_click(self._saved)
 
     def clicked(self, place: Float[np.ndarray, "3"], radius: float) -> None:
-        """A place on the surface was clicked."""
+        """A place on the surface was clicked; a second click on it is no second feature."""
         if self._kind.value == _NOTHING:
             return
-        x, y, z = map(float, place)
-        measured_from = len(self._clicks) - 1 if self._clicks else None
-        if self._from.value != _BEFORE:
-            names = [each.name for each in part_of_clicks(self._clicks).features]
-            measured_from = names.index(self._from.value) if self._from.value in names else None
-        click = Click(self._kind.value, (x, y, z), radius, bool(self._whole.value), measured_from)
-        self._change((*self._clicks, click))
+        with self._mutex:
+            x, y, z = map(float, place)
+            measured_from = len(self._clicks) - 1 if self._clicks else None
+            if self._from.value != _BEFORE:
+                names = [each.name for each in part_of_clicks(self._clicks).features]
+                measured_from = names.index(self._from.value) if self._from.value in names else None
+            click = Click(self._kind.value, (x, y, z), radius, bool(self._whole.value), measured_from)
+            if self._clicks and self._from.value == _BEFORE and _same_face(click, self._clicks[-1]):
+                self._words.content = f"{self._table}\n\nThis place was clicked already."
+            else:
+                self._change((*self._clicks, click))
+
+    def _undone(self, _: Any) -> None:
+        with self._mutex:
+            self._change(self._clicks[:-1])
 
     def _change(self, clicks: tuple[Click, ...]) -> None:
-        """Measure these; a click that gives no feature is not kept, and the reason is shown."""
-        with self._mutex:
-            self._words.content = "measuring …"
-            try:
-                found = self._measured(clicks)
-            except JaxscanError as error:
-                self._words.content = f"Not measured: {error}"
-                return
-            problem = next((each for each in reversed(found.features) if each.problem), None)
-            if problem is not None:
-                self._words.content = f"{self._table}\n\nNot a {problem.feature.kind}: {problem.problem}"
-                return
-            self._clicks, self._table = clicks, _table(found)
-            self._words.content = self._table
-            self._undo.visible = self._save.visible = bool(clicks)
-            names = tuple(each.feature.name for each in found.features)
-            kept = self._from.value
-            self._from.options = (_BEFORE, _NONE, *names)
-            self._from.value = kept if kept in self._from.options else _BEFORE
-            self._draw(found)
+        """Measure these; a click that gives no feature is not kept, and the reason is shown. The mutex is held."""
+        self._words.content = "measuring …"
+        try:
+            found = self._measured(clicks)
+        except JaxscanError as error:
+            self._words.content = f"Not measured: {error}"
+            return
+        problem = next((each for each in reversed(found.features) if each.problem), None)
+        if problem is not None:
+            self._words.content = f"{self._table}\n\nNot a {problem.feature.kind}: {problem.problem}"
+            return
+        self._clicks, self._table = clicks, _table(found)
+        self._words.content = self._table
+        self._undo.visible = self._save.visible = bool(clicks)
+        names = tuple(each.feature.name for each in found.features)
+        kept = self._from.value
+        self._from.options = (_BEFORE, _NONE, *names)
+        self._from.value = kept if kept in self._from.options else _BEFORE
+        self._draw(found)
 
     def _measured(self, clicks: tuple[Click, ...]) -> Measurement:
         if self._scanned is None:
@@ -116,6 +125,11 @@ class Measuring:
         if event.client is not None:
             text = part_text(part_of_clicks(self._clicks, self._name))
             event.client.send_file_download(PART_FILE, text.encode(), save_immediately=True)
+
+
+def _same_face(one: Click, other: Click) -> bool:
+    apart = np.linalg.norm(np.subtract(one.place, other.place))
+    return (one.kind, one.radius, one.grow) == (other.kind, other.radius, other.grow) and apart < _SAME * one.radius
 
 
 def _table(found: Measurement) -> str:

@@ -3,6 +3,7 @@
 import os
 import re
 import shutil
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,37 @@ def test_a_part_is_written_as_it_is_read(tmp_path: Path) -> None:
     part = Part(tmp_path / "part.toml", 'a "part"', features, dimensions)
     part.path.write_text(part_text(part))
     assert read_part(part.path) == part
+
+
+def test_clicks_that_come_together(scanned: Path) -> None:
+    """A double click is one feature; two faces clicked at once are two; undoing twice at once leaves none."""
+    viser = pytest.importorskip("viser", reason="viser (extra viewer) is not installed")
+    from jaxscan.cli.measure import read_surface
+    from jaxscan.view.measuring import Measuring
+
+    server = viser.ViserServer("127.0.0.1", 8431, verbose=False)
+    try:
+        panel = Measuring(
+            server, lambda: read_surface(scanned / "step.npz", scanned / "rig.json")[0], np.zeros(3), 100.0, "step"
+        )
+        low, high = np.asarray(at(-10.0, Y, 0.0)), np.asarray(at(35.0, Y, HIGH))
+
+        def together(*calls: Any) -> str:
+            threads = [threading.Thread(target=call, daemon=True) for call in calls]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(timeout=120)
+            return panel._words.content
+
+        assert "plane 2" not in together(*(lambda: panel.clicked(low + 0.1, 6.0),) * 3)
+        assert "clicked already" in panel._words.content
+        said = together(lambda: panel.clicked(high, 6.0), lambda: panel.clicked(low, 5.0))
+        assert "plane 3" in said
+        assert "plane 4" not in said
+        assert "plane 1" not in together(*(lambda: panel._undone(None),) * 3)
+    finally:
+        server.stop()
 
 
 # What the browser and its library open and leave to the collector is theirs.
