@@ -128,7 +128,7 @@ class Measuring:
 
 
 def _same_face(one: Click, other: Click) -> bool:
-    apart = np.linalg.norm(np.subtract(one.place, other.place))
+    apart = float(np.linalg.norm(np.subtract(one.place, other.place)))
     return (one.kind, one.radius, one.grow) == (other.kind, other.radius, other.grow) and apart < _SAME * one.radius
 
 
