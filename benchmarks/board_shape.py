@@ -42,15 +42,15 @@ _TRAVEL: Final = (0.0, 60000.0)
 def measure(quick: bool) -> list[Metric]:
     """Everything; in the short form few sessions, and no odd shapes."""
     seeds = range(_SEEDS_QUICK if quick else _SEEDS)
-    plain = [_solved(seen_by(seed, lambda _: flat), "flat") for seed in seeds]
+    plain = [solved(seen_by(seed, lambda _: flat), "flat") for seed in seeds]
     metrics = _beside(
-        "warp_0.5_bends_0.1", plain, [_solved(seen_by(s, warped(s, 0.5, 0.1)), "bend") for s in seeds], 1.15
+        "warp_0.5_bends_0.1", plain, [solved(seen_by(s, warped(s, 0.5, 0.1)), "bend") for s in seeds], 1.15
     )
     for mm in (0.3, 0.05):
         bent = [seen_by(s, warped(s, mm, 0.0)) for s in seeds]
-        metrics += _beside(f"bent_{mm:g}", plain, [_solved(each, "bend") for each in bent], 1.2)
-        metrics += _named(f"bent_{mm:g}", mm, plain, [_solved(each, "flat") for each in bent])
-    metrics += _beside("flat", plain, [_solved(seen_by(s, lambda _: flat), "bend") for s in seeds], 1.03)
+        metrics += _beside(f"bent_{mm:g}", plain, [solved(each, "bend") for each in bent], 1.2)
+        metrics += _named(f"bent_{mm:g}", mm, plain, [solved(each, "flat") for each in bent])
+    metrics += _beside("flat", plain, [solved(seen_by(s, lambda _: flat), "bend") for s in seeds], 1.03)
     alarms = [bool(each.calibration.flatness and each.calibration.flatness.statements) for each in plain]
     if not quick:
         alarms = [_alarm(seed) for seed in range(_ALARMS)]
@@ -62,7 +62,7 @@ def measure(quick: bool) -> list[Metric]:
 
 
 @dataclass(frozen=True)
-class _Solved:
+class Solved:
     """A calibration and how far it is off.
 
     Attributes:
@@ -86,7 +86,7 @@ def seen_by(seed: int, heights: Heights, **how: object) -> tuple[Rig, Observatio
     return rig, redrawn(exact, _NOISE, np.random.default_rng([2003, seed]))
 
 
-def _solved(seen: tuple[Rig, Observations], shape: str) -> _Solved:
+def solved(seen: tuple[Rig, Observations], shape: str) -> Solved:
     rig, observations = seen
     calibration = calibrate(observations, board_shape=shape)
     true, found = (np.array([float(leaf) for leaf in jax.tree.leaves(each)]) for each in (rig, calibration.rig))
@@ -100,7 +100,7 @@ def _solved(seen: tuple[Rig, Observations], shape: str) -> _Solved:
         J = np.asarray(_by_rig(as_float64(calibration.rig), jnp.asarray(pixels), q))
     spread = np.einsum("pai,ij,paj->pa", J, calibration.covariance.of_leaves(calibration.rig), J)
     wrong = here - there
-    return _Solved(calibration, found - true, (found - true) / sigma, wrong.ravel(), (wrong / np.sqrt(spread)).ravel())
+    return Solved(calibration, found - true, (found - true) / sigma, wrong.ravel(), (wrong / np.sqrt(spread)).ravel())
 
 
 def _asked(rig: Rig) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points"]]:
@@ -150,7 +150,7 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt((values**2).mean()))
 
 
-def _beside(name: str, plain: list[_Solved], bent: list[_Solved], goal: float) -> list[Metric]:
+def _beside(name: str, plain: list[Solved], bent: list[Solved], goal: float) -> list[Metric]:
     """Errors over those of flat boards: of the rig's numbers, of points; and how many lie within 3 σ."""
     names = parameter_names(plain[0].calibration.rig)
     unit = np.sqrt(np.mean([each.off**2 for each in plain], axis=0))
@@ -172,7 +172,7 @@ def _beside(name: str, plain: list[_Solved], bent: list[_Solved], goal: float) -
     ]
 
 
-def _named(name: str, mm: float, plain: list[_Solved], taken_flat: list[_Solved]) -> list[Metric]:
+def _named(name: str, mm: float, plain: list[Solved], taken_flat: list[Solved]) -> list[Metric]:
     """Sessions that were solved as flat: what that costs, how many are named, and how well their mm are said."""
     found = [each.calibration.flatness for each in taken_flat]
     said = [each.bent_mm for each in found if each is not None and each.bent]
@@ -218,7 +218,7 @@ def _step(adjustment: Adjustment) -> object:
     return normal.determined_step(), normal.damped(jnp.asarray(1e-6), normal.diagonal()).step()
 
 
-def _odd(seeds: range, plain: list[_Solved]) -> list[Metric]:
+def _odd(seeds: range, plain: list[Solved]) -> list[Metric]:
     """Shapes that the five terms have not, or have only together: solved as bend, and named when taken as flat."""
     shapes: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
         "rolled_about_a_diagonal": lambda s, t: 0.3 * (1 - ((s + t) / 2) ** 2),
@@ -229,9 +229,9 @@ def _odd(seeds: range, plain: list[_Solved]) -> list[Metric]:
     for name, z in shapes.items():
         seen = [seen_by(s, lambda _, z=z: lambda x, y: z(x / HALF[0] - 1, y / HALF[1] - 1)) for s in seeds]
         metrics += [
-            replace(m, better="shown") for m in _beside(name, plain, [_solved(each, "bend") for each in seen], 1.2)
+            replace(m, better="shown") for m in _beside(name, plain, [solved(each, "bend") for each in seen], 1.2)
         ]
-        as_flat = [_solved(each, "flat") for each in seen]
+        as_flat = [solved(each, "flat") for each in seen]
         metrics += [replace(m, better="shown") for m in _named(name, 0.3, plain, as_flat)]
     circles = Board.circles((9, 6), 24.0, 14.0)
     kinds = {
@@ -239,14 +239,14 @@ def _odd(seeds: range, plain: list[_Solved]) -> list[Metric]:
         "charuco_bent_0.3": {"board": Board.charuco((10, 7), 24.0, 17.0, "DICT_5X5_50")},
     }
     for name, how in kinds.items():
-        straight = [_solved(seen_by(s, lambda _: flat, **how), "flat") for s in seeds]
+        straight = [solved(seen_by(s, lambda _: flat, **how), "flat") for s in seeds]
         bent = [seen_by(s, warped(s, 0.3, 0.0), **how) for s in seeds]
-        metrics += _beside(name, straight, [_solved(each, "bend") for each in bent], 1.2)
-        metrics += _named(name, 0.3, straight, [_solved(each, "flat") for each in bent])
+        metrics += _beside(name, straight, [solved(each, "bend") for each in bent], 1.2)
+        metrics += _named(name, 0.3, straight, [solved(each, "flat") for each in bent])
     half = [_half_seen(seen_by(s, lambda _: flat), s) for s in seeds]
     bent = [_half_seen(seen_by(s, warped(s, 0.3, 0.0)), s) for s in seeds]
-    straight = [_solved(each, "flat") for each in half]
-    metrics += _beside("partial_views_bent_0.3", straight, [_solved(each, "bend") for each in bent], 1.2)
+    straight = [solved(each, "flat") for each in half]
+    metrics += _beside("partial_views_bent_0.3", straight, [solved(each, "bend") for each in bent], 1.2)
     return metrics
 
 

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.drawn import Noise, redrawn
 from jaxscan.calibration import BoardSequence, Observations, StripePoints, View
+from jaxscan.geometry import Pose
 from jaxscan.images import Board
 from jaxscan.rig import LightPlane, Rig
 from jaxscan.rig.opencv_lens import Radial1
@@ -44,6 +45,7 @@ def bent_session(
     stripes_on_stage: bool = False,
     columns_apart: int = 1,
     radius_mm: float = 0.0,
+    spread: float = 1.0,
 ) -> tuple[Rig, Observations]:
     """The rig of a seed, and what is seen of boards of some shapes without any noise.
 
@@ -57,9 +59,13 @@ def bent_session(
         stripes_on_stage: whether its stripe is in the stage's photographs.
         columns_apart: from one stripe point to the next.
         radius_mm: of circles about the points, whose centres of gravity are seen; 0 for points.
+        spread: by this the boards of the views differ in their turns from the mean turn; 0 for parallel boards.
     """
     rig = rig_2003.simulated_rig(seed)
     poses = rig_2003.board_poses(rig, seed, views)
+    centre, turns = rig_2003.BOARD.points().mean(axis=0), np.asarray(poses.rotation)
+    middles, turns = poses.apply(centre), turns.mean(axis=0) + spread * (turns - turns.mean(axis=0))
+    poses = Pose(turns, middles - Pose(turns, np.zeros_like(turns)).apply(centre))
     points = board.points()
     # Its middle stands where that of the board of 9 x 6 does.
     aside = rig_2003.BOARD.points().mean(axis=0) - points.mean(axis=0)

@@ -20,6 +20,7 @@ from jaxtyping import Shaped
 
 from jaxscan.errors import InputError
 from jaxscan.foreign import foreign
+from jaxscan.missing import no_such_file
 
 NPY_START: Final = b"\x93NUMPY"
 _LONGEST_HEADER: Final = 1 << 16
@@ -134,7 +135,7 @@ def read_npz(
     try:
         file = path.open("rb")
     except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such file: check the path") from error
+        raise no_such_file(Path(path)) from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder: name an .npz file in it") from error
     except OSError as error:

@@ -204,7 +204,8 @@ def _scanned(image: str, rig: str) -> "Scanned":
 def _calibrate(order: dict[str, Any]) -> list[str]:
     from jaxscan.cli.calibrate import calibrate_session, judge_calibration
 
-    judged = judge_calibration(calibrate_session([Path(order["session"])], Path(order["to"])))
+    to = Path(order["to"])
+    judged = judge_calibration(calibrate_session([Path(order["session"])], to), to)
     warned = [f"warning: {box.statement} {box.advice}".rstrip() for box in judged.warnings]
     return [
         judged.statement,

@@ -18,6 +18,7 @@ from jaxscan.calibration.first_poses import poses_of_photographs
 from jaxscan.calibration.observability import cause_and_fix, undetermined, undetermined_shape
 from jaxscan.calibration.observations import Observations, View
 from jaxscan.calibration.rounds import Refined
+from jaxscan.calibration.stage_order import stage_orders
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, Rig, is_run
@@ -258,6 +259,8 @@ def check_solved(refined: Refined, observations: Observations, free: Bool[Array,
         coverage = measure_coverage(
             observations, with_rig, poses_of_photographs(observations, rig.camera, refined.system.poses[0][:, :6])
         )
+        for mixed in stage_orders(observations, rig):
+            raise ObservabilityError(". ".join(mixed.statement))
         raise ObservabilityError(
             f"from these {len(observations.views)} views {open_question.words}: "
             f"{cause_and_fix(open_question, coverage, float(refined.noise.corner))}"

@@ -99,8 +99,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         args.session, args.camera, args.camera_name, args.hold_camera, args.detector, estimate, bool(optics)
     )
     calibration = _write(parts, args.output)
-    judged = write_report(calibration, pages[0], pages[1], optics) if pages else judge_calibration(calibration)
-    carry_on(judged, calibration.rig_file(), args.output)
+    if pages:
+        judged = write_report(calibration, pages[0], pages[1], optics)
+        carry_on(judged, calibration.rig_file(), args.output)
+    else:
+        judged = judge_calibration(calibration, args.output)
     from jaxscan.cli.summary import rig_summary
     from jaxscan.view.report import plain
 
@@ -155,11 +158,13 @@ def _differs(calibration: "Calibration") -> bool:
     return calibration.parted is not None and calibration.parted.rig_differs
 
 
-def judge_calibration(calibration: "Calibration") -> "Verdict":
-    """The part of the report that is computed in a moment."""
+def judge_calibration(calibration: "Calibration", output: Path) -> "Verdict":
+    """The part of the report that is computed in a moment; a red verdict goes into the rig's file."""
     from jaxscan.view.verdict import verdict
 
-    return verdict(calibration)
+    judged = verdict(calibration)
+    carry_on(judged, calibration.rig_file(), output)
+    return judged
 
 
 def write_report(calibration: "Calibration", html: Path, json: Path, optics: "Optics | None") -> "Verdict":

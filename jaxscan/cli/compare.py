@@ -8,6 +8,7 @@ from jaxscan.cli.options import add_units_argument, check_outputs, check_units, 
 from jaxscan.cli.progress import step
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
+from jaxscan.missing import listed, names_in, no_such_file
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 # A median beyond this part of the reference's size is no difference of form.
 _MISFIT: Final = 0.01
+# Where the others have less than this part of the RMS, the points that are far off make it.
+_STRAYS: Final = 0.8
 HELP: Final = "say how far a cloud is from a reference: signed distances, steps, flatness"
 EXAMPLE: Final = "jaxscan compare cup.ply cup-cad.stl --fit -o difference.ply --png difference.png"
 
@@ -73,6 +76,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.png:
         extra("plots")
     read = [path for path in (args.cloud, args.reference) if path]
+    for path in read:
+        if not path.exists():
+            raise no_such_file(path, "file or folder")
+    if args.cloud.is_dir():
+        raise InputError(_points_of_folder(args.cloud, args.reference))
     check_outputs([args.output] if args.output else [], args.png, read)
     from jaxscan.errors import error_context
     from jaxscan.files.units import in_millimetres
@@ -99,6 +107,26 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     return result
 
 
+def _points_of_folder(folder: Path, reference: Path | None) -> str:
+    """What is said where a folder is given and points are wanted."""
+    from jaxscan.files.exchange import CLOUDS
+
+    ending = (".npz", *CLOUDS)
+    near = [where / name for where in (folder, folder.parent) for name in names_in(where) if name.endswith(ending)]
+    files = f"; of points {'there is' if len(near) == 1 else 'there are'} {listed(near, 'and')}" if near else ""
+    name = folder.name or "scan"
+    against = f" {reference}" if reference else ""
+    if (folder / "scan.toml").is_file():
+        return (
+            f"{folder}: has the photographs of a scan, and its points are compared: jaxscan reconstruct {folder} "
+            f"--rig rig.json -o {name}.npz, then jaxscan compare {name}.npz{against}{files}"
+        )
+    return (
+        f"{folder}: is a folder: give the points first, then what they are compared with, as in jaxscan compare "
+        f"cup.npz{against or ' truth'}{files}"
+    )
+
+
 def _other_things(cloud: Path, median_mm: float, size_mm: float) -> str:
     """What is said where a fit has not carried the cloud onto the reference."""
     return (
@@ -120,7 +148,7 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
     if args.reference.is_dir() and truth_path is None:
         raise InputError(
             f"{args.reference}: is a folder, and not the folder truth of a simulation: name a mesh, a cloud, or that "
-            "folder"
+            f"folder, as in jaxscan compare {args.cloud} truth"
         )
     truth = None if truth_path is None else read_truth_file(truth_path)
     reference = read_reference(args.reference, args.reference_units) if truth is None else _of_truth(truth)
@@ -136,6 +164,8 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
 
         step(f"drawing {args.png}")
         words = f"{figures['points']} points, {figures['rms_mm']:.3f} mm RMS, median {figures['median_mm']:.3f} mm"
+        if figures["points_far"]:
+            words += f"; {figures['rms_without_far_mm']:.3f} mm RMS without {figures['points_far']} far off"
         draw_comparison(args.png, found, f"{args.cloud.name} against {args.reference.name}: {words}")
     motion = None
     if found.motion is not None:
@@ -148,9 +178,23 @@ def _compared(points: "np.ndarray", args: argparse.Namespace) -> dict[str, Any]:
         "reference_inside_out": bool(getattr(reference, "inside_out", False)),
         "figures": figures,
         "fit": motion,
+        "on_floor": None if misfit else _on_floor(args.cloud),
         "truth": None if truth is None else _against_truth(args.cloud, truth),
         "written": [str(path) for path in (args.output, args.png) if path],
     }
+
+
+def _on_floor(cloud: Path) -> float | None:
+    """Which part of a range image's points lie on its floor; None where there is none, and for other clouds."""
+    if cloud.suffix.lower() != ".npz":
+        return None
+    from jaxscan.reconstruction import read_range_image
+    from jaxscan.surface.floor import find_floor
+
+    try:
+        return find_floor(read_range_image(cloud)).share
+    except InputError:
+        return None
 
 
 def _of_truth(truth: "ScanTruth") -> "Reference":
@@ -259,6 +303,14 @@ def describe(result: dict[str, Any]) -> str:
             f"95 % {figures['p95_mm']:.4f}, largest {figures['largest_mm']:.4f} mm",
             f"  mean       {figures['mean_mm']:+.4f} mm, positive in front of the reference",
         ]
+        if figures["points_far"]:
+            lines.append(
+                f"  without    {figures['points_far']} points that are far off, more than {figures['far_mm']:.3g} mm "
+                f"(ten times the median): {figures['rms_without_far_mm']:.4f} mm RMS"
+            )
+            scan = result["path"].lower().endswith(".npz")
+            if scan and figures["rms_without_far_mm"] < _STRAYS * figures["rms_mm"]:
+                lines[-1] += "; `jaxscan mesh` removes stray points"
         if truth := result["truth"]:
             lines.append(
                 f"  true point {truth['to_true_point']:.4f} mm RMS from that of the same frame and column "
@@ -268,6 +320,11 @@ def describe(result: dict[str, Any]) -> str:
         lines += [f"warning: {words}" for words in result["warnings"]]
         if result["reference_inside_out"]:
             lines.append("  reference  is inside out, and was turned")
+        if result["on_floor"]:
+            lines.append(
+                f"  floor      {100 * result['on_floor']:.0f} % of the points lie on one plane, the floor as it seems, "
+                f"and count; without it: jaxscan mesh {result['path']} -o object.npz, then compare object.npz"
+            )
         if result["written"]:
             lines.append(f"  written    {', '.join(result['written'])}")
     for number, found in enumerate(result["regions"], 1):

@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     with progress("joining and drawing", 3, "part") as advance:
         image, floor = object_alone(image)
         advance()
-        _write_surface(out / f"{name}.stl", image)
+        _write_surface(out / f"{name}.stl", image, floor)
         advance()
         draw_picture(out, name, image, floor, calibration.rig)
         advance()
@@ -106,7 +106,7 @@ def object_alone(image: "RangeImage") -> "tuple[RangeImage, Floor]":
     return cleaned.where(stands_on(cleaned, floor)), floor
 
 
-def _write_surface(path: Path, image: "RangeImage") -> None:
+def _write_surface(path: Path, image: "RangeImage", floor: "Floor") -> None:
     """Write the triangles of a scan; one surface of what a turn has shown twice."""
     import trimesh
 
@@ -116,10 +116,10 @@ def _write_surface(path: Path, image: "RangeImage") -> None:
     from jaxscan.surface.triangles import grid_surface
 
     if len(passages(image)) > 1:
-        write_trimesh(path, fused(image).mesh)
+        write_trimesh(path, fused(image).mesh, floor=floor.note())
         return
     surface = grid_surface(image)
-    write_trimesh(path, trimesh.Trimesh(surface.vertices, surface.triangles, process=False))
+    write_trimesh(path, trimesh.Trimesh(surface.vertices, surface.triangles, process=False), floor=floor.note())
 
 
 def draw_picture(out: Path, name: str, image: "RangeImage", floor: "Floor", rig: "Rig") -> None:
@@ -177,13 +177,26 @@ def describe(result: dict[str, Any]) -> str:
 
     errors, out, name = result["errors"], result["path"], result["object"]
     command = "jaxscan" if shutil.which("jaxscan") else sys.argv[0]
-    needs = "" if find_spec("viser") else ' (after pip install "jaxscan[viewer]", from where jaxscan came)'
+    surface = f"{out}/{name}.stl"
     return "\n".join(
         [
             f"the {name}: {result['points']} points, {errors['absolute']:.3f} mm RMS from the true surface "
             f"({errors['absolute_after_fit']:.3f} mm after a rigid fit), "
             f"{100 * errors['completeness']:.1f} % of what an ideal camera sees, in {result['seconds']:.0f} s",
             f"files: {out}/{name}.png (look at this first), {out}/{name}.stl, {out}/{name}.ply, {out}/rig.json",
-            f"see it in the browser: {command} view {out}/{name}.stl{needs}",
+            *_last_commands(command, surface),
         ]
     )
+
+
+def _last_commands(command: str, surface: str) -> list[str]:
+    """What to do with the surface next; the last line is a command that works with what is installed."""
+    if find_spec("viser"):
+        return [f"see it in the browser: {command} view {surface}"]
+    later = f"see it in the browser: pip install viser, then {command} view {surface}"
+    if find_spec("matplotlib"):
+        return [
+            later,
+            f"see it now, as a picture: {command} view {surface} --png {surface.removesuffix('.stl')}-mesh.png",
+        ]
+    return [later, f"see what it holds: {command} inspect {surface}"]

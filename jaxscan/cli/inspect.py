@@ -12,6 +12,7 @@ from jaxscan.cli.progress import step
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 from jaxscan.files.formats import ENDINGS
+from jaxscan.missing import no_such_file
 
 HELP: Final = "say in words what a session, scan, rig, camera, cloud, range image or mesh holds"
 EXAMPLE: Final = "jaxscan inspect scans/cup --frame 12 --png cup-12.png"
@@ -109,7 +110,7 @@ def _kind(path: Path) -> tuple[str, Path]:
     if path.is_dir():
         return _kind_of_folder(path)
     if not path.exists():
-        raise InputError(f"{path}: there is no such file or folder: check the path")
+        raise no_such_file(Path(path), "file or folder")
     ending = path.suffix.lower()
     if ending == ".toml":
         from jaxscan.files.text import read_toml

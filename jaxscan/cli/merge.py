@@ -282,15 +282,16 @@ def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") ->
     from jaxscan.files.mesh import write_mesh_ply, write_trimesh
 
     mesh, known = merged.mesh, merged.sides > 0
+    note = sides[0].floor.note() if sides[0].floor else None
     if args.simplify is not None:
         mesh = simplified(mesh, args.simplify)
     for path in args.output:
         if path.suffix.lower() == ".ply":
             cloud = merged.cloud() if mesh is merged.mesh else Cloud(np.asarray(mesh.vertices, np.float32))
             normals = np.asarray(mesh.vertex_normals, np.float32)
-            write_mesh_ply(path, cloud, np.asarray(mesh.faces), normals=normals)
+            write_mesh_ply(path, cloud, np.asarray(mesh.faces), normals=normals, floor=note)
         else:
-            write_trimesh(path, mesh)
+            write_trimesh(path, mesh, floor=note)
     if args.png:
         from jaxscan.geometry.robust_plane import dominant_plane
         from jaxscan.view.surface_plots import draw_mesh

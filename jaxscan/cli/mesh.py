@@ -10,6 +10,7 @@ from jaxscan.cli.progress import step
 from jaxscan.cli.texture_options import add_texture_arguments, check_texture, texture_asked, texture_in_words
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
+from jaxscan.missing import no_such_file
 
 if TYPE_CHECKING:
     import numpy as np
@@ -115,7 +116,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     result["coloured"] = None if colours is None else int(colours.any(axis=1).sum())
     for path in args.output:
         step(f"writing {path}")
-        _write(path, mesh, cloud, quads if args.quads else None, image, colours, texture)
+        _write(path, mesh, cloud, quads if args.quads else None, image, colours, texture, floor)
     if args.png:
         import numpy as np
 
@@ -159,6 +160,8 @@ def _check(args: argparse.Namespace) -> None:
     from jaxscan.files.exchange import CLOUDS
 
     if ending != ".npz" and ending not in CLOUDS:
+        if args.points.is_dir() or not (ending or args.points.exists()):
+            raise no_such_file(args.points)
         raise InputError(f"{args.points}: give a range image (.npz) or a cloud ({', '.join(CLOUDS)})")
     check_units(args.points, args.units)
     for path in args.output:
@@ -362,13 +365,14 @@ def _write(
     image: "RangeImage | None",
     colours: "np.ndarray | None",
     texture: "Texture | None",
+    floor: "Floor | None",
 ) -> None:
     import numpy as np
 
     from jaxscan.files.cloud import Cloud
     from jaxscan.files.mesh import write_mesh_ply, write_trimesh
 
-    ending = path.suffix.lower()
+    ending, note = path.suffix.lower(), floor.note() if floor else None
     if ending == ".npz" and image is not None:
         from jaxscan.reconstruction import write_points
 
@@ -376,7 +380,7 @@ def _write(
     elif ending == ".ply":
         triangles, four = quads if quads is not None else (np.asarray(mesh.faces), None)
         vertices = replace(cloud or Cloud(np.asarray(mesh.vertices, np.float32)), colours=colours)
-        write_mesh_ply(path, vertices, triangles, four, np.asarray(mesh.vertex_normals, np.float32))
+        write_mesh_ply(path, vertices, triangles, four, np.asarray(mesh.vertex_normals, np.float32), note)
     elif ending == ".glb" and texture is not None:
         from jaxscan.files.glb import write_textured_glb
 
@@ -384,7 +388,7 @@ def _write(
         P, normals = (np.asarray(of)[place] for of in (mesh.vertices, mesh.vertex_normals))
         write_textured_glb(path, P, atlas.triangles, normals, atlas.pixels, texture.picture)
     else:
-        write_trimesh(path, mesh, colours)
+        write_trimesh(path, mesh, colours, note)
 
 
 def describe(result: dict[str, Any]) -> str:

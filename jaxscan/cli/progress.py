@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any, Final, TypeVar
 
+from jaxscan.cli.compiled import compiling
 from jaxscan.deadline import HOW_TO_GO_ON, patience_s
 
 Item = TypeVar("Item")
@@ -26,7 +27,8 @@ _LINE_S, _LATER_LINE_S = 4.0, 15.0
 _LATER_S: Final = 60.0
 # Work that is not counted is shown after this long. Its line fits the narrowest terminal.
 _QUIET_S: Final = 1.0
-_WIDTH: Final = 79
+_WIDTH, _HEIGHT = 79, 24
+_COMPILING: Final = "compiling, this once"
 # What is stuck uses less of one core than this.
 _IDLE: Final = 0.01
 
@@ -57,9 +59,13 @@ class Progress:
         """How far it is."""
         total = "" if self._bar.total is None or self._count == self._bar.total else f" of {self._bar.total}"
         number = self._bar.total if total else self._count
-        doing = f" ({self._doing})" if self._doing else ""
+        doing = f" ({said})" if (said := self._says()) else ""
         units = f"{self._unit}{'' if number == 1 else 's'}"
         return f"{self._words}: {self._count}{total} {units}{doing}, {time.monotonic() - self._begin:.1f} s"
+
+    def _says(self) -> str:
+        """What is being done, and that it is compiled for, which no later command does again."""
+        return ", ".join(each for each in (self._doing, _COMPILING * compiling()) if each)
 
     def _line_s(self) -> float:
         """Seconds from one line to the next."""
@@ -71,6 +77,7 @@ class Progress:
         calls, idle = self._calls, 0.0
         while not ended.wait(_PULSE_S):
             if not self._bar.disable:
+                self._bar.set_postfix_str(self._says(), refresh=False)
                 self._bar.refresh()
             elif time.monotonic() - printed > self._line_s():
                 printed = time.monotonic()
@@ -127,7 +134,7 @@ class Working:
             self._wipe()
 
     def _show(self) -> None:
-        now, line = time.monotonic(), f"{self._name}: {self._words}"
+        now, line = time.monotonic(), f"{self._name}: {self._words}{f', {_COMPILING}' * compiling()}"
         if not sys.stderr.isatty():
             # Who reads a log later does not wait, and short commands leave it empty.
             if now - self._said > _LATER_LINE_S:
@@ -198,7 +205,11 @@ def progress(words: str, total: int | None = None, unit: str = "image", elsewher
     tqdm.monitor_interval = 0
     limit, ended = float("inf") if elsewhere else patience_s(), threading.Event()
     with resting():
-        with tqdm(desc=words, total=total, unit=unit, file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
+        shown = sys.stderr.isatty()
+        columns, rows = _size(shown)
+        with tqdm(
+            desc=words, total=total, unit=unit, file=sys.stderr, disable=not shown, ncols=columns, nrows=rows
+        ) as bar:
             # A bar that is not shown forgets its total.
             bar.total = total
             made = Progress(words, unit, bar)
@@ -209,9 +220,18 @@ def progress(words: str, total: int | None = None, unit: str = "image", elsewher
             finally:
                 ended.set()
                 watch.join()
-        if bar.disable:
+        if not shown:
             print(made.line(), file=sys.stderr)
     step("going on")
+
+
+def _size(terminal: bool) -> tuple[int | None, int | None]:
+    """Columns and rows for the bar where a terminal does not say how large it is, as through a serial line."""
+    try:
+        known = terminal and min(os.get_terminal_size(sys.stderr.fileno())) > 0
+    except (OSError, ValueError, AttributeError):
+        known = False
+    return (None, None) if known or not terminal else (_WIDTH, _HEIGHT)
 
 
 def track(items: Iterable[Item], words: str, total: int | None = None, unit: str = "image") -> Iterator[Item]:

@@ -23,8 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", type=Path, help="show its cameras, light plane and the stage's travel")
     parser.add_argument(
         "--colour",
-        choices=("height", "sigma", "strength", "albedo", "photograph"),
-        help="of the points; photograph: their own (default: height; of a mesh that has colours, these)",
+        choices=("height", "z", "sigma", "strength", "albedo", "photograph"),
+        help="of the points; photograph: their own (default: the height over the floor, or z where no floor is known; "
+        "of a mesh that has colours, these)",
     )
     parser.add_argument("--png", type=Path, metavar="OUT", help="draw a picture in place of opening the browser")
     parser.add_argument(

@@ -26,6 +26,7 @@ from jaxscan.errors import InputError
 from jaxscan.extras import extra
 from jaxscan.files.cloud import NUMBERS, Cloud, adding_points, check_points, read_ply, writing_ply
 from jaxscan.files.packed_colours import packed, unpacked
+from jaxscan.missing import no_such_file
 
 EXCHANGE: Final = (".xyz", ".pcd", ".e57", ".laz", ".las")
 CLOUDS: Final = (".ply", *EXCHANGE)
@@ -64,7 +65,7 @@ def read_cloud(path: str | os.PathLike[str]) -> Cloud:
         return read_ply(path)
     check_exchange(path)
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file: check the path")
+        raise no_such_file(Path(path))
     cloud = _READERS[ending](path)
     if not len(cloud.points):
         raise InputError(f"{path}: holds no points: check which file it is")

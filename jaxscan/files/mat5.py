@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxscan.errors import InputError
+from jaxscan.missing import no_such_file
 
 _HEADER: Final = 128
 _TYPES: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -44,7 +45,7 @@ def read_matrices(path: Path, wanted: re.Pattern[str]) -> dict[str, Float64[np.n
     try:
         data = path.read_bytes()
     except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such file: check the path") from error
+        raise no_such_file(Path(path)) from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder, but a .mat file is expected: name the file in it") from error
     except OSError as error:

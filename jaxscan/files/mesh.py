@@ -11,12 +11,14 @@ from jaxtyping import Float32, Int, UInt8
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.cloud import Cloud, check_points, cloud_of, shown_colours, vertices_of
+from jaxscan.files.floor_note import FloorNote, stl_with_floor
 from jaxscan.files.ply import Column, Element, Lists, Ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import write_ply_file
 from jaxscan.foreign import foreign
 from jaxscan.images.sampled import sampled
 from jaxscan.images.shaded import TextureMap
+from jaxscan.missing import no_such_file
 
 _UNREADABLE: Final = ("cannot be read as a mesh", "give an STL, PLY, OBJ or the like")
 _INDICES: Final = ("vertex_indices", "vertex_index")
@@ -30,7 +32,7 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file: check the name")
+        raise no_such_file(Path(path))
     if path.suffix.lower() == ".ply":
         return mesh_of(path, read_ply_file(path))
     with foreign(path, *_UNREADABLE):
@@ -48,7 +50,7 @@ def mesh_pieces(path: str | os.PathLike[str]) -> list[trimesh.Trimesh]:
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file: check the name")
+        raise no_such_file(Path(path))
     with foreign(path, *_UNREADABLE):
         pieces = trimesh.load_scene(path, process=False).dump()
         pieces = [each for each in pieces if isinstance(each, trimesh.Trimesh) and len(each.faces)]
@@ -107,8 +109,9 @@ def write_mesh_ply(
     triangles: Int[np.ndarray, "triangles 3"],
     quads: Int[np.ndarray, "quads 4"] | None = None,
     normals: Float32[np.ndarray, "vertices 3"] | None = None,
+    floor: FloorNote | None = None,
 ) -> None:
-    """Write a mesh with what is known of its vertices, as PLY, whole or not at all.
+    """Write a mesh with what is known of its vertices, and of the floor, as PLY, whole or not at all.
 
     Raises:
         InputError: the file cannot be written.
@@ -122,11 +125,15 @@ def write_mesh_ply(
     if normals is not None:
         vertex.columns.update(zip(("nx", "ny", "nz"), normals.T, strict=True))
     elements = {"vertex": vertex, "face": Element(len(faces), columns)}
-    write_ply_file(path, Ply(elements, comments=("comment units mm",)))
+    notes = () if floor is None else (f"comment {floor.words()}",)
+    write_ply_file(path, Ply(elements, comments=("comment units mm", *notes)))
 
 
 def write_trimesh(
-    path: str | os.PathLike[str], mesh: trimesh.Trimesh, colours: UInt8[np.ndarray, "vertices 3"] | None = None
+    path: str | os.PathLike[str],
+    mesh: trimesh.Trimesh,
+    colours: UInt8[np.ndarray, "vertices 3"] | None = None,
+    floor: FloorNote | None = None,
 ) -> None:
     """Write a mesh as .stl, .obj or .glb, by the path's ending, whole or not at all; numbers are millimetres.
 
@@ -134,15 +141,22 @@ def write_trimesh(
         path: the file.
         mesh: without colours.
         colours: of its vertices, which .obj and .glb have; 0, 0, 0 for one without, which is written grey.
+        floor: that it stood on, which .stl and .obj note.
 
     Raises:
         InputError: the file cannot be written.
     """
     if colours is not None:
         mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=shown_colours(colours), process=False)
-    content = mesh.export(file_type=Path(path).suffix.lower()[1:])
+    content: Any = mesh.export(file_type=Path(path).suffix.lower()[1:])
+    content = content.encode() if isinstance(content, str) else content
+    ending = Path(path).suffix.lower()
+    if floor is not None and ending == ".stl":
+        content = stl_with_floor(content, floor)
+    elif floor is not None and ending == ".obj":
+        content = f"# jaxscan, mm, {floor.words()}\n".encode() + content
     with replacing(path) as file:
-        file.write(content.encode() if isinstance(content, str) else content)
+        file.write(content)
 
 
 def _fans(faces: Lists) -> Int[np.ndarray, "triangles 3"]:

@@ -18,6 +18,7 @@ from jaxtyping import Int, Shaped
 
 from jaxscan.errors import InputError
 from jaxscan.files.ply import SCALARS, WORDS, Column, Element, Format, Lists, Order, Ply, byte_order
+from jaxscan.missing import no_such_file
 
 _FORMATS: Final[dict[str, Format]] = {name: name for name in get_args(Format)}
 _LONGEST_LINE, _LONGEST_HEADER = 1 << 12, 1 << 20
@@ -45,7 +46,7 @@ def read_ply_file(path: str | os.PathLike[str]) -> Ply:
             form, declared, comments = _read_header(path, file)
             body = np.fromfile(file, np.uint8)
     except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such file: check the path") from error
+        raise no_such_file(Path(path)) from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder: name a PLY file in it") from error
     except OSError as error:

@@ -12,6 +12,7 @@ from jaxscan.files.table import Table
 from jaxscan.files.text import read_toml
 from jaxscan.images import StripeSettings
 from jaxscan.images.stripe_settings import COLORS
+from jaxscan.missing import no_such_file
 
 # By which table each is known from the other.
 _TELLING: Final = {"session.toml": "views", "scan.toml": "scan", "profiles.toml": "profiles"}
@@ -29,7 +30,7 @@ def toml_in(path: Path, name: str) -> Path:
             raise InputError(f"{path}: has no {name}: write one there, or name another folder")
         return path / name
     if not path.exists():
-        raise InputError(f"{path}: there is no such file or folder: check the path")
+        raise no_such_file(Path(path), "file or folder")
     return path
 
 

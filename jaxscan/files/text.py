@@ -10,6 +10,7 @@ from typing import Any, Final
 from jaxscan.errors import InputError
 from jaxscan.files.kinds import kind_in_words
 from jaxscan.files.table import Table, show
+from jaxscan.missing import no_such_file
 
 # A list of a hundred thousand photographs has three million letters.
 _LONGEST: Final = 8 << 20
@@ -88,7 +89,7 @@ def read_text(path: Path, kind: str, wanted: str = "another file", longest: int 
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(longest + 1)
     except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such file: check the path") from error
+        raise no_such_file(Path(path)) from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder, but a {kind} file is expected: name the file in it") from error
     except UnicodeDecodeError as error:

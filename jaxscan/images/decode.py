@@ -22,6 +22,7 @@ from jaxtyping import UInt, UInt8
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError, error_context
 from jaxscan.images.headers import JPEG_START, MOST_PIXELS, Header, check_size, is_whole, read_header
+from jaxscan.missing import no_such_file
 from jaxscan.npy import NPY_START, NpyHeader, read_npy, read_npy_header
 
 Image = UInt[np.ndarray, "rows columns *rgb"]
@@ -154,7 +155,7 @@ def read_video(path: str | os.PathLike[str]) -> Iterator[UInt[np.ndarray, "rows 
         InputError: the file is missing, or is not a video that can be decoded.
     """
     if not Path(path).is_file():
-        raise InputError(f"{path}: there is no such file: check the name")
+        raise no_such_file(Path(path))
     # FFmpeg would go on to the files and addresses that a playlist names, whatever the playlist is called.
     if _is_text(path):
         raise InputError(f"{path}: is not a video that can be decoded, but text: convert it to MP4 or AVI")
@@ -247,7 +248,7 @@ def _read_bytes(path: Path, limit: int = -1) -> bytes:
         with path.open("rb") as file:
             return file.read(limit)
     except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such file: check the name") from error
+        raise no_such_file(Path(path)) from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder: name an image in it") from error
     except OSError as error:

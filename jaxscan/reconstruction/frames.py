@@ -5,8 +5,9 @@ together, or fewer where they are large, and keeps that size to the end of the s
 compiled for again.
 """
 
+import os
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from itertools import islice
@@ -19,6 +20,7 @@ from jaxtyping import Int, Shaped, UInt
 
 from jaxscan.deadline import Workers, result_of
 from jaxscan.errors import InputError
+from jaxscan.files.axes import STAGE
 from jaxscan.files.scan import Scan
 from jaxscan.images import read_image, read_video
 from jaxscan.images.decode import Image
@@ -30,6 +32,11 @@ _SLOTS: Final = 3
 _SLOT_BYTES: Final = 128 << 20
 # What lies on such a boundary is handed to a compiled function without a copy.
 _ALIGNMENT: Final = 64
+# How photographs in memory are given.
+_PAIRS: Final = (
+    "give pairs of a photograph and its motor steps, as reconstruct(rig, zip(photographs, range(0, 2000 * n, 2000))) "
+    'for n photographs 2000 steps of the stage apart, or (photograph, {"turntable": 20}) for another axis'
+)
 
 
 @dataclass(frozen=True)
@@ -74,6 +81,26 @@ def frames_of_scan(scan: Scan, size: tuple[int, int], decoders: int | None = Non
         InputError: a photograph cannot be read or is unlike the others, or there are more or fewer than step counts.
     """
     return _of_video(scan, size) if scan.video is not None else _of_files(scan, size, decoders)
+
+
+def with_positions(frames: object) -> Iterator[tuple[Image, Positions]]:
+    """Photographs in memory with the positions of the axes by their names; a number is the step count of the stage.
+
+    Raises:
+        InputError: what is given is no photographs, or one of them comes without positions.
+    """
+    if isinstance(frames, str | os.PathLike):
+        raise InputError(f'photographs: {frames} is a path: give read_scan("{frames}") for the scan in that folder')
+    if not isinstance(frames, Iterable):
+        raise InputError(f"photographs: {type(frames).__name__}: {_PAIRS}")
+    for number, each in enumerate(frames):
+        if not isinstance(each, tuple | list) or len(each) != 2:
+            what = f"an array of shape {each.shape}" if isinstance(each, np.ndarray) else f"a {type(each).__name__}"
+            raise InputError(f"frame {number}: is {what}, without motor steps: {_PAIRS}")
+        photograph, q = each
+        if np.ndim(photograph) not in (2, 3):
+            raise InputError(f"frame {number}: its photograph is {photograph!r:.60}, and no array of pixels: {_PAIRS}")
+        yield np.asarray(photograph), q if isinstance(q, Mapping) else {STAGE: q}
 
 
 def frames_of(

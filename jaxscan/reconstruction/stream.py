@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector, check_detector
 from jaxscan.errors import InputError, error_context
-from jaxscan.files.axes import STAGE
 from jaxscan.files.place_checks import doubts
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
@@ -26,7 +25,7 @@ from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.images.stripes.validity import Verdict
-from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan
+from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
@@ -166,9 +165,8 @@ class Scanner:
         settings = laser or StripeSettings()
         ready = self._laser(settings)
         self.notes, self.left_out = [], {}
-        named = ((image, q if isinstance(q, Mapping) else {STAGE: q}) for image, q in frames)
         first, looked, played = None, False, {axis: Runs() for axis in played_axes(self._content.rig.motion)}
-        for some, axes in frames_of(named, background, self._content.rig.camera.image_size, batch):
+        for some, axes in frames_of(with_positions(frames), background, self._content.rig.camera.image_size, batch):
             first = some.positions[0] if first is None else first
             moving = [axis for axis, moved in zip(axes, (some.positions != first).any(axis=0), strict=True) if moved]
             check_axes(self._content.rig, moving, axes, "frames:")

@@ -26,12 +26,13 @@ from jaxtyping import ArrayLike, Float, Int
 from jaxscan.geometry.rotation import A, namespace
 from jaxscan.precision import Leaf
 from jaxscan.rig.light_plane import LightPlane
+from jaxscan.rig.readable import Readable
 
 # Rays that leave a cylinder lens on a steeper cone (radians) are of no line laser: 11°.
 _STEEPEST = 0.2
 
 
-class BowedSheet(eqx.Module):
+class BowedSheet(Readable):
     """The points X = x z of the camera frame, x = (x, y, 1), with ω · x + b (ω₂ x − ω₁ y)² = 1 / z; none behind it.
 
     At ± f along the stripe and at depth z it is b (ω₁² + ω₂²) f² / (z |ω|) nearer to the camera than its plane, and the
@@ -45,6 +46,7 @@ class BowedSheet(eqx.Module):
 
     kind: ClassVar[str] = "bowed"
     numbers: ClassVar[Mapping[str, int]] = {"plane": 3, "bow": 1}
+    units: ClassVar[Mapping[str, str]] = {"plane": "1/mm", "bow": "mm"}
 
     plane: tuple[Leaf, Leaf, Leaf]
     bow: tuple[Leaf]

@@ -1,7 +1,7 @@
 """The camera: a pinhole with a lens and a sensor, from points to pixels and from pixels to rays."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -14,13 +14,14 @@ from jaxscan.rig.batches import over_batch
 from jaxscan.rig.chart import FLAT, Chart
 from jaxscan.rig.kinds import LENSES, lens_of_kind
 from jaxscan.rig.lens import Lens, undistort, undistorted_change
+from jaxscan.rig.readable import Readable
 from jaxscan.rig.tilted_sensor import change_off_sensor, off_sensor, onto_sensor
 
 _PINHOLE = {"focal": 2, "principal": 2}
 _TILT = {"tilt": 2}
 
 
-class Camera(eqx.Module):
+class Camera(Readable):
     """A pinhole camera with a lens. Every number is a leaf of its own, so that each can be held or freed.
 
     Attributes:
@@ -36,6 +37,8 @@ class Camera(eqx.Module):
     lens: Lens
     image_size: tuple[int, int] = eqx.field(static=True)
     tilt: tuple[Leaf, ...] = ()
+
+    units: ClassVar[Mapping[str, str]] = {"image_size": "px", "focal": "px", "principal": "px", "tilt": "rad"}
 
     @staticmethod
     def create(

@@ -31,6 +31,10 @@ class Covariance:
     names: tuple[str, ...]
     matrix: Float64[np.ndarray, "parameters parameters"]
 
+    def __repr__(self) -> str:
+        which = f", {self.names[0]} to {self.names[-1]}" if self.names else ""
+        return f"Covariance({len(self.names)} parameters{which})"
+
     def sigma(self, name: str) -> float | None:
         """The standard deviation of one parameter, None where it was held."""
         if name not in self.names:

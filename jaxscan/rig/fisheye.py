@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -20,11 +19,12 @@ from jaxtyping import Array, Float
 from jaxscan.precision import Leaf
 from jaxscan.rig import growing
 from jaxscan.rig.chart import AROUND, Chart
+from jaxscan.rig.readable import Readable
 
 _WIDEST: Final = math.radians(175)
 
 
-class Fisheye(eqx.Module):
+class Fisheye(Readable):
     """An equidistant lens with its errors. Every coefficient is a leaf of its own, so that each can be held or freed.
 
     Attributes:

@@ -12,6 +12,7 @@ from jaxscan.errors import ObservabilityError
 from jaxscan.geometry.robust_plane import planes_through, refined_plane
 from jaxscan.geometry.rotation import A, namespace
 from jaxscan.precision import Leaf
+from jaxscan.rig.readable import Readable
 
 # A sheet nearer to the centre of projection than this (mm) is seen edge on: its depth is lost in rounding.
 _NEAREST = 1e-3
@@ -20,7 +21,7 @@ _TRIALS = 500
 _SAMPLE = 500
 
 
-class LightPlane(eqx.Module):
+class LightPlane(Readable):
     """The points X of the camera frame with ω · X = 1.
 
     Attributes:
@@ -30,6 +31,7 @@ class LightPlane(eqx.Module):
 
     kind: ClassVar[str] = "plane"
     numbers: ClassVar[Mapping[str, int]] = {"plane": 3}
+    units: ClassVar[Mapping[str, str]] = {"plane": "1/mm"}
 
     plane: tuple[Leaf, Leaf, Leaf]
     name: str = eqx.field(static=True, default="")

@@ -11,12 +11,13 @@ from jaxtyping import Float
 from jaxscan.geometry.rotation import A, namespace
 from jaxscan.precision import Leaf
 from jaxscan.rig.motion import unit_vector
+from jaxscan.rig.readable import Readable
 
 # A direction that is less than this share of the way is not worth a word.
 _A_WORD = 0.25
 
 
-class Line(eqx.Module):
+class Line(Readable):
     """A motion along a line, and how it differs from one.
 
     Attributes:
@@ -28,6 +29,15 @@ class Line(eqx.Module):
     """
 
     numbers: ClassVar[Mapping[str, int]]
+    units: ClassVar[Mapping[str, str]] = {
+        "per_step": "mm",
+        "bow": "mm",
+        "turn": "rad",
+        "centre": "mm",
+        "wave": "mm",
+        "period": "steps",
+        "play": "steps",
+    }
     given: ClassVar[tuple[str, ...]] = ()
     of_the_line: ClassVar[str] = "per_step"
 

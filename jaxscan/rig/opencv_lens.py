@@ -11,7 +11,6 @@ The inverse has no closed form. It is found by Newton's method, run until it sta
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -19,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from jaxscan.precision import Leaf
 from jaxscan.rig import growing
 from jaxscan.rig.lens import solve2
+from jaxscan.rig.readable import Readable
 
 Coefficients = tuple[Leaf, ...]
 
@@ -27,7 +27,7 @@ _MAX_NEWTON_STEPS = 60
 _WIDEST_RADIUS = 10.0
 
 
-class OpenCVLens(eqx.Module):
+class OpenCVLens(Readable):
     """Some of OpenCV's terms. Every coefficient is a leaf of its own, so that each can be held or freed.
 
     Attributes:

@@ -3,7 +3,6 @@
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,11 +17,12 @@ from jaxscan.rig.camera import Camera
 from jaxscan.rig.light import Light, meet
 from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
 from jaxscan.rig.play import ScrewOnGuideWithPlay, is_run
+from jaxscan.rig.readable import Readable
 
 _STAGE_SHAPES: Final = ScrewOnGuideWithPlay.shape()
 
 
-class Rig(eqx.Module):
+class Rig(Readable):
     """A camera, its lights, and the motion of the object.
 
     Attributes:
@@ -34,6 +34,11 @@ class Rig(eqx.Module):
     camera: Camera
     lights: tuple[Light, ...] = ()
     motion: Motion = Fixed()
+
+    def _said(self) -> list[str]:
+        """A line for the camera, for each light and for each axis."""
+        parts = [self.camera, *self.lights, *self.motion.parts()]
+        return ["\n    " + ",\n    ".join(map(repr, parts)) + ",\n"]
 
     def light(self, name: str = "") -> Light:
         """The light of a laser; without a name, the only one.

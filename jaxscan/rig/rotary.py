@@ -14,6 +14,7 @@ from jaxscan.geometry.rotation import A, namespace
 from jaxscan.geometry.turn import axis_point, rate_of_turn
 from jaxscan.precision import Leaf
 from jaxscan.rig.motion import Positions, unit_vector
+from jaxscan.rig.readable import Readable
 
 # An axis within this share of its length of the line of sight's right angle is seen from the side.
 _FROM_THE_SIDE = 0.25
@@ -21,7 +22,7 @@ _FROM_THE_SIDE = 0.25
 _LEAST_TURN = 0.05
 
 
-class Rotary(eqx.Module):
+class Rotary(Readable):
     """A turn about an axis of the object frame.
 
     Attributes:
@@ -32,6 +33,7 @@ class Rotary(eqx.Module):
 
     kind: ClassVar[str] = "rotary"
     numbers: ClassVar[Mapping[str, int]] = {"per_step": 3, "centre": 3}
+    units: ClassVar[Mapping[str, str]] = {"per_step": "rad", "centre": "mm", "play": "steps"}
     # The third shows whether the first two were a turn at all.
     fewest: ClassVar[int] = 3
 

@@ -13,7 +13,6 @@ known of s beforehand (`calibration.lens_field`).
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +21,7 @@ from jaxtyping import Array, Float
 from jaxscan.precision import Leaf
 from jaxscan.rig import opencv_lens, spline
 from jaxscan.rig.lens import solve2
+from jaxscan.rig.readable import Readable
 from jaxscan.rig.tilted_sensor import off_sensor
 
 # Of the grid, along x and along y: of the shorter side of an image too about as long as of the longer.
@@ -36,7 +36,7 @@ _MAX_STEPS = 30
 _CLOSE = 64
 
 
-class Splined(eqx.Module):
+class Splined(Readable):
     """OpenCV's terms and a field of shifts. Every number is a leaf of its own, so that each can be held or freed.
 
     Attributes:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +11,11 @@ from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.surface.fit import rigid_fit_to
 from jaxscan.surface.reference import Reference, diagonal, signed_distance
+
+# A point that is this many times as far off as the median is far: of normal errors one in 10^11.
+_FAR: Final = 10.0
+# A median that is less, mm, is rounding, and measures nothing.
+_ROUNDING_MM: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -27,9 +33,16 @@ class Comparison:
     motion: Pose | None = None
 
     def figures(self) -> dict[str, float | int]:
-        """The mean with its sign; root mean square, median, 95 % and largest of the distances without."""
+        """The mean with its sign; root mean square, median, 95 % and largest of the distances without, mm.
+
+        Points farther off than ten times the median are far: `points_far` is how many, `far_mm` that distance, and
+        `rms_without_far_mm` the root mean square of the others. All other figures are of all points.
+        """
         known = self.distance[np.isfinite(self.distance)]
         size = np.abs(known)
+        median = float(np.median(size))
+        limit = _FAR * median if median > _ROUNDING_MM else np.inf
+        near = known[size <= limit]
         return {
             "points": len(known),
             "points_beyond": len(self.distance) - len(known),
@@ -38,6 +51,9 @@ class Comparison:
             "median_mm": float(np.median(size)),
             "p95_mm": float(np.percentile(size, 95)),
             "largest_mm": float(size.max()),
+            "points_far": len(known) - len(near),
+            "far_mm": limit if np.isfinite(limit) else float(size.max()),
+            "rms_without_far_mm": float(np.sqrt((near**2).mean())),
         }
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError
+from jaxscan.files.floor_note import FloorNote
 from jaxscan.geometry import Pose
 from jaxscan.geometry.robust_plane import dominant_plane, plane_frame, refined_plane
 from jaxscan.reconstruction import RangeImage
@@ -71,6 +72,10 @@ class Floor:
     def height(self, points: Float[np.ndarray, "*grid 3"]) -> Float[np.ndarray, "*grid"]:
         """How far points are above the floor, mm."""
         return (points - self.frame.translation) @ self.up
+
+    def note(self) -> FloorNote:
+        """Its plane, as files note it."""
+        return FloorNote(self.up, -float(self.frame.translation @ self.up))
 
 
 def find_floor(image: RangeImage) -> Floor:

@@ -2,11 +2,13 @@
 
 The surface is where f(x) = 0,
 
-    f(x) = Σ wᵢ nᵢ′ · (x − pᵢ) / Σ wᵢ,    wᵢ = exp(−|x − pᵢ|² / h²) / σᵢ²,
+    f(x) = Σ wᵢ nᵢ′ · (x − pᵢ) / Σ wᵢ,    wᵢ = exp(−tᵢ² / h² − aᵢ² / (h² + 9 σᵢ²)) / σᵢ²,
 
 over the points of all sides around x that face as the nearest one does (R. Kolluri, "Provably good moving least
-squares", 2005). nᵢ′ halves the angle between pᵢ's normal and their weighted mean: with pᵢ's own normal alone f would be
-off by h²/2r on a surface of radius r, so it is right to the second order.
+squares", 2005), with aᵢ the part of x − pᵢ along pᵢ's normal and tᵢ that across it. Where two sides err in opposite
+directions, as beside the edge of a dark patch, they lie in two layers. Were distances alike in all directions, f would
+be zero on each of them, and the surface a pile of flakes. nᵢ′ halves the angle between pᵢ's normal and their weighted
+mean: with pᵢ's own normal alone f would be off by h²/2r on a surface of radius r, so it is right to the second order.
 
 f is sampled on the cubes around the points, and each cube in which it changes its sign gets a vertex (S. Gibson,
 "Constrained elastic surface nets", 1998), which then moves along the normal to where f is zero. A vertex without points
@@ -33,8 +35,10 @@ from jaxscan.surface.side import Side
 # h, and where points end to count, in spacings of the sides.
 _WIDTH, _REACH = 0.5, 1.2
 _MOST_AROUND: Final = 64
-# Points whose normals differ by more than 16° are across a crease.
-_SAME_WAY: Final = 0.96
+# Points whose normals differ by more than 16° are across a crease, unless their σ tilt a line over a spacing as far.
+_SAME_WAY: Final = np.radians(16.0)
+# Along its normal a point is as near as it is within this number of σ: two layers of one surface are no two surfaces.
+_SIGMAS: Final = 3.0
 # Distance of the vertices, in spacings.
 _CUBE: Final = 0.7
 # A vertex of Poisson's surface is on what was seen where their normals differ by less than 60°.
@@ -119,10 +123,14 @@ class _Points:
         there = np.isfinite(away)
         index = np.where(there, index, 0)
         normal = self.normals[index]
-        there &= (normal * normal[:, :1]).sum(axis=2) > _SAME_WAY
         offset = x[:, None] - self.points[index]
         sigma = self.sigma[index]
-        weight = np.where(there, np.exp(-(np.where(there, away, 0.0) ** 2) / h**2) / sigma**2, 0.0)
+        tilt = np.minimum(np.hypot(sigma, sigma[:, :1]) / self.spacing, 1.0)
+        there &= (normal * normal[:, :1]).sum(axis=2) > np.cos(np.hypot(_SAME_WAY, tilt))
+        squared = np.where(there, away, 0.0) ** 2
+        along = np.minimum((normal * offset).sum(axis=2) ** 2, squared)
+        squared = (squared - along) / h**2 + along / (h**2 + (_SIGMAS * sigma) ** 2)
+        weight = np.where(there, np.exp(-squared) / sigma**2, 0.0)
         mean = (weight[..., None] * normal).sum(axis=1)
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
         half = normal + mean[:, None]

@@ -10,8 +10,9 @@ from jaxscan.calibration.diagnostics import Diagnostics, Suspect
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.suspects import REJECTED
 from jaxscan.reconstruction.working_volume import WorkingVolume
-from jaxscan.view.model_findings import listed, mixed_up, model_findings
+from jaxscan.view.model_findings import listed, model_findings
 from jaxscan.view.report import Box
+from jaxscan.view.stage_findings import mixed_names, mixed_up, off_their_places
 
 # A point, or a focal length, known no better than this share of itself is a reason to stop.
 _RELATIVE = 0.01
@@ -31,7 +32,7 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     """Everything that is wrong or weak, the worst first; empty where nothing is."""
     # Where two sessions have different millimetres, their photographs do not fit together for that reason alone.
     # Nor do photographs on the stage that were mixed up.
-    mixed = {name for each in diagnostics.stage_orders for name in each.names}
+    mixed = mixed_names(diagnostics)
     suspected = [suspect for suspect in diagnostics.suspects if suspect.name not in mixed]
     boxes = [*_scales(diagnostics), *mixed_up(diagnostics), *map(_suspect, suspected), *_sessions(diagnostics)]
     boxes += _notes(calibration)
@@ -183,7 +184,7 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
 
 def _worse(diagnostics: Diagnostics) -> list[Box]:
     """Photographs whose corners, and whose stripe if they have one, fit worse than those of most."""
-    suspected = {suspect.name for suspect in diagnostics.suspects}
+    suspected = {suspect.name for suspect in diagnostics.suspects} | off_their_places(diagnostics)
     each = [p for p in diagnostics.photographs if np.isfinite(p.corner_rms_px) and p.name not in suspected]
     if not each:
         return []
@@ -218,7 +219,8 @@ def thin(diagnostics: Diagnostics) -> list[Box]:
             Box(
                 "care",
                 f"All boards are nearly parallel: their normals lie within {cover.tilt_spread_deg:.0f}° of each "
-                "other. Focal length and distance are then known badly, and so is every length.",
+                "other. Then lengths rest on small differences of perspective: points are three to four times as "
+                "far off as with tilted boards, by noise, which σ covers, and by a board that is not quite flat.",
                 "Tilt the board by 30° or more, in different directions from view to view.",
             )
         )

@@ -9,6 +9,7 @@ from jaxscan.calibration.diagnostics.missing_terms import MissingTerms
 from jaxscan.rig.camera import camera_parameters, lens_parameters
 from jaxscan.rig.opencv_lens import LADDER
 from jaxscan.view.report import Box, Level
+from jaxscan.view.stage_findings import mixed_names, stage_findings
 
 # A richer lens is worth a word when held-out corners are nearer by this share.
 _LENS_GAIN = 0.025
@@ -27,8 +28,6 @@ _WHOLES, _FEWEST_WHOLES = 1.0, 5
 _MOVES_FAR = 4.0
 # Of normal residuals 0.27 % lie beyond 3 σ.
 _BEYOND_3 = 0.015
-# Mean square of errors of stage or turntable in σ.
-_STAGE = 4.0
 # Share of all corners or stripe points that were rejected.
 _REJECTED = 0.05
 _NAMED = 5
@@ -44,28 +43,12 @@ def model_findings(calibration: Calibration, diagnostics: Diagnostics) -> list[B
         *_off_grid(calibration),
         *_sheets(calibration, diagnostics, lens),
         *_bent(calibration, diagnostics),
-        *_changed(calibration),
+        *_changed(calibration, diagnostics),
         *_lent(calibration),
         *_drift(calibration),
         *_moved(calibration, diagnostics),
-        *_stage(calibration, diagnostics),
-        *_turntable(diagnostics),
+        *stage_findings(calibration, diagnostics),
         *_tails(calibration, diagnostics),
-    ]
-
-
-def mixed_up(diagnostics: Diagnostics) -> list[Box]:
-    """Stage photographs that do not go with their step counts."""
-    return [
-        Box(
-            "stop",
-            "The photographs on the stage do not go with their step counts: the board stood "
-            f"{each.error_mm:.2g} mm RMS away from where they say, and {each.sorted_mm:.2g} mm if they were in the "
-            f"order {listed(list(each.by_place))}.",
-            "Photograph names that sort otherwise than they were taken do this: correct images or steps under [stage] "
-            "in session.toml.",
-        )
-        for each in diagnostics.stage_orders
     ]
 
 
@@ -267,11 +250,12 @@ def _bent(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     return boxes
 
 
-def _changed(calibration: Calibration) -> list[Box]:
+def _changed(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     """What is another before and behind one of the photographs."""
-    if calibration.change is None:
+    change = calibration.change
+    if change is None or {change.before, change.after} & mixed_names(diagnostics):
         return []
-    what, fix = calibration.change.statement
+    what, fix = change.statement
     return [Box("stop", f"{what}.", fix)]
 
 
@@ -321,61 +305,6 @@ def _moved(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     return boxes
 
 
-def _stage(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
-    shapes = calibration.stage_shapes
-    boxes = [Box("care", f"{what}.", fix) for shape in shapes for what, fix in shape.statements]
-    boxes += [Box("care", f"{untold}.", "") for untold in calibration.undetermined_periods]
-    named = [shape.axis for shape in shapes]
-    for each in (stage for stage in diagnostics.stages if stage.axis not in named):
-        if each.chi2_along > _STAGE:
-            boxes.append(
-                Box(
-                    "care",
-                    "The stage's steps are uneven: places along its travel are off by "
-                    f"{np.sqrt((each.error_mm[:, 0] ** 2).mean()):.3f} mm RMS, {np.sqrt(each.chi2_along):.1f} times "
-                    "what the corners explain.",
-                    "Look for backlash (approach from one side), missed steps, and wrong step counts in session.toml.",
-                )
-            )
-        if each.chi2_across > _STAGE:
-            boxes.append(
-                Box(
-                    "care",
-                    "The stage is not straight: the board leaves the line by up to "
-                    f"{np.abs(each.error_mm[:, 1:]).max():.3f} mm, {np.sqrt(each.chi2_across):.1f} times what the "
-                    "corners explain.",
-                    "The board may not be fixed, or the guide has play.",
-                )
-            )
-    return boxes
-
-
-def _turntable(diagnostics: Diagnostics) -> list[Box]:
-    boxes = []
-    for each in diagnostics.turntables:
-        if each.chi2_turn > _STAGE:
-            boxes.append(
-                Box(
-                    "care",
-                    "The turntable's steps are uneven: its angles are off by "
-                    f"{np.sqrt((each.turn_error_deg[:, 0] ** 2).mean()):.3f}° RMS, {np.sqrt(each.chi2_turn):.1f} times "
-                    "what the corners explain.",
-                    "Look for backlash (approach from one side), missed steps, and wrong step counts in session.toml.",
-                )
-            )
-        if each.chi2_wobble > _STAGE:
-            boxes.append(
-                Box(
-                    "care",
-                    "The turntable wobbles: the board leaves its turn by up to "
-                    f"{np.abs(each.turn_error_deg[:, 1:]).max():.3f}° and {np.abs(each.error_mm).max():.3f} mm, "
-                    f"{np.sqrt(each.chi2_wobble):.1f} times what the corners explain.",
-                    "The board may not be fixed, or the bearing has play.",
-                )
-            )
-    return boxes
-
-
 def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     boxes = []
     for what, normality in (("corners", diagnostics.corner_normality), ("stripe points", diagnostics.stripe_normality)):
@@ -388,7 +317,8 @@ def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
                     "A mixture of good and bad photographs looks like this: the report has the worst of them.",
                 )
             )
-    fits = (*calibration.fits, *calibration.moved_fits)
+    known = mixed_names(diagnostics) | {suspect.name for suspect in diagnostics.suspects}
+    fits = [fit for fit in (*calibration.fits, *calibration.moved_fits) if fit.name not in known]
     for what, kept, seen in (
         (
             "corners",

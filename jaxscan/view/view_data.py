@@ -9,6 +9,7 @@ from jaxtyping import Float, Float32, Int, UInt8
 
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.cloud import Cloud, cloud_of
+from jaxscan.files.floor_note import FloorNote, floor_of_file, floor_of_lines
 from jaxscan.files.mesh import colours_of, has_faces, mesh_of, read_mesh
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.geometry import Pose
@@ -19,13 +20,16 @@ from jaxscan.rig import Light, Rig
 from jaxscan.rig.light import section, sheet_axes
 from jaxscan.surface.floor import find_floor
 
-UNITS: Final = {"height": "mm", "sigma": "mm", "strength": "grey levels", "albedo": "of the scan's median"}
+UNITS: Final = {"height": "mm", "z": "mm", "sigma": "mm", "strength": "grey levels", "albedo": "of the scan's median"}
 # What the points are coloured by if they have colours of their own.
 PHOTOGRAPH: Final = "photograph"
 # How far the sheet is drawn before the nearest and beyond the farthest point, in parts of their depth.
 _BEFORE, _BEYOND = 0.95, 1.02
 # How wide, in widths of the points about the camera's axis.
 _WIDER: Final = 1.1
+# Where no floor is noted, a plane is one if this part of all points is within this distance of it, and less than the
+# other part is under it.
+_FLOOR_SHARE, _ON_FLOOR_MM, _UNDER_FLOOR = 0.25, 0.3, 0.01
 # Of a scan no more places of the camera are drawn than twice this.
 _MOST_CAMERAS: Final = 50
 
@@ -77,7 +81,7 @@ class ViewData:
         return (*self.values, *([] if self.colours is None else [PHOTOGRAPH]))
 
     def colour(self, name: str | None) -> str:
-        """The name of the values to colour by; by default the colours that a mesh has, or else the height.
+        """The name of the values to colour by; by default the colours that a mesh has, or else the height, or z.
 
         Raises:
             InputError: they are not known.
@@ -86,7 +90,7 @@ class ViewData:
             raise InputError(f'"{name}" is not known of these points: choose {", ".join(self.looks)}')
         if name is None and self.triangles is not None and self.colours is not None:
             return PHOTOGRAPH
-        return name or "height"
+        return name or next(iter(self.values))
 
 
 def view_data(path: Path, rig: Rig | None = None) -> ViewData:
@@ -104,12 +108,10 @@ def view_data(path: Path, rig: Rig | None = None) -> ViewData:
         mesh = read_mesh(path)
         colours, texture = colours_of(mesh)
         cloud = Cloud(np.asarray(mesh.vertices, np.float32), colours=colours)
-        return replace(_of_points(cloud, np.asarray(mesh.faces), rig), texture=texture)
+        return replace(_of_points(cloud, np.asarray(mesh.faces), rig, floor_of_file(path)), texture=texture)
     content = read_ply_file(path)
-    if not has_faces(content):
-        return _of_points(cloud_of(path, content), None, rig)
-    faces = mesh_of(path, content, merge=False).faces
-    return _of_points(cloud_of(path, content), np.asarray(faces), rig)
+    faces = np.asarray(mesh_of(path, content, merge=False).faces) if has_faces(content) else None
+    return _of_points(cloud_of(path, content), faces, rig, floor_of_lines(content.comments))
 
 
 def _of_image(image: RangeImage, rig: Rig | None) -> ViewData:
@@ -117,11 +119,10 @@ def _of_image(image: RangeImage, rig: Rig | None) -> ViewData:
         raise InputError("has no points: check that the photographs show the stripe")
     points = image.points[image.valid]
     try:
-        floor = find_floor(image)
-        up, height = floor.up, floor.height(points)
+        floor = find_floor(image).note()
     except InputError:
-        up, height = _upright(points)
-    values, cloud = {"height": height}, image.cloud()
+        floor = None
+    (up, values), cloud = _upright(points, floor), image.cloud()
     for name in ("sigma", "strength", "albedo"):
         known = getattr(cloud, name)
         if known is not None and np.isfinite(known).any():
@@ -133,9 +134,10 @@ def _of_image(image: RangeImage, rig: Rig | None) -> ViewData:
     return ViewData(points, up, values, None, setup, cloud.colours)
 
 
-def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None) -> ViewData:
-    up, height = _upright(cloud.points)
-    values = {"height": height}
+def _of_points(
+    cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, rig: Rig | None, floor: FloorNote | None
+) -> ViewData:
+    up, values = _upright(cloud.points, floor or _floor_of_most(cloud.points))
     sigma = cloud.sigma_pixel if cloud.sigma is None else cloud.sigma
     if sigma is not None:
         values["sigma"] = sigma.astype(np.float64)
@@ -147,11 +149,32 @@ def _of_points(cloud: Cloud, triangles: Int[np.ndarray, "triangles 3"] | None, r
     return ViewData(cloud.points, up, values, triangles, setup, cloud.colours)
 
 
-def _upright(points: Float32[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "points"]]:
-    """The normal of the plane that most points lie on, toward the camera, and the height over the lowest point."""
-    up = dominant_plane(points.astype(np.float64)).matrix()[:, 2]
-    height = points @ up
-    return up, height - height.min()
+def _upright(
+    points: Float32[np.ndarray, "points 3"], floor: FloorNote | None
+) -> tuple[Float[np.ndarray, "3"], dict[str, Float[np.ndarray, "points"]]]:
+    """What is up, and the height over the floor; of points without one z, and up is where the camera was.
+
+    A file of another program has z up, unless all of it is in front of its origin, as what a camera sees is.
+    """
+    points = points.astype(np.float64)
+    if floor is not None:
+        return floor.up, {"height": floor.height(points)}
+    middle, size = points.mean(axis=0), float(np.ptp(points, axis=0).max())
+    seen = points[:, 2].min() > 0 and middle[2] > max(size, float(np.hypot(*middle[:2])))
+    return np.array([0.0, 0.0, -1.0 if seen else 1.0]), {"z": points[:, 2]}
+
+
+def _floor_of_most(points: Float32[np.ndarray, "points 3"]) -> FloorNote | None:
+    """The plane that most points lie on, if it is a floor: it has enough of them, and nothing is under it."""
+    cloud = points.astype(np.float64)
+    try:
+        plane = dominant_plane(cloud)
+    except InputError:
+        return None
+    note = FloorNote(plane.matrix()[:, 2], -float(plane.translation @ plane.matrix()[:, 2]))
+    height = note.height(cloud)
+    on = np.abs(height) < _ON_FLOOR_MM
+    return note if on.mean() > _FLOOR_SHARE and (height < -_ON_FLOOR_MM).mean() < _UNDER_FLOOR else None
 
 
 def _setup(

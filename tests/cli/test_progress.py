@@ -1,15 +1,18 @@
 """Progress: on standard error, and quiet where nobody watches."""
 
 import io
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable
 from types import ModuleType, SimpleNamespace
 
+import jax
 import pytest
 
 import hardware.cli.main
+from jaxscan.cli import compiled
 from jaxscan.cli.main import Program, run_program
 from jaxscan.cli.progress import progress, resting, say, step, track, working
 
@@ -40,6 +43,49 @@ def test_a_bar_on_a_terminal(monkeypatch):
     assert list(track([1, 2], "reading", total=2)) == [1, 2]
     assert "reading: 100%" in terminal.getvalue()
     assert "2/2" in terminal.getvalue()
+
+
+def test_a_bar_on_a_terminal_that_does_not_say_how_large_it_is(monkeypatch):
+    terminal = Terminal()
+    terminal.fileno = lambda: 2
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr("os.get_terminal_size", lambda *_: os.terminal_size((0, 0)))
+    assert list(track([1, 2], "reading", total=2)) == [1, 2]
+    line = on_screen(terminal.getvalue().rstrip("\n"))
+    assert "reading: 100%" in line
+    assert "2/2" in line
+    # The bar stays, and nothing repeats it.
+    assert "reading: 2" not in terminal.getvalue()
+
+
+def test_what_is_compiled_for_is_said(capsys, monkeypatch):
+    monkeypatch.setattr("jaxscan.cli.progress._LINE_S", 0.05)
+    monkeypatch.setattr("jaxscan.cli.progress._PULSE_S", 0.02)
+    monkeypatch.setattr(compiled, "_READ_S", 0.0)
+    monkeypatch.setattr(compiled, "_waited_for", [])
+    said = ""
+    with progress("reading frames", 7, "frame"):
+        compiled._begun(compiled._ASKED)
+        for _ in range(1000):
+            said += capsys.readouterr().err
+            if "reading frames: 0 of 7 frames (compiling, this once), " in said:
+                break
+            time.sleep(0.02)
+        assert "(compiling, this once)" in said
+        compiled._done(compiled._THERE, 1.0)
+        assert not compiled.compiling()
+    assert "compiling" not in capsys.readouterr().err
+
+
+def test_jax_says_when_it_compiles_and_when_it_is_done(monkeypatch):
+    begun = []
+    monkeypatch.setattr(compiled, "_waited_for", waited := [])
+    monkeypatch.setattr(compiled, "_begun", lambda event, **_: begun.append(event))
+    monkeypatch.setattr(compiled, "_listening", False)
+    compiled._listen()
+    jax.jit(lambda x: x * 1.2345 + len(begun))(1.0).block_until_ready()
+    assert compiled._ASKED in begun
+    assert waited == []
 
 
 def test_an_error_passes_and_leaves_no_line(capsys):

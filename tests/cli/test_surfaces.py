@@ -174,6 +174,20 @@ def test_compare_with_a_mesh_and_with_a_cloud(folder, capsys):
     assert "region 1" in capsys.readouterr().out
 
 
+def test_stray_points_and_a_floor_are_said_beside_the_figures_of_all(folder, capsys):
+    plate = trimesh.creation.box((40, 40, 5), trimesh.transformations.translation_matrix((0, 0, 302.5)))
+    plate.export(folder / "plate.stl")
+    found = run(capsys, "compare", folder / "block.npz", folder / "plate.stl")
+    assert found["figures"]["points_far"] == 1713
+    assert 0.7 < found["on_floor"] < 0.8
+    assert found["figures"]["rms_without_far_mm"] < 0.03 < 2.0 < found["figures"]["rms_mm"]
+    assert main(["compare", str(folder / "block.npz"), str(folder / "plate.stl")]) == 0
+    said = capsys.readouterr().out
+    assert "without    1713 points that are far off" in said
+    assert "`jaxscan mesh` removes stray points" in said
+    assert "jaxscan mesh " + str(folder / "block.npz") + " -o object.npz" in said
+
+
 def test_a_fit_that_fails_is_said(folder, capsys):
     """The floor is most of the cloud, and the reference has none."""
     trimesh.PointCloud(trimesh.creation.icosphere(2, 3.0).vertices).export(folder / "ball.ply")

@@ -233,6 +233,25 @@ def test_photographs_in_memory_are_a_range_image(rig, photographs, whole):
         reconstruct(rig, [], spacetime=True)
 
 
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (
+            lambda photographs: iter(photographs),
+            r"frame 0: is an array of shape \(\d+, \d+\), without motor steps: .*zip",
+        ),
+        (lambda photographs: iter([(photographs[0],)]), "frame 0: is a tuple, without motor steps"),
+        (lambda photographs: iter([(photographs[0], 0), ("1.png", 0)]), "frame 1: its photograph is '1.png', and no"),
+        (lambda photographs: "scan", r'read_scan\("scan"\)'),
+        (lambda photographs: None, "NoneType: give pairs"),
+    ],
+    ids=["no steps", "one value", "a name", "a folder", "nothing"],
+)
+def test_photographs_without_their_steps_are_refused_with_the_way_to_give_them(photographs, given, says):
+    with pytest.raises(InputError, match=says):
+        list(frames.with_positions(given(photographs)))
+
+
 @pytest.mark.parametrize("bright", [True, False], ids=["a little red too", "no red at all"])
 def test_photographs_that_opencv_has_read_are_recognised(rig, photographs, bright):
     rgb = np.stack([photographs, *2 * [np.full(photographs.shape, 20)]], axis=-1).astype(np.uint8)

@@ -75,6 +75,21 @@ def test_figures_and_what_is_beyond():
         compare(points + 100, plate)
 
 
+def test_what_is_far_off_is_counted_and_stays_in_the_other_figures():
+    plate = MeshReference(trimesh.creation.box((100, 100, 1)))
+    off = np.array([0.1, -0.1] * 20 + [0.99, 1.01, 4.0])
+    figures = compare(np.stack([np.arange(43.0) - 21, np.zeros(43), 0.5 + off], axis=1), plate).figures()
+    assert figures["far_mm"] == pytest.approx(1.0)
+    assert figures["points_far"] == 2
+    assert figures["points"] == 43
+    assert figures["rms_without_far_mm"] == pytest.approx(np.sqrt((0.4 + 0.99**2) / 41), rel=1e-6)
+    assert figures["rms_mm"] == pytest.approx(np.sqrt((off**2).mean()))
+    # More than half of the points on the surface itself are no measure of what is far.
+    exact = compare(np.array([[0, 0, 0.5], [1, 0, 0.5], [2, 0, 0.7]]), plate).figures()
+    assert exact["points_far"] == 0
+    assert exact["rms_without_far_mm"] == exact["rms_mm"]
+
+
 def test_the_rigid_fit_finds_its_way_from_anywhere(thing):
     points = scanned(thing)
     T = Pose(np.array([0.9, -1.7, 0.6]), np.array([80.0, -40.0, 120.0]))

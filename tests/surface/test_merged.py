@@ -61,6 +61,26 @@ def test_each_point_weighs_by_its_sigma():
     assert np.isnan(both.sigma).all()
 
 
+def test_two_layers_that_err_in_opposite_directions_are_one_surface():
+    """As beside the edge of a dark patch: 0.25 mm up in one side, 0.25 mm down in the other, where σ is 0.2 mm."""
+    x, y = np.meshgrid(0.5 * np.arange(-30, 31), 0.5 * np.arange(-30, 31))
+    sides = []
+    for sign in (1.0, -1.0):
+        off = 0.25 * sign * np.exp(-((np.hypot(x, y) - 6.0) ** 2))
+        points = np.stack([x, y, off], axis=-1).reshape(-1, 3)
+        # Each side's own normals: its layer rises by as much as 0.2 on each side of the edge.
+        slope = np.stack(np.gradient(off, 0.5)[::-1], axis=-1).reshape(-1, 2)
+        normals = np.concatenate([-slope, np.ones((len(points), 1))], axis=1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        sigma = 0.02 + 0.2 * np.abs(off).ravel() / 0.25
+        sides.append(Side("side", points, normals, sigma, np.zeros(len(points), bool), 0.5))
+    mesh = merge(sides, (STILL, STILL)).mesh
+    assert np.degrees(mesh.face_adjacency_angles).max() < 30
+    assert (mesh.face_normals[:, 2] > 0.8).all()
+    assert np.abs(mesh.vertices[:, 2]).max() < 0.1
+    assert mesh.area == pytest.approx(30.0**2, rel=0.03)
+
+
 def test_what_one_rig_is_wrong_by_stays_in_the_mean_and_the_noise_becomes_less():
     pixel, rig = np.array([[0.03, 0.03, 0.03, np.nan]]), np.array([[0.04, 0.05, 0.06, np.nan]])
     both, own = mean_sigma(np.array([[1, 1, 1, 0]]) / 3, pixel, rig)

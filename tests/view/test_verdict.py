@@ -1,6 +1,7 @@
 """The verdict that ends every calibration: it speaks up where something is wrong, and not of a good session."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -9,6 +10,7 @@ import pytest
 
 from jaxscan.calibration import Calibration, Observations, calibrate
 from jaxscan.calibration.diagnostics import diagnose
+from jaxscan.calibration.observations import BoardSequence
 from jaxscan.rig import Rig
 from jaxscan.rig.rig import parameter_names
 from jaxscan.view.advice import Advice
@@ -52,11 +54,27 @@ def three_boards(session: Observations) -> Observations:
     return replace(session, views=session.views[:3])
 
 
-def mixed_up(session: Observations) -> Observations:
-    """The stage's photographs in the order that their names 0, 1, 10, 11, … would have."""
+def mixed_up(session: Observations, order: Sequence[int] = (0, 8, 1, 2, 3, 4, 5, 6, 7)) -> Observations:
+    """The stage's photographs in an order that names 0, 1, 10, 11, … would have."""
     (stage,) = session.sequences
-    order = [0, 8, 1, 2, 3, 4, 5, 6, 7]
     return replace(session, sequences=(replace(stage, views=tuple(stage.views[i] for i in order)),))
+
+
+def counted(stage: BoardSequence, more: np.ndarray) -> BoardSequence:
+    """The same photographs, other step counts."""
+    return replace(stage, positions={**stage.positions, "stage": stage.steps + more})
+
+
+def one_wrong_count(session: Observations) -> Observations:
+    """One step count is 300 too many."""
+    (stage,) = session.sequences
+    return replace(session, sequences=(counted(stage, 300 * (np.arange(9) == 4)),))
+
+
+def every_other_farther(session: Observations) -> Observations:
+    """Every other place is 60 steps farther on than its count says."""
+    (stage,) = session.sequences
+    return replace(session, sequences=(counted(stage, 60 * (np.arange(9) % 2)),))
 
 
 def as_it_is(session: Observations) -> Observations:
@@ -106,10 +124,27 @@ def test_with_the_report_and_without_it_the_same_is_asked_for(draw):
     )
 
 
-def test_mixed_up_photographs_are_not_suspected_one_by_one(draw):
+def test_mixed_up_photographs_have_one_message(draw):
     found = verdict(calibrate(mixed_up(draw(1))))
+    assert [box.level for box in found.warnings] == ["stop"]
     assert "step counts" in found.warnings[0].statement
-    assert not any("does not fit the others" in box.statement for box in found.warnings)
+    assert found.warnings[0].statement.endswith("if stage-8 were last.")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"), [(one_wrong_count, ["stage-4 does not fit"]), (every_other_farther, ["steps are uneven"])]
+)
+def test_a_wrong_step_count_has_one_message(draw, change, said):
+    found = [box.statement for box in verdict(calibrate(change(draw(1)))).warnings]
+    about = [each for each in found if "stage" in each]
+    assert len(about) == len(said), found
+    assert all(words in each for words, each in zip(said, about, strict=True)), found
+
+
+def test_of_a_shuffle_the_order_is_said(draw):
+    found = verdict(calibrate(mixed_up(draw(1), [4, 0, 8, 3, 7, 1, 6, 2, 5]), lens="radial1"))
+    assert "in the order stage-0, stage-1, stage-2" in found.warnings[0].statement
+    assert [box.level for box in found.warnings] == ["stop"], found.warnings
 
 
 @pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 26), marks=pytest.mark.long)])

@@ -28,10 +28,10 @@ from jaxscan.calibration.diagnostics.stage_errors import (
     stage_errors,
     turntable_errors,
 )
-from jaxscan.calibration.diagnostics.stage_order import StageOrder, stage_orders
 from jaxscan.calibration.diagnostics.stripe_shapes import StripeShape, stripe_shapes
 from jaxscan.calibration.diagnostics.suspects import Suspect, suspects
 from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.stage_order import StageOrder, stage_orders
 
 # The calls of `advance` that `diagnose` makes.
 PARTS = 4
@@ -125,7 +125,7 @@ def diagnose(
         stripes=stripe_shapes(calibration),
         stages=stage_errors(calibration),
         turntables=turntable_errors(calibration),
-        stage_orders=stage_orders(calibration),
+        stage_orders=stage_orders(calibration.observations, calibration.rig),
         missing_terms=missing_terms(calibration) if viewed else None,
         coverage=coverage,
         thorough=thorough,

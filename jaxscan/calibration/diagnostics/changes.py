@@ -193,7 +193,8 @@ class _Equations:
         u = (self.each.g[seen] + np.einsum("pij,pj->pi", self.each.N[seen], by)) @ kind.D
         own, ranks = inverse_where_determined(kind.D.T @ self.each.N[seen] @ kind.D, _UNSEEN)
         degrees = int(ranks.sum() - 2 * d[0])
-        if degrees < 1:
+        # Beside a course that goes the same way nothing is left of a step.
+        if degrees < 1 or not d[0]:
             return None
         chi2 = np.einsum("ki,kij,kj->k", s, inverse, s)
         scatter = float(np.einsum("pi,pij,pj->", u, own, u)) / degrees

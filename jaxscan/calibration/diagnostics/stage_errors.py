@@ -3,7 +3,8 @@
 For the stage that is straightness and step errors, for the turntable wobble and errors of its angle.
 """
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -39,6 +40,14 @@ class StageErrors:
     rotation_mrad: Float[np.ndarray, "images 3"]
     rotation_sigma_mrad: Float[np.ndarray, "images 3"]
 
+    def without(self, names: Collection[str]) -> "StageErrors":
+        """Those of the other photographs, about the line that these make."""
+        if not (gone := np.isin(self.names, list(names))).any():
+            return self
+        error = _about_a_line(self.steps[~gone], self.error_mm[~gone], self.sigma_mm[~gone])
+        left = {each: getattr(self, each)[~gone] for each in _OF_STAGE}
+        return replace(self, **left, names=tuple(np.array(self.names)[~gone].tolist()), error_mm=error)
+
     @property
     def chi2_along(self) -> float:
         """Mean square of the step errors in σ; about 1 for a stage without any."""
@@ -73,6 +82,16 @@ class TurntableErrors:
     error_mm: Float[np.ndarray, "images 3"]
     sigma_mm: Float[np.ndarray, "images 3"]
 
+    def without(self, names: Collection[str]) -> "TurntableErrors":
+        """Those of the other photographs, about the turn that these make."""
+        if not (gone := np.isin(self.names, list(names))).any():
+            return self
+        left = {each: getattr(self, each)[~gone] for each in _OF_TURNTABLE}
+        turned = _about_a_line(self.steps[~gone], self.turn_error_deg[~gone], self.turn_sigma_deg[~gone])
+        moved = _about_a_line(self.steps[~gone], self.error_mm[~gone], self.sigma_mm[~gone])
+        kept = tuple(np.array(self.names)[~gone].tolist())
+        return replace(self, **left, names=kept, turn_error_deg=turned, error_mm=moved)
+
     @property
     def chi2_turn(self) -> float:
         """Mean square of the errors of the angle in σ; about 1 for a turntable without any."""
@@ -83,6 +102,25 @@ class TurntableErrors:
         """Mean square of all other errors in σ: the axis tilts or wanders."""
         turned, moved = self.turn_error_deg[:, 1:] / self.turn_sigma_deg[:, 1:], self.error_mm / self.sigma_mm
         return float(np.mean(np.concatenate([turned, moved], axis=1) ** 2))
+
+
+# What of each photograph stays as it is where others are left out.
+_OF_STAGE = ("steps", "travel_mm", "sigma_mm", "rotation_mrad", "rotation_sigma_mrad")
+_OF_TURNTABLE = ("steps", "turn_deg", "turn_sigma_deg", "sigma_mm")
+
+
+def _about_a_line(
+    steps: Float[np.ndarray, "images"], error: Float[np.ndarray, "images 3"], sigma: Float[np.ndarray, "images 3"]
+) -> Float[np.ndarray, "images 3"]:
+    """Errors less the line over the steps that fits them best, each way by itself; fewer than three stay."""
+    if len(steps) < 3:
+        return error
+    A = np.stack([np.ones_like(steps), (steps - steps.mean()) / max(float(np.ptp(steps)), 1e-9)], axis=1)
+    left = error.copy()
+    for way in range(error.shape[1]):
+        weight = 1 / sigma[:, way]
+        left[:, way] -= A @ np.linalg.lstsq(A * weight[:, None], error[:, way] * weight, rcond=None)[0]
+    return left
 
 
 def stage_errors(calibration: Calibration) -> tuple[StageErrors, ...]:

@@ -1,14 +1,18 @@
 """What a rig's file warns of, on the page and in the state of a lab on a real server."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from markupsafe import escape
 from serving import VIEWER, serve
 
-from jaxscan import Camera, LightPlane, Rig, RigFile
+from hardware.lab.reconstructor import _calibrate
+from jaxscan import Camera, LightPlane, Rig, RigFile, read_rig, write_rig
 from jaxscan.precision import as_numpy
+from jaxscan.view.report import Box
+from jaxscan.view.verdict import Verdict
 
 WARNING = 'The light plane of laser "<b>left" does not fit the stripes that it was found from'
 SENTENCE = "The rig's file warns: "
@@ -37,3 +41,21 @@ def test_without_a_rig_there_is_none(tmp_path: Path):
         assert served.program(VIEWER).get("/api/state").json()["rig_warnings"] == []
     finally:
         served.end()
+
+
+def test_a_red_verdict_goes_into_the_file_of_the_labs_own_calibration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    content = RigFile(as_numpy(Rig(Camera.create((80, 64), (100.0, 100.0), (39.5, 31.5)))), None, {})
+    boxes = (Box("stop", "The photographs are in another order.", "Sort them."), Box("care", "Few views."))
+    judged = Verdict("stop", "Do not use this calibration yet.", "", "", boxes, False)
+
+    def calibrated(paths: list[Path], output: Path) -> SimpleNamespace:
+        write_rig(output, content)
+        return SimpleNamespace(rig_file=lambda: content)
+
+    monkeypatch.setattr("jaxscan.cli.calibrate.calibrate_session", calibrated)
+    monkeypatch.setattr("jaxscan.view.verdict.verdict", lambda calibration: judged)
+    said = _calibrate({"session": str(tmp_path / "session"), "to": str(tmp_path / "rig.json")})
+    assert said[0] == judged.statement
+    assert read_rig(tmp_path / "rig.json").warnings == (
+        "The calibration was not to be used: The photographs are in another order",
+    )
