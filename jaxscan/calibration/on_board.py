@@ -123,16 +123,16 @@ def _same_reflectance(
     """Whether a stripe lies on one colour over its whole width; known for a checkerboard alone."""
     if board.kind != "checkerboard":
         return np.ones(len(at), bool)
+    return (_colour(board, at) == _colour(board, before)) & (_colour(board, at) == _colour(board, after))
 
+
+def _colour(board: Board, at: Float[np.ndarray, "points 2"]) -> Int[np.ndarray, "points"]:
+    """Of a checkerboard: 1 on a dark square, 0 on a light one, and what the margin is."""
     columns, rows = board.counts
     # The square diagonally outside the first corner is dark wherever an order of the corners can make it so; where it
     # cannot, the margin counts as a colour of its own.
     first_is_dark = (columns + rows) % 2 == 1 or (columns == rows and columns % 2 == 1)
-
-    def colour(x: Float[np.ndarray, "points 2"]) -> Int[np.ndarray, "points"]:
-        cell = np.floor(np.nan_to_num(x) / board.pitch_mm).astype(int)
-        printed = np.all((cell >= -1) & (cell < np.asarray(board.counts)), axis=1)
-        dark = cell.sum(axis=1) % 2 == 0
-        return np.where(printed, dark, 0 if first_is_dark else 2).astype(int)
-
-    return (colour(at) == colour(before)) & (colour(at) == colour(after))
+    cell = np.floor(np.nan_to_num(at) / board.pitch_mm).astype(int)
+    printed = np.all((cell >= -1) & (cell < np.asarray(board.counts)), axis=1)
+    dark = cell.sum(axis=1) % 2 == 0
+    return np.where(printed, dark, 0 if first_is_dark else 2).astype(int)

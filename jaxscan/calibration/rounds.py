@@ -12,6 +12,7 @@ correlation of errors along the stripe.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -283,13 +284,13 @@ def _median_noise(groups: tuple[Blocks, ...], errors: tuple, noise: Noise) -> No
         [(c * g.weights[..., None])[g.corner_used].ravel() for g, (c, _) in zip(groups, errors, strict=True)]
     )
     stripe = np.concatenate([(s * g.stripe_weights)[g.stripe_used] for g, (_, s) in zip(groups, errors, strict=True)])
+    return noise.of(_by_median(corner, noise.corner), _by_median(stripe, noise.stripe))
 
-    def sigma(values: np.ndarray, otherwise: Float[Array, ""]) -> float:
-        if values.size == 0:
-            return float(otherwise)
-        return max(NORMAL_MAD * float(np.nanmedian(np.abs(values))), _SMALLEST_SIGMA)
 
-    return noise.of(sigma(corner, noise.corner), sigma(stripe, noise.stripe))
+def _by_median(errors: np.ndarray, otherwise: Float[Array, ""]) -> float:
+    if errors.size == 0:
+        return float(otherwise)
+    return max(NORMAL_MAD * float(np.nanmedian(np.abs(errors))), _SMALLEST_SIGMA)
 
 
 def _at_least(a: Noise, b: Noise) -> Noise:
@@ -327,12 +328,6 @@ def _variance_components(
                 np.where(striped, 1 - h[:, n : n + stripe[0].size].reshape(stripe.shape), 0.0).sum(2),
             )
         )
-
-    def sigma(squares: float, redundancy: float, otherwise: Float[Array, ""]) -> float:
-        if redundancy <= 0:
-            return float(otherwise)
-        return max(float(np.sqrt(squares / redundancy)), _SMALLEST_SIGMA)
-
     corner_sums = [
         sum(float(x.sum()) for x in xs)
         for xs in zip(*((s.corner_squares, s.corner_redundancy) for s in sums), strict=True)
@@ -342,9 +337,16 @@ def _variance_components(
         for xs in zip(*((s.stripe_squares, s.stripe_redundancy) for s in sums), strict=True)
     ]
     overall = noise.of(
-        sigma(corner_sums[0], corner_sums[1], noise.corner), sigma(stripe_sums[0], stripe_sums[1], noise.stripe)
+        _by_redundancy(corner_sums[0], corner_sums[1], noise.corner),
+        _by_redundancy(stripe_sums[0], stripe_sums[1], noise.stripe),
     )
     return overall, tuple(sums)
+
+
+def _by_redundancy(squares: float, redundancy: float, otherwise: Float[Array, ""]) -> float:
+    if redundancy <= 0:
+        return float(otherwise)
+    return max(float(np.sqrt(squares / redundancy)), _SMALLEST_SIGMA)
 
 
 def _believed(candidates: tuple[Blocks, ...], groups: tuple[Blocks, ...], errors: tuple) -> tuple[Blocks, ...]:
@@ -358,20 +360,21 @@ def _believed(candidates: tuple[Blocks, ...], groups: tuple[Blocks, ...], errors
     squares = np.concatenate(
         [(error**2).sum(-1)[group.corner_used] for group, (error, _) in zip(groups, errors, strict=True)]
     )
-
-    def unlikeliness(common: float) -> float:
-        variances = common + (1 - common) / given**2
-        return float(np.log((squares / variances).mean()) + np.log(variances).mean())
-
+    unlikeliness = partial(_unlikeliness, squares=squares, given=given)
     common = min(_COMMON_PARTS, key=unlikeliness)
-
-    def drawn(group: Blocks) -> Blocks:
+    drawn = []
+    for group in candidates:
         weights = np.asarray(group.weights)
         seen = weights > 0
         w = np.where(seen, (common + (1 - common) / np.where(seen, weights, 1.0) ** 2) ** -0.5, 0.0)
-        return eqx.tree_at(lambda g: g.weights, group, w)
+        drawn.append(eqx.tree_at(lambda g: g.weights, group, w))
+    return tuple(drawn)
 
-    return tuple(drawn(group) for group in candidates)
+
+def _unlikeliness(common: float, squares: Float[np.ndarray, "corners"], given: Float[np.ndarray, "corners"]) -> float:
+    """−2 log L for each corner, up to a constant, of squared errors whose variance is c + (1 − c) / w² on a scale."""
+    variances = common + (1 - common) / given**2
+    return float(np.log((squares / variances).mean()) + np.log(variances).mean())
 
 
 def _weighted(

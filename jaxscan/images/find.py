@@ -5,8 +5,10 @@ each misses boards that another finds: a board that is too large for its morphol
 burnt-out laser stripe that a global threshold does not see it. What is found is refined at full size.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -109,18 +111,29 @@ def _found(board: Board, grey: Grey) -> Points | None:
 
 
 def _find_checkerboard(counts: tuple[int, int], grey: Grey) -> Points | None:
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    for reduced, scale in _stretched(grey):
-        found, corners = cv2.findChessboardCorners(reduced, counts, flags=flags)
-        if found:
-            return _full_size(corners, scale)
-    # The sector-based finder is slower, but bears noise, and wants even light.
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-    for reduced, scale in _sizes(_even_light(grey)):
-        found, corners = cv2.findChessboardCornersSB(reduced, counts, flags=flags)
+    for attempt, reduced, scale in _attempts(grey):
+        found, corners = attempt(reduced, counts)
         if found:
             return _full_size(corners, scale)
     return None
+
+
+def _attempts(grey: Grey) -> Iterator[tuple[Callable[..., Any], Grey8, float]]:
+    """Finders of a checkerboard with their photographs, cheapest first.
+
+    On 640 x 480 pixels the first takes 1 ms for a board that it finds, and 15 ms where it finds none; the second 30 ms
+    (it bears noise and a stripe across the board, and wants even light); each threshold in turn 200 ms.
+    """
+    plain = partial(cv2.findChessboardCorners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    sectors = partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE)
+    thresholds = partial(cv2.findChessboardCorners, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE)
+    yield plain, *next(_stretched(grey))
+    smallest, *larger = _sizes(_even_light(grey))
+    yield sectors, *smallest
+    for reduced, scale in _stretched(grey):
+        yield thresholds, reduced, scale
+    for reduced, scale in larger:
+        yield sectors, reduced, scale
 
 
 def _find_circles(counts: tuple[int, int], grey: Grey) -> Points | None:

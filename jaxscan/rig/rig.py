@@ -159,16 +159,15 @@ def parameter_names(rig: Rig) -> list[str]:
     The lens's are the camera's own: `camera.radial.0`.
     """
     parts = rig.motion.parts()
-
-    def name(path: tuple[jax.tree_util.KeyEntry, ...]) -> str:
+    names = []
+    for path, _ in jax.tree_util.tree_leaves_with_path(rig):
         keys = [str(getattr(key, "name", getattr(key, "idx", ""))) for key in path]
         if keys[:2] == ["camera", "lens"]:
             del keys[1]
         if keys[0] == "motion":
             keys[1:-2] = [parts[int(keys[2])].axis if keys[1] == "links" else parts[0].axis]
-        return ".".join(keys)
-
-    return [name(path) for path, _ in jax.tree_util.tree_leaves_with_path(rig)]
+        names.append(".".join(keys))
+    return names
 
 
 def is_place(name: str) -> bool:

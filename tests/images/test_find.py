@@ -166,6 +166,19 @@ def test_a_small_board_in_a_dark_scene_with_lamps_needs_no_slow_finder(monkeypat
     assert find_board(Board.checkerboard((9, 6), 10.0), image) is not None
 
 
+def test_a_board_that_the_first_finder_misses_costs_no_search_for_thresholds(monkeypatch):
+    """A stripe across the board is such a case; the thresholds take ten times as long as both finders before them."""
+    asked = []
+
+    def misses(_, counts, flags):
+        asked.append(flags)
+        return False, None
+
+    monkeypatch.setattr("cv2.findChessboardCorners", misses)
+    assert distances(find_board(BOARD, to_bytes(photograph())), placed()).max() < 0.2
+    assert asked == [cv2.CALIB_CB_NORMALIZE_IMAGE]
+
+
 def dark_scene(seed):
     rng = np.random.default_rng(seed)
     corners_mm = np.array([[0, 0], [80, 0], [80, 50], [0, 50]])

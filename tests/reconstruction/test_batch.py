@@ -187,7 +187,7 @@ def test_what_a_scan_shows_to_be_wrong_is_said_of_it_alone(tree, capsys):
     assert notes["cups/1"] == notes["cups/10"] == []
 
 
-@pytest.mark.parametrize("cores", [1, 2, 64])
+@pytest.mark.parametrize("cores", [1, pytest.param(2, marks=pytest.mark.long), 64])
 def test_threads_and_memory_are_bounded_on_any_machine(tree, cores, monkeypatch):
     """Each of 64 scans took a pool of 64 threads, and a ring of 384 MiB."""
     for i in range(70):

@@ -18,7 +18,7 @@ def rig() -> Rig:
     return Rig(camera, (LightPlane.create([0.0, -0.005, 0.003]),), Linear.create([0.0, 0.0009, -0.0004]))
 
 
-@pytest.mark.parametrize("shape", [(5,), (4, 1), (2, 3), (0,)])
+@pytest.mark.parametrize("shape", [(5,), pytest.param((4, 1), marks=pytest.mark.long), (2, 3), (0,)])
 def test_an_array_is_its_points_one_by_one(rig: Rig, shape: tuple[int, ...]) -> None:
     points = RNG.uniform([-60, -40, 250], [60, 40, 400], (*shape, 3)).astype(np.float32)
     pixels = rig.camera.project(points)

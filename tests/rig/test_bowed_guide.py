@@ -58,12 +58,13 @@ def test_derivatives_agree_with_differences(part):
     leaves, structure = jax.tree.flatten(part)
     numbers = np.array([float(leaf) for leaf in leaves])
 
+    @jax.jit
     def vector(numbers):
         return jax.tree.unflatten(structure, list(numbers)).pose({"stage": jnp.asarray(7300.0)}).as_vector()
 
     with float64():
-        J = np.asarray(jax.jacfwd(vector)(jnp.asarray(numbers)))
-        by_reverse = np.asarray(jax.jacrev(vector)(jnp.asarray(numbers)))
+        J = np.asarray(jax.jit(jax.jacfwd(vector))(jnp.asarray(numbers)))
+        by_reverse = np.asarray(jax.jit(jax.jacrev(vector))(jnp.asarray(numbers)))
         h = 1e-4 * np.abs(numbers)
         apart = [
             (vector(jnp.asarray(numbers + h * e)) - vector(jnp.asarray(numbers - h * e))) / (2 * h @ e)
