@@ -27,6 +27,7 @@ SUITES = {
     "jpeg": "step heights from JPEG, chroma at full and half resolution: three lasers, narrow and burnt out; σ",
     "cup_jpeg": "a scan of a cup kept as JPEG: error of the stripe's place over gravity's, σ over the error",
     "mosaic": "a sensor with a mosaic of colour filters: error over full colour's and gravity's, σ, by interpolation",
+    "video": "a moving stripe in MPEG-4 and H.264: error over gravity's, σ, by width and height",
     "known_jpeg": "which photographs are known as JPEGs by their blocks, by quality and noise; false alarms",
     "frame_sigma": "predicted σ over the actual scatter in each frame of a scan, by camera, with and without speckle",
     "throughput": "the kernel, detection and a scan from files to points against their limits; memory",

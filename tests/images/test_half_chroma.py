@@ -1,13 +1,15 @@
 """Colours at half resolution: how a JPEG mostly keeps them."""
 
+import cv2
 import numpy as np
 import pytest
 import simplejpeg
 from scipy.special import ndtr
 
+from benchmarks.video import in_a_video, moving_stripe
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.stripe_settings import CHANNELS
-from jaxscan.images.stripes.response import has_half_chroma
+from jaxscan.images.stripes.response import half_chroma
 
 ROWS, FACES, WIDTH, EDGE = 112, 8, 40, 8
 
@@ -64,7 +66,32 @@ def test_colours_at_half_resolution_are_told_from_the_pixels(color, s, peak, amb
     rows = slice(25, 75)
     lit = np.stack([kind[rows] for kind in kinds])
     first = np.full((len(lit), lit.shape[2]), rows.start, np.int32)
-    assert has_half_chroma(lit, first, color).tolist() == [False, False, False, True]
+    half, repeated = half_chroma(lit, first, color)
+    assert half.tolist() == [False, False, False, True]
+    assert not repeated.any()
+
+
+@pytest.mark.parametrize("color", ["red", "green", "blue"])
+@pytest.mark.parametrize("s", [0.8, 2.0])
+def test_colours_that_are_repeated_are_told_from_those_that_are_interpolated(color, s):
+    photograph, _ = faces(color, s, 150)
+    as_in_a_video = cv2.cvtColor(cv2.cvtColor(photograph, cv2.COLOR_RGB2YUV_I420), cv2.COLOR_YUV2RGB_I420)
+    rows = slice(25, 75)
+    lit = np.stack([kind[rows] for kind in (photograph, jpeg(photograph, "420"), as_in_a_video)])
+    half, repeated = half_chroma(lit, np.full((len(lit), lit.shape[2]), rows.start, np.int32), color)
+    assert half.tolist() == [False, True, True]
+    assert repeated.tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize(("s", "peak"), [(0.8, 150), (1.5, 700)])
+def test_a_stripe_in_a_video(tmp_path, s, peak):
+    """The default finds it as well as the centre of gravity does, and knows how well."""
+    frames, truth, asked = moving_stripe(s, peak, 0.2, seed=2, count=12)
+    kept = in_a_video(frames, tmp_path / "stripe.mp4", "mpeg4")
+    stripe, peer = (detect_stripe(kept, StripeSettings("red"), detector=name) for name in ("likelihood", "gravity"))
+    off, by_gravity = (np.where(asked & each.valid, each.position - truth, np.nan) for each in (stripe, peer))
+    assert np.sqrt(np.nanmean(off**2)) < 1.1 * np.sqrt(np.nanmean(by_gravity**2))
+    assert 0.6 < 1.4826 * np.nanmedian(np.abs(off / stripe.sigma)) < 1.5
 
 
 def test_a_grey_laser_in_colours_is_full_where_any_channel_is():

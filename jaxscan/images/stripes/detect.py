@@ -34,7 +34,14 @@ from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
 from jaxscan.images.stripes.likelihood import FEW_STEPS_CENSORED, FWHM, ROUGH, STEPS_CENSORED
 from jaxscan.images.stripes.mosaic import native_pixels, of_mosaics
 from jaxscan.images.stripes.printed import widened_by_print
-from jaxscan.images.stripes.processed import ALIKE_BESIDE, are_jpegs, at_half_resolution, correlations, share_full
+from jaxscan.images.stripes.processed import (
+    ALIKE_BESIDE,
+    are_jpegs,
+    at_half_resolution,
+    correlations,
+    of_video,
+    share_full,
+)
 from jaxscan.images.stripes.settle import Band, Looked, MeasuredFrames, Places, settle
 from jaxscan.images.stripes.smoothed import widening
 from jaxscan.images.stripes.stripe import Stripe
@@ -194,6 +201,9 @@ def _detect(
         sensor = survey(*looking, alike, smooth)
     # Of luma that is interpolated, and of luma whose channels are full each by itself, full pixels are bounds.
     cut = jpeg & ~at_half_resolution(sensor) & (color != "grey" or frames.ndim == peak.ndim + 1)
+    # In a video's luma they are numbers: what its coding leaves there is more than lies between them and a bound.
+    video = of_video(sensor)
+    cut |= video & at_half_resolution(sensor)
     cut = cut if cut.any() else None
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
@@ -312,6 +322,8 @@ def _detect(
             )
         strained, odd = edges_and_profiles(measured.h3, measured.h4, plain, plain & measured.strained)
         strained &= broad[:, None]
+        # The shapes that a video's coding leaves are no edges.
+        strained &= ~video[: len(peak), None]
         # A stripe that is burnt out over its whole length is judged by its flanks.
         mostly = (looked.burnt & looked.strong).sum(1) > _ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
         odd |= mostly & ~np.asarray(sensor.apart)[: len(odd)]
@@ -328,7 +340,7 @@ def _detect(
     sigma = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
     independent = sigma
     sigma = widened_by_scatter(sigma, position, measured.burnt, sensor)
-    some = jpeg[: len(sigma)]
+    some = (jpeg | video)[: len(sigma)]
     if some.any():
         here = independent[some], position[some], width[some], measured.burnt[some], sharp[: len(sigma)][some]
         sigma[some] = sigma_across_blocks(*here)

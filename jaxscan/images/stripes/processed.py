@@ -43,9 +43,9 @@ def are_jpegs(
     asked: Bool[np.ndarray, "most"],
 ) -> Bool[np.ndarray, "most"]:
     """Which frames are JPEGs: of those that may be by colours at half resolution, of those that are asked by blocks."""
-    half = at_half_resolution(sensor)
+    half, may_be = at_half_resolution(sensor), may_be & ~of_video(sensor)
     found = may_be & half
-    for i in np.flatnonzero((asked & ~half)[: len(peak)]):
+    for i in np.flatnonzero((may_be & asked & ~half)[: len(peak)]):
         found[i] = has_blocks(np.asarray(frames[i]), settings, peak[i])
     return found
 
@@ -53,7 +53,12 @@ def are_jpegs(
 def at_half_resolution(sensor: Sensor) -> Bool[np.ndarray, "most"]:
     """Which frames have their colours at half resolution."""
     none = np.zeros(len(sensor.ln_s), bool)
-    return np.any([np.asarray(by) != 0 for by in sensor.detail], axis=0) if sensor.detail else none
+    return np.any([np.asarray(by) != 0 for by in sensor.detail.gains], axis=0) if sensor.detail else none
+
+
+def of_video(sensor: Sensor) -> Bool[np.ndarray, "most"]:
+    """Which frames have both pixels of a pair of one colour, as those of a video have."""
+    return np.zeros(len(sensor.ln_s), bool) if sensor.detail is None else np.asarray(sensor.detail.repeated)
 
 
 def share_full(

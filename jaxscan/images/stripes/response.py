@@ -16,11 +16,11 @@ beside the stripe, texture and noise together, the response w · p in which the 
 (R. A. Fisher 1936). Under warm light it is warm texture that cancels; where there is none, m and n are near zero, for
 the other channels would bring nothing but their noise.
 
-A JPEG mostly keeps luma Y = 0.299 R + 0.587 G + 0.114 B for each pixel, and the colour's differences from
-it, chroma, for every second one (4:2:0). With S what keeping every second and interpolating does, such a photograph
-shows a channel l as Y + S(l − Y): a stripe of a pixel or two comes out wide, crooked, and never full. Laser light has
-one colour, whatever it falls on. With g its part in channel l, and q = Σ w g its luma, both in parts of that in the
-laser's own channel, the channel at full resolution is
+A JPEG mostly keeps luma Y = 0.299 R + 0.587 G + 0.114 B for each pixel, and the colour's differences from it, chroma,
+for every second one (4:2:0); so does a video. With S what keeping every second does, and interpolating or repeating it,
+such a photograph shows a channel l as Y + S(l − Y): a stripe of a pixel or two comes out wide, crooked, and never full.
+Laser light has one colour, whatever it falls on. With g its part in channel l, and q = Σ w g its luma, both in parts of
+that in the laser's own channel, the channel at full resolution is
 
     l + (g / q − 1) (Y − S Y)
 """
@@ -28,6 +28,7 @@ laser's own channel, the channel at full resolution is
 from functools import partial
 from typing import Final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -58,8 +59,9 @@ _MOST_WHITE: Final = 0.3
 # What red, green and blue take of chroma, Cb and Cr; and how far that is off beside a stripe, grey levels.
 _CHROMA: Final = np.array([[0.0, 1.402], [-0.344136, -0.714136], [1.772, 0.0]], np.float32)
 _CHROMA_ERROR: Final = 2.0
-# How far luma is off there, grey levels.
+# How far luma is off there, grey levels; and in a video.
 _LUMA_ERROR: Final = 1.0
+_LUMA_ERROR_OF_VIDEO: Final = 3.0
 
 
 def channels(
@@ -174,14 +176,27 @@ def channel_weights(
     return m, n
 
 
+class Detail(eqx.Module):
+    """What luma's detail gives back to channels whose colours are at half resolution: each frame's, or each line's.
+
+    Attributes:
+        gains: how far L, M and N gain by it, g / q − 1; 0 where colours are at full resolution, or need none.
+        repeated: whether both pixels of a pair show the colour that they share, as in a video, or it is interpolated.
+    """
+
+    gains: tuple[Float[Array, "*of"], Float[Array, "*of"], Float[Array, "*of"]]
+    repeated: Bool[Array, "*of"]
+
+
 @partial(jax.jit, static_argnames="color")
-def has_half_chroma(
+def half_chroma(
     lit: UInt[Array, "frames window lines rgb"], first: Int[Array, "frames lines"], color: str
-) -> Bool[Array, "frames"]:
-    """Whether the colours of each frame are at half resolution along its windows.
+) -> tuple[Bool[Array, "frames"], Bool[Array, "frames"]]:
+    """Whether the colours of each frame are at half resolution along its windows; and whether they are repeated.
 
     Two pixels that share their chroma, and their neighbours, lie on a straight line once it has been interpolated: its
-    third difference d₊₂ − 3 d₊₁ + 3 d − d₋₁ is what rounding leaves. One between two pairs is not.
+    third difference d₊₂ − 3 d₊₁ + 3 d − d₋₁ is what rounding leaves. Where it has been repeated it is their first
+    difference. One between two pairs is not.
 
     Args:
         lit: the pixels, 8 bits.
@@ -192,27 +207,36 @@ def has_half_chroma(
     chroma = levels[0] - _luma(levels, _luma_weights(color))
     # A pixel out of the range of numbers was cut off when it was decoded.
     whole = ((lit > 0) & (lit < jnp.iinfo(lit.dtype).max)).all(-1)
+    own, *rest = _luma_weights(color)
+    of_luma = (1 - own) ** 2 + sum(w * w for w in rest)
+    odd = (first[:, None] + jnp.arange(lit.shape[1])[None, :, None]) % 2 == 1
+
+    def usual(off: Array, where: Array) -> tuple[Float[Array, "frames"], Int[Array, "frames"]]:
+        count = where.sum((1, 2))
+        return jnp.where(where, off**2, 0.0).sum((1, 2)) / jnp.maximum(count, 1), count
+
+    def in_pairs(off: Array, known: Array, within: Array, rounding: float) -> Bool[Array, "frames"]:
+        (inside, count), (across, others) = usual(off, known & within), usual(off, known & ~within)
+        told = jnp.minimum(count, others) >= _TOLD_BY
+        return told & (inside < _OF_ROUNDING * _ROUNDING * rounding) & (across > _ACROSS * inside)
+
     third = chroma[:, 3:] - chroma[:, :-3] - 3 * (chroma[:, 2:-1] - chroma[:, 1:-2])
     known = whole[:, 3:] & whole[:, 2:-1] & whole[:, 1:-2] & whole[:, :-3]
-    within = (first[:, None] + jnp.arange(third.shape[1])[None, :, None]) % 2 == 1
-
-    def usual(where: Bool[Array, "frames window lines"]) -> tuple[Float[Array, "frames"], Int[Array, "frames"]]:
-        count = where.sum((1, 2))
-        return jnp.where(where, third**2, 0.0).sum((1, 2)) / jnp.maximum(count, 1), count
-
-    (inside, count), (across, others) = usual(known & within), usual(known & ~within)
-    own, *rest = _luma_weights(color)
-    rounded = float((_CHROMA[CHANNELS[color][0]] ** 2).sum()) + (1 - own) ** 2 + sum(w * w for w in rest)
-    # 20 = 1 + 9 + 9 + 1.
-    rounding = 20 * _ROUNDING * rounded
-    told = jnp.minimum(count, others) >= _TOLD_BY
-    return told & (inside < _OF_ROUNDING * rounding) & (across > _ACROSS * inside)
+    # 20 = 1 + 9 + 9 + 1; what is repeated has the same chroma twice, rounded once.
+    interpolated = in_pairs(third, known, odd[:, :-3], 20 * (of_luma + float((_CHROMA[CHANNELS[color][0]] ** 2).sum())))
+    first_off = chroma[:, 1:] - chroma[:, :-1]
+    repeated = in_pairs(first_off, whole[:, 1:] & whole[:, :-1], ~odd[:, :-1], 2 * of_luma)
+    return interpolated | repeated, repeated
 
 
 def detail_of(
-    levels: tuple[Float[Array, "frames window lines"], ...], flank: int, half: Bool[Array, "frames"], color: str
-) -> tuple[tuple[Float[Array, "frames"], ...], Bool[Array, "frames"]]:
-    """How far L, M and N gain by luma's detail, g / q − 1, and in which frames; 0 in the others.
+    levels: tuple[Float[Array, "frames window lines"], ...],
+    flank: int,
+    half: Bool[Array, "frames"],
+    repeated: Bool[Array, "frames"],
+    color: str,
+) -> tuple[Detail, Bool[Array, "frames"]]:
+    """What luma's detail gives back, and in which frames.
 
     The laser's colour is determined by sums over the windows, which halving and interpolating leave unchanged.
     Where all channels are full of it, it does not show, and the photograph is taken as it is.
@@ -221,6 +245,7 @@ def detail_of(
         levels: the three channels.
         flank: number of pixels at either end of a window that give its background.
         half: whether the frame's colours are at half resolution.
+        repeated: whether pixels of a pair have the same colour.
         color: of the laser.
     """
     size = levels[0].shape[1]
@@ -235,32 +260,31 @@ def detail_of(
     g = [jnp.ones(len(half)), *(jnp.nan_to_num(each) for each in others)]
     q = _luma(tuple(g), _luma_weights(color))
     half = half & (others[0] + others[1] < 2 * _MOST_WHITE)
-    return tuple(jnp.where(half, each / q - 1, 0.0) for each in g), half
+    laser, first, second = (jnp.where(half, each / q - 1, 0.0) for each in g)
+    return Detail((laser, first, second), repeated), half
 
 
 def luma_error(
-    detail: tuple[Float[Array, "frames"], ...],
+    detail: Detail,
     half: Bool[Array, "frames"],
     weights: tuple[Float[Array, "frames"], Float[Array, "frames"]],
 ) -> Float[Array, "frames"]:
     """σ of the response by what keeping luma coarsely leaves; 0 where colours are at full resolution."""
-    laser, first, second = (1 + by for by in detail)
+    laser, first, second = (1 + by for by in detail.gains)
     m, n = weights
-    return jnp.where(half, _LUMA_ERROR * jnp.abs(2 * laser - m * first - n * second), 0.0)
+    error = jnp.where(detail.repeated, _LUMA_ERROR_OF_VIDEO, _LUMA_ERROR)
+    return jnp.where(half, error * jnp.abs(2 * laser - m * first - n * second), 0.0)
 
 
 def detailed(
-    levels: tuple[Array, ...],
-    first: Int[Array, "groups lines"],
-    detail: tuple[Float[Array, "groups 1 _"], ...],
-    color: str,
+    levels: tuple[Array, ...], first: Int[Array, "groups lines"], detail: Detail, color: str
 ) -> tuple[Float[Array, "groups window lines"], ...]:
     """The channels at full resolution.
 
     Args:
         levels: as they were decoded.
         first: the row (or column) of each window's first pixel.
-        detail: as `detail_of` gives it.
+        detail: as `detail_of` gives it, of each line.
         color: of the laser.
     """
     Y = _luma(levels, _luma_weights(color))
@@ -268,10 +292,11 @@ def detailed(
     padded = jnp.pad(Y, [(0, 0), (2, 2), (0, 0)], mode="edge")
     before, further = padded[:, 1 : 1 + size], padded[:, :size]
     after, beyond = padded[:, 3 : 3 + size], padded[:, 4 : 4 + size]
-    # Of a pair's two pixels the mean, and a quarter of the next pair's towards that side.
     begins = (first[:, None] + jnp.arange(size)[None, :, None]) % 2 == 0
-    smooth = jnp.where(begins, 3 * (Y + after) + before + further, 3 * (before + Y) + after + beyond) / 8
-    return tuple(level + by * (Y - smooth) for level, by in zip(levels, detail, strict=True))
+    # Of a pair's two pixels the mean, and where it is interpolated a quarter of the next pair's towards that side.
+    pair = Y + jnp.where(begins, after, before)
+    smooth = jnp.where(detail.repeated, 4 * pair, 3 * pair + jnp.where(begins, before + further, after + beyond)) / 8
+    return tuple(level + by * (Y - smooth) for level, by in zip(levels, detail.gains, strict=True))
 
 
 def _luma_weights(color: str) -> tuple[float, float, float]:

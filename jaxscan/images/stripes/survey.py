@@ -24,7 +24,7 @@ from jaxscan.images.stripes.response import (
     channels,
     detail_of,
     detailed,
-    has_half_chroma,
+    half_chroma,
     luma_error,
     noise_gain,
     numbers,
@@ -78,6 +78,10 @@ LEAST_SIGNAL = 4.7
 _MOST_COMMON = 0.12
 # Of a burnt-out stripe, pixels higher than this part of a full one may be filled by speckle.
 _MAY_FILL = 0.55
+# From this one on a video's stripe is broad, ln of its standard deviation in px.
+_BROAD_LN_PX = float(np.log(2.5))
+# What the coding of a video leaves of a stripe's error, in parts of its light.
+_LEFT_BY_VIDEO = 0.15
 # A channel's least part of luma: that of blue.
 _LEAST_LUMA = 0.1
 # Light's own noise is read where at least this part of the lines is not full.
@@ -128,9 +132,15 @@ def survey(
     dark = None if background is None else gather_pixels(background, *at)
     first = first_pixel(images, jnp.asarray(row), columns, half)
     # Merged exposures have 16 bits, and their own rounding.
-    chroma = None if color == "grey" or lit.dtype != jnp.uint8 else has_half_chroma(lit, first, color)
-    by = None if chroma is None or not np.asarray(chroma).any() else (chroma, first)
-    return survey_windows(lit, dark, ambient, color, chroma=by, correlation=correlation, smooth=smooth)
+    chroma = None if color == "grey" or lit.dtype != jnp.uint8 else half_chroma(lit, first, color)
+    look = partial(survey_windows, lit, dark, ambient, color, correlation=correlation, smooth=smooth)
+    if chroma is None or not np.asarray(chroma[0]).any():
+        return look(chroma=None)
+    halved, repeated = (np.asarray(each) for each in chroma)
+    sensor = look(chroma=(halved, repeated, first))
+    # Colours at half resolution show all of a broad stripe, and luma's detail only its own error.
+    broad = repeated & (np.asarray(sensor.ln_s) > _BROAD_LN_PX)
+    return look(chroma=(halved & ~broad, repeated, first)) if broad.any() else sensor
 
 
 def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames some"]:
@@ -155,7 +165,7 @@ def survey_windows(
     ambient: Int[Array, "frames"],
     color: str,
     gain: Pixels | None = None,
-    chroma: tuple[Bool[Array, "frames"], Places] | None = None,
+    chroma: tuple[Bool[Array, "frames"], Bool[Array, "frames"], Places] | None = None,
     correlation: Float[Array, "frames distances"] | None = None,
     smooth: Bool[Array, "frames"] | None = None,
 ) -> Sensor:
@@ -167,7 +177,7 @@ def survey_windows(
         ambient: c of the response.
         color: of the laser, or grey.
         gain: as that of `Windows`; the noise is that of single pixels.
-        chroma: whether each frame's colours are at half resolution, and the windows' first pixels; None where none are.
+        chroma: as `half_chroma` gives it, and the windows' first pixels; None where no colours are at half resolution.
         correlation: as that of `survey`.
         smooth: as that of `survey`.
     """
@@ -175,10 +185,10 @@ def survey_windows(
     laser = numbers(lit, color)
     full, half, detail = _full_number(laser), None, None
     if chroma is not None:
-        half, first = chroma
-        detail, half = detail_of(levels, _FLANK, half, color)
+        half, repeated, first = chroma
+        detail, half = detail_of(levels, _FLANK, half, repeated, color)
         full = jnp.where(half, jnp.floor(FULL_OF_LUMA / FULL * full).astype(full.dtype), full)
-        of_line = tuple(by[:, None, None] for by in detail)
+        of_line = jax.tree.map(lambda x: x[:, None, None], detail)
         laser = detailed(channels(lit, None, color), first, of_line, color)[0]
         levels = detailed(levels, first, of_line, color)
     burnt = laser >= full[:, None, None].astype(laser.dtype)
@@ -255,6 +265,9 @@ def _look(
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
     light, apart = _chance(found, windows, around, shines, read, sensor, correlation, roughly)
+    if sensor.detail is not None:
+        from_video = sensor.detail.repeated & (sensor.detail.gains[0] > 0)
+        light = jax.tree.map(partial(jnp.where, from_video), _of_video(read, light), light)
     return replace(
         sensor,
         read=jnp.sqrt(light.read2),
@@ -268,6 +281,16 @@ def _look(
     )
 
 
+def _of_video(read: Float[Array, "frames"], light: Chance) -> Chance:
+    """The noise of a stripe in a video.
+
+    Beside the stripe, where nothing moves, a video is as it was predicted from the frames before; in the stripe it is
+    off by a part of its light. What a fit of a few pixels leaves shows little of it.
+    """
+    zero = jnp.zeros_like(read)
+    return Chance(read**2, zero, jnp.maximum(light.speckle, _LEFT_BY_VIDEO**2), zero, zero)
+
+
 def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
     """Read noise, gain, speckle contrast and saturation of each frame, of a pixel's laser channel.
 
@@ -277,7 +300,7 @@ def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
     m, n = (np.asarray(w) for w in sensor.weights)
     by_light, by_noise = np.full(m.shape, 1.0 if color == "grey" else 2.0), noise_gain((m, n), color)
     if sensor.detail is not None:
-        laser, first, second = (1 + np.asarray(by) for by in sensor.detail)
+        laser, first, second = (1 + np.asarray(by) for by in sensor.detail.gains)
         by_luma = 2 * laser - m * first - n * second
         by_light, by_noise = (np.where(laser > 1, by_luma, by) for by in (by_light, by_noise))
     read, shot, speckle, full = (np.asarray(x) for x in (sensor.read, sensor.shot, sensor.speckle, sensor.full))

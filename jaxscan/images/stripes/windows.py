@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from jaxscan.geometry.rotation import A
-from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Images, channels, detailed, numbers, response
+from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Detail, Images, channels, detailed, numbers, response
 
 Pixels = Float[Array, "groups window lines"]
 Lines = Float[Array, "groups 1 lines"]
@@ -87,7 +87,7 @@ class Sensor(eqx.Module):
         even: of noise that is alike in neighbouring pixels beside the stripe, 1 if it is so on the stripe, 0 if not.
         apart: whether what the plain profile leaves in the lines has nothing in common, as chance leaves it, or has a
             shape: that of a laser that is no bell, of a halo, or of what a camera sharpens.
-        detail: how far L, M and N gain by luma's detail; None where the colours of all frames are at full resolution.
+        detail: what luma's detail gives back; None where the colours of all frames are at full resolution.
         smooth: in which frames windows are smoothed; None where in none.
         cut: in which frames a full pixel was cut off before a JPEG was made of it; None where it is a bound in all.
     """
@@ -106,7 +106,7 @@ class Sensor(eqx.Module):
     beside: Float[Array, "*of"]
     even: Float[Array, "*of"]
     apart: Bool[Array, "*of"]
-    detail: tuple[Float[Array, "*of"], ...] | None = None
+    detail: Detail | None = None
     smooth: Bool[Array, "*of"] | None = None
     cut: Bool[Array, "*of"] | None = None
 

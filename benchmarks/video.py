@@ -1,0 +1,130 @@
+"""A stripe that moves in a video: error of its place over that of the plain centre of gravity, and σ over the error.
+
+Twenty-four drawn frames of a red stripe on textured ground, which bends, steps and moves by 2.3 px a frame. They are
+kept as MPEG-4 part 2 by OpenCV, and as H.264 of two rates where the package `av` is installed (`pip install av`), all
+with colours at half resolution. Errors beyond half a pixel are counted apart. σ over the error is as in `cup_jpeg`.
+"""
+
+import importlib.util
+import tempfile
+from itertools import product
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt
+from scipy.special import ndtr
+
+from benchmarks.cup_jpeg import errors, rms_of
+from benchmarks.frame_sigma import ratio
+from benchmarks.metric import Metric
+from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images.decode import read_video
+
+_FRAMES, _ROWS, _COLUMNS = 24, 240, 320
+# Standard deviation of the stripe, px; its height, grey levels: the last one is burnt out.
+_WIDTHS, _HEIGHTS = (0.75, 1.2, 2.0, 3.5), (60.0, 170.0, 600.0)
+_SPECKLES: Final = (0.2, 0.0)
+_COLOURS: Final = np.array([1.0, 0.06, 0.03])
+_GROUND, _TEXTURE, _NOISE, _MOVES_PX = 50.0, 8.0, 1.5, 2.3
+# The stripe steps each time after this number of columns; so near to a step none is asked.
+_FACE, _BESIDE_STEP = 80, 6
+_QUALITIES: Final = ("18", "26")
+_FAR_PX: Final = 0.5
+
+Frames = UInt[np.ndarray, "frames rows columns 3"]
+
+
+def measure(quick: bool) -> list[Metric]:
+    """Every width and height with speckle and without; in the short form two of them with speckle."""
+    kinds = ["mpeg4"]
+    if importlib.util.find_spec("av") is None:
+        print("  H.264 is left out: pip install av")
+    elif not quick:
+        kinds += [f"h264_{quality}" for quality in _QUALITIES]
+    cases = [(0.2, 0.75, 170.0), (0.2, 1.2, 600.0)] if quick else product(_SPECKLES, _WIDTHS, _HEIGHTS)
+    metrics = []
+    print("  speckle, σ px, height: of each kind RMS px, of gravity, quotient; σ over the error; further off, %")
+    with tempfile.TemporaryDirectory() as folder:
+        for speckle, width, height in cases:
+            frames, truth, asked = moving_stripe(width, height, speckle)
+            for kind in kinds:
+                kept = in_a_video(frames, Path(folder) / "stripe.mp4", kind)
+                own, by_gravity = (
+                    errors(detect_stripe(kept, StripeSettings("red"), detector=name), truth, asked)
+                    for name in ("likelihood", "gravity")
+                )
+                rms, other, sigma = rms_of(own[0]), rms_of(by_gravity[0]), ratio(own[0] / own[1])
+                far, far_other = (
+                    100 * np.mean(np.abs(off[np.isfinite(off)]) > _FAR_PX) for off, _ in (own, by_gravity)
+                )
+                print(
+                    f"    {speckle:g} {width:g} {height:g} {kind}   {rms:.4f} {other:.4f} {rms / other:.2f}   "
+                    f"{sigma:.2f}   {far:.1f} ({far_other:.1f})",
+                    flush=True,
+                )
+                name = f"video.{kind}.speckle_{speckle:g}.width_{width:g}.height_{height:g}"
+                metrics += [
+                    Metric(f"{name}.rms", rms, "px", "lower", None, 0.1),
+                    Metric(f"{name}.over_gravity", rms / other, "", "lower", 1.1, 0.1),
+                    Metric(f"{name}.sigma", sigma, ""),
+                ]
+    return metrics
+
+
+def moving_stripe(
+    width: float, height: float, speckle: float, seed: int = 1, count: int = _FRAMES
+) -> tuple[Frames, Float[np.ndarray, "frames columns"], Bool[np.ndarray, "frames columns"]]:
+    """Frames, where the stripe is in each, px, and which columns are no step.
+
+    Args:
+        width: standard deviation of the stripe, px.
+        height: of its peak in red, grey levels.
+        speckle: contrast of the laser's light in a pixel.
+        seed: of the noise.
+        count: how many frames.
+    """
+    random = np.random.default_rng(seed)
+    u, rows = np.arange(_COLUMNS), np.arange(_ROWS)
+    ground = _GROUND + _TEXTURE * np.sin(u / 17) * np.cos(rows / 13)[:, None]
+    frames, centres = [], []
+    for i in range(count):
+        centre = 70 + _MOVES_PX * i + 12 * np.sin(u / 40 + 0.1 * i) + 25 * (u // _FACE % 2)
+        edges = (np.arange(_ROWS + 1)[:, None] - 0.5 - centre) / width
+        light = height * width * np.sqrt(2 * np.pi) * np.diff(ndtr(edges), axis=0)
+        if speckle:
+            light *= random.gamma(speckle**-2, speckle**2, light.shape)
+        levels = ground[..., None] + light[..., None] * _COLOURS
+        levels += _NOISE * random.standard_normal(levels.shape)
+        frames.append(np.rint(levels.clip(0, 255)).astype(np.uint8))
+        centres.append(centre)
+    plain = np.abs(u % _FACE - (_FACE - 1) / 2) < _FACE / 2 - _BESIDE_STEP
+    return np.stack(frames), np.stack(centres), np.broadcast_to(plain, (count, _COLUMNS))
+
+
+def in_a_video(frames: Frames, path: Path, kind: str) -> Frames:
+    """The frames as they are read from a video.
+
+    Args:
+        frames: red, green and blue.
+        path: where the video is written.
+        kind: mpeg4, or h264_ and a rate factor.
+    """
+    rows, columns = frames.shape[1:3]
+    if kind == "mpeg4":
+        file = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30, (columns, rows))
+        for frame in frames:
+            file.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+        file.release()
+    else:
+        import av  # pyright: ignore[reportMissingImports]
+
+        with av.open(str(path), "w") as file:
+            stream = file.add_stream("libx264", rate=30)
+            stream.height, stream.width, stream.pix_fmt = rows, columns, "yuv420p"
+            stream.options = {"crf": kind.removeprefix("h264_")}
+            for frame in frames:
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+            file.mux(stream.encode())
+    return np.stack(list(read_video(path)))
