@@ -53,16 +53,13 @@ def measure(quick: bool) -> list[Metric]:
         print(f"  speckle {speckle:g}: RMS px, of gravity, quotient; σ over the error, of frames; further off, %")
         for quality, kind in _QUICK if quick else _ROWS:
             kept = as_jpeg(photographs, quality, kind)
-            own, by_gravity = (
-                errors(detect_stripe(kept, StripeSettings("red"), detector=name), truth, asked)
-                for name in ("likelihood", "gravity")
-            )
+            own, by_gravity = beside_gravity(kept, truth, asked)
             rms, other = (rms_of(off) for off, _ in (own, by_gravity))
             off = own[0] / own[1]
-            frames, far = frame_ratios(off), np.mean(np.abs(own[0][np.isfinite(own[0])]) > _FAR_PX)
+            frames, far = frame_ratios(off), far_percent(own[0])
             print(
                 f"    {quality} {kind}   {rms:.4f} {other:.4f} {rms / other:.2f}   {ratio(off):.2f}, "
-                f"{frames.min():.2f} to {frames.max():.2f}   {100 * far:.2f}",
+                f"{frames.min():.2f} to {frames.max():.2f}   {far:.2f}",
                 flush=True,
             )
             name = f"cup_jpeg.speckle_{speckle:g}.{quality}_{kind}"
@@ -87,6 +84,16 @@ def as_jpeg(photographs: Photographs, quality: int, kind: str) -> Photographs:
     )
 
 
+def beside_gravity(
+    photographs: Photographs, truth: Float[np.ndarray, "frames columns"], asked: Bool[np.ndarray, "frames columns"]
+) -> tuple[tuple[Float[np.ndarray, "frames columns"], Float[np.ndarray, "frames columns"]], ...]:
+    """Error and σ of the default detector's points, and of those of the centre of gravity."""
+    return tuple(
+        errors(detect_stripe(photographs, StripeSettings("red"), detector=name), truth, asked)
+        for name in ("likelihood", "gravity")
+    )
+
+
 def errors(
     stripe: Stripe, truth: Float[np.ndarray, "frames columns"], asked: Bool[np.ndarray, "frames columns"]
 ) -> tuple[Float[np.ndarray, "frames columns"], Float[np.ndarray, "frames columns"]]:
@@ -100,3 +107,8 @@ def rms_of(off: Float[np.ndarray, "frames columns"]) -> float:
     """Of the errors that are no more than half a pixel, px."""
     with np.errstate(invalid="ignore"):
         return float(np.sqrt(np.mean(off[np.abs(off) < _FAR_PX] ** 2)))
+
+
+def far_percent(off: Float[np.ndarray, "frames columns"]) -> float:
+    """Which part of the errors is more than half a pixel, %."""
+    return float(100 * np.mean(np.abs(off[np.isfinite(off)]) > _FAR_PX))

@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt
 from scipy.special import ndtr
 
-from benchmarks.cup_jpeg import errors, rms_of
+from benchmarks.cup_jpeg import beside_gravity, far_percent, rms_of
 from benchmarks.frame_sigma import ratio
 from benchmarks.metric import Metric
-from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.decode import read_video
 
 _FRAMES, _ROWS, _COLUMNS = 24, 240, 320
@@ -31,7 +30,6 @@ _GROUND, _TEXTURE, _NOISE, _MOVES_PX = 50.0, 8.0, 1.5, 2.3
 # The stripe steps each time after this number of columns; so near to a step none is asked.
 _FACE, _BESIDE_STEP = 80, 6
 _QUALITIES: Final = ("18", "26")
-_FAR_PX: Final = 0.5
 
 Frames = UInt[np.ndarray, "frames rows columns 3"]
 
@@ -51,14 +49,9 @@ def measure(quick: bool) -> list[Metric]:
             frames, truth, asked = moving_stripe(width, height, speckle)
             for kind in kinds:
                 kept = in_a_video(frames, Path(folder) / "stripe.mp4", kind)
-                own, by_gravity = (
-                    errors(detect_stripe(kept, StripeSettings("red"), detector=name), truth, asked)
-                    for name in ("likelihood", "gravity")
-                )
+                own, by_gravity = beside_gravity(kept, truth, asked)
                 rms, other, sigma = rms_of(own[0]), rms_of(by_gravity[0]), ratio(own[0] / own[1])
-                far, far_other = (
-                    100 * np.mean(np.abs(off[np.isfinite(off)]) > _FAR_PX) for off, _ in (own, by_gravity)
-                )
+                far, far_other = (far_percent(off) for off, _ in (own, by_gravity))
                 print(
                     f"    {speckle:g} {width:g} {height:g} {kind}   {rms:.4f} {other:.4f} {rms / other:.2f}   "
                     f"{sigma:.2f}   {far:.1f} ({far_other:.1f})",

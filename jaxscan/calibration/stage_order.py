@@ -130,5 +130,21 @@ def out_of_order(
 
 
 def _from_line(steps: Float[np.ndarray, "images"], at: Float[np.ndarray, "images"]) -> float:
-    A = np.stack([np.ones_like(at), (steps - steps.mean()) / max(float(np.ptp(steps)), 1e-9)], axis=1)
-    return float(np.sqrt(((at - A @ np.linalg.lstsq(A, at, rcond=None)[0]) ** 2).mean()))
+    left = about_a_line(steps, at[:, None], np.ones((len(at), 1)))
+    return float(np.sqrt((left**2).mean()))
+
+
+def about_a_line(
+    steps: Float[np.ndarray, "images"],
+    values: Float[np.ndarray, "images ways"],
+    sigma: Float[np.ndarray, "images ways"],
+) -> Float[np.ndarray, "images ways"]:
+    """Values less the line over the steps that fits them best, each way by itself; fewer than three stay."""
+    if len(steps) < _FEWEST:
+        return values
+    A = np.stack([np.ones_like(steps), (steps - steps.mean()) / max(float(np.ptp(steps)), 1e-9)], axis=1)
+    left = values.copy()
+    for way in range(values.shape[1]):
+        weight = 1 / sigma[:, way]
+        left[:, way] -= A @ np.linalg.lstsq(A * weight[:, None], values[:, way] * weight, rcond=None)[0]
+    return left

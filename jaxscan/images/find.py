@@ -8,6 +8,7 @@ burnt-out laser stripe that a global threshold does not see it. What is found is
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import cv2
@@ -127,10 +128,12 @@ def _attempts(grey: Grey) -> Iterator[tuple[Callable[..., Any], Grey8, float]]:
     plain = partial(cv2.findChessboardCorners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     sectors = partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE)
     thresholds = partial(cv2.findChessboardCorners, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE)
-    yield plain, *next(_stretched(grey))
+    stretched = _stretched(grey)
+    first = next(stretched)
+    yield plain, *first
     smallest, *larger = _sizes(_even_light(grey))
     yield sectors, *smallest
-    for reduced, scale in _stretched(grey):
+    for reduced, scale in chain((first,), stretched):
         yield thresholds, reduced, scale
     for reduced, scale in larger:
         yield sectors, reduced, scale

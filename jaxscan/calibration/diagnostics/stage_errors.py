@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jaxscan.calibration.own_places import axes_along, own_places, sigmas_along
 from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.stage_order import about_a_line
 from jaxscan.rig import Rotary
 from jaxscan.rig.line import Line
 
@@ -44,7 +45,7 @@ class StageErrors:
         """Those of the other photographs, about the line that these make."""
         if not (gone := np.isin(self.names, list(names))).any():
             return self
-        error = _about_a_line(self.steps[~gone], self.error_mm[~gone], self.sigma_mm[~gone])
+        error = about_a_line(self.steps[~gone], self.error_mm[~gone], self.sigma_mm[~gone])
         left = {each: getattr(self, each)[~gone] for each in _OF_STAGE}
         return replace(self, **left, names=tuple(np.array(self.names)[~gone].tolist()), error_mm=error)
 
@@ -87,8 +88,8 @@ class TurntableErrors:
         if not (gone := np.isin(self.names, list(names))).any():
             return self
         left = {each: getattr(self, each)[~gone] for each in _OF_TURNTABLE}
-        turned = _about_a_line(self.steps[~gone], self.turn_error_deg[~gone], self.turn_sigma_deg[~gone])
-        moved = _about_a_line(self.steps[~gone], self.error_mm[~gone], self.sigma_mm[~gone])
+        turned = about_a_line(self.steps[~gone], self.turn_error_deg[~gone], self.turn_sigma_deg[~gone])
+        moved = about_a_line(self.steps[~gone], self.error_mm[~gone], self.sigma_mm[~gone])
         kept = tuple(np.array(self.names)[~gone].tolist())
         return replace(self, **left, names=kept, turn_error_deg=turned, error_mm=moved)
 
@@ -107,20 +108,6 @@ class TurntableErrors:
 # What of each photograph stays as it is where others are left out.
 _OF_STAGE = ("steps", "travel_mm", "sigma_mm", "rotation_mrad", "rotation_sigma_mrad")
 _OF_TURNTABLE = ("steps", "turn_deg", "turn_sigma_deg", "sigma_mm")
-
-
-def _about_a_line(
-    steps: Float[np.ndarray, "images"], error: Float[np.ndarray, "images 3"], sigma: Float[np.ndarray, "images 3"]
-) -> Float[np.ndarray, "images 3"]:
-    """Errors less the line over the steps that fits them best, each way by itself; fewer than three stay."""
-    if len(steps) < 3:
-        return error
-    A = np.stack([np.ones_like(steps), (steps - steps.mean()) / max(float(np.ptp(steps)), 1e-9)], axis=1)
-    left = error.copy()
-    for way in range(error.shape[1]):
-        weight = 1 / sigma[:, way]
-        left[:, way] -= A @ np.linalg.lstsq(A * weight[:, None], error[:, way] * weight, rcond=None)[0]
-    return left
 
 
 def stage_errors(calibration: Calibration) -> tuple[StageErrors, ...]:

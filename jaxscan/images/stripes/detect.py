@@ -200,10 +200,10 @@ def _detect(
         smooth = jpeg & sharp
         sensor = survey(*looking, alike, smooth)
     # Of luma that is interpolated, and of luma whose channels are full each by itself, full pixels are bounds.
-    cut = jpeg & ~at_half_resolution(sensor) & (color != "grey" or frames.ndim == peak.ndim + 1)
+    video, halved = of_video(sensor), at_half_resolution(sensor)
+    cut = jpeg & ~halved & (color != "grey" or frames.ndim == peak.ndim + 1)
     # In a video's luma they are numbers: what its coding leaves there is more than lies between them and a bound.
-    video = of_video(sensor)
-    cut |= video & at_half_resolution(sensor)
+    cut |= video & halved
     cut = cut if cut.any() else None
     ground = np.asarray(sensor.ground)[:count]
     least = np.maximum(LEAST_SIGNAL * ground, _LEAST_STRENGTH)
