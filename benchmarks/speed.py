@@ -33,7 +33,7 @@ from jaxscan.files.axes import STAGE
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, detect_stripe, read_image
-from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
+from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.reconstruction import reconstruct
 from jaxscan.reconstruction.frames import aligned
 

@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
 from jaxscan.errors import InputError
-from jaxscan.images.stripes.survey import FULL, greatest_numbers
+from jaxscan.images.stripes.saturation import FULL, greatest_numbers
 
 Frames = UInt[Array | np.ndarray, "exposures rows columns *rgb"]
 Merged = UInt[Array, "rows columns *rgb"]

@@ -24,7 +24,7 @@ from jaxscan.files.axes import STAGE
 from jaxscan.files.scan import Scan
 from jaxscan.images import read_image, read_video
 from jaxscan.images.decode import Image
-from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
+from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.rig import Positions
 
 # One buffer is measured while two are filled.

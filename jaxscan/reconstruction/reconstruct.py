@@ -13,7 +13,7 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings
 from jaxscan.images.decode import Image
-from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
+from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.reconstruction.range_image import RangeImage, writing_points
 from jaxscan.reconstruction.stream import Scanner
 from jaxscan.rig import Positions, Rig

@@ -20,9 +20,9 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import Stripe, StripeSettings, detect_stripe
 from jaxscan.images.decode import Image
+from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
-from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions

@@ -13,10 +13,10 @@ from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings, write_image
+from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.candidates import candidates
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.coherent import HALO
-from jaxscan.images.stripes.detect import FRAMES_AT_ONCE
 from jaxscan.images.stripes.windows import gather_pixels, gather_windows
 from jaxscan.reconstruction import Scanner, frames, reconstruct, write_stream
 from jaxscan.reconstruction.range_image import RangeImage, read_range_image

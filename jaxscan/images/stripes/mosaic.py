@@ -25,9 +25,9 @@ from jax import Array
 from jaxtyping import Bool, Float, Int, UInt
 
 from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
+from jaxscan.images.stripes.saturation import FULL
 from jaxscan.images.stripes.settle import Band
 from jaxscan.images.stripes.stripe import Stripe
-from jaxscan.images.stripes.survey import FULL
 
 # Pixels to either side of the peak from which the centre is estimated, and in which d is looked at; and of the window
 # that shows the background.

@@ -104,7 +104,7 @@ class MeasuredFrames:
 
 
 def settle(
-    frames: MeasuredFrames, peaks: Array, columns: bool, contested: bool, of_colour: Callable[[], np.ndarray] | None
+    frames: MeasuredFrames, peaks: Array, columns: bool, contested: bool, of_colour: Callable[[], np.ndarray | None]
 ) -> Int8[np.ndarray, "frames lines"]:
     """The verdict of each line of some frames; what is measured elsewhere is put into `frames`.
 
@@ -130,7 +130,7 @@ def settle(
         if doubtful.size:
             standing = bright & inside
             down = np.asarray(peaks)
-            coloured = None if of_colour is None else of_colour()
+            coloured = of_colour()
             if not columns:
                 down = np.swapaxes(down, 1, 2)
                 coloured = None if coloured is None else np.swapaxes(coloured, 1, 2)
