@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Final, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import simplejpeg
@@ -62,6 +63,8 @@ def measure(quick: bool) -> list[Metric]:
     print("  RMS error of a step's height, mm: " + ", ".join(f"{kind} ({', '.join(_DETECTORS)})" for kind in _KINDS))
     worst: dict[tuple[Color, str, str, Detector], float] = {}
     for color, (peak, bright) in itertools.product(colors, _PEAKS.items()):
+        # A process may have 65530 areas of memory, and each compiled function takes some hundreds.
+        jax.clear_caches()
         for s in widths[peak]:
             cells = ""
             for kind in _KINDS:
@@ -72,6 +75,7 @@ def measure(quick: bool) -> list[Metric]:
                 for name, rms in found.items():
                     worst[color, peak, kind, name] = max(worst.get((color, peak, kind, name), 0.0), rms)
             print(f"    {color:6}{peak:6}{s:4} {cells}", flush=True)
+    jax.clear_caches()
     return [_metric(*which, rms) for which, rms in worst.items()] + _sigma(quick) + _in_turn(quick)
 
 

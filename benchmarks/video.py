@@ -7,6 +7,7 @@ with colours at half resolution. Errors beyond half a pixel are counted apart. Ï
 
 import importlib.util
 import tempfile
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Final
@@ -25,7 +26,7 @@ _FRAMES, _ROWS, _COLUMNS = 24, 240, 320
 # Standard deviation of the stripe, px; its height, grey levels: the last one is burnt out.
 _WIDTHS, _HEIGHTS = (0.75, 1.2, 2.0, 3.5), (60.0, 170.0, 600.0)
 _SPECKLES: Final = (0.2, 0.0)
-_COLOURS: Final = np.array([1.0, 0.06, 0.03])
+COLOURS: Final = np.array([1.0, 0.06, 0.03])
 _GROUND, _TEXTURE, _NOISE, _MOVES_PX = 50.0, 8.0, 1.5, 2.3
 # The stripe steps each time after this number of columns; so near to a step none is asked.
 _FACE, _BESIDE_STEP = 80, 6
@@ -79,21 +80,40 @@ def moving_stripe(
         count: how many frames.
     """
     random = np.random.default_rng(seed)
-    u, rows = np.arange(_COLUMNS), np.arange(_ROWS)
-    ground = _GROUND + _TEXTURE * np.sin(u / 17) * np.cos(rows / 13)[:, None]
     frames, centres = [], []
+    for light, centre in moving_light(width, height, speckle, random, count):
+        levels = texture(_GROUND, _TEXTURE)[..., None] + light[..., None] * COLOURS
+        levels += _NOISE * random.standard_normal(levels.shape)
+        frames.append(np.rint(levels.clip(0, 255)).astype(np.uint8))
+        centres.append(centre)
+    return np.stack(frames), np.stack(centres), beside_no_step(count)
+
+
+def moving_light(
+    width: float, height: float, speckle: float, random: np.random.Generator, count: int
+) -> Iterator[tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "columns"]]]:
+    """The laser's light on each frame's pixels, and where its stripe is, px; as `moving_stripe` has them."""
+    u = np.arange(_COLUMNS)
     for i in range(count):
         centre = 70 + _MOVES_PX * i + 12 * np.sin(u / 40 + 0.1 * i) + 25 * (u // _FACE % 2)
         edges = (np.arange(_ROWS + 1)[:, None] - 0.5 - centre) / width
         light = height * width * np.sqrt(2 * np.pi) * np.diff(ndtr(edges), axis=0)
         if speckle:
             light *= random.gamma(speckle**-2, speckle**2, light.shape)
-        levels = ground[..., None] + light[..., None] * _COLOURS
-        levels += _NOISE * random.standard_normal(levels.shape)
-        frames.append(np.rint(levels.clip(0, 255)).astype(np.uint8))
-        centres.append(centre)
+        yield light, centre
+
+
+def texture(ground: float, by: float) -> Float[np.ndarray, "rows columns"]:
+    """Levels of a scene that varies by so much."""
+    u, rows = np.arange(_COLUMNS), np.arange(_ROWS)
+    return ground + by * np.sin(u / 17) * np.cos(rows / 13)[:, None]
+
+
+def beside_no_step(count: int) -> Bool[np.ndarray, "frames columns"]:
+    """Which columns are not beside a step."""
+    u = np.arange(_COLUMNS)
     plain = np.abs(u % _FACE - (_FACE - 1) / 2) < _FACE / 2 - _BESIDE_STEP
-    return np.stack(frames), np.stack(centres), np.broadcast_to(plain, (count, _COLUMNS))
+    return np.broadcast_to(plain, (count, _COLUMNS))
 
 
 def in_a_video(frames: Frames, path: Path, kind: str) -> Frames:

@@ -97,6 +97,7 @@ class Batch:
         correlation: Float[np.ndarray, "most distances"] | None = None,
         smooth: Bool[np.ndarray, "most"] | None = None,
         without: Bool[np.ndarray, "count lines"] | None = None,
+        coded: Bool[np.ndarray, "most"] | None = None,
     ) -> Sensor:
         """What each photograph shows of its sensor, in `FRAMES_AT_ONCE` entries.
 
@@ -104,6 +105,7 @@ class Batch:
             correlation: of each frame's noise, as `survey` has it.
             smooth: in which frames windows are smoothed; None where in none.
             without: lines that are not asked; None where all may be.
+            coded: which are known to be JPEGs; None where none is.
         """
         stands = self.stands
         if without is not None:
@@ -120,6 +122,7 @@ class Batch:
             FRAMES_AT_ONCE,
             correlation,
             smooth,
+            coded,
         )
 
     def peaks_of_colour(self) -> np.ndarray | None:

@@ -63,7 +63,7 @@ def with_edges(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lin
     strained &= broad[:, None] & ~looker.light.video[:count, None]
     # A stripe that is burnt out over its whole length is judged by its flanks.
     mostly = (looked.burnt & looked.strong).sum(1) > ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
-    odd |= mostly & ~np.asarray(looker.light.sensor.apart)[:count]
+    odd |= mostly & ~np.asarray(looker.light.sensor.apart)[:count] | looker.light.no_bell()[:count]
     flat = looker.again(jax.tree.map(np.ravel, measured), places_of(peak), strained.ravel(), NARROW, "edge")
     flat = jax.tree.map(lambda x: x.reshape(peak.shape), flat)
     return WithEdges(flat, flat.position != measured.position, odd, looker)

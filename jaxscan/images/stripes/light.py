@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Float32
 
 from jaxscan.images.stripes.along import with_grain
 from jaxscan.images.stripes.batch import Batch
+from jaxscan.images.stripes.cross_section import size_of
 from jaxscan.images.stripes.processed import (
     ALIKE_BESIDE,
     are_jpegs,
@@ -16,6 +17,7 @@ from jaxscan.images.stripes.processed import (
     of_video,
     share_full,
 )
+from jaxscan.images.stripes.saturation import has_plateau
 from jaxscan.images.stripes.survey import light_of
 from jaxscan.images.stripes.windows import Sensor
 
@@ -23,6 +25,8 @@ from jaxscan.images.stripes.windows import Sensor
 _SLIM_LN_PX: Final = float(np.log(1.7))
 # Up to this one, a JPEG's error in the stripe's blocks is large beside what the stripe leaves of its own steepness.
 _SHARP_LN_PX: Final = float(np.log(1.3))
+# What a cross-section has beside a bell, from which it is said to be none: flat ones have 0.27 to 0.36.
+_FAR_FROM_A_BELL: Final = 0.15
 # The part of a frame's lines that are burnt out, beyond which no edges are looked for in the others.
 MOSTLY_BURNT: Final = 0.3
 
@@ -40,6 +44,7 @@ class Light:
         jpeg: which are JPEGs; none where no profile is fitted, for it matters to that alone.
         video: which come from a video.
         cut: in which full pixels are numbers and no bounds.
+        coded: which are known as JPEGs, for whatever detector.
     """
 
     sensor: Sensor
@@ -50,6 +55,7 @@ class Light:
     jpeg: Bool[np.ndarray, "most"]
     video: Bool[np.ndarray, "most"]
     cut: Bool[np.ndarray, "most"]
+    coded: Bool[np.ndarray, "most"]
 
     @staticmethod
     def create(batch: Batch, sensor: Sensor, fitted: bool) -> "Light":
@@ -63,18 +69,19 @@ class Light:
         correlation = correlations(batch.frames, batch.dark, batch.settings, sensor, batch.peak)
         if correlation[:, 0].any():
             sensor = batch.survey(correlation)
-        of_pixels = sensor
         ln_s = np.asarray(sensor.ln_s) if fitted else np.full(len(correlation), np.inf)
         slim, sharp = ln_s < _SLIM_LN_PX, ln_s < _SHARP_LN_PX
-        jpeg = _jpegs(batch, sensor, sharp, correlation) if fitted else np.zeros(len(sharp), bool)
+        jpeg = _jpegs(batch, sensor, sharp, correlation, fitted)
+        coded, of_pixels = jpeg, sensor
+        jpeg = coded & fitted
         smooth = jpeg & sharp
-        if smooth.any():
-            sensor = batch.survey(_or_none(correlation), smooth)
+        if (coded & ~np.asarray(sensor.coded)).any() or smooth.any():
+            sensor = batch.survey(_or_none(correlation), smooth if smooth.any() else None, coded=coded)
         video, halved = of_video(sensor), at_half_resolution(sensor)
         # Of luma that is interpolated, and of luma whose channels are full each by itself, full pixels are bounds. In a
         # video's luma they are numbers: what its coding leaves there is more than lies between them and a bound.
         cut = jpeg & ~halved & (not batch.in_luma) | video & halved
-        return Light(sensor, of_pixels, correlation, slim, sharp, jpeg, video, cut)
+        return Light(sensor, of_pixels, correlation, slim, sharp, jpeg, video, cut, coded)
 
     def with_grain(self, ln_light: Float[np.ndarray, "count lines"], seen: Bool[np.ndarray, "count lines"]) -> "Light":
         """The same with the speckle as it is along the stripe, in frames whose noise is white."""
@@ -83,7 +90,13 @@ class Light:
 
     def read_again(self, batch: Batch, without: Bool[np.ndarray, "count lines"]) -> "Light":
         """The same with the noise that a survey without some lines shows."""
-        return replace(self, sensor=batch.survey(_or_none(self.correlation), self.sensor.smooth, without))
+        smooth = None if self.sensor.smooth is None else np.asarray(self.sensor.smooth)
+        return replace(self, sensor=batch.survey(_or_none(self.correlation), smooth, without, self.coded))
+
+    def no_bell(self) -> Bool[np.ndarray, "most"]:
+        """In which frames the laser has a cross-section of its own that is far from a bell."""
+        shape = self.sensor.shape
+        return np.zeros(len(self.sharp), bool) if shape is None else size_of(shape) > _FAR_FROM_A_BELL
 
     def of_frames(self, valid: Bool[np.ndarray, "count lines"], color: str) -> Float32[np.ndarray, "count 4"]:
         """Read noise, gain, speckle contrast and saturation of the pixels of each frame; NaN without a stripe."""
@@ -94,14 +107,19 @@ class Light:
 
 
 def _jpegs(
-    batch: Batch, sensor: Sensor, sharp: Bool[np.ndarray, "most"], correlation: Float32[np.ndarray, "most distances"]
+    batch: Batch,
+    sensor: Sensor,
+    sharp: Bool[np.ndarray, "most"],
+    correlation: Float32[np.ndarray, "most distances"],
+    fitted: bool,
 ) -> Bool[np.ndarray, "most"]:
     """Which photographs are JPEGs, of those for which it matters."""
     may_be = (correlation[:, 0] == 0) & batch.has_8_bits
     # The noise of a JPEG is white only where it has left it as it was; what it makes of full pixels counts always.
-    asked = may_be & (sharp | (np.asarray(sensor.beside) > ALIKE_BESIDE))
-    some = slice(batch.count)
-    asked[some] |= may_be[some] & (share_full(batch.frames, batch.settings, sensor, batch.peak) > MOSTLY_BURNT)
+    asked = (sharp | (np.asarray(sensor.beside) > ALIKE_BESIDE)) & fitted
+    asked[: batch.count] |= (share_full(batch.frames, batch.settings, sensor, batch.peak) > MOSTLY_BURNT) & fitted
+    # What it leaves of a stripe's flat top is not where the sensor is full.
+    asked = may_be & (asked | has_plateau(np.asarray(sensor.full), batch.has_8_bits))
     return are_jpegs(batch.frames, batch.settings, sensor, batch.peak, may_be, asked)
 
 

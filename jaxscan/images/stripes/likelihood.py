@@ -28,7 +28,7 @@ Cholesky factor, c being last, is 1 / σ_c with the other three unknown.
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -67,6 +67,8 @@ _ROOT_HALF, _ROOT_HALF_PI, _ROOT_2_OVER_PI = 0.70710678, 1.2533141, 0.79788456
 _ROOT_2_PI = 2.5066283
 # Of a pixel that was cut off τ, and the least σ of what a JPEG leaves in a burnt-out line, in parts of a full pixel.
 _SOFT_CUT, _LEFT_BY_JPEG = 0.05, 0.008
+# Of the Hermite polynomials by which a cross-section may differ from a bell.
+SHAPE_ORDERS: Final = (4, 6)
 # Φ of less is 1e-9: there float32 has few digits of it left.
 _LEAST_T = -6.0
 _LEAST_PIVOT = 1e-12
@@ -216,7 +218,7 @@ def fit(
         free |= used & cut.lines
 
     def step(profile: Profile, grain: bool) -> Fit:
-        height, jacobian = _pixels(profile, windows.response.shape[1])
+        height, jacobian = _pixels(profile, windows.response.shape[1], sensor.shape)
         seen = weigh(profile.background, height, windows, used, sensor, censored)
         if cut is not None:
             jacobian, as_number = _weigh_cut(profile.background, height, jacobian, windows.response, cut, used, sensor)
@@ -287,15 +289,39 @@ def _independent(
     return innovations([*jacobian, seen.score / weight], light, own, used, sensor.speckle, sensor.grain)
 
 
-def _pixels(profile: Profile, size: int) -> tuple[Pixels, tuple[Pixels, ...]]:
-    """A P and J of each pixel."""
+def _pixels(profile: Profile, size: int, shape: tuple[Lines, ...] | None) -> tuple[Pixels, tuple[Pixels, ...]]:
+    """A P and J of each pixel; of a laser that is no bell by the coefficients of its cross-section."""
     A, s = jnp.exp(profile.ln_height), jnp.exp(profile.ln_s)
-    edge = jnp.arange(size + 1, dtype=jnp.float32)[None, :, None] - 0.5
-    x = (edge - profile.centre) / s
+    x = _edges(profile, size)
     bell = jnp.exp(-0.5 * x * x)
-    below = jax.lax.erf(_ROOT_HALF * x)
-    P = _ROOT_HALF_PI * A * s * _between(below)
+    upto = _ROOT_HALF_PI * jax.lax.erf(_ROOT_HALF * x)
+    if shape is not None:
+        He = hermite(x, SHAPE_ORDERS[-1])
+        upto = upto - bell * sum(c * He[n - 1] for c, n in zip(shape, SHAPE_ORDERS, strict=True))
+        bell = bell * (1 + sum(c * He[n] for c, n in zip(shape, SHAPE_ORDERS, strict=True)))
+    P = A * s * _between(upto)
     return P, (jnp.ones_like(P), P, P - A * s * _between(x * bell), -A * _between(bell))
+
+
+def by_shape(profile: Profile, size: int) -> list[Pixels]:
+    """The derivatives of A P by the coefficients of the cross-section."""
+    A, s = jnp.exp(profile.ln_height), jnp.exp(profile.ln_s)
+    x = _edges(profile, size)
+    He, bell = hermite(x, SHAPE_ORDERS[-1]), jnp.exp(-0.5 * x * x)
+    return [-A * s * _between(bell * He[n - 1]) for n in SHAPE_ORDERS]
+
+
+def _edges(profile: Profile, size: int) -> Float[Array, "groups edges lines"]:
+    edge = jnp.arange(size + 1, dtype=jnp.float32)[None, :, None] - 0.5
+    return (edge - profile.centre) / jnp.exp(profile.ln_s)
+
+
+def hermite(x: Array, last: int) -> list[Array]:
+    """He₀ to the last of the Hermite polynomials: He_(n+1) = x He_n − n He_(n−1)."""
+    found = [jnp.ones_like(x), x]
+    for n in range(1, last):
+        found.append(x * found[n] - n * found[n - 1])
+    return found
 
 
 class Weighed(NamedTuple):

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.images.stripes.cross_section import orthogonal
 from jaxscan.images.stripes.grain import Chance, chance
 from jaxscan.images.stripes.likelihood import Fit
 from jaxscan.images.stripes.ranks import median
@@ -75,7 +76,7 @@ def sensor_noise(
     height = jnp.maximum(found.height, 0.0)
     # A full pixel takes its part of what the fit takes, and shows nothing.
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
-    taken = [root * y for y in _taken(found)]
+    taken = [root * y for y in orthogonal(found)]
     # Where speckle may fill a pixel, only its lesser values are left to be seen.
     shown = jnp.where(burnt & (height > _MAY_FILL * sensor.span[:, None, None]), 0.0, 1.0)
     if roughly:
@@ -98,7 +99,7 @@ def sensor_noise(
         read2=ground**2,
         known=clear,
         groups=_GROUPS,
-        by_tails=jnp.zeros_like(apart) if sensor.smooth is None else sensor.smooth,
+        by_tails=sensor.coded,
         correlation=correlation,
     )
     # A profile that is not the model's is off over several pixels, as grains are.
@@ -132,11 +133,3 @@ def _share_in_common(standard: Pixels, peak: Pixels, centre: Lines) -> Float[Arr
     # Of n lines that have nothing in common, a share of 1 / n.
     by_chance = 1 / jnp.maximum((p.max(1) > 0).sum(1), 2)
     return (share - by_chance) / (1 - by_chance)
-
-
-def _taken(found: Fit) -> list[Pixels]:
-    """L⁻¹ J of each pixel, L Lᵀ = Jᵀ W J: the sum of their squares times W is the leverage."""
-    y: list[Pixels] = []
-    for i, J in enumerate(found.jacobian):
-        y.append((J - sum(found.factor[i][m] * y[m] for m in range(i))) / found.factor[i][i])
-    return y

@@ -4,6 +4,7 @@ All of it is estimated from some of the windows about the coarse peaks, frame by
 depend on what else is in the batch.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, Int
 
+from jaxscan.images.stripes.cross_section import MOST, cross_section
 from jaxscan.images.stripes.grain import Chance
 from jaxscan.images.stripes.likelihood import ROUGH, fit
 from jaxscan.images.stripes.ranks import median
@@ -39,6 +41,7 @@ from jaxscan.images.stripes.windows import (
     Sensor,
     Windows,
     first_pixel,
+    full_pixels,
     gather_pixels,
     outline,
     smoothed,
@@ -68,6 +71,8 @@ LEAST_SIGNAL = 4.7
 _BROAD_LN_PX = float(np.log(2.5))
 # What the coding of a video leaves of a stripe's error, in parts of its light.
 _LEFT_BY_VIDEO = 0.15
+# From this one on its pixels show a stripe's own cross-section.
+_RESOLVED_LN_PX = float(np.log(1.1))
 # A channel's least part of luma: that of blue.
 _LEAST_LUMA = 0.1
 # How far ln s of a line may be from that of the others: no less than this, and before anything is known a factor of e.
@@ -87,6 +92,7 @@ def survey(
     most: int,
     correlation: Float[np.ndarray, "most distances"] | None = None,
     smooth: Bool[np.ndarray, "most"] | None = None,
+    coded: Bool[np.ndarray, "most"] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor.
 
@@ -104,7 +110,9 @@ def survey(
         correlation: of each frame's noise, from `noise_correlation`; 0 of frames whose noise is white, None
             where all are such.
         smooth: in which frames windows are smoothed; None where in none.
+        coded: which frames are known to be JPEGs; None where none is.
     """
+    coded = np.zeros(most, bool) if coded is None else coded
     of = np.minimum(np.arange(most, dtype=np.int32), len(peak) - 1)
     line = _lines_with_a_stripe(stands)[of]
     frame = np.ascontiguousarray(np.broadcast_to(of[:, None], line.shape))
@@ -115,14 +123,32 @@ def survey(
     first = first_pixel(images, jnp.asarray(row), columns, half)
     # Merged exposures have 16 bits, and their own rounding.
     chroma = None if color == "grey" or lit.dtype != jnp.uint8 else half_chroma(lit, first, color)
-    look = partial(survey_windows, lit, dark, ambient, color, correlation=correlation, smooth=smooth)
+    look = partial(survey_windows, lit, dark, ambient, color, correlation=correlation, smooth=smooth, coded=coded)
     if chroma is None or not np.asarray(chroma[0]).any():
-        return look(chroma=None)
+        return _with_cross_section(look)
     halved, repeated = (np.asarray(each) for each in chroma)
-    sensor = look(chroma=(halved, repeated, first))
+    look = partial(look, chroma=(halved, repeated, first))
     # Colours at half resolution show all of a broad stripe, and luma's detail only its own error.
-    broad = repeated & (np.asarray(sensor.ln_s) > _BROAD_LN_PX)
-    return look(chroma=(halved & ~broad, repeated, first)) if broad.any() else sensor
+    broad = repeated & (np.asarray(look().ln_s) > _BROAD_LN_PX) if repeated.any() else repeated
+    return _with_cross_section(partial(look, chroma=(halved & ~broad, repeated, first)) if broad.any() else look)
+
+
+def _with_cross_section(look: Callable[..., Sensor]) -> Sensor:
+    """What a survey shows; of frames whose lines have something in common with the laser's own cross-section.
+
+    That is taken where nothing in common is left: of two lobes, or where it is something else that lines leave, it is
+    not.
+    """
+    sensor = look()
+    odd = ~np.asarray(sensor.apart) & (np.asarray(sensor.ln_s) > _RESOLVED_LN_PX)
+    if not odd.any():
+        return sensor
+    found = look(odd=odd)
+    taken = odd & np.asarray(found.apart) & np.all(np.abs(np.asarray(found.shape)) < np.array(MOST)[:, None], axis=0)
+    if not taken.any():
+        return sensor
+    zero = jnp.zeros_like(sensor.read)
+    return jax.tree.map(partial(jnp.where, taken), found, replace(sensor, shape=(zero,) * len(MOST)))
 
 
 def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames some"]:
@@ -150,6 +176,8 @@ def survey_windows(
     chroma: tuple[Bool[Array, "frames"], Bool[Array, "frames"], Places] | None = None,
     correlation: Float[Array, "frames distances"] | None = None,
     smooth: Bool[Array, "frames"] | None = None,
+    coded: Bool[Array, "frames"] | None = None,
+    odd: Bool[Array, "frames"] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor in some of its windows.
 
@@ -162,18 +190,25 @@ def survey_windows(
         chroma: as `half_chroma` gives it, and the windows' first pixels; None where no colours are at half resolution.
         correlation: as that of `survey`.
         smooth: as that of `survey`.
+        coded: as that of `survey`.
+        odd: in which frames the laser's own cross-section is looked for; None where in none.
     """
     levels = channels(lit, dark, color)
     laser = numbers(lit, color)
-    full, half, detail = full_number(laser), None, None
-    if chroma is not None:
+    half, detail = None, None
+    coded = jnp.zeros(len(lit), bool) if coded is None else coded
+    if chroma is None:
+        full = full_number(laser, coded)
+    else:
         half, repeated, first = chroma
         detail, half = detail_of(levels, _FLANK, half, repeated, color)
+        coded |= half & ~repeated
+        full = full_number(laser, coded)
         full = jnp.where(half, jnp.floor(FULL_OF_LUMA / FULL * full).astype(full.dtype), full)
         of_line = jax.tree.map(lambda x: x[:, None, None], detail)
         laser = detailed(channels(lit, None, color), first, of_line, color)[0]
         levels = detailed(levels, first, of_line, color)
-    burnt = laser >= full[:, None, None].astype(laser.dtype)
+    burnt = full_pixels(laser, full[:, None, None], coded[:, None, None])
     one = jnp.ones(len(lit), jnp.float32)
     plain = response(levels, NEUTRAL, ambient[:, None, None])
     weights = (one, one) if color == "grey" else _weights(levels, plain, burnt, half, color)
@@ -211,11 +246,15 @@ def survey_windows(
         apart=white,
         detail=detail,
         smooth=smooth,
+        coded=coded,
     )
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added)
     # With no idea of the noise some lines will do.
     some, about = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
+    if odd is not None:
+        known = _look(some, about, sensor, read, correlation, roughly=True)
+        sensor = replace(sensor, shape=cross_section(windows, around, known, odd))
     first = _look(some, about, sensor, read, correlation, roughly=True)
 
     def again(looked: Array, known: Sensor) -> Sensor:

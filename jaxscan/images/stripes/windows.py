@@ -11,7 +11,7 @@ from typing import Final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
 
 from jaxscan.geometry.rotation import A
 from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Detail, Images, channels, detailed, numbers, response
@@ -26,6 +26,8 @@ _LEAST_WIDTH_PX: Final = 1.0
 _SMOOTHING = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 # The least variance of a stripe, px².
 _LEAST_S2: Final = 0.01
+# Between full pixels one is full from this part of a full number on.
+_NEARLY: Final = 0.8
 # What `smoothed` adds to the variance of a stripe, px².
 _ADDED_PX2: Final = 0.5
 # What it leaves of the variance of independent pixels, and what pixels 1 and 2 apart then share of it.
@@ -87,8 +89,10 @@ class Sensor(eqx.Module):
         even: of noise that is alike in neighbouring pixels beside the stripe, 1 if it is so on the stripe, 0 if not.
         apart: whether what the plain profile leaves in the lines has nothing in common, as chance leaves it, or has a
             shape: that of a laser that is no bell, of a halo, or of what a camera sharpens.
+        coded: whether it is a JPEG, as far as the survey was told, or colours at half resolution show it.
         detail: what luma's detail gives back; None where the colours of all frames are at full resolution.
         smooth: in which frames windows are smoothed; None where in none.
+        shape: coefficients of the laser's cross-section; None where all are bells.
         cut: in which frames a full pixel was cut off before a JPEG was made of it; None where it is a bound in all.
     """
 
@@ -106,9 +110,11 @@ class Sensor(eqx.Module):
     beside: Float[Array, "*of"]
     even: Float[Array, "*of"]
     apart: Bool[Array, "*of"]
+    coded: Bool[Array, "*of"]
     detail: Detail | None = None
     smooth: Bool[Array, "*of"] | None = None
     cut: Bool[Array, "*of"] | None = None
+    shape: tuple[Float[Array, "*of"], ...] | None = None
 
     def of(self, frame: Places) -> "Sensor":
         """The numbers of each line's frame, as (groups, 1, lines)."""
@@ -233,7 +239,7 @@ def gather_windows(
     if here.detail is not None:
         laser = detailed(channels(lit, None, color), first, here.detail, color)[0]
         levels = detailed(levels, first, here.detail, color)
-    r, full = response(levels, here.weights, here.ambient), laser >= here.full.astype(laser.dtype)
+    r, full = response(levels, here.weights, here.ambient), full_pixels(laser, here.full, here.coded)
     gain = added = cut = None
     if here.cut is not None:
         below = jnp.iinfo(lit.dtype).max - laser.astype(jnp.float32)
@@ -246,6 +252,27 @@ def gather_windows(
         r = jnp.where(cut.lines, cut.smoothed(r), r)
     neutral = None if color == "grey" else response(levels, NEUTRAL, here.ambient)
     return Windows(r, neutral, full, first, gain, added, cut)
+
+
+def full_pixels(
+    laser: Shaped[Array, "groups window lines"],
+    full: Int[Array, "groups 1 _"],
+    coded: Bool[Array, "groups 1 _"],
+) -> Bool[Array, "groups window lines"]:
+    """Which pixels are full: those that reach the number, and those between two of them that nearly do.
+
+    A sensor's pixels are not all full at one number, and the noise of its rows is added after that. What a JPEG leaves
+    in full pixels is another matter.
+
+    Args:
+        laser: the numbers of the channel that shows it.
+        full: the number.
+        coded: which windows are of JPEGs.
+    """
+    sure = laser >= full.astype(laser.dtype)
+    beside = jnp.pad(sure, [(0, 0), (1, 1), (0, 0)])
+    between = beside[:, :-2] & beside[:, 2:] & (laser >= _NEARLY * full)
+    return sure | between & ~coded
 
 
 def smoothed(r: Pixels, which: Bool[Array, "groups 1 lines"]) -> tuple[Pixels, Pixels, Lines]:
