@@ -125,21 +125,28 @@ def survey(
     chroma = None if color == "grey" or lit.dtype != jnp.uint8 else half_chroma(lit, first, color)
     look = partial(survey_windows, lit, dark, ambient, color, correlation=correlation, smooth=smooth, coded=coded)
     if chroma is None or not np.asarray(chroma[0]).any():
-        return _with_cross_section(look)
+        return _with_cross_section(look(), look)
     halved, repeated = (np.asarray(each) for each in chroma)
     look = partial(look, chroma=(halved, repeated, first))
-    # Colours at half resolution show all of a broad stripe, and luma's detail only its own error.
-    broad = repeated & (np.asarray(look().ln_s) > _BROAD_LN_PX) if repeated.any() else repeated
-    return _with_cross_section(partial(look, chroma=(halved & ~broad, repeated, first)) if broad.any() else look)
-
-
-def _with_cross_section(look: Callable[..., Sensor]) -> Sensor:
-    """What a survey shows; of frames whose lines have something in common with the laser's own cross-section.
-
-    That is taken where nothing in common is left: of two lobes, or where it is something else that lines leave, it is
-    not.
-    """
     sensor = look()
+    # Colours at half resolution show all of a broad stripe, and luma's detail only its own error.
+    broad = repeated & (np.asarray(sensor.ln_s) > _BROAD_LN_PX)
+    if broad.any():
+        look = partial(look, chroma=(halved & ~broad, repeated, first))
+        sensor = look()
+    return _with_cross_section(sensor, look)
+
+
+def _with_cross_section(sensor: Sensor, look: Callable[..., Sensor]) -> Sensor:
+    """The sensor, in frames whose lines leave something in common as the laser's own cross-section has it.
+
+    That is taken where nothing in common is left then: of two lobes, or where it is something else that lines leave,
+    it is not.
+
+    Args:
+        sensor: as a look shows it.
+        look: looks again.
+    """
     odd = ~np.asarray(sensor.apart) & (np.asarray(sensor.ln_s) > _RESOLVED_LN_PX)
     if not odd.any():
         return sensor
