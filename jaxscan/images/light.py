@@ -65,6 +65,6 @@ def no_bell(odd: Sequence[bool], photographs: str) -> str | None:
     return (
         f"cross-section is not bell-shaped, all along it, in {count} of {len(odd)} {photographs}: its place may be "
         "off, by the same amount everywhere, which a calibration with this laser takes up, and σ is not to be trusted: "
-        "too large, of a burnt-out stripe perhaps too small: focus camera and laser, clean lens and laser, dim a burnt-out "
-        "line, or use a laser of a single mode"
+        "too large, of a burnt-out stripe perhaps too small: focus camera and laser, clean lens and laser, dim a "
+        "burnt-out line, or use a laser of a single mode"
     )
