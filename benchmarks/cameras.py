@@ -15,9 +15,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
-from benchmarks.cup_jpeg import as_jpeg, beside_gravity, far_percent, rms_of
-from benchmarks.frame_sigma import HIGH, LOW, ratio
+from benchmarks.cup_jpeg import Against, as_jpeg
+from benchmarks.frame_sigma import HIGH, LOW
 from benchmarks.metric import Metric
+from benchmarks.mosaic import encoded, sharpened
 from benchmarks.video import COLOURS, beside_no_step, moving_light, texture
 
 _FRAMES: Final = 8
@@ -43,17 +44,10 @@ def measure(quick: bool) -> list[Metric]:
         rows = []
         for speckle, width, height in cases:
             photographs, truth, asked = KINDS[kind](width, height, speckle)
-            own, other = beside_gravity(photographs, truth, asked)
-            rms = rms_of(own[0])
-            far = far_percent(own[0]), far_percent(other[0])
-            rows.append((rms, rms / rms_of(other[0]), ratio(own[0] / own[1]), *far))
+            found = Against.create(photographs, truth, asked)
+            rows.append((found.rms, found.rms / found.other, found.sigma, found.far, found.far_other))
             way = kind.replace("… ", "").replace(", ", "_").replace(" ", "_").replace(":", "")
-            name = f"cameras.{way}.speckle_{speckle:g}.width_{width:g}.height_{height:g}"
-            metrics += [
-                Metric(f"{name}.rms", rms, "px", "lower", None, 0.1),
-                Metric(f"{name}.over_gravity", rows[-1][1], "", "lower", _GOAL, 0.1),
-                Metric(f"{name}.sigma", rows[-1][2], ""),
-            ]
+            metrics += found.metrics(f"cameras.{way}.speckle_{speckle:g}.width_{width:g}.height_{height:g}", _GOAL)
         low, high = np.min(rows, axis=0), np.max(rows, axis=0)
         within = np.mean([LOW <= row[2] <= HIGH for row in rows])
         print(
@@ -86,12 +80,6 @@ def _rounded(levels: Light) -> Photographs:
     return np.rint(levels.clip(0, 255)).astype(np.uint8)
 
 
-def _encoded(levels: Light) -> Light:
-    """For a display, IEC 61966-2-1."""
-    x = levels / 255
-    return 255 * np.where(x < 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
-
-
 def _contrast(levels: Light) -> Light:
     """A tone curve that is steep in the middle and flat at its ends."""
     x = levels / 255
@@ -101,10 +89,6 @@ def _contrast(levels: Light) -> Light:
 def _halved(levels: Light) -> Light:
     """Scaled down by the mean of four."""
     return (levels[:, ::2, ::2] + levels[:, 1::2, ::2] + levels[:, ::2, 1::2] + levels[:, 1::2, 1::2]) / 4
-
-
-def _sharpened(levels: Light) -> Light:
-    return np.stack([frame + 0.8 * (frame - cv2.GaussianBlur(frame, (0, 0), 1.0)) for frame in levels])
 
 
 def _disc(radius: float) -> Float[np.ndarray, "n n"]:
@@ -129,7 +113,7 @@ def _as(way: Way, psf: Float[np.ndarray, "n n"] | None = None, full: float = 255
 def _in_half_size(width: float, height: float, speckle: float) -> tuple[Photographs, Where, np.ndarray]:
     """Of twice the width, encoded, and scaled down: what is asked is a pixel's own centre."""
     light, where, asked, random = _scene(2 * width, height, speckle)
-    photographs = _rounded(_halved(_encoded(_rounded(_on_sensor(light, random)).astype(np.float64))))
+    photographs = _rounded(_halved(encoded(_rounded(_on_sensor(light, random)).astype(np.float64))))
     pairs = (where[:, ::2] + where[:, 1::2]) / 2
     return photographs, (pairs - 0.5) / 2, asked[:, ::2] & asked[:, 1::2]
 
@@ -147,10 +131,10 @@ def _hot(levels: Light, random: np.random.Generator) -> Photographs:
 
 KINDS: Final[dict[str, Callable[..., tuple[Photographs, Where, np.ndarray]]]] = {
     "as it is": _as(lambda x, _: _rounded(x)),
-    "encoded for a display": _as(lambda x, _: _rounded(_encoded(x))),
-    "… with a tone curve": _as(lambda x, _: _rounded(_contrast(_encoded(x)))),
-    "… as JPEG 4:2:0": _as(lambda x, _: as_jpeg(_rounded(_encoded(x)), 90, "420")),
-    "… as JPEG 4:4:4": _as(lambda x, _: as_jpeg(_rounded(_encoded(x)), 90, "444")),
+    "encoded for a display": _as(lambda x, _: _rounded(encoded(x))),
+    "… with a tone curve": _as(lambda x, _: _rounded(_contrast(encoded(x)))),
+    "… as JPEG 4:2:0": _as(lambda x, _: as_jpeg(_rounded(encoded(x)), 90, "420")),
+    "… as JPEG 4:4:4": _as(lambda x, _: as_jpeg(_rounded(encoded(x)), 90, "444")),
     "… in half the size": _in_half_size,
     "uneven pixels": _as(_uneven),
     "noise of rows": _as(lambda x, random: _rounded(x + 3 * random.standard_normal((len(x), x.shape[1], 1, 1)))),
@@ -158,10 +142,10 @@ KINDS: Final[dict[str, Callable[..., tuple[Photographs, Where, np.ndarray]]]] = 
     "hot pixels": _as(_hot),
     "white balance": _as(lambda x, _: _rounded(np.rint(x * (0.5, 1, 0.6)) * (2, 1, 1.67))),
     "full at 200": _as(lambda x, random: _rounded(x + random.standard_normal(x.shape)), full=200.0),
-    "sharpened": _as(lambda x, _: _rounded(_sharpened(x))),
+    "sharpened": _as(lambda x, _: _rounded(np.stack([sharpened(frame, 0.8) for frame in x]))),
     "out of focus, 2 px": _as(lambda x, _: _rounded(x), _disc(2.0)),
     "out of focus, 3 px": _as(lambda x, _: _rounded(x), _disc(3.0)),
     "… as JPEG 4:4:4, 3 px": _as(lambda x, _: as_jpeg(_rounded(x), 90, "444"), _disc(3.0)),
-    "… as JPEG 4:2:0, 3 px": _as(lambda x, _: as_jpeg(_rounded(_encoded(x)), 90, "420"), _disc(3.0)),
+    "… as JPEG 4:2:0, 3 px": _as(lambda x, _: as_jpeg(_rounded(encoded(x)), 90, "420"), _disc(3.0)),
     "out of focus, 4.5 px": _as(lambda x, _: _rounded(x), _disc(4.5)),
 }

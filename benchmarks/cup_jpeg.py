@@ -7,7 +7,7 @@ the error is 1 / RMS of error / σ over points within 4 σ: of all points, and o
 """
 
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import simplejpeg
@@ -92,6 +92,40 @@ def beside_gravity(
         errors(detect_stripe(photographs, StripeSettings("red"), detector=name), truth, asked)
         for name in ("likelihood", "gravity")
     )
+
+
+class Against(NamedTuple):
+    """The default detector's points against those of the centre of gravity.
+
+    Attributes:
+        rms: of their errors within half a pixel, px.
+        other: the same of the centre of gravity's.
+        sigma: their σ over the error.
+        far: which part of them is further off, %.
+        far_other: the same of the centre of gravity's.
+    """
+
+    rms: float
+    other: float
+    sigma: float
+    far: float
+    far_other: float
+
+    @staticmethod
+    def create(
+        photographs: Photographs, truth: Float[np.ndarray, "frames columns"], asked: Bool[np.ndarray, "frames columns"]
+    ) -> "Against":
+        """Of photographs whose stripe is known, where it is asked."""
+        (off, sigma), (off_other, _) = beside_gravity(photographs, truth, asked)
+        return Against(rms_of(off), rms_of(off_other), ratio(off / sigma), far_percent(off), far_percent(off_other))
+
+    def metrics(self, name: str, goal: float) -> list[Metric]:
+        """The error, its quotient, whose goal is given, and σ."""
+        return [
+            Metric(f"{name}.rms", self.rms, "px", "lower", None, 0.1),
+            Metric(f"{name}.over_gravity", self.rms / self.other, "", "lower", goal, 0.1),
+            Metric(f"{name}.sigma", self.sigma, ""),
+        ]
 
 
 def errors(

@@ -88,15 +88,23 @@ def _corrected(photograph: Photograph) -> Photograph:
     return _levels(np.stack([r, both, b], axis=-1))
 
 
+def sharpened(levels: Float[np.ndarray, "rows columns 3"], by: float) -> Float[np.ndarray, "rows columns 3"]:
+    """By an unsharp mask of 1 px."""
+    return levels + by * (levels - cv2.GaussianBlur(levels, (0, 0), 1.0))
+
+
+def encoded(levels: Float[np.ndarray, "*of 3"]) -> Float[np.ndarray, "*of 3"]:
+    """Levels of 0 to 255 as they are encoded for a display, IEC 61966-2-1."""
+    light = levels / 255.0
+    return 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
 def _sharpened(photograph: Photograph) -> Photograph:
-    levels = photograph.astype(np.float32)
-    return _levels(2 * levels - cv2.GaussianBlur(levels, (0, 0), 1.0))
+    return _levels(sharpened(photograph.astype(np.float32), 1.0))
 
 
 def _encoded(photograph: Photograph) -> Photograph:
-    """IEC 61966-2-1."""
-    light = photograph / 255.0
-    return _levels(255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
+    return _levels(encoded(photograph))
 
 
 def _levels(light: Float[np.ndarray, "rows columns 3"]) -> Photograph:

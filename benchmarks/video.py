@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt
 from scipy.special import ndtr
 
-from benchmarks.cup_jpeg import beside_gravity, far_percent, rms_of
-from benchmarks.frame_sigma import ratio
+from benchmarks.cup_jpeg import Against
 from benchmarks.metric import Metric
 from jaxscan.images.decode import read_video
 
@@ -31,6 +30,7 @@ _GROUND, _TEXTURE, _NOISE, _MOVES_PX = 50.0, 8.0, 1.5, 2.3
 # The stripe steps each time after this number of columns; so near to a step none is asked.
 _FACE, _BESIDE_STEP = 80, 6
 _QUALITIES: Final = ("18", "26")
+_GOAL: Final = 1.1
 
 Frames = UInt[np.ndarray, "frames rows columns 3"]
 
@@ -50,20 +50,13 @@ def measure(quick: bool) -> list[Metric]:
             frames, truth, asked = moving_stripe(width, height, speckle)
             for kind in kinds:
                 kept = in_a_video(frames, Path(folder) / "stripe.mp4", kind)
-                own, by_gravity = beside_gravity(kept, truth, asked)
-                rms, other, sigma = rms_of(own[0]), rms_of(by_gravity[0]), ratio(own[0] / own[1])
-                far, far_other = (far_percent(off) for off, _ in (own, by_gravity))
+                found = Against.create(kept, truth, asked)
                 print(
-                    f"    {speckle:g} {width:g} {height:g} {kind}   {rms:.4f} {other:.4f} {rms / other:.2f}   "
-                    f"{sigma:.2f}   {far:.1f} ({far_other:.1f})",
+                    f"    {speckle:g} {width:g} {height:g} {kind}   {found.rms:.4f} {found.other:.4f} "
+                    f"{found.rms / found.other:.2f}   {found.sigma:.2f}   {found.far:.1f} ({found.far_other:.1f})",
                     flush=True,
                 )
-                name = f"video.{kind}.speckle_{speckle:g}.width_{width:g}.height_{height:g}"
-                metrics += [
-                    Metric(f"{name}.rms", rms, "px", "lower", None, 0.1),
-                    Metric(f"{name}.over_gravity", rms / other, "", "lower", 1.1, 0.1),
-                    Metric(f"{name}.sigma", sigma, ""),
-                ]
+                metrics += found.metrics(f"video.{kind}.speckle_{speckle:g}.width_{width:g}.height_{height:g}", _GOAL)
     return metrics
 
 

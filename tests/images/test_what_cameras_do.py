@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cameras import KINDS
-from benchmarks.cup_jpeg import beside_gravity, rms_of
-from benchmarks.frame_sigma import ratio
+from benchmarks.cup_jpeg import Against
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.stripes.cross_section import size_of
 from jaxscan.images.stripes.saturation import full_number
@@ -16,8 +15,8 @@ SETTINGS, NO_JPEG = StripeSettings("red"), np.zeros(1, bool)
 
 def over_gravity(kind, width, height, speckle):
     """The error over gravity's, and σ over the error."""
-    own, other = beside_gravity(*KINDS[kind](width, height, speckle))
-    return rms_of(own[0]) / rms_of(other[0]), ratio(own[0] / own[1])
+    found = Against.create(*KINDS[kind](width, height, speckle))
+    return found.rms / found.other, found.sigma
 
 
 @pytest.mark.parametrize(("kind", "most"), [("uneven pixels", 0.8), ("noise of rows", 0.8), ("full at 200", 0.8)])

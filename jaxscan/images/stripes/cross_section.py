@@ -64,7 +64,10 @@ def cross_section(windows: Windows, around: Outline, sensor: Sensor, asked: Bool
 
 
 def _least_squares(columns: list[Pixels], z: Pixels) -> list[Float[Array, "frames"]]:
-    """The coefficients by which the columns explain z, of each frame, by orthogonal parts of one after another."""
+    """The coefficients by which the columns explain z, of each frame, by orthogonal parts of one after another.
+
+    The columns are much alike, and in float32 the normal equations of `factor` would lose digits.
+    """
 
     def dot(a: Pixels, b: Pixels) -> Float[Array, "frames"]:
         return (a * b).sum((1, 2))

@@ -11,8 +11,8 @@ from jaxscan.images.stripes.batch import NARROW
 from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
 from jaxscan.images.stripes.light import MOSTLY_BURNT
 from jaxscan.images.stripes.likelihood import FWHM
-from jaxscan.images.stripes.look import ALL_BURNT, Looker, places_of, replaced
-from jaxscan.images.stripes.settle import Looked
+from jaxscan.images.stripes.look import ALL_BURNT, Looker, places_of
+from jaxscan.images.stripes.settle import Looked, replaced
 
 # ln of the standard deviation of the narrowest stripe in which an edge is measured, px.
 _NARROWEST_TORN: Final = float(np.log(0.9))

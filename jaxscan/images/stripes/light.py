@@ -71,8 +71,7 @@ class Light:
             sensor = batch.survey(correlation)
         ln_s = np.asarray(sensor.ln_s) if fitted else np.full(len(correlation), np.inf)
         slim, sharp = ln_s < _SLIM_LN_PX, ln_s < _SHARP_LN_PX
-        jpeg = _jpegs(batch, sensor, sharp, correlation, fitted)
-        coded, of_pixels = jpeg, sensor
+        coded, of_pixels = _jpegs(batch, sensor, sharp, correlation, fitted), sensor
         jpeg = coded & fitted
         smooth = jpeg & sharp
         if (coded & ~np.asarray(sensor.coded)).any() or smooth.any():
@@ -116,11 +115,12 @@ def _jpegs(
     """Which photographs are JPEGs, of those for which it matters."""
     may_be = (correlation[:, 0] == 0) & batch.has_8_bits
     # The noise of a JPEG is white only where it has left it as it was; what it makes of full pixels counts always.
-    asked = (sharp | (np.asarray(sensor.beside) > ALIKE_BESIDE)) & fitted
-    asked[: batch.count] |= (share_full(batch.frames, batch.settings, sensor, batch.peak) > MOSTLY_BURNT) & fitted
     # What it leaves of a stripe's flat top is not where the sensor is full.
-    asked = may_be & (asked | has_plateau(np.asarray(sensor.full), batch.has_8_bits))
-    return are_jpegs(batch.frames, batch.settings, sensor, batch.peak, may_be, asked)
+    asked = has_plateau(np.asarray(sensor.full))
+    if fitted:
+        asked |= sharp | (np.asarray(sensor.beside) > ALIKE_BESIDE)
+        asked[: batch.count] |= share_full(batch.frames, batch.settings, sensor, batch.peak) > MOSTLY_BURNT
+    return are_jpegs(batch.frames, batch.settings, sensor, batch.peak, may_be, may_be & asked)
 
 
 def _or_none(correlation: Float32[np.ndarray, "most distances"]) -> Float32[np.ndarray, "most distances"] | None:

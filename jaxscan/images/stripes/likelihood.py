@@ -167,17 +167,15 @@ def likelihood(
     width = FWHM * jnp.exp(windows.as_it_is(profile.ln_s))
     estimate = Estimate(profile.centre, sigma, width, jnp.isfinite(sigma) & within)
     light, settled = profile.ln_height + profile.ln_s, found.moved_by < _ARRIVED
-    return estimate, Misfit(strained, *_hermite(profile, found.residual), light, settled)
+    return estimate, Misfit(strained, *_gauss_hermite(profile, found.residual), light, settled)
 
 
-def _hermite(profile: Profile, residual: Pixels) -> tuple[Lines, Lines]:
+def _gauss_hermite(profile: Profile, residual: Pixels) -> tuple[Lines, Lines]:
     """h₃ and h₄ of a residual: its projections on the Hermite polynomials He₃ and He₄ times the Gaussian."""
     z = (places(residual.shape[1]) - profile.centre) / jnp.exp(profile.ln_s)
     bell = residual * jnp.exp(-0.5 * z * z - profile.ln_height - profile.ln_s)
-    return (
-        (bell * z * (z * z - 3)).sum(1, keepdims=True),
-        (bell * (z * z * (z * z - 6) + 3)).sum(1, keepdims=True),
-    )
+    *_, He3, He4 = hermite(z, 4)
+    return (bell * He3).sum(1, keepdims=True), (bell * He4).sum(1, keepdims=True)
 
 
 def fit(

@@ -18,7 +18,7 @@ from jaxscan.images.stripes.batch import NARROW, SHORT, WIDE, Batch
 from jaxscan.images.stripes.detectors import Model, measure
 from jaxscan.images.stripes.light import Light
 from jaxscan.images.stripes.likelihood import FEW_STEPS_CENSORED, ROUGH, STEPS_CENSORED
-from jaxscan.images.stripes.settle import Looked, Places
+from jaxscan.images.stripes.settle import Looked, Places, replaced
 from jaxscan.images.stripes.survey import LEAST_SIGNAL
 from jaxscan.images.stripes.windows import Sensor, gather_windows
 
@@ -198,10 +198,3 @@ def groups(
         count = min(prod(shape), some - first)
         yield [np.resize(index[first : first + count], shape).astype(np.int32, copy=False) for index in at], count
         first += count
-
-
-def replaced(old: np.ndarray, at: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """A copy with new values at some places."""
-    values = np.array(old)
-    values[at] = new
-    return values

@@ -43,9 +43,9 @@ def full_number(laser: Int[Array, "frames window lines"], coded: Bool[Array, "fr
     return jnp.floor(jnp.minimum(FULL * greatest, _plateau(level, top, coded))).astype(jnp.int32)
 
 
-def has_plateau(full: Int[np.ndarray, "frames"], has_8_bits: bool) -> Bool[np.ndarray, "frames"]:
-    """In which frames pixels are full from another number on than the greatest."""
-    return ~np.isin(full, np.floor(FULL * np.array(greatest_numbers(8 if has_8_bits else 16))))
+def has_plateau(full: Int[np.ndarray, "frames"]) -> Bool[np.ndarray, "frames"]:
+    """In which frames of 8 bits pixels are full from another number on than the greatest."""
+    return full != np.floor(FULL * greatest_numbers(8)[-1])
 
 
 def _plateau(
@@ -61,14 +61,10 @@ def _plateau(
     flat = (count >= _FEWEST) & (count > _FLAT * high.sum(1))
     usual = median(jnp.where(flat, top, jnp.nan))
     off = median(jnp.where(flat, jnp.abs(top - usual[:, None]), jnp.nan))
-    inside = near & _shifted(near, 1) & _shifted(near, -1) & flat[:, None]
+    inside = near & jnp.roll(near, 1, axis=1) & jnp.roll(near, -1, axis=1) & flat[:, None]
     below = jnp.where(inside, (jnp.maximum(usual[:, None, None] - level, 0)) ** 2, 0.0).sum((1, 2))
     spread = jnp.sqrt(below / jnp.maximum(inside.sum((1, 2)), 1))
     beyond = (top > _BEYOND * usual[:, None]).mean(1)
     cut = (flat.mean(1) > _OFTEN) & (off < _ALIKE * usual) & (beyond < _SELDOM)
     lower = jnp.maximum(jnp.where(coded, 0.0, _SPREADS * spread), (1 - FULL) * usual)
     return jnp.where(cut, usual - lower, jnp.inf)
-
-
-def _shifted(x: Array, by: int) -> Array:
-    return jnp.roll(x, by, axis=1)

@@ -85,13 +85,9 @@ class MeasuredFrames:
     def take(self, at: Places, found: Looked, which: np.ndarray) -> None:
         """Put what was measured at some of these places into their lines."""
         lines = at[0][which], at[1][which]
-
-        def replaced(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-            values = np.array(old)
-            values[lines] = new[which]
-            return values
-
-        self.looked, self.peak = jax.tree.map(replaced, (self.looked, self.peak), (found, at[2]))
+        self.looked, self.peak = jax.tree.map(
+            lambda old, new: replaced(old, lines, new[which]), (self.looked, self.peak), (found, at[2])
+        )
 
     def within(
         self, line: Int[np.ndarray, "*some"], position: Float[np.ndarray, "*of some"]
@@ -101,6 +97,13 @@ class MeasuredFrames:
             return np.ones(position.shape, bool)
         low, high = self.band
         return (position >= low[line]) & (position <= high[line])
+
+
+def replaced(old: np.ndarray, at: np.ndarray | tuple[np.ndarray, ...], new: np.ndarray) -> np.ndarray:
+    """A copy with new values at some places."""
+    values = np.array(old)
+    values[at] = new
+    return values
 
 
 def settle(
