@@ -26,6 +26,7 @@ from difflib import get_close_matches
 from itertools import takewhile
 from typing import Any, Final, NoReturn, Protocol
 
+from jaxscan.cli.compiled import cache_warning
 from jaxscan.cli.progress import say, working
 from jaxscan.errors import InputError, JaxscanError
 
@@ -151,8 +152,13 @@ def _in_words(program: Program, error: Exception) -> str:
 @contextmanager
 def _warnings_in_words(program: Program) -> Iterator[None]:
     """Warnings as one line each, without the place in the source that only a programmer needs."""
+
+    def shown(message: Warning | str, *_: object) -> None:
+        if (text := cache_warning(str(message))) is not None:
+            say(f"{program.name}: warning: {text}")
+
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: say(f"{program.name}: warning: {message}")
+        warnings.showwarning = shown
         yield
 
 
