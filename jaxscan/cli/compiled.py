@@ -45,10 +45,10 @@ def compiling() -> bool:
 
 
 def cache_warning(message: str) -> str | None:
-    """What is said in place of a warning: of one that a compiled function was not read or kept what to do, at most once.
+    """What is said in place of a warning: where JAX has not read or kept a compiled function, what to do, at most once.
 
-    JAX compiles a function again that it cannot read, and never replaces what is there: a file that was half written, as
-    a full disk or a sudden end leaves it, would stand in the way for ever. It is deleted, and then written again.
+    JAX compiles again what it cannot read, and never replaces the file: one that was half written, as a full disk or a
+    sudden end leaves it, would stand in the way for ever. It is deleted, and then written again.
 
     Args:
         message: of the warning.
