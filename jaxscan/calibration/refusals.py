@@ -57,7 +57,7 @@ def with_remarks(known: list[Observations], lens: str | None = None) -> Iterator
         yield
     except (InputError, ObservabilityError, SolveError) as error:
         remarks = known[-1].remarks()
-        if not isinstance(error, InputError) and (lens in LADDER or lens == Splined.kind):
+        if isinstance(error, ObservabilityError | SolveError) and (lens in LADDER or lens == Splined.kind):
             angle = beyond_the_ladder(known[-1])
             if angle is not None:
                 remarks = (

@@ -7,9 +7,13 @@ hides the errors, the prior is what is left.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+
+# No number is known better, px: numbers with the same noise have a difference of none, but for rounding.
+_LEAST_PX: Final = 1e-4
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ def weights(shown: Sequence[Shown], sizes: Float[np.ndarray, "sizes"], none: flo
     logs = np.zeros(len(sizes))
     for each in shown:
         values, vectors = np.linalg.eigh(each.noise)
-        total = np.maximum(values, 0.0) + sizes[:, None] ** 2 + np.finfo(float).tiny
+        total = np.maximum(values, _LEAST_PX**2) + sizes[:, None] ** 2
         logs -= 0.5 * (np.log(total) + (vectors.T @ each.found) ** 2 / total).sum(axis=1)
     prior = np.where(sizes > 0, 1 / (len(sizes) - 1), none)
     likely = prior * np.exp(logs - logs.max())

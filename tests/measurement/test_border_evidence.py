@@ -29,9 +29,10 @@ def test_without_evidence_the_prior_is_left():
         np.testing.assert_allclose(likely, [0.9, 0.025, 0.025, 0.025, 0.025], rtol=1e-3)
 
 
-def test_numbers_of_one_shape_count_with_their_covariance():
-    """Two numbers whose noise is the same one say as much as one of them."""
-    twice = Shown(np.array([0.05, 0.05]), 0.01**2 * np.array([[1.0, 1.0], [1.0, 1.0]]))
+@pytest.mark.parametrize("off", [0.0, 1e-15, -1e-12])
+def test_numbers_of_one_shape_count_with_their_covariance(off):
+    """Two numbers whose noise is the same one say as much as one of them, however they are rounded."""
+    twice = Shown(np.array([0.05, 0.05 + off]), 0.01**2 * np.array([[1.0, 1.0], [1.0, 1.0]]))
     along = Shown(np.array([0.05, 0.05]) @ np.ones((2, 1)) / np.sqrt(2), np.array([[2 * 0.01**2]]))
     none = Shown(np.zeros(1), np.zeros((1, 1)))
     np.testing.assert_allclose(weights([twice], SIZES), weights([along, none], SIZES), atol=1e-6)
