@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.images.stripes.likelihood import SHAPE_ORDERS, Fit, by_shape, fit
+from jaxscan.images.stripes.likelihood import SHAPE_ORDERS, by_shape, fit
+from jaxscan.images.stripes.normal_equations import orthogonal
 from jaxscan.images.stripes.ranks import median
 from jaxscan.images.stripes.windows import Outline, Pixels, Sensor, Windows
 
@@ -48,7 +49,7 @@ def cross_section(windows: Windows, around: Outline, sensor: Sensor, asked: Bool
         known = open_ & jnp.isfinite(found.inverse_sigma[:, 0])
         usual = median(jnp.where(known, left, jnp.nan))[:, None]
         root = jnp.where((known & (left < _MOST_OF_USUAL * usual))[:, None], jnp.sqrt(found.weight), 0.0)
-        basis = [root * y for y in orthogonal(found)]
+        basis = [root * y for y in orthogonal(found.jacobian, found.factor)]
         own: list[Pixels] = []
         for T in by_shape(found.profile, windows.response.shape[1]):
             z = root * T
@@ -86,11 +87,3 @@ def _least_squares(columns: list[Pixels], z: Pixels) -> list[Float[Array, "frame
 def size_of(shape: Coefficients) -> Float[np.ndarray, "frames"]:
     """What is beside the bell, in parts of it: of normalised Hermite polynomials the root of the sum of squares."""
     return np.sqrt(sum(factorial(n) * np.asarray(c) ** 2 for c, n in zip(shape, SHAPE_ORDERS, strict=True)))
-
-
-def orthogonal(found: Fit) -> list[Pixels]:
-    """L⁻¹ J of each pixel, L Lᵀ = Jᵀ W J: the sum of their squares times W is the leverage."""
-    y: list[Pixels] = []
-    for i, J in enumerate(found.jacobian):
-        y.append((J - sum(found.factor[i][m] * y[m] for m in range(i))) / found.factor[i][i])
-    return y

@@ -35,7 +35,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.grain import dot, innovations
+from jaxscan.images.stripes.grain import innovations
+from jaxscan.images.stripes.normal_equations import factor, gradient, solve
 from jaxscan.images.stripes.windows import SOFT_GAIN, Cut, Lines, Outline, Pixels, Sensor, Windows, places
 
 # Newton's steps: from the outline of an unsaturated stripe two reach the minimum to a hundredth of σ.
@@ -71,7 +72,7 @@ _SOFT_CUT, _LEFT_BY_JPEG = 0.05, 0.008
 SHAPE_ORDERS: Final = (4, 6)
 # Φ of less is 1e-9: there float32 has few digits of it left.
 _LEAST_T = -6.0
-_LEAST_PIVOT = 1e-12
+_LEAST_WEIGHT = 1e-12
 
 
 class Profile(NamedTuple):
@@ -278,7 +279,7 @@ def _independent(
 
     A full pixel has no speckle of its own: it is a datum of the variance 1 / w that is off by g / w.
     """
-    weight = jnp.maximum(seen.weight, _LEAST_PIVOT)
+    weight = jnp.maximum(seen.weight, _LEAST_WEIGHT)
     light = jnp.where(free, jnp.maximum(height, 0.0), 0.0)
     if gain is not None:
         light = light * jnp.sqrt(gain)
@@ -406,37 +407,3 @@ def first_guess(windows: Windows, outline: Outline, sensor: Sensor, censored: bo
         s2 = jnp.where(burnt, burnt2 + _PIXEL_VARIANCE, s2)
     s2 = jnp.maximum(s2 - _PIXEL_VARIANCE, _LEAST_S**2)
     return Profile(outline.floor, jnp.log(jnp.maximum(A, 1.0)), 0.5 * jnp.log(s2), outline.middle)
-
-
-def gradient(
-    jacobian: Sequence[Pixels], score: Pixels, precision: Sequence[Array], now: Sequence[Array], usual: Sequence[Array]
-) -> list[Lines]:
-    """Jᵀ g − Λ (θ − θ₀)."""
-    return [
-        (J * score).sum(1, keepdims=True) - prior * (here - there)
-        for J, prior, here, there in zip(jacobian, precision, now, usual, strict=True)
-    ]
-
-
-def factor(jacobian: Sequence[Pixels], weight: Pixels, precision: Sequence[Array]) -> list[list[Lines]]:
-    """The Cholesky factor of Jᵀ diag(w) J + Λ."""
-    L: list[list[Lines]] = []
-    for i, J in enumerate(jacobian):
-        row: list[Lines] = []
-        for j in range(i):
-            rest = (J * jacobian[j] * weight).sum(1, keepdims=True) - dot(row, L[j][:j])
-            row.append(rest / L[j][j])
-        pivot = (J * J * weight).sum(1, keepdims=True) + precision[i] - dot(row, row)
-        L.append([*row, jnp.sqrt(jnp.maximum(pivot, _LEAST_PIVOT))])
-    return L
-
-
-def solve(L: list[list[Lines]], right: list[Lines]) -> list[Lines]:
-    """Substitution forwards, then backwards."""
-    y: list[Lines] = []
-    for i, value in enumerate(right):
-        y.append((value - dot(L[i][:i], y)) / L[i][i])
-    x: list[Lines] = []
-    for i in reversed(range(len(y))):
-        x.insert(0, (y[i] - dot([row[i] for row in L[i + 1 :]], x)) / L[i][i])
-    return x

@@ -21,7 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import FWHM, LN_HEIGHT_SPREAD, Fit, factor, fit, gradient, solve, weigh
+from jaxscan.images.stripes.likelihood import FWHM, LN_HEIGHT_SPREAD, Fit, fit, weigh
+from jaxscan.images.stripes.normal_equations import factor, gradient, solve
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # Gauss and Legendre's nodes and weights over a pixel.

@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.images.stripes.cross_section import orthogonal
 from jaxscan.images.stripes.grain import Chance, chance
 from jaxscan.images.stripes.likelihood import Fit
+from jaxscan.images.stripes.normal_equations import orthogonal
 from jaxscan.images.stripes.ranks import median
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows
 
@@ -76,7 +76,7 @@ def sensor_noise(
     height = jnp.maximum(found.height, 0.0)
     # A full pixel takes its part of what the fit takes, and shows nothing.
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
-    taken = [root * y for y in orthogonal(found)]
+    taken = [root * y for y in orthogonal(found.jacobian, found.factor)]
     # Where speckle may fill a pixel, only its lesser values are left to be seen.
     shown = jnp.where(burnt & (height > _MAY_FILL * sensor.span[:, None, None]), 0.0, 1.0)
     if roughly:
