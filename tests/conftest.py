@@ -134,9 +134,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.skip(reason="takes long: run with --long"))
 
 
-# Modules that share what is dear to make: one worker runs them all.
+# Modules that share what is dear to make: one worker runs them all. No group takes longer than all else does to the
+# other workers: at the end they would wait for it.
 _TOGETHER = {
-    "calibrated": ("tests/calibration/", "tests/view/", "tests/measurement/test_gradient.py"),
+    "calibrated": ("tests/calibration/test_",),
+    "diagnosed": ("tests/calibration/diagnostics/", "tests/view/", "tests/measurement/test_gradient.py"),
     "small world": ("tests/test_docs.py", "tests/test_end_to_end.py", "tests/test_examples.py"),
 }
 
