@@ -71,16 +71,15 @@ def sigma_across_blocks(
     # σ of a few burnt-out lines among others is without the speckle that a JPEG hides.
     some = (2 * (burnt & known).sum(axis=1) < known.sum(axis=1))[:, None]
     shape = np.where(burnt & some, np.maximum(shape, usual), shape)
-    step = ~(known[:, 1:] & known[:, :-1]) | (np.abs(np.diff(position, axis=1)) > _STEP_PX)
-    steps = np.pad(np.cumsum(step, axis=1), ((0, 0), (1, 0)))
+    steps = surfaces(position, known)
     otherwise = np.where(smooth[:, None], np.float32(_USUAL_FACTOR), np.float32(1)) * sigma
     if sigma.shape[1] <= 3 * apart[-1]:
         return otherwise
-    parts = [_differences(position, shape, steps, burnt, k) for k in apart]
+    parts = [third_differences(position, shape, steps, burnt, k) for k in apart]
     values, used, kind = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
     by = np.where(burnt, *(_scatter_of_kind(values, used, kind == one)[:, None] for one in (_BURNT, 0)))
     found = by * shape
-    level = _is_level(position, steps)[:, None]
+    level = is_level(position, steps)[:, None]
     found = np.where(level, np.maximum(found, sigma), found)
     with np.errstate(invalid="ignore"):
         told = by * usual < _MOST * np.sqrt(ranked(width, known, 0.5)[:, None] / FWHM)
@@ -99,7 +98,13 @@ def beyond_usual(sigma: Lines, widened: Lines) -> Lines:
     return np.sqrt(sigma**2 + np.maximum(more - np.nan_to_num(usual), 0)).astype(np.float32)
 
 
-def _differences(
+def surfaces(position: Lines, known: Bool[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames lines"]:
+    """On which surface each line is, counted: between two lines that are a step apart another one begins."""
+    step = ~(known[:, 1:] & known[:, :-1]) | (np.abs(np.diff(position, axis=1)) > _STEP_PX)
+    return np.pad(np.cumsum(step, axis=1), ((0, 0), (1, 0)))
+
+
+def third_differences(
     position: Lines,
     sigma: Lines,
     steps: Int[np.ndarray, "frames lines"],
@@ -142,10 +147,19 @@ def _scatter(
     return np.where(count >= _FEWEST, by, np.nan)
 
 
-def _is_level(position: Lines, steps: Int[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames"]:
-    """In which frames the stripe stays where it is, from one block to the next."""
-    if position.shape[1] <= _LEVEL_BY:
+def is_level(
+    position: Lines, steps: Int[np.ndarray, "frames lines"], apart: int = _LEVEL_BY, least_px: float = _LEVEL_PX
+) -> Bool[np.ndarray, "frames"]:
+    """In which frames the stripe stays where it is, from one block to the next.
+
+    Args:
+        position: of each line, px.
+        steps: on which surface each is (`surfaces`).
+        apart: how far lines are apart that are compared.
+        least_px: by how much half of them differ at the least where it is not level.
+    """
+    if position.shape[1] <= apart:
         return np.ones(len(position), bool)
-    one = steps[:, _LEVEL_BY:] == steps[:, :-_LEVEL_BY]
-    moved = ranked(np.abs(position[:, _LEVEL_BY:] - position[:, :-_LEVEL_BY]), one, 0.5)
-    return ~(moved >= _LEVEL_PX)
+    one = steps[:, apart:] == steps[:, :-apart]
+    moved = ranked(np.abs(position[:, apart:] - position[:, :-apart]), one, 0.5)
+    return ~(moved >= least_px)

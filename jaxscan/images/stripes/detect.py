@@ -24,6 +24,7 @@ from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE, NARROW, Batch
+from jaxscan.images.stripes.by_gravity import steadier_by_gravity
 from jaxscan.images.stripes.edges import WithEdges, with_edges
 from jaxscan.images.stripes.light import Light
 from jaxscan.images.stripes.look import Looker
@@ -134,10 +135,12 @@ def _detect(
     found = WithEdges(looked.measured, np.zeros_like(valid), np.zeros(count, bool), looker)
     if detector == "likelihood":
         found = with_edges(looker, looked, all_of_it.peak)
-    measured, light = found.measured, found.looker.light
+    measured, light, by_gravity = found.measured, found.looker.light, np.zeros(count, bool)
+    if detector == "likelihood":
+        measured, by_gravity = steadier_by_gravity(found.looker, measured, all_of_it.peak, valid)
     return Stripe(
         np.where(valid, measured.position, np.float32(np.nan)),
-        sigma_of_centres(found.looker, measured, valid, found.with_edge, bool(mosaic)),
+        sigma_of_centres(found.looker, measured, valid, found.with_edge, by_gravity, bool(mosaic)),
         measured.strength,
         np.where(valid, measured.width, np.float32(np.nan)),
         valid,

@@ -25,6 +25,7 @@ def sigma_of_centres(
     measured: Any,
     valid: Bool[np.ndarray, "frames lines"],
     with_edge: Bool[np.ndarray, "frames lines"],
+    by_gravity: Bool[np.ndarray, "frames"],
     mosaic: bool,
 ) -> Lines:
     """σ of each line's centre, px; NaN where there is none.
@@ -34,6 +35,7 @@ def sigma_of_centres(
         measured: `Measured` of each line.
         valid: which lines have a stripe.
         with_edge: which were measured with an edge of reflectance.
+        by_gravity: in which frames it is the centre of gravity: their noise is misread.
         mosaic: whether the photographs are the native pixels of a mosaic.
     """
     batch, light, count = looker.batch, looker.light, looker.batch.count
@@ -46,7 +48,8 @@ def sigma_of_centres(
     independent = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
     sigma = widened_by_scatter(independent, position, measured.burnt, sensor)
     # The few native pixels of a stripe that is hardly wider than they are apart do not show its speckle.
-    coded, scarce = (light.jpeg | light.video)[:count], (ln_s < _SCARCE_LN_PX) & mosaic
+    coded = (light.jpeg | light.video)[:count]
+    scarce = ((ln_s < _SCARCE_LN_PX) & mosaic | by_gravity) & ~coded
     for some, burnt, apart in ((coded, measured.burnt, IN_BLOCKS), (scarce, np.zeros_like(measured.burnt), ALONE)):
         if some.any():
             here = independent[some], position[some], width[some], burnt[some], light.sharp[:count][some]

@@ -210,7 +210,7 @@ def survey_windows(
         half, repeated, first = chroma
         detail, half = detail_of(levels, _FLANK, half, repeated, color)
         coded |= half & ~repeated
-        full = full_number(laser, coded)
+        full = full_number(laser, coded | repeated)
         full = jnp.where(half, jnp.floor(FULL_OF_LUMA / FULL * full).astype(full.dtype), full)
         of_line = jax.tree.map(lambda x: x[:, None, None], detail)
         laser = detailed(channels(lit, None, color), first, of_line, color)[0]
