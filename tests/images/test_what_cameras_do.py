@@ -98,13 +98,16 @@ def test_a_level_stripe_says_nothing_of_which_is_better():
     steps, burnt = np.zeros((1, 400), int), np.zeros((1, 400), bool)
     count = np.array([400])
     ours, theirs = (scatters(x, steps, burnt) for x in (fit, gravity + 1e-3 * random.standard_normal((1, 400))))
-    assert scatters_more(ours, theirs, count).all()
+    assert scatters_more(ours, theirs, np.zeros(1), count).all()
     assert is_level(fit, steps, LEVEL_BY, LEVEL_PX).all()
     # On a slope it is another matter.
     assert not is_level(fit + 0.02 * np.arange(400), steps, LEVEL_BY, LEVEL_PX).any()
 
 
 def test_few_lines_do_not_overrule_the_fit():
-    assert not scatters_more(np.array([[1.3]]), np.array([[1.0]]), np.array([100])).any()
-    assert scatters_more(np.array([[1.3]]), np.array([[1.0]]), np.array([1000])).all()
-    assert not scatters_more(np.array([[np.nan]]), np.array([[1.0]]), np.array([1000])).any()
+    ours, theirs, none = np.array([[1.3]]), np.array([[1.0]]), np.zeros(1)
+    assert not scatters_more(ours, theirs, none, np.array([100])).any()
+    assert scatters_more(ours, theirs, none, np.array([1000])).all()
+    assert not scatters_more(np.array([[np.nan]]), theirs, none, np.array([1000])).any()
+    # Nor where the two are apart by as much as is to be gained.
+    assert not scatters_more(ours, theirs, np.array([0.8]), np.array([1000])).any()

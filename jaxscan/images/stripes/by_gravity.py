@@ -5,6 +5,9 @@ of focus, behind a tone curve or where a burnt-out photograph was scaled, the fi
 weighs pixels by it. Which centres are better, neighbouring lines show: their third differences are error alone on a
 smooth surface (`across_blocks`). They are compared over short and over long distances, because an error that changes
 with the place in a pixel is alike in neighbours.
+
+Of a cross-section that is skewed the two centres are apart by the same amount everywhere, which a calibration by either
+takes up. A frame that changed over alone would be off by that: it counts as scatter of the centre of gravity.
 """
 
 from dataclasses import replace
@@ -54,7 +57,9 @@ def steadier_by_gravity(
     own_place, place = (np.where(known, x, np.float32(0)) for x in (own, position))
     ours, theirs = (scatters(x, steps, burnt) for x in (own_place, place))
     # A level stripe has the same error everywhere, which no difference shows.
-    steadier = scatters_more(ours, theirs, known.sum(axis=1)) & ~is_level(own_place, steps, LEVEL_BY, LEVEL_PX)
+    apart = np.nan_to_num(ranked(own_place - place, known, 0.5))
+    steadier = scatters_more(ours, theirs, apart, known.sum(axis=1))
+    steadier &= ~is_level(own_place, steps, LEVEL_BY, LEVEL_PX)
     taken[taken] = steadier
     which = np.zeros_like(valid)
     which[taken] = known[steadier]
@@ -99,16 +104,18 @@ def scatters(
 def scatters_more(
     ours: Float[np.ndarray, "distances frames"],
     theirs: Float[np.ndarray, "distances frames"],
+    apart: Float[np.ndarray, "frames"],
     count: Int[np.ndarray, "frames"],
 ) -> Bool[np.ndarray, "frames"]:
     """In which frames the first scatter more, and by more than chance does.
 
     Args:
-        ours: scatters.
+        ours: scatters, px.
         theirs: likewise.
+        apart: how far the two are apart in all lines, px.
         count: of lines.
     """
     known = np.isfinite(ours) & np.isfinite(theirs) & (theirs > 0) & (ours > 0)
-    logs = np.log(np.where(known, ours, 1) / np.where(known, theirs, 1))
+    logs = np.log(np.where(known, ours, 1) / np.where(known, np.hypot(theirs, apart), 1))
     mean = logs.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     return mean > np.log(np.maximum(_MORE, 1 + _BY_CHANCE / np.sqrt(np.maximum(count, 1))))
