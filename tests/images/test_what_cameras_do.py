@@ -95,9 +95,8 @@ def test_a_level_stripe_says_nothing_of_which_is_better():
     """On level faces the centre of gravity of a burnt-out stripe has one error all along, and scatters less."""
     random = np.random.default_rng(0)
     fit, gravity = 50 + 0.03 * random.standard_normal((1, 400)), np.full((1, 400), 50.2)
-    steps, burnt = np.zeros((1, 400), int), np.zeros((1, 400), bool)
-    count = np.array([400])
-    ours, theirs = (scatters(x, steps, burnt) for x in (fit, gravity + 1e-3 * random.standard_normal((1, 400))))
+    steps, count = np.zeros((1, 400), int), np.array([400])
+    ours, theirs = (scatters(x, steps) for x in (fit, gravity + 1e-3 * random.standard_normal((1, 400))))
     assert scatters_more(ours, theirs, np.zeros(1), count).all()
     assert is_level(fit, steps, LEVEL_BY, LEVEL_PX).all()
     # On a slope it is another matter.

@@ -75,7 +75,7 @@ def sigma_across_blocks(
     otherwise = np.where(smooth[:, None], np.float32(_USUAL_FACTOR), np.float32(1)) * sigma
     if sigma.shape[1] <= 3 * apart[-1]:
         return otherwise
-    parts = [third_differences(position, shape, steps, burnt, k) for k in apart]
+    parts = [(*third_differences(position, shape, steps, k), _burnt_in_the_middle(burnt, k)) for k in apart]
     values, used, kind = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
     by = np.where(burnt, *(_scatter_of_kind(values, used, kind == one)[:, None] for one in (_BURNT, 0)))
     found = by * shape
@@ -105,19 +105,32 @@ def surfaces(position: Lines, known: Bool[np.ndarray, "frames lines"]) -> Int[np
 
 
 def third_differences(
-    position: Lines,
-    sigma: Lines,
-    steps: Int[np.ndarray, "frames lines"],
-    burnt: Bool[np.ndarray, "frames lines"],
-    apart: int,
-) -> tuple[Float[np.ndarray, "frames some"], Bool[np.ndarray, "frames some"], Int[np.ndarray, "frames some"]]:
-    """Third differences over their σ, which are of one surface, and how many of the middle two lines are burnt out."""
-    size, reach = position.shape[1], 3 * apart
-    at = [slice(k * apart, size - reach + k * apart) for k in range(len(_THIRD))]
+    position: Lines, sigma: Lines, steps: Int[np.ndarray, "frames lines"], apart: int
+) -> tuple[Float[np.ndarray, "frames some"], Bool[np.ndarray, "frames some"]]:
+    """Third differences over their σ, all positive, and which are of one surface.
+
+    Args:
+        position: of each line, px.
+        sigma: of each line, px.
+        steps: on which surface each is (`surfaces`).
+        apart: how far the lines are apart of which they are taken.
+    """
+    at = _taken(position.shape[1], apart)
     bends = sum(by * position[:, here] for by, here in zip(_THIRD, at, strict=True))
     variance = sum(by * by * sigma[:, here] ** 2 for by, here in zip(_THIRD, at, strict=True))
-    middle = burnt[:, at[1]].astype(int) + burnt[:, at[2]]
-    return np.abs(bends) / np.sqrt(variance), steps[:, reach:] == steps[:, :-reach], middle
+    return np.abs(bends) / np.sqrt(variance), steps[:, at[-1]] == steps[:, at[0]]
+
+
+def _taken(size: int, apart: int) -> list[slice]:
+    """The first to the last line of each third difference."""
+    reach = 3 * apart
+    return [slice(k * apart, size - reach + k * apart) for k in range(len(_THIRD))]
+
+
+def _burnt_in_the_middle(burnt: Bool[np.ndarray, "frames lines"], apart: int) -> Int[np.ndarray, "frames some"]:
+    """How many of the middle two lines of each third difference are burnt out."""
+    _, second, third, _ = _taken(burnt.shape[1], apart)
+    return burnt[:, second].astype(int) + burnt[:, third]
 
 
 def _scatter_of_kind(

@@ -11,14 +11,17 @@ takes up. A frame that changed over alone would be off by that: it counts as sca
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.images.stripes.across_blocks import ALONE, IN_BLOCKS, is_level, surfaces, third_differences
+from jaxscan.images.stripes.cross_section import size_of
 from jaxscan.images.stripes.look import Looker, places_of
 from jaxscan.images.stripes.ranks import ranked
+from jaxscan.images.stripes.settle import replaced
 
 # The centre of gravity is taken where the fit scatters more by this factor, over all distances: their geometric mean.
 _MORE: Final = 1.15
@@ -50,55 +53,48 @@ def steadier_by_gravity(
     own = measured.position[taken]
     position, sigma, whole = (x.reshape(own.shape) for x in (found.position, found.sigma, found.whole))
     known = valid[taken] & whole & (np.abs(position - own) < measured.width[taken])
-    burnt = measured.burnt[taken]
+    here, there = (np.where(known, x, np.float32(0)) for x in (own, position))
     # A step of the surface is one for both.
-    ends = [np.diff(surfaces(np.where(known, x, np.float32(0)), known), axis=1) > 0 for x in (own, position)]
+    ends = [np.diff(surfaces(x, known), axis=1) > 0 for x in (here, there)]
     steps = np.pad(np.cumsum(ends[0] & ends[1], axis=1), ((0, 0), (1, 0)))
-    own_place, place = (np.where(known, x, np.float32(0)) for x in (own, position))
-    ours, theirs = (scatters(x, steps, burnt) for x in (own_place, place))
-    # A level stripe has the same error everywhere, which no difference shows.
-    apart = np.nan_to_num(ranked(own_place - place, known, 0.5))
+    ours, theirs = (scatters(x, steps) for x in (here, there))
+    apart = np.nan_to_num(ranked(here - there, known, 0.5))
     steadier = scatters_more(ours, theirs, apart, known.sum(axis=1))
-    steadier &= ~is_level(own_place, steps, LEVEL_BY, LEVEL_PX)
+    # A level stripe has the same error everywhere, which no difference shows.
+    steadier &= ~is_level(here, steps, LEVEL_BY, LEVEL_PX)
     taken[taken] = steadier
+    known[~steadier] = False
     which = np.zeros_like(valid)
     which[taken] = known[steadier]
-
-    def put(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-        values = np.array(old)
-        values[which] = new[steadier][known[steadier]]
-        return values
-
-    return replace(measured, position=put(measured.position, position), sigma=put(measured.sigma, sigma)), taken
+    put = partial(replaced, at=which)
+    centre, its_sigma = put(measured.position, new=position[known]), put(measured.sigma, new=sigma[known])
+    return replace(measured, position=centre, sigma=its_sigma), taken
 
 
 def _in_doubt(looker: Looker) -> Bool[np.ndarray, "frames"]:
     """In which frames lines leave something in common, or did before the laser had a cross-section of its own."""
     sensor, count = looker.light.sensor, looker.batch.count
-    own = np.zeros(count, bool) if sensor.shape is None else np.any(np.asarray(sensor.shape)[:, :count] != 0, axis=0)
-    return ~np.asarray(sensor.apart)[:count] | own
+    in_doubt = ~np.asarray(sensor.apart)[:count]
+    return in_doubt if sensor.shape is None else in_doubt | (size_of(sensor.shape)[:count] > 0)
 
 
 def scatters(
-    position: Float[np.ndarray, "frames lines"],
-    steps: Int[np.ndarray, "frames lines"],
-    burnt: Bool[np.ndarray, "frames lines"],
+    position: Float[np.ndarray, "frames lines"], steps: Int[np.ndarray, "frames lines"]
 ) -> Float[np.ndarray, "distances frames"]:
     """The scatter of third differences over each distance, px; NaN where there are few.
 
     Args:
         position: of each line, px.
         steps: on which surface it is.
-        burnt: whether it is burnt out; all count alike.
     """
-    one, scatters = np.ones_like(position), []
+    one, found = np.ones_like(position), []
     for apart in (*ALONE, *IN_BLOCKS):
         if position.shape[1] <= 3 * apart:
             break
-        values, used, _ = third_differences(position, one, steps, burnt, apart)
-        found = ranked(np.where(used, values, 0), used, _WITHIN)
-        scatters.append(np.where(used.sum(axis=1) < _FEWEST, np.nan, found))
-    return np.array(scatters).reshape(-1, len(position))
+        values, used = third_differences(position, one, steps, apart)
+        scatter = ranked(np.where(used, values, 0), used, _WITHIN)
+        found.append(np.where(used.sum(axis=1) < _FEWEST, np.nan, scatter))
+    return np.array(found).reshape(-1, len(position))
 
 
 def scatters_more(
