@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxscan.precision import as_numpy, float64
 from jaxscan.rig import Camera, Positions, Rig
@@ -31,6 +31,8 @@ _ON_SHEET_MM = 1e-6
 # Brackets are widened by this part of a cell: the rows that found them are in float32.
 _WIDER = 0.05
 _CAMERAS_KEPT = 4
+
+Ends = tuple[Float[Array, "brackets"], Float[Array, "brackets"]]
 
 
 class Profile(NamedTuple):
@@ -117,29 +119,53 @@ def _halve(
         The place in the bracket (0 to 1), the point in the camera frame, and how brightly the laser lights it; 0 for
         an outline.
     """
-
-    def ray_at(s: Any) -> Sight:
-        weights = np.stack([2 * (s - 0.5) * (s - 1), -4 * s * (s - 1), 2 * s * (s - 0.5)])
-        return Sight(*(None if part is None else (weights * np.asarray(part)).sum(axis=0) for part in rays))
-
-    def off_sheet(ray: Sight, depth: Any) -> Any:
-        # Nothing is met infinitely far away, also where the sheet runs along a ray.
-        with np.errstate(invalid="ignore"):
-            return np.asarray(kernels.sheet_distance(sheet, ray, np.asarray(depth)))
-
-    low, high = np.zeros(len(before)), np.ones(len(before))
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        ray = ray_at(middle)
-        first = (off_sheet(ray, kernels.depth_of(scene, ray)) < 0) == before
-        low, high = np.where(first, middle, low), np.where(first, high, middle)
-    s = (low + high) / 2
-    ray = ray_at(s)
+    if scene.on_host:
+        low, high = np.zeros(len(before)), np.ones(len(before))
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            ray = _ray_at(rays, middle)
+            depth = np.asarray(kernels.depth_of(scene, ray))
+            low, high = map(np.asarray, _closer(sheet, ray, depth, before, (low, high)))
+        s = (low + high) / 2
+    else:
+        s = _halved(scene, sheet, rays, before)
+    ray = Sight(*(None if part is None else np.asarray(part) for part in _ray_at(rays, s)))
     depth, key = (np.asarray(array) for array in trace(scene, ray))
     brightness = np.asarray(kernels.shine(scene, sheet, ray, depth, key))
-    on_sheet = np.abs(off_sheet(ray, depth)) < _ON_SHEET_MM
+    # Nothing is met infinitely far away, also where the sheet runs along a ray.
+    with np.errstate(invalid="ignore"):
+        on_sheet = np.abs(kernels.sheet_distance(sheet, ray, depth)) < _ON_SHEET_MM
     points = np.stack([np.asarray(part) for part in camera_rays(ray).at(jnp.asarray(depth))], axis=-1)
-    return s, points, np.where(on_sheet, brightness, 0)
+    return np.asarray(s), points, np.where(on_sheet, brightness, 0)
+
+
+@jax.jit
+def _halved(scene: Scene, sheet: Sheet, rays: Sight, before: Bool[Array, "brackets"]) -> Float[Array, "brackets"]:
+    """The place in each bracket, by as many halvings as leave nothing of it: one program for all of them."""
+
+    def once(_: int, ends: Ends) -> Ends:
+        ray = _ray_at(rays, (ends[0] + ends[1]) / 2)
+        return _closer(sheet, ray, kernels.depth_of(scene, ray), before, ends)
+
+    nothing = jnp.zeros(before.shape, rays.x.dtype)
+    low, high = jax.lax.fori_loop(0, _HALVINGS, once, (nothing, nothing + 1))
+    return (low + high) / 2
+
+
+@jax.jit
+def _ray_at(rays: Sight, s: Float[Array, "brackets"]) -> Sight:
+    """The rays at a place between each bracket's start (0) and end (1)."""
+    weights = jnp.stack([2 * (s - 0.5) * (s - 1), -4 * s * (s - 1), 2 * s * (s - 0.5)])
+    return Sight(*(None if part is None else (weights * part).sum(axis=0) for part in rays))
+
+
+@jax.jit
+def _closer(sheet: Sheet, ray: Sight, depth: Any, before: Bool[Array, "brackets"], ends: Ends) -> Ends:
+    """The half of each bracket in which g changes sign, by the ray in its middle and how far that goes."""
+    low, high = ends
+    middle = (low + high) / 2
+    first = (kernels.sheet_distance(sheet, ray, depth) < 0) == before
+    return jnp.where(first, middle, low), jnp.where(first, high, middle)
 
 
 def _line_rays(camera: Camera, columns: bool) -> Sight:

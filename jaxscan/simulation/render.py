@@ -205,8 +205,10 @@ def _gather(fine: Array, weights: Float[np.ndarray, "taps"]) -> Float[np.ndarray
     light = np.zeros((rows, columns, 3), np.float32)
     for first in range(0, rows, height):
         top = min(first, rows - height)
-        inside = np.arange(FINE * (top - margin), FINE * (top + height + margin)).clip(0, cells.shape[1] - 1)
-        band = cells[:, inside]
+        low, high = FINE * (top - margin), FINE * (top + height + margin)
+        # A view where nothing is beyond the border: most bands of a laser's light are dark, and need no copy.
+        whole = low >= 0 and high <= cells.shape[1]
+        band = cells[:, low:high] if whole else cells[:, np.arange(low, high).clip(0, cells.shape[1] - 1)]
         if band.any():
             light[top : top + height] = kernels.gather(band, weights)
     return light

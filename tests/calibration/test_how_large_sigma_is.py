@@ -11,6 +11,7 @@ from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.rounds import CORNER_LIMIT, STRIPE_LIMIT, _keep, _variance_components
 from jaxscan.precision import float64
 from tests.calibration import synthetic
+from tests.unchecked import unchecked
 
 DRAWS = 20
 # Of an AR(1) sequence of errors along the stripe: τ = (1 + ρ) / (1 − ρ) = 9.
@@ -89,7 +90,9 @@ def drawn(clean, seed: int):
 @pytest.fixture(scope="module")
 def solved():
     clean = synthetic.observations(0, n_stage=5, noise=synthetic.Noise(0.0, 0.0))
-    return [calibrate(drawn(clean, seed)) for seed in range(DRAWS)]
+    first = calibrate(drawn(clean, 0))
+    with unchecked():
+        return [first, *(calibrate(drawn(clean, seed)) for seed in range(1, DRAWS))]
 
 
 def test_errors_that_are_tied_along_the_stripe_have_their_tau(solved) -> None:

@@ -1,6 +1,7 @@
 """A session in which something was changed, solved in two parts: what differs, what is shared, and each rig's σ."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import numpy as np
@@ -29,15 +30,26 @@ from jaxscan.view.report import as_html
 from jaxscan.view.verdict import verdict
 
 
-@pytest.fixture(scope="module")
-def refocused() -> tuple[Observations, str]:
-    session, behind = changed_session(1, "refocus")
+@cache
+def changed(name: str) -> tuple[Observations, str]:
+    """A session, and its first photograph after the change."""
+    session, behind = changed_session(1, name)
     return session, session.photographs()[behind].name
 
 
+@cache
+def solved(name: str) -> Split:
+    return calibrate_split(*changed(name))
+
+
 @pytest.fixture(scope="module")
-def split(refocused) -> Split:
-    return calibrate_split(*refocused)
+def refocused() -> tuple[Observations, str]:
+    return changed("refocus")
+
+
+@pytest.fixture(scope="module")
+def split() -> Split:
+    return solved("refocus")
 
 
 def in_sigma(found: Calibration, rig: Rig) -> np.ndarray:
@@ -60,8 +72,7 @@ def kinds(found: Split) -> list[str]:
     ],
 )
 def test_the_part_that_was_changed_is_found_and_both_rigs_are_within_their_sigma(name, part, value):
-    session, behind = changed_session(1, name)
-    found = calibrate_split(session, session.photographs()[behind].name)
+    found = solved(name)
     assert kinds(found) == [part]
     (difference,) = found.parted.differ
     nearest = min(difference.amounts, key=lambda amount: abs(abs(amount.value) - value))

@@ -18,6 +18,7 @@ from benchmarks.measured_parts import (
     blocks_and_balls,
     drawn_rig,
     implicit,
+    looked_at,
     scan,
 )
 from jaxscan.errors import InputError
@@ -78,7 +79,13 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def drawn(scene):
+def near(scene):
+    """What lies near the part's regions: nothing else is measured, and there are many drawings."""
+    return looked_at(scene)
+
+
+@pytest.fixture(scope="module")
+def drawn(near):
     """Drawings with noise, and as many with next to none, which leaves the rig's part."""
     found = {}
     for share in (1.0, 1e-3):
@@ -86,7 +93,7 @@ def drawn(scene):
         for seed in range(24):
             random = np.random.default_rng([5, seed])
             own = drawn_rig(random, KNOWN)
-            found[share].append(measure(scanned_image(scan(scene, own, random, share), own), PART))
+            found[share].append(measure(scanned_image(scan(near, own, random, share), own), PART))
     return found
 
 
@@ -101,7 +108,7 @@ def test_errors_are_as_large_as_is_said(drawn, share, name):
     assert share < 1 or np.mean([d.sigma_rig / d.sigma for d in each]) < 0.5
 
 
-def test_the_noise_of_a_small_ball_is_not_taken_for_larger(scene):
+def test_the_noise_of_a_small_ball_is_not_taken_for_larger(near):
     """Four numbers of 190 alike points take up less of the noise than four times what is alike."""
     features = (Feature("ball", "ball", around(-30.0, 10.0, 4.0)), *PART.features[1:3])
     part = replace(PART, features=features, dimensions=PART.dimensions[:2])
@@ -109,7 +116,7 @@ def test_the_noise_of_a_small_ball_is_not_taken_for_larger(scene):
     for seed in range(48):
         random = np.random.default_rng([5, seed])
         own = drawn_rig(random, KNOWN)
-        ball = measure(scanned_image(scan(scene, own, random), own), part).features[0]
+        ball = measure(scanned_image(scan(near, own, random), own), part).features[0]
         assert ball.points < 200
         scales.append(ball.known.scale)
     assert np.sqrt(np.mean(np.square(scales))) == pytest.approx(np.hypot(OWN_PX, SPECKLE_PX) / SIGMA_PX, rel=0.05)

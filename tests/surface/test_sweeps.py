@@ -1,6 +1,7 @@
 """A scan on several axes in turn is one scan of one object: its sweeps are layers of one surface."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -41,6 +42,7 @@ MIXTURES = {
 }
 
 
+@cache
 def scanned(name: str):
     """A ball of 30 mm that lies half under the platform, 5 mm beside the axis."""
     rig = rig_2003.with_turntable(rig_2003.simulated_rig(3), 3)

@@ -179,7 +179,8 @@ def test_a_scan_around_the_turntable(browser: Browser, tmp_path: Path):
 def test_a_guided_calibration_session(browser: Browser, tmp_path: Path):
     """On the simulated scanner: somebody holds its board in another pose whenever the guide asks for one."""
     keep_compiled()
-    lab = serve(tmp_path / "lab", profiles=True, scanner=lambda: open_scanner(ScannerSettings()))
+    # Live pictures are drawn, and looked at for the board: with more of them the machine does nothing else.
+    lab = serve(tmp_path / "lab", profiles=True, live_s=1.0, scanner=lambda: open_scanner(ScannerSettings()))
     page, watcher = sign_in(browser, lab, OPERATOR), sign_in(browser, lab, VIEWER, 390, "dark")
     page.get_by_role("button", name="Operate").click()
     for name, value in {"views": 4, "stage_frames": 2, "stage_apart": 16000}.items():
