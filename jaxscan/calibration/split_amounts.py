@@ -143,7 +143,7 @@ def place_difference(
     first = len(system.shared_names()) - len(parameter_names(system.rig))
     references = [{axis: steps[i] for axis, steps in group.reference.items()} for i in (b, a)]
 
-    def apart(v: Float[Array, "numbers"]) -> Float[Array, "6"]:
+    def apart(v: Float[Array, "numbers"], references: list[dict]) -> Float[Array, "6"]:
         k = len(rig)
         now, more, before, after = v[:k], v[k : 2 * k], v[2 * k : 2 * k + _POSE], v[2 * k + _POSE :]
         was = _at_0(unravel(now + more), before, references[0])
@@ -152,7 +152,8 @@ def place_difference(
     poses = system.poses[1]
     earlier = ravel_pytree(system.earlier)[0][jnp.array(stems)]
     v = jnp.concatenate([rig, earlier, poses[b, :_POSE], poses[a, :_POSE]])
-    d, J = np.asarray(apart(v)), np.asarray(jax.jacfwd(apart)(v))
+    # Where axes stood is given, and no constant of the program: JAX keeps it for other sessions.
+    d, J = map(np.asarray, jax.jit(lambda *of: (apart(*of), jax.jacfwd(apart)(*of)))(v, references))
     at = [*stems, *(first + i for i in stems), *each.own[b][:_POSE], *each.own[a][:_POSE]]
     C = J @ each.inverse()[np.ix_(at, at)] @ J.T
     chi2 = float(d @ inverse_where_determined(wider * C, 0.0)[0] @ d)
