@@ -66,3 +66,19 @@ def test_slopes_corners_and_ends_are_left_alone():
     np.testing.assert_array_equal(
         widened_between(sigma[:, :8], line[:, :8].astype(np.float32), width[:, :8]), sigma[:, :8]
     )
+
+
+@pytest.mark.parametrize("lines", [24, 40])
+def test_a_stripe_that_few_lines_have_shows_its_speckle(lines):
+    """The survey looked at lines beside it too, and saw no speckle: 40 % of the points were within σ, 60 % within 2."""
+    shares = []
+    for seed in range(6):
+        centre = 48 + 0.03 * (U - 320) + 0.37 * seed
+        lit = (U >= 300) & (300 + lines > U)
+        found = detect_stripe(photograph(centre, np.full((ROWS, COLUMNS), 0.6), seed=seed, lit=lit), RED)
+        inside = (U >= 302) & (298 + lines > U)
+        assert found.valid[0][inside].mean() > 0.9
+        shares.append([within(found, centre, inside, sigmas) for sigmas in (1, 2)])
+    one, two = np.mean(shares, axis=0)
+    assert 0.55 < one < 0.9
+    assert two > 0.85

@@ -50,8 +50,9 @@ from jaxscan.robust import NORMAL_MAD
 
 # Lines of each frame that are looked at.
 _LINES = 96
-# A line seems to have a stripe that stands out by this part of what is usual of the strongest.
-_STANDS = 0.25
+# A line seems to have a stripe that stands out by this part of what is usual of the strongest. A stripe has this number
+# of lines at the least.
+_STANDS, _SHORTEST = 0.25, 8
 # Newton's steps: as far as the noise need be known.
 _STEPS = 4
 # Where speckle is strong, the residuals of a fit show the noise only once the fit has weighted its pixels by it.
@@ -163,8 +164,13 @@ def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndar
 
     As many of a narrow image or a short stripe, some of them twice: one size is compiled.
     """
-    strongest = min(_LINES, stands.shape[1])
-    usual = np.median(np.partition(stands, -strongest, axis=1)[:, -strongest:], axis=1)
+    strongest = np.sort(stands, axis=1)[:, -_LINES:]
+    usual = np.median(strongest, axis=1)
+    # Of a stripe that few lines have the median is one of those beside it. Lines that are not asked stand out least of
+    # all: where most are not, all are looked at.
+    few = strongest[:, -min(_SHORTEST, strongest.shape[1])]
+    short = 2 * (strongest >= _STANDS * few[:, None]).sum(axis=1) < strongest.shape[1]
+    usual = np.where(short & (usual > np.iinfo(stands.dtype).min), few, usual)
     chosen = []
     # In light of another colour nothing stands out: less than nothing does.
     for each, least in zip(stands, np.minimum(_STANDS * usual, usual), strict=True):
