@@ -7,8 +7,7 @@ import pytest
 from benchmarks.cameras import KINDS
 from benchmarks.cup_jpeg import Against
 from jaxscan.images import StripeSettings, detect_stripe
-from jaxscan.images.stripes.across_blocks import is_level
-from jaxscan.images.stripes.by_gravity import LEVEL_BY, LEVEL_PX, scatters, scatters_more
+from jaxscan.images.stripes.by_gravity import Scatters, scatters, scatters_more
 from jaxscan.images.stripes.cross_section import size_of
 from jaxscan.images.stripes.saturation import full_number
 
@@ -93,20 +92,31 @@ def test_where_the_fit_scatters_more_the_centre_of_gravity_is_taken(kind, width,
 
 def test_a_level_stripe_says_nothing_of_which_is_better():
     """On level faces the centre of gravity of a burnt-out stripe has one error all along, and scatters less."""
-    random = np.random.default_rng(0)
-    fit, gravity = 50 + 0.03 * random.standard_normal((1, 400)), np.full((1, 400), 50.2)
-    steps, count = np.zeros((1, 400), int), np.array([400])
-    ours, theirs = (scatters(x, steps) for x in (fit, gravity + 1e-3 * random.standard_normal((1, 400))))
-    assert scatters_more(ours, theirs, np.zeros(1), count).all()
-    assert is_level(fit, steps, LEVEL_BY, LEVEL_PX).all()
-    # On a slope it is another matter.
-    assert not is_level(fit + 0.02 * np.arange(400), steps, LEVEL_BY, LEVEL_PX).any()
+    random, none, lines = np.random.default_rng(0), np.zeros(1), np.array([400])
+    noise = random.standard_normal((1, 400)).astype(np.float32)
+    steps = np.zeros((1, 400), int)
+    for slope, more in ((0.0, False), (0.002, False), (0.05, True)):
+        surface = 50 + slope * np.arange(400, dtype=np.float32)
+        ours, theirs = (scatters(surface + error * noise, steps) for error in (0.03, 0.001))
+        assert (ours.number > 0).any() == more
+        assert scatters_more(ours, theirs, none, lines).all() == more
+
+
+def test_an_error_that_changes_with_the_place_in_a_pixel_is_seen_over_long_distances():
+    """In neighbours it is alike: there the other one scatters more."""
+    x = np.arange(600)
+    surface = (100 + 0.015 * x + 8 * np.sin(x / 150))[None]
+    noise = 0.02 * np.random.default_rng(0).standard_normal((1, 600))
+    locked, noisy = surface + 0.2 * np.sin(np.pi * surface) + 0.7 * noise, surface + noise
+    ours, theirs = (scatters(each.astype(np.float32), np.zeros((1, 600), int)) for each in (locked, noisy))
+    assert ours.px[0] < theirs.px[0]
+    assert scatters_more(ours, theirs, np.zeros(1), np.array([600])).all()
+    assert not scatters_more(theirs, ours, np.zeros(1), np.array([600])).any()
 
 
 def test_few_lines_do_not_overrule_the_fit():
-    ours, theirs, none = np.array([[1.3]]), np.array([[1.0]]), np.zeros(1)
-    assert not scatters_more(ours, theirs, none, np.array([100])).any()
-    assert scatters_more(ours, theirs, none, np.array([1000])).all()
-    assert not scatters_more(np.array([[np.nan]]), theirs, none, np.array([1000])).any()
-    # Nor where the two are apart by as much as is to be gained.
-    assert not scatters_more(ours, theirs, np.array([0.8]), np.array([1000])).any()
+    one, none = Scatters(np.array([[1.0]]), np.array([[100]])), np.zeros(1)
+    more, unknown = one._replace(px=np.array([[1.18]])), one._replace(number=np.array([[0]]))
+    assert not scatters_more(more, one, none, np.array([100])).any()
+    assert scatters_more(more, one, none, np.array([1000])).all()
+    assert not scatters_more(more, unknown, none, np.array([1000])).any()

@@ -3,8 +3,8 @@
 Where the profile is the model's, no detector is better than its fit. Where lines leave something in common, as far out
 of focus, behind a tone curve or where a burnt-out photograph was scaled, the fit takes for speckle what is none, and
 weighs pixels by it. Which centres are better, neighbouring lines show: their third differences are error alone on a
-smooth surface (`across_blocks`). They are compared over short and over long distances, because an error that changes
-with the place in a pixel is alike in neighbours.
+smooth surface (`by_scatter`). Much of what the two differ by changes with the place in a pixel, and is alike in
+lines that the stripe passes at the same place. So they are compared over distances along which the stripe moves.
 
 Of a cross-section that is skewed the two centres are apart by the same amount everywhere, which a calibration by either
 takes up. A frame that changed over alone would be off by that: it counts as scatter of the centre of gravity.
@@ -12,25 +12,26 @@ takes up. A frame that changed over alone would be off by that: it counts as sca
 
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.images.stripes.across_blocks import ALONE, IN_BLOCKS, is_level, surfaces, third_differences
+from jaxscan.images.stripes.by_scatter import ALONE, moves, surfaces, third_differences
 from jaxscan.images.stripes.cross_section import size_of
 from jaxscan.images.stripes.look import Looker, places_of
 from jaxscan.images.stripes.ranks import ranked
 from jaxscan.images.stripes.settle import replaced
 
-# The centre of gravity is taken where the fit scatters more by this factor, over all distances: their geometric mean.
+# The centre of gravity is taken where the fit scatters more by this factor, over all distances: their geometric mean,
+# by how many differences there are over each.
 _MORE: Final = 1.15
 # So much of a normal number's values are within σ. A quotient of two scatters of n lines is off by this over √n.
-_WITHIN, _BY_CHANCE = 0.683, 4.0
-# A stripe is level if lines so far apart differ by less, px: over the longest differences it stays in its pixel.
-LEVEL_BY, LEVEL_PX = 12, 0.1
-# As few differences as this say nothing.
-_FEWEST: Final = 100
+_WITHIN, _BY_CHANCE = 0.683, 2.0
+# Over a distance along which half of the lines differ by less, px, errors that change with the place in a pixel are
+# alike. As few differences as this say nothing.
+_MOVES_PX: Final = 0.2
+_FEWEST: Final = 40
 
 
 def steadier_by_gravity(
@@ -44,7 +45,7 @@ def steadier_by_gravity(
         peak: where.
         valid: which lines have a stripe.
     """
-    taken = _in_doubt(looker) & valid.any(axis=1)
+    taken = in_doubt(looker) & valid.any(axis=1)
     if not taken.any():
         return measured, taken
     light = replace(looker.light, sensor=replace(looker.light.sensor, smooth=None, cut=None))
@@ -57,11 +58,8 @@ def steadier_by_gravity(
     # A step of the surface is one for both.
     ends = [np.diff(surfaces(x, known), axis=1) > 0 for x in (here, there)]
     steps = np.pad(np.cumsum(ends[0] & ends[1], axis=1), ((0, 0), (1, 0)))
-    ours, theirs = (scatters(x, steps) for x in (here, there))
     apart = np.nan_to_num(ranked(here - there, known, 0.5))
-    steadier = scatters_more(ours, theirs, apart, known.sum(axis=1))
-    # A level stripe has the same error everywhere, which no difference shows.
-    steadier &= ~is_level(here, steps, LEVEL_BY, LEVEL_PX)
+    steadier = scatters_more(scatters(here, steps), scatters(there, steps), apart, known.sum(axis=1))
     taken[taken] = steadier
     known[~steadier] = False
     which = np.zeros_like(valid)
@@ -71,47 +69,58 @@ def steadier_by_gravity(
     return replace(measured, position=centre, sigma=its_sigma), taken
 
 
-def _in_doubt(looker: Looker) -> Bool[np.ndarray, "frames"]:
+def in_doubt(looker: Looker) -> Bool[np.ndarray, "frames"]:
     """In which frames lines leave something in common, or did before the laser had a cross-section of its own."""
     sensor, count = looker.light.sensor, looker.batch.count
-    in_doubt = ~np.asarray(sensor.apart)[:count]
-    return in_doubt if sensor.shape is None else in_doubt | (size_of(sensor.shape)[:count] > 0)
+    common = ~np.asarray(sensor.apart)[:count]
+    return common if sensor.shape is None else common | (size_of(sensor.shape)[:count] > 0)
 
 
-def scatters(
-    position: Float[np.ndarray, "frames lines"], steps: Int[np.ndarray, "frames lines"]
-) -> Float[np.ndarray, "distances frames"]:
-    """The scatter of third differences over each distance, px; NaN where there are few.
+class Scatters(NamedTuple):
+    """How much centres scatter along the stripe, over each distance.
+
+    Attributes:
+        px: of third differences, px.
+        number: of them; 0 where they are few, and where the stripe stays where it is: that has the same error
+            everywhere, which no difference shows.
+    """
+
+    px: Float[np.ndarray, "distances frames"]
+    number: Int[np.ndarray, "distances frames"]
+
+
+def scatters(position: Float[np.ndarray, "frames lines"], steps: Int[np.ndarray, "frames lines"]) -> Scatters:
+    """How much centres scatter.
 
     Args:
         position: of each line, px.
         steps: on which surface it is.
     """
     one, found = np.ones_like(position), []
-    for apart in (*ALONE, *IN_BLOCKS):
+    for apart in ALONE:
         if position.shape[1] <= 3 * apart:
             break
         values, used = third_differences(position, one, steps, apart)
         scatter = ranked(np.where(used, values, 0), used, _WITHIN)
-        found.append(np.where(used.sum(axis=1) < _FEWEST, np.nan, scatter))
-    return np.array(found).reshape(-1, len(position))
+        count = used.sum(axis=1)
+        told = (count >= _FEWEST) & moves(position, used, apart, _MOVES_PX) & (scatter > 0)
+        found.append((scatter, np.where(told, count, 0)))
+    none = np.zeros((0, len(position)))
+    return Scatters(*map(np.array, zip(*found, strict=True))) if found else Scatters(none, none.astype(int))
 
 
 def scatters_more(
-    ours: Float[np.ndarray, "distances frames"],
-    theirs: Float[np.ndarray, "distances frames"],
-    apart: Float[np.ndarray, "frames"],
-    count: Int[np.ndarray, "frames"],
+    ours: Scatters, theirs: Scatters, apart: Float[np.ndarray, "frames"], lines: Int[np.ndarray, "frames"]
 ) -> Bool[np.ndarray, "frames"]:
     """In which frames the first scatter more, and by more than chance does.
 
     Args:
-        ours: scatters, px.
+        ours: how much they do.
         theirs: likewise.
         apart: how far the two are apart in all lines, px.
-        count: of lines.
+        lines: how many there are.
     """
-    known = np.isfinite(ours) & np.isfinite(theirs) & (theirs > 0) & (ours > 0)
-    logs = np.log(np.where(known, ours, 1) / np.where(known, np.hypot(theirs, apart), 1))
-    mean = logs.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return mean > np.log(np.maximum(_MORE, 1 + _BY_CHANCE / np.sqrt(np.maximum(count, 1))))
+    weight = np.minimum(ours.number, theirs.number)
+    logs = np.log(np.where(weight > 0, ours.px, 1) / np.where(weight > 0, np.hypot(theirs.px, apart), 1))
+    mean = (weight * logs).sum(axis=0) / np.maximum(weight.sum(axis=0), 1)
+    return mean > np.log(np.maximum(_MORE, 1 + _BY_CHANCE / np.sqrt(np.maximum(lines, 1))))

@@ -6,16 +6,17 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from jaxscan.images.stripes.across_blocks import ALONE, IN_BLOCKS, beyond_usual, sigma_across_blocks
 from jaxscan.images.stripes.along import widened_by_flanks, widened_by_scatter
 from jaxscan.images.stripes.batch import SHORT
 from jaxscan.images.stripes.between import widened_between
+from jaxscan.images.stripes.by_gravity import in_doubt
+from jaxscan.images.stripes.by_scatter import ALONE, IN_BLOCKS, agreed, beyond_usual, sigma_by_scatter
 from jaxscan.images.stripes.look import GROUPS, Looker, groups
 from jaxscan.images.stripes.printed import widened_by_print
 from jaxscan.images.stripes.smoothed import widening
 
-# Up to this one the stripe has about three pixels, which do not show their own noise.
-_SCARCE_LN_PX: Final = float(np.log(0.6))
+# Where lines leave something in common σ is too small by no more than this factor.
+_MOST_IN_COMMON: Final = 2.0
 
 Lines = Float32[np.ndarray, "frames lines"]
 
@@ -42,21 +43,30 @@ def sigma_of_centres(
     position, sigma, width = (
         np.where(valid, x, np.float32(np.nan)) for x in (measured.position, measured.sigma, measured.width)
     )
-    sensor, ln_s = light.sensor, np.asarray(light.sensor.ln_s)[:count]
+    sensor = light.sensor
     for i in np.flatnonzero(light.correlation[:count, 0]):
         sigma[i] *= widening(light.correlation[i], sensor, int(i), width[i], measured.relief[i])
     independent = widened_by_flanks(sigma, measured.breadth, measured.burnt, sensor)
     sigma = widened_by_scatter(independent, position, measured.burnt, sensor)
-    # The few native pixels of a stripe that is hardly wider than they are apart do not show its speckle.
     coded = (light.jpeg | light.video)[:count]
-    scarce = ((ln_s < _SCARCE_LN_PX) & mosaic | by_gravity) & ~coded
-    for some, burnt, apart in ((coded, measured.burnt, IN_BLOCKS), (scarce, np.zeros_like(measured.burnt), ALONE)):
+    grained = np.asarray(sensor.grain)[:count] > 0
+    sigma[~coded] = agreed(sigma[~coded], position[~coded], grained[~coded])
+    # Of these the pixels do not show all errors: of the last ones most.
+    processed = (by_gravity | (light.correlation[:count, 0] != 0) | mosaic) & ~coded
+    in_common = in_doubt(looker) & ~(processed | coded)
+    of_scatter = coded | processed | in_common
+    most = np.where(in_common, _MOST_IN_COMMON, np.inf)
+    no_burnt = np.zeros_like(measured.burnt)
+    for some, said, burnt, least_apart, moving in (
+        (coded & ~by_gravity, independent, measured.burnt, IN_BLOCKS[0], False),
+        (coded & by_gravity, independent, measured.burnt, IN_BLOCKS[0], True),
+        (processed | in_common, sigma, no_burnt, ALONE[0], True),
+    ):
         if some.any():
-            here = independent[some], position[some], width[some], burnt[some], light.sharp[:count][some]
-            sigma[some] = sigma_across_blocks(*here, apart)
+            here = said[some], position[some], width[some], burnt[some], light.sharp[:count][some]
+            sigma[some] = sigma_by_scatter(*here, least_apart, moving, most[some])
     sigma = widened_between(sigma, position, width)
     seen_in = batch.images, batch.background, sensor, light.correlation, batch.settings, batch.half(SHORT)
     printed = widened_by_print(sigma, position, width, ~with_edge, *seen_in, partial(groups, sizes=GROUPS))
-    by_scatter = coded | scarce
-    printed[by_scatter] = beyond_usual(sigma[by_scatter], printed[by_scatter])
+    printed[of_scatter] = beyond_usual(sigma[of_scatter], printed[of_scatter])
     return printed

@@ -1,9 +1,9 @@
-"""σ of a stripe in a JPEG by what lines in different blocks differ by."""
+"""σ of a stripe by how much its centres scatter along it."""
 
 import numpy as np
 import pytest
 
-from jaxscan.images.stripes.across_blocks import beyond_usual, sigma_across_blocks
+from jaxscan.images.stripes.by_scatter import agreed, beyond_usual, sigma_by_scatter
 
 FRAMES, LINES, BLOCK = 6, 640, 8
 SAID, WIDTH = 0.01, 1.8
@@ -21,7 +21,7 @@ def told(
     position = position.astype(np.float32)
     sigma = np.where(np.isfinite(position), said, np.nan).astype(np.float32)
     burnt = np.broadcast_to(burnt, position.shape)
-    return sigma_across_blocks(sigma, position, np.full_like(position, WIDTH), burnt, np.full(len(position), smooth))
+    return sigma_by_scatter(sigma, position, np.full_like(position, WIDTH), burnt, np.full(len(position), smooth))
 
 
 x = np.arange(LINES)
@@ -107,3 +107,50 @@ def test_what_most_lines_are_widened_by_is_left_out():
     np.testing.assert_allclose(found[:, 10:], 0.03, rtol=1e-5)
     np.testing.assert_allclose(found[:, :7], np.sqrt(0.03**2 + 0.5**2 - 0.04**2), rtol=1e-5)
     assert np.isnan(found[:, 7]).all()
+
+
+def test_an_error_that_changes_with_the_place_in_a_pixel_is_in_sigma():
+    """Over distances along which the stripe hardly moves it is alike."""
+    surface = 100 + 0.015 * x + 8 * np.sin(x / 150)
+    off = 0.15 * np.sin(np.pi * surface) + 0.02 * np.random.default_rng(0).standard_normal((FRAMES, LINES))
+    position = (surface + off).astype(np.float32)
+    sigma = np.full_like(position, SAID)
+    args = np.full_like(position, WIDTH), np.zeros(position.shape, bool), np.zeros(FRAMES, bool)
+    actual = np.sqrt(np.mean(off**2))
+    assert np.median(sigma_by_scatter(sigma, position, *args, least_apart=2, moving=True)) == pytest.approx(
+        actual, rel=0.3
+    )
+    assert np.median(sigma_by_scatter(sigma, position, *args)) < 0.5 * actual
+
+
+@pytest.mark.parametrize("grained", [False, True])
+@pytest.mark.parametrize("actual", [0.9, 1.0, 1.15])
+def test_pixels_and_scatter_together_are_nearer_than_pixels_alone(actual, grained):
+    """Of a frame's σ that is off by some percent, most is put right; what is the surface's own adds nothing."""
+    noise = 0.03 * np.random.default_rng(1).standard_normal((FRAMES, LINES))
+    said, grains = np.full((FRAMES, LINES), 0.03, np.float32), np.full(FRAMES, grained)
+    found = agreed(said, (SURFACES["round"] + actual * noise).astype(np.float32), grains)
+    assert np.sqrt(np.mean((found / (actual * 0.03) - 1) ** 2)) < 0.07
+    rough = agreed(said, (SURFACES["round"] + 5 * noise).astype(np.float32), grains)
+    np.testing.assert_array_equal(rough, said)
+    few = said.copy()
+    few[:, 12:] = np.nan
+    np.testing.assert_allclose(
+        agreed(few, SURFACES["slope"] + noise.astype(np.float32), grains)[:, :12], 0.03, rtol=0.1
+    )
+
+
+def test_grains_that_neighbours_share_do_not_make_sigma_smaller():
+    random = np.random.default_rng(2)
+    grains = np.repeat(random.standard_normal((FRAMES, LINES // 4)), 4, axis=1)
+    position, said = (SURFACES["slope"] + 0.03 * grains).astype(np.float32), np.full((FRAMES, LINES), 0.03, np.float32)
+    assert np.median(agreed(said, position, np.ones(FRAMES, bool))) == pytest.approx(0.03, rel=0.1)
+    assert np.median(agreed(said, position, np.zeros(FRAMES, bool))) < 0.03
+
+
+def test_pixels_without_noise_say_nothing():
+    """σ of a grey stripe that was drawn without noise is 0 by the centre of gravity."""
+    position, none = (SURFACES["slope"] + scattered(0.02)).astype(np.float32), np.zeros((FRAMES, LINES), np.float32)
+    none[:, 3] = np.nan
+    np.testing.assert_array_equal(agreed(none, position, np.zeros(FRAMES, bool)), none)
+    assert np.nanmedian(told(position, 0.0)) == pytest.approx(0.02, rel=0.2)

@@ -1,13 +1,14 @@
-"""σ of a stripe in a JPEG: what lines in different blocks differ by.
+"""σ of a stripe by how much its centres scatter along it.
 
-What a JPEG leaves in the blocks of 8 x 8 pixels that a stripe crosses is alike over the columns of one block, so that
-neither a line's own pixels nor its neighbours show it; and it hides speckle. Lines of different blocks have errors of
-their own. With c_x the centre in line x, on a smooth surface
+With c_x the centre in line x, on a smooth surface
 
-    c_x − 3 c_(x+k) + 3 c_(x+2k) − c_(x+3k),   k ≥ 8
+    c_x − 3 c_(x+k) + 3 c_(x+2k) − c_(x+3k)
 
-is error alone: of variance σ_x² + 9 σ_(x+k)² + 9 σ_(x+2k)² + σ_(x+3k)². That is quantisation, speckle and noise
-together, whatever the tables of the JPEG are.
+is error alone: of variance σ_x² + 9 σ_(x+k)² + 9 σ_(x+2k)² + σ_(x+3k)². That is all errors together, whatever their
+causes are. In photographs that a program has worked on, no other σ is right. What a JPEG leaves in the blocks of 8 x 8
+pixels that a stripe crosses is alike over the columns of one block, so that neither a line's own pixels nor its
+neighbours show it, and it hides speckle; k ≥ 8 is from block to block. What depends on the place in a pixel is alike in
+lines that the stripe passes at the same place; it shows over distances along which the stripe moves.
 """
 
 from typing import Final
@@ -18,9 +19,12 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.ranks import ranked
 
-# Lines so far apart are in different blocks, or the next but one; where lines have nothing in common, so near.
+# How far lines are apart whose third differences are taken: in different blocks of a JPEG; where there are none.
 IN_BLOCKS: Final = (8, 12)
-ALONE: Final = (2, 3)
+ALONE: Final = (2, 3, 5, *IN_BLOCKS, 20, 30, 45)
+# Over a distance along which half of the lines differ by this, the place in a pixel changes, px: σ is read over the
+# shortest of these.
+_MOVES_PX, _SHORTEST = 0.35, 2
 _THIRD: Final = (1, -3, 3, -1)
 # At a step between two neighbouring lines another surface begins, px.
 _STEP_PX: Final = 1.0
@@ -28,29 +32,36 @@ _STEP_PX: Final = 1.0
 # away is no error but an edge of the surface; it is first estimated from the median, for which it is this number, and
 # then this number of times.
 _USUAL, _USUAL_OVER_SIGMA, _FAR, _MEDIAN_OVER_SIGMA, _LOOKS = 0.8, 1.2816, 4.0, 0.6745, 4
-# As few differences as this say nothing. More scatter than speckle of contrast 0.7 makes, this times √σ of the stripe
-# in px, is the surface's own.
-_FEWEST, _MOST = 100, 0.3
+# As few differences as this say nothing: from block to block, and over distances along which the stripe moves. More
+# scatter than speckle of contrast 0.7 makes, this times √σ of the stripe in px, is the surface's own.
+_FEWEST, _FEWEST_MOVING, _MOST = 100, 60, 0.3
 # Where σ is not read, that of smoothed windows is larger by this factor than that of independent pixels: the usual one
 # of drawn stripes and photographs of a cup, with speckle and without (1 to 3).
 _USUAL_FACTOR = 1.8
 # The middle two of four lines hold nine tenths of a third difference's variance: where both are burnt out, it is.
 _BURNT: Final = 2
+# How far a frame's σ is off that its pixels show, relative to it; n lines show their scatter to √(2 / n). More than
+# `_MOST_OFF` between the two, in their logarithms, is the surface's own.
+_OFF_BY_PIXELS, _MOST_OFF = 0.12, 0.35
+# How far lines are apart that show it: near ones, unless grains of speckle go on from one to the next.
+_NEAR, _BEYOND_GRAINS = (1, 2, 3), (5, 8)
 # A stripe is level if lines so far apart are less than this apart, px: its blocks have the same error.
 _LEVEL_BY, _LEVEL_PX = 40, 0.4
 
 Lines = Float[np.ndarray, "frames lines"]
 
 
-def sigma_across_blocks(
+def sigma_by_scatter(
     sigma: Lines,
     position: Lines,
     width: Lines,
     burnt: Bool[np.ndarray, "frames lines"],
     smooth: Bool[np.ndarray, "frames"],
-    apart: tuple[int, ...] = IN_BLOCKS,
+    least_apart: int = IN_BLOCKS[0],
+    moving: bool = False,
+    most: Float[np.ndarray, "frames"] | float = np.inf,
 ) -> Lines:
-    """σ of lines in JPEGs, of each frame from how much they differ from block to block.
+    """σ of lines in photographs whose pixels do not show it, of each frame from how much its lines differ.
 
     Which of a frame's lines are better, σ of independent pixels says by half: it is taken to the power of ½. Burnt-out
     lines and others, which are measured in different ways, have a scatter of their own where there are enough of them.
@@ -62,35 +73,93 @@ def sigma_across_blocks(
         width: of the stripe, full at half height, px.
         burnt: whether some pixel near the line's stripe is full.
         smooth: in which frames windows were smoothed.
-        apart: k, how far the lines are apart of which differences are taken.
+        least_apart: how far lines are apart of which differences are taken, at the least.
+        moving: whether they are taken over the shortest distances along which the stripe moves, because an error that
+            changes with the place in a pixel shows over no others.
+        most: by which factor σ can be too small in each frame: more is the surface's own.
     """
     known = np.isfinite(sigma) & np.isfinite(position)
     usual = ranked(sigma, known, 0.5)[:, None]
     position = np.where(known, position, np.float32(0))
-    shape = np.where(known, np.sqrt(sigma * usual), np.float32(1))
+    # Without any noise all lines are alike.
+    shape = np.where(known & (sigma > 0) & (usual > 0), np.sqrt(sigma * usual), np.float32(1))
     # σ of a few burnt-out lines among others is without the speckle that a JPEG hides.
     some = (2 * (burnt & known).sum(axis=1) < known.sum(axis=1))[:, None]
     shape = np.where(burnt & some, np.maximum(shape, usual), shape)
     steps = surfaces(position, known)
     otherwise = np.where(smooth[:, None], np.float32(_USUAL_FACTOR), np.float32(1)) * sigma
-    if sigma.shape[1] <= 3 * apart[-1]:
+    apart = [k for k in (ALONE if moving else IN_BLOCKS) if least_apart <= k < sigma.shape[1] / 3]
+    if not apart:
         return otherwise
     parts = [(*third_differences(position, shape, steps, k), _burnt_in_the_middle(burnt, k)) for k in apart]
+    if moving:
+        parts = _of_moving(parts, position, apart)
     values, used, kind = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
-    by = np.where(burnt, *(_scatter_of_kind(values, used, kind == one)[:, None] for one in (_BURNT, 0)))
-    found = by * shape
+    fewest = _FEWEST_MOVING if moving else _FEWEST
+    by = np.where(burnt, *(_scatter_of_kind(values, used, kind == one, fewest)[:, None] for one in (_BURNT, 0)))
+    found = np.where(known, by * shape, np.float32(np.nan))
     level = is_level(position, steps)[:, None]
     found = np.where(level, np.maximum(found, sigma), found)
     with np.errstate(invalid="ignore"):
         told = by * usual < _MOST * np.sqrt(ranked(width, known, 0.5)[:, None] / FWHM)
+        told &= by < np.broadcast_to(most, len(sigma))[:, None]
     return np.where(told, found, otherwise).astype(np.float32)
+
+
+_Part = tuple[Float[np.ndarray, "frames some"], Bool[np.ndarray, "frames some"], Int[np.ndarray, "frames some"]]
+
+
+def _of_moving(parts: list[_Part], position: Lines, apart: list[int]) -> list[_Part]:
+    """The differences over the shortest distances along which the stripe moves; over the shortest of all where few are.
+
+    Over longer ones than it needs the surface's own bends count.
+    """
+    over = np.array([moves(position, used, k, _MOVES_PX) for k, (_, used, _) in zip(apart, parts, strict=True)])
+    over &= np.cumsum(over, axis=0) <= _SHORTEST
+    count = sum(by * used.sum(axis=1) for by, (_, used, _) in zip(over, parts, strict=True))
+    over = np.where(count < _FEWEST_MOVING, np.arange(len(apart))[:, None] < _SHORTEST, over)
+    return [(values, used & by[:, None], kind) for (values, used, kind), by in zip(parts, over, strict=True)]
+
+
+def agreed(sigma: Lines, position: Lines, grained: Bool[np.ndarray, "frames"]) -> Lines:
+    """σ that pixels show, of each frame by what they and the scatter of its lines say together.
+
+    Either says it with an error of its own: noise and speckle are read from some windows of a frame.
+
+    Args:
+        sigma: of each line's centre, as its pixels show it, px; NaN where there is none.
+        position: the centre, px.
+        grained: in which frames speckle goes on from line to line.
+    """
+    # Without any noise σ is 0, and stays so.
+    known = (sigma > 0) & np.isfinite(position)
+    here, own = np.where(known, position, np.float32(0)), np.where(known, sigma, np.float32(1))
+    ratio = np.where(grained, *(_over_said(here, own, known, apart) for apart in (_BEYOND_GRAINS, _NEAR)))
+    ln = np.log(np.where(ratio > 0, ratio, 1)).clip(-_MOST_OFF)
+    ln = np.where(ln > _MOST_OFF, 0, ln)
+    share = _OFF_BY_PIXELS**2 / (_OFF_BY_PIXELS**2 + 2 / np.maximum(known.sum(axis=1), 1))
+    return sigma * np.exp(share * ln).astype(np.float32)[:, None]
+
+
+def _over_said(
+    position: Lines, sigma: Lines, known: Bool[np.ndarray, "frames lines"], apart: tuple[int, ...]
+) -> Float[np.ndarray, "frames"]:
+    """The scatter of each frame's third differences over the one that σ says; 0 or NaN of few."""
+    steps, apart = surfaces(position, known), tuple(k for k in apart if 3 * k < position.shape[1])
+    if not apart:
+        return np.zeros(len(position))
+    parts = [third_differences(position, sigma, steps, k) for k in apart]
+    values, used = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+    with np.errstate(invalid="ignore"):
+        near = used & (values < _FAR * _scatter(values, used)[:, None])
+    return np.sqrt((np.where(near, values, 0) ** 2).sum(axis=1) / np.maximum(near.sum(axis=1), 1))
 
 
 def beyond_usual(sigma: Lines, widened: Lines) -> Lines:
     """σ that has been widened line by line, by no more than is beyond the usual: that is in the scatter already.
 
     Args:
-        sigma: as `sigma_across_blocks` gives it, px.
+        sigma: as `sigma_by_scatter` gives it, px.
         widened: the same as it was widened.
     """
     more = widened**2 - sigma**2
@@ -121,6 +190,22 @@ def third_differences(
     return np.abs(bends) / np.sqrt(variance), steps[:, at[-1]] == steps[:, at[0]]
 
 
+def moves(
+    position: Lines, used: Bool[np.ndarray, "frames some"], apart: int, least_px: float
+) -> Bool[np.ndarray, "frames"]:
+    """In which frames the stripe moves from one line to the next that is so far apart.
+
+    Args:
+        position: of each line, px.
+        used: which third differences are asked.
+        apart: how far their lines are apart.
+        least_px: by how much half of them differ at the least.
+    """
+    first, second, *_ = _taken(position.shape[1], apart)
+    moved = np.where(used, np.abs(position[:, second] - position[:, first]), 0)
+    return ranked(moved, used, 0.5) >= least_px
+
+
 def _taken(size: int, apart: int) -> list[slice]:
     """The first to the last line of each third difference."""
     reach = 3 * apart
@@ -137,14 +222,15 @@ def _scatter_of_kind(
     values: Float[np.ndarray, "frames some"],
     used: Bool[np.ndarray, "frames some"],
     kind: Bool[np.ndarray, "frames some"],
+    fewest: int,
 ) -> Float[np.ndarray, "frames"]:
     """The scatter of differences of one kind; of all where there are few of these."""
-    few = (used & kind).sum(axis=1) < _FEWEST
-    return _scatter(values, used & (kind | few[:, None]))
+    few = (used & kind).sum(axis=1) < fewest
+    return _scatter(values, used & (kind | few[:, None]), fewest)
 
 
 def _scatter(
-    values: Float[np.ndarray, "frames some"], used: Bool[np.ndarray, "frames some"]
+    values: Float[np.ndarray, "frames some"], used: Bool[np.ndarray, "frames some"], fewest: int = _FEWEST
 ) -> Float[np.ndarray, "frames"]:
     """The standard deviation of each frame's values, all positive, without those that are far off; NaN of few."""
     count = used.sum(axis=1)
@@ -157,7 +243,7 @@ def _scatter(
     by = ranked(0.5, count) / _MEDIAN_OVER_SIGMA
     for _ in range(_LOOKS):
         by = ranked(_USUAL, (ordered < _FAR * by[:, None]).sum(axis=1)) / _USUAL_OVER_SIGMA
-    return np.where(count >= _FEWEST, by, np.nan)
+    return np.where(count >= fewest, by, np.nan)
 
 
 def is_level(
