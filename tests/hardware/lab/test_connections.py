@@ -189,7 +189,8 @@ def test_an_address_that_asks_for_stop_all_the_time_takes_the_way_of_everybody()
         # Another one, and whoever else comes by the same proxy, does not wait for it.
         assert urgent(("198.51.100.8", 1))
         said = b"POST /api/stop HTTP/1.1\r\nX-Forwarded-For: 203.0.113.9, 198.51.100.7, 127.0.0.1\r\n\r\n"
-        assert not urgent(behind, said)
+        # A few more are due while the machine stands still: not as many as another address has.
+        assert not all([urgent(behind, said) for _ in range(100)])
         assert urgent(behind, said.replace(b"198.51.100.7", b"198.51.100.9"))
 
 
