@@ -62,13 +62,10 @@ class Direction:
 
     def carry(self, data: bytes, now_s: float) -> None:
         """Put bytes on the line."""
-        faults = self._faults
-        odds = faults.drop, faults.double, faults.garble, faults.delay
         for byte in data:
             self._free_s = max(self._free_s, now_s) + self._byte_s
-            if not any(odds):
-                self.under_way.append((self._free_s, byte))
-                continue
+            faults = self._faults
+            odds = faults.drop, faults.double, faults.garble, faults.delay
             (fault,) = self._random.choices(("drop", "double", "garble", "delay", ""), (*odds, 1 - sum(odds)))
             if fault == "garble":
                 byte = (byte + self._random.randrange(1, 256)) % 256

@@ -17,7 +17,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.split_parts import Part
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
-from jaxscan.rig import Motion, Rig
+from jaxscan.rig import Motion, Positions, Rig
 from jaxscan.rig.light import turned_and_moved
 from jaxscan.rig.rig import is_place, leaves_of, parameter_names
 
@@ -143,7 +143,7 @@ def place_difference(
     first = len(system.shared_names()) - len(parameter_names(system.rig))
     references = [{axis: steps[i] for axis, steps in group.reference.items()} for i in (b, a)]
 
-    def apart(v: Float[Array, "numbers"], references: list[dict]) -> Float[Array, "6"]:
+    def apart(v: Float[Array, "numbers"], references: Sequence[Positions]) -> Float[Array, "6"]:
         k = len(rig)
         now, more, before, after = v[:k], v[k : 2 * k], v[2 * k : 2 * k + _POSE], v[2 * k + _POSE :]
         was = _at_0(unravel(now + more), before, references[0])
@@ -166,5 +166,5 @@ def place_difference(
     return Difference("place", sides[0].sequences[cut[0]].axis, chi2, _POSE, tuple(by))
 
 
-def _at_0(motion: Motion, pose: Float[Array, "6"], reference: dict) -> Pose:
+def _at_0(motion: Motion, pose: Float[Array, "6"], reference: Positions) -> Pose:
     return Pose.from_vector(pose_at_0(motion, pose, reference))

@@ -161,9 +161,9 @@ def test_colour_sees_its_laser_over_brighter_neutral_texture(color, channel):
 
 
 def test_a_white_core_in_a_red_halo_counts_as_laser():
-    image = np.stack([grey_levels(TILTED, 2, amplitude, ground=4) for amplitude in (900, 350, 400)], axis=-1)
+    image = np.stack([grey_levels(TILTED, 2, amplitude, rows=480, ground=4) for amplitude in (900, 350, 400)], axis=-1)
     # The halo of light scattered in the surface stands to one side.
-    image[..., 0] += 0.07 * grey_levels(TILTED + 9, 4, 900, ground=0)
+    image[..., 0] += 0.07 * grey_levels(TILTED + 9, 4, 900, rows=480, ground=0)
     stripe = detect_stripe(bytes_of(image), StripeSettings("red"))
     assert rms(stripe, TILTED) < 0.35
 

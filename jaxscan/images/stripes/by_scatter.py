@@ -98,7 +98,7 @@ def sigma_by_scatter(
     fewest = _FEWEST_MOVING if moving else _FEWEST
     by = np.where(burnt, *(_scatter_of_kind(values, used, kind == one, fewest)[:, None] for one in (_BURNT, 0)))
     found = np.where(known, by * shape, np.float32(np.nan))
-    level = is_level(position, steps)[:, None]
+    level = _is_level(position, steps)[:, None]
     found = np.where(level, np.maximum(found, sigma), found)
     with np.errstate(invalid="ignore"):
         told = by * usual < _MOST * np.sqrt(ranked(width, known, 0.5)[:, None] / FWHM)
@@ -134,7 +134,10 @@ def agreed(sigma: Lines, position: Lines, grained: Bool[np.ndarray, "frames"]) -
     # Without any noise σ is 0, and stays so.
     known = (sigma > 0) & np.isfinite(position)
     here, own = np.where(known, position, np.float32(0)), np.where(known, sigma, np.float32(1))
-    ratio = np.where(grained, *(_over_said(here, own, known, apart) for apart in (_BEYOND_GRAINS, _NEAR)))
+    ratio = np.zeros(len(sigma))
+    for which, apart in ((grained, _BEYOND_GRAINS), (~grained, _NEAR)):
+        if which.any():
+            ratio[which] = _over_said(here[which], own[which], known[which], apart)
     ln = np.log(np.where(ratio > 0, ratio, 1)).clip(-_MOST_OFF)
     ln = np.where(ln > _MOST_OFF, 0, ln)
     share = _OFF_BY_PIXELS**2 / (_OFF_BY_PIXELS**2 + 2 / np.maximum(known.sum(axis=1), 1))
@@ -246,19 +249,10 @@ def _scatter(
     return np.where(count >= fewest, by, np.nan)
 
 
-def is_level(
-    position: Lines, steps: Int[np.ndarray, "frames lines"], apart: int = _LEVEL_BY, least_px: float = _LEVEL_PX
-) -> Bool[np.ndarray, "frames"]:
-    """In which frames the stripe stays where it is, from one block to the next.
-
-    Args:
-        position: of each line, px.
-        steps: on which surface each is (`surfaces`).
-        apart: how far lines are apart that are compared.
-        least_px: by how much half of them differ at the least where it is not level.
-    """
-    if position.shape[1] <= apart:
+def _is_level(position: Lines, steps: Int[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames"]:
+    """In which frames the stripe stays where it is, from one block to the next."""
+    if position.shape[1] <= _LEVEL_BY:
         return np.ones(len(position), bool)
-    one = steps[:, apart:] == steps[:, :-apart]
-    moved = ranked(np.abs(position[:, apart:] - position[:, :-apart]), one, 0.5)
-    return ~(moved >= least_px)
+    one = steps[:, _LEVEL_BY:] == steps[:, :-_LEVEL_BY]
+    moved = ranked(np.abs(position[:, _LEVEL_BY:] - position[:, :-_LEVEL_BY]), one, 0.5)
+    return ~(moved >= _LEVEL_PX)

@@ -133,11 +133,11 @@ def _detect(
     verdict = settle(all_of_it, batch.peaks, settings.columns, choice == "likeliest", batch.peaks_of_colour)
     valid, looked = verdict == Verdict.STRIPE, all_of_it.looked
     found = WithEdges(looked.measured, np.zeros_like(valid), np.zeros(count, bool), looker)
+    measured, by_gravity = found.measured, np.zeros(count, bool)
     if detector == "likelihood":
         found = with_edges(looker, looked, all_of_it.peak)
-    measured, light, by_gravity = found.measured, found.looker.light, np.zeros(count, bool)
-    if detector == "likelihood":
-        measured, by_gravity = steadier_by_gravity(found.looker, measured, all_of_it.peak, valid)
+        measured, by_gravity = steadier_by_gravity(found.looker, found.measured, all_of_it.peak, valid)
+    light = found.looker.light
     return Stripe(
         np.where(valid, measured.position, np.float32(np.nan)),
         sigma_of_centres(found.looker, measured, valid, found.with_edge, by_gravity, bool(mosaic)),

@@ -164,12 +164,13 @@ def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndar
 
     As many of a narrow image or a short stripe, some of them twice: one size is compiled.
     """
-    strongest = np.sort(stands, axis=1)[:, -_LINES:]
+    count = min(_LINES, stands.shape[1])
+    strongest = np.sort(np.partition(stands, -count, axis=1)[:, -count:], axis=1)
     usual = np.median(strongest, axis=1)
     # Of a stripe that few lines have the median is one of those beside it. Lines that are not asked stand out least of
     # all: where most are not, all are looked at.
-    few = strongest[:, -min(_SHORTEST, strongest.shape[1])]
-    short = 2 * (strongest >= _STANDS * few[:, None]).sum(axis=1) < strongest.shape[1]
+    few = strongest[:, -min(_SHORTEST, count)]
+    short = 2 * (strongest >= _STANDS * few[:, None]).sum(axis=1) < count
     usual = np.where(short & (usual > np.iinfo(stands.dtype).min), few, usual)
     chosen = []
     # In light of another colour nothing stands out: less than nothing does.
