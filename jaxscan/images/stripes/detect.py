@@ -32,6 +32,7 @@ from jaxscan.images.stripes.mosaic import native_pixels, of_mosaics
 from jaxscan.images.stripes.processed import at_half_resolution
 from jaxscan.images.stripes.settle import Band, MeasuredFrames, settle
 from jaxscan.images.stripes.sigma import sigma_of_centres
+from jaxscan.images.stripes.stray_light import without_stray_light
 from jaxscan.images.stripes.stripe import Stripe
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.images.stripes.windows import Sensor
@@ -135,7 +136,7 @@ def _detect(
     found = WithEdges(looked.measured, np.zeros_like(valid), np.zeros(count, bool), looker)
     measured, by_gravity = found.measured, np.zeros(count, bool)
     if detector == "likelihood":
-        found = with_edges(looker, looked, all_of_it.peak)
+        found = with_edges(looker, without_stray_light(looker, looked, all_of_it.peak), all_of_it.peak)
         measured, by_gravity = steadier_by_gravity(found.looker, found.measured, all_of_it.peak, valid)
     light = found.looker.light
     return Stripe(

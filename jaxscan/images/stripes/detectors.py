@@ -73,6 +73,7 @@ class Measured(eqx.Module):
         h4: the fourth.
         ln_light: ln of its height times its standard deviation; 0 of other detectors.
         settled: whether more steps of the fit would change nothing; true of other detectors.
+        stray: whether light that is not the stripe's seems to fall beside it; false of other detectors.
     """
 
     position: Float[Array, "groups lines"]
@@ -89,6 +90,7 @@ class Measured(eqx.Module):
     h4: Float[Array, "groups lines"]
     ln_light: Float[Array, "groups lines"]
     settled: Bool[Array, "groups lines"]
+    stray: Bool[Array, "groups lines"]
 
     @property
     def thickness(self) -> Float[np.ndarray, "groups lines"]:
@@ -96,7 +98,7 @@ class Measured(eqx.Module):
         return np.where(self.burnt & (self.breadth > _THICKER * self.width), self.breadth, self.width)
 
 
-@partial(jax.jit, static_argnames=("detector", "model"))
+@partial(jax.jit, static_argnames=("detector", "model", "stray"))
 def measure(
     windows: Windows,
     sensor: Sensor,
@@ -104,6 +106,7 @@ def measure(
     detector: Detector,
     model: Model = "plain",
     steps: Int[Array, ""] | None = None,
+    stray: bool = False,
 ) -> Measured:
     """The stripe in each window.
 
@@ -114,16 +117,18 @@ def measure(
         detector: which.
         model: of the profile, for the likelihood fit.
         steps: the most of that fit's steps; as many as the model may need by default.
+        stray: whether other light falls beside the stripe.
     """
     r = windows.response
     size = r.shape[1]
     around, here = outline(r), sensor.of(frame)
     zero = jnp.zeros_like(around.top)
-    misfit = Misfit(jnp.zeros_like(around.whole), zero, zero, zero, jnp.ones_like(around.whole))
+    no = jnp.zeros_like(around.whole)
+    misfit = Misfit(no, zero, zero, zero, ~no, no)
     if model == "edge":
         found = fit_reflectance_edge(windows, around, here)
     elif detector == "likelihood":
-        found, misfit = likelihood(windows, around, here, "censored" in model, "grained" in model, steps)
+        found, misfit = likelihood(windows, around, here, "censored" in model, "grained" in model, steps, stray)
     else:
         found = _CLOSED[detector](windows, around, here)
     seen = bump(windows.neutral) if windows.neutral is not None else around
@@ -150,4 +155,5 @@ def measure(
         h4=misfit.h4[:, 0],
         ln_light=misfit.ln_light[:, 0],
         settled=misfit.settled[:, 0],
+        stray=misfit.stray[:, 0],
     )

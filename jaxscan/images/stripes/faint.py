@@ -48,6 +48,7 @@ def faint_runs(
     strength: Float[np.ndarray, "lines"],
     width: Float[np.ndarray, "lines"],
     rows: int,
+    bright: Bool[np.ndarray, "lines"] | None = None,
 ) -> Faint:
     """The runs that the points of a frame make.
 
@@ -57,6 +58,7 @@ def faint_runs(
         strength: how bright.
         width: its full width at half height, px.
         rows: among how many a peak of noise may lie.
+        bright: which of them are a stripe's beyond doubt; others alone make no run then. None where none are.
     """
     line = np.flatnonzero(seen)
     run = linked(Points(line, at[line], strength[line], width[line], width[line]), _COMPANY_PX, _STEEPEST)
@@ -68,6 +70,9 @@ def faint_runs(
     ln_chance = np.log(min(chance, 0.99))
     long = (length >= max(_FEWEST, _LN_CHANCE / ln_chance)) & (length > _DENSE * (last - first))
     company = length > 1 + _LN_TOO_WEAK / ln_chance
+    if bright is not None:
+        of_it = np.bincount(run, bright[line])
+        long &= (of_it > 0) & (length - of_it >= _FEWEST)
     runs, weak = np.zeros_like(seen), np.zeros_like(seen)
     runs[line] = long[run]
     weak[line] = (company & ~long)[run]

@@ -20,6 +20,9 @@ and θ = (b, ln A, ln s, c) is refined by Newton's steps, with J = ∂μ / ∂θ
 
     (Jᵀ diag(w) J + Λ) Δθ = Jᵀ g − Λ (θ − θ₀)
 
+Where other light falls beside the stripe (`stray_light`), pixels there that are off by more than L times their noise
+count with the variance v (r² / L² v)², r = y − μ, so that their pull goes as 1 / r³.
+
 The weights Λ are those of a prior. That of s is what the other lines of the photograph say, that of A a factor of e²
 either way about the start: they decide what the pixels leave open, where the whole core is full. The last pivot of the
 Cholesky factor, c being last, is 1 / σ_c with the other three unknown.
@@ -70,6 +73,12 @@ _ROOT_2_PI = 2.5066283
 _SOFT_CUT, _LEFT_BY_JPEG = 0.05, 0.008
 # Of the Hermite polynomials by which a cross-section may differ from a bell.
 SHAPE_ORDERS: Final = (4, 6)
+# Pixels below this part of the stripe's seen height are beside it.
+_BESIDE: Final = 0.3
+# L is no less than this; other light is found from this multiple of L on.
+_LEAST_L, _FOUND = 1.5, 2.0
+# With other light out of the way, what is left is noise up to this multiple of its squares' own scatter.
+_CHANCE = 3.0
 # Φ of less is 1e-9: there float32 has few digits of it left.
 _LEAST_T = -6.0
 _LEAST_WEIGHT = 1e-12
@@ -95,7 +104,7 @@ class Fit(NamedTuple):
         residual: y − μ of each free pixel, 0 of the others.
         standard: the same as independent numbers of unit variance.
         used: which pixels are within the model's reach.
-        free: which of these are not full.
+        free: which of these are not full, nor in other light.
         factor: the Cholesky factor, row by row.
         inverse_sigma: 1 / σ of the centre, where the last step has led.
         moved_by: how far the last step has led: the greatest of its parts in c, of s, and in ln s and ln A.
@@ -123,6 +132,7 @@ class Misfit(NamedTuple):
         h4: the fourth.
         ln_light: ln of A s: of all its light, but for a factor.
         settled: whether more steps would change nothing.
+        stray: whether a pixel beside the stripe is off by more than noise makes it.
     """
 
     strained: Bool[Array, "groups 1 lines"]
@@ -130,6 +140,7 @@ class Misfit(NamedTuple):
     h4: Lines
     ln_light: Lines
     settled: Bool[Array, "groups 1 lines"]
+    stray: Bool[Array, "groups 1 lines"]
 
 
 def likelihood(
@@ -139,6 +150,7 @@ def likelihood(
     censored: bool,
     grained: bool = False,
     steps: int | Array | None = None,
+    stray: bool = False,
 ) -> tuple[Estimate, Misfit]:
     """The maximum-likelihood centre of each stripe, and what its profile leaves.
 
@@ -152,23 +164,48 @@ def likelihood(
         censored: whether there are full pixels.
         grained: whether speckle goes on from pixel to pixel.
         steps: the most of Newton's steps with independent pixels.
+        stray: whether other light falls beside the stripe.
     """
     more = _STEPS_GRAINED_CENSORED if censored else _STEPS_GRAINED
-    found = fit(windows, outline, sensor, censored, steps, grain_steps=more if grained else 0)
+    found = fit(windows, outline, sensor, censored, steps, grain_steps=more if grained else 0, stray=stray)
     squares = (found.standard**2).sum(1, keepdims=True)
     freedom = jnp.maximum(found.free.sum(1, keepdims=True) - len(Profile._fields), 0)
     scatter = (FREEDOM_OF_NOISE + squares) / (FREEDOM_OF_NOISE + freedom)
+    if stray:
+        other = (found.used & ~(found.free | windows.full)).sum(1, keepdims=True)
+        # Twice the integral of their pull, r / v up to L and L⁴ v / r³ beyond, is 2 L² of pixels that are far off.
+        more = jnp.where(other > 0, 2 * other * _stray_from(sensor) ** 2, 0.0)
+        scatter = (FREEDOM_OF_NOISE + squares + more) / (FREEDOM_OF_NOISE + freedom + other)
     sigma = jnp.sqrt(scatter) / found.inverse_sigma
     profile = found.profile
     within = (profile.centre > outline.start) & (profile.centre < outline.end)
-    # The shot noise is itself taken from residuals, so it is not asked here.
-    usual = sensor.read**2 + (_USUAL_MISFIT * (outline.top - outline.floor)) ** 2
-    squares = (found.residual**2).sum(1, keepdims=True)
-    strained = squares > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
+    if stray:
+        strained = squares > freedom + _CHANCE * jnp.sqrt(2 * freedom)
+    else:
+        # The shot noise is itself taken from residuals, so it is not asked here.
+        usual = sensor.read**2 + (_USUAL_MISFIT * (outline.top - outline.floor)) ** 2
+        strained = (found.residual**2).sum(1, keepdims=True) > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
     width = FWHM * jnp.exp(windows.as_it_is(profile.ln_s))
     estimate = Estimate(profile.centre, sigma, width, jnp.isfinite(sigma) & within)
     light, settled = profile.ln_height + profile.ln_s, found.moved_by < _ARRIVED
-    return estimate, Misfit(strained, *_gauss_hermite(profile, found.residual), light, settled)
+    off = off_beside(found, windows, outline, sensor) > _FOUND * _stray_from(sensor)
+    return estimate, Misfit(strained, *_gauss_hermite(profile, found.residual), light, settled, off)
+
+
+def off_beside(found: Fit, windows: Windows, outline: Outline, sensor: Sensor) -> Lines:
+    """How far the worst pixel beside each stripe is off, in parts of its noise; 0 where none is seen."""
+    beside = found.free & _beside(found.height, outline)
+    squares = jnp.where(beside, found.residual**2 / windows.variance(found.height, sensor), 0.0)
+    return jnp.sqrt(squares.max(1, keepdims=True))
+
+
+def _beside(height: Pixels, outline: Outline) -> Bool[Array, "groups window lines"]:
+    return height < _BESIDE * (outline.top - outline.floor)
+
+
+def _stray_from(sensor: Sensor) -> Lines:
+    """L of each line: what the worst pixel beside the stripe is usually off by; ∞ where that is not known."""
+    return jnp.where(sensor.off_beside > 0, jnp.maximum(_LEAST_L, sensor.off_beside), jnp.inf)
 
 
 def _gauss_hermite(profile: Profile, residual: Pixels) -> tuple[Lines, Lines]:
@@ -187,6 +224,7 @@ def fit(
     steps: int | Array | None = None,
     further_px: float = 0.0,
     grain_steps: int = 0,
+    stray: bool = False,
 ) -> Fit:
     """The profile that makes the pixels likeliest.
 
@@ -198,6 +236,7 @@ def fit(
         steps: how many of Newton's steps are taken with independent pixels.
         further_px: how much further out than usual pixels are used.
         grain_steps: how many steps follow with pixels whose speckle is correlated.
+        stray: whether other light falls beside the stripe.
     """
     sensor = replace(sensor, ln_s=windows.as_seen(sensor.ln_s))
     start = first_guess(windows, outline, sensor, censored)
@@ -219,6 +258,10 @@ def fit(
     def step(profile: Profile, grain: bool) -> Fit:
         height, jacobian = _pixels(profile, windows.response.shape[1], sensor.shape)
         seen = weigh(profile.background, height, windows, used, sensor, censored)
+        own = free
+        if stray:
+            seen, other = _in_stray_light(seen, free & _beside(height, outline), sensor)
+            own = free & ~other
         if cut is not None:
             jacobian, as_number = _weigh_cut(profile.background, height, jacobian, windows.response, cut, used, sensor)
             seen = jax.tree.map(partial(jnp.where, cut.lines), as_number, seen)
@@ -240,11 +283,11 @@ def fit(
             standard = jnp.sqrt(seen.weight) * left
         # In even noise σ_c goes as √s / A.
         inverse_sigma = L[-1][-1] * jnp.exp(change[1] - change[2] / 2)
-        left, standard = (jnp.where(free, value, 0.0) for value in (left, standard))
+        left, standard = (jnp.where(own, value, 0.0) for value in (left, standard))
         by = jnp.abs(change[-1]) / jnp.exp(profile.ln_s)
         for part in change[1:-1]:
             by = jnp.maximum(by, jnp.abs(part))
-        return Fit(moved, height, jacobian, seen.weight, left, standard, used, free, L, inverse_sigma, by)
+        return Fit(moved, height, jacobian, seen.weight, left, standard, used, own, L, inverse_sigma, by)
 
     if steps is None:
         steps = STEPS_CENSORED if censored else _STEPS
@@ -356,6 +399,16 @@ def weigh(
         weight = jnp.where(windows.full, q * (q + t) / v, weight)
         residual = jnp.where(windows.full, 0.0, residual)
     return Weighed(*(jnp.where(used, value, 0.0) for value in (score, weight, residual)))
+
+
+def _in_stray_light(
+    seen: Weighed, beside: Bool[Array, "groups window lines"], sensor: Sensor
+) -> tuple[Weighed, Bool[Array, "groups window lines"]]:
+    """The same with little weight of those pixels beside the stripe that other light reaches, and which these are."""
+    beyond = seen.residual**2 * seen.weight / _stray_from(sensor) ** 2
+    other = beside & (beyond > 1)
+    by = jnp.where(other, beyond**-2, 1.0)
+    return seen._replace(score=by * seen.score, weight=by * seen.weight), other
 
 
 def _weigh_cut(

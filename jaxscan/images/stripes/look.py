@@ -93,24 +93,43 @@ class Looker:
         return self._looked(places, self._first_look(places))
 
     def again(
-        self, measured: Any, at: Places, which: np.ndarray, half: int, model: Model, steps: int | None = None
+        self,
+        measured: Any,
+        at: Places,
+        which: np.ndarray,
+        half: int,
+        model: Model,
+        steps: int | None = None,
+        stray: bool = False,
     ) -> Any:
         """`Measured` with another model in some lines."""
         if not which.any():
             return measured
-        found = self._measured(tuple(index[which] for index in at), half, model, steps)
+        found = self._measured(tuple(index[which] for index in at), half, model, steps, stray)
         # Where there is no edge in the stripe, what was measured without one stands.
         taken = found.whole if model == "edge" else np.ones_like(found.whole)
         places = np.flatnonzero(which)[taken]
         return jax.tree.map(lambda old, new: replaced(old, places, new[taken]), measured, found)
 
-    def _measured(self, at: Places, half: int, model: Model, steps: int | None = None) -> Any:
+    def beside_stray_light(self, measured: Any, at: Places, which: np.ndarray) -> Any:
+        """`Measured` of lines that are not burnt out, where other light falls beside some of them."""
+        grained, rough = _speckled(self.light.sensor, at[0], measured.relief)
+        models: tuple[tuple[np.ndarray, Model], ...] = (
+            (~(grained | rough), "plain"),
+            (grained & ~rough, "grained"),
+            (rough, "grained and censored"),
+        )
+        for lines, model in models:
+            measured = self.again(measured, at, which & lines, NARROW, model, stray=True)
+        return measured
+
+    def _measured(self, at: Places, half: int, model: Model, steps: int | None = None, stray: bool = False) -> Any:
         """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles again."""
         batch, here, found = self.batch, self._sensor_for(model), []
         color, columns = batch.settings.color, batch.settings.columns
-        for group, count in groups(*at, sizes=GROUPS if model == "plain" else _GROUPS_AGAIN):
+        for group, count in groups(*at, sizes=GROUPS if model == "plain" and not stray else _GROUPS_AGAIN):
             windows = gather_windows(batch.images, batch.background, here, *group, color, columns, batch.half(half))
-            measured = measure(windows, here, group[0], self.detector, model, steps)
+            measured = measure(windows, here, group[0], self.detector, model, steps, stray)
             found.append(jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measured))
         return found[0] if len(found) == 1 else jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
@@ -160,7 +179,7 @@ class Looker:
         measured = self.again(measured, at, again, NARROW, "grained and censored")
         measured = self.again(measured, at, grained & ~(rough | as_burnt | cramped), NARROW, "grained")
         # Whether there is an edge is asked of the plain fit.
-        measured = replace(measured, strained=plain.strained, h3=plain.h3, h4=plain.h4)
+        measured = replace(measured, strained=plain.strained, h3=plain.h3, h4=plain.h4, stray=plain.stray)
         return Looked(measured, strong, cramped, burnt)
 
     def _burnt(self, measured: Any, at: Places, which: np.ndarray, half: int) -> Any:

@@ -18,6 +18,7 @@ from jaxscan.images.stripes.candidates import highest, rivals
 from jaxscan.images.stripes.coarse import level_of
 from jaxscan.images.stripes.faint import faint_runs, near_enough
 from jaxscan.images.stripes.runs import Points, likeliest
+from jaxscan.images.stripes.survey import LEAST_SIGNAL
 from jaxscan.images.stripes.validity import Verdict, in_a_line
 
 # A frame is in doubt if at least this number of its strong lines have no point.
@@ -235,17 +236,21 @@ class _Responses:
 
 
 def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]) -> None:
-    """In weak light, lines that are faint and in company; the verdicts are updated."""
+    """In weak light, lines that are faint and in company; the verdicts are updated.
+
+    Beside a bright stripe those alone that stand out from noise by themselves, where they go on from it.
+    """
     measured = frames.looked.measured
-    faint = measured.whole & (measured.strength > _FAINT * frames.ground[:, None])
-    faint &= (verdict == Verdict.NOTHING) & frames.within(np.arange(verdict.shape[1]), measured.position)
+    here = (verdict == Verdict.NOTHING) & frames.within(np.arange(verdict.shape[1]), measured.position)
+    here &= measured.whole
+    above = measured.strength / frames.ground[:, None]
     places, rows = [np.empty((2, 0), np.int32)], [np.empty(0, np.float32)]
-    for n in np.flatnonzero(faint.sum(axis=1) >= _DOUBTFUL):
+    for n in np.flatnonzero((here & (above > _FAINT)).sum(axis=1) >= _DOUBTFUL):
         found = verdict[n] == Verdict.STRIPE
-        if found.any() and np.median(measured.strength[n][found]) > _WEAK * frames.least[n]:
-            continue
+        bright = found.any() and np.median(measured.strength[n][found]) > _WEAK * frames.least[n]
+        faint = here[n] & (above[n] > (LEAST_SIGNAL if bright else _FAINT))
         one = measured.position[n], measured.strength[n], measured.width[n]
-        runs = faint_runs(faint[n] | found, *one, frames.length)
+        runs = faint_runs(faint | found, *one, frames.length, found if bright else None)
         verdict[n][runs.runs] = Verdict.STRIPE
         verdict[n][runs.weak & ~found] = Verdict.WEAK
         line = np.flatnonzero(runs.between & ~found)

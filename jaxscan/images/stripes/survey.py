@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 
 from jaxscan.images.stripes.cross_section import MOST, cross_section
 from jaxscan.images.stripes.grain import Chance
-from jaxscan.images.stripes.likelihood import ROUGH, fit
+from jaxscan.images.stripes.likelihood import ROUGH, fit, off_beside
 from jaxscan.images.stripes.ranks import median
 from jaxscan.images.stripes.response import (
     FULL_OF_LUMA,
@@ -261,6 +261,7 @@ def survey_windows(
         detail=detail,
         smooth=smooth,
         coded=coded,
+        off_beside=zero,
     )
     around = outline(r)
     windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added)
@@ -303,11 +304,11 @@ def _look(
     if sensor.detail is not None:
         from_video = sensor.detail.repeated & (sensor.detail.gains[0] > 0)
         light = jax.tree.map(partial(jnp.where, from_video), _of_video(read, light), light)
+    sensor = replace(sensor, read=jnp.sqrt(light.read2), shot=light.shot, speckle=light.speckle)
+    off = off_beside(found, windows, around, jax.tree.map(lambda x: x[:, None, None], sensor))[:, 0]
     return replace(
         sensor,
-        read=jnp.sqrt(light.read2),
-        shot=light.shot,
-        speckle=light.speckle,
+        off_beside=jnp.nan_to_num(median(jnp.where(shines, off, jnp.nan))),
         grain=light.grain,
         even=light.even,
         ln_s=jnp.where(known.any(1), usual, 0.0),

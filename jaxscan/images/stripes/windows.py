@@ -90,6 +90,8 @@ class Sensor(eqx.Module):
         apart: whether what the plain profile leaves in the lines has nothing in common, as chance leaves it, or has a
             shape: that of a laser that is no bell, of a halo, or of what a camera sharpens.
         coded: whether it is a JPEG, as far as the survey was told, or colours at half resolution show it.
+        off_beside: how far the worst pixel beside the stripe is off in the usual line, in parts of its noise; 0 where
+            none is seen.
         detail: what luma's detail gives back; None where the colours of all frames are at full resolution.
         smooth: in which frames windows are smoothed; None where in none.
         shape: coefficients of the laser's cross-section; None where all are bells.
@@ -111,6 +113,7 @@ class Sensor(eqx.Module):
     even: Float[Array, "*of"]
     apart: Bool[Array, "*of"]
     coded: Bool[Array, "*of"]
+    off_beside: Float[Array, "*of"]
     detail: Detail | None = None
     smooth: Bool[Array, "*of"] | None = None
     cut: Bool[Array, "*of"] | None = None

@@ -1,0 +1,103 @@
+"""Light beside a stripe that is none of its own: error of the stripe's place over gravity's, σ over the error.
+
+Eight drawn frames of a red stripe on textured ground, as in `cameras`. In runs of forty columns a second reflection
+lies beside it, broader and weaker, with a speckle of its own; these columns are asked. Or the light of the room ends
+at an edge that winds about the stripe and crosses it again and again, in photographs that are grey; all are asked.
+"""
+
+from itertools import product
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt
+
+from benchmarks.cup_jpeg import errors, far_percent, ratio, rms_of
+from benchmarks.metric import Metric
+from benchmarks.video import COLOURS, beside_no_step, moving_light, texture
+from jaxscan.detectors import DEFAULT
+from jaxscan.images import StripeSettings, detect_stripe
+
+_FRAMES: Final = 8
+# Height of the stripe; light of the scene and how it varies; the sensor's noise, and its variance for each level.
+_HEIGHT, _GROUND, _VARIES, _READ, _SHOT = 170.0, 12.0, 3.6, 0.5, 0.02
+# The reflection: of the stripe's height, how far beside it, px, and over its width; the columns of a run.
+_SHARES, _APART_PX, _BROADER, _RUN = (0.0, 0.03, 0.07, 0.15, 0.3), (3, 4, 5, 6, 8), 1.5, 40
+_WIDTHS, _SPECKLES = (1.2, 2.0), (0.2, 0.0)
+# The room's light beyond its edge, levels; how far the edge winds about the stripe, px, and the columns of a radian.
+_ROOM, _WINDS_PX, _OVER = (5.0, 15.0, 40.0), 10.0, 60.0
+_QUICK_SHARES, _QUICK_APART_PX = (0.0, 0.15), (5,)
+
+
+def measure(quick: bool) -> list[Metric]:
+    """Reflections and the room's light; in the short form one reflection, with speckle."""
+    shares, apart = (_QUICK_SHARES, _QUICK_APART_PX) if quick else (_SHARES, _APART_PX)
+    metrics = []
+    print("  reflection: RMS px, over gravity, σ over the error, beyond half a pixel % (of gravity)")
+    for speckle, width, share in product(_SPECKLES[: 1 if quick else None], _WIDTHS, shares):
+        for beside in apart if share else apart[:1]:
+            name = f"reflection.speckle_{speckle:g}.width_{width:g}.share_{share:g}.apart_{beside}"
+            metrics += _against(name, *with_reflection(width, speckle, share, beside), StripeSettings("red"))
+    if not quick:
+        for speckle, levels in product(_SPECKLES, _ROOM):
+            metrics += _against(
+                f"room.speckle_{speckle:g}.levels_{levels:g}", *in_a_room(speckle, levels), StripeSettings("grey")
+            )
+    return metrics
+
+
+def _against(
+    name: str,
+    photographs: UInt[np.ndarray, "frames rows columns *rgb"],
+    truth: Float[np.ndarray, "frames columns"],
+    asked: Bool[np.ndarray, "frames columns"],
+    settings: StripeSettings,
+) -> list[Metric]:
+    (own, sigma), (other, _) = (
+        errors(detect_stripe(photographs, settings, detector=detector), truth, asked)
+        for detector in (DEFAULT, "gravity")
+    )
+    rms, over, far = rms_of(own), rms_of(own) / rms_of(other), far_percent(own)
+    print(f"    {name:62s} {rms:.3f} {over:.2f}   {ratio(own / sigma):.2f}   {far:.1f} ({far_percent(other):.1f})")
+    return [
+        Metric(f"stray_light.{name}.rms", rms, "px", "lower", None, 0.1),
+        Metric(f"stray_light.{name}.over_gravity", over, "", "lower", None, 0.1),
+        Metric(f"stray_light.{name}.sigma", ratio(own / sigma)),
+        Metric(f"stray_light.{name}.beyond_half_a_pixel", far, "%", "lower", None, 0.1, floor=1.0),
+    ]
+
+
+Drawn = tuple[
+    UInt[np.ndarray, "frames rows columns *rgb"],
+    Float[np.ndarray, "frames columns"],
+    Bool[np.ndarray, "frames columns"],
+]
+
+
+def with_reflection(width: float, speckle: float, share: float, apart: int) -> Drawn:
+    """Photographs of a stripe with a weaker one beside it, where it is, and which columns have both."""
+    random = np.random.default_rng(1)
+    pairs = list(moving_light(width, _HEIGHT, speckle, random, _FRAMES))
+    truth = np.stack([centre for _, centre in pairs])
+    laser = np.stack([light for light, _ in pairs])
+    there = np.broadcast_to(np.arange(truth.shape[1]) // _RUN % 3 == 1, truth.shape)
+    if share:
+        reflected = moving_light(_BROADER * width, share * _HEIGHT, speckle, random, _FRAMES)
+        other = np.stack([np.roll(light, apart, axis=0) for light, _ in reflected])
+        laser = laser + np.where(there[:, None], other, 0.0)
+    light = texture(_GROUND, _VARIES)[..., None] + laser[..., None] * COLOURS
+    return _photographs(light, random), truth, there & beside_no_step(_FRAMES)
+
+
+def in_a_room(speckle: float, levels: float) -> Drawn:
+    """Grey photographs with an edge of the room's light that winds about the stripe; where that is; all columns."""
+    random = np.random.default_rng(1)
+    pairs = list(moving_light(_WIDTHS[0], _HEIGHT, speckle, random, _FRAMES))
+    truth, laser = np.stack([centre for _, centre in pairs]), np.stack([light for light, _ in pairs])
+    edge = truth + _WINDS_PX * np.sin(np.arange(truth.shape[1]) / _OVER + np.arange(_FRAMES)[:, None])
+    beyond = np.clip(np.arange(laser.shape[1])[:, None] - edge[:, None] + 0.5, 0, 1)
+    return _photographs(texture(_GROUND, _VARIES) + laser + levels * beyond, random), truth, beside_no_step(_FRAMES)
+
+
+def _photographs(light: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    noise = np.sqrt(_READ**2 + _SHOT * np.maximum(light, 0.0)) * random.standard_normal(light.shape)
+    return np.rint((light + noise).clip(0, 255)).astype(np.uint8)

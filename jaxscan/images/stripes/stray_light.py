@@ -1,0 +1,56 @@
+"""Light beside a stripe that is not its own: a second reflection, a lamp, the room.
+
+Beside the stripe a pixel's noise is small, so that a little light there draws the fit of the profile far. It goes on
+from line to line, which noise does not. Where a run of lines has pixels beside the stripe that are off by more than
+noise makes them, these lines are measured again with such pixels counting for little.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Int
+
+from jaxscan.images.stripes.look import Looker, places_of
+from jaxscan.images.stripes.settle import Looked, replaced
+
+# Of a line and its neighbours on either side, this number have light beside the stripe.
+_NEIGHBOURS, _FEWEST = 3, 3
+
+
+def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> Looked:
+    """What was found, with lines measured again beside which other light falls, where this leaves nothing strained.
+
+    Args:
+        looker: who has looked, by the fit.
+        looked: what was found in each line.
+        peak: where.
+    """
+    measured = looked.measured
+    asked = looked.strong & measured.whole & ~(looked.burnt | looked.cramped)
+    goes_on = _around(measured.stray & asked) >= _FEWEST
+    which = asked & goes_on & ~looker.light.video[: len(peak), None]
+    if not which.any():
+        return looked
+    before = jax.tree.map(np.ravel, measured)
+    after = looker.beside_stray_light(before, places_of(peak), which.ravel())
+    explained = which & (after.whole & ~after.strained).reshape(peak.shape)
+    taken = (which & mostly(explained, which)).ravel() & after.whole
+    found: Any = jax.tree.map(lambda old, new: replaced(old, taken, new[taken]).reshape(peak.shape), before, after)
+    own = taken.reshape(peak.shape)
+    return looked._replace(measured=replace(found, stray=own, strained=found.strained & ~own))
+
+
+def _around(lines: Bool[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames lines"]:
+    sums = np.cumsum(np.pad(lines, ((0, 0), (_NEIGHBOURS + 1, _NEIGHBOURS))), axis=1)
+    return sums[:, 2 * _NEIGHBOURS + 1 :] - sums[:, : -2 * _NEIGHBOURS - 1]
+
+
+def mostly(
+    true: Bool[np.ndarray, "frames lines"], of: Bool[np.ndarray, "frames lines"]
+) -> Bool[np.ndarray, "frames lines"]:
+    """In which runs of lines it is true of more than half of them."""
+    run = np.cumsum(np.diff(of, axis=1, prepend=False).ravel()).reshape(of.shape)
+    share = np.bincount(run.ravel(), true.ravel()) / np.maximum(np.bincount(run.ravel(), of.ravel()), 1)
+    return share[run] > 0.5

@@ -1,0 +1,41 @@
+"""Light beside a stripe that is none of its own, and stripes that are dim beside bright ones."""
+
+import numpy as np
+import pytest
+
+from benchmarks.cup_jpeg import errors, far_percent, rms_of
+from benchmarks.stray_light import in_a_room, with_reflection
+from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images.stripes.stray_light import mostly
+
+
+def beyond_half_a_pixel(photographs, truth, asked, color="red"):
+    off, _ = errors(detect_stripe(photographs, StripeSettings(color)), truth, asked)
+    return far_percent(off), rms_of(off)
+
+
+@pytest.mark.parametrize(("share", "apart", "most"), [(0.15, 5, 4), (0.3, 6, 4)])
+def test_a_second_reflection_beside_a_stripe_does_not_take_it_away(share, apart, most):
+    """A third of the points were more than half a pixel off, and up to nine in ten more than a whole one."""
+    far, _ = beyond_half_a_pixel(*with_reflection(1.2, 0.2, share, apart))
+    assert far < most
+
+
+def test_the_edge_of_the_rooms_light_crosses_a_stripe():
+    far, rms = beyond_half_a_pixel(*in_a_room(0.2, 15.0), "grey")
+    assert far < 3
+    assert rms < 0.13
+
+
+def test_where_there_is_no_other_light_nothing_is_measured_again(monkeypatch):
+    photographs, *_ = with_reflection(1.2, 0.2, 0.0, 5)
+    before = detect_stripe(photographs, StripeSettings("red"))
+    monkeypatch.setattr("jaxscan.images.stripes.detect.without_stray_light", lambda looker, looked, peak: looked)
+    after = detect_stripe(photographs, StripeSettings("red"))
+    np.testing.assert_array_equal(before.position, after.position)
+
+
+def test_runs_of_lines_are_taken_whole():
+    of = np.array([[1, 1, 1, 0, 1, 1], [1, 1, 0, 0, 1, 0]], bool)
+    true = np.array([[1, 1, 0, 0, 0, 1], [1, 0, 0, 0, 1, 0]], bool)
+    np.testing.assert_array_equal(of & mostly(true, of), np.array([[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 1, 0]], bool))
