@@ -5,9 +5,15 @@ as many points as it writes. The way there and back is timed by itself: it tells
 that are there already, and what for those that come from files.
 """
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +24,12 @@ from benchmarks.metric import Metric
 from benchmarks.throughput import OF_A_READ, power_of_ten, random_pixels, sixteen_frames, triangulation
 from benchmarks.timing import side_by_side, timed
 from jaxscan.detectors import DETECTORS, Detector
+from jaxscan.files.rig_file import read_rig
 from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.precision import as_float64, float64
+from jaxscan.reconstruction import read_range_image
+
+_LONGEST_S: Final = 600.0
 
 
 def measure(quick: bool) -> list[Metric]:
@@ -30,7 +41,60 @@ def measure(quick: bool) -> list[Metric]:
         metrics += detection(device, rows, columns, OF_A_READ if quick else tuple(DETECTORS), repeats)
     for count in (10**6,) if quick else (10**6, 10**7, 5 * 10**7):
         metrics += kernel(device, count, repeats)
-    return metrics
+    return metrics if quick else metrics + alike(device)
+
+
+def alike(device: Any) -> list[Metric]:
+    """How far what the device computes of the simulated world is from what the processor computes."""
+    with TemporaryDirectory() as name:
+        folder, found = Path(name), []
+        _jaxscan("cpu", "simulate", folder, "--object", "cup")
+        for i, platform in enumerate(("cpu", device.platform)):
+            rig, points = folder / f"{i}.json", folder / f"{i}.npz"
+            took = _jaxscan(platform, "calibrate", folder / "session", "-o", rig)
+            print(f"  calibrate, {platform}: {took:.0f} s with the program's start", flush=True)
+            # With one rig, so that points differ by what is computed of them.
+            _jaxscan(platform, "reconstruct", folder / "scan", "--rig", folder / "0.json", "-o", points)
+            found.append((_numbers(rig), read_range_image(points)))
+    (rig, here), (its_rig, there) = found
+    both = here.valid & there.valid
+    apart = {
+        "lines_unlike": float((here.valid != there.valid).mean()),
+        "pixels_px": _largest(here.pixels, there.pixels, both),
+        "points_mm": _largest(here.points, there.points, both),
+        "sigma_relative": _largest(there.sigma / here.sigma, np.ones(both.shape), both),
+        "rig_relative": float((np.abs(its_rig - rig) / np.maximum(np.abs(rig), 1e-9)).max()),
+    }
+    for what, by in apart.items():
+        print(f"  {what}: {by:.2g}", flush=True)
+    return [Metric(f"device.{device.platform}.alike.{what}", by) for what, by in apart.items()]
+
+
+def _jaxscan(platform: str, *words: object) -> float:
+    """Run a command on the processor or on JAX's own choice; the seconds it takes."""
+    program = "import sys; from jaxscan.cli.main import main; sys.exit(main())"
+    begun = perf_counter()
+    subprocess.run(
+        [sys.executable, "-c", program, *map(str, words)],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        # This program has most of a GPU's memory: the other takes what it needs.
+        env=os.environ
+        | ({"JAX_PLATFORMS": "cpu"} if platform == "cpu" else {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}),
+        timeout=_LONGEST_S,
+    )
+    return perf_counter() - begun
+
+
+def _numbers(rig: Path) -> Float[np.ndarray, "n"]:
+    """Camera and lights of a rig's file."""
+    with float64():
+        leaves = jax.tree.leaves(as_float64(read_rig(rig).rig))
+    return np.concatenate([np.ravel(np.asarray(x, np.float64)) for x in leaves])
+
+
+def _largest(one: np.ndarray, other: np.ndarray, where: np.ndarray) -> float:
+    return float(np.abs(one[where].astype(np.float64) - other[where]).max())
 
 
 def detection(device: Any, rows: int, columns: int, names: Sequence[Detector], repeats: int) -> list[Metric]:
