@@ -243,17 +243,17 @@ def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]
     measured = frames.looked.measured
     here = (verdict == Verdict.NOTHING) & frames.within(np.arange(verdict.shape[1]), measured.position)
     here &= measured.whole
-    above = measured.strength / frames.ground[:, None]
     places, rows = [np.empty((2, 0), np.int32)], [np.empty(0, np.float32)]
-    for n in np.flatnonzero((here & (above > _FAINT)).sum(axis=1) >= _DOUBTFUL):
+    for n in np.flatnonzero((here & (measured.strength > _FAINT * frames.ground[:, None])).sum(axis=1) >= _DOUBTFUL):
         found = verdict[n] == Verdict.STRIPE
         bright = found.any() and np.median(measured.strength[n][found]) > _WEAK * frames.least[n]
-        faint = here[n] & (above[n] > (LEAST_SIGNAL if bright else _FAINT))
+        faint = here[n] & (measured.strength[n] > (LEAST_SIGNAL if bright else _FAINT) * frames.ground[n])
         one = measured.position[n], measured.strength[n], measured.width[n]
         runs = faint_runs(faint | found, *one, frames.length, found if bright else None)
         verdict[n][runs.runs] = Verdict.STRIPE
         verdict[n][runs.weak & ~found] = Verdict.WEAK
-        line = np.flatnonzero(runs.between & ~found)
+        # Gaps of a bright stripe are what they are.
+        line = np.flatnonzero(runs.between & ~(found | bright))
         places.append(np.stack([np.full_like(line, n), line]).astype(np.int32))
         rows.append(runs.rows[line])
     between, row = np.concatenate(places, axis=1), np.concatenate(rows)
