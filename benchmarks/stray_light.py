@@ -21,7 +21,7 @@ _FRAMES: Final = 8
 # Height of the stripe; light of the scene and how it varies; the sensor's noise, and its variance for each level.
 _HEIGHT, _GROUND, _VARIES, _READ, _SHOT = 170.0, 12.0, 3.6, 0.5, 0.02
 # The reflection: of the stripe's height, how far beside it, px, and over its width; the columns of a run.
-_SHARES, _APART_PX, _BROADER, _RUN = (0.0, 0.03, 0.07, 0.15, 0.3), (3, 4, 5, 6, 8), 1.5, 40
+_SHARES, _APART_PX, _BROADER, _RUN = (0.0, 0.03, 0.07, 0.15, 0.3), (4, 6, 8), 1.5, 40
 _WIDTHS, _SPECKLES = (1.2, 2.0), (0.2, 0.0)
 # The room's light beyond its edge, levels; how far the edge winds about the stripe, px, and the columns of a radian.
 _ROOM, _WINDS_PX, _OVER = (5.0, 15.0, 40.0), 10.0, 60.0

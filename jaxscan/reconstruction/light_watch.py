@@ -175,7 +175,8 @@ class LightWatch:
             f"bands of light move over the photographs, {amplitude:.1f} grey levels (RMS) from one frame to the next: "
             "a lamp flickers"
             + (", and subtracting the background does not take it away" if background else "")
-            + ": expose for a multiple of half the mains' period (1/100 or 1/120 s), or switch the lamp off"
+            + ": expose for a multiple of half the mains' period (1/100 or 1/120 s), or switch the lamp off. An object "
+            "with printed lines along the rows, which move from frame to frame, looks the same"
         ]
 
 

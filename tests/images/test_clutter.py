@@ -144,3 +144,16 @@ def test_a_few_points_hardly_brighter_than_noise_are_no_stripe(count, strength, 
     measured = SimpleNamespace(position=at, strength=bright, width=wide, thickness=wide)
     found, _ = in_a_line(measured, seen, np.array([20.3]))
     assert (found == (seen & kept)).all()
+
+
+@pytest.mark.parametrize(("color", "surface"), [("red", (40, 120, 60)), ("green", (150, 60, 60))])
+def test_a_stripe_on_a_surface_of_another_colour_is_no_white_light(color, surface):
+    """A third of its points were called spots, where other parts of the frame made it doubtful."""
+    random = np.random.default_rng(0)
+    columns, rows = np.arange(640), np.arange(200)[:, None]
+    centre = 90 + 8 * np.sin(columns / 90) + 20 * ((columns > 200) & (columns < 380))
+    light = 60 * np.exp(-0.5 * ((rows - centre) / 1.2) ** 2) * random.gamma(25, 1 / 25, (200, 640))
+    seen = np.stack([(1.0 if name == color else 0.06) * light for name in ("red", "green", "blue")], axis=-1) + surface
+    seen += np.sqrt(0.5 + 0.03 * seen) * random.standard_normal(seen.shape)
+    stripe = detect_stripe(np.rint(seen.clip(0, 255)).astype(np.uint8), StripeSettings(color))
+    assert stripe.valid.mean() > 0.97

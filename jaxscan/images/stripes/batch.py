@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscan.detectors import Choice
-from jaxscan.images.stripe_settings import StripeSettings
+from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.candidates import candidates, choose
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.surroundings import ambient_levels, sample, surroundings
@@ -19,6 +19,9 @@ from jaxscan.images.stripes.windows import Sensor
 FRAMES_AT_ONCE: Final = 16
 # Half windows, px: the wide one holds stripes up to some 60 px wide.
 SHORT, NARROW, WIDE = 8, 12, 40
+# What lies beside a stripe is this far away, px. The laser's channel rises by this part of a full number at the least,
+# and the others by less than this part of that.
+_BESIDE_PX, _LEAST_RISE, _ALONE = 8, 0.05, 0.4
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,25 @@ class Batch:
         return np.asarray(
             coarse_peaks(self.images, self.background, without, self.settings.color, self.settings.columns)
         )
+
+    def rises_alone(
+        self, frame: int, line: Int[np.ndarray, "some"], row: Int[np.ndarray, "some"]
+    ) -> Bool[np.ndarray, "some"]:
+        """Whether at some places the laser's channel rises above what lies beside them, and the others do not.
+
+        So it does on a surface of another colour, whose own light outdoes the laser's in the sum of channels; what
+        shines white lifts them all.
+        """
+        levels = np.asarray(self.frames[frame]).astype(np.float32)
+        length = levels.shape[0 if self.settings.columns else 1]
+
+        def at(by: int) -> Float[np.ndarray, "some rgb"]:
+            there = np.clip(row + by, 0, length - 1)
+            return levels[(there, line) if self.settings.columns else (line, there)]
+
+        rise = at(0) - np.maximum(at(-_BESIDE_PX), at(_BESIDE_PX))
+        laser, *others = (rise[:, channel] for channel in CHANNELS[self.settings.color])
+        return (laser > _LEAST_RISE * np.iinfo(self.frames.dtype).max) & (np.maximum(*others) < _ALONE * laser)
 
     def surroundings(self, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
         """The share of each frame's full pixels, and the levels beside the stripe."""

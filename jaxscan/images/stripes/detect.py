@@ -131,7 +131,8 @@ def _detect(
     looker = Looker.create(batch, Light.create(batch, sensor, detector == "likelihood"), detector)
     looker, looked = looker.everywhere()
     all_of_it = MeasuredFrames(looked, batch.peak, looker.least, looker.ground, batch.length, looker.at, band)
-    verdict = settle(all_of_it, batch.peaks, settings.columns, choice == "likeliest", batch.peaks_of_colour)
+    colours = batch.peaks_of_colour, batch.rises_alone
+    verdict = settle(all_of_it, batch.peaks, settings.columns, choice == "likeliest", *colours)
     valid, looked = verdict == Verdict.STRIPE, all_of_it.looked
     found = WithEdges(looked.measured, np.zeros_like(valid), np.zeros(count, bool), looker)
     measured, by_gravity = found.measured, np.zeros(count, bool)

@@ -38,6 +38,8 @@ _WEAK, _FAINT = 4.0, 2.0
 Places = tuple[Int[np.ndarray, "some"], ...]
 # The first and the last row at which the stripe can be in each line.
 Band = tuple[Float[np.ndarray, "lines"], Float[np.ndarray, "lines"]]
+# Of a frame, and of rows in some of its lines.
+RisesAlone = Callable[[int, Int[np.ndarray, "some"], Int[np.ndarray, "some"]], Bool[np.ndarray, "some"]]
 
 
 class Looked(NamedTuple):
@@ -108,7 +110,12 @@ def replaced(old: np.ndarray, at: np.ndarray | tuple[np.ndarray, ...], new: np.n
 
 
 def settle(
-    frames: MeasuredFrames, peaks: Array, columns: bool, contested: bool, of_colour: Callable[[], np.ndarray | None]
+    frames: MeasuredFrames,
+    peaks: Array,
+    columns: bool,
+    contested: bool,
+    of_colour: Callable[[], np.ndarray | None],
+    rises_alone: RisesAlone,
 ) -> Int8[np.ndarray, "frames lines"]:
     """The verdict of each line of some frames; what is measured elsewhere is put into `frames`.
 
@@ -118,6 +125,8 @@ def settle(
         columns: whether lines are columns.
         contested: whether other candidates are looked at.
         of_colour: the peaks where neutral light cancels however bright it is; None where there are no colours.
+        rises_alone: whether the laser's channel rises alone at rows of some lines of a frame; asked where there are
+            colours.
     """
     shape = frames.peak.shape
     lines = np.arange(shape[1])
@@ -138,7 +147,7 @@ def settle(
             if not columns:
                 down = np.swapaxes(down, 1, 2)
                 coloured = None if coloured is None else np.swapaxes(coloured, 1, 2)
-            _contest(frames, doubtful, down, coloured, standing, second)
+            _contest(frames, doubtful, down, coloured, rises_alone, standing, second)
             measured = frames.looked.measured
             found, _ = in_a_line(measured, standing, frames.least)
     verdict = np.where(found, Verdict.STRIPE, Verdict.NOTHING).astype(np.int8)
@@ -154,6 +163,7 @@ def _contest(
     doubtful: Int[np.ndarray, "some"],
     peaks: Int[np.ndarray, "frames down lines"],
     of_colour: Int[np.ndarray, "frames down lines"] | None,
+    rises_alone: RisesAlone,
     standing: Bool[np.ndarray, "frames lines"],
     second: Bool[np.ndarray, "frames lines"],
 ) -> None:
@@ -173,7 +183,11 @@ def _contest(
         mains, others = colour(n, lines, frames.peak[n, lines]), colour(n, line, row)
         # Where the stripe is itself burnt out to white, colour shows nothing.
         if lines.size and np.median(mains) > _IN_COLOUR:
-            standing[n, lines] = mains > _WHITE
+            white = mains <= _WHITE
+            if white.any():
+                # A surface of another colour outdoes the laser's light.
+                white[white] = ~rises_alone(n, lines[white], frames.peak[n, lines[white]])
+            standing[n, lines] = ~white
             line, row = line[others > _WHITE], row[others > _WHITE]
         places.append(np.stack([np.full_like(line, n), line, row]))
     at = tuple(index.astype(np.int32) for index in np.concatenate(places, axis=1))
