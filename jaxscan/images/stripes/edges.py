@@ -64,7 +64,9 @@ def with_edges(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lin
     # A stripe that is burnt out over its whole length is judged by its flanks.
     mostly = (looked.burnt & looked.strong).sum(1) > ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
     odd |= mostly & ~np.asarray(looker.light.sensor.apart)[:count] | looker.light.no_bell()[:count]
-    flat = looker.again(jax.tree.map(np.ravel, measured), places_of(peak), strained.ravel(), NARROW, "edge")
+    flat, at = jax.tree.map(np.ravel, measured), places_of(peak)
+    for stray, lines in ((False, strained & ~measured.stray), (True, strained & measured.stray)):
+        flat = looker.again(flat, at, lines.ravel(), NARROW, "edge", stray=stray)
     flat = jax.tree.map(lambda x: x.reshape(peak.shape), flat)
     return WithEdges(flat, flat.position != measured.position, odd, looker)
 

@@ -260,7 +260,7 @@ def fit(
         seen = weigh(profile.background, height, windows, used, sensor, censored)
         own = free
         if stray:
-            seen, other = _in_stray_light(seen, free & _beside(height, outline), sensor)
+            seen, other = in_stray_light(seen, height, outline, sensor)
             own = free & ~other
         if cut is not None:
             jacobian, as_number = _weigh_cut(profile.background, height, jacobian, windows.response, cut, used, sensor)
@@ -401,14 +401,22 @@ def weigh(
     return Weighed(*(jnp.where(used, value, 0.0) for value in (score, weight, residual)))
 
 
-def _in_stray_light(
-    seen: Weighed, beside: Bool[Array, "groups window lines"], sensor: Sensor
+def in_stray_light(
+    seen: Weighed, height: Pixels, outline: Outline, sensor: Sensor
 ) -> tuple[Weighed, Bool[Array, "groups window lines"]]:
     """The same with little weight of those pixels beside the stripe that other light reaches, and which these are."""
     beyond = seen.residual**2 * seen.weight / _stray_from(sensor) ** 2
+    beside = _beside(height, outline)
     other = beside & (beyond > 1)
     by = jnp.where(other, beyond**-2, 1.0)
     return seen._replace(score=by * seen.score, weight=by * seen.weight), other
+
+
+def squares_in_stray_light(squares: Pixels, height: Pixels, outline: Outline, sensor: Sensor) -> Pixels:
+    """What the squares of residuals, in units of the noise, count for: twice the integral of the pull over them."""
+    L2 = _stray_from(sensor) ** 2
+    beyond = jnp.maximum(squares / L2, 1.0)
+    return jnp.where(_beside(height, outline) & (squares > L2), L2 * (2 - 1 / beyond), squares)
 
 
 def _weigh_cut(

@@ -21,7 +21,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import FWHM, LN_HEIGHT_SPREAD, Fit, fit, weigh
+from jaxscan.images.stripes.likelihood import (
+    FWHM,
+    LN_HEIGHT_SPREAD,
+    Weighed,
+    fit,
+    in_stray_light,
+    squares_in_stray_light,
+    weigh,
+)
 from jaxscan.images.stripes.normal_equations import factor, gradient, solve
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
@@ -63,12 +71,19 @@ class EdgeProfile(NamedTuple):
     centre: Lines
 
 
-def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
-    """The centre of each stripe with an edge in it; `found` where there is one."""
+def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor, stray: bool = False) -> Estimate:
+    """The centre of each stripe with an edge in it; `found` where there is one.
+
+    Args:
+        windows: the response.
+        outline: where to start.
+        sensor: its noise.
+        stray: whether other light falls beside the stripe.
+    """
     # Where an edge runs along a whole stripe, the residuals that shot noise and speckle were taken from are the edge's.
     zero = jnp.zeros_like(sensor.shot)
     sensor = replace(sensor, shot=zero, speckle=zero + _SPECKLE, grain=zero)
-    plain = fit(windows, outline, sensor, censored=True, further_px=_FURTHER_PX)
+    plain = fit(windows, outline, sensor, censored=True, further_px=_FURTHER_PX, stray=stray)
     used, size = plain.used, windows.response.shape[1]
     s = jnp.exp(plain.profile.ln_s)
     zero = jnp.zeros_like(s)
@@ -82,9 +97,22 @@ def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor) -> 
         zero,
     )
 
+    def weighed(background: Lines, height: Pixels) -> Weighed:
+        seen = weigh(background, height, windows, used, sensor, censored=True)
+        return in_stray_light(seen, height, outline, sensor)[0] if stray else seen
+
+    def misfit_of(background: Lines, height: Pixels) -> Lines:
+        """The squares of what is left, in units of the noise; a full pixel counts where it ought not to be full."""
+        residual = windows.response - background - height
+        residual = jnp.where(windows.full, jnp.maximum(residual, 0.0), residual)
+        squares = residual**2 / windows.variance(height, sensor)
+        if stray:
+            squares = squares_in_stray_light(squares, height, outline, sensor)
+        return jnp.where(used, squares, 0.0).sum(1, keepdims=True)
+
     def marquardt(step: int, theta: EdgeProfile) -> EdgeProfile:
         height, jacobian = _pixels(theta, size)
-        seen = weigh(theta.background, height, windows, used, sensor, censored=True)
+        seen = weighed(theta.background, height)
         damped = [
             prior + _DAMPING * (J * J * seen.weight).sum(1, keepdims=True)
             for J, prior in zip(jacobian, precision, strict=True)
@@ -110,7 +138,7 @@ def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor) -> 
         strain = sum(
             (prior * (now - usual) ** 2 for prior, now, usual in zip(precision, theta, mean, strict=True)), start=zero
         )
-        misfit = _misfit(theta.background, _pixels(theta, size)[0], windows, plain, sensor) + strain
+        misfit = misfit_of(theta.background, _pixels(theta, size)[0]) + strain
         return theta, jnp.where(jnp.isfinite(misfit), misfit, jnp.inf)
 
     starts = jnp.asarray([(side, place) for side in (1.0, -1.0) for place in _PLACES], jnp.float32)
@@ -119,8 +147,8 @@ def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor) -> 
     theta = EdgeProfile(*(jnp.take_along_axis(x, best, axis=0)[0] for x in all_))
     misfit = jnp.take_along_axis(misfits, best, axis=0)[0]
     height, jacobian = _pixels(theta, size)
-    seen = weigh(theta.background, height, windows, used, sensor, censored=True)
-    without = _misfit(plain.profile.background, plain.height, windows, plain, sensor)
+    seen = weighed(theta.background, height)
+    without = misfit_of(plain.profile.background, plain.height)
     freedom = jnp.maximum((used & ~windows.full).sum(1, keepdims=True) - len(EdgeProfile._fields), 1)
     f = (without - misfit) / 2 / (jnp.maximum(misfit, 1e-6) / freedom)
     sigma = jnp.sqrt(jnp.maximum(misfit / freedom, 1.0)) / factor(jacobian, seen.weight, precision)[-1][-1]
@@ -146,10 +174,3 @@ def _pixels(theta: EdgeProfile, size: int) -> tuple[Pixels, tuple[Pixels, ...]]:
         by_edge += light * (bright - dark) * jnp.exp(-0.5 * x * x)
         by_centre += (here + there) * z
     return value, (jnp.ones_like(value), value, by_s, by_ratio, _BELL * by_edge, by_centre / s)
-
-
-def _misfit(background: Lines, height: Pixels, windows: Windows, plain: Fit, sensor: Sensor) -> Lines:
-    """The squares of what is left, in units of the noise; a full pixel counts where it ought not to be full."""
-    residual = windows.response - background - height
-    residual = jnp.where(windows.full, jnp.maximum(residual, 0.0), residual)
-    return jnp.where(plain.used, residual**2 / windows.variance(height, sensor), 0.0).sum(1, keepdims=True)

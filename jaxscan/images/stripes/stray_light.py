@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from jaxscan.images.stripes.look import Looker, places_of
-from jaxscan.images.stripes.settle import Looked, replaced
+from jaxscan.images.stripes.settle import Looked
 
 # Of a line and its neighbours on either side, this number have light beside the stripe.
 _NEIGHBOURS, _FEWEST = 3, 3
@@ -35,11 +35,13 @@ def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "f
         return looked
     before = jax.tree.map(np.ravel, measured)
     after = looker.beside_stray_light(before, places_of(peak), which.ravel())
-    explained = which & (after.whole & ~after.strained).reshape(peak.shape)
-    taken = (which & mostly(explained, which)).ravel() & after.whole
-    found: Any = jax.tree.map(lambda old, new: replaced(old, taken, new[taken]).reshape(peak.shape), before, after)
-    own = taken.reshape(peak.shape)
-    return looked._replace(measured=replace(found, stray=own, strained=found.strained & ~own))
+    taken = (which.ravel() & after.whole).reshape(peak.shape)
+    found: Any = jax.tree.map(lambda old, new: np.where(taken, new.reshape(old.shape), old), measured, after)
+    # Whether there is an edge besides is asked of the plain fit, unless what is left is noise.
+    noise = taken & mostly(taken & ~found.strained, which)
+    h3, h4 = (np.where(noise, new, old) for new, old in ((found.h3, measured.h3), (found.h4, measured.h4)))
+    strained = measured.strained & ~noise
+    return looked._replace(measured=replace(found, stray=taken, strained=strained, h3=h3, h4=h4))
 
 
 def _around(lines: Bool[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames lines"]:
