@@ -107,6 +107,7 @@ NOT_QUICK = {
     "speckle",
     "bad_light",
     "clutter",
+    "stray_light",
     "jpeg",
     "frame_sigma",
     "coherence",

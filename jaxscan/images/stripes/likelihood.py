@@ -188,15 +188,20 @@ def likelihood(
     width = FWHM * jnp.exp(windows.as_it_is(profile.ln_s))
     estimate = Estimate(profile.centre, sigma, width, jnp.isfinite(sigma) & within)
     light, settled = profile.ln_height + profile.ln_s, found.moved_by < _ARRIVED
-    off = off_beside(found, windows, outline, sensor) > _FOUND * _stray_from(sensor)
+    off = off_beside(found.standard**2, found, outline) > _FOUND * _stray_from(sensor)
     return estimate, Misfit(strained, *_gauss_hermite(profile, found.residual), light, settled, off)
 
 
-def off_beside(found: Fit, windows: Windows, outline: Outline, sensor: Sensor) -> Lines:
-    """How far the worst pixel beside each stripe is off, in parts of its noise; 0 where none is seen."""
+def off_beside(squares: Pixels, found: Fit, outline: Outline) -> Lines:
+    """How far the worst pixel beside each stripe is off, in parts of its noise; 0 where none is seen.
+
+    Args:
+        squares: of what a fit leaves, over the variance of the noise.
+        found: the fit.
+        outline: of the stripe.
+    """
     beside = found.free & _beside(found.height, outline)
-    squares = jnp.where(beside, found.residual**2 / windows.variance(found.height, sensor), 0.0)
-    return jnp.sqrt(squares.max(1, keepdims=True))
+    return jnp.sqrt(jnp.where(beside, squares, 0.0).max(1, keepdims=True))
 
 
 def _beside(height: Pixels, outline: Outline) -> Bool[Array, "groups window lines"]:

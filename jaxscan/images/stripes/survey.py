@@ -305,7 +305,8 @@ def _look(
         from_video = sensor.detail.repeated & (sensor.detail.gains[0] > 0)
         light = jax.tree.map(partial(jnp.where, from_video), _of_video(read, light), light)
     sensor = replace(sensor, read=jnp.sqrt(light.read2), shot=light.shot, speckle=light.speckle)
-    off = off_beside(found, windows, around, jax.tree.map(lambda x: x[:, None, None], sensor))[:, 0]
+    v = windows.variance(found.height, jax.tree.map(lambda x: x[:, None, None], sensor))
+    off = off_beside(found.residual**2 / v, found, around)[:, 0]
     return replace(
         sensor,
         off_beside=jnp.nan_to_num(median(jnp.where(shines, off, jnp.nan))),
