@@ -262,6 +262,8 @@ def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]
         found = verdict[n] == Verdict.STRIPE
         bright = found.any() and np.median(measured.strength[n][found]) > _WEAK * frames.least[n]
         faint = here[n] & (measured.strength[n] > (LEAST_SIGNAL if bright else _FAINT) * frames.ground[n])
+        if faint.sum() < _DOUBTFUL:
+            continue
         one = measured.position[n], measured.strength[n], measured.width[n]
         runs = faint_runs(faint | found, *one, frames.length, found if bright else None)
         verdict[n][runs.runs] = Verdict.STRIPE
