@@ -31,6 +31,7 @@ _GROUND, _VARIES, _READ, _SHOT = 12.0, 3.6, 1.0, 0.02
 _GOAL: Final = 1.05
 
 Light = Float[np.ndarray, "frames rows columns 3"]
+Levels = Float[np.ndarray, "frames rows columns *rgb"]
 Photographs = UInt[np.ndarray, "frames rows columns 3"]
 Where = Float[np.ndarray, "frames columns"]
 
@@ -71,12 +72,14 @@ def _scene(
     return light, np.stack([centre for _, centre in pairs]), beside_no_step(_FRAMES), random
 
 
-def _on_sensor(light: Light, random: np.random.Generator, full: float = 255.0) -> Light:
-    noise = np.sqrt(_READ**2 + _SHOT * np.maximum(light, 0.0)) * random.standard_normal(light.shape)
+def on_sensor(light: Levels, random: np.random.Generator, full: float = 255.0, read: float = _READ) -> Levels:
+    """Levels of light, with read noise and shot noise, up to a full pixel."""
+    noise = np.sqrt(read**2 + _SHOT * np.maximum(light, 0.0)) * random.standard_normal(light.shape)
     return (light + noise).clip(0, full)
 
 
-def _rounded(levels: Light) -> Photographs:
+def rounded(levels: Levels) -> UInt[np.ndarray, "frames rows columns *rgb"]:
+    """Photographs of 8 bits."""
     return np.rint(levels.clip(0, 255)).astype(np.uint8)
 
 
@@ -105,7 +108,7 @@ Way = Callable[[Light, np.random.Generator], Photographs]
 def _as(way: Way, psf: Float[np.ndarray, "n n"] | None = None, full: float = 255.0) -> Callable[..., tuple]:
     def photographs(width: float, height: float, speckle: float) -> tuple[Photographs, Where, np.ndarray]:
         light, where, asked, random = _scene(width, height, speckle, psf)
-        return way(_on_sensor(light, random, full), random), where, asked
+        return way(on_sensor(light, random, full), random), where, asked
 
     return photographs
 
@@ -113,7 +116,7 @@ def _as(way: Way, psf: Float[np.ndarray, "n n"] | None = None, full: float = 255
 def _in_half_size(width: float, height: float, speckle: float) -> tuple[Photographs, Where, np.ndarray]:
     """Of twice the width, encoded, and scaled down: what is asked is a pixel's own centre."""
     light, where, asked, random = _scene(2 * width, height, speckle)
-    photographs = _rounded(_halved(encoded(_rounded(_on_sensor(light, random)).astype(np.float64))))
+    photographs = rounded(_halved(encoded(rounded(on_sensor(light, random)).astype(np.float64))))
     pairs = (where[:, ::2] + where[:, 1::2]) / 2
     return photographs, (pairs - 0.5) / 2, asked[:, ::2] & asked[:, 1::2]
 
@@ -121,31 +124,31 @@ def _in_half_size(width: float, height: float, speckle: float) -> tuple[Photogra
 def _uneven(levels: Light, random: np.random.Generator) -> Photographs:
     """Each pixel has a gain and an offset of its own, behind where it is full."""
     gain = 1 + 0.03 * random.standard_normal(levels.shape[1:3])
-    return _rounded(levels * gain[None, ..., None] + 2 * random.standard_normal(levels.shape[1:3])[None, ..., None])
+    return rounded(levels * gain[None, ..., None] + 2 * random.standard_normal(levels.shape[1:3])[None, ..., None])
 
 
 def _hot(levels: Light, random: np.random.Generator) -> Photographs:
     """One pixel of a thousand shines by itself."""
-    return _rounded(levels + 80 * (random.random(levels.shape[1:]) < 0.001)[None])
+    return rounded(levels + 80 * (random.random(levels.shape[1:]) < 0.001)[None])
 
 
 KINDS: Final[dict[str, Callable[..., tuple[Photographs, Where, np.ndarray]]]] = {
-    "as it is": _as(lambda x, _: _rounded(x)),
-    "encoded for a display": _as(lambda x, _: _rounded(encoded(x))),
-    "… with a tone curve": _as(lambda x, _: _rounded(_contrast(encoded(x)))),
-    "… as JPEG 4:2:0": _as(lambda x, _: as_jpeg(_rounded(encoded(x)), 90, "420")),
-    "… as JPEG 4:4:4": _as(lambda x, _: as_jpeg(_rounded(encoded(x)), 90, "444")),
+    "as it is": _as(lambda x, _: rounded(x)),
+    "encoded for a display": _as(lambda x, _: rounded(encoded(x))),
+    "… with a tone curve": _as(lambda x, _: rounded(_contrast(encoded(x)))),
+    "… as JPEG 4:2:0": _as(lambda x, _: as_jpeg(rounded(encoded(x)), 90, "420")),
+    "… as JPEG 4:4:4": _as(lambda x, _: as_jpeg(rounded(encoded(x)), 90, "444")),
     "… in half the size": _in_half_size,
     "uneven pixels": _as(_uneven),
-    "noise of rows": _as(lambda x, random: _rounded(x + 3 * random.standard_normal((len(x), x.shape[1], 1, 1)))),
-    "noise of columns": _as(lambda x, random: _rounded(x + 3 * random.standard_normal((len(x), 1, x.shape[2], 1)))),
+    "noise of rows": _as(lambda x, random: rounded(x + 3 * random.standard_normal((len(x), x.shape[1], 1, 1)))),
+    "noise of columns": _as(lambda x, random: rounded(x + 3 * random.standard_normal((len(x), 1, x.shape[2], 1)))),
     "hot pixels": _as(_hot),
-    "white balance": _as(lambda x, _: _rounded(np.rint(x * (0.5, 1, 0.6)) * (2, 1, 1.67))),
-    "full at 200": _as(lambda x, random: _rounded(x + random.standard_normal(x.shape)), full=200.0),
-    "sharpened": _as(lambda x, _: _rounded(np.stack([sharpened(frame, 0.8) for frame in x]))),
-    "out of focus, 2 px": _as(lambda x, _: _rounded(x), _disc(2.0)),
-    "out of focus, 3 px": _as(lambda x, _: _rounded(x), _disc(3.0)),
-    "… as JPEG 4:4:4, 3 px": _as(lambda x, _: as_jpeg(_rounded(x), 90, "444"), _disc(3.0)),
-    "… as JPEG 4:2:0, 3 px": _as(lambda x, _: as_jpeg(_rounded(encoded(x)), 90, "420"), _disc(3.0)),
-    "out of focus, 4.5 px": _as(lambda x, _: _rounded(x), _disc(4.5)),
+    "white balance": _as(lambda x, _: rounded(np.rint(x * (0.5, 1, 0.6)) * (2, 1, 1.67))),
+    "full at 200": _as(lambda x, random: rounded(x + random.standard_normal(x.shape)), full=200.0),
+    "sharpened": _as(lambda x, _: rounded(np.stack([sharpened(frame, 0.8) for frame in x]))),
+    "out of focus, 2 px": _as(lambda x, _: rounded(x), _disc(2.0)),
+    "out of focus, 3 px": _as(lambda x, _: rounded(x), _disc(3.0)),
+    "… as JPEG 4:4:4, 3 px": _as(lambda x, _: as_jpeg(rounded(x), 90, "444"), _disc(3.0)),
+    "… as JPEG 4:2:0, 3 px": _as(lambda x, _: as_jpeg(rounded(encoded(x)), 90, "420"), _disc(3.0)),
+    "out of focus, 4.5 px": _as(lambda x, _: rounded(x), _disc(4.5)),
 }

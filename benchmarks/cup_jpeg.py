@@ -38,6 +38,7 @@ _QUICK: Final = ((90, "444"), (90, "420"))
 _FAR_PX: Final = 0.5
 # The goal of the error over that of the centre of gravity.
 _GOAL: Final = 1.0
+_RED: Final = StripeSettings("red")
 
 Photographs = UInt[np.ndarray, "frames rows columns 3"]
 
@@ -85,12 +86,14 @@ def as_jpeg(photographs: Photographs, quality: int, kind: str) -> Photographs:
 
 
 def beside_gravity(
-    photographs: Photographs, truth: Float[np.ndarray, "frames columns"], asked: Bool[np.ndarray, "frames columns"]
+    photographs: Photographs,
+    truth: Float[np.ndarray, "frames columns"],
+    asked: Bool[np.ndarray, "frames columns"],
+    settings: StripeSettings = _RED,
 ) -> tuple[tuple[Float[np.ndarray, "frames columns"], Float[np.ndarray, "frames columns"]], ...]:
     """Error and σ of the default detector's points, and of those of the centre of gravity."""
     return tuple(
-        errors(detect_stripe(photographs, StripeSettings("red"), detector=name), truth, asked)
-        for name in ("likelihood", "gravity")
+        errors(detect_stripe(photographs, settings, detector=name), truth, asked) for name in ("likelihood", "gravity")
     )
 
 
@@ -113,14 +116,17 @@ class Against(NamedTuple):
 
     @staticmethod
     def create(
-        photographs: Photographs, truth: Float[np.ndarray, "frames columns"], asked: Bool[np.ndarray, "frames columns"]
+        photographs: Photographs,
+        truth: Float[np.ndarray, "frames columns"],
+        asked: Bool[np.ndarray, "frames columns"],
+        settings: StripeSettings = _RED,
     ) -> "Against":
         """Of photographs whose stripe is known, where it is asked."""
-        (off, sigma), (off_other, _) = beside_gravity(photographs, truth, asked)
+        (off, sigma), (off_other, _) = beside_gravity(photographs, truth, asked, settings)
         return Against(rms_of(off), rms_of(off_other), ratio(off / sigma), far_percent(off), far_percent(off_other))
 
-    def metrics(self, name: str, goal: float) -> list[Metric]:
-        """The error, its quotient, whose goal is given, and σ."""
+    def metrics(self, name: str, goal: float | None) -> list[Metric]:
+        """The error, its quotient, whose goal may be given, and σ."""
         return [
             Metric(f"{name}.rms", self.rms, "px", "lower", None, 0.1),
             Metric(f"{name}.over_gravity", self.rms / self.other, "", "lower", goal, 0.1),

@@ -72,10 +72,9 @@ def alike(device: Any) -> list[Metric]:
 
 def _jaxscan(platform: str, *words: object) -> float:
     """Run a command on the processor or on JAX's own choice; the seconds it takes."""
-    program = "import sys; from jaxscan.cli.main import main; sys.exit(main())"
     begun = perf_counter()
     subprocess.run(
-        [sys.executable, "-c", program, *map(str, words)],
+        [sys.executable, "-m", "jaxscan.cli.main", *map(str, words)],
         check=True,
         stdout=subprocess.DEVNULL,
         # This program has most of a GPU's memory: the other takes what it needs.

@@ -11,15 +11,15 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
-from benchmarks.cup_jpeg import errors, far_percent, ratio, rms_of
+from benchmarks.cameras import on_sensor, rounded
+from benchmarks.cup_jpeg import Against
 from benchmarks.metric import Metric
 from benchmarks.video import COLOURS, beside_no_step, moving_light, texture
-from jaxscan.detectors import DEFAULT
-from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images import StripeSettings
 
 _FRAMES: Final = 8
-# Height of the stripe; light of the scene and how it varies; the sensor's noise, and its variance for each level.
-_HEIGHT, _GROUND, _VARIES, _READ, _SHOT = 170.0, 12.0, 3.6, 0.5, 0.02
+# Height of the stripe; light of the scene and how it varies; the sensor's noise.
+_HEIGHT, _GROUND, _VARIES, _READ = 170.0, 12.0, 3.6, 0.5
 # The reflection: of the stripe's height, how far beside it, px, and over its width; the columns of a run.
 _SHARES, _APART_PX, _BROADER, _RUN = (0.0, 0.03, 0.07, 0.15, 0.3), (4, 6, 8), 1.5, 40
 _WIDTHS, _SPECKLES = (1.2, 2.0), (0.2, 0.0)
@@ -52,18 +52,14 @@ def _against(
     asked: Bool[np.ndarray, "frames columns"],
     settings: StripeSettings,
 ) -> list[Metric]:
-    (own, sigma), (other, _) = (
-        errors(detect_stripe(photographs, settings, detector=detector), truth, asked)
-        for detector in (DEFAULT, "gravity")
+    found = Against.create(photographs, truth, asked, settings)
+    print(
+        f"    {name:62s} {found.rms:.3f} {found.rms / found.other:.2f}   {found.sigma:.2f}   {found.far:.1f} "
+        f"({found.far_other:.1f})",
+        flush=True,
     )
-    rms, over, far = rms_of(own), rms_of(own) / rms_of(other), far_percent(own)
-    print(f"    {name:62s} {rms:.3f} {over:.2f}   {ratio(own / sigma):.2f}   {far:.1f} ({far_percent(other):.1f})")
-    return [
-        Metric(f"stray_light.{name}.rms", rms, "px", "lower", None, 0.1),
-        Metric(f"stray_light.{name}.over_gravity", over, "", "lower", None, 0.1),
-        Metric(f"stray_light.{name}.sigma", ratio(own / sigma)),
-        Metric(f"stray_light.{name}.beyond_half_a_pixel", far, "%", "lower", None, 0.1, floor=1.0),
-    ]
+    far = Metric(f"stray_light.{name}.beyond_half_a_pixel", found.far, "%", "lower", None, 0.1, floor=1.0)
+    return [*found.metrics(f"stray_light.{name}", None), far]
 
 
 Drawn = tuple[
@@ -76,28 +72,28 @@ Drawn = tuple[
 def with_reflection(width: float, speckle: float, share: float, apart: int) -> Drawn:
     """Photographs of a stripe with a weaker one beside it, where it is, and which columns have both."""
     random = np.random.default_rng(1)
-    pairs = list(moving_light(width, _HEIGHT, speckle, random, _FRAMES))
-    truth = np.stack([centre for _, centre in pairs])
-    laser = np.stack([light for light, _ in pairs])
+    laser, truth = _laser(width, _HEIGHT, speckle, random)
     there = np.broadcast_to(np.arange(truth.shape[1]) // _RUN % 3 == 1, truth.shape)
     if share:
-        reflected = moving_light(_BROADER * width, share * _HEIGHT, speckle, random, _FRAMES)
-        other = np.stack([np.roll(light, apart, axis=0) for light, _ in reflected])
-        laser = laser + np.where(there[:, None], other, 0.0)
+        reflected, _ = _laser(_BROADER * width, share * _HEIGHT, speckle, random)
+        laser = laser + np.where(there[:, None], np.roll(reflected, apart, axis=1), 0.0)
     light = texture(_GROUND, _VARIES)[..., None] + laser[..., None] * COLOURS
-    return _photographs(light, random), truth, there & beside_no_step(_FRAMES)
+    return rounded(on_sensor(light, random, read=_READ)), truth, there & beside_no_step(_FRAMES)
 
 
 def in_a_room(speckle: float, levels: float) -> Drawn:
     """Grey photographs with an edge of the room's light that winds about the stripe; where that is; all columns."""
     random = np.random.default_rng(1)
-    pairs = list(moving_light(_WIDTHS[0], _HEIGHT, speckle, random, _FRAMES))
-    truth, laser = np.stack([centre for _, centre in pairs]), np.stack([light for light, _ in pairs])
+    laser, truth = _laser(_WIDTHS[0], _HEIGHT, speckle, random)
     edge = truth + _WINDS_PX * np.sin(np.arange(truth.shape[1]) / _OVER + np.arange(_FRAMES)[:, None])
     beyond = np.clip(np.arange(laser.shape[1])[:, None] - edge[:, None] + 0.5, 0, 1)
-    return _photographs(texture(_GROUND, _VARIES) + laser + levels * beyond, random), truth, beside_no_step(_FRAMES)
+    light = texture(_GROUND, _VARIES) + laser + levels * beyond
+    return rounded(on_sensor(light, random, read=_READ)), truth, beside_no_step(_FRAMES)
 
 
-def _photographs(light: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    noise = np.sqrt(_READ**2 + _SHOT * np.maximum(light, 0.0)) * random.standard_normal(light.shape)
-    return np.rint((light + noise).clip(0, 255)).astype(np.uint8)
+def _laser(
+    width: float, height: float, speckle: float, random: np.random.Generator
+) -> tuple[Float[np.ndarray, "frames rows columns"], Float[np.ndarray, "frames columns"]]:
+    """The laser's light in all frames, and where its stripe is."""
+    light, centre = zip(*moving_light(width, height, speckle, random, _FRAMES), strict=True)
+    return np.stack(light), np.stack(centre)

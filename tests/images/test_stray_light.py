@@ -9,6 +9,8 @@ from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.stripes.stray_light import mostly
 from jaxscan.images.stripes.validity import Verdict
 
+COLUMNS = np.arange(640)
+
 
 def beyond_half_a_pixel(photographs, truth, asked, color="red"):
     off, _ = errors(detect_stripe(photographs, StripeSettings(color)), truth, asked)
@@ -42,26 +44,24 @@ def test_runs_of_lines_are_taken_whole():
     np.testing.assert_array_equal(of & mostly(true, of), np.array([[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 1, 0]], bool))
 
 
+def seen_in_part_dimly(centre, levels):
+    """Where a stripe of this centre is found whose second half has a height of `levels`."""
+    height = np.where(COLUMNS < 320, 150.0, levels)
+    photograph = 3 + height * np.exp(-0.5 * ((np.arange(160)[:, None] - centre) / 1.4) ** 2)
+    photograph += 0.4 * np.random.default_rng(0).standard_normal(photograph.shape)
+    return detect_stripe(np.rint(photograph.clip(0, 255)).astype(np.uint8), StripeSettings("grey"))
+
+
 @pytest.mark.parametrize("levels", [6.0, 9.0])
 def test_a_dim_part_that_goes_on_from_a_bright_one_is_kept(levels):
     """Nothing below ten grey levels was, and nothing said so; in a frame by itself the same part was."""
-    random = np.random.default_rng(0)
-    columns, rows = np.arange(640), np.arange(160)[:, None]
-    centre = 80 + 0.03 * (columns - 320) + 8 * np.sin(columns / 90)
-    height = np.where(columns < 320, 150.0, levels)
-    photograph = 3 + height * np.exp(-0.5 * ((rows - centre) / 1.4) ** 2) + 0.4 * random.standard_normal((160, 640))
-    stripe = detect_stripe(np.rint(photograph.clip(0, 255)).astype(np.uint8), StripeSettings("grey"))
-    dim = columns > 330
+    centre = 80 + 0.03 * (COLUMNS - 320) + 8 * np.sin(COLUMNS / 90)
+    stripe, dim = seen_in_part_dimly(centre, levels), COLUMNS > 330
     assert stripe.valid[0, dim].mean() > 0.95
     assert np.sqrt(np.mean((stripe.position - centre)[0, dim & stripe.valid[0]] ** 2)) < 0.2
 
 
 def test_a_dim_line_that_does_not_go_on_from_a_bright_one_is_left_out():
-    random = np.random.default_rng(0)
-    columns, rows = np.arange(640), np.arange(160)[:, None]
-    centre = np.where(columns < 320, 60, 110) + 5 * np.sin(columns / 90)
-    height = np.where(columns < 320, 150.0, 8.0)
-    photograph = 3 + height * np.exp(-0.5 * ((rows - centre) / 1.4) ** 2) + 0.4 * random.standard_normal((160, 640))
-    stripe = detect_stripe(np.rint(photograph.clip(0, 255)).astype(np.uint8), StripeSettings("grey"))
+    stripe = seen_in_part_dimly(np.where(COLUMNS < 320, 60, 110) + 5 * np.sin(COLUMNS / 90), 8.0)
     assert not stripe.valid[0, 330:].any()
     assert (stripe.verdict[0, 330:] == Verdict.WEAK).mean() > 0.9

@@ -148,12 +148,11 @@ class Batch:
         So it does on a surface of another colour, whose own light outdoes the laser's in the sum of channels; what
         shines white lifts them all.
         """
-        levels = np.asarray(self.frames[frame]).astype(np.float32)
-        length = levels.shape[0 if self.settings.columns else 1]
+        levels = np.asarray(self.frames[frame])
 
         def at(by: int) -> Float[np.ndarray, "some rgb"]:
-            there = np.clip(row + by, 0, length - 1)
-            return levels[(there, line) if self.settings.columns else (line, there)]
+            there = np.clip(row + by, 0, self.length - 1)
+            return levels[(there, line) if self.settings.columns else (line, there)].astype(np.float32)
 
         rise = at(0) - np.maximum(at(-_BESIDE_PX), at(_BESIDE_PX))
         laser, *others = (rise[:, channel] for channel in CHANNELS[self.settings.color])

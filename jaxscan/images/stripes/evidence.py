@@ -13,7 +13,7 @@ edge goes on and beyond which no grain of speckle does: γ_k = ½ ⟨(h_i − h_
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Num
 
 from jaxscan.images.stripes.variogram import variogram
 
@@ -100,8 +100,8 @@ def mostly_torn(
         edges, odd = edges_and_profiles(h3, h4, seen, seen)
         has_edge[some] = ~odd & (edges.sum(1) > _MOST * seen.sum(1))
         known = seen & np.isfinite(h3) & np.isfinite(h4)
-        n = np.maximum(_over(known.astype(np.float64), _HALF_WINDOWS[0]), 1)
-        shape = sum((_over(np.where(known, h, 0.0).astype(np.float64), _HALF_WINDOWS[0]) / n) ** 2 for h in (h3, h4))
+        n = np.maximum(over(known.astype(np.float64), _HALF_WINDOWS[0]), 1)
+        shape = sum((over(np.where(known, h, 0.0).astype(np.float64), _HALF_WINDOWS[0]) / n) ** 2 for h in (h3, h4))
         shape = np.where(known, shape, np.inf)
         last = np.ceil(_LEAST * known.sum(1, keepdims=True)).astype(int)
         even[some] = known & (shape <= np.take_along_axis(np.sort(shape, axis=1), last, axis=1))
@@ -129,13 +129,13 @@ def _go_on(h3: Lines, h4: Lines, seen: Bool[np.ndarray, "frames lines"]) -> Bool
         tau, usual = _chance(h, known)
         squares, pairs = _differences(h, known, _GRAIN)
         for total, half in zip(t2, _HALF_WINDOWS, strict=True):
-            n = _over(known.astype(np.float64), half)
-            mean = _over(h, half) / np.maximum(n, 1)
-            variance = _over(squares, half) / np.maximum(_over(pairs, half), 1)
+            n = over(known.astype(np.float64), half)
+            mean = over(h, half) / np.maximum(n, 1)
+            variance = over(squares, half) / np.maximum(over(pairs, half), 1)
             variance = np.maximum(variance, _LEAST_OF_USUAL * usual)
             total += np.where((n >= _FEWEST) & (variance > 0), n / tau * mean**2 / np.maximum(variance, 1e-30), 0.0)
     found = [
-        _over((each > _LEAST_T2).astype(np.float64), half) > 0 for each, half in zip(t2, _HALF_WINDOWS, strict=True)
+        over((each > _LEAST_T2).astype(np.float64), half) > 0 for each, half in zip(t2, _HALF_WINDOWS, strict=True)
     ]
     return seen & np.any(found, axis=0)
 
@@ -158,7 +158,9 @@ def _chance(
     return np.asarray(tau), last
 
 
-def _over(values: Lines, half: int) -> Lines:
+def over(
+    values: Num[np.ndarray, "frames lines"] | Bool[np.ndarray, "frames lines"], half: int
+) -> Num[np.ndarray, "frames lines"]:
     """The sum over each line and `half` lines on either side."""
     sums = np.cumsum(np.pad(values, ((0, 0), (half + 1, half))), axis=1)
     return sums[:, 2 * half + 1 :] - sums[:, : -2 * half - 1]

@@ -255,10 +255,10 @@ def _add_faint(frames: MeasuredFrames, verdict: Int8[np.ndarray, "frames lines"]
     Beside a bright stripe those alone that stand out from noise by themselves, where they go on from it.
     """
     measured = frames.looked.measured
-    here = (verdict == Verdict.NOTHING) & frames.within(np.arange(verdict.shape[1]), measured.position)
-    here &= measured.whole
+    here = measured.whole & (verdict == Verdict.NOTHING)
+    here &= frames.within(np.arange(verdict.shape[1]), measured.position)
     places, rows = [np.empty((2, 0), np.int32)], [np.empty(0, np.float32)]
-    for n in np.flatnonzero((here & (measured.strength > _FAINT * frames.ground[:, None])).sum(axis=1) >= _DOUBTFUL):
+    for n in range(len(verdict)):
         found = verdict[n] == Verdict.STRIPE
         bright = found.any() and np.median(measured.strength[n][found]) > _WEAK * frames.least[n]
         faint = here[n] & (measured.strength[n] > (LEAST_SIGNAL if bright else _FAINT) * frames.ground[n])

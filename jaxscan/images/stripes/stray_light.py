@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
+from jaxscan.images.stripes.evidence import over
 from jaxscan.images.stripes.look import Looker, places_of
 from jaxscan.images.stripes.settle import Looked
 
@@ -20,7 +21,7 @@ _NEIGHBOURS, _FEWEST = 3, 3
 
 
 def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> Looked:
-    """What was found, with lines measured again beside which other light falls, where this leaves nothing strained.
+    """What was found, with lines measured again beside which other light falls.
 
     Args:
         looker: who has looked, by the fit.
@@ -29,7 +30,7 @@ def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "f
     """
     measured = looked.measured
     asked = looked.strong & measured.whole & ~(looked.burnt | looked.cramped)
-    goes_on = _around(measured.stray & asked) >= _FEWEST
+    goes_on = over(measured.stray & asked, _NEIGHBOURS) >= _FEWEST
     which = asked & goes_on & ~looker.light.video[: len(peak), None]
     if not which.any():
         return looked
@@ -42,11 +43,6 @@ def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "f
     h3, h4 = (np.where(noise, new, old) for new, old in ((found.h3, measured.h3), (found.h4, measured.h4)))
     strained = measured.strained & ~noise
     return looked._replace(measured=replace(found, stray=taken, strained=strained, h3=h3, h4=h4))
-
-
-def _around(lines: Bool[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames lines"]:
-    sums = np.cumsum(np.pad(lines, ((0, 0), (_NEIGHBOURS + 1, _NEIGHBOURS))), axis=1)
-    return sums[:, 2 * _NEIGHBOURS + 1 :] - sums[:, : -2 * _NEIGHBOURS - 1]
 
 
 def mostly(
