@@ -137,7 +137,7 @@ def _detect(
     found = WithEdges(looked.measured, np.zeros_like(valid), np.zeros(count, bool), looker)
     measured, by_gravity = found.measured, np.zeros(count, bool)
     if detector == "likelihood":
-        found = with_edges(looker, without_stray_light(looker, looked, all_of_it.peak), all_of_it.peak)
+        found = with_edges(*without_stray_light(looker, looked, all_of_it.peak), all_of_it.peak)
         measured, by_gravity = steadier_by_gravity(found.looker, found.measured, all_of_it.peak, valid)
     light = found.looker.light
     return Stripe(

@@ -12,7 +12,8 @@ from jaxscan.images.stripes.evidence import edges_and_profiles, mostly_torn
 from jaxscan.images.stripes.light import MOSTLY_BURNT
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.look import ALL_BURNT, Looker, places_of
-from jaxscan.images.stripes.settle import Looked, replaced
+from jaxscan.images.stripes.settle import Looked
+from jaxscan.images.stripes.stray_light import beside_stray_light
 
 # ln of the standard deviation of the narrowest stripe in which an edge is measured, px.
 _NARROWEST_TORN: Final = float(np.log(0.9))
@@ -49,15 +50,15 @@ def with_edges(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lin
     halo = looked.burnt | (looked.burnt.mean(axis=1, keepdims=True) > MOSTLY_BURNT)
     plain = looked.strong & ~looked.cramped & ~halo
     # What edges leave is taken for noise where most lines have one: it is read again off those that have least.
-    misled, even = mostly_torn(measured.h3, measured.h4, plain)
+    misled, even = mostly_torn(measured.h3, measured.h4, plain & ~measured.stray)
     # What blurs a narrower stripe hides the shape that an edge leaves in it; a JPEG leaves such shapes of its own.
     broad = np.asarray(looker.light.sensor.ln_s)[:count] > _NARROWEST_TORN
     misled &= broad
     if misled.any():
         looker = looker.with_light(looker.light.read_again(looker.batch, misled[:, None] & ~even))
         looker = _of_whole_width(looker, measured.width, plain, misled)
-        again = looker.at(places_of(peak, misled)).measured
-        measured = jax.tree.map(lambda old, new: replaced(old, misled, new.reshape(-1, peak.shape[1])), measured, again)
+        looked = beside_stray_light(looker, looker.again_in(looked, peak, misled), peak)
+        measured = looked.measured
     strained, odd = edges_and_profiles(measured.h3, measured.h4, plain, plain & measured.strained)
     # The shapes that a video's coding leaves are no edges.
     strained &= broad[:, None] & ~looker.light.video[:count, None]

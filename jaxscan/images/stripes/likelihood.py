@@ -21,7 +21,8 @@ and θ = (b, ln A, ln s, c) is refined by Newton's steps, with J = ∂μ / ∂θ
     (Jᵀ diag(w) J + Λ) Δθ = Jᵀ g − Λ (θ − θ₀)
 
 Where other light falls beside the stripe (`stray_light`), pixels there that are off by more than L times their noise
-count with the variance v (r² / L² v)², r = y − μ, so that their pull goes as 1 / r³.
+count with the variance v (r² / L² v)², r = y − μ, so that their pull goes as 1 / r³; and as much light may lie under
+the stripe as half of that, so that the variance of all pixels on their side of c is greater by ¼ ⟨r²⟩ of them.
 
 The weights Λ are those of a prior. That of s is what the other lines of the photograph say, that of A a factor of e²
 either way about the start: they decide what the pixels leave open, where the whole core is full. The last pivot of the
@@ -77,6 +78,8 @@ SHAPE_ORDERS: Final = (4, 6)
 _BESIDE: Final = 0.3
 # L is no less than this; other light is found from this multiple of L on.
 _LEAST_L, _FOUND = 1.5, 2.0
+# Under the stripe other light is this part of what is seen of it beside the stripe.
+_UNDER = 0.5
 # With other light out of the way, what is left is noise up to this multiple of its squares' own scatter.
 _CHANCE = 3.0
 # Φ of less is 1e-9: there float32 has few digits of it left.
@@ -265,7 +268,7 @@ def fit(
         seen = weigh(profile.background, height, windows, used, sensor, censored)
         own = free
         if stray:
-            seen, other = in_stray_light(seen, height, outline, sensor)
+            seen, other = in_stray_light(seen, height, outline, sensor, profile.centre)
             own = free & ~other
         if cut is not None:
             jacobian, as_number = _weigh_cut(profile.background, height, jacobian, windows.response, cut, used, sensor)
@@ -407,14 +410,24 @@ def weigh(
 
 
 def in_stray_light(
-    seen: Weighed, height: Pixels, outline: Outline, sensor: Sensor
+    seen: Weighed, height: Pixels, outline: Outline, sensor: Sensor, centre: Lines
 ) -> tuple[Weighed, Bool[Array, "groups window lines"]]:
-    """The same with little weight of those pixels beside the stripe that other light reaches, and which these are."""
+    """The same with little weight of those pixels beside the stripe that other light reaches, and which these are.
+
+    Under the stripe such light is not seen: pixels on the same side of the centre have less weight too.
+    """
     beyond = seen.residual**2 * seen.weight / _stray_from(sensor) ** 2
-    beside = _beside(height, outline)
-    other = beside & (beyond > 1)
-    by = jnp.where(other, beyond**-2, 1.0)
+    other = _beside(height, outline) & (beyond > 1)
+    left = places(height.shape[1]) < centre
+    squares = jnp.where(other, seen.residual**2, 0.0)
+    hidden2 = sum(jnp.where(side, _UNDER**2 * _mean(squares, other & side), 0.0) for side in (left, ~left))
+    by = jnp.where(other, beyond**-2, 1.0) / (1 + hidden2 * seen.weight)
     return seen._replace(score=by * seen.score, weight=by * seen.weight), other
+
+
+def _mean(values: Pixels, where: Bool[Array, "groups window lines"]) -> Lines:
+    """Of some pixels of each line; 0 of none."""
+    return jnp.where(where, values, 0.0).sum(1, keepdims=True) / jnp.maximum(where.sum(1, keepdims=True), 1)
 
 
 def squares_in_stray_light(squares: Pixels, height: Pixels, outline: Outline, sensor: Sensor) -> Pixels:

@@ -92,6 +92,14 @@ class Looker:
         """What is at some places."""
         return self._looked(places, self._first_look(places))
 
+    def again_in(self, looked: Looked, peak: Int[np.ndarray, "count lines"], frames: np.ndarray) -> Looked:
+        """`Looked` with all lines of some frames measured again."""
+        found = self.at(places_of(peak, frames)).measured
+        shape = -1, peak.shape[1]
+        return looked._replace(
+            measured=jax.tree.map(lambda old, new: replaced(old, frames, new.reshape(shape)), looked.measured, found)
+        )
+
     def again(
         self,
         measured: Any,

@@ -99,7 +99,7 @@ def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor, str
 
     def weighed(background: Lines, height: Pixels) -> Weighed:
         seen = weigh(background, height, windows, used, sensor, censored=True)
-        return in_stray_light(seen, height, outline, sensor)[0] if stray else seen
+        return in_stray_light(seen, height, outline, sensor, plain.profile.centre)[0] if stray else seen
 
     def misfit_of(background: Lines, height: Pixels) -> Lines:
         """The squares of what is left, in units of the noise; a full pixel counts where it ought not to be full."""

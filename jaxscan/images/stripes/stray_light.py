@@ -18,20 +18,36 @@ from jaxscan.images.stripes.settle import Looked
 
 # Of a line and its neighbours on either side, this number have light beside the stripe.
 _NEIGHBOURS, _FEWEST = 3, 3
+# Where more than this part of a frame's lines have, what it leaves is taken for noise.
+_MANY = 0.05
+# With the noise without them more of them may be found: this number of times.
+_ROUNDS = 2
 
 
-def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> Looked:
-    """What was found, with lines measured again beside which other light falls.
+def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> tuple[Looker, Looked]:
+    """What was found, with lines measured again beside which other light falls; and who knows the noise without them.
 
     Args:
         looker: who has looked, by the fit.
         looked: what was found in each line.
         peak: where.
     """
-    measured = looked.measured
-    asked = looked.strong & measured.whole & ~(looked.burnt | looked.cramped)
-    goes_on = over(measured.stray & asked, _NEIGHBOURS) >= _FEWEST
-    which = asked & goes_on & ~looker.light.video[: len(peak), None]
+    known = np.zeros_like(looked.strong)
+    for _ in range(_ROUNDS):
+        which = known | _beside_some(looker, looked)
+        many = (which & ~known).sum(1) > _MANY * looked.strong.sum(1)
+        if not many.any():
+            break
+        known = np.where(many[:, None], which, known)
+        knowing = replace(looker, seen=looker.seen & ~known)
+        looker = knowing.with_light(looker.light.read_again(looker.batch, known))
+        looked = looker.again_in(looked, peak, many)
+    return looker, beside_stray_light(looker, looked, peak)
+
+
+def beside_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> Looked:
+    """The same with the noise as it is known."""
+    measured, which = looked.measured, _beside_some(looker, looked)
     if not which.any():
         return looked
     before = jax.tree.map(np.ravel, measured)
@@ -43,6 +59,14 @@ def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "f
     h3, h4 = (np.where(noise, new, old) for new, old in ((found.h3, measured.h3), (found.h4, measured.h4)))
     strained = measured.strained & ~noise
     return looked._replace(measured=replace(found, stray=taken, strained=strained, h3=h3, h4=h4))
+
+
+def _beside_some(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames lines"]:
+    """Which lines have other light beside them, as their neighbours have."""
+    measured = looked.measured
+    asked = looked.strong & measured.whole & ~(looked.burnt | looked.cramped)
+    goes_on = over(measured.stray & asked, _NEIGHBOURS) >= _FEWEST
+    return asked & goes_on & ~looker.light.video[: len(asked), None]
 
 
 def mostly(

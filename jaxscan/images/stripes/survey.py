@@ -61,8 +61,9 @@ _LOOKS, _SKIPPED = 3, 3
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
 _DEVIATION_TO_SIGMA = 1.2533 / (1 - 1 / _FLANK) ** 0.5
-# A mean of two such deviations over the lesser of them.
-_QUIETER = 1.26
+# A mean of two such deviations over the lesser of them. One end is louder than the other beyond this multiple of it
+# and this number of grey levels: of noise one line in fifty is.
+_QUIETER, _LOUDER, _LOUDER_LEVELS = 1.26, 4.0, 1.0
 # Rounding's own σ, grey levels: no noise is smaller.
 _ROUNDING = 12**-0.5
 # A stripe exceeds its background by more than this multiple of the noise: smoothed as it is, the greatest of a
@@ -394,7 +395,8 @@ def _beside(r: Float[Array, "frames window lines"]) -> Float[Array, "frames"]:
 def _ground(r: Float[Array, "frames window lines"], burnt: Array, gain: Pixels | None) -> Float[Array, "frames"]:
     """What stands out without a laser: noise and texture (σ), from the ends of each frame's windows.
 
-    A burnt-out stripe is flat, so that its window may begin or end on it: there the quieter end counts.
+    A burnt-out stripe is flat, so that its window may begin or end on it: there the quieter end counts. So it does
+    where an edge of the room's light lies in one end.
     """
 
     def flanks(x: Pixels) -> Float[Array, "2 frames flank lines"]:
@@ -402,5 +404,7 @@ def _ground(r: Float[Array, "frames window lines"], burnt: Array, gain: Pixels |
 
     off = flanks(r) - flanks(r).mean(-2, keepdims=True)
     deviation = jnp.abs(off if gain is None else off / jnp.sqrt(flanks(gain))).mean(-2)
-    each = jnp.where(burnt.any(1), _QUIETER * deviation.min(0), deviation.mean(0))
+    quieter = deviation.min(0)
+    one_sided = burnt.any(1) | (deviation.max(0) > _LOUDER * quieter + _LOUDER_LEVELS)
+    each = jnp.where(one_sided, _QUIETER * quieter, deviation.mean(0))
     return _DEVIATION_TO_SIGMA * median(each)
