@@ -29,6 +29,7 @@ from jaxscan.images.stripes.edges import WithEdges, with_edges
 from jaxscan.images.stripes.light import Light
 from jaxscan.images.stripes.look import Looker
 from jaxscan.images.stripes.mosaic import native_pixels, of_mosaics
+from jaxscan.images.stripes.noise_again import noise_again
 from jaxscan.images.stripes.processed import at_half_resolution
 from jaxscan.images.stripes.settle import Band, MeasuredFrames, settle
 from jaxscan.images.stripes.sigma import sigma_of_centres
@@ -134,15 +135,16 @@ def _detect(
     colours = batch.peaks_of_colour, batch.rises_alone
     verdict = settle(all_of_it, batch.peaks, settings.columns, choice == "likeliest", *colours)
     valid, looked = verdict == Verdict.STRIPE, all_of_it.looked
-    found = WithEdges(looked.measured, np.zeros_like(valid), np.zeros(count, bool), looker)
+    found = WithEdges(looked.measured, np.zeros_like(valid), np.zeros(count, bool))
     measured, by_gravity = found.measured, np.zeros(count, bool)
     if detector == "likelihood":
-        found = with_edges(*without_stray_light(looker, looked, all_of_it.peak), all_of_it.peak)
-        measured, by_gravity = steadier_by_gravity(found.looker, found.measured, all_of_it.peak, valid)
-    light = found.looker.light
+        looker, looked = noise_again(looker, looked, all_of_it.peak)
+        found = with_edges(looker, without_stray_light(looker, looked, all_of_it.peak), all_of_it.peak)
+        measured, by_gravity = steadier_by_gravity(looker, found.measured, all_of_it.peak, valid)
+    light = looker.light
     return Stripe(
         np.where(valid, measured.position, np.float32(np.nan)),
-        sigma_of_centres(found.looker, measured, valid, found.with_edge, by_gravity, bool(mosaic)),
+        sigma_of_centres(looker, measured, valid, found.with_edge, by_gravity, bool(mosaic)),
         measured.strength,
         np.where(valid, measured.width, np.float32(np.nan)),
         valid,

@@ -21,36 +21,17 @@ _NEIGHBOURS, _FEWEST = 3, 3
 # Lines so near to such a run are measured as it is: where other light comes nearer to the stripe than there, the plain
 # fit takes it in, and no pixel seems off.
 _NEAR = 10
-# Where more than this part of a frame's lines have, what it leaves is taken for noise.
-_MANY = 0.05
-# With the noise without them more of them may be found: this number of times.
-_ROUNDS = 2
 
 
-def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> tuple[Looker, Looked]:
-    """What was found, with lines measured again beside which other light falls; and who knows the noise without them.
+def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> Looked:
+    """What was found, with lines measured again beside which other light falls.
 
     Args:
         looker: who has looked, by the fit.
         looked: what was found in each line.
         peak: where.
     """
-    known = np.zeros_like(looked.strong)
-    for _ in range(_ROUNDS):
-        which = known | _beside_some(looker, looked)
-        many = (which & ~known).sum(1) > _MANY * looked.strong.sum(1)
-        if not many.any():
-            break
-        known = np.where(many[:, None], which, known)
-        knowing = replace(looker, seen=looker.seen & ~known)
-        looker = knowing.with_light(looker.light.read_again(looker.batch, known))
-        looked = looker.again_in(looked, peak, many)
-    return looker, beside_stray_light(looker, looked, peak)
-
-
-def beside_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> Looked:
-    """The same with the noise as it is known."""
-    measured, which = looked.measured, _beside_some(looker, looked)
+    measured, which = looked.measured, in_other_light(looker, looked)
     if not which.any():
         return looked
     before = jax.tree.map(np.ravel, measured)
@@ -64,7 +45,7 @@ def beside_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "fr
     return looked._replace(measured=replace(found, stray=taken, strained=strained, h3=h3, h4=h4))
 
 
-def _beside_some(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames lines"]:
+def in_other_light(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames lines"]:
     """Which lines have other light beside them, as their neighbours have."""
     measured = looked.measured
     asked = looked.strong & measured.whole & ~(looked.burnt | looked.cramped)
