@@ -126,7 +126,7 @@ def measure(
     no = jnp.zeros_like(around.whole)
     misfit = Misfit(no, zero, zero, zero, ~no, no)
     if model == "edge":
-        found = fit_reflectance_edge(windows, around, here, stray)
+        found = fit_reflectance_edge(windows, around, here)
     elif detector == "likelihood":
         found, misfit = likelihood(windows, around, here, "censored" in model, "grained" in model, steps, stray)
     else:

@@ -44,7 +44,6 @@ def with_edges(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lin
     mostly = (looked.burnt & looked.strong).sum(1) > ALL_BURNT * np.maximum(looked.strong.sum(1), 1)
     odd |= mostly & ~np.asarray(looker.light.sensor.apart)[:count] | looker.light.no_bell()[:count]
     flat, at = jax.tree.map(np.ravel, measured), places_of(peak)
-    for stray, lines in ((False, strained & ~measured.stray), (True, strained & measured.stray)):
-        flat = looker.again(flat, at, lines.ravel(), NARROW, "edge", stray=stray)
+    flat = looker.again(flat, at, strained.ravel(), NARROW, "edge")
     flat = jax.tree.map(lambda x: x.reshape(peak.shape), flat)
     return WithEdges(flat, flat.position != measured.position, odd)

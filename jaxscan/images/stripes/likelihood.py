@@ -268,7 +268,7 @@ def fit(
         seen = weigh(profile.background, height, windows, used, sensor, censored)
         own = free
         if stray:
-            seen, other = in_stray_light(seen, height, outline, sensor, profile.centre)
+            seen, other = _in_stray_light(seen, height, outline, sensor, profile.centre)
             own = free & ~other
         if cut is not None:
             jacobian, as_number = _weigh_cut(profile.background, height, jacobian, windows.response, cut, used, sensor)
@@ -409,7 +409,7 @@ def weigh(
     return Weighed(*(jnp.where(used, value, 0.0) for value in (score, weight, residual)))
 
 
-def in_stray_light(
+def _in_stray_light(
     seen: Weighed, height: Pixels, outline: Outline, sensor: Sensor, centre: Lines
 ) -> tuple[Weighed, Bool[Array, "groups window lines"]]:
     """The same with little weight of those pixels beside the stripe that other light reaches, and which these are.
@@ -428,13 +428,6 @@ def in_stray_light(
 def _mean(values: Pixels, where: Bool[Array, "groups window lines"]) -> Lines:
     """Of some pixels of each line; 0 of none."""
     return jnp.where(where, values, 0.0).sum(1, keepdims=True) / jnp.maximum(where.sum(1, keepdims=True), 1)
-
-
-def squares_in_stray_light(squares: Pixels, height: Pixels, outline: Outline, sensor: Sensor) -> Pixels:
-    """What the squares of residuals, in units of the noise, count for: twice the integral of the pull over them."""
-    L2 = _stray_from(sensor) ** 2
-    beyond = jnp.maximum(squares / L2, 1.0)
-    return jnp.where(_beside(height, outline) & (squares > L2), L2 * (2 - 1 / beyond), squares)
 
 
 def _weigh_cut(

@@ -15,7 +15,7 @@ from jaxscan.images.stripes.light import MOSTLY_BURNT
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.look import Looker
 from jaxscan.images.stripes.settle import Looked
-from jaxscan.images.stripes.stray_light import in_other_light
+from jaxscan.images.stripes.stray_light import in_other_light, near_to
 
 # ln of the standard deviation of the narrowest stripe in which an edge is measured, px.
 _NARROWEST_TORN: Final = float(np.log(0.9))
@@ -23,6 +23,8 @@ _NARROWEST_TORN: Final = float(np.log(0.9))
 _WHOLE: Final = 0.9
 # Where more than this part of a frame's lines have other light beside them, it is taken for noise.
 _MANY: Final = 0.05
+# Lines near to these are left out as well, unless all together are more than this part.
+_MOST: Final = 0.35
 # With the noise without them more of them may be found: this number of times.
 _ROUNDS: Final = 2
 
@@ -35,12 +37,12 @@ def noise_again(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames li
         looked: what was found in each line.
         peak: where.
     """
-    first, plain = looked.measured, without_halo(looked) & ~in_other_light(looker, looked)
+    first, plain = looked.measured, without_halo(looked) & ~near_to(in_other_light(looker, looked), looked)
     torn, even = mostly_torn(first.h3, first.h4, plain)
     torn &= can_be_torn(looker)
     without = np.zeros_like(plain)
     for _ in range(_ROUNDS):
-        other = without | in_other_light(looker, looked) & ~torn[:, None]
+        other = without | _in_other_light(looker, looked) & ~torn[:, None]
         many = (other & ~without).sum(1) > _MANY * looked.strong.sum(1)
         if not many.any():
             break
@@ -54,6 +56,14 @@ def noise_again(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames li
         looker = _of_whole_width(looker, first.width, plain, torn)
         looked = looker.again_in(looked, peak, torn)
     return looker, looked
+
+
+def _in_other_light(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames lines"]:
+    """Which lines may have some: those that seem to, and those near to them where enough others are left."""
+    seems = in_other_light(looker, looked)
+    near = near_to(seems, looked)
+    few = near.sum(1, keepdims=True) <= _MOST * looked.strong.sum(1, keepdims=True)
+    return np.where(few, near, seems)
 
 
 def without_halo(looked: Looked) -> Bool[np.ndarray, "frames lines"]:

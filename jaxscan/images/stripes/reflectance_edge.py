@@ -21,15 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import (
-    FWHM,
-    LN_HEIGHT_SPREAD,
-    Weighed,
-    fit,
-    in_stray_light,
-    squares_in_stray_light,
-    weigh,
-)
+from jaxscan.images.stripes.likelihood import FWHM, LN_HEIGHT_SPREAD, fit, weigh
 from jaxscan.images.stripes.normal_equations import factor, gradient, solve
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
@@ -71,19 +63,18 @@ class EdgeProfile(NamedTuple):
     centre: Lines
 
 
-def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor, stray: bool = False) -> Estimate:
+def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:
     """The centre of each stripe with an edge in it; `found` where there is one.
 
     Args:
         windows: the response.
         outline: where to start.
         sensor: its noise.
-        stray: whether other light falls beside the stripe.
     """
     # Where an edge runs along a whole stripe, the residuals that shot noise and speckle were taken from are the edge's.
     zero = jnp.zeros_like(sensor.shot)
     sensor = replace(sensor, shot=zero, speckle=zero + _SPECKLE, grain=zero)
-    plain = fit(windows, outline, sensor, censored=True, further_px=_FURTHER_PX, stray=stray)
+    plain = fit(windows, outline, sensor, censored=True, further_px=_FURTHER_PX)
     used, size = plain.used, windows.response.shape[1]
     s = jnp.exp(plain.profile.ln_s)
     zero = jnp.zeros_like(s)
@@ -97,22 +88,16 @@ def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor, str
         zero,
     )
 
-    def weighed(background: Lines, height: Pixels) -> Weighed:
-        seen = weigh(background, height, windows, used, sensor, censored=True)
-        return in_stray_light(seen, height, outline, sensor, plain.profile.centre)[0] if stray else seen
-
     def misfit_of(background: Lines, height: Pixels) -> Lines:
         """The squares of what is left, in units of the noise; a full pixel counts where it ought not to be full."""
         residual = windows.response - background - height
         residual = jnp.where(windows.full, jnp.maximum(residual, 0.0), residual)
         squares = residual**2 / windows.variance(height, sensor)
-        if stray:
-            squares = squares_in_stray_light(squares, height, outline, sensor)
         return jnp.where(used, squares, 0.0).sum(1, keepdims=True)
 
     def marquardt(step: int, theta: EdgeProfile) -> EdgeProfile:
         height, jacobian = _pixels(theta, size)
-        seen = weighed(theta.background, height)
+        seen = weigh(theta.background, height, windows, used, sensor, censored=True)
         damped = [
             prior + _DAMPING * (J * J * seen.weight).sum(1, keepdims=True)
             for J, prior in zip(jacobian, precision, strict=True)
@@ -147,7 +132,7 @@ def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor, str
     theta = EdgeProfile(*(jnp.take_along_axis(x, best, axis=0)[0] for x in all_))
     misfit = jnp.take_along_axis(misfits, best, axis=0)[0]
     height, jacobian = _pixels(theta, size)
-    seen = weighed(theta.background, height)
+    seen = weigh(theta.background, height, windows, used, sensor, censored=True)
     without = misfit_of(plain.profile.background, plain.height)
     freedom = jnp.maximum((used & ~windows.full).sum(1, keepdims=True) - len(EdgeProfile._fields), 1)
     f = (without - misfit) / 2 / (jnp.maximum(misfit, 1e-6) / freedom)

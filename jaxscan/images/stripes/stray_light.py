@@ -18,39 +18,49 @@ from jaxscan.images.stripes.settle import Looked
 
 # Of a line and its neighbours on either side, this number have light beside the stripe.
 _NEIGHBOURS, _FEWEST = 3, 3
-# Lines so near to such a run are measured as it is: where other light comes nearer to the stripe than there, the plain
-# fit takes it in, and no pixel seems off.
+# Lines so near to such a run may have it too: where other light comes nearer to the stripe than there, the plain fit
+# takes it in, and no pixel seems off.
 _NEAR = 10
 
 
 def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> Looked:
     """What was found, with lines measured again beside which other light falls.
 
+    An edge of reflectance leaves light beside the stripe as well. There the model without other light stands, and what
+    is left with other light out of the way is more than noise: such lines stay as they were.
+
     Args:
         looker: who has looked, by the fit.
         looked: what was found in each line.
         peak: where.
     """
-    measured, which = looked.measured, in_other_light(looker, looked)
-    if not which.any():
+    measured, seems = looked.measured, in_other_light(looker, looked)
+    if not seems.any():
         return looked
-    before = jax.tree.map(np.ravel, measured)
-    after = looker.beside_stray_light(before, places_of(peak), which.ravel())
-    taken = (which.ravel() & after.whole).reshape(peak.shape)
-    found: Any = jax.tree.map(lambda old, new: np.where(taken, new.reshape(old.shape), old), measured, after)
-    # Whether there is an edge besides is asked of the plain fit, unless what is left is noise.
-    noise = taken & mostly(taken & ~found.strained, which)
-    h3, h4 = (np.where(noise, new, old) for new, old in ((found.h3, measured.h3), (found.h4, measured.h4)))
-    strained = measured.strained & ~noise
-    return looked._replace(measured=replace(found, stray=taken, strained=strained, h3=h3, h4=h4))
+    asked = near_to(seems, looked)
+    after = looker.beside_stray_light(jax.tree.map(np.ravel, measured), places_of(peak), asked.ravel())
+    after = jax.tree.map(lambda new: new.reshape(peak.shape), after)
+    noise = asked & after.whole & ~after.strained
+    runs = seems & mostly(noise & seems, seems)
+    taken = after.whole & (runs | near_to(runs, looked) & noise)
+    found: Any = jax.tree.map(lambda old, new: np.where(taken, new, old), measured, after)
+    return looked._replace(measured=replace(found, stray=taken, strained=measured.strained & ~taken))
 
 
 def in_other_light(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames lines"]:
-    """Which lines have other light beside them, as their neighbours have."""
-    measured = looked.measured
-    asked = looked.strong & measured.whole & ~(looked.burnt | looked.cramped)
-    goes_on = asked & (over(measured.stray & asked, _NEIGHBOURS) >= _FEWEST)
-    return asked & (over(goes_on, _NEAR) > 0) & ~looker.light.video[: len(asked), None]
+    """Which lines seem to have other light beside them, as their neighbours have."""
+    asked = _can_have(looked)
+    goes_on = asked & (over(looked.measured.stray & asked, _NEIGHBOURS) >= _FEWEST)
+    return goes_on & ~looker.light.video[: len(asked), None]
+
+
+def near_to(runs: Bool[np.ndarray, "frames lines"], looked: Looked) -> Bool[np.ndarray, "frames lines"]:
+    """Lines of some runs, and those so near to one that the same light may lie beside them."""
+    return _can_have(looked) & (over(runs, _NEAR) > 0)
+
+
+def _can_have(looked: Looked) -> Bool[np.ndarray, "frames lines"]:
+    return looked.strong & looked.measured.whole & ~(looked.burnt | looked.cramped)
 
 
 def mostly(
