@@ -126,12 +126,11 @@ class Against(NamedTuple):
         return Against(rms_of(off), rms_of(off_other), ratio(off / sigma), far_percent(off), far_percent(off_other))
 
     def metrics(self, name: str, goal: float | None) -> list[Metric]:
-        """The error, its quotient, whose goal may be given, and σ."""
-        return [
-            Metric(f"{name}.rms", self.rms, "px", "lower", None, 0.1),
-            Metric(f"{name}.over_gravity", self.rms / self.other, "", "lower", goal, 0.1),
-            Metric(f"{name}.sigma", self.sigma, ""),
-        ]
+        """The error, its quotient, whose goal may be given, and σ; no quotient where gravity has no point so near."""
+        metrics = [Metric(f"{name}.rms", self.rms, "px", "lower", None, 0.1), Metric(f"{name}.sigma", self.sigma, "")]
+        if np.isfinite(self.other):
+            metrics.insert(1, Metric(f"{name}.over_gravity", self.rms / self.other, "", "lower", goal, 0.1))
+        return metrics
 
 
 def errors(
@@ -144,9 +143,10 @@ def errors(
 
 
 def rms_of(off: Float[np.ndarray, "frames columns"]) -> float:
-    """Of the errors that are no more than half a pixel, px."""
+    """Of the errors that are no more than half a pixel, px; NaN of none."""
     with np.errstate(invalid="ignore"):
-        return float(np.sqrt(np.mean(off[np.abs(off) < _FAR_PX] ** 2)))
+        near = off[np.abs(off) < _FAR_PX]
+    return float(np.sqrt(np.mean(near**2))) if len(near) else np.nan
 
 
 def far_percent(off: Float[np.ndarray, "frames columns"]) -> float:
