@@ -94,7 +94,7 @@ def _halved(levels: Light) -> Light:
     return (levels[:, ::2, ::2] + levels[:, 1::2, ::2] + levels[:, ::2, 1::2] + levels[:, 1::2, 1::2]) / 4
 
 
-def _disc(radius: float) -> Float[np.ndarray, "n n"]:
+def disc(radius: float) -> Float[np.ndarray, "n n"]:
     """What a lens out of focus makes of a point."""
     reach = int(np.ceil(radius))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
@@ -146,9 +146,9 @@ KINDS: Final[dict[str, Callable[..., tuple[Photographs, Where, np.ndarray]]]] = 
     "white balance": _as(lambda x, _: rounded(np.rint(x * (0.5, 1, 0.6)) * (2, 1, 1.67))),
     "full at 200": _as(lambda x, random: rounded(x + random.standard_normal(x.shape)), full=200.0),
     "sharpened": _as(lambda x, _: rounded(np.stack([sharpened(frame, 0.8) for frame in x]))),
-    "out of focus, 2 px": _as(lambda x, _: rounded(x), _disc(2.0)),
-    "out of focus, 3 px": _as(lambda x, _: rounded(x), _disc(3.0)),
-    "… as JPEG 4:4:4, 3 px": _as(lambda x, _: as_jpeg(rounded(x), 90, "444"), _disc(3.0)),
-    "… as JPEG 4:2:0, 3 px": _as(lambda x, _: as_jpeg(rounded(encoded(x)), 90, "420"), _disc(3.0)),
-    "out of focus, 4.5 px": _as(lambda x, _: rounded(x), _disc(4.5)),
+    "out of focus, 2 px": _as(lambda x, _: rounded(x), disc(2.0)),
+    "out of focus, 3 px": _as(lambda x, _: rounded(x), disc(3.0)),
+    "… as JPEG 4:4:4, 3 px": _as(lambda x, _: as_jpeg(rounded(x), 90, "444"), disc(3.0)),
+    "… as JPEG 4:2:0, 3 px": _as(lambda x, _: as_jpeg(rounded(encoded(x)), 90, "420"), disc(3.0)),
+    "out of focus, 4.5 px": _as(lambda x, _: rounded(x), disc(4.5)),
 }

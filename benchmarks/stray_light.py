@@ -72,10 +72,10 @@ Drawn = tuple[
 def with_reflection(width: float, speckle: float, share: float, apart: int) -> Drawn:
     """Photographs of a stripe with a weaker one beside it, where it is, and which columns have both."""
     random = np.random.default_rng(1)
-    laser, truth = _laser(width, _HEIGHT, speckle, random)
+    laser, truth = drawn_laser(width, _HEIGHT, speckle, random)
     there = np.broadcast_to(np.arange(truth.shape[1]) // _RUN % 3 == 1, truth.shape)
     if share:
-        reflected, _ = _laser(_BROADER * width, share * _HEIGHT, speckle, random)
+        reflected, _ = drawn_laser(_BROADER * width, share * _HEIGHT, speckle, random)
         laser = laser + np.where(there[:, None], np.roll(reflected, apart, axis=1), 0.0)
     light = texture(_GROUND, _VARIES)[..., None] + laser[..., None] * COLOURS
     return rounded(on_sensor(light, random, read=_READ)), truth, there & beside_no_step(_FRAMES)
@@ -84,14 +84,14 @@ def with_reflection(width: float, speckle: float, share: float, apart: int) -> D
 def in_a_room(speckle: float, levels: float) -> Drawn:
     """Grey photographs with an edge of the room's light that winds about the stripe; where that is; all columns."""
     random = np.random.default_rng(1)
-    laser, truth = _laser(_WIDTHS[0], _HEIGHT, speckle, random)
+    laser, truth = drawn_laser(_WIDTHS[0], _HEIGHT, speckle, random)
     edge = truth + _WINDS_PX * np.sin(np.arange(truth.shape[1]) / _OVER + np.arange(_FRAMES)[:, None])
     beyond = np.clip(np.arange(laser.shape[1])[:, None] - edge[:, None] + 0.5, 0, 1)
     light = texture(_GROUND, _VARIES) + laser + levels * beyond
     return rounded(on_sensor(light, random, read=_READ)), truth, beside_no_step(_FRAMES)
 
 
-def _laser(
+def drawn_laser(
     width: float, height: float, speckle: float, random: np.random.Generator
 ) -> tuple[Float[np.ndarray, "frames rows columns"], Float[np.ndarray, "frames columns"]]:
     """The laser's light in all frames, and where its stripe is."""

@@ -2,15 +2,20 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import convolve
 
+from benchmarks.cameras import disc, on_sensor, rounded
 from benchmarks.cup_jpeg import errors, far_percent, rms_of
-from benchmarks.stray_light import in_a_room, with_reflection
-from benchmarks.video import beside_no_step
+from benchmarks.stray_light import drawn_laser, in_a_room, with_reflection
+from benchmarks.video import COLOURS, beside_no_step, texture
 from jaxscan.images import StripeSettings, detect_stripe
+from jaxscan.images.stripes.batch import Batch
+from jaxscan.images.stripes.cross_section import size_of
+from jaxscan.images.stripes.light import Light
 from jaxscan.images.stripes.stray_light import mostly
 from jaxscan.images.stripes.validity import Verdict
 
-COLUMNS = np.arange(640)
+LINES = np.arange(640)
 
 
 def beyond_half_a_pixel(photographs, truth, asked, color="red"):
@@ -69,7 +74,7 @@ def test_runs_of_lines_are_taken_whole():
 
 def seen_in_part_dimly(centre, levels):
     """Where a stripe of this centre is found whose second half has a height of `levels`."""
-    height = np.where(COLUMNS < 320, 150.0, levels)
+    height = np.where(LINES < 320, 150.0, levels)
     photograph = 3 + height * np.exp(-0.5 * ((np.arange(160)[:, None] - centre) / 1.4) ** 2)
     photograph += 0.4 * np.random.default_rng(0).standard_normal(photograph.shape)
     return detect_stripe(np.rint(photograph.clip(0, 255)).astype(np.uint8), StripeSettings("grey"))
@@ -78,13 +83,30 @@ def seen_in_part_dimly(centre, levels):
 @pytest.mark.parametrize("levels", [6.0, 9.0])
 def test_a_dim_part_that_goes_on_from_a_bright_one_is_kept(levels):
     """Nothing below ten grey levels was, and nothing said so; in a frame by itself the same part was."""
-    centre = 80 + 0.03 * (COLUMNS - 320) + 8 * np.sin(COLUMNS / 90)
-    stripe, dim = seen_in_part_dimly(centre, levels), COLUMNS > 330
+    centre = 80 + 0.03 * (LINES - 320) + 8 * np.sin(LINES / 90)
+    stripe, dim = seen_in_part_dimly(centre, levels), LINES > 330
     assert stripe.valid[0, dim].mean() > 0.95
     assert np.sqrt(np.mean((stripe.position - centre)[0, dim & stripe.valid[0]] ** 2)) < 0.2
 
 
 def test_a_dim_line_that_does_not_go_on_from_a_bright_one_is_left_out():
-    stripe = seen_in_part_dimly(np.where(COLUMNS < 320, 60, 110) + 5 * np.sin(COLUMNS / 90), 8.0)
+    stripe = seen_in_part_dimly(np.where(LINES < 320, 60, 110) + 5 * np.sin(LINES / 90), 8.0)
     assert not stripe.valid[0, 330:].any()
     assert (stripe.verdict[0, 330:] == Verdict.WEAK).mean() > 0.9
+
+
+def test_the_lasers_own_cross_section_stays_known():
+    """Fewer lines no longer show it, and a frame was measured as a bell: half as much error again."""
+    random = np.random.default_rng(1)
+    laser, truth = drawn_laser(1.2, 170.0, 0.2, random)
+    laser = np.stack([convolve(each, disc(2.0)) for each in laser])
+    photographs = rounded(on_sensor(texture(12.0, 3.6)[..., None] + laser[..., None] * COLOURS, random, read=0.5))
+    batch = Batch.create(photographs, None, StripeSettings("red"), "likeliest", len(photographs))
+    light = Light.create(batch, batch.survey(), fitted=True)
+    few = np.broadcast_to(np.arange(truth.shape[1]) % 3 > 0, truth.shape)
+    shown = size_of(batch.survey(without=few).shape) > 0
+    before, after = (size_of(each.sensor.shape) for each in (light, light.read_again(batch, few)))
+    lost = (before > 0) & ~shown
+    assert lost.any()
+    np.testing.assert_array_equal(after[lost], before[lost])
+    assert (after[~lost] != before[~lost]).any()

@@ -1,8 +1,11 @@
 """What the photographs of a batch show of their light, their sensors, and of what was done to them since."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
@@ -88,9 +91,17 @@ class Light:
         return replace(self, sensor=with_grain(self.sensor, ln_light, white))
 
     def read_again(self, batch: Batch, without: Bool[np.ndarray, "count lines"]) -> "Light":
-        """The same with the noise that a survey without some lines shows."""
+        """The same with the noise that a survey without some lines shows.
+
+        Where fewer lines no longer show the cross-section that all of them have shown, all is as it was.
+        """
         smooth = None if self.sensor.smooth is None else np.asarray(self.sensor.smooth)
-        return replace(self, sensor=batch.survey(_or_none(self.correlation), smooth, without, self.coded))
+        sensor = batch.survey(_or_none(self.correlation), smooth, without, self.coded)
+        lost = _has_cross_section(self.sensor) & ~_has_cross_section(sensor)
+        if lost.any():
+            sensor = replace(sensor, shape=sensor.shape or tuple(map(jnp.zeros_like, self.sensor.shape or ())))
+            sensor = jax.tree.map(partial(jnp.where, lost), self.sensor, sensor)
+        return replace(self, sensor=sensor)
 
     def no_bell(self) -> Bool[np.ndarray, "most"]:
         """In which frames the laser has a cross-section of its own that is far from a bell."""
@@ -103,6 +114,11 @@ class Light:
         if self.sensor.smooth is not None:
             light = np.where(np.asarray(self.sensor.smooth)[:, None], light_of(self.of_pixels, color), light)
         return np.where(valid.any(axis=1, keepdims=True), light[: len(valid)], np.float32(np.nan))
+
+
+def _has_cross_section(sensor: Sensor) -> Bool[np.ndarray, "most"]:
+    """In which frames the laser's own cross-section is known."""
+    return np.zeros(len(sensor.read), bool) if sensor.shape is None else size_of(sensor.shape) > 0
 
 
 def _jpegs(
