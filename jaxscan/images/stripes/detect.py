@@ -2,10 +2,10 @@
 
 `coarse` reduces the images to a peak for each block of rows and chooses among them (`batch`); `survey` learns from
 windows about some of the peaks what the sensor is like, and what was done to the photographs since (`light`); a
-detector measures the centre in the window about each peak (`look`). They are
-compiled apart, for in one piece a compiler on a CPU computes each step again for every use of it in the next. Where
-the window was too narrow for the stripe, the stripe is burnt out or an edge runs along it (`edges`), lines are measured
-again by themselves.
+detector measures the centre in the window about each peak (`look`). They are compiled apart, for in one piece a
+compiler on a CPU computes each step again for every use of it in the next. Where the window was too narrow for the
+stripe, the stripe is burnt out or an edge runs along it (`edges`), lines are measured again by themselves. Where edges
+or other light were taken for noise, that is read again first (`noise_again`).
 
 There is a stripe where the peak exceeds its background by a multiple of the frame's noise, and both its flanks do too
 (`settle`).
