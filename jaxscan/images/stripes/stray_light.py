@@ -18,9 +18,9 @@ from jaxscan.images.stripes.settle import Looked
 
 # Of a line and its neighbours on either side, this number have light beside the stripe.
 _NEIGHBOURS, _FEWEST = 3, 3
-# Lines so near to such a run may have it too: where other light comes nearer to the stripe than there, the plain fit
-# takes it in, and no pixel seems off.
-_NEAR = 10
+# Lines so near to such a run may have it too, if the run has this number of lines: where other light comes nearer to
+# the stripe than there, the plain fit takes it in, and no pixel seems off.
+_NEAR, _SOLID = 10, 8
 
 
 def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames lines"]) -> Looked:
@@ -56,7 +56,8 @@ def in_other_light(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames l
 
 def near_to(runs: Bool[np.ndarray, "frames lines"], looked: Looked) -> Bool[np.ndarray, "frames lines"]:
     """Lines of some runs, and those so near to one that the same light may lie beside them."""
-    return _can_have(looked) & (over(runs, _NEAR) > 0)
+    solid = runs & (over(runs, _NEAR) >= _SOLID)
+    return _can_have(looked) & (runs | (over(solid, _NEAR) > 0))
 
 
 def _can_have(looked: Looked) -> Bool[np.ndarray, "frames lines"]:
