@@ -127,10 +127,12 @@ class Against(NamedTuple):
 
     def metrics(self, name: str, goal: float | None) -> list[Metric]:
         """The error, its quotient, whose goal may be given, and σ; no quotient where gravity has no point so near."""
-        metrics = [Metric(f"{name}.rms", self.rms, "px", "lower", None, 0.1), Metric(f"{name}.sigma", self.sigma, "")]
-        if np.isfinite(self.other):
-            metrics.insert(1, Metric(f"{name}.over_gravity", self.rms / self.other, "", "lower", goal, 0.1))
-        return metrics
+        quotient = Metric(f"{name}.over_gravity", self.rms / self.other, "", "lower", goal, 0.1)
+        return [
+            Metric(f"{name}.rms", self.rms, "px", "lower", None, 0.1),
+            *([quotient] if np.isfinite(self.other) else []),
+            Metric(f"{name}.sigma", self.sigma, ""),
+        ]
 
 
 def errors(

@@ -11,6 +11,7 @@ what these may take of it is projected out, line by line.
 """
 
 from dataclasses import replace
+from functools import partial
 from math import factorial
 from typing import Final
 
@@ -82,6 +83,12 @@ def _least_squares(columns: list[Pixels], z: Pixels) -> list[Float[Array, "frame
     for i in reversed(range(len(found))):
         found[i] = found[i] - sum(in_parts[k][i] * found[k] for k in range(i + 1, len(found)))
     return found
+
+
+def either(which: Bool[np.ndarray, "frames"], one: Sensor, other: Sensor) -> Sensor:
+    """One sensor, of a known cross-section, in some frames, and another one in the rest, of bells if it knows none."""
+    bells = (jnp.zeros_like(one.read),) * len(MOST)
+    return jax.tree.map(partial(jnp.where, which), one, replace(other, shape=other.shape or bells))
 
 
 def size_of(shape: Coefficients) -> Float[np.ndarray, "frames"]:

@@ -17,7 +17,16 @@ from jaxscan.images.stripes.likelihood import Misfit, likelihood
 from jaxscan.images.stripes.reflectance_edge import fit_reflectance_edge
 from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bump, outline
 
-Model = Literal["plain", "censored", "grained", "grained and censored", "edge"]
+Model = Literal[
+    "plain",
+    "censored",
+    "grained",
+    "grained and censored",
+    "edge",
+    "plain in stray light",
+    "grained in stray light",
+    "grained and censored in stray light",
+]
 
 Measure = Callable[[Windows, Outline, Sensor], Estimate]
 
@@ -98,7 +107,7 @@ class Measured(eqx.Module):
         return np.where(self.burnt & (self.breadth > _THICKER * self.width), self.breadth, self.width)
 
 
-@partial(jax.jit, static_argnames=("detector", "model", "stray"))
+@partial(jax.jit, static_argnames=("detector", "model"))
 def measure(
     windows: Windows,
     sensor: Sensor,
@@ -106,7 +115,6 @@ def measure(
     detector: Detector,
     model: Model = "plain",
     steps: Int[Array, ""] | None = None,
-    stray: bool = False,
 ) -> Measured:
     """The stripe in each window.
 
@@ -117,7 +125,6 @@ def measure(
         detector: which.
         model: of the profile, for the likelihood fit.
         steps: the most of that fit's steps; as many as the model may need by default.
-        stray: whether other light falls beside the stripe.
     """
     r = windows.response
     size = r.shape[1]
@@ -128,7 +135,8 @@ def measure(
     if model == "edge":
         found = fit_reflectance_edge(windows, around, here)
     elif detector == "likelihood":
-        found, misfit = likelihood(windows, around, here, "censored" in model, "grained" in model, steps, stray)
+        traits = (trait in model for trait in ("censored", "grained", "stray"))
+        found, misfit = likelihood(windows, around, here, *traits, steps=steps)
     else:
         found = _CLOSED[detector](windows, around, here)
     seen = bump(windows.neutral) if windows.neutral is not None else around

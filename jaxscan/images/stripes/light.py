@@ -1,17 +1,14 @@
 """What the photographs of a batch show of their light, their sensors, and of what was done to them since."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from jaxscan.images.stripes.along import with_grain
 from jaxscan.images.stripes.batch import Batch
-from jaxscan.images.stripes.cross_section import size_of
+from jaxscan.images.stripes.cross_section import either, size_of
 from jaxscan.images.stripes.processed import (
     ALIKE_BESIDE,
     are_jpegs,
@@ -97,16 +94,12 @@ class Light:
         """
         smooth = None if self.sensor.smooth is None else np.asarray(self.sensor.smooth)
         sensor = batch.survey(_or_none(self.correlation), smooth, without, self.coded)
-        lost = _has_cross_section(self.sensor) & ~_has_cross_section(sensor)
-        if lost.any():
-            sensor = replace(sensor, shape=sensor.shape or tuple(map(jnp.zeros_like, self.sensor.shape or ())))
-            sensor = jax.tree.map(partial(jnp.where, lost), self.sensor, sensor)
-        return replace(self, sensor=sensor)
+        lost = (_beside_a_bell(self.sensor) > 0) & (_beside_a_bell(sensor) == 0)
+        return replace(self, sensor=either(lost, self.sensor, sensor) if lost.any() else sensor)
 
     def no_bell(self) -> Bool[np.ndarray, "most"]:
         """In which frames the laser has a cross-section of its own that is far from a bell."""
-        shape = self.sensor.shape
-        return np.zeros(len(self.sharp), bool) if shape is None else size_of(shape) > _FAR_FROM_A_BELL
+        return _beside_a_bell(self.sensor) > _FAR_FROM_A_BELL
 
     def of_frames(self, valid: Bool[np.ndarray, "count lines"], color: str) -> Float32[np.ndarray, "count 4"]:
         """Read noise, gain, speckle contrast and saturation of the pixels of each frame; NaN without a stripe."""
@@ -116,9 +109,9 @@ class Light:
         return np.where(valid.any(axis=1, keepdims=True), light[: len(valid)], np.float32(np.nan))
 
 
-def _has_cross_section(sensor: Sensor) -> Bool[np.ndarray, "most"]:
-    """In which frames the laser's own cross-section is known."""
-    return np.zeros(len(sensor.read), bool) if sensor.shape is None else size_of(sensor.shape) > 0
+def _beside_a_bell(sensor: Sensor) -> Float[np.ndarray, "most"]:
+    """What the laser's own cross-section has beside a bell in each frame; 0 where none is known."""
+    return np.zeros(len(sensor.read)) if sensor.shape is None else size_of(sensor.shape)
 
 
 def _jpegs(

@@ -152,8 +152,8 @@ def likelihood(
     sensor: Sensor,
     censored: bool,
     grained: bool = False,
-    steps: int | Array | None = None,
     stray: bool = False,
+    steps: int | Array | None = None,
 ) -> tuple[Estimate, Misfit]:
     """The maximum-likelihood centre of each stripe, and what its profile leaves.
 
@@ -166,8 +166,8 @@ def likelihood(
         sensor: its noise.
         censored: whether there are full pixels.
         grained: whether speckle goes on from pixel to pixel.
-        steps: the most of Newton's steps with independent pixels.
         stray: whether other light falls beside the stripe.
+        steps: the most of Newton's steps with independent pixels.
     """
     more = _STEPS_GRAINED_CENSORED if censored else _STEPS_GRAINED
     found = fit(windows, outline, sensor, censored, steps, grain_steps=more if grained else 0, stray=stray)
@@ -419,8 +419,7 @@ def _in_stray_light(
     beyond = seen.residual**2 * seen.weight / _stray_from(sensor) ** 2
     other = _beside(height, outline) & (beyond > 1)
     left = places(height.shape[1]) < centre
-    squares = jnp.where(other, seen.residual**2, 0.0)
-    hidden2 = sum(jnp.where(side, _UNDER**2 * _mean(squares, other & side), 0.0) for side in (left, ~left))
+    hidden2 = sum(jnp.where(side, _UNDER**2 * _mean(seen.residual**2, other & side), 0.0) for side in (left, ~left))
     by = jnp.where(other, beyond**-2, 1.0) / (1 + hidden2 * seen.weight)
     return seen._replace(score=by * seen.score, weight=by * seen.weight), other
 

@@ -108,12 +108,11 @@ class Looker:
         half: int,
         model: Model,
         steps: int | None = None,
-        stray: bool = False,
     ) -> Any:
         """`Measured` with another model in some lines."""
         if not which.any():
             return measured
-        found = self._measured(tuple(index[which] for index in at), half, model, steps, stray)
+        found = self._measured(tuple(index[which] for index in at), half, model, steps)
         # Where there is no edge in the stripe, what was measured without one stands.
         taken = found.whole if model == "edge" else np.ones_like(found.whole)
         places = np.flatnonzero(which)[taken]
@@ -123,21 +122,21 @@ class Looker:
         """`Measured` of lines that are not burnt out, where other light falls beside some of them."""
         grained, rough = _speckled(self.light.sensor, at[0], measured.relief)
         models: tuple[tuple[np.ndarray, Model], ...] = (
-            (~(grained | rough), "plain"),
-            (grained & ~rough, "grained"),
-            (rough, "grained and censored"),
+            (~(grained | rough), "plain in stray light"),
+            (grained & ~rough, "grained in stray light"),
+            (rough, "grained and censored in stray light"),
         )
         for lines, model in models:
-            measured = self.again(measured, at, which & lines, NARROW, model, stray=True)
+            measured = self.again(measured, at, which & lines, NARROW, model)
         return measured
 
-    def _measured(self, at: Places, half: int, model: Model, steps: int | None = None, stray: bool = False) -> Any:
+    def _measured(self, at: Places, half: int, model: Model, steps: int | None = None) -> Any:
         """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles again."""
         batch, here, found = self.batch, self._sensor_for(model), []
         color, columns = batch.settings.color, batch.settings.columns
-        for group, count in groups(*at, sizes=GROUPS if model == "plain" and not stray else _GROUPS_AGAIN):
+        for group, count in groups(*at, sizes=GROUPS if model == "plain" else _GROUPS_AGAIN):
             windows = gather_windows(batch.images, batch.background, here, *group, color, columns, batch.half(half))
-            measured = measure(windows, here, group[0], self.detector, model, steps, stray)
+            measured = measure(windows, here, group[0], self.detector, model, steps)
             found.append(jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measured))
         return found[0] if len(found) == 1 else jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 

@@ -37,12 +37,13 @@ def noise_again(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames li
         looked: what was found in each line.
         peak: where.
     """
-    first, plain = looked.measured, without_halo(looked) & ~near_to(in_other_light(looker, looked), looked)
+    seems = in_other_light(looker, looked)
+    first, plain = looked.measured, without_halo(looked) & ~near_to(seems, looked)
     torn, even = mostly_torn(first.h3, first.h4, plain)
     torn &= can_be_torn(looker)
     without = np.zeros_like(plain)
     for _ in range(_ROUNDS):
-        other = without | _in_other_light(looker, looked) & ~torn[:, None]
+        other = without | _or_near_to(seems, looked) & ~torn[:, None]
         many = (other & ~without).sum(1) > _MANY * looked.strong.sum(1)
         if not many.any():
             break
@@ -50,6 +51,7 @@ def noise_again(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames li
         knowing = replace(looker, seen=looker.seen & ~without)
         looker = knowing.with_light(looker.light.read_again(looker.batch, without))
         looked = looker.again_in(looked, peak, many)
+        seems = in_other_light(looker, looked)
     if torn.any():
         without |= torn[:, None] & ~even
         looker = looker.with_light(looker.light.read_again(looker.batch, without))
@@ -58,9 +60,8 @@ def noise_again(looker: Looker, looked: Looked, peak: Int[np.ndarray, "frames li
     return looker, looked
 
 
-def _in_other_light(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames lines"]:
-    """Which lines may have some: those that seem to, and those near to them where enough others are left."""
-    seems = in_other_light(looker, looked)
+def _or_near_to(seems: Bool[np.ndarray, "frames lines"], looked: Looked) -> Bool[np.ndarray, "frames lines"]:
+    """Lines that seem to have other light, and those near to them where enough others are left."""
     near = near_to(seems, looked)
     few = near.sum(1, keepdims=True) <= _MOST * looked.strong.sum(1, keepdims=True)
     return np.where(few, near, seems)

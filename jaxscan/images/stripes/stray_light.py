@@ -41,7 +41,7 @@ def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "f
     after = looker.beside_stray_light(jax.tree.map(np.ravel, measured), places_of(peak), asked.ravel())
     after = jax.tree.map(lambda new: new.reshape(peak.shape), after)
     noise = asked & after.whole & ~after.strained
-    runs = seems & mostly(noise & seems, seems)
+    runs = seems & mostly(noise, seems)
     taken = after.whole & (runs | near_to(runs, looked) & noise)
     found: Any = jax.tree.map(lambda old, new: np.where(taken, new, old), measured, after)
     return looked._replace(measured=replace(found, stray=taken, strained=measured.strained & ~taken))

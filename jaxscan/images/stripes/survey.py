@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, Int
 
-from jaxscan.images.stripes.cross_section import MOST, cross_section
+from jaxscan.images.stripes.cross_section import MOST, cross_section, either
 from jaxscan.images.stripes.grain import Chance
 from jaxscan.images.stripes.likelihood import ROUGH, fit, off_beside
 from jaxscan.images.stripes.ranks import median
@@ -156,8 +156,7 @@ def _with_cross_section(sensor: Sensor, look: Callable[..., Sensor]) -> Sensor:
     taken = odd & np.asarray(found.apart) & np.all(np.abs(np.asarray(found.shape)) < np.array(MOST)[:, None], axis=0)
     if not taken.any():
         return sensor
-    zero = jnp.zeros_like(sensor.read)
-    return jax.tree.map(partial(jnp.where, taken), found, replace(sensor, shape=(zero,) * len(MOST)))
+    return either(taken, found, sensor)
 
 
 def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndarray, "frames some"]:
