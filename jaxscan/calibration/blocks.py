@@ -8,7 +8,7 @@ from jaxtyping import Float
 from jaxscan.calibration.observations import BoardSequence, Observations, View
 from jaxscan.calibration.residuals import Blocks
 from jaxscan.precision import as_jax
-from jaxscan.rig import is_run
+from jaxscan.rig import is_detail
 
 # This number of boards is solved in milliseconds, and compiled for in seconds.
 _LEAST = 12
@@ -49,7 +49,7 @@ def reference_positions(sequence: BoardSequence) -> dict[str, float]:
 
     An axis with play stands there as if it had none.
     """
-    return {axis: 0.0 if is_run(axis) else float(np.mean(steps)) for axis, steps in sequence.positions.items()}
+    return {axis: 0.0 if is_detail(axis) else float(np.mean(steps)) for axis, steps in sequence.positions.items()}
 
 
 def _pack(

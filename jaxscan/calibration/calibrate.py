@@ -14,6 +14,7 @@ from jaxscan.calibration.diagnostics.sheet_curves import unclear_bows
 from jaxscan.calibration.first_camera import first_camera
 from jaxscan.calibration.first_motions import first_motions, no_motion_yet
 from jaxscan.calibration.first_poses import first_poses, poses_of_photographs
+from jaxscan.calibration.hand import check_enough_poses
 from jaxscan.calibration.held import held_parameters, parameters_beyond_camera, with_held_values
 from jaxscan.calibration.judged import judged
 from jaxscan.calibration.lens_field import (
@@ -143,6 +144,7 @@ def calibrate(
     approached: list[str] = []
     with float64(), with_remarks(known, None if start else lens):
         check_enough(usable)
+        check_enough_poses(usable)
         unused = Unused(usable.left_out)
         check_views_for(board_shape, len(usable.views))
         kind = start.lens.kind if start else lens

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from jaxscan.calibration import initial
 from jaxscan.calibration.blocks import reference_positions
+from jaxscan.calibration.hand import moves_by_poses
 from jaxscan.calibration.observations import BoardSequence, Observations
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
@@ -16,7 +17,8 @@ from jaxscan.rig import MOTIONS, AxisMotion, Motion, motion_of
 
 def no_motion_yet(observations: Observations) -> Motion:
     """Axes that do not move, in the order and of the kinds that `first_motions` will find."""
-    return motion_of(tuple(MOTIONS[each[0].kind].at_rest(axis) for axis, each in _by_axis(observations).items()))
+    axes = tuple(MOTIONS[each[0].kind].at_rest(axis) for axis, each in _by_axis(observations).items())
+    return motion_of((*axes, *moves_by_poses(observations)))
 
 
 def first_motions(
@@ -32,7 +34,7 @@ def first_motions(
         InputError: a board that did not move as its axis does.
     """
     if not observations.sequences:
-        return motion_of(()), ()
+        return as_float64(no_motion_yet(observations)), ()
     middle = observations.board.points().mean(axis=0)
     ends = np.cumsum([len(observations.views), *(len(sequence.views) for sequence in observations.sequences)])
     photographs = [Pose(stood.rotation[start:end], stood.translation[start:end]) for start, end in pairwise(ends)]

@@ -20,6 +20,7 @@ from jaxscan.calibration.result import Calibration, assemble
 from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.stage_paths import courses
 from jaxscan.calibration.widening import widened
+from jaxscan.calibration.with_hand import with_hand
 
 
 def judged(
@@ -33,7 +34,7 @@ def judged(
     *,
     plain: bool,
 ) -> Calibration:
-    """The calibration, with what its residuals show beyond noise; inside a `float64` block.
+    """The calibration, with what its residuals show beyond noise, and its given poses; inside a `float64` block.
 
     Args:
         refined: where the rounds ended.
@@ -62,7 +63,7 @@ def judged(
     # What a term is named for is said once.
     off_grid = None if off_grid is None else replace(off_grid, said=named)
     left = () if off_grid is None else off_grid.statements
-    return replace(
+    result = replace(
         result,
         plain=plain,
         warnings=(
@@ -81,6 +82,7 @@ def judged(
         formal_covariance=formal,
         held_out=leave_one_out(refined, each),
     )
+    return with_hand(result)
 
 
 def _sentences(statements: Iterable[tuple[str, str]]) -> Iterator[str]:

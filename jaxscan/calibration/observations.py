@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError
+from jaxscan.geometry import Pose
 from jaxscan.images import Board
-from jaxscan.rig import is_run, run_of, runs
+from jaxscan.rig import CARRIED_BY, is_detail, run_of, runs
 
 # An error names at most this number of the items that were left out.
 _NAMED = 12
@@ -54,6 +55,7 @@ class View:
         weights: relative weight (1 / σ) of each corner, or None for equal ones; 0 leaves a corner out.
         stripes: the stripes seen on the board in this pose.
         session: which session it is from; empty for the only one.
+        given: the pose T_base_hand at which robot, gantry or tracker says that it was taken, mm.
     """
 
     name: str
@@ -61,6 +63,7 @@ class View:
     weights: Float[np.ndarray, "corners"] | None = None
     stripes: tuple[StripePoints, ...] = ()
     session: str = ""
+    given: Pose[np.ndarray] | None = None
 
     def __post_init__(self) -> None:
         """Take OpenCV's arrays as well.
@@ -173,6 +176,26 @@ class Unused:
 
 
 @dataclass(frozen=True)
+class HandSettings:
+    """What is known of what carries head or object by given poses.
+
+    Attributes:
+        moves: "head", the camera is on the hand and the board stands, or "object", the board is on the hand.
+        sigma_mm: σ of a given position along each axis; None where it is to be found.
+        sigma_deg: σ of a given rotation about each axis; None where it is to be found.
+    """
+
+    moves: str = "head"
+    sigma_mm: float | None = None
+    sigma_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what does not move."""
+        if self.moves not in CARRIED_BY:
+            raise InputError(f'moves = "{self.moves}": must be one of {", ".join(CARRIED_BY)}')
+
+
+@dataclass(frozen=True)
 class Observations:
     """All input of the joint solve.
 
@@ -185,6 +208,7 @@ class Observations:
         left_out: what was looked for and not found, in words.
         notes: what a reader should know of the photographs: ambiguities, guesses.
         radius_mm: of a board's circles, whose centres of gravity `corners` are; 0 for points.
+        hand: what is known of what carries head or object, where views have given poses.
     """
 
     image_size: tuple[int, int]
@@ -195,6 +219,7 @@ class Observations:
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     radius_mm: float = 0.0
+    hand: HandSettings | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not fit together."""
@@ -210,11 +235,18 @@ class Observations:
             for stripe in view.stripes:
                 if not 0 <= stripe.laser < len(self.lasers):
                     raise InputError(f"{view.name}: a stripe names laser {stripe.laser} of {len(self.lasers)}")
+        if (posed := [view for view in self.views if view.given is not None]) and self.hand is None:
+            raise InputError(f"{posed[0].name}: has a given pose: say with hand=HandSettings(moves=…) what it moves")
+        if posed and self.sequences:
+            raise InputError(
+                f"{posed[0].name} has a given pose, and {self.sequences[0].views[0].name} motor steps of the "
+                f"{self.sequences[0].axis}: calibrate what moves by poses and by an axis apart"
+            )
         for sequence in self.sequences:
             for axis, steps in sequence.positions.items():
                 if len(steps) != len(sequence.views):
                     raise InputError(f"{len(steps)} step counts of the {axis} for {len(sequence.views)} photographs")
-                if axis != sequence.axis and not is_run(axis) and len(set(np.asarray(steps).tolist())) > 1:
+                if axis != sequence.axis and not is_detail(axis) and len(set(np.asarray(steps).tolist())) > 1:
                     raise InputError(
                         f"{sequence.views[0].name} … {sequence.views[-1].name}: the board was moved by the {axis} as "
                         f"well as by the {sequence.axis}: photograph it along one axis at a time"
@@ -337,6 +369,11 @@ def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:
                 f"{name} has the lasers {list(other.lasers)}, {names[0]} has {list(first.lasers)}: give both the same "
                 "[laser] tables, or calibrate them apart"
             )
+        if None not in (other.hand, first.hand) and other.hand != first.hand:
+            raise InputError(
+                f"{name} has other moves or σ under [poses] than {names[0]}: sessions of one rig have one robot, so "
+                "give both the same, or calibrate them apart"
+            )
 
     def called(view: View, name: str) -> View:
         return replace(view, name=f"{name}/{view.name}", session=name)
@@ -355,6 +392,7 @@ def join(names: Sequence[str], each: Sequence[Observations]) -> Observations:
         left_out=tuple(f"{name}/{line}" for name, own in pairs for line in own.left_out),
         notes=(*common, *notes),
         radius_mm=sum(own.radius_mm for own in each) / len(each),
+        hand=next((own.hand for own in each if own.hand is not None), None),
     )
 
 

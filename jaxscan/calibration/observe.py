@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan.calibration.observations import BoardSequence, Observations, StripePoints, View
+from jaxscan.calibration.observations import BoardSequence, HandSettings, Observations, StripePoints, View
 from jaxscan.deadline import Workers, result_of
 from jaxscan.detectors import DEFAULT, Detector, check_detector
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.session import Session, StageImages, TurntableImages
 from jaxscan.files.settings import relative_name
+from jaxscan.geometry import Pose
 from jaxscan.images import (
     Board,
     BoardView,
@@ -48,10 +49,10 @@ class _Photograph:
     second_board: bool
 
 
-def _view(photograph: _Photograph, found: BoardView, usual_sigma: float) -> View:
-    """The photograph with its corners weighted against a usual σ (px)."""
+def _view(photograph: _Photograph, found: BoardView, usual_sigma: float, given: Pose[np.ndarray] | None = None) -> View:
+    """The photograph with its corners weighted against a usual σ (px), and the pose that is given for it."""
     weights = None if found.sigma is None else np.nan_to_num(usual_sigma / found.sigma)
-    return View(photograph.name, found.corners, weights, photograph.stripes)
+    return View(photograph.name, found.corners, weights, photograph.stripes, given=given)
 
 
 def observe(
@@ -102,7 +103,9 @@ def observe(
     photographs, of_views = _once(photographs, [photograph for each in moved for photograph in each])
     left_out += [line for lines in (of_views, *repeated) for line in lines]
     staged = [photograph for each in moved for photograph in each]
-    views = [_view(p, p.found, usual) for p in photographs if p.found is not None]
+    posed = session.poses.given() if session.poses else {}
+    given = {_name(session, path): pose for path, pose in posed.items()}
+    views = [_view(p, p.found, usual, given.get(p.name)) for p in photographs if p.found is not None]
     for seen in (*views, *(_view(p, p.found, usual) for p in staged if p.found is not None)):
         for stripe in seen.stripes:
             if not np.isfinite(stripe.pixels).any():
@@ -134,12 +137,19 @@ def observe(
         left_out=tuple(left_out),
         notes=tuple(notes),
         radius_mm=_radius(session.board, [p.found for p in (*photographs, *staged) if p.found is not None]),
+        hand=_hand(session),
     )
+
+
+def _hand(session: Session) -> HandSettings | None:
+    posed = session.poses
+    return None if posed is None else HandSettings(posed.moves, posed.sigma_mm, posed.sigma_deg)
 
 
 def unseen(session: Session) -> Observations:
     """What `observe` returns, before any photograph is looked at: whether sessions go together is known from it."""
-    return Observations(session.image_size, session.board, (), lasers=tuple(laser.name for laser in session.lasers))
+    lasers = tuple(laser.name for laser in session.lasers)
+    return Observations(session.image_size, session.board, (), lasers=lasers, hand=_hand(session))
 
 
 def photograph_count(session: Session) -> int:

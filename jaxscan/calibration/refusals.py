@@ -21,7 +21,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.stage_order import stage_orders
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_checks import image_rays
-from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, Rig, is_run
+from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, Rig, is_detail
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER
@@ -145,7 +145,7 @@ def check_enough(observations: Observations) -> None:
     moving = _moving(observations)
     for sequence in observations.sequences:
         for axis, steps in sequence.positions.items():
-            if axis not in moving and not is_run(axis) and np.any(steps):
+            if axis not in moving and not is_detail(axis) and np.any(steps):
                 raise InputError(
                     f"the {sequence.axis} was photographed away from the {axis}'s step 0, but no board on the {axis} "
                     f"shows how far that is: photograph one, or give {axis}_step = 0 under [{sequence.axis}]"

@@ -16,6 +16,7 @@ from jaxscan.calibration.changed import Change
 from jaxscan.calibration.diagnostics.sheet_curves import SheetCurve
 from jaxscan.calibration.drifted import Drift
 from jaxscan.calibration.flatness import BoardFlatness
+from jaxscan.calibration.hand import Hand
 from jaxscan.calibration.model import Choice
 from jaxscan.calibration.observations import InlierMask, Observations, Unused, View
 from jaxscan.calibration.off_grid import OffGrid
@@ -108,6 +109,7 @@ class Calibration:
             `drift` add.
         held_out: of each photograph, in the order of `Observations.in_order`, −2 log of the density at which the others
             predict it; empty where it was not asked.
+        hand: how camera and hand stand to each other, where photographs have given poses.
     """
 
     rig: Rig
@@ -147,6 +149,7 @@ class Calibration:
     parted: Parted | None = None
     formal_covariance: Covariance | None = None
     held_out: Float[np.ndarray, "photographs"] = field(default_factory=lambda: np.zeros(0))
+    hand: Hand | None = None
 
     def rig_file(self) -> RigFile:
         """What `write_rig` writes."""
@@ -165,6 +168,8 @@ class Calibration:
                 "stripe_sigma_px": self.stripe_sigma_px,
                 "stripe_correlation": self.stripe_correlation,
             }
+        if self.hand is not None:
+            fit |= self.hand.facts()
         if (depths := self._stripe_depths()) is not None:
             fit["stripe_depths_mm"] = depths
         if self.stripe_sigma_ratio is not None:

@@ -196,7 +196,8 @@ def describe(result: dict[str, Any]) -> str:
     lines += [f"before the change: {result['before']}"] if result["before"] else []
     lines += [f"left out: {line}" for line in _by_reason(result["left_out"])]
     if rejected := result["rejected"]:
-        of = "1 photograph" if len(rejected) == 1 else f"{len(rejected)} photographs"
+        count = len({line.partition(": ")[0] for line in rejected})
+        of = "1 photograph" if count == 1 else f"{count} photographs"
         lines.append(f"rejected as outliers: some points of {of}, listed by --report and --json")
     warned = {box["statement"] for box in result["warnings"]}
     lines += [f"note: {line}" for line in result["notes"] if f"{line[:1].upper()}{line[1:]}." not in warned]

@@ -35,7 +35,10 @@ def _session(summary: Summary) -> Iterator[Line]:
     if not summary["lasers"]:
         yield "laser", "none: the rig will have none"
     stage = summary["stage"]
-    yield "stage", _stage(stage) if stage else "none: the rig will have none"
+    if posed := summary["poses"]:
+        yield "poses", f"{posed['count']} of the views, the {posed['moves']} moves; {_way(posed)}"
+    else:
+        yield "stage", _stage(stage) if stage else "none: the rig will have none"
     if turntable := summary["turntable"]:
         yield "turntable", f"{turntable['count']} photographs, {_travel(turntable)}, at step {turntable['stage_step']}"
     held = "found" if summary["principal_point"] == "free" else "held at the centre of the image"
@@ -50,6 +53,13 @@ def _stage(summary: Summary) -> str:
     return f"{summary['count']} photographs, {_travel(summary)}{motion}{turn}"
 
 
+def _way(posed: Summary) -> str:
+    """How far a hand goes by its given poses, and how far it turns."""
+    ways = zip("xyz", posed["from_mm"], posed["to_mm"], strict=True)
+    extent = ", ".join(f"{axis} {low:.1f} … {high:.1f}" for axis, low, high in ways)
+    return f"the hand goes over {extent} mm and turns by up to {posed['turn_deg']:.1f}°, by {posed['file']}"
+
+
 def _scan(summary: Summary) -> Iterator[Line]:
     if summary["name"]:
         yield "name", summary["name"]
@@ -62,6 +72,8 @@ def _scan(summary: Summary) -> Iterator[Line]:
     for name, steps in summary["axes"].items():
         if steps["count"] != 0:
             yield name, _positions(steps)
+    if summary["poses"]:
+        yield "poses", _way(summary["poses"])
     if summary["image_size"]:
         yield "photographs", _size(summary["image_size"])
     yield _called("laser", summary["laser"]), _stripe(summary["laser"])
@@ -302,8 +314,26 @@ def _axis(summary: Summary) -> Iterator[Line]:
             f"{summary['mm_per_1000_steps']:.5g} mm for 1000 steps, {summary['way']}, along ({direction})",
         )
         yield from _path(summary)
+    elif "hand_mm" in summary:
+        what = "hand" if summary["moves"] == "head" else "robot's base"
+        yield summary["axis"], f"the {summary['moves']} moves {summary['way']}"
+        yield "", f"the {what} at {_triple(summary['hand_mm'])} in the camera's frame, turned by {_turn(summary)}"
     else:
         yield summary["axis"], f"{summary['kind']}, {summary['way']}"
+
+
+def _triple(values: list[float]) -> str:
+    return f"({', '.join(f'{x:.3f}' for x in values)}) mm"
+
+
+def _turn(summary: Summary) -> str:
+    """The turn of hand or base, and how well it and its place are known."""
+    degrees, error = summary["turned_deg"], summary["turned_sigma_deg"]
+    axis = ", ".join(f"{x:.4f}" for x in summary["turned_about"])
+    if error is None:
+        return f"{degrees:.3f}° about ({axis})"
+    place = "" if summary["hand_sigma_mm"] is None else f" and {max(summary['hand_sigma_mm']):.2g} mm"
+    return f"{degrees:.3f}° about ({axis}), known to {error:.2g}°{place}"
 
 
 def _path(summary: Summary) -> Iterator[Line]:

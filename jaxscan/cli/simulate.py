@@ -12,9 +12,11 @@ from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
 if TYPE_CHECKING:
+    from jaxscan.rig import Rig
     from jaxscan.simulation import Body, Scene, Sensor
     from jaxscan.simulation.folders import ScanTruth, SessionTruth
     from jaxscan.simulation.hand import Hand
+    from jaxscan.simulation.robot import Robot
 
 HELP: Final = "photographs of a known world: a calibration session, a scan, and their truth"
 EXAMPLE: Final = "jaxscan simulate world --seed 3"
@@ -29,6 +31,8 @@ _MOST_BOW_MM: Final = 5.0
 _MOST_BEND_MM: Final = 5.0
 # A guide or a screw that is worse than this is broken.
 _MOST_STAGE_MM: Final = 2.0
+# A robot that is worse than this, mm or degrees, is broken.
+_MOST_POSE: Final = 5.0
 # What is added to the seed from side to side: their noise has nothing in common.
 _SIDES_APART: Final = 1_000_000
 
@@ -187,6 +191,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="photograph the board on a turntable too, and scan while it turns, once all around; with --sides, turn it "
         "from side to side and scan along the stage",
     )
+    parser.add_argument(
+        "--robot",
+        choices=("head", "object"),
+        help="let a robot move camera and laser, or the object, in place of the stage; it gives a pose for each "
+        "photograph",
+    )
+    parser.add_argument(
+        "--pose-mm",
+        type=finite,
+        default=0.05,
+        metavar="SIGMA",
+        help="error of the positions that --robot gives, standard deviation along each axis (default: 0.05)",
+    )
+    parser.add_argument(
+        "--pose-deg",
+        type=finite,
+        default=0.02,
+        metavar="SIGMA",
+        help="error of the rotations that --robot gives, standard deviation about each axis (default: 0.02)",
+    )
     parser.add_argument("--stripes", action="store_true", help="photograph boards and stripes separately")
     parser.add_argument(
         "--jpeg",
@@ -223,6 +247,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"--play-mm {args.play_mm:g}: give 0 to {_MOST_STAGE_MM:g}")
     if args.screw_steps <= 0:
         raise InputError(f"--screw-steps {args.screw_steps:g}: give the steps of one turn, above 0")
+    _check_robot(args)
     if (warning := _sliding(args)) is not None:
         from jaxscan.cli.progress import say
 
@@ -232,6 +257,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.simulation.hand import Hand
     from jaxscan.simulation.light import Sensor
     from jaxscan.simulation.rig_2003 import STEPS_PER_TURN
+    from jaxscan.simulation.robot import Robot
 
     _, session, scans = simulate_into(
         args.out,
@@ -262,6 +288,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         },
         turntable=args.turntable,
         separate_stripes=args.stripes,
+        robot=Robot(args.robot, args.pose_mm, args.pose_deg) if args.robot else None,
         ending=".jpg" if args.jpeg or args.quality is not None else ".png",
         quality=args.quality or JPEG_QUALITY,
     )
@@ -299,6 +326,7 @@ def simulate_into(
     stage: Mapping[str, float] | None = None,
     turntable: bool = False,
     separate_stripes: bool = False,
+    robot: "Robot | None" = None,
     ending: str = ".png",
     quality: int | None = None,
 ) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
@@ -308,7 +336,7 @@ def simulate_into(
     turntable a scan of one side goes once all around.
     There is a progress bar. The scene is that of the first side. `light` changes the lighting of the rig of 2003; with
     a highlight the bodies are glossy, and the lamp stands where they mirror it. `stage` has the arguments of
-    `rig_2003.with_stage`.
+    `rig_2003.with_stage`. A robot takes the place of the stage.
     """
     from jaxscan.cli.compiled import keep_compiled
 
@@ -344,6 +372,8 @@ def simulate_into(
         "ending": ending,
         "quality": quality or folders.JPEG_QUALITY,
     }
+    if robot is not None:
+        return _with_robot(out, seed, rig, robot, scenes[0], name, apart, light, common)
     boards = rig_2003.BOARD_VIEWS * _each_pose(lasers, separate_stripes) + turntable * rig_2003.TURNTABLE_VIEWS
     with (
         replacing_folders(out) as folder,
@@ -379,6 +409,51 @@ def simulate_into(
             scans.append(replace(truth, which=which))
         folders.write_truth(folder / "truth", session, *scans)
     return scenes[0], session, tuple(scans)
+
+
+def _with_robot(
+    out: Path,
+    seed: int,
+    rig: "Rig",
+    robot: "Robot",
+    scene: "Scene",
+    name: str,
+    apart: int,
+    light: Mapping[str, Any],
+    common: Mapping[str, Any],
+) -> "tuple[Scene, SessionTruth, tuple[ScanTruth, ...]]":
+    """As `simulate_into`, with a robot in place of the stage, which takes the object over the same travel."""
+    import numpy as np
+
+    from jaxscan.atomic import replacing_folders
+    from jaxscan.cli.progress import progress
+    from jaxscan.simulation import folders, rig_2003
+    from jaxscan.simulation.robot import POSED_VIEWS, simulate_robot_scan, simulate_robot_session, with_robot
+
+    R, origin = rig_2003.platform(rig)
+    steps = np.arange(0, (rig_2003.SCAN_FRAMES - 1) * rig_2003.STEPS_APART + 1, apart)
+    travel, moved = rig_2003.stage_travel(rig, steps), with_robot(rig, robot, seed)
+    photographs = rig_2003.BOARD_VIEWS + POSED_VIEWS + len(steps)
+    with replacing_folders(out) as folder, progress("rendering", photographs) as advance:
+        lighting = replace(rig_2003.BOARD_LIGHTING, **light)
+        session = simulate_robot_session(
+            folder / "session", seed, moved, robot, lighting=lighting, advance=advance, **common
+        )
+        scan = simulate_robot_scan(
+            folder / folders.scan_name(""),
+            moved,
+            robot,
+            scene,
+            travel,
+            origin + R @ np.array([0.0, rig_2003.OBJECT_Y, 0.0]),
+            seed,
+            name=name,
+            lighting=replace(rig_2003.SCAN_LIGHTING, **light),
+            advance=advance,
+            **common,
+        )
+        folders.write_truth(folder / "truth", session, scan)
+    return scene, session, (scan,)
 
 
 def _each_pose(lasers: int, separate_stripes: bool) -> int:
@@ -419,6 +494,30 @@ def check_folder(out: Path, seed: int) -> None:
         raise InputError(f"{out}: is a file: name a folder that is new or empty")
     if out.is_dir() and any(out.iterdir()) and not (out / "truth" / "rig.json").is_file():
         raise InputError(f"{out}: holds something that is no simulation: name a folder that is new or empty")
+
+
+def _check_robot(args: argparse.Namespace) -> None:
+    """Refuse what a robot takes the place of, and errors that are none."""
+    if not args.robot:
+        if (args.pose_mm, args.pose_deg) != (0.05, 0.02):
+            raise InputError("--pose-mm and --pose-deg are of a robot's poses: add --robot head or --robot object")
+        return
+    others = {
+        "--turntable": args.turntable,
+        "--sides": args.sides > 1,
+        "--lasers 2": args.lasers > 1,
+        "--stripes": args.stripes,
+        "--guide-mm": args.guide_mm,
+        "--screw-mm": args.screw_mm,
+        "--play-mm": args.play_mm,
+        "--shake-mm": args.shake_mm,
+        "--board-bend-mm": args.board_bend_mm,
+    }
+    if also := [option for option, given in others.items() if given]:
+        raise InputError(f"--robot {args.robot} goes without {', '.join(also)}: leave one of them out")
+    for option, sigma in (("--pose-mm", args.pose_mm), ("--pose-deg", args.pose_deg)):
+        if not 0 <= sigma <= _MOST_POSE:
+            raise InputError(f"{option} {sigma:g}: give 0 to {_MOST_POSE:g}")
 
 
 def _sliding(args: argparse.Namespace) -> str | None:

@@ -25,11 +25,12 @@ from jaxscan.files.rig_checks import image_rays
 from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import read_scan
 from jaxscan.files.session import read_session
+from jaxscan.geometry import Pose, matrix_to_vector
 from jaxscan.images import StripeSettings
 from jaxscan.images.light import Light
 from jaxscan.precision import float64
 from jaxscan.reconstruction import read_range_image
-from jaxscan.rig import Camera, is_run
+from jaxscan.rig import Camera, given_poses, is_detail
 from jaxscan.rig.chart import AROUND
 from jaxscan.rig.speckle_limit import Optics, limit_of
 from jaxscan.rig.summary import axis_summary, light_summary
@@ -73,6 +74,15 @@ def session_summary(path: Path) -> Summary:
         },
         "turntable": session.turntable
         and {**_steps(session.turntable.steps), "stage_step": session.turntable.stage_step},
+        "poses": session.poses
+        and {
+            "count": len(session.poses.images),
+            "file": str(session.poses.file),
+            "moves": session.poses.moves,
+            "sigma_mm": session.poses.sigma_mm,
+            "sigma_deg": session.poses.sigma_deg,
+            **_way(session.poses.poses),
+        },
     }
 
 
@@ -88,8 +98,14 @@ def scan_summary(path: Path) -> Summary:
         "video": scan.video and str(scan.video),
         "frames": None if scan.rules else scan.listed,
         "axes": {
-            **{name: _steps(positions) for name, positions in scan.axes.items()},
+            **{name: _steps(steps) for name, steps in scan.axes.items() if not scan.poses},
             **{name: _rule(rule) for name, rule in scan.rules.items()},
+        },
+        "poses": scan.poses
+        and {
+            "count": scan.listed,
+            "file": str(scan.poses),
+            **_way(given_poses({axis: np.asarray(n, np.float64) for axis, n in scan.axes.items()})),
         },
         "image_size": list(common_size(photographs)) if photographs else None,
         "backgrounds": len(scan.backgrounds),
@@ -199,7 +215,7 @@ def range_summary(path: Path) -> Summary:
         "kind": "range image",
         "path": str(path),
         "frames": len(image.valid),
-        "axes": {axis: _steps(np.asarray(n).tolist()) for axis, n in image.positions.items() if not is_run(axis)},
+        "axes": {axis: _steps(np.asarray(n).tolist()) for axis, n in image.positions.items() if not is_detail(axis)},
         "sweeps": len(image.sweeps()),
         "full_turn": len(image.gaps()) == len(image.valid),
         "columns": image.valid.shape[1],
@@ -228,6 +244,16 @@ def speckle_limit_summary(path: Path, rig_path: Path, optics: Optics) -> Summary
         raise InputError(f"{path}: its points do not lie on the light of {rig_path}: give the rig of this scan")
     limit = limit_of(rig, points, optics, light.speckle_contrast if light is not None else None, sigma)
     return asdict(limit) | {"times": limit.times}
+
+
+def _way(poses: Pose[np.ndarray]) -> Summary:
+    """How far the hand goes, and by how much it turns from where it is first."""
+    turned = matrix_to_vector(poses.matrix() @ poses.matrix()[0].T)
+    return {
+        "from_mm": poses.translation.min(axis=0).tolist(),
+        "to_mm": poses.translation.max(axis=0).tolist(),
+        "turn_deg": float(np.degrees(np.linalg.norm(turned, axis=1).max())),
+    }
 
 
 def _camera(camera: Camera, sigma: Callable[[str], float | None] | None) -> Summary:

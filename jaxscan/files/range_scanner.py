@@ -15,7 +15,7 @@ from jaxscan.files.range_npz import RangeArrays
 from jaxscan.files.rig_parts import lights_values, motion_values, part_tables, read_lights, read_motion
 from jaxscan.files.table import Table
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Fixed, Light, Linear, Motion, is_run, run_of
+from jaxscan.rig import Fixed, Light, Linear, Motion, is_detail
 
 
 class RangeScanner(NamedTuple):
@@ -57,9 +57,8 @@ def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScan
         raise InputError(f'{path}: "scanner" is no object: reconstruct again')
     table = Table(Path(path), "scanner.", values)
     axes = table.sequence("axes", "names of axes")
-    plain = [axis for axis in axes if not (isinstance(axis, str) and is_run(axis))]
-    runs = [run_of(axis) for axis in plain if isinstance(axis, str)]
-    if not all(isinstance(axis, str) and (is_axis_name(axis) or axis in runs) for axis in axes):
+    plain = [axis for axis in axes if not (isinstance(axis, str) and is_detail(axis))]
+    if not all(isinstance(axis, str) and (is_axis_name(axis) or axis.partition(".")[0] in plain) for axis in axes):
         raise table.error("axes", "must be names of letters, digits, _ and - alone: reconstruct again")
     if len(set(axes)) < len(axes):
         raise table.error("axes", "name an axis twice: reconstruct again")
@@ -73,7 +72,7 @@ def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScan
     positions = {axis: arrays.positions[:, i] for i, axis in enumerate(axes)}
     known = [part.axis for part in motion.parts()]
     for axis, steps in positions.items():
-        if known and not is_run(axis) and axis not in known and len(steps) and np.ptp(steps):
+        if known and not is_detail(axis) and axis not in known and len(steps) and np.ptp(steps):
             raise table.error(
                 "axes",
                 f"the {axis} moves, but the motion is that of {', '.join(known)}: reconstruct with the scan's rig",

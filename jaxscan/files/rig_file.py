@@ -135,6 +135,7 @@ def _check_finite(table: Table) -> None:
 
 # What reconstruction takes a pixel's σ from.
 _STRIPE_ERRORS: Final = ("stripe_rms_px", "stripe_sigma_px", "stripe_sigma_ratio")
+_POSE_ERRORS: Final = ("pose_sigma_mm", "pose_sigma_deg")
 _CAMERA_KEYS: Final = ("image_size", "focal", "principal", "tilt")
 _STEEPEST_TILT: Final = math.pi / 2
 
@@ -185,7 +186,7 @@ def _fit(table: Table) -> dict[str, Any]:
     if "fit" not in table:
         return {}
     fit = table.table("fit", "fit.")
-    for key in _STRIPE_ERRORS:
+    for key in (*_STRIPE_ERRORS, *_POSE_ERRORS):
         if key in fit and fit.number(key) < 0:
             raise fit.error(key, "must be a number that is not negative: calibrate again")
     for key in _OF_SHAPE if "board_shape" in fit else ():
@@ -193,6 +194,8 @@ def _fit(table: Table) -> dict[str, Any]:
             raise fit.error(key, "must be a number that is not negative: calibrate again")
     if "stripe_depths_mm" in fit and not 0 < (depths := fit.numbers("stripe_depths_mm", 2))[0] <= depths[1]:
         raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")
+    for i, way in enumerate(fit.sequence("pose_offset_unknown", "directions") if "pose_offset_unknown" in fit else ()):
+        Table(table.path, "fit.pose_offset_unknown.", {str(i): way}).numbers(str(i), 3)
     if "sigma_over_noise_alone" in fit:
         ratios = fit.table("sigma_over_noise_alone", "fit.sigma_over_noise_alone.")
         if not ratios.values or any(ratios.number(name) <= 0 for name in ratios.values):

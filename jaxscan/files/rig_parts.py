@@ -16,9 +16,11 @@ from jaxscan.rig import (
     LIGHTS,
     MOTIONS,
     AxisMotion,
+    HeadPoses,
     Lens,
     Light,
     Motion,
+    ObjectPoses,
     Screw,
     ScrewOnGuide,
     motion_of,
@@ -95,7 +97,7 @@ def read_motion(tables: Sequence[Table], unknown: list[str]) -> Motion:
         kind = MOTIONS[_kind(table, MOTIONS)]
         parts.append(_part(table, kind, unknown, axis=axis))
         moves = next(iter(kind.numbers))
-        if max(map(abs, table.numbers(moves))) < 1 / LARGEST:
+        if not isinstance(parts[-1], HeadPoses | ObjectPoses) and max(map(abs, table.numbers(moves))) < 1 / LARGEST:
             raise table.error(moves, f"the {axis} does not move: leave it out, or calibrate it")
         if isinstance(parts[-1], Screw | ScrewOnGuide) and table.numbers("period", 1)[0] <= 0:
             raise table.error("period", "must be the steps of one turn of the screw, above 0: calibrate again")

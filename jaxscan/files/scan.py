@@ -10,6 +10,7 @@ from typing import Any, Final
 from jaxscan.files.axes import Positions, Rules, axes_values, read_axes
 from jaxscan.files.listing import files_of, name_some, natural_key, repeated_files_of
 from jaxscan.files.place_checks import PlaceCheck, check_values, read_checks
+from jaxscan.files.pose_table import read_pose_table
 from jaxscan.files.settings import (
     read_listing,
     read_stripe_settings,
@@ -19,6 +20,7 @@ from jaxscan.files.settings import (
 )
 from jaxscan.files.table import PassedOverWarning, Table
 from jaxscan.images import StripeSettings
+from jaxscan.rig import POSES, is_detail, positions_of
 
 SCAN_FILE: Final = "scan.toml"
 VIDEO_ENDINGS: Final = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
@@ -40,6 +42,7 @@ class Scan:
         exposures_s: exposure time of each frame, where it matters.
         name: what was scanned, or "".
         checks: of where its axes stood, as far as they were made.
+        poses: the table of poses from which `axes` are; None where motor steps are given.
     """
 
     path: Path
@@ -52,6 +55,7 @@ class Scan:
     exposures_s: tuple[float, ...] | None = None
     name: str = ""
     checks: tuple[PlaceCheck, ...] = ()
+    poses: Path | None = None
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -72,7 +76,7 @@ class Scan:
     def moving(self) -> tuple[str, ...]:
         """The axes that do not stand still all the time."""
         by_rule = tuple(axis for axis, rule in self.rules.items() if rule.per_frame)
-        return by_rule + tuple(axis for axis, steps in self.axes.items() if len(set(steps)) > 1)
+        return by_rule + tuple(axis for axis, n in self.axes.items() if not is_detail(axis) and len(set(n)) > 1)
 
 
 def read_scan(path: str | os.PathLike[str]) -> Scan:
@@ -106,16 +110,16 @@ def _read(path: Path) -> tuple[Scan, bool]:
     inner = table.table("scan", "[scan] ").only(
         "frames", "steps", "steps_per_frame", "axes", "poses", "background", "exposures_s", "name", "checks"
     )
-    if "poses" in inner:
-        raise inner.error(
-            "poses", "a pose for each frame cannot be read yet: give motor steps, in steps or [scan.axes]"
-        )
     laser = StripeSettings()
     if "laser" in table:
         laser = read_stripe_settings(table.table("laser", "[laser] ").only("name", "color", "columns"))
     video = _video(inner)
     frames = () if video else files_of(inner, "frames")
-    axes, rules = read_axes(inner, None if video else len(frames))
+    poses = table.path.parent / inner.string(POSES) if POSES in inner else None
+    if poses is None:
+        axes, rules = read_axes(inner, None if video else len(frames))
+    else:
+        axes, rules = _axes_of_poses(inner, poses, frames), {}
     n_frames = None if rules else len(next(iter(axes.values())))
     scan = Scan(
         path=table.path,
@@ -128,6 +132,7 @@ def _read(path: Path) -> tuple[Scan, bool]:
         exposures_s=_exposures(inner, n_frames),
         name=inner.string("name") if "name" in inner else "",
         checks=read_checks(inner, n_frames),
+        poses=poses,
     )
     return scan, isinstance(inner.values["frames"], list)
 
@@ -145,7 +150,7 @@ def write_scan(scan: Scan) -> None:
 
     values: dict[str, Any] = {"name": scan.name} if scan.name else {}
     values["frames"] = relative_name(scan.video, folder) if scan.video else names(scan.frames)
-    values |= axes_values(scan.axes, scan.rules)
+    values |= {POSES: relative_name(scan.poses, folder)} if scan.poses else axes_values(scan.axes, scan.rules)
     if scan.backgrounds:
         values["background"] = names(scan.backgrounds)
     if scan.exposures_s is not None:
@@ -163,6 +168,18 @@ def _video(table: Table) -> Path | None:
     if others:
         raise table.error("frames", f"matches {1 + len(others)} videos: a scan is one, name it")
     return video
+
+
+def _axes_of_poses(table: Table, poses: Path, frames: Sequence[Path]) -> dict[str, tuple[int, ...]]:
+    """The positions of the frames of which a table has the poses."""
+    for key in ("steps", "steps_per_frame", "axes"):
+        if key in table:
+            raise table.error(key, "poses is given too: a scan has either poses or motor steps, so keep one of them")
+    if not poses.is_file():
+        raise table.error(POSES, f"{poses} is no file: name the table with the pose of each frame")
+    if not frames:
+        raise table.error(POSES, "a table has poses by the names of photographs: name these in frames, not a video")
+    return {axis: tuple(n.tolist()) for axis, n in positions_of(read_pose_table(poses, frames)).items()}
 
 
 def _backgrounds(table: Table, n_frames: int | None) -> tuple[Path, ...]:

@@ -15,16 +15,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
-from jaxscan.files.table import LARGEST, show
+from jaxscan.files.rigid import rigid_pose, turned, usable
+from jaxscan.files.table import show
 from jaxscan.files.text import parse_file, read_json_value
 from jaxscan.geometry import Pose
 
-# How far a matrix may be from a rotation, and the length of a quaternion from 1.
-_OFF: Final = 1e-3
 _CONF_WORDS: Final = 9
 
 
@@ -83,9 +80,9 @@ def _of_conf(path: Path, text: str) -> dict[str, Pose]:
             values = np.array([float(word) for word in words[2:]])
         except ValueError as error:
             raise InputError(f"{path}: {where}: is {line!r}, but seven numbers are expected after the name") from error
-        if not _usable(values):
+        if not usable(values):
             raise InputError(f"{path}: {where}: is {line!r}, but finite numbers are expected after the name")
-        poses[words[1]] = Pose(-_rotation(path, where, values[3:]), values[:3])
+        poses[words[1]] = Pose(-turned(f"{path}: {where}", values[3:]), values[:3])
     return poses
 
 
@@ -96,30 +93,12 @@ def _of_json(path: Path, where: str, value: Any) -> Pose:
             if set(value) != {"position", "quaternion"}:
                 raise InputError(f"{path}: {where}: has {', '.join(value) or 'nothing'}, but {expected}")
             position, quaternion = (np.array(value[key], np.float64) for key in ("position", "quaternion"))
-            if position.shape != (3,) or quaternion.shape != (4,) or not _usable(position, quaternion):
+            if position.shape != (3,) or quaternion.shape != (4,) or not usable(position, quaternion):
                 raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")
-            return Pose(_rotation(path, where, np.roll(quaternion, -1)), position)
+            return Pose(turned(f"{path}: {where}", np.roll(quaternion, -1)), position)
         T = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: {where}: is {show(value)}, but {expected}") from error
-    if T.shape not in ((3, 4), (4, 4)) or not _usable(T):
+    if T.shape not in ((3, 4), (4, 4)) or not usable(T):
         raise InputError(f"{path}: {where}: is {show(value)}, but {expected}")
-    R = T[:3, :3]
-    rigid = np.abs(R @ R.T - np.eye(3)).max() < _OFF and np.linalg.det(R) > 0
-    if not rigid or (len(T) == 4 and np.abs(T[3] - [0, 0, 0, 1]).max() > _OFF):
-        raise InputError(f"{path}: {where}: is no rotation with a translation: leave scale and mirroring out")
-    u, _, vt = np.linalg.svd(R)
-    return Pose.from_matrix(u @ vt, T[:3, 3])
-
-
-def _usable(*values: Float[np.ndarray, "*any"]) -> bool:
-    """Whether numbers are finite, and their squares are too."""
-    return all(bool((np.abs(each) <= LARGEST).all()) for each in values)
-
-
-def _rotation(path: Path, where: str, quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3"]:
-    """The rotation vector of x, y, z, w."""
-    length = float(np.linalg.norm(quaternion))
-    if not abs(length - 1) < _OFF:
-        raise InputError(f"{path}: {where}: the quaternion has the length {length:.4g}, but 1 is expected")
-    return Rotation.from_quat(quaternion).as_rotvec()
+    return rigid_pose(f"{path}: {where}", T)

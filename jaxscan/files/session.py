@@ -12,6 +12,7 @@ import tomli_w
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.listing import common_size, files_of, files_or_gaps
+from jaxscan.files.session_poses import PosedImages, posed_values, read_posed_images
 from jaxscan.files.settings import (
     read_listing,
     read_steps,
@@ -22,7 +23,7 @@ from jaxscan.files.settings import (
 )
 from jaxscan.files.table import Table, show
 from jaxscan.images import Board, StripeSettings
-from jaxscan.rig import LENSES, LIGHTS, MOTIONS, LightPlane, Linear, Rotary
+from jaxscan.rig import LENSES, LIGHTS, MOTIONS, POSES, LightPlane, Linear, Rotary
 from jaxscan.rig.board_shape import BOARD_SHAPES
 from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.line import Line
@@ -133,6 +134,7 @@ class Session:
         sheets: the kind of each laser's sheet of light, in their order; empty where all are planes.
         image_size: columns and rows of all its photographs.
         board_shape: what of the board's shape is to be found, one of `BOARD_SHAPES`.
+        poses: those of the views, the last, for which a pose is given.
     """
 
     path: Path
@@ -145,6 +147,7 @@ class Session:
     sheets: tuple[str, ...] = field(default=(), kw_only=True)
     image_size: tuple[int, int] = (0, 0)
     board_shape: str = "flat"
+    poses: PosedImages | None = None
 
     @property
     def sequences(self) -> dict[str, StageImages]:
@@ -188,20 +191,36 @@ def read_session(path: str | os.PathLike[str], *, whole: bool = True) -> Session
     Raises:
         InputError: whatever is wrong: file, key, value, and how to fix it.
     """
-    table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", *SEQUENCES, "laser"))
+    table = read_listing(Path(path), SESSION_FILE, ("board", "camera", "views", POSES, *SEQUENCES, "laser"))
     (board, shape), camera = _board(table), _camera(table)
-    if "views" not in table:
+    posed = read_posed_images(table)
+    if "views" not in table and posed is None:
         fix = "add it, with boards = the photographs of the board held in the hand, in three poses or more"
         raise table.error("views", f"is missing: {fix}; the camera is found from them")
-    views = table.table("views", "[views] ").only("boards", "stripes")
-    boards = files_of(views, "boards")
-    if not boards:
+    views = table.optional_table("views", "[views] ").only("boards", "stripes")
+    boards = files_of(views, "boards") if "views" in table else ()
+    if not boards and posed is None:
         raise views.error("boards", "names no photograph: name those of the board")
     lasers, sheets, stripes = _lasers(table, views, len(boards))
+    if posed is not None:
+        boards, stripes = _with_posed(posed, lasers, boards, stripes)
     moved = _stage(table, lasers), _turntable(table, lasers)
     session = Session(
-        table.path, board, Views(boards, stripes), camera, *moved, lasers, sheets=sheets, board_shape=shape
+        table.path,
+        board,
+        Views(boards, stripes),
+        camera,
+        *moved,
+        lasers,
+        sheets=sheets,
+        board_shape=shape,
+        poses=posed[0] if posed else None,
     )
+    if posed and session.sequences:
+        also = next(iter(session.sequences))
+        raise InputError(
+            f"{table.path}: [{POSES}] and [{also}]: a scanner moves by given poses or by axes: calibrate the two apart"
+        )
     _check_each_shows_one_pose(session)
     return replace(session, image_size=common_size(session.photographs(), to_their_ends=whole))
 
@@ -234,20 +253,26 @@ def write_session(session: Session) -> None:
     values["camera"] = {"lens": asked.lens, "principal_point": asked.principal_point}
     values["camera"] |= {"hold": list(asked.hold)} if asked.hold else {}
     values["camera"] |= {"tilt": True} if asked.tilt else {}
-    values["views"] = {"boards": [relative_name(path, folder) for path in session.views.boards]}
+    held = len(session.views.boards) - (len(session.poses.images) if session.poses else 0)
+    values["views"] = {"boards": [relative_name(path, folder) for path in session.views.boards[:held]]}
     lasers = [stripe_values(laser) for laser in session.lasers]
     for laser, sheet in zip(lasers, session.sheets, strict=False):
         laser["sheet"] = sheet
+    names: dict[str, list[str]] = {}
     if session.views.stripes is not None:
         names = {
             laser: [relative_name(path, folder) if path else "" for path in paths]
             for laser, paths in session.views.stripes.items()
         }
         if len(lasers) == 1:
-            (values["views"]["stripes"],) = names.values()
+            (values["views"]["stripes"],) = (own[:held] for own in names.values())
         else:
             for laser in lasers:
-                laser["stripes"] = names[laser["name"]]
+                laser["stripes"] = names[laser["name"]][:held]
+    if session.poses is not None:
+        lit = {laser: own[held:] for laser, own in names.items() if any(own[held:])}
+        own_stripes = {"stripes": lit if len(lasers) > 1 else next(iter(lit.values()))} if lit else {}
+        values[POSES] = posed_values(session.poses, folder, own_stripes)
     for axis, sequence in session.sequences.items():
         images = [relative_name(path, folder) for path in sequence.images]
         values[axis] = {"images": images, "steps": list(sequence.steps)}
@@ -401,15 +426,36 @@ def _sequence(
             "steps" if "steps" in table else "images",
             f"photographs at {fewest_in_words} different step counts or more are needed",
         )
+    return images, steps, _stripes_of(table, lasers, len(images))
+
+
+def _stripes_of(table: Table, lasers: Sequence[StripeSettings], n_images: int) -> _Stripes:
+    """The photographs of each laser's stripe that are paired with those of a table."""
     if "stripes" not in table:
-        return images, steps, {}
+        return {}
     if not lasers:
         raise table.error("stripes", "the session has no laser whose stripe this could be: add [laser]")
     if len(lasers) == 1:
-        return images, steps, {lasers[0].name: _stripes(table, len(images))}
+        return {lasers[0].name: _stripes(table, n_images)}
     names = [laser.name for laser in lasers]
     inner = table.table("stripes", f"{table.prefix}stripes.").only(*names)
-    return images, steps, {name: _stripes(inner, len(images), name) for name in names if name in inner}
+    return {name: _stripes(inner, n_images, name) for name in names if name in inner}
+
+
+def _with_posed(
+    posed: tuple[PosedImages, Table],
+    lasers: Sequence[StripeSettings],
+    boards: tuple[Path, ...],
+    stripes: _Stripes | None,
+) -> tuple[tuple[Path, ...], _Stripes | None]:
+    """The views, and behind them those for which a pose is given; with the photographs of their stripes."""
+    images, own = posed[0].images, _stripes_of(posed[1], lasers, len(posed[0].images))
+    if stripes is None and not own:
+        return (*boards, *images), None
+    # A view without a photograph of its stripe shows it itself, where no view has one.
+    before = {laser.name: boards if stripes is None else stripes[laser.name] for laser in lasers}
+    none = (None,) * len(images)
+    return (*boards, *images), {name: (*held, *own.get(name, none)) for name, held in before.items()}
 
 
 def _lasers(

@@ -18,7 +18,7 @@ from jaxscan.files.range_scanner import read_scanner, scanner_arrays
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.turns import full_turn, gaps_between, sweeps_of
-from jaxscan.rig import Fixed, Light, Motion, is_run
+from jaxscan.rig import Fixed, Light, Motion, is_detail
 
 _STILL: Final = Fixed()
 # Profiles of a turn that are further apart make no surface.
@@ -78,7 +78,7 @@ class RangeImage:
     @property
     def moving(self) -> tuple[str, ...]:
         """The axes that do not stand still all the time."""
-        axes = {axis: np.asarray(steps) for axis, steps in self.positions.items() if not is_run(axis)}
+        axes = {axis: np.asarray(steps) for axis, steps in self.positions.items() if not is_detail(axis)}
         return tuple(axis for axis, steps in axes.items() if len(set(steps.tolist())) > 1)
 
     @property

@@ -15,7 +15,8 @@ from jaxscan.reconstruction.frames import wrong_size
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.range_image import WIDE_APART_DEG
 from jaxscan.reconstruction.turns import sweeps_of
-from jaxscan.rig import Rig
+from jaxscan.rig import POSES, Rig, is_detail
+from jaxscan.rig.given_poses import NM
 
 # More full turns than these are a mistake.
 _MOST_TURNS: Final = 5
@@ -35,7 +36,7 @@ def check_scan(rig: Rig, scan: Scan) -> None:
         size = common_size(photographs)
         if size != rig.camera.image_size:
             raise InputError(wrong_size(photographs[0], size, rig.camera.image_size))
-    key = "[scan] steps:" if scan.axis_names == (STAGE,) else "[scan.axes]"
+    key = "[scan] steps:" if scan.axis_names == (STAGE,) else "[scan.axes]" if scan.poses is None else "[scan] poses:"
     check_axes(rig, scan.moving, scan.axis_names, f"{scan.path}: {key}")
     _check_near(rig, scan)
     step_groups(scan)
@@ -54,10 +55,15 @@ def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str
         InputError: one moves that the rig lacks, or it is not said where one stands that carries one that moves.
     """
     axes = rig.axes()
+    if POSES in axes and POSES not in named:
+        raise InputError(
+            f"{where} this rig is moved by given poses, and the scan has none: give poses = the table with the pose of "
+            "each frame"
+        )
     for axis in moving:
         if axis not in axes:
             has = f"it has {', '.join(axes)}" if axes else "it has none"
-            fixes = [f"calibrate with a [{axis}] sequence"] if axis in SEQUENCES else []
+            fixes = [f"calibrate with a [{axis}] sequence"] if axis in (*SEQUENCES, POSES) else []
             fixes += ["name the axis as the rig does"] if axes else []
             raise InputError(
                 f"{where} the {axis} moves between frames, but the rig has no such axis, {has}: "
@@ -78,6 +84,13 @@ def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str
 
 def _check_near(rig: Rig, scan: Scan) -> None:
     """Refuse places so far away that points there mean nothing."""
+    if scan.poses is not None:
+        farthest_mm = max(abs(n) for axis in "xyz" for n in scan.axes[f"{POSES}.{axis}"]) / NM
+        if farthest_mm > _FARTHEST_MM:
+            raise InputError(
+                f"{scan.path}: [scan] poses: the hand is {farthest_mm / 1000:.3g} m from its base: give positions in "
+                "millimetres"
+            )
     for part in rig.motion.parts():
         farthest = max(scan.axes.get(part.axis, (0,)), key=abs, default=0)
         amount, unit = part.amount(float(farthest))
@@ -90,7 +103,7 @@ def _check_near(rig: Rig, scan: Scan) -> None:
 
 def _place(scan: Scan) -> str:
     first = {axis: rule.start for axis, rule in scan.rules.items()}
-    first |= {axis: steps[0] for axis, steps in scan.axes.items()}
+    first |= {axis: steps[0] for axis, steps in scan.axes.items() if not is_detail(axis)}
     return ", ".join(f"{axis} {step}" for axis, step in first.items())
 
 

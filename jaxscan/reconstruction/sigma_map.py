@@ -68,7 +68,8 @@ class SigmaMap(eqx.Module):
         w, _, _ = inverse_depths(rig.light(light), rays)
         still, of_pixel = jacobian_along(rig, light, rays, {}, columns)
         J, S, at = still * w[:, None] ** 2, covariance.of_leaves(rig), leaves_of(rig, "motion.")
-        # At the positions 0 the motion's numbers move nothing, whatever they are.
+        # What the motion's numbers move is in m, frame by frame.
+        J[:, at] = 0.0
         A = np.einsum("pi,ij,pj->p", J, S, J)
         d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         values = np.concatenate([np.stack([A, of_pixel * w**2], axis=-1), d, 2 * J @ S[:, at]], axis=-1)

@@ -29,6 +29,11 @@ def spacetime_geometry(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
     Raises:
         InputError: not one axis of the rig moves, the steps are not equal, or they are too coarse or far too fine.
     """
+    if scan.poses is not None:
+        raise InputError(
+            f"{scan.path}: [scan] poses: spacetime analysis follows an axis with equal motor steps: leave "
+            "--spacetime out"
+        )
     places = [scan.positions[group.start] for group in step_groups(scan)]
     _check_enough(scan, len(places), _LEAST_SIGMA)
     if len(scan.moving) != 1:

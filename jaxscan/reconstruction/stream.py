@@ -29,6 +29,7 @@ from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wit
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
+from jaxscan.reconstruction.pose_sigma import PoseSigma, check_turns
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands, own_colours
@@ -39,7 +40,7 @@ from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_pr
 from jaxscan.reconstruction.spacetime_geometry import spacetime_geometry
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
 from jaxscan.reconstruction.turns import with_ends, with_runs
-from jaxscan.rig import Positions, Rig, played_axes, run_of
+from jaxscan.rig import Positions, Rig, is_detail, played_axes, run_of
 from jaxscan.rig.play import Runs
 
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
@@ -105,6 +106,7 @@ class Scanner:
                 no frames, or there is no stripe in any of them.
         """
         check_scan(self._content.rig, scan)
+        check_turns(self._content, scan)
         with error_context(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0
@@ -168,7 +170,8 @@ class Scanner:
         first, looked, played = None, False, {axis: Runs() for axis in played_axes(self._content.rig.motion)}
         for some, axes in frames_of(with_positions(frames), background, self._content.rig.camera.image_size, batch):
             first = some.positions[0] if first is None else first
-            moving = [axis for axis, moved in zip(axes, (some.positions != first).any(axis=0), strict=True) if moved]
+            moved = (some.positions != first).any(axis=0)
+            moving = [axis for axis, each in zip(axes, moved, strict=True) if each and not is_detail(axis)]
             check_axes(self._content.rig, moving, axes, "frames:")
             image = ready.range_image(*_with_runs(some, axes, played))[0]
             if not looked:
@@ -267,6 +270,7 @@ class _Laser:
         )
         # What boards have shown the detector's own prediction to be short of.
         self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
+        self._of_poses = PoseSigma.of(content)
         self._rig = rig
 
     def range_image(self, frames: Frames, axes: Sequence[str], standing: bool = False) -> tuple[RangeImage, Stripe]:
@@ -330,6 +334,8 @@ class _Laser:
         if self._map is not None:
             own, moved = self._ratio * stripe_sigma, MovedFrames.create(self._rig, q, len(position))
             sigma, sigma_pixel = (np.asarray(x) for x in point_sigmas(self._map, moved, position, points, own))
+            if self._of_poses is not None:
+                sigma = np.hypot(sigma, self._of_poses.along_rays(points, q))
         points = np.where(valid[..., None], points, np.float32(np.nan))
         sheets = (self._rig.light(self._laser.name),)
         return RangeImage(points, position, strength, sigma, sigma_pixel, valid, q, self._rig.motion, sheets)

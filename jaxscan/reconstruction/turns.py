@@ -14,7 +14,7 @@ from jaxtyping import Int
 from jaxscan.files.axes import StepRule
 from jaxscan.files.scan import Scan
 from jaxscan.reconstruction.merged_steps import step_groups
-from jaxscan.rig import Motion, is_run, played_axes, run_of, runs
+from jaxscan.rig import Motion, is_detail, played_axes, run_of, runs
 from jaxscan.rig.play import FAR
 
 # The last frame of a turn is no further from the first than this multiple of the distance between frames.
@@ -31,7 +31,7 @@ def sweeps_of(positions: Mapping[str, Int[np.ndarray, "frames"]]) -> list[slice]
         positions: motor steps of each axis at each frame.
     """
     frames = len(next(iter(positions.values()), ()))
-    moved = np.stack([np.diff(steps) != 0 for axis, steps in positions.items() if not is_run(axis)], axis=1)
+    moved = np.stack([np.diff(steps) != 0 for axis, steps in positions.items() if not is_detail(axis)], axis=1)
     which = [frozenset(np.flatnonzero(row).tolist()) for row in moved]
     often = Counter(which)
     starts, last = [0], frozenset[int]()

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from jaxscan.calibration import Calibration, Observations
 from jaxscan.reconstruction.point_sigma import jacobian_along, sigma_of
-from jaxscan.rig import Camera, Covariance, Light, Rig
+from jaxscan.rig import POSES, Camera, Covariance, Light, Rig
 from jaxscan.rig.chart import AROUND
 from jaxscan.rig.light import section, section_around
 from jaxscan.rig.projection import project_points, within_fold
@@ -125,13 +125,21 @@ def working_volume(
         total, pixel = (np.where(seen, part.reshape(seen.shape), np.nan) for part in parts)
         return total, pixel
 
-    total, pixel = sigma(covariance, {})
+    # Where hand or base is moves all points alike, and no two of them apart.
+    still = without(covariance, f"motion.{POSES}.")
+    total, pixel = sigma(still, {})
     known = {
-        words: float(np.nanmedian(sigma(given(covariance, stem), {})[0]))
+        words: float(np.nanmedian(sigma(given(still, stem), {})[0]))
         for words, stem in (("camera", "camera"), ("light plane", "lights"))
     }
     travelled = float(np.nanmedian(sigma(covariance, farthest)[0])) if farthest else None
     return WorkingVolume(laser, columns, depths, positions, total, pixel, known, travelled)
+
+
+def without(covariance: Covariance, stem: str) -> Covariance:
+    """The covariance of the parameters whose names do not begin with the stem."""
+    left = [i for i, name in enumerate(covariance.names) if not name.startswith(stem)]
+    return Covariance(tuple(covariance.names[i] for i in left), covariance.matrix[np.ix_(left, left)])
 
 
 def given(covariance: Covariance, stem: str) -> Covariance:

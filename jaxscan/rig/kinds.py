@@ -5,6 +5,7 @@ from typing import Any, Final, TypeVar
 from jaxscan.errors import InputError
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.fisheye import Fisheye
+from jaxscan.rig.given_poses import HeadPoses, ObjectPoses
 from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
 from jaxscan.rig.lens import Lens
 from jaxscan.rig.light import Light
@@ -20,7 +21,9 @@ LENSES: Final[dict[str, type[Lens]]] = {**LADDER, Fisheye.kind: Fisheye, Splined
 LIGHTS: Final[dict[str, type[Light]]] = {kind.kind: kind for kind in (LightPlane, BowedSheet)}
 # From the room to the object: lines carry turns.
 _LINES: Final = (Linear, Guide, Screw, ScrewOnGuide, LinearWithPlay, GuideWithPlay, ScrewWithPlay, ScrewOnGuideWithPlay)
-MOTIONS: Final[dict[str, type[AxisMotion]]] = {kind.kind: kind for kind in (*_LINES, Rotary, RotaryWithPlay)}
+MOTIONS: Final[dict[str, type[AxisMotion]]] = {
+    kind.kind: kind for kind in (*_LINES, Rotary, RotaryWithPlay, HeadPoses, ObjectPoses)
+}
 
 # What a rig file has beside a lens's numbers.
 _OF_THE_CAMERA: Final = {"image_size", "focal", "principal", "tilt", "lens"}

@@ -17,8 +17,14 @@ from jaxscan.geometry import Pose
 from jaxscan.geometry.rotation import A, namespace
 from jaxscan.precision import Leaf
 
-# Motor steps of each axis, by its name; all of one shape. An axis that is not named stands at 0.
+# Motor steps of each axis, by its name; all of one shape. An axis that is not named stands at 0. Beside an axis's own
+# there may be details of it: `stage.run` (`rig.play`), `poses.x` (`rig.given_poses`).
 Positions = Mapping[str, Any]
+
+
+def is_detail(name: str) -> bool:
+    """Whether an entry of positions is no axis, but says more of one; no name of an axis has a dot."""
+    return "." in name
 
 
 @runtime_checkable

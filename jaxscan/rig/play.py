@@ -40,11 +40,6 @@ def run_of(axis: str) -> str:
     return axis + _RUN
 
 
-def is_run(name: str) -> bool:
-    """Whether an entry of positions is no axis, but the run of one."""
-    return name.endswith(_RUN)
-
-
 class Runs:
     """How far an axis has come since it last turned, motor steps, photograph by photograph as they come.
 

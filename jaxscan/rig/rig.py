@@ -15,8 +15,8 @@ from jaxscan.precision import as_float64, float64
 from jaxscan.rig.batches import over_batch
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.light import Light, meet
-from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
-from jaxscan.rig.play import ScrewOnGuideWithPlay, is_run
+from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, is_detail, motion_of, normal_motion
+from jaxscan.rig.play import ScrewOnGuideWithPlay
 from jaxscan.rig.readable import Readable
 
 _STAGE_SHAPES: Final = ScrewOnGuideWithPlay.shape()
@@ -110,7 +110,7 @@ class Rig(Readable):
             raise InputError(
                 f'{q} are no positions: give motor steps by the names of the axes, as {{"stage": 4000}}; {has}'
             )
-        strange = [axis for axis in q if axis not in own and not is_run(axis)]
+        strange = [axis for axis in q if axis not in own and not is_detail(axis)]
         if strange and any(axis not in q for axis in own):
             raise InputError(f'there is no axis "{strange[0]}": {has}')
 

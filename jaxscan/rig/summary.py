@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.covariance import Covariance
+from jaxscan.rig.given_poses import CARRIED_BY, HeadPoses, ObjectPoses
 from jaxscan.rig.guide import Screw, ScrewOnGuide
 from jaxscan.rig.light import Light, inverse_depths, sheet_axes
 from jaxscan.rig.light import distance as distance_from
@@ -21,6 +22,7 @@ from jaxscan.rig.turn_summary import turn_summary
 
 Summary = dict[str, Any]
 
+_HAND: Final = tuple((name, i) for name in ("rotation", "offset") for i in range(3))
 # The width of a sheet over which its curve is said is twice this, mm.
 HALF_WIDTH_MM: Final = 100.0
 # The travel over which a stage's bow and turn are said, mm.
@@ -92,7 +94,30 @@ def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.nda
             **_of_path(part, covariance),
             **_of_play(part, covariance),
         }
+    if isinstance(part, HeadPoses | ObjectPoses):
+        return _of_poses(part, covariance)
     return {}
+
+
+def _of_poses(part: HeadPoses | ObjectPoses, covariance: Covariance | None) -> Summary:
+    """Where hand or base is as the camera sees it, with the largest σ of its turn and those of its place.
+
+    Its place is known as well as the offset, in axes of its own.
+    """
+    K = part.to_camera()
+    turn = np.asarray(K.rotation, np.float64)
+    angle = float(np.linalg.norm(turn))
+    sigmas = [covariance.sigma(f"motion.{part.axis}.{name}.{i}") if covariance else None for name, i in _HAND]
+    of_turn, of_place = sigmas[:3], sigmas[3:]
+    known = [sigma for sigma in of_turn if sigma is not None]
+    return {
+        "moves": next(moves for moves, kind in CARRIED_BY.items() if isinstance(part, kind)),
+        "hand_mm": np.asarray(K.translation, np.float64).tolist(),
+        "hand_sigma_mm": None if None in of_place else of_place,
+        "turned_deg": math.degrees(angle),
+        "turned_about": (turn / angle if angle else turn).tolist(),
+        "turned_sigma_deg": math.degrees(max(known)) if known else None,
+    }
 
 
 def step_of(line: Line, covariance: Covariance) -> tuple[float, float]:

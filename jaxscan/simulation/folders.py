@@ -5,7 +5,8 @@ The truth is three kinds of files:
 - `rig.json`: the true rig, in the format of any rig.
 - `session.json`: `seed`; `boards`, T_cam_board of every view, and `stage`, that of the board on the stage at step 0, as
   rotation vector (radians) and translation (mm); `stage_steps`. With a turntable `turntable`, T_cam_board of the board
-  on it with both at step 0; `turntable_steps`; `turntable_stage_step`, that of the stage.
+  on it with both at step 0; `turntable_steps`; `turntable_stage_step`, that of the stage. With a robot `hand`,
+  T_base_hand of the last boards as it truly was, in place of the stage.
 - `scan.npz`, or `scan-NAME.npz` for each of several lasers: motor steps (frames) by the name of each axis;
   `position` (frames, columns), the row in
   which an ideal camera sees the middle of the sheet; `points` (frames, columns, 3), that point in the object frame, mm;
@@ -64,19 +65,21 @@ class SessionTruth:
         rig: the true rig.
         seed: of the rig, the poses and the noise.
         boards: T_cam_board of every view, stacked; the mean over the exposure of the board where a hand shakes.
-        stage: T_cam_board of the board on the stage at step 0.
+        stage: T_cam_board of the board on the stage at step 0; None without one.
         stage_steps: motor step count of every stage photograph.
         turntable: T_cam_board of the board on the turntable with stage and turntable at step 0; None without one.
         turntable_steps: motor step count of every turntable photograph.
+        hand: T_base_hand of the last views, where a robot was, not where it said it was; None without one.
     """
 
     rig: Rig
     seed: int
     boards: Pose
-    stage: Pose
-    stage_steps: tuple[int, ...]
+    stage: Pose | None = None
+    stage_steps: tuple[int, ...] = ()
     turntable: Pose | None = None
     turntable_steps: tuple[int, ...] = ()
+    hand: Pose | None = None
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ def simulate_session(
     boards, stage = rig_2003.board_poses(rig, seed, views), rig_2003.stage_pose(rig, seed)
     steps = rig_2003.stage_steps(rig, rig_2003.STAGE_VIEWS if stage_views is None else stage_views, steps_apart)
     come = {STAGE: steps, **rig_2003.stage_runs(rig, steps)}
-    _make(
+    make_folders(
         folder,
         "boards",
         "stage",
@@ -156,7 +159,7 @@ def simulate_session(
     def shoot(name: str, scene: Scene | Sequence[Scene], kind: int, i: int, **how: Any) -> Path:
         image = render(rig, scene, lighting=lighting, sensor=sensor, seed=(2003, seed, kind, i), **how)
         path = folder / f"{name}{ending}"
-        _write(path, image, quality)
+        write_photograph(path, image, quality)
         advance(1)
         return path
 
@@ -235,7 +238,7 @@ def simulate_scan(
     Raises:
         InputError: something cannot be written.
     """
-    _make(folder, "frames", *(["dark"] if laser_off else []))
+    make_folders(folder, "frames", *(["dark"] if laser_off else []))
     (folder / SCAN_FILE).unlink(missing_ok=True)
     given = {STAGE: range(0, steps_apart * frames, steps_apart)} if axes is None else axes
     positions = {axis: tuple(int(n) for n in steps) for axis, steps in given.items()}
@@ -246,11 +249,11 @@ def simulate_scan(
         seeds = (2003, seed, _SCAN_NOISE, i, *([laser] if laser else []))
         image = render(rig, scene, q=q, laser=laser, lighting=lighting, sensor=sensor, seed=seeds)
         paths.append(folder / "frames" / f"{i:03d}{ending}")
-        _write(paths[-1], image, quality)
+        write_photograph(paths[-1], image, quality)
         if laser_off:
             image = render(rig, scene, q=q, lighting=lighting, sensor=sensor, seed=(2003, seed, _DARK_NOISE, i))
             dark.append(folder / "dark" / f"{i:03d}{ending}")
-            _write(dark[-1], image, quality)
+            write_photograph(dark[-1], image, quality)
         profiles.append(true_profile(rig, scene, q, laser=laser, lighting=lighting))
         advance(1)
     settings = StripeSettings(name=rig.lights[laser].name)
@@ -272,13 +275,16 @@ def write_truth(folder: Path, session: SessionTruth, *scans: ScanTruth) -> None:
     Raises:
         InputError: something cannot be written.
     """
-    _make(folder)
-    values = {
+    make_folders(folder)
+    values: dict[str, Any] = {
         "seed": session.seed,
         "boards": [_pose_values(session.boards, i) for i in range(len(session.boards.rotation))],
-        "stage": _pose_values(session.stage, ...),
-        "stage_steps": list(session.stage_steps),
     }
+    if session.stage is not None:
+        values["stage"] = _pose_values(session.stage, ...)
+        values["stage_steps"] = list(session.stage_steps)
+    if session.hand is not None:
+        values["hand"] = [_pose_values(session.hand, i) for i in range(len(session.hand.rotation))]
     if session.turntable is not None:
         values["turntable"] = _pose_values(session.turntable, ...)
         values["turntable_steps"] = list(session.turntable_steps)
@@ -346,7 +352,7 @@ def read_truth_file(path: Path, which: str = "") -> ScanTruth:
     return ScanTruth(arrays, position, points, which)
 
 
-def _write(path: Path, image: np.ndarray, quality: int) -> None:
+def write_photograph(path: Path, image: np.ndarray, quality: int) -> None:
     """Write a photograph, with this quality if it is a JPEG."""
     if path.suffix == ".jpg":
         write_jpeg(path, image, quality)
@@ -359,7 +365,7 @@ def _pose_values(pose: Pose, i: Any) -> dict[str, list[float]]:
     return {key: vector[i].tolist() for key, vector in zip(("rotation", "translation"), vectors, strict=True)}
 
 
-def _make(folder: Path, *inner: str) -> None:
+def make_folders(folder: Path, *inner: str) -> None:
     """Make folders."""
     try:
         for name in ("", *inner):

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, UInt
 from jaxscan.errors import InputError
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.precision import as_numpy
-from jaxscan.rig import Camera, LightPlane, Positions, Rig, is_run
+from jaxscan.rig import Camera, LightPlane, Positions, Rig, is_detail
 from jaxscan.rig import Light as SheetOfLight
 from jaxscan.rig.chart import FLAT
 from jaxscan.rig.light import nameless
@@ -102,7 +102,7 @@ def carried(rig: Rig, scene: Scene, q: Positions) -> Scene:
     if not any(q.values()):
         return scene
     for axis in q:
-        if not is_run(axis):
+        if not is_detail(axis):
             rig.axis(axis)
     return scene.carried(as_numpy(rig.pose({axis: np.float64(steps) for axis, steps in q.items()})))
 

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from jaxscan.errors import InputError
 from jaxscan.reconstruction import RangeImage
-from jaxscan.rig import is_run
+from jaxscan.rig import is_detail
 from jaxscan.robust import NORMAL_MAD
 
 # The steepest rise of a surface over its own spacing that is not taken for a jump.
@@ -124,7 +124,7 @@ def _of_sweeps(sweeps: list[RangeImage]) -> Sampling:
 
 
 def _place(image: RangeImage) -> str:
-    at = {axis: int(np.asarray(steps)[0]) for axis, steps in image.positions.items() if not is_run(axis)}
+    at = {axis: int(np.asarray(steps)[0]) for axis, steps in image.positions.items() if not is_detail(axis)}
     return ", ".join(f"{axis} {step}" for axis, step in at.items())
 
 

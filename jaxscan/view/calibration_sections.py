@@ -5,6 +5,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, Ladder
+from jaxscan.calibration.hand import Hand
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.files.rig_checks import image_rays
 from jaxscan.images.light import Light
@@ -48,6 +49,7 @@ def rig(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         *(["of a tilt: radians"] if calibration.rig.camera.tilt else []),
         *(["of a bow: mm"] if any(light.kind == BowedSheet.kind for light in calibration.rig.lights) else []),
         *(["of what turns: radians per step, mm"] if diagnostics.turntables else []),
+        *(["of given poses: radians, mm"] if calibration.hand else []),
     ]
     title = f"Parameters ({'; '.join(units)})"
     return Section(
@@ -412,6 +414,26 @@ def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
         "What the photographs cover",
         items=tuple(words),
         figures=(draw("coverage", caption, plots.coverage(diagnostics)),) if viewed else (),
+    )
+
+
+def hand(hand: Hand) -> Section:
+    """Each given pose, and how far it is from where the photograph shows the hand."""
+    mm, degrees = (np.linalg.norm(off, axis=1) for off in (hand.off_mm, hand.off_deg))
+    rows = [
+        (name, f"{mm[i]:.3f}", f"{degrees[i]:.3f}", "yes" if hand.kept[i] else "no")
+        for i, name in enumerate(hand.names)
+    ]
+    order = np.argsort(-mm)
+    columns = ("photograph", "position off / mm", "turn off / °", "used")
+    return Section(
+        "Given poses",
+        paragraphs=(
+            f"{hand.note()[0].upper()}{hand.note()[1:]}. Taken as σ: {hand.sigma_mm:.2g} mm and {hand.sigma_deg:.2g}°. "
+            "The errors are the robot's, of the hand in the base's frame; those of the photographs are smaller. A pose "
+            "that stands out was read at another moment, or belongs to another photograph.",
+        ),
+        tables=(Table("Given less found, the farthest first", columns, tuple(rows[i] for i in order)),),
     )
 
 

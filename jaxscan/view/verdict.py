@@ -113,7 +113,10 @@ def _precision(calibration: Calibration, volumes: tuple[WorkingVolume, ...], fac
             f"A point of the working volume, {near:.0f} to {far:.0f} mm away, is known to {_mm(worst.median_mm)} in "
             f"the median and {_mm(worst.worst_mm)} at worst (σ along its ray)"
         )
-        return f"{text}, by the two halves rather {_mm(factor * worst.median_mm)}." if factor > 1.5 else f"{text}."
+        text = f"{text}, by the two halves rather {_mm(factor * worst.median_mm)}." if factor > 1.5 else f"{text}."
+        if (hand := calibration.hand) is not None:
+            text += f" The given poses move every profile of a scan by {_mm(hand.profile_mm)} of its own."
+        return text
     focal = float(calibration.rig.camera.focal[0])
     sigma = calibration.covariance.sigma("camera.focal.0")
     fit = f"corners fit to {calibration.corner_rms_px:.3f} px RMS"

@@ -212,7 +212,7 @@ BAD = {
         AXES + "turntable = { begin = 8, per_frame = 1 }",
         ["[scan.axes] turntable.begin", "start, per_frame"],
     ),
-    "poses": (FRAMES + 'poses = "poses.csv"', ['[scan] poses = "poses.csv"', "cannot be read yet", "[scan.axes]"]),
+    "poses": (FRAMES + 'poses = "poses.csv"', ['[scan] poses = "poses.csv"', "is no file", "the pose of each frame"]),
     "no video": ('[scan]\nframes = "a.mp4"\nsteps_per_frame = 1', ["[scan] frames", "matches no file"]),
     "exposures of a video": (
         '[scan]\nframes = "v.avi"\nsteps_per_frame = 1\nexposures_s = [1]',

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import MOTIONS, Guide, Linear, Rotary, Screw, ScrewOnGuide, is_run, run_of, runs
+from jaxscan.rig import MOTIONS, Guide, Linear, Rotary, Screw, ScrewOnGuide, is_detail, run_of, runs
 from jaxscan.rig.play import FAR, LinearWithPlay, RotaryWithPlay, Runs, kind_with_play
 
 STEP = np.array([0.0, 0.0008, 0.0006])
@@ -94,6 +94,6 @@ def test_its_derivative_is_that_of_finite_differences(play, run):
 
 
 def test_no_axis_may_be_called_as_a_run_is():
-    assert is_run(run_of("stage"))
-    assert not is_run("stage")
+    assert is_detail(run_of("stage"))
+    assert not is_detail("stage")
     assert RotaryWithPlay.from_plain(PLAINS["rotary"](), 3.0).amount(1.0)[1] == "degrees"

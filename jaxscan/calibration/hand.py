@@ -1,0 +1,129 @@
+"""How camera and hand stand to each other, as a calibration says it; and what a solve holds before it is known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.calibration.observations import Observations
+from jaxscan.errors import InputError
+from jaxscan.rig import CARRIED_BY, POSES, AxisMotion
+
+# Given poses that show how camera and hand stand.
+FEWEST_POSES = 3
+# A given σ is called too small where the poses scatter by more than this multiple of it.
+_CLEARLY_MORE = 1.5
+
+
+@dataclass(frozen=True)
+class Hand:
+    """How camera and hand stand to each other, and how well the given poses go with the photographs.
+
+    Attributes:
+        moves: "head" or "object".
+        names: of the photographs.
+        kept: which of them took part.
+        off_mm: by how much each given position is off, along the base's axes.
+        off_deg: by how much each given rotation is off, about the hand's axes.
+        sigma_mm: σ of a given position along each axis, as it was taken.
+        sigma_deg: σ of a given rotation about each axis, as it was taken.
+        found_mm: that σ as the photographs show it.
+        found_deg: that σ as the photographs show it.
+        unknown: directions along which the offset is not found, and is 0, because no pose turned about another: in the
+            axes of the hand (a head) or the base (an object).
+        board_mm: how far the board's middle was from the hand, in the median.
+    """
+
+    moves: str
+    names: tuple[str, ...]
+    kept: Bool[np.ndarray, "photographs"]
+    off_mm: Float[np.ndarray, "photographs 3"]
+    off_deg: Float[np.ndarray, "photographs 3"]
+    sigma_mm: float
+    sigma_deg: float
+    found_mm: float
+    found_deg: float
+    unknown: Float[np.ndarray, "directions 3"]
+    board_mm: float
+
+    @property
+    def profile_mm(self) -> float:
+        """By how much a profile is off along each axis by its pose alone, at the board's distance from the hand, mm."""
+        return float(np.hypot(self.sigma_mm, np.radians(self.sigma_deg) * self.board_mm))
+
+    def facts(self) -> dict[str, object]:
+        """What a rig file has of it."""
+        return {
+            "pose_images": len(self.names),
+            "pose_sigma_mm": self.sigma_mm,
+            "pose_sigma_deg": self.sigma_deg,
+            **({"pose_offset_unknown": self.unknown.tolist()} if len(self.unknown) else {}),
+        }
+
+    def note(self) -> str:
+        """How well the poses go with the photographs, in words."""
+        return (
+            f"the given poses of {int(self.kept.sum())} photographs scatter by {self.found_mm:.2g} mm and "
+            f"{self.found_deg:.2g}° about each axis: at the board's distance from the hand, {self.board_mm:.0f} mm, "
+            f"that moves every profile of a scan by {self.profile_mm:.2g} mm of its own"
+        )
+
+    def rejected(self) -> list[str]:
+        """The poses that were left out, in words."""
+        mm, degrees = (np.linalg.norm(off, axis=1) for off in (self.off_mm, self.off_deg))
+        return [
+            f"{self.names[i]}: its given pose is {mm[i]:.3g} mm and {degrees[i]:.2g}° off, and is not used; check its "
+            "line in the table"
+            for i in np.flatnonzero(~self.kept)
+        ]
+
+    def warnings(self, given_mm: float | None, given_deg: float | None) -> list[str]:
+        """What is wrong with the poses, sentences without their full stops."""
+        said = []
+        for given, found, unit, key in (
+            (given_mm, self.found_mm, " mm", "sigma_mm"),
+            (given_deg, self.found_deg, "°", "sigma_deg"),
+        ):
+            if given is not None and found > _CLEARLY_MORE * given:
+                said.append(
+                    f"the given poses scatter by {found:.2g}{unit}, and {key} = {given:g} says less: the larger number "
+                    "is used. Photograph where the robot stands still, and see that board and camera are mounted firmly"
+                )
+        return said
+
+    def unknown_note(self) -> list[str]:
+        """What the poses leave open, in words."""
+        if not len(self.unknown):
+            return []
+        if len(self.unknown) == 3:
+            return [
+                "no pose turned, so only how the hand is turned to the camera is found, and not where it is: scans "
+                "must be taken without turning too"
+            ]
+        axes = ", ".join("(" + ", ".join(f"{x:.2f}" for x in way) + ")" for way in self.unknown)
+        return [
+            f"no pose turned about another direction than {axes} of the {'hand' if self.moves == 'head' else 'base'}, "
+            "so where the hand is along it is not found: scans must turn about it alone too, or photograph the board "
+            "with the hand turned in two directions"
+        ]
+
+
+def moves_by_poses(observations: Observations) -> tuple[AxisMotion, ...]:
+    """The motion of given poses before it is known; none where there are none."""
+    if observations.hand is None or all(view.given is None for view in observations.views):
+        return ()
+    return (CARRIED_BY[observations.hand.moves].at_rest(POSES),)
+
+
+def check_enough_poses(observations: Observations) -> None:
+    """Refuse given poses that are too few.
+
+    Raises:
+        InputError: there are.
+    """
+    count = sum(view.given is not None for view in observations.views)
+    if observations.hand is not None and count < FEWEST_POSES:
+        raise InputError(
+            f"{count} usable photographs at given poses; at least {FEWEST_POSES} are needed, 10 to 20 are good: take "
+            "more, with all of the board in view"
+        )

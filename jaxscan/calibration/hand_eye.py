@@ -1,0 +1,325 @@
+"""How camera and hand stand to each other: from a board that was seen at given poses of a robot, gantry or tracker.
+
+The board's pose in photograph i is T_i = K g_i B, with g_i the given pose or its inverse (`rig.given_poses`), K the
+turn and offset that are sought, and B where the board is mounted, one for each session. Turned round, T_i says where
+the hand really was; what differs from the given pose is the robot's error e_i, a position (mm) and a rotation (rad)
+with the covariance
+
+    V_i = diag(σ_t², σ_r²) + D_i C_i D_iᵀ,    D_i = ∂e_i/∂T_i,
+
+C_i the covariance of T_i for known camera. K and B are those of the least Σ e_iᵀ V_i⁻¹ e_i; the two σ, where they are
+not given, those of the largest restricted likelihood (H. D. Patterson and R. Thompson 1971).
+
+Camera and boards are found before, without the given poses: a robot's errors are no noise but go on from pose to pose,
+and would move the camera. How K moves with the camera is in its covariance.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import minimize
+
+from jaxscan.errors import InputError
+from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
+from jaxscan.rig.given_poses import HeadPoses, ObjectPoses
+
+Motion = HeadPoses | ObjectPoses
+
+# Poses that turn by less about a direction, root mean square, rad, do not show where along it the hand is.
+_A_TURN: Final = 0.05
+# A turn that is known no better, rad, is not found.
+_UNKNOWN_RAD: Final = 0.02
+# What nothing is known of beforehand: rad and mm.
+_ANY: Final = np.array([10.0] * 3 + [1e5] * 3)
+# Left out beyond this e V⁻¹ e: one good pose in 10 000 (χ² of six).
+_LIMIT: Final = 27.9
+_FEWEST: Final = 3
+_ROUNDS: Final = 12
+_STEPS: Final = 20
+_SETTLED: Final = 0.01
+# A step shorter than this share of σ is the last.
+_SMALL: Final = 1e-6
+# Steps of differences: rad and mm.
+_STEP: Final = np.array([1e-6] * 3 + [1e-4] * 3)
+# No robot is better: mm and rad.
+_LEAST: Final = np.array([1e-4, 1e-7])
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What photographs at given poses say.
+
+    Attributes:
+        given: T_base_hand of each, mm.
+        boards: T_camera_board of each, mm.
+        session: which mounting of the board each is of, from 0.
+        covariance: of each board's pose for known camera: of a turn from the left (rad) and the place (mm).
+        by_camera: how that pose moves with the camera's parameters.
+    """
+
+    given: Pose[np.ndarray]
+    boards: Pose[np.ndarray]
+    session: Int[np.ndarray, "photographs"]
+    covariance: Float[np.ndarray, "photographs 6 6"]
+    by_camera: Float[np.ndarray, "photographs 6 parameters"]
+
+    def only(self, which: Bool[np.ndarray, "photographs"]) -> "Seen":
+        """Some of the photographs."""
+        return Seen(
+            _some(self.given, which),
+            _some(self.boards, which),
+            self.session[which],
+            self.covariance[which],
+            self.by_camera[which],
+        )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where K and B are; a stack of such fits has leading axes everywhere.
+
+    Attributes:
+        rotation: R of K.
+        offset: what K adds before it, mm, in the axes of what stands behind K.
+        board_rotations: R of B, of each mounting.
+        board_places: translation of B, mm.
+    """
+
+    rotation: Float[np.ndarray, "*stack 3 3"]
+    offset: Float[np.ndarray, "*stack 3"]
+    board_rotations: Float[np.ndarray, "*stack sessions 3 3"]
+    board_places: Float[np.ndarray, "*stack sessions 3"]
+
+    def moved(self, by: Float[np.ndarray, "*stack unknowns"]) -> "Fit":
+        """By turns from the left (rad) and shifts (mm): of K and its offset, then of each board."""
+        each = by[..., 6:].reshape(*by.shape[:-1], -1, 6)
+        return Fit(
+            vector_to_matrix(by[..., :3]) @ self.rotation,
+            self.offset + by[..., 3:6],
+            vector_to_matrix(each[..., :3]) @ self.board_rotations,
+            self.board_places + each[..., 3:],
+        )
+
+    def errors(
+        self, kind: type[Motion], seen: Seen, by: Float[np.ndarray, "*stack 6"] | None = None
+    ) -> Float[np.ndarray, "*stack photographs 6"]:
+        """Where the hand was after the photographs, less where it is given: mm, and rad in the hand's axes.
+
+        Args:
+            kind: what moves.
+            seen: the photographs.
+            by: a turn from the left (rad) and a shift (mm) of all their boards, for derivatives.
+        """
+        R, t, at = seen.boards.matrix(), seen.boards.translation, seen.session
+        if by is not None:
+            R, t = vector_to_matrix(by[..., None, :3]) @ R, t + by[..., None, 3:]
+        back = self.rotation.swapaxes(-1, -2)[..., None, :, :]
+        # K⁻¹ T B⁻¹.
+        H = back @ R @ self.board_rotations[..., at, :, :].swapaxes(-1, -2)
+        h = (back @ t[..., None] - H @ self.board_places[..., at, :, None])[..., 0] - self.offset[..., None, :]
+        if kind is HeadPoses:
+            H = H.swapaxes(-1, -2)
+            h = -(H @ h[..., None])[..., 0]
+        turn = matrix_to_vector(seen.given.matrix().swapaxes(-1, -2) @ H)
+        return np.concatenate([h - seen.given.translation, turn], axis=-1)
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """What was found of the hand.
+
+    Attributes:
+        fit: K and the boards.
+        kept: which photographs took part.
+        errors: of each given pose: mm, and rad.
+        sigma: of a given position (mm) and rotation (rad) about each axis, as they were weighted.
+        found: the two as the photographs show them; NaN for one that too few of them do.
+        covariance: of K's turn (from the left, rad) and offset (mm) for known camera.
+        by_camera: how these move with the camera's parameters.
+        unknown: directions along which the offset is not found, and is 0: nothing turned about them.
+    """
+
+    fit: Fit
+    kept: Bool[np.ndarray, "photographs"]
+    errors: Float[np.ndarray, "photographs 6"]
+    sigma: Float[np.ndarray, "2"]
+    found: Float[np.ndarray, "2"]
+    covariance: Float[np.ndarray, "6 6"]
+    by_camera: Float[np.ndarray, "6 parameters"]
+    unknown: Float[np.ndarray, "directions 3"]
+
+
+def hand_eye(kind: type[Motion], seen: Seen, start: Fit, known: tuple[float | None, float | None]) -> HandEye:
+    """Refine K and B, and leave out poses that do not go with the others.
+
+    Args:
+        kind: what moves.
+        seen: the photographs.
+        start: near the solution.
+        known: σ of a given position (mm) and rotation (rad), each None where it is to be found.
+
+    Raises:
+        InputError: too few poses go with each other, or they do not show how camera and hand stand.
+    """
+    fit, sigma = start, _by_median(start.errors(kind, seen))
+    given = np.array([np.nan if each is None else each for each in known])
+    weigh = _Weights(kind, seen)
+    used, kept = weigh, weigh.distance(fit, sigma) <= _LIMIT
+    found = sigma
+    for _ in range(_ROUNDS):
+        if kept.sum() < _FEWEST:
+            raise InputError(
+                f"of {len(kept)} given poses only {int(kept.sum())} go with each other: check that the table has the "
+                "pose of each photograph, taken where the robot stood still"
+            )
+        used = _Weights(kind, seen.only(kept))
+        fit = used.solved(fit, sigma)
+        found = used.likeliest(fit, sigma)
+        # A robot that is worse than it was said to be is not trusted more than it can be.
+        before, sigma = sigma, np.where(np.isfinite(given), np.fmax(given, found), found)
+        wide = np.maximum(sigma, _by_median(fit.errors(kind, seen)[kept])) * used.of_few(given)
+        again = weigh.distance(fit, wide) <= _LIMIT
+        if np.allclose(before, sigma, rtol=_SETTLED) and (again == kept).all():
+            break
+        kept = again
+    fit = used.solved(fit, sigma)
+    covariance, by_camera = used.covariance(fit, sigma * used.of_few(given))
+    if np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]) > _UNKNOWN_RAD:
+        raise InputError(
+            "the given poses do not show how camera and hand are turned to each other: move in two directions at "
+            "least, and turn about two where the hand can turn; what moves along one line is a [stage]"
+        )
+    return HandEye(fit, kept, fit.errors(kind, seen), sigma, found, covariance, by_camera, used.unknown)
+
+
+class _Weights:
+    """The least-squares problem of some photographs at a given σ."""
+
+    def __init__(self, kind: type[Motion], seen: Seen) -> None:
+        self._kind, self._seen = kind, seen
+        self.unknown = not_turned(kind.carry(seen.given))
+        # A basis of the unknowns without what is not found of the offset.
+        size, n = 6 + 6 * (int(seen.session.max(initial=-1)) + 1), len(self.unknown)
+        known = np.linalg.svd(np.concatenate([self.unknown, np.zeros((1, 3))]))[2][n:]
+        basis = np.eye(size)
+        offset = np.pad(known.T, ((3, size - 6), (0, 0)))
+        self._free = np.concatenate([basis[:, :3], offset, basis[:, 6:]], axis=1)
+
+    def solved(self, fit: Fit, sigma: Float[np.ndarray, "2"]) -> Fit:
+        """The minimum, by Gauss-Newton steps."""
+        fit = replace(fit, offset=fit.offset - self.unknown.T @ (self.unknown @ fit.offset))
+        for _ in range(_STEPS):
+            N, g = _normal(*self._linear(fit, sigma))
+            free = self._free
+            step = -free @ np.linalg.lstsq(free.T @ N @ free, free.T @ g)[0]
+            fit = fit.moved(step)
+            if np.sqrt(step @ N @ step) < _SMALL:
+                break
+        return fit
+
+    def likeliest(self, fit: Fit, start: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+        """The two σ of the largest restricted likelihood at a minimum."""
+        J, _, e = self._linear(fit, start)
+        J, measured = J @ self._free, self._measured(fit)
+
+        def unlikeliness(log_sigma: Float[np.ndarray, "2"]) -> float:
+            V = measured + _of_robot(np.maximum(np.exp(log_sigma), _LEAST))
+            N, g = _normal(J, V, e)
+            squares = np.einsum("pi,pi->", e, np.linalg.solve(V, e[..., None])[..., 0]) - g @ np.linalg.lstsq(N, g)[0]
+            return float(squares + np.linalg.slogdet(V)[1].sum() + np.linalg.slogdet(N)[1])
+
+        best = minimize(unlikeliness, np.log(np.maximum(start, _LEAST)), method="Nelder-Mead", options={"xatol": 1e-3})
+        return np.maximum(np.exp(best.x), _LEAST)
+
+    def of_few(self, known: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+        """How much wider errors are spread whose σ is itself an estimate from few numbers: √(ν / (ν − 2)), as t's.
+
+        Args:
+            known: the σ that are given, NaN for those that are not.
+        """
+        numbers = (6 * len(self._seen.session) - self._free.shape[1]) / 2
+        wider = np.sqrt(numbers / (numbers - 2)) if numbers > _FEWEST else np.sqrt(3.0)
+        return np.where(np.isfinite(known), 1.0, wider)
+
+    def distance(self, fit: Fit, sigma: Float[np.ndarray, "2"]) -> Float[np.ndarray, "photographs"]:
+        """The sum e V⁻¹ e of each photograph."""
+        e, V = fit.errors(self._kind, self._seen), self._measured(fit) + _of_robot(sigma)
+        return np.einsum("pi,pi->p", e, np.linalg.solve(V, e[..., None])[..., 0])
+
+    def covariance(
+        self, fit: Fit, sigma: Float[np.ndarray, "2"]
+    ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6 parameters"]]:
+        """That of K for known camera, and how K moves with the camera's parameters."""
+        J, V, _ = self._linear(fit, sigma)
+        N, g = _normal(J, V, self._by_board(fit) @ self._seen.by_camera)
+        # What nothing is known of has a σ as large as that.
+        N = N + np.diag(np.tile(_ANY**-2, len(N) // 6))
+        S = self._free @ np.linalg.inv(self._free.T @ N @ self._free) @ self._free.T
+        return S[:6, :6], -(S @ g)[:6]
+
+    def _linear(
+        self, fit: Fit, sigma: Float[np.ndarray, "2"]
+    ) -> tuple[Float[np.ndarray, "p 6 u"], Float[np.ndarray, "p 6 6"], Float[np.ndarray, "p 6"]]:
+        """Derivatives of the errors by the unknowns, the errors' covariance, and the errors."""
+        steps = np.tile(_STEP, len(self._free) // 6)
+        J = _differences(lambda by: fit.moved(by).errors(self._kind, self._seen), steps)
+        return J, self._measured(fit) + _of_robot(sigma), fit.errors(self._kind, self._seen)
+
+    def _measured(self, fit: Fit) -> Float[np.ndarray, "p 6 6"]:
+        D = self._by_board(fit)
+        return D @ self._seen.covariance @ D.swapaxes(-1, -2)
+
+    def _by_board(self, fit: Fit) -> Float[np.ndarray, "p 6 6"]:
+        return _differences(lambda by: fit.errors(self._kind, self._seen, by), _STEP)
+
+
+def not_turned(behind: Pose[np.ndarray]) -> Float[np.ndarray, "directions 3"]:
+    """Directions along which the offset is not found.
+
+    A board mounted elsewhere by b, and an offset by −R̄ b, leave its places as they are as far as all (R_i − R̄) b are
+    small.
+
+    Args:
+        behind: what stands behind K in each photograph.
+    """
+    R = behind.matrix()
+    apart = R - R.mean(axis=0)
+    turn, B = np.linalg.eigh((apart.swapaxes(-1, -2) @ apart).mean(axis=0))
+    ways = (R.mean(axis=0) @ B[:, np.sqrt(np.maximum(turn, 0.0)) < _A_TURN]).T
+    if len(ways) == 3:
+        return np.eye(3)
+    return np.linalg.svd(ways, full_matrices=False)[2] if len(ways) else ways
+
+
+def _normal(
+    J: Float[np.ndarray, "p 6 u"], V: Float[np.ndarray, "p 6 6"], e: Float[np.ndarray, "p 6 *columns"]
+) -> tuple[Float[np.ndarray, "u u"], Float[np.ndarray, "u *columns"]]:
+    W = np.linalg.solve(V, J)
+    return np.einsum("piu,piv->uv", W, J), np.einsum("piu,pi...->u...", W, e)
+
+
+def _of_robot(sigma: Float[np.ndarray, "2"]) -> Float[np.ndarray, "6 6"]:
+    return np.diag(np.repeat(sigma, 3) ** 2)
+
+
+def _by_median(errors: Float[np.ndarray, "photographs 6"]) -> Float[np.ndarray, "2"]:
+    """σ of positions and rotations that half of the poses may spoil."""
+    # The median length of three normal numbers is 1.54 σ.
+    lengths = [np.linalg.norm(errors[:, part], axis=1) for part in (slice(0, 3), slice(3, 6))]
+    return np.maximum([float(np.median(each)) / 1.538 for each in lengths], _LEAST)
+
+
+def _differences(
+    function: Callable[[Float[np.ndarray, "steps unknowns"]], Float[np.ndarray, "steps p 6"]],
+    steps: Float[np.ndarray, "unknowns"],
+) -> Float[np.ndarray, "p 6 unknowns"]:
+    """Central differences."""
+    by = np.diag(steps)
+    return np.moveaxis((function(by) - function(-by)) / (2 * steps[:, None, None]), 0, -1)
+
+
+def _some(pose: Pose[np.ndarray], which: Bool[np.ndarray, "photographs"]) -> Pose[np.ndarray]:
+    return Pose(pose.rotation[which], pose.translation[which])

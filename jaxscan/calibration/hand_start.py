@@ -1,0 +1,184 @@
+"""Camera and hand in closed form, and the usual mistakes in a table of poses.
+
+From one photograph to another the board turns by α in the camera's frame and by β behind K, and α = R β (R. Y. Tsai
+and R. K. Lenz 1989): R takes the β onto the α, by weights that leave wrong poses little say. Where nothing turns, the
+shifts take the place of the turns; where all turns are about one direction, angles about it are tried. With R known the
+places are linear in the offset and in where the board is mounted.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from jaxscan.calibration.hand_eye import Fit, Motion, Seen
+from jaxscan.calibration.initial import usual_rotation
+from jaxscan.errors import InputError
+from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
+
+# Less is no turn, rad.
+_A_TURN: Final = 0.03
+_ANGLES: Final = 36
+_ROUNDS: Final = 30
+_MOST_PAIRS: Final = 2000
+# Given poses go with the photographs where half of them are nearer than these shares.
+_OF_THE_WAY: Final = 0.1
+_MOST_RAD: Final = 0.05
+# Another way to read a table is taken for the right one where it is nearer by so much.
+_CLEARLY: Final = 0.2
+_MM_IN_A_METRE: Final = 1000.0
+
+
+def hand_start(kind: type[Motion], seen: Seen, half_turn_mm: Float[np.ndarray, "2"] | None) -> tuple[Fit, Seen]:
+    """Where K and the boards are, roughly; and the photographs, each board that is turned by half a turn turned back.
+
+    Args:
+        kind: what moves.
+        seen: the photographs.
+        half_turn_mm: the middle of a board that looks the same after half a turn; None for one that does not.
+
+    Raises:
+        InputError: the poses do not go with the photographs; a usual mistake is named where there is one.
+    """
+    if half_turn_mm is not None:
+        seen = _turned_back(seen, half_turn_mm)
+    fit = _start(kind, seen)
+    if (off := _off(kind, seen, fit)) <= 1.0:
+        return fit, seen
+    for words, other, as_seen in _mistaken(kind, seen):
+        if _off(other, as_seen, _start(other, as_seen)) < _CLEARLY * min(off, 1 / _CLEARLY):
+            raise InputError(f"the given poses do not go with the photographs, but they do {words}")
+    e = fit.errors(kind, seen)
+    mm, degrees = (float(np.median(np.linalg.norm(e[:, part], axis=1))) for part in (slice(0, 3), slice(3, 6)))
+    raise InputError(
+        f"the given poses do not go with the photographs: half of them are {mm:.3g} mm or {np.degrees(degrees):.2g}° "
+        "off or more: check that each name in the table is that of the photograph taken at this pose, that the board "
+        "stayed where it was mounted, and that its squares have the size that [board] says"
+    )
+
+
+def _mistaken(kind: type[Motion], seen: Seen) -> Iterator[tuple[str, type[Motion], Seen]]:
+    """The usual mistakes, in words that follow "but they do"."""
+    given = seen.given
+    yield (
+        "the other way round: change moves to the other of head and object, or, if that is right, write the pose of "
+        "the hand in the frame of the base (T_base_hand), and not its inverse",
+        kind,
+        replace(seen, given=given.inverse()),
+    )
+    # What was read as w, x, y, z stands in the table as x, y, z, w.
+    read = np.roll(Rotation.from_rotvec(given.rotation).as_quat(), 1, axis=-1)
+    read = Rotation.from_quat(read).as_rotvec()
+    yield (
+        "with the quaternion as qx, qy, qz, qw: write qw first",
+        kind,
+        replace(seen, given=Pose(read, given.translation)),
+    )
+    yield (
+        "in metres: write positions in millimetres",
+        kind,
+        replace(seen, given=Pose(given.rotation, _MM_IN_A_METRE * given.translation)),
+    )
+
+
+def _off(kind: type[Motion], seen: Seen, fit: Fit) -> float:
+    """How far half of the poses are off, in parts of what is taken for a mistake."""
+    e = fit.errors(kind, seen)
+    way = float(np.linalg.norm(np.ptp(seen.boards.translation, axis=0))) + 1e-9
+    turn = float(np.median(np.linalg.norm(e[:, 3:], axis=1)))
+    return max(float(np.median(np.linalg.norm(e[:, :3], axis=1))) / (_OF_THE_WAY * way), turn / _MOST_RAD)
+
+
+def _start(kind: type[Motion], seen: Seen) -> Fit:
+    """The best of the rotations that the turns allow."""
+    behind = kind.carry(seen.given)
+    pairs = _pairs(seen)
+    a, b = (_turns(pose.matrix(), pairs) for pose in (seen.boards, behind))
+    spread = np.sqrt(np.linalg.eigvalsh(b.T @ b / max(len(b), 1)))
+    if spread[1] > _A_TURN:
+        rotations = [_aligned(a, b)]
+    elif spread[2] > _A_TURN:
+        first, axis = _aligned(a, b), np.linalg.svd(b)[2][0]
+        turns = Rotation.from_rotvec(np.outer(2 * np.pi * np.arange(_ANGLES) / _ANGLES, axis)).as_matrix()
+        rotations = [first @ turn for turn in turns]
+    else:
+        i, j = pairs
+        rotations = [_aligned(*(pose.translation[i] - pose.translation[j] for pose in (seen.boards, behind)))]
+    fits = [_placed(R, seen, behind) for R in rotations]
+    return min(fits, key=lambda fit: _off(kind, seen, fit))
+
+
+def _pairs(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+    """Photographs of one mounting, two by two; of many those that are evenly apart."""
+    i, j = np.triu_indices(len(seen.session), 1)
+    same = seen.session[i] == seen.session[j]
+    i, j = i[same], j[same]
+    some = slice(None, None, -(-len(i) // _MOST_PAIRS) or 1)
+    return i[some], j[some]
+
+
+def _turns(R: Float[np.ndarray, "photographs 3 3"], pairs: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    i, j = pairs
+    return matrix_to_vector(R[i] @ R[j].swapaxes(-1, -2))
+
+
+def _aligned(a: Float[np.ndarray, "pairs 3"], b: Float[np.ndarray, "pairs 3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation that takes b to a, of least absolute distances."""
+    R, weights = np.eye(3), np.ones(len(a))
+    for _ in range(_ROUNDS):
+        u, _, vt = np.linalg.svd((weights[:, None] * a).T @ b)
+        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        distance = np.linalg.norm(a - b @ R.T, axis=1)
+        weights = 1 / np.maximum(distance, np.median(distance) + 1e-12)
+    return R
+
+
+def _placed(R: Float[np.ndarray, "3 3"], seen: Seen, behind: Pose[np.ndarray]) -> Fit:
+    """The offset and the boards for one rotation of K: t_i = R (R_gi t_B + t_gi + offset), linear in both."""
+    count = int(seen.session.max()) + 1
+    Rg = behind.matrix()
+    A = np.zeros((len(Rg), 3, 3 + 3 * count))
+    A[:, :, :3] = np.eye(3)
+    for i, session in enumerate(seen.session):
+        A[i, :, 3 + 3 * session : 6 + 3 * session] = Rg[i]
+    y = seen.boards.translation @ R - behind.translation
+    weights, found = np.ones(len(A)), np.zeros(A.shape[2])
+    for _ in range(_ROUNDS):
+        found = np.linalg.lstsq((A * weights[:, None, None]).reshape(-1, A.shape[2]), (y * weights[:, None]).ravel())[0]
+        distance = np.linalg.norm(y - A @ found, axis=1)
+        weights = np.maximum(distance, np.median(distance) + 1e-9) ** -0.5
+        weights /= weights.max()
+    mounted = matrix_to_vector(Rg.swapaxes(-1, -2) @ R.T @ seen.boards.matrix())
+    turned = np.stack([usual_rotation(mounted[seen.session == k]) for k in range(count)])
+    return Fit(R, found[:3], vector_to_matrix(turned), found[3:].reshape(-1, 3))
+
+
+def _turned_back(seen: Seen, middle_mm: Float[np.ndarray, "2"]) -> Seen:
+    """The same with each board's half turn so that it turned from the first photograph as far as the hand did."""
+    half = Pose(np.array([0.0, 0.0, np.pi]), np.array([*(2 * middle_mm), 0.0]))
+    other = seen.boards @ half
+    first = np.array([np.flatnonzero(seen.session == k)[0] for k in seen.session])
+    R, G = seen.boards.matrix(), seen.given.matrix()
+    hand = np.linalg.norm(matrix_to_vector(G @ G[first].swapaxes(-1, -2)), axis=1)
+    as_is, turned = (
+        np.abs(np.linalg.norm(matrix_to_vector(each @ R[first].swapaxes(-1, -2)), axis=1) - hand)
+        for each in (R, other.matrix())
+    )
+    flip = turned < as_is
+    boards = Pose(
+        np.where(flip[:, None], other.rotation, seen.boards.rotation),
+        np.where(flip[:, None], other.translation, seen.boards.translation),
+    )
+    # The place of the other corner moves with the turn of the board too.
+    by = boards.translation - seen.boards.translation
+    J = np.tile(np.eye(6), (len(flip), 1, 1))
+    J[:, 3:, :3] = np.cross(np.eye(3)[None], by[:, None]).swapaxes(-1, -2)
+    return replace(
+        seen,
+        boards=boards,
+        covariance=J @ seen.covariance @ J.swapaxes(-1, -2),
+        by_camera=J @ seen.by_camera,
+    )

@@ -1,0 +1,82 @@
+"""Motions by given poses: what they carry where, and as positions and files have them."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from jaxscan.files.rig_file import RigFile, read_rig, write_rig
+from jaxscan.geometry import Pose
+from jaxscan.precision import as_numpy, float64
+from jaxscan.rig import CARRIED_BY, HeadPoses, ObjectPoses, Rig, given_poses, positions_of
+from jaxscan.simulation import rig_2003
+
+K = Pose(np.array([0.3, -0.2, 1.4]), np.array([10.0, 70.0, -90.0]))
+
+
+def poses(count: int = 4, seed: int = 0) -> Pose[np.ndarray]:
+    random = np.random.default_rng(seed)
+    return Pose(random.normal(0, 1, (count, 3)), random.normal(0, 400, (count, 3)))
+
+
+def motion(kind: type[HeadPoses] | type[ObjectPoses]) -> HeadPoses | ObjectPoses:
+    with float64():
+        return as_numpy(kind.create(K.rotation, K.matrix().T @ K.translation))
+
+
+def test_positions_are_whole_numbers_and_lose_nothing():
+    given = poses(50)
+    q = positions_of(given)
+    assert {n.dtype for n in q.values()} == {np.dtype(np.int64)}
+    back = given_poses({axis: n.astype(float) for axis, n in q.items()})
+    np.testing.assert_allclose(back.translation, given.translation, atol=5e-7)
+    np.testing.assert_allclose(back.rotation, given.rotation, atol=5e-10)
+
+
+def test_equal_poses_after_each_other_are_one_position():
+    given = poses(3)
+    some = [0, 0, 1, 2, 2, 0]
+    q = positions_of(Pose(given.rotation[some], given.translation[some]))
+    assert q["poses"].tolist() == [0, 0, 1, 2, 2, 3]
+
+
+def test_a_head_sees_the_base_and_an_object_is_on_the_hand():
+    given = poses()
+    q = {axis: n.astype(float) for axis, n in positions_of(given).items()}
+    x = np.array([[3.0, -5.0, 8.0]])
+    head = motion(HeadPoses).pose(q).apply(x)
+    np.testing.assert_allclose(head[:, 0], K.apply(given.inverse().apply(x)[:, 0]), atol=1e-5)
+    carried = motion(ObjectPoses).pose(q).apply(x)
+    np.testing.assert_allclose(carried[:, 0], K.apply(given.apply(x)[:, 0]), atol=1e-5)
+
+
+@pytest.mark.parametrize("moves", CARRIED_BY)
+def test_it_goes_through_a_file(tmp_path: Path, moves: str):
+    plain = rig_2003.simulated_rig(0)
+    rig = Rig(plain.camera, plain.lights, motion(CARRIED_BY[moves]))
+    fit = {"pose_sigma_mm": 0.1, "pose_sigma_deg": 0.02, "pose_offset_unknown": [[0.0, 0.0, 1.0]]}
+    write_rig(tmp_path / "rig.json", RigFile(rig, None, fit))
+    read = read_rig(tmp_path / "rig.json")
+    assert read.rig.motion == rig.motion
+    assert read.fit == fit
+
+
+def test_a_motion_of_no_turn_is_one(tmp_path: Path):
+    plain = rig_2003.simulated_rig(0)
+    with float64():
+        rig = Rig(plain.camera, plain.lights, as_numpy(HeadPoses.at_rest("poses")))
+    write_rig(tmp_path / "rig.json", RigFile(rig))
+    assert read_rig(tmp_path / "rig.json").rig.motion == rig.motion
+
+
+def test_points_do_not_move_where_the_head_does():
+    plain = rig_2003.simulated_rig(0)
+    rig = Rig(plain.camera, plain.lights, motion(HeadPoses))
+    given = poses(1)
+    q = {axis: int(n[0]) for axis, n in positions_of(given).items()}
+    with jax.enable_x64(True):
+        point = np.asarray(rig.triangulate((320.0, 200.0), q))
+        still = np.asarray(Rig(plain.camera, plain.lights).triangulate((320.0, 200.0), {}))
+    expected = given.apply(K.inverse().apply(still[None])[None])[0, 0]
+    np.testing.assert_allclose(point, expected, atol=1e-5)
