@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,8 +57,7 @@ def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScan
         raise InputError(f'{path}: "scanner" is no object: reconstruct again')
     table = Table(Path(path), "scanner.", values)
     axes = table.sequence("axes", "names of axes")
-    plain = [axis for axis in axes if not (isinstance(axis, str) and is_detail(axis))]
-    if not all(isinstance(axis, str) and (is_axis_name(axis) or axis.partition(".")[0] in plain) for axis in axes):
+    if not all(isinstance(axis, str) and (is_axis_name(axis) or _of_axis(axis, axes)) for axis in axes):
         raise table.error("axes", "must be names of letters, digits, _ and - alone: reconstruct again")
     if len(set(axes)) < len(axes):
         raise table.error("axes", "name an axis twice: reconstruct again")
@@ -78,3 +77,9 @@ def read_scanner(path: str | os.PathLike[str], arrays: RangeArrays) -> RangeScan
                 f"the {axis} moves, but the motion is that of {', '.join(known)}: reconstruct with the scan's rig",
             )
     return RangeScanner(positions, as_numpy(motion), as_numpy(lights))
+
+
+def _of_axis(name: str, axes: Sequence[str]) -> bool:
+    """Whether a name is that of a detail of one of the axes."""
+    axis, _, detail = name.partition(".")
+    return axis in axes and is_axis_name(axis) and is_axis_name(detail)

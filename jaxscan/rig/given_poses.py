@@ -130,7 +130,7 @@ class _GivenPoses(Readable):
         """K and what the given poses say."""
         return self.to_camera() @ self.carry(given_poses(q))
 
-    def idle(self) -> Float[A, "0 numbers"]:
+    def idle(self) -> Any:
         """None."""
         return namespace(*self.rotation).zeros((0, sum(self.numbers.values())))
 
