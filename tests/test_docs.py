@@ -168,11 +168,14 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
     shutil.copytree(world / "session" / "stage", tmp_path / "turntable")
     (tmp_path / "frames").symlink_to(world / "scan" / "frames")
     (tmp_path / "dark.png").symlink_to(world / "scan" / "frames" / "000.png")
+    names = [path.name for folder in ("stage", "frames") for path in sorted((tmp_path / folder).iterdir())]
+    (tmp_path / "poses.csv").write_text("".join(f"{name},0,{i},0,1,0,0,0\n" for i, name in enumerate(names)))
     whole_session, _ = blocks(ROOT / "README.md", "toml")
     for text in blocks(page, "toml"):
         path = tmp_path / "file.toml"
         # What may be added to a session is shown by itself.
         text = whole_session + text if text.startswith("[turntable]") else text
+        text = whole_session.partition("[views]")[0] + text if text.startswith("[poses]") else text
         path.write_text(text)
         if "[profiles]" in text:
             write_profiles(tmp_path)
@@ -180,7 +183,7 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
         elif "[scan]" in text:
             assert jaxscan.read_scan(path).listed == 5
         elif "[board]" in text:
-            assert len(jaxscan.read_session(path).views.boards) == 6
+            assert len(jaxscan.read_session(path).views.boards) == (5 if "[poses]" in text else 6)
         elif "[[feature]]" in text:
             green = trimesh.creation.box(face_colors=[0x20, 0xA0, 0x30, 255])
             green.export(tmp_path / "block.ply")

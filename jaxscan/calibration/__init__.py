@@ -4,7 +4,14 @@ from jaxscan.calibration.adjustment import Adjustment, refit
 from jaxscan.calibration.calibrate import calibrate
 from jaxscan.calibration.choose import calibrate_by_evidence
 from jaxscan.calibration.model import Choice, Model
-from jaxscan.calibration.observations import BoardSequence, InlierMask, Observations, StripePoints, View
+from jaxscan.calibration.observations import (
+    BoardSequence,
+    HandSettings,
+    InlierMask,
+    Observations,
+    StripePoints,
+    View,
+)
 from jaxscan.calibration.result import Calibration, PhotographFit
 from jaxscan.calibration.split import Split, calibrate_split
 
@@ -13,6 +20,7 @@ __all__ = [
     "BoardSequence",
     "Calibration",
     "Choice",
+    "HandSettings",
     "InlierMask",
     "Model",
     "Observations",

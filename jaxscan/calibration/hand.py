@@ -1,4 +1,4 @@
-"""How camera and hand stand to each other, as a calibration says it; and what a solve holds before it is known."""
+"""The pose of a hand in the camera's frame, as a calibration has it; and what a solve holds before it is known."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ _CLEARLY_MORE = 1.5
 
 @dataclass(frozen=True)
 class Hand:
-    """How camera and hand stand to each other, and how well the given poses go with the photographs.
+    """The pose of the hand, or of the base, in the camera's frame, and how well the given poses go with the photographs.
 
     Attributes:
         moves: "head" or "object".

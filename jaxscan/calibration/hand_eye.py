@@ -1,4 +1,4 @@
-"""How camera and hand stand to each other: from a board that was seen at given poses of a robot, gantry or tracker.
+"""The pose of a hand in the camera's frame, from a board that was seen at given poses of a robot, gantry or tracker.
 
 The board's pose in photograph i is T_i = K g_i B, with g_i the given pose or its inverse (`rig.given_poses`), K the
 turn and offset that are sought, and B where the board is mounted, one for each session. Turned round, T_i says where

@@ -109,7 +109,7 @@ class Calibration:
             `drift` add.
         held_out: of each photograph, in the order of `Observations.in_order`, −2 log of the density at which the others
             predict it; empty where it was not asked.
-        hand: how camera and hand stand to each other, where photographs have given poses.
+        hand: how well given poses go with the photographs, where photographs have given poses.
     """
 
     rig: Rig

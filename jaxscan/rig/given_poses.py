@@ -148,7 +148,10 @@ class _GivenPoses(Readable):
 
 
 class HeadPoses(_GivenPoses):
-    """The camera is on the hand; the object frame is the base's."""
+    """A head that moves by given poses: the camera is on the hand; the object frame is the base's.
+
+    `HeadPoses.create(rotation, offset)` makes one; `to_camera()` is its K, T_camera_hand.
+    """
 
     kind: ClassVar[str] = "head_poses"
 
@@ -164,7 +167,10 @@ class HeadPoses(_GivenPoses):
 
 
 class ObjectPoses(_GivenPoses):
-    """The object is on the hand; the object frame is the hand's."""
+    """An object that moves by given poses: it is on the hand; the object frame is the hand's.
+
+    `ObjectPoses.create(rotation, offset)` makes one; `to_camera()` is its K, T_camera_base.
+    """
 
     kind: ClassVar[str] = "object_poses"
 
