@@ -17,7 +17,7 @@ _CLEARLY_MORE = 1.5
 
 @dataclass(frozen=True)
 class Hand:
-    """The pose of the hand, or of the base, in the camera's frame, and how well the given poses go with the photographs.
+    """How well given poses go with the photographs, by which the pose of hand or base in the camera's frame is found.
 
     Attributes:
         moves: "head" or "object".
