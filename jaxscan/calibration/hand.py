@@ -32,6 +32,7 @@ class Hand:
         unknown: directions along which the offset is not found, and is 0, because no pose turned about another: in the
             axes of the hand (a head) or the base (an object).
         board_mm: how far the board's middle was from the hand, in the median.
+        given: the two σ as they were given, mm and degrees; None for one that was not.
     """
 
     moves: str
@@ -45,6 +46,7 @@ class Hand:
     found_deg: float
     unknown: Float[np.ndarray, "directions 3"]
     board_mm: float
+    given: tuple[float | None, float | None] = (None, None)
 
     @property
     def profile_mm(self) -> float:
@@ -72,24 +74,30 @@ class Hand:
         """The poses that were left out, in words."""
         mm, degrees = (np.linalg.norm(off, axis=1) for off in (self.off_mm, self.off_deg))
         return [
-            f"{self.names[i]}: its given pose is {mm[i]:.3g} mm and {degrees[i]:.2g}° off, and is not used; check its "
-            "line in the table"
+            f"{self.names[i]}: its given pose is {mm[i]:.3g} mm and {degrees[i]:.2g}° off, and is not used"
             for i in np.flatnonzero(~self.kept)
         ]
 
-    def warnings(self, given_mm: float | None, given_deg: float | None) -> list[str]:
-        """What is wrong with the poses, sentences without their full stops."""
-        said = []
-        for given, found, unit, key in (
-            (given_mm, self.found_mm, " mm", "sigma_mm"),
-            (given_deg, self.found_deg, "°", "sigma_deg"),
-        ):
-            if given is not None and found > _CLEARLY_MORE * given:
-                said.append(
-                    f"the given poses scatter by {found:.2g}{unit}, and {key} = {given:g} says less: the larger number "
-                    "is used. Photograph where the robot stands still, and see that board and camera are mounted firmly"
-                )
-        return said
+    @property
+    def statements(self) -> tuple[tuple[str, str], ...]:
+        """What is wrong with the poses, and what to do; the first parts without their full stops."""
+        said = [
+            (
+                f"The given poses scatter by {found:.2g}{unit}, and {key} = {given:g} says less: the larger number is "
+                "used",
+                "Photograph where the robot stands still, and see that board and camera are mounted firmly.",
+            )
+            for given, found, unit, key in (
+                (self.given[0], self.found_mm, " mm", "sigma_mm"),
+                (self.given[1], self.found_deg, "°", "sigma_deg"),
+            )
+            if given is not None and found > _CLEARLY_MORE * given
+        ]
+        if left_out := self.rejected():
+            more = f", and {len(left_out) - 1} more are not used" if len(left_out) > 1 else ""
+            fix = "Check its line in the table of poses, and that the photograph was taken where the robot stood still."
+            said.append((f"{left_out[0]}{more}", fix))
+        return tuple(said)
 
     def unknown_note(self) -> list[str]:
         """What the poses leave open, in words."""
@@ -103,7 +111,7 @@ class Hand:
         axes = ", ".join("(" + ", ".join(f"{x:.2f}" for x in way) + ")" for way in self.unknown)
         return [
             f"no pose turned about another direction than {axes} of the {'hand' if self.moves == 'head' else 'base'}, "
-            "so where the hand is along it is not found: scans must turn about it alone too, or photograph the board "
+            "so where the hand is along it is not found: scans must turn about it alone too; or photograph the board "
             "with the hand turned in two directions"
         ]
 

@@ -37,6 +37,8 @@ _ANY: Final = np.array([10.0] * 3 + [1e5] * 3)
 # Left out beyond this e V⁻¹ e: one good pose in 10 000 (χ² of six).
 _LIMIT: Final = 27.9
 _FEWEST: Final = 3
+# Of fewer none can be told from the others.
+_FEWEST_TO_JUDGE: Final = 5
 _ROUNDS: Final = 12
 _STEPS: Final = 20
 _SETTLED: Final = 0.01
@@ -167,7 +169,8 @@ def hand_eye(kind: type[Motion], seen: Seen, start: Fit, known: tuple[float | No
     fit, sigma = start, _by_median(start.errors(kind, seen))
     given = np.array([np.nan if each is None else each for each in known])
     weigh = _Weights(kind, seen)
-    used, kept = weigh, weigh.distance(fit, sigma) <= _LIMIT
+    limit = _LIMIT if len(seen.session) >= _FEWEST_TO_JUDGE else np.inf
+    used, kept = weigh, weigh.distance(fit, sigma) <= limit
     found = sigma
     for _ in range(_ROUNDS):
         if kept.sum() < _FEWEST:
@@ -181,7 +184,7 @@ def hand_eye(kind: type[Motion], seen: Seen, start: Fit, known: tuple[float | No
         # A robot that is worse than it was said to be is not trusted more than it can be.
         before, sigma = sigma, np.where(np.isfinite(given), np.fmax(given, found), found)
         wide = np.maximum(sigma, _by_median(fit.errors(kind, seen)[kept])) * used.of_few(given)
-        again = weigh.distance(fit, wide) <= _LIMIT
+        again = weigh.distance(fit, wide) <= limit
         if np.allclose(before, sigma, rtol=_SETTLED) and (again == kept).all():
             break
         kept = again

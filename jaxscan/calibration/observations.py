@@ -183,11 +183,13 @@ class HandSettings:
         moves: "head", the camera is on the hand and the board stands, or "object", the board is on the hand.
         sigma_mm: σ of a given position along each axis; None where it is to be found.
         sigma_deg: σ of a given rotation about each axis; None where it is to be found.
+        table: of the poses, a file's name, for errors; "" for none.
     """
 
     moves: str = "head"
     sigma_mm: float | None = None
     sigma_deg: float | None = None
+    table: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         """Refuse what does not move."""

@@ -143,7 +143,7 @@ def observe(
 
 def _hand(session: Session) -> HandSettings | None:
     posed = session.poses
-    return None if posed is None else HandSettings(posed.moves, posed.sigma_mm, posed.sigma_deg)
+    return None if posed is None else HandSettings(posed.moves, posed.sigma_mm, posed.sigma_deg, str(posed.file))
 
 
 def unseen(session: Session) -> Observations:

@@ -1,6 +1,7 @@
 """A calibration whose camera, or object, is moved by given poses: what they say, joined to its rig."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 
 import equinox as eqx
@@ -11,6 +12,7 @@ from jaxscan.calibration.hand import FEWEST_POSES, Hand
 from jaxscan.calibration.hand_eye import Fit, HandEye, Seen, hand_eye
 from jaxscan.calibration.hand_start import hand_start
 from jaxscan.calibration.result import Calibration
+from jaxscan.errors import error_context
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.precision import as_float64, as_numpy
 from jaxscan.rig import CARRIED_BY, POSES, Covariance, HeadPoses, ObjectPoses, Rig
@@ -36,9 +38,10 @@ def with_hand(result: Calibration) -> Calibration:
     kind, board = CARRIED_BY[hand.moves], result.observations.board
     half_turn = board.points()[:, :2].mean(axis=0) if board.half_turn_ambiguous else None
     names = result.covariance.names
-    start, seen = hand_start(kind, _seen(result, posed), half_turn)
     known = hand.sigma_mm, None if hand.sigma_deg is None else float(np.radians(hand.sigma_deg))
-    found = hand_eye(kind, seen, start, known)
+    with error_context(hand.table) if hand.table else nullcontext():
+        start, seen = hand_start(kind, _seen(result, posed), half_turn)
+        found = hand_eye(kind, seen, start, known)
     fit = found.fit
     motion = as_numpy(as_float64(kind.create(matrix_to_vector(fit.rotation), fit.offset)))
     placed = Hand(
@@ -53,6 +56,7 @@ def with_hand(result: Calibration) -> Calibration:
         float(np.degrees(found.found[1])),
         found.unknown,
         _board_mm(kind, fit, seen, board.points().mean(axis=0)),
+        (hand.sigma_mm, hand.sigma_deg),
     )
     rig = Rig(result.rig.camera, result.rig.lights, motion)
     return replace(
@@ -61,7 +65,7 @@ def with_hand(result: Calibration) -> Calibration:
         formal_covariance=result.formal_covariance and _joined(result.formal_covariance, found, fit.rotation, names),
         rejected=(*result.rejected, *placed.rejected()),
         notes=(*result.notes, placed.note(), *placed.unknown_note()),
-        warnings=(*result.warnings, *placed.warnings(hand.sigma_mm, hand.sigma_deg)),
+        warnings=(*result.warnings, *(f"{what}. {fix}".removesuffix(".") for what, fix in placed.statements)),
         hand=placed,
     )
 

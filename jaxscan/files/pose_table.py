@@ -1,11 +1,11 @@
 """A table of given poses, such as a robot's program or a tracker writes: a line for each photograph.
 
 A line is `name, x, y, z, qw, qx, qy, qz`, position in mm and a quaternion of length 1, or the name and the 4 × 4 matrix
-row by row (its last row may be left out). Commas, semicolons, tabs or spaces stand between. A line without a number is
-a heading, and what follows # is a remark. Photographs that the table has and nobody asks for do not matter.
+row by row (its last row may be left out). Semicolons, commas, tabs or spaces stand between, the first of them that a
+line has; between semicolons a comma is that of a decimal. A line without a number is a heading, and what follows # is a
+remark. Photographs that the table has and nobody asks for do not matter.
 """
 
-import re
 from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import Final
@@ -71,7 +71,7 @@ def write_pose_table(path: Path, names: Sequence[str], poses: Pose[np.ndarray]) 
 def _lines(path: Path, text: str) -> dict[str, Pose[np.ndarray]]:
     poses: dict[str, Pose[np.ndarray]] = {}
     for number, line in enumerate(text.splitlines(), 1):
-        words = [word for word in re.split(r"[,;\s]+", line.split("#")[0].strip()) if word]
+        words = _words(line.partition("#")[0].strip())
         where = f"{path}: line {number}"
         numbers = [_number(word) for word in words]
         if not any(value is not None for value in numbers[1:]):
@@ -93,6 +93,15 @@ def _pose(where: str, values: Float[np.ndarray, "numbers"]) -> Pose[np.ndarray]:
     if len(values) == _COUNTS[0]:
         return Pose(turned(where, np.roll(values[3:], -1)), values[:3])
     return rigid_pose(where, values.reshape(-1, 4))
+
+
+def _words(line: str) -> list[str]:
+    between = next((each for each in (";", ",", "\t") if each in line), None)
+    if between == ";":
+        name, *numbers = line.split(";")
+        line = ";".join([name, *(number.replace(",", ".") for number in numbers)])
+    # A line may end in what stands between.
+    return [word.strip() for word in line.strip(between).split(between)] if line else []
 
 
 def _number(word: str) -> float | None:

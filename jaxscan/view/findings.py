@@ -36,6 +36,7 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     suspected = [suspect for suspect in diagnostics.suspects if suspect.name not in mixed]
     boxes = [*_scales(diagnostics), *mixed_up(diagnostics), *map(_suspect, suspected), *_sessions(diagnostics)]
     boxes += _notes(calibration)
+    boxes += [Box("care", f"{what}.", fix) for what, fix in (calibration.hand.statements if calibration.hand else ())]
     boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics)]
     # What the model misses widens σ, so that is fixed first.
     boxes += [*_imprecise(calibration, diagnostics.sigma_factor, volumes), *_worse(diagnostics)]

@@ -65,6 +65,17 @@ def test_names_with_their_folder_or_without_their_ending(tmp_path: Path):
         np.testing.assert_allclose(read.translation, [[1, 2, 3]])
 
 
+def test_decimal_commas_and_names_with_spaces(tmp_path: Path):
+    photograph = Path("poses") / "my photograph 1.png"
+    read = read_pose_table(table(tmp_path / "p.csv", [f"{photograph.name};1,5;-2;3e2;0,6;0,8;0;0;"]), [photograph])
+    np.testing.assert_allclose(read.translation, [[1.5, -2.0, 300.0]])
+    np.testing.assert_allclose(read.rotation, [[2 * np.arctan2(0.8, 0.6), 0, 0]])
+    same = read_pose_table(
+        table(tmp_path / "p.csv", [f"{photograph.name}, 1.5, -2, 3e2, 0.6, 0.8, 0, 0"]), [photograph]
+    )
+    np.testing.assert_array_equal(same.rotation, read.rotation)
+
+
 LINE = "{},1,2,3,1,0,0,0"
 BAD = {
     "no such photograph": ([LINE.format("00.png"), LINE.format("9.png")], ["no pose of 01.png, 02.png", "00.png, 9"]),

@@ -1,5 +1,6 @@
 """A scanner that a robot moves, from photographs to points: what is found of it, how well, and what is refused."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -134,6 +135,7 @@ def test_a_pose_of_another_moment_is_left_out_and_said(world, tmp_path: Path, ca
     write_session(replace(session, path=path, poses=replace(session.poses, file=tmp_path / "poses.csv")))
     assert main(["calibrate", "--json", str(path), "-o", str(tmp_path / "rig.json")]) == 0
     out = capsys.readouterr().out
+    assert json.loads(out)["verdict"]["level"] == "care"
     assert re.findall(r"poses/03.png: its given pose is (1[45][.\d]*) mm", out), out
     assert read_rig(tmp_path / "rig.json").fit["pose_sigma_mm"] < 0.1
 
