@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.axis_details import is_detail
 from jaxscan.calibration.observations import BoardSequence, Observations, View
 from jaxscan.calibration.residuals import Blocks
 from jaxscan.precision import as_jax
-from jaxscan.rig import is_detail
 
 # This number of boards is solved in milliseconds, and compiled for in seconds.
 _LEAST = 12

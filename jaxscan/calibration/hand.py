@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.axis_details import POSES
 from jaxscan.calibration.observations import Observations
 from jaxscan.errors import InputError
-from jaxscan.rig import CARRIED_BY, POSES, AxisMotion
+from jaxscan.rig import CARRIED_BY, AxisMotion
 
 # Given poses that show how camera and hand stand.
 FEWEST_POSES = 3

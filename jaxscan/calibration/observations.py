@@ -10,10 +10,11 @@ from difflib import get_close_matches
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.images import Board
-from jaxscan.rig import CARRIED_BY, is_detail, run_of, runs
+from jaxscan.rig import CARRIED_BY, run_of, runs
 
 # An error names at most this number of the items that were left out.
 _NAMED = 12

@@ -11,6 +11,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.axis_details import is_detail
 from jaxscan.calibration.bundle import MAX_STEPS
 from jaxscan.calibration.coverage import measure_coverage
 from jaxscan.calibration.first_camera import beyond_the_ladder
@@ -21,7 +22,7 @@ from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.stage_order import stage_orders
 from jaxscan.errors import InputError, ObservabilityError, SolveError
 from jaxscan.files.rig_checks import image_rays
-from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, Rig, is_detail
+from jaxscan.rig import MOTIONS, BowedSheet, Camera, LightPlane, Rig
 from jaxscan.rig.board_shape import FEWEST_VIEWS_FOR, bent_by, half_diagonal_of
 from jaxscan.rig.fisheye import Fisheye
 from jaxscan.rig.opencv_lens import LADDER

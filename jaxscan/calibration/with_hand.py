@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.axis_details import POSES
 from jaxscan.calibration.hand import FEWEST_POSES, Hand
 from jaxscan.calibration.hand_eye import Fit, HandEye, Seen, hand_eye
 from jaxscan.calibration.hand_start import hand_start
@@ -15,7 +16,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.errors import error_context
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.precision import as_float64, as_numpy
-from jaxscan.rig import CARRIED_BY, POSES, Covariance, HeadPoses, ObjectPoses, Rig
+from jaxscan.rig import CARRIED_BY, Covariance, HeadPoses, ObjectPoses, Rig
 
 # Of a difference of rotation vectors, rad.
 _STEP = 1e-6

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.files.axes import StepRule
 from jaxscan.files.cameras import format_of, read_camera_file
@@ -30,7 +31,7 @@ from jaxscan.images import StripeSettings
 from jaxscan.images.light import Light
 from jaxscan.precision import float64
 from jaxscan.reconstruction import read_range_image
-from jaxscan.rig import Camera, given_poses, is_detail
+from jaxscan.rig import Camera, given_poses
 from jaxscan.rig.chart import AROUND
 from jaxscan.rig.speckle_limit import Optics, limit_of
 from jaxscan.rig.summary import axis_summary, light_summary

@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int, Int64, UInt8
 
+from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE, is_axis_name
 from jaxscan.files.range_npz import RangeArrays
 from jaxscan.files.rig_parts import lights_values, motion_values, part_tables, read_lights, read_motion
 from jaxscan.files.table import Table
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import Fixed, Light, Linear, Motion, is_detail
+from jaxscan.rig import Fixed, Light, Linear, Motion
 
 
 class RangeScanner(NamedTuple):

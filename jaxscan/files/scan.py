@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from jaxscan.axis_details import POSES, is_detail
 from jaxscan.files.axes import Positions, Rules, axes_values, read_axes
 from jaxscan.files.listing import files_of, name_some, natural_key, repeated_files_of
 from jaxscan.files.place_checks import PlaceCheck, check_values, read_checks
-from jaxscan.files.pose_table import read_pose_table
 from jaxscan.files.settings import (
     read_listing,
     read_stripe_settings,
@@ -20,7 +20,6 @@ from jaxscan.files.settings import (
 )
 from jaxscan.files.table import PassedOverWarning, Table
 from jaxscan.images import StripeSettings
-from jaxscan.rig import POSES, is_detail, positions_of
 
 SCAN_FILE: Final = "scan.toml"
 VIDEO_ENDINGS: Final = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
@@ -179,6 +178,10 @@ def _axes_of_poses(table: Table, poses: Path, frames: Sequence[Path]) -> dict[st
         raise table.error(POSES, f"{poses} is no file: name the table with the pose of each frame")
     if not frames:
         raise table.error(POSES, "a table has poses by the names of photographs: name these in frames, not a video")
+    # Whatever drives motors reads scans without JAX.
+    from jaxscan.files.pose_table import read_pose_table
+    from jaxscan.rig import positions_of
+
     return {axis: tuple(n.tolist()) for axis, n in positions_of(read_pose_table(poses, frames)).items()}
 
 

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, cast
 import tomli_w
 
 from jaxscan.atomic import replacing
+from jaxscan.axis_details import POSES
 from jaxscan.errors import InputError
 from jaxscan.files.listing import common_size, files_of, files_or_gaps
 from jaxscan.files.session_poses import PosedImages, posed_values, read_posed_images
@@ -23,7 +24,7 @@ from jaxscan.files.settings import (
 )
 from jaxscan.files.table import Table, show
 from jaxscan.images import Board, StripeSettings
-from jaxscan.rig import LENSES, LIGHTS, MOTIONS, POSES, LightPlane, Linear, Rotary
+from jaxscan.rig import LENSES, LIGHTS, MOTIONS, LightPlane, Linear, Rotary
 from jaxscan.rig.board_shape import BOARD_SHAPES
 from jaxscan.rig.camera import camera_parameters
 from jaxscan.rig.line import Line

@@ -7,12 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from jaxscan.axis_details import POSES
 from jaxscan.files.listing import files_of
 from jaxscan.files.pose_table import read_pose_table
 from jaxscan.files.settings import relative_name
 from jaxscan.files.table import Table
 from jaxscan.geometry import Pose
-from jaxscan.rig import CARRIED_BY, POSES
+from jaxscan.rig import CARRIED_BY
 
 _FEWEST: Final = 3
 _KEYS: Final = ("images", "file", "moves", "sigma_mm", "sigma_deg", "stripes")

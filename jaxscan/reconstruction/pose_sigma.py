@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32
 
+from jaxscan.axis_details import POSES
 from jaxscan.errors import InputError
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
-from jaxscan.rig import POSES, HeadPoses, ObjectPoses, Positions, given_poses
+from jaxscan.rig import HeadPoses, ObjectPoses, Positions, given_poses
 
 # Poses may turn by so much about a direction about which the calibration's did not, rad.
 _A_TURN: Final = 0.01

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 from jaxscan.files.cloud import Cloud, check_ending
@@ -18,7 +19,7 @@ from jaxscan.files.range_scanner import read_scanner, scanner_arrays
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.turns import full_turn, gaps_between, sweeps_of
-from jaxscan.rig import Fixed, Light, Motion, is_detail
+from jaxscan.rig import Fixed, Light, Motion
 
 _STILL: Final = Fixed()
 # Profiles of a turn that are further apart make no surface.

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.axis_details import POSES, is_detail
 from jaxscan.errors import InputError
 from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import common_size
@@ -15,7 +16,7 @@ from jaxscan.reconstruction.frames import wrong_size
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.range_image import WIDE_APART_DEG
 from jaxscan.reconstruction.turns import sweeps_of
-from jaxscan.rig import POSES, Rig, is_detail
+from jaxscan.rig import Rig
 from jaxscan.rig.given_poses import NM
 
 # More full turns than these are a mistake.

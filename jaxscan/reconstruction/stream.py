@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.axis_details import is_detail
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector, check_detector
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.place_checks import doubts
@@ -40,7 +41,7 @@ from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_pr
 from jaxscan.reconstruction.spacetime_geometry import spacetime_geometry
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
 from jaxscan.reconstruction.turns import with_ends, with_runs
-from jaxscan.rig import Positions, Rig, is_detail, played_axes, run_of
+from jaxscan.rig import Positions, Rig, played_axes, run_of
 from jaxscan.rig.play import Runs
 
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]

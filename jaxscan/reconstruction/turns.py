@@ -11,10 +11,11 @@ from typing import Final
 import numpy as np
 from jaxtyping import Int
 
+from jaxscan.axis_details import is_detail
 from jaxscan.files.axes import StepRule
 from jaxscan.files.scan import Scan
 from jaxscan.reconstruction.merged_steps import step_groups
-from jaxscan.rig import Motion, is_detail, played_axes, run_of, runs
+from jaxscan.rig import Motion, played_axes, run_of, runs
 from jaxscan.rig.play import FAR
 
 # The last frame of a turn is no further from the first than this multiple of the distance between frames.

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.axis_details import POSES
 from jaxscan.calibration import Calibration, Observations
 from jaxscan.reconstruction.point_sigma import jacobian_along, sigma_of
-from jaxscan.rig import POSES, Camera, Covariance, Light, Rig
+from jaxscan.rig import Camera, Covariance, Light, Rig
 from jaxscan.rig.chart import AROUND
 from jaxscan.rig.light import section, section_around
 from jaxscan.rig.projection import project_points, within_fold

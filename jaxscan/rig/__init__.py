@@ -4,14 +4,14 @@ from jaxscan.rig.board_shape import BoardShape
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.covariance import Covariance
-from jaxscan.rig.given_poses import CARRIED_BY, POSES, HeadPoses, ObjectPoses, given_poses, positions_of
+from jaxscan.rig.given_poses import CARRIED_BY, HeadPoses, ObjectPoses, given_poses, positions_of
 from jaxscan.rig.guide import Guide, Screw, ScrewOnGuide
 from jaxscan.rig.kinds import LENSES, LIGHTS, MOTIONS, register_lens, register_light, register_motion
 from jaxscan.rig.lens import Lens
 from jaxscan.rig.light import Light
 from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.linear import Linear
-from jaxscan.rig.motion import AxisMotion, Chain, Fixed, Motion, Positions, is_detail, motion_of
+from jaxscan.rig.motion import AxisMotion, Chain, Fixed, Motion, Positions, motion_of
 from jaxscan.rig.play import played_axes, run_of, runs
 from jaxscan.rig.rig import Rig
 from jaxscan.rig.rotary import Rotary
@@ -22,7 +22,6 @@ __all__ = [
     "LENSES",
     "LIGHTS",
     "MOTIONS",
-    "POSES",
     "AxisMotion",
     "BoardShape",
     "BowedSheet",
@@ -45,7 +44,6 @@ __all__ = [
     "ScrewOnGuide",
     "System",
     "given_poses",
-    "is_detail",
     "motion_of",
     "played_axes",
     "positions_of",

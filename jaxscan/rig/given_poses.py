@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
+from jaxscan.axis_details import POSES
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.geometry.rotation import A, namespace
@@ -29,8 +30,6 @@ from jaxscan.precision import Leaf
 from jaxscan.rig.motion import Positions
 from jaxscan.rig.readable import Readable
 
-# The axis whose positions are poses.
-POSES: Final = "poses"
 _NUMBERS: Final = ("x", "y", "z", "a", "b", "c")
 # Nanometres in a millimetre, nanoradians in a radian.
 NM: Final = 1e6

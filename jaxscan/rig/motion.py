@@ -22,11 +22,6 @@ from jaxscan.precision import Leaf
 Positions = Mapping[str, Any]
 
 
-def is_detail(name: str) -> bool:
-    """Whether an entry of positions is no axis, but says more of one; no name of an axis has a dot."""
-    return "." in name
-
-
 @runtime_checkable
 class Motion(Protocol):
     """A rigid motion by the positions of named axes. A pytree whose leaves are its numbers."""

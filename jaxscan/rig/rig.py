@@ -9,13 +9,14 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike, Bool, Float, Float64, Real
 
+from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig.batches import over_batch
 from jaxscan.rig.camera import Camera
 from jaxscan.rig.light import Light, meet
-from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, is_detail, motion_of, normal_motion
+from jaxscan.rig.motion import AxisMotion, Fixed, Motion, Positions, motion_of, normal_motion
 from jaxscan.rig.play import ScrewOnGuideWithPlay
 from jaxscan.rig.readable import Readable
 

@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt
 
+from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.precision import as_numpy
-from jaxscan.rig import Camera, LightPlane, Positions, Rig, is_detail
+from jaxscan.rig import Camera, LightPlane, Positions, Rig
 from jaxscan.rig import Light as SheetOfLight
 from jaxscan.rig.chart import FLAT
 from jaxscan.rig.light import nameless

@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
+from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.reconstruction import RangeImage
-from jaxscan.rig import is_detail
 from jaxscan.robust import NORMAL_MAD
 
 # The steepest rise of a surface over its own spacing that is not taken for a jump.

@@ -4,8 +4,9 @@ import jax
 import numpy as np
 import pytest
 
+from jaxscan.axis_details import is_detail
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import MOTIONS, Guide, Linear, Rotary, Screw, ScrewOnGuide, is_detail, run_of, runs
+from jaxscan.rig import MOTIONS, Guide, Linear, Rotary, Screw, ScrewOnGuide, run_of, runs
 from jaxscan.rig.play import FAR, LinearWithPlay, RotaryWithPlay, Runs, kind_with_play
 
 STEP = np.array([0.0, 0.0008, 0.0006])
