@@ -165,7 +165,8 @@ def test_files_are_as_the_readers_want_them(page: Path, world: Path, tmp_path: P
         (tmp_path / folder).symlink_to(world / "session" / folder)
     (tmp_path / "stripes").symlink_to(world / "session" / "boards")
     # A photograph is of one pose: copies, not links.
-    shutil.copytree(world / "session" / "stage", tmp_path / "turntable")
+    for folder in ("turntable", "poses"):
+        shutil.copytree(world / "session" / "stage", tmp_path / folder)
     (tmp_path / "frames").symlink_to(world / "scan" / "frames")
     (tmp_path / "dark.png").symlink_to(world / "scan" / "frames" / "000.png")
     names = [path.name for folder in ("stage", "frames") for path in sorted((tmp_path / folder).iterdir())]
