@@ -317,7 +317,10 @@ def _axis(summary: Summary) -> Iterator[Line]:
     elif "hand_mm" in summary:
         what = "hand" if summary["moves"] == "head" else "robot's base"
         yield summary["axis"], f"the {summary['moves']} moves {summary['way']}"
-        yield "", f"the {what} at {_triple(summary['hand_mm'])} in the camera's frame, turned by {_turn(summary)}"
+        # Where nothing turned its place is not found, and is 0.
+        found = summary["hand_sigma_mm"] is not None or summary["turned_sigma_deg"] is None
+        place = f"at {_triple(summary['hand_mm'])}" if found else "at a place that is not found"
+        yield "", f"the {what} {place} in the camera's frame, turned by {_turn(summary)}"
     else:
         yield summary["axis"], f"{summary['kind']}, {summary['way']}"
 
