@@ -34,9 +34,15 @@ class Workers:
         self._held: Counter[str] = Counter()
 
     @property
+    def under_way(self) -> int:
+        """How many pieces of work are under way or wait."""
+        with self._mutex:
+            return self._held.total()
+
+    @property
     def alive(self) -> bool:
         """Whether something is under way."""
-        return bool(self._held)
+        return self.under_way > 0
 
     def enter(self, whose: str) -> Callable[[], None]:
         """Take a place; what is returned leaves it, and may be called twice.

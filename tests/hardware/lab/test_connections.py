@@ -230,37 +230,47 @@ def test_a_request_that_drips(tmp_path: Path, said: bytes, tls: bool):
     served.end()
 
 
-def told_to_wait(client: httpx.Client) -> httpx.Response | None:
-    """The refusal of a download; one that begins is not read, for on a busy machine the others would end meanwhile."""
-    with client.stream("GET", "/api/projects/cup/scan.zip") as answer:
-        if answer.status_code != 429:
-            return None
-        answer.read()
-        return answer
-
-
-@both
-def test_an_answer_that_nobody_reads(tmp_path: Path, tls: bool):
-    served = serve(tmp_path / "lab", server={"send_s": 3.0}, **(tls_files(tmp_path) if tls else {}))
-    client = served.program(VIEWER)
+def large_scan(served: Served, viewer: httpx.Client) -> tuple[Path, bytes]:
+    """A photograph larger than all that waits on a connection, and what asks for its scan's archive."""
     folder = served.lab.projects.path("cup")
     (folder / "frames").mkdir(parents=True)
     noise = np.random.default_rng(0).integers(0, 256, (2500, 2500, 3), np.uint8)
     write_image(folder / "frames" / "0.png", noise)
     (folder / "scan.toml").write_text('[scan]\nframes = ["frames/0.png"]\nsteps = [0]\n')
-    token = client.headers["Authorization"]
+    token = viewer.headers["Authorization"]
     ask = f"GET /api/projects/cup/scan.zip HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {token}\r\n\r\n"
-    with silent(served.address, 4, ask.encode(), tls):
-        until(lambda: served.lab.downloads.alive)
-        # The fifth is told to wait, not kept waiting.
-        refused = until(lambda: told_to_wait(client))
+    return folder / "frames" / "0.png", ask.encode()
+
+
+@both
+def test_a_download_too_many_is_told_to_wait(tmp_path: Path, tls: bool):
+    # Those that nobody reads go on for as long as the test: a machine under load may take its time.
+    served = serve(tmp_path / "lab", server={"send_s": 300.0}, **(tls_files(tmp_path) if tls else {}))
+    viewer = served.program(VIEWER)
+    _, ask = large_scan(served, viewer)
+    with silent(served.address, 4, ask, tls):
+        until(lambda: served.lab.downloads.under_way == 4)
+        refused = viewer.get("/api/projects/cup/scan.zip")
+        assert refused.status_code == 429
         assert int(refused.headers["Retry-After"]) > 0
+    # Whoever hangs up makes room.
+    until(lambda: not served.lab.downloads.alive)
+    assert viewer.get("/api/projects/cup/scan.zip").status_code == 200
+    served.end()
+
+
+@both
+def test_an_answer_that_nobody_reads(tmp_path: Path, tls: bool):
+    served = serve(tmp_path / "lab", server={"send_s": 3.0}, **(tls_files(tmp_path) if tls else {}))
+    viewer = served.program(VIEWER)
+    photograph, ask = large_scan(served, viewer)
+    with silent(served.address, 4, ask, tls):
+        until(lambda: served.lab.downloads.alive)
         until(lambda: not served.lab.downloads.alive)
         # Its photograph is closed now, not when the garbage is collected.
-        photograph = str(folder / "frames" / "0.png")
-        assert until(lambda: photograph not in map(os.path.realpath, Path("/proc/self/fd").iterdir()))
+        assert until(lambda: str(photograph) not in map(os.path.realpath, Path("/proc/self/fd").iterdir()))
     whole = tmp_path / "cup.zip"
-    whole.write_bytes(client.get("/api/projects/cup/scan.zip").content)
+    whole.write_bytes(viewer.get("/api/projects/cup/scan.zip").content)
     assert zipfile.ZipFile(whole).testzip() is None
     served.end()
 
