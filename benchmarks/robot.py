@@ -165,13 +165,12 @@ def _scans(moves: str, seeds: range) -> list[Metric]:
 def _scan(moves: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     plain, robot = rig_2003.simulated_rig(seed), Robot(moves)
     rig = with_robot(plain, robot, seed)
-    R, origin = rig_2003.platform(plain)
     steps = np.linspace(0, 72_000, rig_2003.SCAN_FRAMES)
     with TemporaryDirectory() as name:
         folder = Path(name)
         simulate_robot_session(folder / "session", seed, rig, robot)
         scene = rig_2003.scan_scene(plain, _bodies(figure(rig_2003.OBJECT_Y)))
-        middle = origin + R @ np.array([0.0, rig_2003.OBJECT_Y, 0.0])
+        middle = rig_2003.middle_of_object(plain)
         truth = simulate_robot_scan(
             folder / "scan", rig, robot, scene, rig_2003.stage_travel(plain, steps), middle, seed
         )

@@ -54,6 +54,11 @@ class Hand:
         """By how much a profile is off along each axis by its pose alone, at the board's distance from the hand, mm."""
         return float(np.hypot(self.sigma_mm, np.radians(self.sigma_deg) * self.board_mm))
 
+    @property
+    def how_far_off(self) -> tuple[Float[np.ndarray, "photographs"], Float[np.ndarray, "photographs"]]:
+        """By how much each given pose is off, mm and degrees."""
+        return np.linalg.norm(self.off_mm, axis=1), np.linalg.norm(self.off_deg, axis=1)
+
     def facts(self) -> dict[str, object]:
         """What a rig file has of it."""
         return {
@@ -73,7 +78,7 @@ class Hand:
 
     def rejected(self) -> list[str]:
         """The poses that were left out, in words."""
-        mm, degrees = (np.linalg.norm(off, axis=1) for off in (self.off_mm, self.off_deg))
+        mm, degrees = self.how_far_off
         return [
             f"{self.names[i]}: its given pose is {mm[i]:.3g} mm and {degrees[i]:.2g}° off, and is not used"
             for i in np.flatnonzero(~self.kept)

@@ -308,11 +308,15 @@ def _of_robot(sigma: Float[np.ndarray, "2"]) -> Float[np.ndarray, "6 6"]:
     return np.diag(np.repeat(sigma, 3) ** 2)
 
 
+def median_lengths(errors: Float[np.ndarray, "photographs 6"]) -> Float[np.ndarray, "2"]:
+    """The median length of errors of positions, mm, and of rotations, rad."""
+    return np.median(np.linalg.norm(errors.reshape(-1, 2, 3), axis=2), axis=0)
+
+
 def _by_median(errors: Float[np.ndarray, "photographs 6"]) -> Float[np.ndarray, "2"]:
     """σ of positions and rotations that half of the poses may spoil."""
     # The median length of three normal numbers is 1.54 σ.
-    lengths = [np.linalg.norm(errors[:, part], axis=1) for part in (slice(0, 3), slice(3, 6))]
-    return np.maximum([float(np.median(each)) / 1.538 for each in lengths], _LEAST)
+    return np.maximum(median_lengths(errors) / 1.538, _LEAST)
 
 
 def _differences(

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from jaxscan.calibration.hand_eye import Fit, Motion, Seen
+from jaxscan.calibration.hand_eye import Fit, Motion, Seen, median_lengths
 from jaxscan.calibration.initial import usual_rotation
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
@@ -48,48 +48,36 @@ def hand_start(kind: type[Motion], seen: Seen, half_turn_mm: Float[np.ndarray, "
     fit = _start(kind, seen)
     if (off := _off(kind, seen, fit)) <= 1.0:
         return fit, seen
-    for words, other, as_seen in _mistaken(kind, seen):
-        if _off(other, as_seen, _start(other, as_seen)) < _CLEARLY * min(off, 1 / _CLEARLY):
+    for words, given in _mistaken(seen.given):
+        as_meant = replace(seen, given=given)
+        if _off(kind, as_meant, _start(kind, as_meant)) < _CLEARLY * min(off, 1 / _CLEARLY):
             raise InputError(f"the given poses do not go with the photographs, but they do {words}")
-    e = fit.errors(kind, seen)
-    mm, degrees = (float(np.median(np.linalg.norm(e[:, part], axis=1))) for part in (slice(0, 3), slice(3, 6)))
+    mm, angle = median_lengths(fit.errors(kind, seen))
     raise InputError(
-        f"the given poses do not go with the photographs: half of them are {mm:.3g} mm or {np.degrees(degrees):.2g}° "
+        f"the given poses do not go with the photographs: half of them are {mm:.3g} mm or {np.degrees(angle):.2g}° "
         "off or more: check that each name in the table is that of the photograph taken at this pose, that the board "
         "stayed where it was mounted, and that its squares have the size that [board] says"
     )
 
 
-def _mistaken(kind: type[Motion], seen: Seen) -> Iterator[tuple[str, type[Motion], Seen]]:
-    """The usual mistakes, in words that follow "but they do"."""
-    given = seen.given
+def _mistaken(given: Pose[np.ndarray]) -> Iterator[tuple[str, Pose[np.ndarray]]]:
+    """The usual mistakes, in words that follow "but they do", and the poses that are then meant."""
     yield (
         "the other way round: change moves to the other of head and object, or, if that is right, write the pose of "
         "the hand in the frame of the base (T_base_hand), and not its inverse",
-        kind,
-        replace(seen, given=given.inverse()),
+        given.inverse(),
     )
     # What was read as w, x, y, z stands in the table as x, y, z, w.
-    read = np.roll(Rotation.from_rotvec(given.rotation).as_quat(), 1, axis=-1)
-    read = Rotation.from_quat(read).as_rotvec()
-    yield (
-        "with the quaternion as qx, qy, qz, qw: write qw first",
-        kind,
-        replace(seen, given=Pose(read, given.translation)),
-    )
-    yield (
-        "in metres: write positions in millimetres",
-        kind,
-        replace(seen, given=Pose(given.rotation, _MM_IN_A_METRE * given.translation)),
-    )
+    read = Rotation.from_quat(np.roll(Rotation.from_rotvec(given.rotation).as_quat(), 1, axis=-1))
+    yield "with the quaternion as qx, qy, qz, qw: write qw first", Pose(read.as_rotvec(), given.translation)
+    yield "in metres: write positions in millimetres", Pose(given.rotation, _MM_IN_A_METRE * given.translation)
 
 
 def _off(kind: type[Motion], seen: Seen, fit: Fit) -> float:
     """How far half of the poses are off, in parts of what is taken for a mistake."""
-    e = fit.errors(kind, seen)
+    mm, angle = median_lengths(fit.errors(kind, seen))
     way = float(np.linalg.norm(np.ptp(seen.boards.translation, axis=0))) + 1e-9
-    turn = float(np.median(np.linalg.norm(e[:, 3:], axis=1)))
-    return max(float(np.median(np.linalg.norm(e[:, :3], axis=1))) / (_OF_THE_WAY * way), turn / _MOST_RAD)
+    return float(max(mm / (_OF_THE_WAY * way), angle / _MOST_RAD))
 
 
 def _start(kind: type[Motion], seen: Seen) -> Fit:

@@ -38,7 +38,6 @@ def with_hand(result: Calibration) -> Calibration:
         return replace(_with_rig(result, still), notes=(*result.notes, said))
     kind, board = CARRIED_BY[hand.moves], result.observations.board
     half_turn = board.points()[:, :2].mean(axis=0) if board.half_turn_ambiguous else None
-    names = result.covariance.names
     known = hand.sigma_mm, None if hand.sigma_deg is None else float(np.radians(hand.sigma_deg))
     with error_context(hand.table) if hand.table else nullcontext():
         start, seen = hand_start(kind, _seen(result, posed), half_turn)
@@ -62,8 +61,8 @@ def with_hand(result: Calibration) -> Calibration:
     rig = Rig(result.rig.camera, result.rig.lights, motion)
     return replace(
         _with_rig(result, rig),
-        covariance=_joined(result.covariance, found, fit.rotation, names),
-        formal_covariance=result.formal_covariance and _joined(result.formal_covariance, found, fit.rotation, names),
+        covariance=_joined(result.covariance, found, motion),
+        formal_covariance=result.formal_covariance and _joined(result.formal_covariance, found, motion),
         rejected=(*result.rejected, *placed.rejected()),
         notes=(*result.notes, placed.note(), *placed.unknown_note()),
         warnings=(*result.warnings, *(f"{what}. {fix}".removesuffix(".") for what, fix in placed.statements)),
@@ -109,20 +108,18 @@ def _board_mm(kind: type[HeadPoses] | type[ObjectPoses], fit: Fit, seen: Seen, m
     return float(np.median(np.linalg.norm(at[:, 0], axis=1)))
 
 
-def _joined(
-    covariance: Covariance, found: HandEye, rotation: Float[np.ndarray, "3 3"], order: tuple[str, ...]
-) -> Covariance:
+def _joined(covariance: Covariance, found: HandEye, motion: HeadPoses | ObjectPoses) -> Covariance:
     """The covariance of a rig's parameters and of the motion's numbers."""
     # As the rotation vector has it.
     T = np.eye(6)
-    T[:3, :3] = np.linalg.inv(_left_jacobian(matrix_to_vector(rotation)))
-    J = np.concatenate([np.eye(len(order)), T @ found.by_camera])
+    T[:3, :3] = np.linalg.inv(_left_jacobian(matrix_to_vector(found.fit.rotation)))
+    J = np.concatenate([np.eye(len(covariance.names)), T @ found.by_camera])
     matrix = J @ covariance.matrix @ J.T
     matrix[-6:, -6:] += T @ found.covariance @ T.T
-    names = [f"motion.{POSES}.{part}.{i}" for part in ("rotation", "offset") for i in range(3)]
-    # What is not found at all has no σ.
-    at = [*range(len(order) + (6 if len(found.unknown) < 3 else 3))]
-    return Covariance((*covariance.names, *names)[: len(at)], matrix[np.ix_(at, at)])
+    own = [f"motion.{POSES}.{name}.{i}" for name, count in motion.numbers.items() for i in range(count)]
+    # An offset that is not found at all has no σ.
+    names = (*covariance.names, *(own if len(found.unknown) < 3 else own[:3]))
+    return Covariance(names, matrix[: len(names), : len(names)])
 
 
 def _left_jacobian(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

@@ -31,6 +31,8 @@ _MOST_BOW_MM: Final = 5.0
 _MOST_BEND_MM: Final = 5.0
 # A guide or a screw that is worse than this is broken.
 _MOST_STAGE_MM: Final = 2.0
+# Errors of a robot's poses, mm and degrees.
+_POSE_MM, _POSE_DEG = 0.05, 0.02
 # A robot that is worse than this, mm or degrees, is broken.
 _MOST_POSE: Final = 5.0
 # What is added to the seed from side to side: their noise has nothing in common.
@@ -200,16 +202,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pose-mm",
         type=finite,
-        default=0.05,
+        default=_POSE_MM,
         metavar="SIGMA",
-        help="error of the positions that --robot gives, standard deviation along each axis (default: 0.05)",
+        help=f"error of the positions that --robot gives, standard deviation along each axis (default: {_POSE_MM})",
     )
     parser.add_argument(
         "--pose-deg",
         type=finite,
-        default=0.02,
+        default=_POSE_DEG,
         metavar="SIGMA",
-        help="error of the rotations that --robot gives, standard deviation about each axis (default: 0.02)",
+        help=f"error of the rotations that --robot gives, standard deviation about each axis (default: {_POSE_DEG})",
     )
     parser.add_argument("--stripes", action="store_true", help="photograph boards and stripes separately")
     parser.add_argument(
@@ -430,7 +432,6 @@ def _with_robot(
     from jaxscan.simulation import folders, rig_2003
     from jaxscan.simulation.robot import POSED_VIEWS, simulate_robot_scan, simulate_robot_session, with_robot
 
-    R, origin = rig_2003.platform(rig)
     steps = np.arange(0, (rig_2003.SCAN_FRAMES - 1) * rig_2003.STEPS_APART + 1, apart)
     travel, moved = rig_2003.stage_travel(rig, steps), with_robot(rig, robot, seed)
     photographs = rig_2003.BOARD_VIEWS + POSED_VIEWS + len(steps)
@@ -445,7 +446,7 @@ def _with_robot(
             robot,
             scene,
             travel,
-            origin + R @ np.array([0.0, rig_2003.OBJECT_Y, 0.0]),
+            rig_2003.middle_of_object(rig),
             seed,
             name=name,
             lighting=replace(rig_2003.SCAN_LIGHTING, **light),
@@ -499,7 +500,7 @@ def check_folder(out: Path, seed: int) -> None:
 def _check_robot(args: argparse.Namespace) -> None:
     """Refuse what a robot takes the place of, and errors that are none."""
     if not args.robot:
-        if (args.pose_mm, args.pose_deg) != (0.05, 0.02):
+        if (args.pose_mm, args.pose_deg) != (_POSE_MM, _POSE_DEG):
             raise InputError("--pose-mm and --pose-deg are of a robot's poses: add --robot head or --robot object")
         return
     others = {

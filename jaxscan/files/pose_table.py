@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.rigid import rigid_pose, turned
+from jaxscan.files.table import Table
 from jaxscan.files.text import parse_file
 from jaxscan.geometry import Pose
 
@@ -53,6 +54,23 @@ def read_pose_table(path: Path, photographs: Sequence[Path]) -> Pose[np.ndarray]
             f"{path}: has no pose of {some}, but of {has or 'nothing'}: begin each line with a photograph's file name"
         )
     return Pose(np.stack([pose.rotation for pose in poses]), np.stack([pose.translation for pose in poses]))
+
+
+def named_table(table: Table, key: str, of: str) -> Path:
+    """The table of poses that a session or a scan names, beside its TOML file.
+
+    Args:
+        table: with the name.
+        key: its key.
+        of: what has the poses, in words.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    path = table.path.parent / table.string(key)
+    if not path.is_file():
+        raise table.error(key, f"{path} is no file: name the table with the pose of each {of}")
+    return path
 
 
 def write_pose_table(path: Path, names: Sequence[str], poses: Pose[np.ndarray]) -> None:

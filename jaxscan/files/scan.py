@@ -114,11 +114,12 @@ def _read(path: Path) -> tuple[Scan, bool]:
         laser = read_stripe_settings(table.table("laser", "[laser] ").only("name", "color", "columns"))
     video = _video(inner)
     frames = () if video else files_of(inner, "frames")
-    poses = table.path.parent / inner.string(POSES) if POSES in inner else None
-    if poses is None:
-        axes, rules = read_axes(inner, None if video else len(frames))
+    poses = None
+    if POSES in inner:
+        poses, axes = _axes_of_poses(inner, frames)
+        rules = {}
     else:
-        axes, rules = _axes_of_poses(inner, poses, frames), {}
+        axes, rules = read_axes(inner, None if video else len(frames))
     n_frames = None if rules else len(next(iter(axes.values())))
     scan = Scan(
         path=table.path,
@@ -169,20 +170,19 @@ def _video(table: Table) -> Path | None:
     return video
 
 
-def _axes_of_poses(table: Table, poses: Path, frames: Sequence[Path]) -> dict[str, tuple[int, ...]]:
-    """The positions of the frames of which a table has the poses."""
+def _axes_of_poses(table: Table, frames: Sequence[Path]) -> tuple[Path, Positions]:
+    """The table of the frames' poses, and what these are as positions."""
+    # Whatever drives motors reads scans without JAX.
+    from jaxscan.files.pose_table import named_table, read_pose_table
+    from jaxscan.rig import positions_of
+
     for key in ("steps", "steps_per_frame", "axes"):
         if key in table:
             raise table.error(key, "poses is given too: a scan has either poses or motor steps, so keep one of them")
-    if not poses.is_file():
-        raise table.error(POSES, f"{poses} is no file: name the table with the pose of each frame")
+    poses = named_table(table, POSES, "frame")
     if not frames:
         raise table.error(POSES, "a table has poses by the names of photographs: name these in frames, not a video")
-    # Whatever drives motors reads scans without JAX.
-    from jaxscan.files.pose_table import read_pose_table
-    from jaxscan.rig import positions_of
-
-    return {axis: tuple(n.tolist()) for axis, n in positions_of(read_pose_table(poses, frames)).items()}
+    return poses, {axis: tuple(n.tolist()) for axis, n in positions_of(read_pose_table(poses, frames)).items()}
 
 
 def _backgrounds(table: Table, n_frames: int | None) -> tuple[Path, ...]:

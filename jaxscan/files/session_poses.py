@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.axis_details import POSES
 from jaxscan.files.listing import files_of
-from jaxscan.files.pose_table import read_pose_table
+from jaxscan.files.pose_table import named_table, read_pose_table
 from jaxscan.files.settings import relative_name
 from jaxscan.files.table import Table
 from jaxscan.geometry import Pose
@@ -57,9 +57,7 @@ def read_posed_images(table: Table) -> tuple[PosedImages, Table] | None:
     images = files_of(posed, "images")
     if len(images) < _FEWEST:
         raise posed.error("images", f"{len(images)} photographs: three or more are needed, 10 to 20 are good")
-    file = table.path.parent / posed.string("file")
-    if not file.is_file():
-        raise posed.error("file", f"{file} is no file: name the table with the pose of each photograph")
+    file = named_table(posed, "file", "photograph")
     moves = posed.string("moves", choices=tuple(CARRIED_BY))
     sigma = {key: _sigma(posed, key) for key in ("sigma_mm", "sigma_deg")}
     return PosedImages(images, file, read_pose_table(file, images), moves, **sigma), posed

@@ -22,7 +22,6 @@ from jaxscan.rig.turn_summary import turn_summary
 
 Summary = dict[str, Any]
 
-_HAND: Final = tuple((name, i) for name in ("rotation", "offset") for i in range(3))
 # The width of a sheet over which its curve is said is twice this, mm.
 HALF_WIDTH_MM: Final = 100.0
 # The travel over which a stage's bow and turn are said, mm.
@@ -107,8 +106,8 @@ def _of_poses(part: HeadPoses | ObjectPoses, covariance: Covariance | None) -> S
     K = part.to_camera()
     turn = np.asarray(K.rotation, np.float64)
     angle = float(np.linalg.norm(turn))
-    sigmas = [covariance.sigma(f"motion.{part.axis}.{name}.{i}") if covariance else None for name, i in _HAND]
-    of_turn, of_place = sigmas[:3], sigmas[3:]
+    numbers = _numbers(f"motion.{part.axis}", part, covariance)
+    of_turn, of_place = (numbers[name]["sigma"] or [None] for name in ("rotation", "offset"))
     known = [sigma for sigma in of_turn if sigma is not None]
     return {
         "moves": next(moves for moves, kind in CARRIED_BY.items() if isinstance(part, kind)),

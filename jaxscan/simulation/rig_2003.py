@@ -291,6 +291,12 @@ def platform(rig: Rig, depth: float = _PLATFORM_DEPTH) -> tuple[Float[np.ndarray
     return np.stack([x, y, np.cross(x, y)], axis=1), _sheet_point(rig, depth)
 
 
+def middle_of_object(rig: Rig) -> Float[np.ndarray, "3"]:
+    """The point of the platform on which the middle of an object stands at step 0, camera frame, mm."""
+    R, origin = platform(rig)
+    return origin + R @ np.array([0.0, OBJECT_Y, 0.0])
+
+
 def mirrored_lamp(rig: Rig) -> tuple[float, float, float]:
     """Towards a lamp that the camera would see in a mirror on the platform, where the sheet meets it.
 

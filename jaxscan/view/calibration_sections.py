@@ -419,7 +419,7 @@ def coverage(calibration: Calibration, diagnostics: Diagnostics) -> Section:
 
 def hand(hand: Hand) -> Section:
     """Each given pose, and how far it is from where the photograph shows the hand."""
-    mm, degrees = (np.linalg.norm(off, axis=1) for off in (hand.off_mm, hand.off_deg))
+    mm, degrees = hand.how_far_off
     rows = [
         (name, f"{mm[i]:.3f}", f"{degrees[i]:.3f}", "yes" if hand.kept[i] else "no")
         for i, name in enumerate(hand.names)

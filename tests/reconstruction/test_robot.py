@@ -30,10 +30,9 @@ def make(folder: Path, moves: str) -> ScanTruth:
     robot = Robot(moves)
     rig = with_robot(plain, robot, 1)
     session = simulate_robot_session(folder / "session", 1, rig, robot, views=4, posed=8)
-    R, origin = rig_2003.platform(plain)
     scene = rig_2003.scan_scene(plain, cup(rig_2003.OBJECT_Y))
     travel = rig_2003.stage_travel(plain, np.linspace(0, 60_000, FRAMES))
-    middle = origin + R @ np.array([0.0, rig_2003.OBJECT_Y, 0.0])
+    middle = rig_2003.middle_of_object(plain)
     scan = simulate_robot_scan(folder / "scan", rig, robot, scene, travel, middle, 1)
     write_truth(folder / "truth", session, scan)
     assert main(["calibrate", str(folder / "session"), "-o", str(folder / "rig.json")]) == 0
