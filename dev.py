@@ -44,7 +44,7 @@ PYTHONS = ("3.11", "3.12", "3.13")
 CORE = ("tests", "--ignore=tests/hardware", "--ignore=tests/test_install.py")
 
 # What answers --help with nothing installed.
-_OWN = {"demo": ["-m", "jaxscan.cli.main", "demo"], "bench": ["-m", "benchmarks"]}
+_OWN = {"demo": ["-m", "jaxscan", "demo"], "bench": ["-m", "benchmarks"]}
 
 
 def main() -> int:

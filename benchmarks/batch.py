@@ -88,7 +88,7 @@ def worker_killed(folder: Path) -> list[Metric]:
 
 def batch_command(folder: Path, out: str) -> list[str]:
     """The batch of a folder's scans."""
-    program = [sys.executable, "-m", "jaxscan.cli.main"]
+    program = [sys.executable, "-m", "jaxscan"]
     return [*program, "batch", str(folder / "scans"), "--rig", str(folder / "rig.json"), "-o", str(folder / out)]
 
 

@@ -17,7 +17,7 @@ def measure(quick: bool) -> list[Metric]:
         return []
     with tempfile.TemporaryDirectory() as folder:
         begin = time.monotonic()
-        command = [sys.executable, "-m", "jaxscan.cli.main", "demo", "-o", str(Path(folder) / "demo")]
+        command = [sys.executable, "-m", "jaxscan", "demo", "-o", str(Path(folder) / "demo")]
         process = psutil.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         peak = 0
         while process.poll() is None:

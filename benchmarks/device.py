@@ -74,7 +74,7 @@ def _jaxscan(platform: str, *words: object) -> float:
     """Run a command on the processor or on JAX's own choice; the seconds it takes."""
     begun = perf_counter()
     subprocess.run(
-        [sys.executable, "-m", "jaxscan.cli.main", *map(str, words)],
+        [sys.executable, "-m", "jaxscan", *map(str, words)],
         check=True,
         stdout=subprocess.DEVNULL,
         # This program has most of a GPU's memory: the other takes what it needs.

@@ -82,7 +82,7 @@ def kill_and_resume(
     """Begin a scan, kill it or strike it otherwise, look, continue it, compare."""
     random_ = random.Random(seed)
     scan = folder / f"killed-{seed}"
-    argv = [sys.executable, "-m", "hardware.cli.main", *command(folder, scan)]
+    argv = [sys.executable, "-m", "hardware", *command(folder, scan)]
     child = subprocess.Popen(argv, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     assert child.stderr is not None
     lines = [child.stderr.readline() for _ in range(random_.randrange(FRAMES))]

@@ -89,7 +89,7 @@ def watched(words: list[str], folder: Path, cache: Path) -> tuple[float, float, 
     env = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
     begin = time.monotonic()
     process = subprocess.Popen(
-        [sys.executable, "-m", "jaxscan.cli.main", *words],
+        [sys.executable, "-m", "jaxscan", *words],
         cwd=folder,
         env=env | {"XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(Path(__file__).parents[1])},
         stdin=subprocess.DEVNULL,

@@ -1,7 +1,6 @@
 """The command `scanner`."""
 
 import signal
-import sys
 from collections.abc import Sequence
 from types import FrameType
 from typing import Final
@@ -36,7 +35,3 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
-
-
-if __name__ == "__main__":
-    sys.exit(main())

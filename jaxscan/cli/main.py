@@ -255,7 +255,3 @@ class _Version(argparse.Action):
 
         print(f"{parser.prog} {version('jaxscan')}")
         parser.exit()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -157,13 +157,19 @@ def test_version(capsys):
     assert capsys.readouterr().out.startswith("jaxscan 0.")
 
 
+@pytest.mark.parametrize("module, name", [("jaxscan", "jaxscan"), ("hardware", "scanner")])
+def test_as_a_module(module, name):
+    command = [sys.executable, "-m", module, "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.startswith(f"{name} 0.")
+
+
 def test_a_reader_that_goes_away_is_no_accident(tmp_path):
     (tmp_path / "rig.json").write_text(
         '{"format": "jaxscan-rig/1", "units": "mm", "camera": {"image_size": [2, 2], "focal": [1, 1], '
         '"principal": [1, 1], "lens": "none"}}'
     )
-    code = "import sys; from jaxscan.cli.main import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, "inspect", str(tmp_path / "rig.json")]
+    command = [sys.executable, "-m", "jaxscan", "inspect", str(tmp_path / "rig.json")]
     read_end, write_end = os.pipe()
     os.close(read_end)
     done = subprocess.run(command, stdout=write_end, stderr=subprocess.PIPE, text=True, timeout=60, check=False)

@@ -251,7 +251,7 @@ def test_ctrl_z_pauses_and_fg_goes_on(scanner: Path):
     # Ten times as fast the line's answers would come late on a machine that has other work to do.
     (scanner / "scanner.toml").write_text(SCANNER.replace("21000", "21000&speed=4"))
     scan = ["scan", "cup", "--frames", "4", "--apart", "1000", "--settle=1", "--no-verify"]
-    argv = [sys.executable, "-m", "hardware.cli.main", *scan]
+    argv = [sys.executable, "-m", "hardware", *scan]
     child = subprocess.Popen(
         argv, stderr=subprocess.PIPE, text=True, env={"PYTHONPATH": str(Path(__file__).parents[2])}
     )
@@ -272,7 +272,7 @@ def test_ctrl_z_pauses_and_fg_goes_on(scanner: Path):
 def test_a_signal_switches_the_laser_off(scanner: Path):
     """SIGTERM in mid-move ends as Ctrl-C does: the block that guards the laser is left."""
     (scanner / "scanner.toml").write_text(SCANNER.replace("21000", "21000&speed=1"))
-    argv = [sys.executable, "-m", "hardware.cli.main", "home"]
+    argv = [sys.executable, "-m", "hardware", "home"]
     root = Path(__file__).parents[2]
     child = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True, env={"PYTHONPATH": str(root)})
     try:

@@ -117,7 +117,7 @@ def test_a_server_that_is_killed_in_mid_scan_and_started_again(tmp_path: Path, m
     assert user(monkeypatch, "add", "maria", "--password-stdin") == 0
 
     def start() -> tuple[subprocess.Popen, httpx.Client]:
-        argv = [sys.executable, "-m", "hardware.cli.main", "serve", "--port", "0"]
+        argv = [sys.executable, "-m", "hardware", "serve", "--port", "0"]
         root = str(Path(__file__).parents[3])
         child = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True, env={"PYTHONPATH": root})
         assert child.stderr is not None
