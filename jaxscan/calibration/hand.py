@@ -8,10 +8,14 @@ from jaxtyping import Bool, Float
 from jaxscan.axis_details import POSES
 from jaxscan.calibration.observations import Observations
 from jaxscan.errors import InputError
-from jaxscan.rig import CARRIED_BY, AxisMotion
+from jaxscan.rig import CARRIED_BY, AxisMotion, PoseRange
 
 # Given poses that show how camera and hand stand.
 FEWEST_POSES = 3
+# With fewer, σ of poses is itself known badly.
+_FEW_POSES = 8
+# Lengths of poses and photographs are said to differ where they do by more than this share, and by so many σ.
+_SCALE, _SCALE_SIGMAS = 0.002, 4.0
 # A given σ is called too small where the poses scatter by more than this multiple of it.
 _CLEARLY_MORE = 1.5
 
@@ -30,10 +34,13 @@ class Hand:
         sigma_deg: σ of a given rotation about each axis, as it was taken.
         found_mm: that σ as the photographs show it.
         found_deg: that σ as the photographs show it.
-        unknown: directions along which the offset is not found, and is 0, because no pose turned about another: in the
-            axes of the hand (a head) or the base (an object).
+        unknown: directions along which the offset is not found, because no pose turned about another: in the axes of
+            the hand (a head) or the base (an object).
         board_mm: how far the board's middle was from the hand, in the median.
         given: the two σ as they were given, mm and degrees; None for one that was not.
+        scale: the lengths of the given positions over those that the photographs show.
+        scale_sigma: its σ.
+        range: of the given poses that took part.
     """
 
     moves: str
@@ -48,6 +55,9 @@ class Hand:
     unknown: Float[np.ndarray, "directions 3"]
     board_mm: float
     given: tuple[float | None, float | None] = (None, None)
+    scale: float = 1.0
+    scale_sigma: float = 0.0
+    range: PoseRange | None = None
 
     @property
     def profile_mm(self) -> float:
@@ -65,6 +75,7 @@ class Hand:
             "pose_images": len(self.names),
             "pose_sigma_mm": self.sigma_mm,
             "pose_sigma_deg": self.sigma_deg,
+            **({"pose_range": self.range.values()} if self.range else {}),
             **({"pose_offset_unknown": self.unknown.tolist()} if len(self.unknown) else {}),
         }
 
@@ -74,7 +85,12 @@ class Hand:
             f"the given poses of {int(self.kept.sum())} photographs scatter by {self.found_mm:.2g} mm and "
             f"{self.found_deg:.2g}° about each axis: at the board's distance from the hand, {self.board_mm:.0f} mm, "
             f"that moves every profile of a scan by {self.profile_mm:.2g} mm of its own"
+            + (f"; fewer than {_FEW_POSES} poses show that badly, so σ may be too small" if self._few else "")
         )
+
+    @property
+    def _few(self) -> bool:
+        return int(self.kept.sum()) < _FEW_POSES and None in self.given
 
     def rejected(self) -> list[str]:
         """The poses that were left out, in words."""
@@ -99,6 +115,15 @@ class Hand:
             )
             if given is not None and found > _CLEARLY_MORE * given
         ]
+        if abs(self.scale - 1) > max(_SCALE, _SCALE_SIGMAS * self.scale_sigma):
+            said.append(
+                (
+                    f"The given positions are {self.scale:.4g} ± {self.scale_sigma:.1g} times as far apart as the "
+                    "photographs show",
+                    "Measure the board's squares and correct square_mm, which gives the photographs their scale; or "
+                    "see that the robot's positions are right.",
+                )
+            )
         if left_out := self.rejected():
             more = f", and {len(left_out) - 1} more are not used" if len(left_out) > 1 else ""
             fix = "Check its line in the table of poses, and that the photograph was taken where the robot stood still."

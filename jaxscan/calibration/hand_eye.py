@@ -10,6 +10,9 @@ with the covariance
 C_i the covariance of T_i for known camera. K and B are those of the least Σ e_iᵀ V_i⁻¹ e_i; the two σ, where they are
 not given, those of the largest restricted likelihood (H. D. Patterson and R. Thompson 1971).
 
+Where nothing turns, the offset and the place of the board are found as their sum alone. Both stay free, because even
+the smallest turns move a base that is far away; which directions are then not found is said afterwards.
+
 Camera and boards are found before, without the given poses: a robot's errors are no noise but go on from pose to pose,
 and would move the camera. How K moves with the camera is in its covariance.
 """
@@ -28,12 +31,15 @@ from jaxscan.rig.given_poses import HeadPoses, ObjectPoses
 
 Motion = HeadPoses | ObjectPoses
 
-# Poses that turn by less about a direction, root mean square, rad, do not show where along it the hand is.
-_A_TURN: Final = 0.05
+# Poses that turn by less, root mean square, in parts of the noise of a rotation, do not show where the hand is: noise
+# looks like turns, and takes the share 1 / (1 + this²) of the offset away.
+_A_TURN: Final = 10.0
 # A turn that is known no better, rad, is not found.
 _UNKNOWN_RAD: Final = 0.02
 # What nothing is known of beforehand: rad and mm.
 _ANY: Final = np.array([10.0] * 3 + [1e5] * 3)
+# What is smaller than this beside the largest in normal equations of unit diagonal is rounding.
+_NOTHING: Final = 1e-13
 # Left out beyond this e V⁻¹ e: one good pose in 10 000 (χ² of six).
 _LIMIT: Final = 27.9
 _FEWEST: Final = 3
@@ -44,8 +50,9 @@ _STEPS: Final = 20
 _SETTLED: Final = 0.01
 # A step shorter than this share of σ is the last.
 _SMALL: Final = 1e-6
-# Steps of differences: rad and mm.
+# Steps of differences: rad and mm; of the logarithm of a scale.
 _STEP: Final = np.array([1e-6] * 3 + [1e-4] * 3)
+_SCALE_STEP: Final = 1e-6
 # No robot is better: mm and rad.
 _LEAST: Final = np.array([1e-4, 1e-7])
 
@@ -141,7 +148,8 @@ class HandEye:
         found: the two as the photographs show them; NaN for one that too few of them do.
         covariance: of K's turn (from the left, rad) and offset (mm) for known camera.
         by_camera: how these move with the camera's parameters.
-        unknown: directions along which the offset is not found, and is 0: nothing turned about them.
+        unknown: directions along which the offset is not found: too little turned there.
+        scale: by which factor boards would have to lie farther for the given positions to fit best.
     """
 
     fit: Fit
@@ -152,6 +160,22 @@ class HandEye:
     covariance: Float[np.ndarray, "6 6"]
     by_camera: Float[np.ndarray, "6 parameters"]
     unknown: Float[np.ndarray, "directions 3"]
+    scale: "Scale"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The lengths of given positions over those that photographs show, which the squares of the board give.
+
+    Attributes:
+        ln: logarithm of that factor.
+        sigma: of `ln`, for known camera.
+        by_camera: how `ln` moves with the camera's parameters.
+    """
+
+    ln: float
+    sigma: float
+    by_camera: Float[np.ndarray, "parameters"]
 
 
 def hand_eye(kind: type[Motion], seen: Seen, start: Fit, known: tuple[float | None, float | None]) -> HandEye:
@@ -188,14 +212,16 @@ def hand_eye(kind: type[Motion], seen: Seen, start: Fit, known: tuple[float | No
         if np.allclose(before, sigma, rtol=_SETTLED) and (again == kept).all():
             break
         kept = again
-    fit = used.solved(fit, sigma)
-    covariance, by_camera = used.covariance(fit, sigma * used.of_few(given))
+    fit, wide = used.solved(fit, sigma), sigma * used.of_few(given)
+    unknown = used.not_turned(sigma[1])
+    covariance, by_camera = used.covariance(fit, wide, unknown)
     if np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]) > _UNKNOWN_RAD:
         raise InputError(
             "the given poses do not show how camera and hand are turned to each other: move in two directions at "
             "least, and turn about two where the hand can turn; what moves along one line is a [stage]"
         )
-    return HandEye(fit, kept, fit.errors(kind, seen), sigma, found, covariance, by_camera, used.unknown)
+    scale = used.scale(fit, sigma, given)
+    return HandEye(fit, kept, fit.errors(kind, seen), sigma, found, covariance, by_camera, unknown, scale)
 
 
 class _Weights:
@@ -203,21 +229,18 @@ class _Weights:
 
     def __init__(self, kind: type[Motion], seen: Seen) -> None:
         self._kind, self._seen = kind, seen
-        self.unknown = not_turned(kind.carry(seen.given))
-        # A basis of the unknowns without what is not found of the offset.
-        size, n = 6 + 6 * (int(seen.session.max(initial=-1)) + 1), len(self.unknown)
-        known = np.linalg.svd(np.concatenate([self.unknown, np.zeros((1, 3))]))[2][n:]
-        basis = np.eye(size)
-        offset = np.pad(known.T, ((3, size - 6), (0, 0)))
-        self._free = np.concatenate([basis[:, :3], offset, basis[:, 6:]], axis=1)
+
+    def not_turned(self, sigma_rad: float) -> Float[np.ndarray, "directions 3"]:
+        """Directions along which the offset is not found, where a given rotation has this σ about each axis."""
+        of_boards = np.median(np.trace(self._seen.covariance[:, :3, :3], axis1=1, axis2=2)) / 3
+        noise = float(np.sqrt(sigma_rad**2 + of_boards))
+        return not_turned(self._kind.carry(self._seen.given), self._seen.session, noise)
 
     def solved(self, fit: Fit, sigma: Float[np.ndarray, "2"]) -> Fit:
         """The minimum, by Gauss-Newton steps."""
-        fit = replace(fit, offset=fit.offset - self.unknown.T @ (self.unknown @ fit.offset))
         for _ in range(_STEPS):
             N, g = _normal(*self._linear(fit, sigma))
-            free = self._free
-            step = -free @ np.linalg.lstsq(free.T @ N @ free, free.T @ g)[0]
+            step = -_solved(N, g)
             fit = fit.moved(step)
             if np.sqrt(step @ N @ step) < _SMALL:
                 break
@@ -226,16 +249,7 @@ class _Weights:
     def likeliest(self, fit: Fit, start: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
         """The two σ of the largest restricted likelihood at a minimum."""
         J, _, e = self._linear(fit, start)
-        J, measured = J @ self._free, self._measured(fit)
-
-        def unlikeliness(log_sigma: Float[np.ndarray, "2"]) -> float:
-            V = measured + _of_robot(np.maximum(np.exp(log_sigma), _LEAST))
-            N, g = _normal(J, V, e)
-            squares = np.einsum("pi,pi->", e, np.linalg.solve(V, e[..., None])[..., 0]) - g @ np.linalg.lstsq(N, g)[0]
-            return float(squares + np.linalg.slogdet(V)[1].sum() + np.linalg.slogdet(N)[1])
-
-        best = minimize(unlikeliness, np.log(np.maximum(start, _LEAST)), method="Nelder-Mead", options={"xatol": 1e-3})
-        return np.maximum(np.exp(best.x), _LEAST)
+        return _likeliest(J, self._measured(fit), e, start)
 
     def of_few(self, known: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
         """How much wider errors are spread whose σ is itself an estimate from few numbers: √(ν / (ν − 2)), as t's.
@@ -243,7 +257,7 @@ class _Weights:
         Args:
             known: the σ that are given, NaN for those that are not.
         """
-        numbers = (6 * len(self._seen.session) - self._free.shape[1]) / 2
+        numbers = (6 * len(self._seen.session) - 6 * (1 + len(np.unique(self._seen.session)))) / 2
         wider = np.sqrt(numbers / (numbers - 2)) if numbers > _FEWEST else np.sqrt(3.0)
         return np.where(np.isfinite(known), 1.0, wider)
 
@@ -253,21 +267,45 @@ class _Weights:
         return np.einsum("pi,pi->p", e, np.linalg.solve(V, e[..., None])[..., 0])
 
     def covariance(
-        self, fit: Fit, sigma: Float[np.ndarray, "2"]
+        self, fit: Fit, sigma: Float[np.ndarray, "2"], unknown: Float[np.ndarray, "directions 3"]
     ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6 parameters"]]:
-        """That of K for known camera, and how K moves with the camera's parameters."""
+        """That of K for known camera, and how K moves with the camera's parameters; without what is not found."""
         J, V, _ = self._linear(fit, sigma)
         N, g = _normal(J, V, self._by_board(fit) @ self._seen.by_camera)
-        # What nothing is known of has a σ as large as that.
-        N = N + np.diag(np.tile(_ANY**-2, len(N) // 6))
-        S = self._free @ np.linalg.inv(self._free.T @ N @ self._free) @ self._free.T
+        N = _with_prior(N)
+        # A basis of the unknowns without what is not found of the offset.
+        known = np.linalg.svd(np.concatenate([unknown, np.zeros((1, 3))]))[2][len(unknown) :]
+        offset, basis = np.pad(known.T, ((3, len(N) - 6), (0, 0))), np.eye(len(N))
+        free = np.concatenate([basis[:, :3], offset, basis[:, 6:]], axis=1)
+        S = free @ np.linalg.inv(free.T @ N @ free) @ free.T
         return S[:6, :6], -(S @ g)[:6]
+
+    def scale(self, fit: Fit, sigma: Float[np.ndarray, "2"], known: Float[np.ndarray, "2"]) -> Scale:
+        """By how much all lengths that photographs show would have to be longer.
+
+        Args:
+            fit: the minimum without it.
+            sigma: near the σ of given positions (mm) and rotations (rad).
+            known: those that are given, NaN for those that are not.
+        """
+        J, _, e = self._linear(fit, sigma)
+        by = _differences(lambda ln: fit.errors(self._kind, _scaled(self._seen, ln[:, 0])), np.array([_SCALE_STEP]))
+        J = np.concatenate([J, by], axis=-1)
+        # A wrong scale is no error of the robot.
+        found = _likeliest(J, self._measured(fit), e, sigma)
+        sigma = np.where(np.isfinite(known), np.fmax(known, found), found) * self.of_few(known)
+        by_camera = self._by_board(fit) @ self._seen.by_camera
+        V = self._measured(fit) + _of_robot(sigma)
+        N, g = _normal(J, V, np.concatenate([e[..., None], by_camera], axis=-1))
+        S = np.linalg.inv(_with_prior(N))
+        ln, *moves = -(S @ g)[-1]
+        return Scale(float(ln), float(np.sqrt(S[-1, -1])), np.array(moves))
 
     def _linear(
         self, fit: Fit, sigma: Float[np.ndarray, "2"]
     ) -> tuple[Float[np.ndarray, "p 6 u"], Float[np.ndarray, "p 6 6"], Float[np.ndarray, "p 6"]]:
         """Derivatives of the errors by the unknowns, the errors' covariance, and the errors."""
-        steps = np.tile(_STEP, len(self._free) // 6)
+        steps = np.tile(_STEP, 1 + fit.board_places.shape[-2])
         J = _differences(lambda by: fit.moved(by).errors(self._kind, self._seen), steps)
         return J, self._measured(fit) + _of_robot(sigma), fit.errors(self._kind, self._seen)
 
@@ -279,22 +317,69 @@ class _Weights:
         return _differences(lambda by: fit.errors(self._kind, self._seen, by), _STEP)
 
 
-def not_turned(behind: Pose[np.ndarray]) -> Float[np.ndarray, "directions 3"]:
+def not_turned(
+    behind: Pose[np.ndarray], session: Int[np.ndarray, "photographs"], noise_rad: float
+) -> Float[np.ndarray, "directions 3"]:
     """Directions along which the offset is not found.
 
-    A board mounted elsewhere by b, and an offset by −R̄ b, leave its places as they are as far as all (R_i − R̄) b are
-    small.
+    With a board of its own in each session, whose place is unknown too, places say of an offset o, per photograph,
+    oᵀ (I − R̄ R̄ᵀ) o, R̄ the mean rotation of the session: about the square of its turns across o.
 
     Args:
         behind: what stands behind K in each photograph.
+        session: which mounting of the board each is of.
+        noise_rad: of a rotation about each axis, rad.
     """
     R = behind.matrix()
-    apart = R - R.mean(axis=0)
-    turn, B = np.linalg.eigh((apart.swapaxes(-1, -2) @ apart).mean(axis=0))
-    ways = (R.mean(axis=0) @ B[:, np.sqrt(np.maximum(turn, 0.0)) < _A_TURN]).T
-    if len(ways) == 3:
-        return np.eye(3)
-    return np.linalg.svd(ways, full_matrices=False)[2] if len(ways) else ways
+    means = [R[session == each].mean(axis=0) for each in session]
+    turn, ways = np.linalg.eigh(np.eye(3) - np.mean([mean @ mean.T for mean in means], axis=0))
+    still = np.sqrt(np.maximum(turn, 0.0)) < _A_TURN * max(noise_rad, float(_LEAST[1]))
+    return np.eye(3) if still.all() else ways[:, still].T
+
+
+def _scaled(seen: Seen, ln: Float[np.ndarray, "stack"]) -> Seen:
+    """Photographs of boards that lie farther by these factors, given by their logarithms."""
+    boards = seen.boards
+    places = np.exp(ln)[:, None, None] * boards.translation
+    return replace(seen, boards=Pose(np.broadcast_to(boards.rotation, places.shape), places))
+
+
+def _solved(N: Float[np.ndarray, "u u"], g: Float[np.ndarray, "u"]) -> Float[np.ndarray, "u"]:
+    """N⁻¹ g, and nothing along what N does not determine."""
+    scale = np.sqrt(np.where(np.diagonal(N) > 0, np.diagonal(N), 1.0))
+    return np.linalg.lstsq(N / np.outer(scale, scale), g / scale, rcond=_NOTHING)[0] / scale
+
+
+def _with_prior(N: Float[np.ndarray, "u u"]) -> Float[np.ndarray, "u u"]:
+    """What nothing is known of has a σ as large as that; what follows the turns and shifts is known."""
+    prior = np.tile(_ANY**-2, len(N) // 6)
+    return N + np.diag(np.pad(prior, (0, len(N) - len(prior))))
+
+
+def _likeliest(
+    J: Float[np.ndarray, "p 6 u"],
+    measured: Float[np.ndarray, "p 6 6"],
+    e: Float[np.ndarray, "p 6"],
+    start: Float[np.ndarray, "2"],
+) -> Float[np.ndarray, "2"]:
+    """σ of given positions (mm) and rotations (rad) of the largest restricted likelihood.
+
+    Args:
+        J: derivatives of the errors by the unknowns.
+        measured: the errors' covariance by the photographs alone.
+        e: the errors.
+        start: near it.
+    """
+
+    def unlikeliness(log_sigma: Float[np.ndarray, "2"]) -> float:
+        V = measured + _of_robot(np.maximum(np.exp(log_sigma), _LEAST))
+        N, g = _normal(J, V, e)
+        squares = np.einsum("pi,pi->", e, np.linalg.solve(V, e[..., None])[..., 0]) - g @ _solved(N, g)
+        # A board all of whose poses are left out, or a direction in which nothing turned, has no normal equations.
+        return float(squares + np.linalg.slogdet(V)[1].sum() + np.linalg.slogdet(_with_prior(N))[1])
+
+    best = minimize(unlikeliness, np.log(np.maximum(start, _LEAST)), method="Nelder-Mead", options={"xatol": 1e-3})
+    return np.maximum(np.exp(best.x), _LEAST)
 
 
 def _normal(

@@ -6,17 +6,17 @@ shifts take the place of the turns; where all turns are about one direction, ang
 places are linear in the offset and in where the board is mounted.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from jaxscan.calibration.hand_eye import Fit, Motion, Seen, median_lengths
 from jaxscan.calibration.initial import usual_rotation
 from jaxscan.errors import InputError
+from jaxscan.files.pose_table import misread
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 
 # Less is no turn, rad.
@@ -29,7 +29,9 @@ _OF_THE_WAY: Final = 0.1
 _MOST_RAD: Final = 0.05
 # Another way to read a table is taken for the right one where it is nearer by so much.
 _CLEARLY: Final = 0.2
-_MM_IN_A_METRE: Final = 1000.0
+# With how many photographs the others are compared, where boards look the same after half a turn; and how often they
+# are then turned back by where the hand is.
+_FIRSTS, _TURNED_BACK = 6, 4
 
 
 def hand_start(kind: type[Motion], seen: Seen, half_turn_mm: Float[np.ndarray, "2"] | None) -> tuple[Fit, Seen]:
@@ -43,12 +45,13 @@ def hand_start(kind: type[Motion], seen: Seen, half_turn_mm: Float[np.ndarray, "
     Raises:
         InputError: the poses do not go with the photographs; a usual mistake is named where there is one.
     """
-    if half_turn_mm is not None:
-        seen = _turned_back(seen, half_turn_mm)
-    fit = _start(kind, seen)
+    if half_turn_mm is None:
+        fit = _start(kind, seen)
+    else:
+        fit, seen = _either_way_round(kind, seen, half_turn_mm)
     if (off := _off(kind, seen, fit)) <= 1.0:
         return fit, seen
-    for words, given in _mistaken(seen.given):
+    for words, given in misread(seen.given):
         as_meant = replace(seen, given=given)
         if _off(kind, as_meant, _start(kind, as_meant)) < _CLEARLY * min(off, 1 / _CLEARLY):
             raise InputError(f"the given poses do not go with the photographs, but they do {words}")
@@ -58,19 +61,6 @@ def hand_start(kind: type[Motion], seen: Seen, half_turn_mm: Float[np.ndarray, "
         "off or more: check that each name in the table is that of the photograph taken at this pose, that the board "
         "stayed where it was mounted, and that its squares have the size that [board] says"
     )
-
-
-def _mistaken(given: Pose[np.ndarray]) -> Iterator[tuple[str, Pose[np.ndarray]]]:
-    """The usual mistakes, in words that follow "but they do", and the poses that are then meant."""
-    yield (
-        "the other way round: change moves to the other of head and object, or, if that is right, write the pose of "
-        "the hand in the frame of the base (T_base_hand), and not its inverse",
-        given.inverse(),
-    )
-    # What was read as w, x, y, z stands in the table as x, y, z, w.
-    read = Rotation.from_quat(np.roll(Rotation.from_rotvec(given.rotation).as_quat(), 1, axis=-1))
-    yield "with the quaternion as qx, qy, qz, qw: write qw first", Pose(read.as_rotvec(), given.translation)
-    yield "in metres: write positions in millimetres", Pose(given.rotation, _MM_IN_A_METRE * given.translation)
 
 
 def _off(kind: type[Motion], seen: Seen, fit: Fit) -> float:
@@ -144,25 +134,33 @@ def _placed(R: Float[np.ndarray, "3 3"], seen: Seen, behind: Pose[np.ndarray]) -
     return Fit(R, found[:3], vector_to_matrix(turned), found[3:].reshape(-1, 3))
 
 
-def _turned_back(seen: Seen, middle_mm: Float[np.ndarray, "2"]) -> Seen:
-    """The same with each board's half turn so that it turned from the first photograph as far as the hand did."""
-    half = Pose(np.array([0.0, 0.0, np.pi]), np.array([*(2 * middle_mm), 0.0]))
-    other = seen.boards @ half
-    first = np.array([np.flatnonzero(seen.session == k)[0] for k in seen.session])
-    R, G = seen.boards.matrix(), seen.given.matrix()
-    hand = np.linalg.norm(matrix_to_vector(G @ G[first].swapaxes(-1, -2)), axis=1)
-    as_is, turned = (
-        np.abs(np.linalg.norm(matrix_to_vector(each @ R[first].swapaxes(-1, -2)), axis=1) - hand)
-        for each in (R, other.matrix())
-    )
-    flip = turned < as_is
-    boards = Pose(
-        np.where(flip[:, None], other.rotation, seen.boards.rotation),
-        np.where(flip[:, None], other.translation, seen.boards.translation),
-    )
+def _either_way_round(kind: type[Motion], seen: Seen, middle_mm: Float[np.ndarray, "2"]) -> tuple[Fit, Seen]:
+    """The start of photographs whose boards may each be turned by half a turn, and these turned as they were.
+
+    The angle by which the hand turned from one photograph to another says so, unless it is a right one. So all are
+    compared with one of each session, and then, once K is found, with where the hand was; and that from several.
+    """
+    other, found = _half_turned(seen, middle_mm), []
+    for share in np.arange(_FIRSTS) / _FIRSTS:
+        tried, spare = _exchanged(seen, other, _turned_otherwise(seen, other, share))
+        fit = _start(kind, tried)
+        for _ in range(_TURNED_BACK):
+            off, otherwise = (np.linalg.norm(fit.errors(kind, each)[:, 3:], axis=1) for each in (tried, spare))
+            if not (otherwise < off).any():
+                break
+            tried, spare = _exchanged(tried, spare, otherwise < off)
+            fit = _start(kind, tried)
+        found.append((_off(kind, tried, fit), fit, tried))
+    _, fit, tried = min(found, key=lambda each: each[0])
+    return fit, tried
+
+
+def _half_turned(seen: Seen, middle_mm: Float[np.ndarray, "2"]) -> Seen:
+    """The same with each board turned by half a turn about its middle."""
+    boards = seen.boards @ Pose(np.array([0.0, 0.0, np.pi]), np.array([*(2 * middle_mm), 0.0]))
     # The place of the other corner moves with the turn of the board too.
     by = boards.translation - seen.boards.translation
-    J = np.tile(np.eye(6), (len(flip), 1, 1))
+    J = np.tile(np.eye(6), (len(by), 1, 1))
     J[:, 3:, :3] = np.cross(np.eye(3)[None], by[:, None]).swapaxes(-1, -2)
     return replace(
         seen,
@@ -170,3 +168,39 @@ def _turned_back(seen: Seen, middle_mm: Float[np.ndarray, "2"]) -> Seen:
         covariance=J @ seen.covariance @ J.swapaxes(-1, -2),
         by_camera=J @ seen.by_camera,
     )
+
+
+def _exchanged(one: Seen, other: Seen, which: Bool[np.ndarray, "photographs"]) -> tuple[Seen, Seen]:
+    """Two readings of the same boards, some of them exchanged."""
+
+    def mixed(a: Seen, b: Seen) -> Seen:
+        def some(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            return np.where(which.reshape(-1, *[1] * (x.ndim - 1)), y, x)
+
+        return replace(
+            a,
+            boards=Pose(some(a.boards.rotation, b.boards.rotation), some(a.boards.translation, b.boards.translation)),
+            covariance=some(a.covariance, b.covariance),
+            by_camera=some(a.by_camera, b.by_camera),
+        )
+
+    return mixed(one, other), mixed(other, one)
+
+
+def _turned_otherwise(seen: Seen, other: Seen, share: float) -> Bool[np.ndarray, "photographs"]:
+    """Which boards turned as far as the hand did, from one of their session, if they are read the other way round.
+
+    Args:
+        seen: the photographs.
+        other: the same with all boards the other way round.
+        share: of its session that comes before the one with which the others are compared.
+    """
+    own = [np.flatnonzero(seen.session == session) for session in seen.session]
+    first = np.array([each[int(share * len(each))] for each in own])
+
+    def turned(R: Float[np.ndarray, "photographs 3 3"], of: Float[np.ndarray, "photographs 3 3"]) -> np.ndarray:
+        return np.linalg.norm(matrix_to_vector(R @ of[first].swapaxes(-1, -2)), axis=1)
+
+    G, R = seen.given.matrix(), seen.boards.matrix()
+    hand = turned(G, G)
+    return np.abs(turned(other.boards.matrix(), R) - hand) < np.abs(turned(R, R) - hand)

@@ -10,13 +10,13 @@ from jaxtyping import Float
 
 from jaxscan.axis_details import POSES
 from jaxscan.calibration.hand import FEWEST_POSES, Hand
-from jaxscan.calibration.hand_eye import Fit, HandEye, Seen, hand_eye
+from jaxscan.calibration.hand_eye import Fit, HandEye, Scale, Seen, hand_eye
 from jaxscan.calibration.hand_start import hand_start
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import error_context
 from jaxscan.geometry import Pose, matrix_to_vector, vector_to_matrix
 from jaxscan.precision import as_float64, as_numpy
-from jaxscan.rig import CARRIED_BY, Covariance, HeadPoses, ObjectPoses, Rig
+from jaxscan.rig import CARRIED_BY, Covariance, HeadPoses, ObjectPoses, PoseRange, Rig
 
 # Of a difference of rotation vectors, rad.
 _STEP = 1e-6
@@ -57,6 +57,8 @@ def with_hand(result: Calibration) -> Calibration:
         found.unknown,
         _board_mm(kind, fit, seen, board.points().mean(axis=0)),
         (hand.sigma_mm, hand.sigma_deg),
+        *_scale(found.scale, result.covariance),
+        PoseRange.of(Pose(seen.given.rotation[found.kept], seen.given.translation[found.kept])),
     )
     rig = Rig(result.rig.camera, result.rig.lights, motion)
     return replace(
@@ -106,6 +108,13 @@ def _board_mm(kind: type[HeadPoses] | type[ObjectPoses], fit: Fit, seen: Seen, m
     mounted = (fit.board_rotations @ middle + fit.board_places)[seen.session]
     at = kind.from_hand(seen.given, mounted[:, None])
     return float(np.median(np.linalg.norm(at[:, 0], axis=1)))
+
+
+def _scale(scale: Scale, covariance: Covariance) -> tuple[float, float]:
+    """The lengths of the given positions over those of the photographs, and σ of that."""
+    variance = scale.sigma**2 + scale.by_camera @ covariance.matrix @ scale.by_camera
+    factor = float(np.exp(scale.ln))
+    return factor, factor * float(np.sqrt(variance))
 
 
 def _joined(covariance: Covariance, found: HandEye, motion: HeadPoses | ObjectPoses) -> Covariance:

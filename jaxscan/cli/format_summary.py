@@ -317,10 +317,13 @@ def _axis(summary: Summary) -> Iterator[Line]:
     elif "hand_mm" in summary:
         what = "hand" if summary["moves"] == "head" else "robot's base"
         yield summary["axis"], f"the {summary['moves']} moves {summary['way']}"
-        # Where nothing turned its place is not found, and is 0.
+        # Where nothing turned its place is not found.
         found = summary["hand_sigma_mm"] is not None or summary["turned_sigma_deg"] is None
         place = f"at {_triple(summary['hand_mm'])}" if found else "at a place that is not found"
         yield "", f"the {what} {place} in the camera's frame, turned by {_turn(summary)}"
+        if ways := summary["hand_open_along"]:
+            axes = " and ".join("(" + ", ".join(f"{x:.2f}" for x in way) + ")" for way in ways)
+            yield "", f"along {axes} of its own axes this place is not found, for nothing turned there"
     else:
         yield summary["axis"], f"{summary['kind']}, {summary['way']}"
 

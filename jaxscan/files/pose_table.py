@@ -3,10 +3,12 @@
 A line is `name, x, y, z, qw, qx, qy, qz`, position in mm and a quaternion of length 1, or the name and the 4 × 4 matrix
 row by row (its last row may be left out). Semicolons, commas, tabs or spaces stand between, the first of them that a
 line has; between semicolons a comma is that of a decimal. A line without a number is a heading, and what follows # is a
-remark. Photographs that the table has and nobody asks for do not matter.
+remark. A heading, or a remark before the first pose, that names the eight columns says their order. Photographs that
+the table has and nobody asks for do not matter.
 """
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import Final
 
@@ -16,13 +18,20 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
-from jaxscan.files.rigid import rigid_pose, turned
+from jaxscan.files.rigid import rigid_pose, turned, usable
 from jaxscan.files.table import Table
 from jaxscan.files.text import parse_file
 from jaxscan.geometry import Pose
 
 # Position and quaternion; three rows of a matrix; four.
 _COUNTS: Final = (7, 12, 16)
+_MM_IN_A_METRE: Final = 1000.0
+# Names of columns: x, tx, pos_x, x_mm, "X [mm]"; qw, q_w, rot_w. What a pose is of, as it is read.
+_OF_POSITION: Final = re.compile(
+    r"(?:t|p|pos|position|trans|translation)?[._ ]*([xyz])(?:[._ ]*[\[(]?(mm|cm|m|in|inch)[\])]?)?"
+)
+_OF_ROTATION: Final = re.compile(r"(?:q|quat|quaternion|r|rot|rotation|o|orientation)[._ ]*([wxyz])")
+_COLUMNS: Final = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _SHAPES: Final = "name, x, y, z, qw, qx, qy, qz or a name and the 16 numbers of a 4 × 4 matrix"
 
 
@@ -54,6 +63,19 @@ def read_pose_table(path: Path, photographs: Sequence[Path]) -> Pose[np.ndarray]
             f"{path}: has no pose of {some}, but of {has or 'nothing'}: begin each line with a photograph's file name"
         )
     return Pose(np.stack([pose.rotation for pose in poses]), np.stack([pose.translation for pose in poses]))
+
+
+def misread(given: Pose[np.ndarray]) -> Iterator[tuple[str, Pose[np.ndarray]]]:
+    """The usual mistakes in a table, in words that follow "but they do", and the poses that are then meant."""
+    yield (
+        "the other way round: change moves to the other of head and object, or, if that is right, write the pose of "
+        "the hand in the frame of the base (T_base_hand), and not its inverse",
+        given.inverse(),
+    )
+    # What was read as w, x, y, z stands in the table as x, y, z, w.
+    read = Rotation.from_quat(np.roll(Rotation.from_rotvec(given.rotation).as_quat(), 1, axis=-1))
+    yield "with the quaternion as qx, qy, qz, qw: write qw first", Pose(read.as_rotvec(), given.translation)
+    yield "in metres: write positions in millimetres", Pose(given.rotation, _MM_IN_A_METRE * given.translation)
 
 
 def named_table(table: Table, key: str, of: str) -> Path:
@@ -88,11 +110,14 @@ def write_pose_table(path: Path, names: Sequence[str], poses: Pose[np.ndarray]) 
 
 def _lines(path: Path, text: str) -> dict[str, Pose[np.ndarray]]:
     poses: dict[str, Pose[np.ndarray]] = {}
+    order: list[int] | None = None
     for number, line in enumerate(text.splitlines(), 1):
         words = _words(line.partition("#")[0].strip())
         where = f"{path}: line {number}"
         numbers = [_number(word) for word in words]
         if not any(value is not None for value in numbers[1:]):
+            heading = words or _words(line.strip().lstrip("# "))
+            order = order if poses else _order(where, heading) or order
             if poses and words:
                 raise InputError(f"{where}: is {line.strip()!r}, but {_SHAPES} is expected")
             continue
@@ -103,11 +128,28 @@ def _lines(path: Path, text: str) -> dict[str, Pose[np.ndarray]]:
             raise InputError(f"{where}: is {line.strip()!r:.80}, but {_SHAPES} is expected")
         if name in poses:
             raise InputError(f"{where}: {name} stands twice: keep one of them")
-        poses[name] = _pose(where, np.array(values, np.float64))
+        pose = np.array(values, np.float64)
+        poses[name] = _pose(where, pose[order] if order and len(pose) == len(order) else pose)
     return poses
 
 
+def _order(where: str, heading: Sequence[str]) -> list[int] | None:
+    """Where the numbers of a pose stand behind the name, by the names of the columns; None where these do not say."""
+    positions = [_OF_POSITION.fullmatch(word.lower()) for word in heading[1:]]
+    units = [(found[1], found[2]) for found in positions if found and found[2] not in (None, "mm")]
+    if units:
+        raise InputError(f"{where}: {units[0][0]} is in {units[0][1]}: write positions in mm, and name the columns so")
+    rotations = [_OF_ROTATION.fullmatch(word.lower()) for word in heading[1:]]
+    names = [p[1] if p else f"q{r[1]}" if r else "" for p, r in zip(positions, rotations, strict=True)]
+    return [names.index(column) for column in _COLUMNS] if sorted(names) == sorted(_COLUMNS) else None
+
+
 def _pose(where: str, values: Float[np.ndarray, "numbers"]) -> Pose[np.ndarray]:
+    for value in values:
+        if not usable(value):
+            raise InputError(
+                f"{where}: has the number {value:g}: write the pose as it was, or leave the photograph out"
+            )
     if len(values) == _COUNTS[0]:
         return Pose(turned(where, np.roll(values[3:], -1)), values[:3])
     return rigid_pose(where, values.reshape(-1, 4))
@@ -119,7 +161,7 @@ def _words(line: str) -> list[str]:
         name, *numbers = line.split(";")
         line = ";".join([name, *(number.replace(",", ".") for number in numbers)])
     # A line may end in what stands between.
-    return [word.strip() for word in line.strip(between).split(between)] if line else []
+    return [word.strip().strip("\"'") for word in line.strip(between).split(between)] if line else []
 
 
 def _number(word: str) -> float | None:

@@ -196,6 +196,9 @@ def _fit(table: Table) -> dict[str, Any]:
         raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")
     for i, way in enumerate(fit.sequence("pose_offset_unknown", "directions") if "pose_offset_unknown" in fit else ()):
         Table(table.path, "fit.pose_offset_unknown.", {str(i): way}).numbers(str(i), 3)
+    if "pose_range" in fit:
+        poses = fit.table("pose_range", "fit.pose_range.")
+        _ = [poses.numbers(key, 3) for key in ("least_mm", "most_mm", "turn")], poses.number("within_rad")
     if "sigma_over_noise_alone" in fit:
         ratios = fit.table("sigma_over_noise_alone", "fit.sigma_over_noise_alone.")
         if not ratios.values or any(ratios.number(name) <= 0 for name in ratios.values):

@@ -30,7 +30,7 @@ from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, wit
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.overlapping import overlapping
-from jaxscan.reconstruction.pose_sigma import PoseSigma, check_turns
+from jaxscan.reconstruction.pose_sigma import PoseSigma, check_poses
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands, own_colours
@@ -107,7 +107,7 @@ class Scanner:
                 no frames, or there is no stripe in any of them.
         """
         check_scan(self._content.rig, scan)
-        check_turns(self._content, scan)
+        check_poses(self._content, scan)
         with error_context(scan.path):
             laser = self._laser(scan.laser)
         frames = seen = points = 0

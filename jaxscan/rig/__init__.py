@@ -13,6 +13,7 @@ from jaxscan.rig.light_plane import LightPlane
 from jaxscan.rig.linear import Linear
 from jaxscan.rig.motion import AxisMotion, Chain, Fixed, Motion, Positions, motion_of
 from jaxscan.rig.play import played_axes, run_of, runs
+from jaxscan.rig.pose_range import PoseRange
 from jaxscan.rig.rig import Rig
 from jaxscan.rig.rotary import Rotary
 from jaxscan.rig.system import System
@@ -37,6 +38,7 @@ __all__ = [
     "Linear",
     "Motion",
     "ObjectPoses",
+    "PoseRange",
     "Positions",
     "Rig",
     "Rotary",

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.geometry import vector_to_matrix
 from jaxscan.rig.bowed_sheet import BowedSheet
 from jaxscan.rig.covariance import Covariance
 from jaxscan.rig.given_poses import CARRIED_BY, HeadPoses, ObjectPoses
@@ -26,6 +27,10 @@ Summary = dict[str, Any]
 HALF_WIDTH_MM: Final = 100.0
 # The travel over which a stage's bow and turn are said, mm.
 BOWED_OVER_MM: Final = 100.0
+# A step of differences, rad.
+_STEP_RAD: Final = 1e-6
+# A variance that is smaller than this beside the largest is none.
+_OPEN: Final = 1e-9
 
 
 def light_summary(rig: Rig, covariance: Covariance | None, rays: Float[np.ndarray, "rays 3"]) -> list[Summary]:
@@ -99,24 +104,44 @@ def _of_kind(part: AxisMotion, covariance: Covariance | None, near: Float[np.nda
 
 
 def _of_poses(part: HeadPoses | ObjectPoses, covariance: Covariance | None) -> Summary:
-    """Where hand or base is as the camera sees it, with the largest σ of its turn and those of its place.
-
-    Its place is known as well as the offset, in axes of its own.
-    """
+    """Where hand or base is as the camera sees it, with the largest σ of its turn and those of its place."""
     K = part.to_camera()
     turn = np.asarray(K.rotation, np.float64)
     angle = float(np.linalg.norm(turn))
     numbers = _numbers(f"motion.{part.axis}", part, covariance)
-    of_turn, of_place = (numbers[name]["sigma"] or [None] for name in ("rotation", "offset"))
-    known = [sigma for sigma in of_turn if sigma is not None]
+    known = [sigma for sigma in numbers["rotation"]["sigma"] or () if sigma is not None]
     return {
         "moves": next(moves for moves, kind in CARRIED_BY.items() if isinstance(part, kind)),
         "hand_mm": np.asarray(K.translation, np.float64).tolist(),
-        "hand_sigma_mm": None if None in of_place else of_place,
+        "hand_sigma_mm": _sigma_of_place(part, covariance),
+        "hand_open_along": _open_along(part, covariance),
         "turned_deg": math.degrees(angle),
         "turned_about": (turn / angle if angle else turn).tolist(),
         "turned_sigma_deg": math.degrees(max(known)) if known else None,
     }
+
+
+def _sigma_of_place(part: HeadPoses | ObjectPoses, covariance: Covariance | None) -> list[float] | None:
+    """σ of where hand or base is along the camera's axes, to first order, mm; None where it is not found."""
+    names = [f"motion.{part.axis}.{number}.{i}" for number, count in part.numbers.items() for i in range(count)]
+    if covariance is None or not set(names) <= set(covariance.names):
+        return None
+    at = [list(covariance.names).index(name) for name in names]
+    w, offset = np.asarray(part.rotation, np.float64), np.asarray(part.offset, np.float64)
+    by = _STEP_RAD * np.eye(3)
+    of_turn = ((vector_to_matrix(w + by) - vector_to_matrix(w - by)) @ offset / (2 * _STEP_RAD)).T
+    J = np.concatenate([of_turn, vector_to_matrix(w)], axis=1)
+    return np.sqrt(np.diagonal(J @ np.asarray(covariance.matrix)[np.ix_(at, at)] @ J.T)).tolist()
+
+
+def _open_along(part: HeadPoses | ObjectPoses, covariance: Covariance | None) -> list[list[float]]:
+    """Directions along which the offset is not found, in its axes: the covariance has nothing there."""
+    names = [f"motion.{part.axis}.offset.{i}" for i in range(3)]
+    if covariance is None or not set(names) <= set(covariance.names):
+        return []
+    at = [list(covariance.names).index(name) for name in names]
+    variances, ways = np.linalg.eigh(np.asarray(covariance.matrix)[np.ix_(at, at)])
+    return ways[:, variances < _OPEN * variances[-1]].T.tolist()
 
 
 def step_of(line: Line, covariance: Covariance) -> tuple[float, float]:

@@ -24,13 +24,16 @@ def world(
     turn: str = "all",
     sessions: int = 1,
     sigma: tuple[float, float] = (SIGMA_MM, SIGMA_RAD),
+    turned: Rotation | None = None,
+    base: tuple[float, float, float] = (0.2, 2.9, 0.3),
+    away_mm: float = 60.0,
 ) -> tuple[Pose[np.ndarray], Seen]:
     """K, and photographs whose given poses and boards are off by noise."""
     random = np.random.default_rng([seed, count, sessions])
     kind = CARRIED_BY[moves]
-    K = Pose(random.normal(0, 1.2, 3), random.normal(0, 60, 3))
-    turned = random.uniform(-0.5, 0.5, (count, 3)) * {"all": [1, 1, 1], "one": [0, 0, 1], "none": [0, 0, 0]}[turn]
-    rotation = (Rotation.from_rotvec(turned) * Rotation.from_rotvec([0.2, 2.9, 0.3])).as_rotvec()
+    K = Pose(random.normal(0, 1.2, 3), random.normal(0, away_mm, 3))
+    usual = random.uniform(-0.5, 0.5, (count, 3)) * {"all": [1, 1, 1], "one": [0, 0, 1], "none": [0, 0, 0]}[turn]
+    rotation = ((turned or Rotation.from_rotvec(usual)) * Rotation.from_rotvec(base)).as_rotvec()
     boards = Pose(rotation, random.uniform(-60, 60, (count, 3)) + np.array([0.0, 0.0, 380.0]))
     session = np.arange(count) % sessions
     mounted = Pose(random.normal(0, 1, (sessions, 3)), random.normal(0, 200, (sessions, 3)))
@@ -103,7 +106,6 @@ def test_a_hand_that_never_turns_leaves_the_offset_open(moves: str):
         K, seen = world(seed, moves, turn="none")
         result = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None))
         assert len(result.unknown) == 3
-        assert not result.fit.offset.any()
         d = off(result.fit, K)[:3]
         assert d @ np.linalg.solve(result.covariance[:3, :3], d) < 20
 
@@ -186,8 +188,83 @@ def test_boards_that_look_the_same_after_half_a_turn():
         assert np.degrees(np.linalg.norm(off(fit, K)[:3])) < 1.0
 
 
+def test_boards_that_look_the_same_where_the_hand_turned_by_right_angles():
+    middle = np.array([40.0, 25.0])
+    for seed in range(4):
+        yaw = Rotation.from_rotvec(np.outer(np.pi / 2 * (np.arange(14) % 3), [0, 0, 1]))
+        tilt = np.random.default_rng(seed).uniform(-0.1, 0.1, (14, 3)) * [1, 1, 0]
+        _, seen = world(seed, turned=yaw * Rotation.from_rotvec(tilt), base=(np.pi, 0.0, 0.0))
+        fit, back = hand_start(CARRIED_BY["head"], seen, middle)
+        np.testing.assert_allclose(back.boards.translation, seen.boards.translation)
+        assert hand_eye(CARRIED_BY["head"], back, fit, (None, None)).kept.all()
+
+
+@pytest.mark.parametrize("moves", CARRIED_BY)
+@pytest.mark.parametrize("turn_rad", [0.005, 0.02, 0.05])
+def test_small_turns_far_from_the_base(moves: str, turn_rad: float):
+    """About x and y the hand turns by little, which moves a base that is far away all the same."""
+    kind, normalized, found = CARRIED_BY[moves], [], []
+    for seed in range(20):
+        turned = np.random.default_rng(seed).normal(0, 1, (14, 3)) * [turn_rad, turn_rad, 0.3]
+        K, seen = world(seed, moves, turned=Rotation.from_rotvec(turned), away_mm=800.0)
+        result = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None))
+        found.append(result.found)
+        if not len(result.unknown):
+            d = off(result.fit, K)
+            normalized.append(d @ np.linalg.solve(result.covariance, d) / 6)
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(found), axis=0)), [SIGMA_MM, SIGMA_RAD], rtol=0.15)
+    assert len(normalized) >= 15
+    assert np.mean(normalized) == pytest.approx(1.0, abs=0.35)
+
+
+@pytest.mark.parametrize("moves", CARRIED_BY)
+def test_hands_that_turn_between_two_mountings_alone(moves: str):
+    """Each session has a board of its own, whose place takes up whatever all of its photographs have in common."""
+    kind = CARRIED_BY[moves]
+    for seed in range(5):
+        turned = Rotation.from_rotvec(np.where(np.arange(14)[:, None] % 2, [0.4, -0.3, -0.4], [0.0, 0.5, 0.3]))
+        _, seen = world(seed, moves, sessions=2, turned=turned)
+        result = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None))
+        assert len(result.unknown) == 3
+        np.testing.assert_allclose(result.found, [SIGMA_MM, SIGMA_RAD], rtol=0.6)
+
+
+@pytest.mark.parametrize("which", range(3))
+def test_a_session_all_of_whose_poses_are_wrong(which: int):
+    K, seen = world(1, count=24, sessions=3)
+    random, spoilt = np.random.default_rng(0), seen.session == which
+    seen.given.translation[spoilt] += random.normal(0, 30, (8, 3))
+    seen.given.rotation[spoilt] += random.normal(0, 0.2, (8, 3))
+    result = hand_eye(CARRIED_BY["head"], seen, hand_start(CARRIED_BY["head"], seen, None)[0], (None, None))
+    np.testing.assert_array_equal(result.kept, ~spoilt)
+    np.testing.assert_allclose(result.found, [SIGMA_MM, SIGMA_RAD], rtol=0.3)
+    d = off(result.fit, K)
+    assert d @ np.linalg.solve(result.covariance, d) < 20
+
+
+@pytest.mark.parametrize("moves", CARRIED_BY)
+def test_lengths_that_photographs_and_poses_show(moves: str):
+    kind, normalized = CARRIED_BY[moves], []
+    for seed in range(20):
+        _, seen = world(seed, moves)
+        scale = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None)).scale
+        normalized.append((scale.ln / scale.sigma) ** 2)
+        boards = Pose(seen.boards.rotation, 1.02 * seen.boards.translation)
+        larger = replace(seen, boards=boards)
+        scale = hand_eye(kind, larger, hand_start(kind, larger, None)[0], (None, None)).scale
+        assert scale.ln == pytest.approx(-np.log(1.02), abs=0.002)
+        assert -scale.ln / scale.sigma > 4
+    assert np.mean(normalized) == pytest.approx(1.0, abs=0.6)
+
+
 def test_what_turns_little_is_taken_not_to_turn():
-    small = np.random.default_rng(0).normal(0, 0.002, (20, 3))
-    assert len(not_turned(Pose(small, np.zeros((20, 3))))) == 3
-    assert len(not_turned(Pose(small + np.outer(np.linspace(-1, 1, 20), [0, 0, 1]), np.zeros((20, 3))))) == 1
-    assert len(not_turned(Pose(200 * small, np.zeros((20, 3))))) == 0
+    small, one = np.random.default_rng(0).normal(0, 0.002, (20, 3)), np.zeros(20, int)
+
+    def open_along(rotations: np.ndarray, session: np.ndarray = one) -> int:
+        return len(not_turned(Pose(rotations, np.zeros((20, 3))), session, 5e-4))
+
+    assert open_along(small) == 3
+    assert open_along(small + np.outer(np.linspace(-1, 1, 20), [0, 0, 1])) == 1
+    assert open_along(20 * small) == 0
+    assert open_along(small + np.outer(np.arange(20) % 2, [0.5, 0.4, 0.3])) < 3
+    assert open_along(small + np.outer(np.arange(20) % 2, [0.5, 0.4, 0.3]), np.arange(20) % 2) == 3

@@ -157,7 +157,7 @@ def test_version(capsys):
     assert capsys.readouterr().out.startswith("jaxscan 0.")
 
 
-@pytest.mark.parametrize("module, name", [("jaxscan", "jaxscan"), ("hardware", "scanner")])
+@pytest.mark.parametrize(("module", "name"), [("jaxscan", "jaxscan"), ("hardware", "scanner")])
 def test_as_a_module(module, name):
     command = [sys.executable, "-m", module, "--version"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)

@@ -76,6 +76,31 @@ def test_decimal_commas_and_names_with_spaces(tmp_path: Path):
     np.testing.assert_array_equal(same.rotation, read.rotation)
 
 
+@pytest.mark.parametrize(
+    "heading",
+    [
+        "photograph,x,y,z,qx,qy,qz,qw",
+        "Name, X [mm], Y [mm], Z [mm], q_x, q_y, q_z, q_w",
+        "# timestamp,tx,ty,tz,qx,qy,qz,qw",
+        '"name","pos_x","pos_y","pos_z","rot.x","rot.y","rot.z","rot.w"',
+    ],
+)
+def test_a_heading_says_the_order_of_the_columns(tmp_path: Path, heading: str):
+    given = poses()
+    x, y, z, w = Rotation.from_rotvec(given.rotation).as_quat().T
+    rows = np.column_stack([given.translation, x, y, z, w])
+    lines = [f'"{path.name}",' + ",".join(map(repr, row.tolist())) for path, row in zip(NAMES, rows, strict=True)]
+    read = read_pose_table(table(tmp_path / "p.csv", [heading, *lines]), NAMES)
+    np.testing.assert_allclose(read.matrix(), given.matrix(), atol=1e-12)
+    np.testing.assert_allclose(read.translation, given.translation, atol=1e-12)
+
+
+def test_a_heading_that_says_nothing_of_the_order(tmp_path: Path):
+    for heading in ("name,a,b,c,d,e,f,g", "# poses of Tuesday", "name,x,y,z,qw,qx,qy,qz"):
+        read = read_pose_table(table(tmp_path / "p.csv", [heading, "00.png,1,2,3,0,1,0,0"]), NAMES[:1])
+        np.testing.assert_allclose(np.abs(read.rotation), [[np.pi, 0, 0]])
+
+
 LINE = "{},1,2,3,1,0,0,0"
 BAD = {
     "no such photograph": ([LINE.format("00.png"), LINE.format("9.png")], ["no pose of 01.png, 02.png", "00.png, 9"]),
@@ -85,7 +110,10 @@ BAD = {
     "a word": ([LINE.format("00.png"), "01.png,1,2,x,1,0,0,0"], ["line 2: is '01.png,1,2,x,1,0,0,0'"]),
     "twice": ([LINE.format("00.png")] * 2, ["line 2: 00.png stands twice"]),
     "no unit quaternion": (["00.png,1,2,3,1,1,0,0"], ["line 1: the quaternion has the length 1.414"]),
-    "no number": (["00.png,1,2,3,nan,0,0,0"], ["line 1: the quaternion has the length inf"]),
+    "no number": (["00.png,1,2,3,nan,0,0,0"], ["line 1: has the number nan"]),
+    "no position": (["00.png,1,nan,3,1,0,0,0"], ["line 1: has the number nan", "leave the photograph out"]),
+    "a large one": (["00.png,1e200,0,3,1,0,0,0"], ["line 1: has the number 1e+200"]),
+    "metres": (["name,x_m,y_m,z_m,qw,qx,qy,qz", LINE.format("00.png")], ["line 1: x is in m: write positions in mm"]),
     "a mirror": (["00.png,-1,0,0,1,0,1,0,2,0,0,1,3"], ["line 1: is no rotation", "mirroring"]),
     "a remark in between": ([LINE.format("00.png"), "and so on"], ["line 2: is 'and so on'"]),
 }

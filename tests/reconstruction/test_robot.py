@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxscan import InputError, read_range_image, read_rig, read_scan, reconstruct, write_points
 from jaxscan.cli.main import main
@@ -15,7 +16,7 @@ from jaxscan.files.session import read_session, write_session
 from jaxscan.geometry import Pose
 from jaxscan.images import read_image
 from jaxscan.reconstruction import RangeImage
-from jaxscan.rig import CARRIED_BY
+from jaxscan.rig import CARRIED_BY, HeadPoses, given_poses, positions_of
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import ScanTruth, write_truth
 from jaxscan.simulation.robot import Robot, simulate_robot_scan, simulate_robot_session, with_robot
@@ -120,6 +121,45 @@ def test_the_gravest_mistakes_are_refused(world, tmp_path: Path):
     with pytest.raises(InputError, match="from its base: give positions in millimetres"):
         reconstruct(rig, replace(scan, axes=metres))
     del tmp_path
+
+
+MISREAD = {
+    "with the quaternion as qx, qy, qz, qw": lambda given: Pose(
+        Rotation.from_quat(np.roll(Rotation.from_rotvec(given.rotation).as_quat(), -1, axis=1)).as_rotvec(),
+        given.translation,
+    ),
+    "in metres: write positions in millimetres": lambda given: Pose(given.rotation, given.translation / 1000),
+    "the other way round": lambda given: given.inverse(),
+}
+
+
+@pytest.mark.parametrize("said", MISREAD)
+def test_a_table_of_a_scan_that_is_read_in_another_way(world, said: str):
+    folder, _ = world
+    rig, scan = read_rig(folder / "rig.json"), read_scan(folder / "scan")
+    if said == "the other way round" and isinstance(rig.rig.motion, HeadPoses):
+        pytest.skip("a hand that is turned by half a turn is near its own inverse")
+    given = given_poses({axis: np.asarray(steps, float) for axis, steps in scan.axes.items()})
+    wrong = {axis: tuple(steps.tolist()) for axis, steps in positions_of(MISREAD[said](given)).items()}
+    with pytest.raises(InputError, match=f"do not go with those of the calibration, but they do {said}"):
+        reconstruct(rig, replace(scan, axes=wrong))
+    # A rig file of before says nothing of where its poses were.
+    fit = {key: value for key, value in rig.fit.items() if key != "pose_range"}
+    reconstruct(replace(rig, fit=fit), replace(scan, axes=wrong))
+
+
+def test_squares_that_are_not_as_large_as_was_said(world, tmp_path: Path, capsys):
+    folder, _ = world
+    text = (folder / "session" / "session.toml").read_text()
+    (tmp_path / "session.toml").write_text(text.replace("square_mm = 16.0", "square_mm = 16.4"))
+    for part in (folder / "session").iterdir():
+        if part.name != "session.toml":
+            (tmp_path / part.name).symlink_to(part)
+    assert main(["calibrate", "--json", str(tmp_path), "-o", str(tmp_path / "rig.json")]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"]["level"] == "care"
+    (said,) = [warning["statement"] for warning in found["warnings"] if "as far apart" in warning["statement"]]
+    assert re.search(r"The given positions are 0.97\d+ ± 0.00\d+ times as far apart as the photographs", said)
 
 
 def test_a_pose_of_another_moment_is_left_out_and_said(world, tmp_path: Path, capsys):

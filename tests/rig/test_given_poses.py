@@ -9,7 +9,9 @@ import pytest
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy, float64
-from jaxscan.rig import CARRIED_BY, HeadPoses, ObjectPoses, Rig, given_poses, positions_of
+from jaxscan.rig import CARRIED_BY, Covariance, HeadPoses, ObjectPoses, PoseRange, Rig, given_poses, positions_of
+from jaxscan.rig.rig import parameter_names
+from jaxscan.rig.summary import axis_summary
 from jaxscan.simulation import rig_2003
 
 K = Pose(np.array([0.3, -0.2, 1.4]), np.array([10.0, 70.0, -90.0]))
@@ -60,6 +62,54 @@ def test_it_goes_through_a_file(tmp_path: Path, moves: str):
     read = read_rig(tmp_path / "rig.json")
     assert read.rig.motion == rig.motion
     assert read.fit == fit
+
+
+def summary_of(moves: str, offset: np.ndarray, root: np.ndarray) -> tuple[Rig, Covariance, dict]:
+    """A rig whose hand is at an offset, its covariance root rootᵀ of turn (rad) and offset (mm), and its summary."""
+    plain = rig_2003.simulated_rig(0)
+    with float64():
+        rig = Rig(plain.camera, plain.lights, as_numpy(CARRIED_BY[moves].create(K.rotation, offset)))
+    names = tuple(parameter_names(rig))
+    matrix = np.zeros((len(names), len(names)))
+    matrix[-6:, -6:] = root @ root.T
+    covariance = Covariance(names, matrix)
+    (axis,) = axis_summary(rig, covariance)
+    return rig, covariance, axis
+
+
+@pytest.mark.parametrize("moves", CARRIED_BY)
+def test_sigma_of_where_the_hand_is(moves: str):
+    """A base that is far away is known as its turn is."""
+    root = np.diag([1e-4] * 3 + [0.1] * 3)
+    offset = np.array([3000.0, -2000.0, 500.0])
+    axis = summary_of(moves, offset, root)[2]
+    assert axis["hand_open_along"] == []
+    random = np.random.default_rng(0)
+    drawn = [
+        np.asarray(CARRIED_BY[moves].create(K.rotation + x[:3], offset + x[3:]).to_camera().translation)
+        for x in (root @ random.standard_normal((6, 4000))).T
+    ]
+    np.testing.assert_allclose(axis["hand_sigma_mm"], np.std(drawn, axis=0), rtol=0.06)
+
+
+def test_a_direction_along_which_the_place_is_not_found():
+    way = np.array([0.6, 0.0, 0.8])
+    root = np.diag([1e-4] * 3 + [0.1] * 3)
+    root[3:, 3:] -= 0.1 * np.outer(way, way)
+    ((x, y, z),) = summary_of("head", np.array([10.0, 20.0, 30.0]), root)[2]["hand_open_along"]
+    assert abs(np.dot([x, y, z], way)) > 0.999999
+
+
+def test_poses_that_are_near_others():
+    random = np.random.default_rng(1)
+    usual = Pose(random.normal([2.0, 0.0, 0.0], 0.2, (12, 3)), random.uniform(250, 450, (12, 3)))
+    where = PoseRange.from_values(PoseRange.of(usual).values())
+    moved = usual.translation[:4] + np.array([250.0, 0.0, 0.0])
+    assert where.is_near(Pose(usual.rotation[:4], moved))
+    assert not where.is_near(Pose(usual.rotation[:4], usual.translation[:4] / 1000))
+    assert not where.is_near(Pose(usual.rotation[:4] - [2.0, 0.0, 0.0], usual.translation[:4]))
+    assert where.is_still(Pose(usual.rotation, usual.translation / 1000))
+    assert not where.is_still(usual)
 
 
 def test_a_motion_of_no_turn_is_one(tmp_path: Path):
