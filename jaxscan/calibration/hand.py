@@ -14,7 +14,7 @@ from jaxscan.rig import CARRIED_BY, AxisMotion, PoseRange
 FEWEST_POSES = 3
 # With fewer, σ of poses is itself known badly.
 _FEW_POSES = 8
-# Lengths of poses and photographs are said to differ where they do by more than this share, and by so many σ.
+# Lengths of poses and photographs are said to differ where they do by more than this share, and this multiple of σ.
 _SCALE, _SCALE_SIGMAS = 0.002, 4.0
 # A given σ is called too small where the poses scatter by more than this multiple of it.
 _CLEARLY_MORE = 1.5

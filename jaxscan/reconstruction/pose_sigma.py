@@ -16,8 +16,8 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.rig import HeadPoses, ObjectPoses, PoseRange, Positions, given_poses
 
-# Poses may turn by so many σ of a given rotation about a direction about which the calibration's did not; rad, where
-# that σ is not known.
+# Poses may turn by this multiple of σ of a given rotation about a direction about which the calibration's did not; by
+# this, rad, where that σ is not known.
 _TURNS: Final = 6.0
 _A_TURN: Final = 0.002
 
