@@ -1,6 +1,7 @@
 """`jaxscan calibrate`: photographs of a board in, a rig with its covariance out."""
 
 import argparse
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,8 @@ EXAMPLE: Final = (
 
 # Up to this many photographs that were left out for one reason have a line each.
 _NAMED: Final = 2
+# How many of a photograph were left out.
+_POINTS: Final = re.compile(r": (\d+) of \d+ (?:corners|stripe points)")
 _PAGES: Final = ("report.html", "report.json")
 
 
@@ -198,7 +201,8 @@ def describe(result: dict[str, Any]) -> str:
     if rejected := result["rejected"]:
         count = len({line.partition(": ")[0] for line in rejected})
         of = "1 photograph" if count == 1 else f"{count} photographs"
-        lines.append(f"rejected as outliers: some points of {of}, listed by --report and --json")
+        points = sum(int(found[1]) for line in rejected if (found := _POINTS.search(line)))
+        lines.append(f"rejected as outliers: {points} points in {of}, listed by --report and --json")
     warned = {box["statement"] for box in result["warnings"]}
     lines += [f"note: {line}" for line in result["notes"] if f"{line[:1].upper()}{line[1:]}." not in warned]
     if result["report"]:

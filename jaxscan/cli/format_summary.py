@@ -57,7 +57,8 @@ def _way(posed: Summary) -> str:
     """How far a hand goes by its given poses, and how far it turns."""
     ways = zip("xyz", posed["from_mm"], posed["to_mm"], strict=True)
     extent = ", ".join(f"{axis} {low:.1f} … {high:.1f}" for axis, low, high in ways)
-    return f"the hand goes over {extent} mm and turns by up to {posed['turn_deg']:.1f}°, by {posed['file']}"
+    by = f", by {posed['file']}" if "file" in posed else ""
+    return f"the hand goes over {extent} mm and turns by up to {posed['turn_deg']:.1f}°{by}"
 
 
 def _scan(summary: Summary) -> Iterator[Line]:
@@ -140,7 +141,8 @@ def _rig(summary: Summary) -> Iterator[Line]:
     if shape := shape_in_words(summary["fit"]):
         yield "board", shape
     for name, value in summary["fit"].items():
-        if name.startswith("board_"):
+        # Said in words above, or of no use to a reader.
+        if name.startswith("board_") or name in ("pose_range", "pose_offset_unknown"):
             continue
         if name == "sigma_over_noise_alone":
             yield "σ", f"{min(value.values()):.2g} to {max(value.values()):.2g} times as wide as noise alone has it"
@@ -202,6 +204,8 @@ def _range_image(summary: Summary) -> Iterator[Line]:
     yield "frames", str(summary["frames"])
     for axis, steps in summary["axes"].items():
         yield axis, _positions(steps)
+    if summary["poses"]:
+        yield "poses", _way(summary["poses"])
     if summary["sweeps"] > 1:
         yield "sweeps", f"{summary['sweeps']}: in each the same axes move from frame to frame"
     if summary["full_turn"]:

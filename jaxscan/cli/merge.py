@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     keep_compiled()
     from jaxscan.cli.progress import progress, step
-    from jaxscan.surface.coarse_register import check_fits, coarse_register
+    from jaxscan.surface.coarse_register import check_fits, check_turned, coarse_register
     from jaxscan.surface.merged import merge, merge_closed
     from jaxscan.surface.register import register
 
@@ -96,6 +96,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         advance(1)
         registration = register(sides, starts)
         check_fits(sides, registration)
+        if degrees:
+            check_turned(sides, degrees, registration)
         advance(1)
         poses = registration.poses
         merged = merge_closed(sides, poses) if args.closed else merge(sides, poses, cube_mm=args.cube)
@@ -321,7 +323,7 @@ def describe(result: dict[str, Any]) -> str:
     closed = f"closed, {result['volume_mm3']:.6g} mm³" if result["closed"] else "open"
     noise, sigma = f"{result['sigma_pixel_vertex_mm']:.4f} mm", result["sigma_vertex_mm"]
     sigma = f"σ of the noise {noise}" if sigma is None else f"σ {sigma:.4f} mm, of which noise {noise}"
-    unseen = f"; {100 * (1 - result['seen']):.0f} % of it were not seen" if result["seen"] < 1 else ""
+    unseen = f"; {100 * (1 - result['seen']):.0f} % of it was not seen" if result["seen"] < 1 else ""
     lines = [
         f"{result['triangles']} triangles of {len(scans)} scans: {', '.join(result['path'])}",
         f"  surface    {result['area_mm2']:.6g} mm², {closed}; {result['sides_in_the_mean']:.1f} scans on each vertex, "

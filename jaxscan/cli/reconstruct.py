@@ -173,8 +173,8 @@ def _looks_in_words(result: dict[str, Any]) -> str:
     """A line each on how many points have a colour and an albedo."""
     points, coloured, lines = result["points"], result["points_with_colour"], ""
     if coloured is not None:
-        lines += f"\ncolour: of {coloured} points" + (
-            f"; {points - coloured} have none, and are 0 0 0" if coloured < points else ""
+        lines += f"\ncolour: {coloured} points have one" + (
+            f"; {points - coloured} have none, and are black (0 0 0)" if coloured < points else ""
         )
         full = result["points_with_full_colour"]
         if full > _MANY_FULL * points:

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from jaxscan.axis_details import is_detail
+from jaxscan.axis_details import POSES, is_detail
 from jaxscan.errors import InputError
 from jaxscan.files.axes import StepRule
 from jaxscan.files.cameras import format_of, read_camera_file
@@ -212,11 +212,16 @@ def _mesh(path: Path, mesh: trimesh.Trimesh, vertices: Cloud | None = None) -> S
 def range_summary(path: Path) -> Summary:
     """Summary of an organised range image."""
     image = read_range_image(path)
+    posed = POSES in image.positions
+    steps = {axis: np.asarray(n) for axis, n in image.positions.items() if not is_detail(axis) and axis != POSES}
     return {
         "kind": "range image",
         "path": str(path),
         "frames": len(image.valid),
-        "axes": {axis: _steps(np.asarray(n).tolist()) for axis, n in image.positions.items() if not is_detail(axis)},
+        "axes": {axis: _steps(n.tolist()) for axis, n in steps.items()},
+        "poses": _way(given_poses({axis: np.asarray(n, np.float64) for axis, n in image.positions.items()}))
+        if posed
+        else None,
         "sweeps": len(image.sweeps()),
         "full_turn": len(image.gaps()) == len(image.valid),
         "columns": image.valid.shape[1],

@@ -29,6 +29,9 @@ _TRY_POINTS, _TRY_ROUNDS = 400, 12
 _REACH: Final = 0.15
 # The scatter of distances in units of their σ beyond which two sides do not fit.
 LARGEST_SCALE: Final = 5.0
+# A loop of sides that does not close within this multiple of the poses' σ may have been turned the other way; it was
+# where that brings this many times the matches, each over the scatter of its distances.
+_LOOSE, _CLEARLY_MORE = 3.0, 1.3
 # Features are searched in cubes of this number of spacings, but at least of this part of the sides' size.
 _CUBES, _SMALLEST_CUBE = (1.0, 1.5), 0.015
 
@@ -93,6 +96,32 @@ def check_fits(sides: Sequence[Side], registration: Registration) -> None:
         raise InputError(
             f"{', '.join(bad)}: does not fit the others, by more than {LARGEST_SCALE:g} σ in the median: is it of the "
             "same object, and did nothing move in it?"
+        )
+
+
+def check_turned(sides: Sequence[Side], degrees: Sequence[float], registration: Registration) -> None:
+    """Refuse angles with the wrong sign: the sides fit better if the object was turned the other way.
+
+    A square base alone fits at any quarter turn. Where a loop of sides closes within its σ, the sign is right.
+
+    Raises:
+        InputError: they have it.
+    """
+    sigma = max(registration.sigma(k)[1] for k in range(1, len(sides)))
+    if all(d % 180 == 0 for d in degrees) or (len(sides) > 2 and registration.closure_mm <= _LOOSE * sigma):
+        return
+    other_way = [-d for d in degrees]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotSettledWarning)
+            other = register(sides, coarse_register(sides, other_way))
+    except InputError:
+        return
+    matches, more = (sum(pair.matches / max(pair.scale, 1.0) for pair in each.pairs) for each in (registration, other))
+    if other.converged and more > _CLEARLY_MORE * matches and all(map(fits, other.pairs)):
+        raise InputError(
+            f"the scans fit better if the object was turned the other way: {more:.0f} points then lie on another scan, "
+            f"and {matches:.0f} as it is given: give the angles the other sign; they are anticlockwise as seen from above"
         )
 
 

@@ -144,11 +144,14 @@ def limits(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[Wo
         rig = 100 * volume.rig_share
         known = volume.if_known_mm
         part, other = sorted(known, key=lambda key: known[key])
-        words.append(
-            f"{name}{rig:.0f} % of a point's variance is the rig's, {100 - rig:.0f} % the pixel's own. Of the rig, "
-            f"the {part} limits: if it were known exactly, the median σ would fall from {_mm(volume.median_mm)} to "
-            f"{_mm(known[part])}; if the {other} were, to {_mm(known[other])}."
-        )
+        whose = f"{name}{rig:.0f} % of a point's variance is the rig's, {100 - rig:.0f} % the pixel's own."
+        if _mm(known[part]) == _mm(volume.median_mm):
+            words.append(f"{whose} The rig does not limit it.")
+        else:
+            words.append(
+                f"{whose} Of the rig, the {part} limits: if it were known exactly, the median σ would fall from "
+                f"{_mm(volume.median_mm)} to {_mm(known[part])}; if the {other} were, to {_mm(known[other])}."
+            )
         if volume.travelled_mm is not None:
             words.append(
                 f"At the far end of the stage's travel σ is {_mm(volume.travelled_mm)} in the median: the stage adds "

@@ -55,7 +55,7 @@ def test_colours_and_albedo_in_every_file(folder, tmp_path, capsys, monkeypatch)
     said = run(capsys, "reconstruct", folder / "scan", "--rig", folder / "rig.json", "--albedo", *outputs)
     image = read_range_image("a.npz")
     n = int(image.valid.sum())
-    assert f"colour: of {n} points" in said
+    assert f"colour: {n} points have one" in said
     assert f"albedo: of {np.isfinite(image.albedo).sum()} points" in said
     for name in ("a.ply", "a.pcd"):
         cloud = read_cloud(name)
@@ -97,7 +97,7 @@ def test_without_laser_off_photographs_they_are_asked_for(folder, tmp_path, caps
     found = read_cloud(tmp_path / "a.ply").colours
     known = found.any(axis=1)
     assert known.mean() > 0.8
-    assert f"colour: of {known.sum()} points" in said
+    assert f"colour: {known.sum()} points have one" in said
     assert 0.1 < is_green(found[known]).mean() < 0.9
     # Nothing is as red as the stripe.
     assert (found[known, 0] < 1.3 * found[known, 1]).all()

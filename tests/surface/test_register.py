@@ -1,5 +1,6 @@
 """Sides brought together: recovery of known poses within their predicted σ, derivatives, and what is refused."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from jaxscan.errors import InputError, ObservabilityError
 from jaxscan.geometry import Pose
-from jaxscan.surface.coarse_register import check_fits, coarse_register
+from jaxscan.surface.coarse_register import check_fits, check_turned, coarse_register
 from jaxscan.surface.floor import find_floor, stands_on
 from jaxscan.surface.pairs import equations, match
 from jaxscan.surface.register import NotSettledWarning, register
@@ -125,6 +126,31 @@ def test_views_that_do_not_overlap_are_named(sides):
         coarse_register([*sides[:2], other], [0.0, 85.0, 170.0])
     with pytest.raises(InputError, match=r"85\.npz: does not overlap with 0\.npz"):
         register(sides[:2], (Pose.identity(), Pose(np.zeros(3), np.array([0.0, 50.0, 0.0]))))
+
+
+def test_angles_of_the_other_sign_are_refused():
+    """A square block fits at every quarter turn; small things on it do not."""
+    x, y = scenes.grid()
+
+    def turned(k: int):
+        c, s = np.cos(np.pi / 2 * k), np.sin(np.pi / 2 * k)
+        u, v = c * x + s * y, c * y - s * x
+        block = np.where(np.maximum(np.abs(u), np.abs(v)) < 7, 4.0, 0.0)
+        small = [0.8 * np.exp(-((u - a) ** 2 + (v - b) ** 2)) for a, b in ((4, 1), (1, -3), (-4, 3), (3, 4))]
+        return side(f"{k}.npz", scenes.seen(block + np.where(block > 0, sum(small), 0), NOISE, seed=k))
+
+    quarters = [turned(k) for k in range(2)]
+    found = {}
+    with warnings.catch_warnings():
+        # Turned the wrong way they do not settle.
+        warnings.simplefilter("ignore", NotSettledWarning)
+        for angle in (90.0, -90.0):
+            found[angle] = register(quarters, coarse_register(quarters, [0.0, angle]))
+    # One of the two signs is the camera's.
+    wrong, right = sorted(found, key=lambda angle: sum(pair.matches for pair in found[angle].pairs))
+    check_turned(quarters, [0.0, right], found[right])
+    with pytest.raises(InputError, match=r"turned the other way: .* give the angles the other sign"):
+        check_turned(quarters, [0.0, wrong], found[wrong])
 
 
 def test_what_slides_is_not_guessed():
