@@ -1,6 +1,7 @@
 """`jaxscan merge`: scans of an object from several sides, registered all together, as one surface."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,6 +21,8 @@ HELP: Final = "join scans of an object from several sides into one surface"
 EXAMPLE: Final = "jaxscan merge front.npz right.npz back.npz left.npz --turn 90 -o model.stl"
 
 _ENDINGS: Final = (".stl", ".obj", ".ply", ".glb")
+# Those that have the colours of vertices.
+_COLOURED: Final = (".ply", ".obj", ".glb")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,7 +110,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.fit_turntable:
         result["turntable"] = _turntable(args, registration)
     step("writing")
-    return result | _written(args, sides, merged)
+    return result | _written(args, sides, registration, merged)
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -276,24 +279,30 @@ def _turntable(args: argparse.Namespace, registration: "Registration") -> dict[s
     }
 
 
-def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") -> dict[str, Any]:
+def _written(
+    args: argparse.Namespace, sides: "list[Side]", registration: "Registration", merged: "Merged"
+) -> dict[str, Any]:
     import numpy as np
 
     from jaxscan.cli.mesh import simplified
     from jaxscan.files.cloud import Cloud
     from jaxscan.files.mesh import write_mesh_ply, write_trimesh
+    from jaxscan.surface.painted import colours_near, painted_sides
 
     mesh, known = merged.mesh, merged.sides > 0
     note = sides[0].floor.note() if sides[0].floor else None
     if args.simplify is not None:
         mesh = simplified(mesh, args.simplify)
+    painted = painted_sides(sides, registration.poses)
+    colours = painted and colours_near(np.asarray(mesh.vertices, np.float32), painted)
     for path in args.output:
         if path.suffix.lower() == ".ply":
             cloud = merged.cloud() if mesh is merged.mesh else Cloud(np.asarray(mesh.vertices, np.float32))
             normals = np.asarray(mesh.vertex_normals, np.float32)
+            cloud = replace(cloud, colours=colours)
             write_mesh_ply(path, cloud, np.asarray(mesh.faces), normals=normals, floor=note)
         else:
-            write_trimesh(path, mesh, floor=note)
+            write_trimesh(path, mesh, colours, note)
     if args.png:
         from jaxscan.geometry.robust_plane import dominant_plane
         from jaxscan.view.surface_plots import draw_mesh
@@ -301,7 +310,8 @@ def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") ->
         vertices = np.asarray(mesh.vertices)
         floor = sides[0].floor
         up = floor.up if floor else dominant_plane(vertices).matrix()[:, 2]
-        draw_mesh(args.png, vertices, np.asarray(mesh.faces), up, f"{len(mesh.faces)} triangles of {len(sides)} scans")
+        title = f"{len(mesh.faces)} triangles of {len(sides)} scans"
+        draw_mesh(args.png, vertices, np.asarray(mesh.faces), up, title, colours=colours)
     sigma = merged.sigma[known]
     return {
         "vertices": len(mesh.vertices),
@@ -313,6 +323,7 @@ def _written(args: argparse.Namespace, sides: "list[Side]", merged: "Merged") ->
         "sides_in_the_mean": float(merged.sides[known].mean()),
         "sigma_vertex_mm": float(np.median(sigma)) if np.isfinite(sigma).all() else None,
         "sigma_pixel_vertex_mm": float(np.median(merged.sigma_pixel[known])),
+        "coloured": None if colours is None else int(colours.any(axis=1).sum()),
         "picture": str(args.png) if args.png else None,
     }
 
@@ -332,6 +343,9 @@ def describe(result: dict[str, Any]) -> str:
         f"{max(pair['rms_mm'] for pair in pairs):.3f} mm RMS at most",
         f"  closure    {result['closure_mm']:.3f} mm: the furthest that a pair alone would stand apart",
     ]
+    kept = [ending for ending in _COLOURED if any(path.lower().endswith(ending) for path in result["path"])]
+    if result["coloured"] and kept:
+        lines.insert(2, f"  colours    of {result['coloured']} of its points, in {' and '.join(kept)}")
     if not result["converged"]:
         lines.append(
             f"  not settled: {result['rounds']} rounds did not suffice; the poses and their σ are not to be relied upon"

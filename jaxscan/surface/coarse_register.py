@@ -121,7 +121,7 @@ def check_turned(sides: Sequence[Side], degrees: Sequence[float], registration: 
     if other.converged and more > _CLEARLY_MORE * matches and all(map(fits, other.pairs)):
         raise InputError(
             f"the scans fit better if the object was turned the other way: {more:.0f} points then lie on another scan, "
-            f"and {matches:.0f} as it is given: give the angles the other sign; they are anticlockwise as seen from above"
+            f"and {matches:.0f} as it is given: give the angles the other sign; from above they are anticlockwise"
         )
 
 

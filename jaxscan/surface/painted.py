@@ -1,5 +1,6 @@
-"""Colours of a surface's vertices from coloured points near them: of surfaces that were fused, resampled or reduced."""
+"""Colours of a surface's vertices from coloured points near them: of surfaces that were merged, resampled, reduced."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -7,12 +8,29 @@ from jaxtyping import Float32, UInt8
 from scipy.spatial import KDTree
 
 from jaxscan.files.cloud import Cloud
+from jaxscan.geometry import Pose
+from jaxscan.surface.side import Side
 
 # Points whose colours are averaged, and how far they may be, in times of the points' usual distance from each other.
 _NEAREST: Final = 4
 _FARTHEST: Final = 3.0
 # Points that the usual distance is taken of.
 _SAMPLE: Final = 2000
+
+
+def painted_sides(sides: Sequence[Side], poses: Sequence[Pose]) -> Cloud | None:
+    """All coloured points of some sides together; None where no side has any.
+
+    Args:
+        sides: any number.
+        poses: T_first_side of each.
+    """
+    points, colours = [], []
+    for side, T in zip(sides, poses, strict=True):
+        if side.painted is not None and side.painted.colours is not None:
+            points.append(T.apply(side.painted.points.astype(np.float64)).astype(np.float32))
+            colours.append(side.painted.colours)
+    return Cloud(np.concatenate(points), colours=np.concatenate(colours)) if points else None
 
 
 def colours_near(vertices: Float32[np.ndarray, "vertices 3"], painted: Cloud) -> UInt8[np.ndarray, "vertices 3"]:

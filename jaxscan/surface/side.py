@@ -13,7 +13,7 @@ The sheet's normal at each point is that of the range image's light; range image
 no such plane the error is taken to be along the ray.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -58,6 +58,7 @@ class Side:
         spacing_mm: from point to point, the larger of along and across.
         floor: what the object stood on, where it is known.
         sigma_rig: σ of the same distance by the rig, mm, which all scans with one rig share; NaN where it is not known.
+        painted: the scan's points with their colours, where it has them.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Side:
     spacing_mm: float
     floor: Floor | None = None
     sigma_rig: Float[np.ndarray, "points"] | None = None
+    painted: Cloud | None = None
 
     @cached_property
     def tree(self) -> KDTree:
@@ -95,7 +97,8 @@ def side_of_image(name: str, image: RangeImage, *, cleaned: bool = True, on_floo
     to_camera = np.broadcast_to(image.cameras()[:, None], image.points.shape)[image.valid] - points
     e = error_direction(image)[image.valid]
     pixel, rig = (part[image.valid] for part in _parts_of_sigma(image, how))
-    return _side_of_points(name, points, to_camera, e, (pixel, rig), max(how.across_mm, how.along_mm), floor)
+    side = _side_of_points(name, points, to_camera, e, (pixel, rig), max(how.across_mm, how.along_mm), floor)
+    return side if image.colours is None else replace(side, painted=image.cloud())
 
 
 def side_of_surface(name: str, image: RangeImage, surface: Surface, how: Sampling) -> Side:
@@ -145,7 +148,8 @@ def side_of_cloud(name: str, cloud: Cloud) -> Side:
     rig = np.full(len(points), np.nan)
     if cloud.sigma is not None and cloud.sigma_pixel is not None:
         rig = rig_part(cloud.sigma.astype(np.float64), sigma)
-    return _side(name, points, normals, (along * sigma, rig), rim, rms, spacing, None)
+    side = _side(name, points, normals, (along * sigma, rig), rim, rms, spacing, None)
+    return side if cloud.colours is None else replace(side, painted=cloud)
 
 
 def error_direction(image: RangeImage) -> Float[np.ndarray, "frames columns 3"]:

@@ -1,6 +1,7 @@
 """`jaxscan merge` from the command line."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,11 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from jaxscan.cli.main import main
-from jaxscan.files.cloud import Cloud, write_ply
+from jaxscan.files.cloud import Cloud, read_ply, write_ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.geometry import Pose
-from jaxscan.reconstruction import write_points
+from jaxscan.reconstruction import read_range_image, write_points
 from jaxscan.simulation.rig_2003 import simulated_rig
 from jaxscan.surface.floor import find_floor, stands_on
 from jaxscan.surface.register import register
@@ -141,6 +142,28 @@ def test_a_range_image_has_its_own_unit(folder, capsys):
         assert main([*words, option, "m"]) == 2
         assert f"{option} m: " in (said := capsys.readouterr().err)
         assert "in millimetres: leave it out" in said
+
+
+def test_colours_go_with_the_points(folder, capsys):
+    """Red where x > 0 in the first scan's frame, blue elsewhere; the third scan has none."""
+    scans = []
+    for k in range(3):
+        image = read_range_image(folder / f"{k}.npz")
+        T = pose(90.0 * k)
+        x = T.apply(image.points.astype(np.float64))[..., :1]
+        colours = np.where(x > 0, [200, 10, 10], [10, 10, 200]).astype(np.uint8)
+        colours[~image.valid] = 0
+        scans.append(folder / f"coloured-{k}.npz")
+        write_points(scans[-1], replace(image, colours=colours if k < 2 else None))
+    words = ["merge", *scans, "--turn", "90", *(word for name in ("c.ply", "c.glb") for word in ("-o", folder / name))]
+    assert main([str(word) for word in words]) == 0
+    assert "points, in .ply and .glb" in capsys.readouterr().out
+    cloud = read_ply(folder / "c.ply")
+    x, paint = cloud.points[:, 0], cloud.colours
+    clear = (np.abs(x) > 1) & paint.any(axis=1)
+    assert clear.mean() > 0.7
+    np.testing.assert_array_equal(paint[clear], np.where(x[clear, None] > 0, [200, 10, 10], [10, 10, 200]))
+    assert trimesh.load_mesh(folder / "c.glb").visual.kind == "vertex"
 
 
 @pytest.mark.filterwarnings("always::jaxscan.surface.register.NotSettledWarning")
