@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
-from hardware.errors import HardwareError, SettingsError, StoppedError
+from hardware.errors import HardwareError, NotHomedError, SettingsError, StoppedError
 from hardware.frame import Frame, in_words
 from hardware.lab.badges import Visitor
 from hardware.lab.bench import Bench, PermittedStage, check
@@ -355,6 +355,9 @@ class Worker:
                 words = self._do(run, folder, devices)
         except StoppedError as error:
             state, words = run.ends_as, run.ended_by or str(error)
+        except NotHomedError as error:
+            # Whoever stops an axis takes its reference.
+            state, words = (run.ends_as, run.ended_by) if run.ended_by else ("failed", str(error))
         except (HardwareError, JaxscanError) as error:
             state, words = (run.ends_as, f"{run.ended_by}; {error}") if run.ended_by else ("failed", str(error))
         except OSError as error:

@@ -51,7 +51,7 @@ export function drawProfile(canvas, profile) {
     pen.fillText(at, 6, y(at) + 4);
   }
   const [alongName, acrossName] = profile.columns ? ["column", "row"] : ["row", "column"];
-  pen.fillText(metric ? "mm across; up is nearer to the camera" : `${alongName}; upwards the ${acrossName}, px`, MARGIN.left, 15);
+  pen.fillText(metric ? "mm across; up is nearer to the camera" : `across: ${alongName}, down: ${acrossName} (px)`, MARGIN.left, 15);
   pen.fillStyle = STRIPE;
   for (let i = 0; i < across.length; i++) pen.fillRect(x(across[i]) - 1, y(depth[i]) - 1, 2.5, 2.5);
 }

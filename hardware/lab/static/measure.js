@@ -8,12 +8,28 @@ const cloud = new CloudView(element("points"), clicked);
 let faces = [], found = null, measuring = false;
 
 await trying(async () => {
-  const answer = await fetch(`${path}/points`);
-  if (!answer.ok) throw new Error((await answer.json()).detail);
+  const answer = await points();
   cloud.replace(pointsIn(await answer.arrayBuffer()));
   element("waiting").hidden = true;
   element("radius").value = Number((0.05 * cloud.size).toPrecision(1));
 });
+
+/** The points, asked for again while others are computed first. */
+async function points() {
+  for (;;) {
+    const answer = await fetch(`${path}/points`);
+    if (answer.ok) return answer;
+    const { detail } = await answer.json();
+    const again = Number(answer.headers.get("Retry-After"));
+    if (!again) {
+      element("waiting").hidden = true;
+      throw new Error(detail);
+    }
+    element("waiting").textContent = `Waiting: ${detail}.`;
+    await new Promise((resolve) => setTimeout(resolve, 1000 * again));
+    element("waiting").textContent = "Computing the points. The first time this takes a while.";
+  }
+}
 
 async function clicked(place) {
   if (measuring || !element("radius").reportValidity()) return;

@@ -24,7 +24,7 @@ function showState(now) {
   const own = mine(), named = operator?.name === bench.name;
   const words = element("operator");
   words.textContent = own ? "You operate the scanner" : operator
-    ? `${named ? "You operate it elsewhere" : `${operator.name} operates`}: you watch` : "The scanner is free";
+    ? `${named ? "You operate it from another place" : `${operator.name} operates`}. Here you watch` : "The scanner is free";
   words.className = `operator ${own ? "mine" : operator ? "theirs" : ""}`;
   element("take").hidden = Boolean(operator);
   element("leave").hidden = !own;
@@ -342,7 +342,7 @@ element("rig").addEventListener("change", showVerdict);
 element("use").addEventListener("click", () => trying(async () => {
   showState(await ask("PUT", "/api/rig", { name: element("rig").value }));
   await loadRigs();
-  say("points are made with this rig from now on");
+  say("From now on points are computed with this rig");
 }));
 onClick("take-view", change("take"));
 onClick("enough", change("enough"));

@@ -73,7 +73,7 @@ def test_a_whole_scan(browser: Browser, lab: Served, tmp_path: Path):
     expect(watcher.locator("#operator")).to_have_text("The scanner is free")
     page.get_by_role("button", name="Operate").click()
     expect(page.locator("#operator")).to_have_text("You operate the scanner")
-    expect(watcher.locator("#operator")).to_have_text(f"{OPERATOR} operates: you watch")
+    expect(watcher.locator("#operator")).to_have_text(f"{OPERATOR} operates. Here you watch")
     expect(watcher.locator("#take-over")).to_be_hidden()
     expect(watcher.locator("#stop")).to_be_hidden()
     expect(watcher.get_by_role("button", name="Step and shoot")).to_be_disabled()
