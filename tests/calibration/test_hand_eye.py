@@ -1,6 +1,9 @@
 """Camera and hand from given poses: what is found, how well it is known, and what is said of poses that are wrong."""
 
+from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from jaxscan.calibration.hand_start import hand_start
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose, matrix_to_vector
 from jaxscan.rig import CARRIED_BY
+from tests.unchecked import unchecked
 
 SIGMA_MM, SIGMA_RAD = 0.08, np.radians(0.03)
 # σ of a board's turn (rad) and place (mm), which is known worst along the line of sight.
@@ -54,6 +58,14 @@ def world(
     return K, Seen(given, seen, session, covariance, np.zeros((count, 6, 1)))
 
 
+def each_world(count: int, *args: Any, **kwargs: Any) -> Iterator[tuple[Pose[np.ndarray], Seen]]:
+    """Worlds of several seeds; shapes are checked with the first alone."""
+    yield world(0, *args, **kwargs)
+    with unchecked():
+        for seed in range(1, count):
+            yield world(seed, *args, **kwargs)
+
+
 def off(fit: Fit, K: Pose[np.ndarray]) -> np.ndarray:
     """By how much K's turn (from the left, rad) and offset (mm) are off."""
     R = K.matrix()
@@ -64,8 +76,7 @@ def off(fit: Fit, K: Pose[np.ndarray]) -> np.ndarray:
 @pytest.mark.parametrize(("count", "sessions"), [(6, 1), (14, 1), (40, 3)])
 def test_sigma_is_that_of_repeated_calibrations(moves: str, count: int, sessions: int):
     normalized, found = [], []
-    for seed in range(40):
-        K, seen = world(seed, moves, count, sessions=sessions)
+    for K, seen in each_world(40, moves, count, sessions=sessions):
         result = hand_eye(CARRIED_BY[moves], seen, *(hand_start(CARRIED_BY[moves], seen, None)[0], (None, None)))
         d = off(result.fit, K)
         normalized.append(d @ np.linalg.solve(result.covariance, d) / 6)
@@ -88,8 +99,7 @@ def test_exact_poses_are_found_exactly(moves: str):
 
 
 def test_poses_that_are_wrong_are_left_out_and_nothing_else():
-    for seed in range(10):
-        K, seen = world(seed, "object")
+    for K, seen in each_world(10, "object"):
         seen.given.translation[4] += [0.0, 25.0, 0.0]
         seen.given.rotation[9] = -seen.given.rotation[9]
         fit, _ = hand_start(CARRIED_BY["object"], seen, None)
@@ -102,8 +112,7 @@ def test_poses_that_are_wrong_are_left_out_and_nothing_else():
 @pytest.mark.parametrize("moves", CARRIED_BY)
 def test_a_hand_that_never_turns_leaves_the_offset_open(moves: str):
     kind = CARRIED_BY[moves]
-    for seed in range(10):
-        K, seen = world(seed, moves, turn="none")
+    for K, seen in each_world(10, moves, turn="none"):
         result = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None))
         assert len(result.unknown) == 3
         d = off(result.fit, K)[:3]
@@ -113,8 +122,7 @@ def test_a_hand_that_never_turns_leaves_the_offset_open(moves: str):
 @pytest.mark.parametrize("moves", CARRIED_BY)
 def test_a_hand_that_turns_about_one_direction_leaves_it_open(moves: str):
     kind = CARRIED_BY[moves]
-    for seed in range(10):
-        K, seen = world(seed, moves, turn="one")
+    for K, seen in each_world(10, moves, turn="one"):
         result = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None))
         (way,) = result.unknown
         # All boards turn about the camera's line of sight.
@@ -164,8 +172,7 @@ MISTAKES = {
 @pytest.mark.parametrize("moves", CARRIED_BY)
 def test_usual_mistakes_are_named(moves: str, name: str):
     spoil, expected = MISTAKES[name]
-    for seed in range(5):
-        _, seen = world(seed, moves)
+    for _, seen in each_world(5, moves):
         with pytest.raises(InputError, match=expected):
             hand_start(CARRIED_BY[moves], replace(seen, given=spoil(seen.given)), None)
 
@@ -173,8 +180,7 @@ def test_usual_mistakes_are_named(moves: str, name: str):
 def test_boards_that_look_the_same_after_half_a_turn():
     middle = np.array([40.0, 25.0])
     half = Pose(np.array([0.0, 0.0, np.pi]), np.array([*(2 * middle), 0.0]))
-    for seed in range(10):
-        K, seen = world(seed)
+    for seed, (K, seen) in enumerate(each_world(10)):
         fit, same = hand_start(CARRIED_BY["head"], seen, middle)
         np.testing.assert_allclose(same.boards.translation, seen.boards.translation)
         flipped = np.random.default_rng(seed).random(14) < 0.5
@@ -206,8 +212,9 @@ def test_small_turns_far_from_the_base(moves: str, turn_rad: float):
     kind, normalized, found = CARRIED_BY[moves], [], []
     for seed in range(20):
         turned = np.random.default_rng(seed).normal(0, 1, (14, 3)) * [turn_rad, turn_rad, 0.3]
-        K, seen = world(seed, moves, turned=Rotation.from_rotvec(turned), away_mm=800.0)
-        result = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None))
+        with unchecked() if seed else nullcontext():
+            K, seen = world(seed, moves, turned=Rotation.from_rotvec(turned), away_mm=800.0)
+            result = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None))
         found.append(result.found)
         if not len(result.unknown):
             d = off(result.fit, K)
@@ -245,8 +252,7 @@ def test_a_session_all_of_whose_poses_are_wrong(which: int):
 @pytest.mark.parametrize("moves", CARRIED_BY)
 def test_lengths_that_photographs_and_poses_show(moves: str):
     kind, normalized = CARRIED_BY[moves], []
-    for seed in range(20):
-        _, seen = world(seed, moves)
+    for _, seen in each_world(12, moves):
         scale = hand_eye(kind, seen, hand_start(kind, seen, None)[0], (None, None)).scale
         normalized.append((scale.ln / scale.sigma) ** 2)
         boards = Pose(seen.boards.rotation, 1.02 * seen.boards.translation)
@@ -254,7 +260,7 @@ def test_lengths_that_photographs_and_poses_show(moves: str):
         scale = hand_eye(kind, larger, hand_start(kind, larger, None)[0], (None, None)).scale
         assert scale.ln == pytest.approx(-np.log(1.02), abs=0.002)
         assert -scale.ln / scale.sigma > 4
-    assert np.mean(normalized) == pytest.approx(1.0, abs=0.6)
+    assert np.mean(normalized) == pytest.approx(1.0, abs=0.75)
 
 
 def test_what_turns_little_is_taken_not_to_turn():
