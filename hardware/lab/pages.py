@@ -16,6 +16,7 @@ from markupsafe import Markup, escape
 from hardware.lab.accounts import SHORTEST_PASSWORD
 from hardware.lab.api import ProjectPath
 from hardware.lab.badges import LONGEST_S, Visitor
+from hardware.lab.interface import bodies
 from hardware.lab.refusal import CONFLICT, FORBIDDEN, Refusal
 from hardware.lab.throttle import network_of
 from hardware.lab.web import LabHere, PageReader, PageVisitor, Viewer, same, session_cookie, set_cookie
@@ -149,8 +150,9 @@ def account_page(request: Request, lab: LabHere, who: PageVisitor) -> HTMLRespon
 def interface_page(request: Request, who: PageReader) -> HTMLResponse:
     """The HTTP interface, in words; to a program without the links and forms of a session."""
     schema = request.app.openapi()
+    schemas = schema["components"]["schemas"]
     operations = [
-        {"path": path, "method": method.upper(), **operation}
+        {"path": path, "method": method.upper(), "bodies": bodies(operation, schemas), **operation}
         for path, methods in schema["paths"].items()
         for method, operation in methods.items()
     ]

@@ -1,6 +1,7 @@
 """What is refused: one test for each way in."""
 
 import contextlib
+import html
 import re
 import shutil
 import socket
@@ -461,6 +462,15 @@ def test_the_interface_is_described_to_programs_too(lasting: Served):
     answer = lasting.client(Authorization=f"Bearer {token}").get("/api")
     assert answer.status_code == 200
     assert "/api/state" in answer.text
+    # What a request may have in it, of each kind of job too.
+    words = html.unescape(re.sub(r"<[^>]+>", "", answer.text))
+    for expected in (
+        'kind "scan"',
+        'kind "calibrate"',
+        "apart motor steps from one to the next",
+        'action "pause", "resume"',
+    ):
+        assert expected in words
     # Nothing of a session is in it.
     assert "csrf" not in answer.text
     assert "Sign out" not in answer.text
