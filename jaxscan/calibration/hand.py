@@ -54,10 +54,10 @@ class Hand:
     found_deg: float
     unknown: Float[np.ndarray, "directions 3"]
     board_mm: float
-    given: tuple[float | None, float | None] = (None, None)
-    scale: float = 1.0
-    scale_sigma: float = 0.0
-    range: PoseRange | None = None
+    given: tuple[float | None, float | None]
+    scale: float
+    scale_sigma: float
+    range: PoseRange
 
     @property
     def profile_mm(self) -> float:
@@ -75,7 +75,7 @@ class Hand:
             "pose_images": len(self.names),
             "pose_sigma_mm": self.sigma_mm,
             "pose_sigma_deg": self.sigma_deg,
-            **({"pose_range": self.range.values()} if self.range else {}),
+            "pose_range": self.range.values(),
             **({"pose_offset_unknown": self.unknown.tolist()} if len(self.unknown) else {}),
         }
 

@@ -44,21 +44,23 @@ def with_hand(result: Calibration) -> Calibration:
         found = hand_eye(kind, seen, start, known)
     fit = found.fit
     motion = as_numpy(as_float64(kind.create(matrix_to_vector(fit.rotation), fit.offset)))
+    scale, scale_sigma = _scale(found.scale, result.covariance)
     placed = Hand(
-        hand.moves,
-        tuple(views[i].name for i in posed),
-        found.kept,
-        found.errors[:, :3],
-        np.degrees(found.errors[:, 3:]),
-        float(found.sigma[0]),
-        float(np.degrees(found.sigma[1])),
-        float(found.found[0]),
-        float(np.degrees(found.found[1])),
-        found.unknown,
-        _board_mm(kind, fit, seen, board.points().mean(axis=0)),
-        (hand.sigma_mm, hand.sigma_deg),
-        *_scale(found.scale, result.covariance),
-        PoseRange.of(Pose(seen.given.rotation[found.kept], seen.given.translation[found.kept])),
+        moves=hand.moves,
+        names=tuple(views[i].name for i in posed),
+        kept=found.kept,
+        off_mm=found.errors[:, :3],
+        off_deg=np.degrees(found.errors[:, 3:]),
+        sigma_mm=float(found.sigma[0]),
+        sigma_deg=float(np.degrees(found.sigma[1])),
+        found_mm=float(found.found[0]),
+        found_deg=float(np.degrees(found.found[1])),
+        unknown=found.unknown,
+        board_mm=_board_mm(kind, fit, seen, board.points().mean(axis=0)),
+        given=(hand.sigma_mm, hand.sigma_deg),
+        scale=scale,
+        scale_sigma=scale_sigma,
+        range=PoseRange.of(seen.only(found.kept).given),
     )
     rig = Rig(result.rig.camera, result.rig.lights, motion)
     return replace(

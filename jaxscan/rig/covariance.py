@@ -4,7 +4,7 @@ A function f of the parameters θ has, to first order, the covariance J Σ Jᵀ 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -41,6 +41,13 @@ class Covariance:
             return None
         i = self.names.index(name)
         return math.sqrt(max(self.matrix[i, i], 0.0))
+
+    def among(self, names: Sequence[str]) -> Float64[np.ndarray, "some some"] | None:
+        """That of some parameters in this order, None where one was held."""
+        if not set(names) <= set(self.names):
+            return None
+        at = [self.names.index(name) for name in names]
+        return self.matrix[np.ix_(at, at)]
 
     def of_leaves(self, rig: Rig) -> Float64[np.ndarray, "leaves leaves"]:
         """The covariance of all leaves of the rig in their order; zero for those that were held."""

@@ -124,33 +124,30 @@ def _of_poses(part: HeadPoses | ObjectPoses, covariance: Covariance | None) -> S
 def _sigma_of_place(part: HeadPoses | ObjectPoses, covariance: Covariance | None) -> list[float] | None:
     """σ of where hand or base is along the camera's axes, to first order, mm; None where it is not found."""
     names = [f"motion.{part.axis}.{number}.{i}" for number, count in part.numbers.items() for i in range(count)]
-    if covariance is None or not set(names) <= set(covariance.names):
+    if covariance is None or (S := covariance.among(names)) is None:
         return None
-    at = [list(covariance.names).index(name) for name in names]
     w, offset = np.asarray(part.rotation, np.float64), np.asarray(part.offset, np.float64)
     by = _STEP_RAD * np.eye(3)
     of_turn = ((vector_to_matrix(w + by) - vector_to_matrix(w - by)) @ offset / (2 * _STEP_RAD)).T
     J = np.concatenate([of_turn, vector_to_matrix(w)], axis=1)
-    return np.sqrt(np.diagonal(J @ np.asarray(covariance.matrix)[np.ix_(at, at)] @ J.T)).tolist()
+    return np.sqrt(np.diagonal(J @ S @ J.T)).tolist()
 
 
 def _open_along(part: HeadPoses | ObjectPoses, covariance: Covariance | None) -> list[list[float]]:
     """Directions along which the offset is not found, in its axes: the covariance has nothing there."""
-    names = [f"motion.{part.axis}.offset.{i}" for i in range(3)]
-    if covariance is None or not set(names) <= set(covariance.names):
+    if covariance is None or (S := covariance.among([f"motion.{part.axis}.offset.{i}" for i in range(3)])) is None:
         return []
-    at = [list(covariance.names).index(name) for name in names]
-    variances, ways = np.linalg.eigh(np.asarray(covariance.matrix)[np.ix_(at, at)])
+    variances, ways = np.linalg.eigh(S)
     return ways[:, variances < _OPEN * variances[-1]].T.tolist()
 
 
 def step_of(line: Line, covariance: Covariance) -> tuple[float, float]:
     """Length of one motor step along a line, and its σ, to first order, mm."""
     step = np.asarray(line.per_step, np.float64)
-    order = list(covariance.names)
-    at = [order.index(f"motion.{line.axis}.per_step.{i}") for i in range(len(step))]
+    S = covariance.among([f"motion.{line.axis}.per_step.{i}" for i in range(len(step))])
+    assert S is not None, "the numbers of this line were held"
     length = float(np.linalg.norm(step))
-    return length, float(np.sqrt(step @ np.asarray(covariance.matrix)[np.ix_(at, at)] @ step)) / length
+    return length, float(np.sqrt(step @ S @ step)) / length
 
 
 def _of_play(part: AxisMotion, covariance: Covariance | None) -> Summary:
@@ -187,10 +184,9 @@ def _length(part: Line, name: str, key: str, by: float, covariance: Covariance |
     length = float(np.linalg.norm(vector))
     names = [f"motion.{part.axis}.{name}.{i}" for i in range(len(vector))]
     sigma = None
-    if covariance is not None and length > 0 and set(names) <= set(covariance.names):
-        at = [covariance.names.index(each) for each in names]
+    if covariance is not None and length > 0 and (S := covariance.among(names)) is not None:
         way = vector / length
-        sigma = by * math.sqrt(max(float(way @ covariance.matrix[np.ix_(at, at)] @ way), 0.0))
+        sigma = by * math.sqrt(max(float(way @ S @ way), 0.0))
     return {key: by * length, f"{key}_sigma": sigma}
 
 

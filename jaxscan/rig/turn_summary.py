@@ -74,7 +74,4 @@ def turn_summary(turntable: Rotary, covariance: Covariance | None, near: Float[n
 def _known(axis: str, covariance: Covariance | None) -> Float[np.ndarray, "6 6"] | None:
     """The covariance of the six numbers, where it is known."""
     names = [f"motion.{axis}.{part}.{i}" for part in ("per_step", "centre") for i in range(3)]
-    if covariance is None or not set(names) <= set(covariance.names):
-        return None
-    at = [covariance.names.index(name) for name in names]
-    return covariance.matrix[np.ix_(at, at)]
+    return None if covariance is None else covariance.among(names)

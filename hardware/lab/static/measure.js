@@ -16,18 +16,19 @@ await trying(async () => {
 
 /** The points, asked for again while others are computed first. */
 async function points() {
+  const waiting = element("waiting"), computing = waiting.textContent;
   for (;;) {
     const answer = await fetch(`${path}/points`);
     if (answer.ok) return answer;
     const { detail } = await answer.json();
     const again = Number(answer.headers.get("Retry-After"));
     if (!again) {
-      element("waiting").hidden = true;
+      waiting.hidden = true;
       throw new Error(detail);
     }
-    element("waiting").textContent = `Waiting: ${detail}.`;
+    waiting.textContent = `Waiting: ${detail}.`;
     await new Promise((resolve) => setTimeout(resolve, 1000 * again));
-    element("waiting").textContent = "Computing the points. The first time this takes a while.";
+    waiting.textContent = computing;
   }
 }
 
