@@ -135,8 +135,9 @@ def compare(
 
 
 def _holds(each: Compared) -> bool:
-    assert each.ours.uncertainty is not None
-    return abs(each.off) <= each.ours.uncertainty
+    assert each.ours.interval is not None
+    assert each.ours.value is not None
+    return each.ours.interval[0] <= each.ours.value - each.off <= each.ours.interval[1]
 
 
 def coverage(found: Found) -> list[Metric]:

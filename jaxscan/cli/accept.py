@@ -43,7 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--artefact", type=Path, metavar="FILE", help="artefact.toml: certified values, and the maker's limits"
     )
-    parser.add_argument("--rig", type=Path, help="the rig of the scans: its covariance predicts what errors to expect")
+    parser.add_argument(
+        "--rig",
+        type=Path,
+        help="the rig of the scans: it says where errors move a point to, and its covariance what errors to expect",
+    )
     parser.add_argument(
         "--history",
         type=Path,
@@ -67,6 +71,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         return _drift(args)
     if args.artefact is None:
         raise InputError("--artefact is missing: give the artefact.toml with the certified values of what was scanned")
+    if args.rig is None:
+        raise InputError("--rig is missing: give the rig of the scans; without it balls are measured too large")
     for path in args.surface:
         if path.suffix.lower() != ".npz":
             raise InputError(f"{path}: a scanner is tested by its range images: reconstruct to .npz")
@@ -86,7 +92,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.measurement.accept import accept
     from jaxscan.reconstruction import read_range_image
 
-    rig = read_rig(args.rig) if args.rig else None
+    rig = read_rig(args.rig)
     scans = []
     for path in args.surface:
         step(f"reading {path}")
@@ -95,7 +101,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     step("measuring")
     found = accept(scans, rig, artefact)
     written = _written(args, found)
-    return _as_result(found) | {"written": written, "warnings": list(rig.warnings) if rig else []}
+    return _as_result(found) | {"written": written, "warnings": list(rig.warnings)}
 
 
 def _written(args: argparse.Namespace, found: "Acceptance") -> list[str]:
@@ -109,7 +115,7 @@ def _written(args: argparse.Namespace, found: "Acceptance") -> list[str]:
         from jaxscan.files.acceptance_history import add_to_history
 
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        certificate, rig = _told_from_others(args.artefact), args.rig and _told_from_others(args.rig)
+        certificate, rig = _told_from_others(args.artefact), _told_from_others(args.rig)
         add_to_history(args.history, as_test(found, now, certificate, rig))
         written.append(str(args.history))
     if args.png or args.report:
@@ -165,6 +171,7 @@ def _as_result(found: "Acceptance") -> dict[str, Any]:
         "kind": "acceptance",
         "artefact": found.artefact.name,
         "verdict": found.verdict,
+        "places": found.places.strip(),
         "scans": list(found.scans),
         "figures": [{**vars(each), "unexplained": each.unexplained} for each in found.figures],
         "notes": list(found.notes),
@@ -186,7 +193,8 @@ def _test_in_words(result: dict[str, Any]) -> list[str]:
     from jaxscan.measurement.verdict import worst_of
 
     count = len(result["scans"])
-    lines = [f"{result['artefact']}, {count} scan{'s' if count > 1 else ''}: {result['verdict'] or 'no limits given'}"]
+    said = f"{result['verdict']} {result['places']}".rstrip() if result["verdict"] else "no limits given"
+    lines = [f"{result['artefact']}, {count} scan{'s' if count > 1 else ''}: {said}"]
     for figure in dict.fromkeys(row["figure"] for row in result["figures"]):
         rows = [row for row in result["figures"] if row["figure"] == figure]
         worst = max(rows, key=lambda row: abs(row["error"]))

@@ -157,8 +157,10 @@ def cloud_of(path: str | os.PathLike[str], content: Ply) -> Cloud:
 
 
 def shown_colours(colours: UInt8[np.ndarray, "points 3"]) -> UInt8[np.ndarray, "points 3"]:
-    """The same with grey in place of 0, 0, 0, for points without a colour."""
-    return np.where(np.any(colours, axis=1, keepdims=True), colours, np.uint8(_NO_COLOUR))
+    """The same with grey in place of 0, 0, 0, for points without a colour: as bright as the others in the median."""
+    known = np.any(colours, axis=1)
+    grey = np.median(colours[known].mean(axis=1)) if known.any() else _NO_COLOUR
+    return np.where(known[:, None], colours, np.uint8(round(float(grey))))
 
 
 def check_points(path: str | os.PathLike[str], points: Float[np.ndarray, "points 3"], what: str, fix: str) -> None:

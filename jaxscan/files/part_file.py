@@ -44,6 +44,8 @@ DIMENSIONS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
 ANGLES: Final = ("angle", "cone_angle")
 # What has no nominal value but 0.
 FORMS: Final = ("flatness", "roundness", "straightness", "profile")
+# What may be below 0.
+SIGNED: Final = ("step", "flush", "volume")
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,8 @@ def _dimension(table: Table, features: dict[str, Feature], scale: float) -> Dime
     if form and "nominal" in table:
         raise table.error("nominal", f"a {kind} has none, it is 0: leave it out, and give the tolerance alone")
     nominal = 0.0 if form else factor * table.number("nominal") if "nominal" in table else None
+    if nominal is not None:
+        _check_nominal(table, kind, nominal, tuple(features[name] for name in of))
     tolerance = None
     if "tolerance" in table:
         if nominal is None:
@@ -202,6 +206,16 @@ def _dimension(table: Table, features: dict[str, Feature], scale: float) -> Dime
             raise table.error("reference", f"there is no file {reference}: give the mesh, relative to the part file")
     fit = kind == "profile" and table.boolean("fit", False)
     return Dimension(name, kind, of, nominal, tolerance, reference, fit)
+
+
+def _check_nominal(table: Table, kind: str, nominal: float, of: tuple[Feature, ...]) -> None:
+    """Refuse a nominal value that no shape can have."""
+    if kind not in SIGNED and nominal < 0:
+        raise table.error("nominal", f"a {kind} is never below 0: give 0 or more")
+    if kind in ANGLES:
+        most = 180.0 if kind == "cone_angle" or all(each.kind in _FLAT for each in of) else 90.0
+        if nominal > most:
+            raise table.error("nominal", f"this angle is never more than {most:g}°: give degrees, from 0 to {most:g}")
 
 
 def _tolerance(table: Table, form: bool) -> tuple[float, float]:

@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from jaxscan.images.decode import NUMBERS_PER_LEVEL
+
 
 def sampled(
     photograph: Shaped[np.ndarray, "rows columns *rgb"], pixels: Float[np.ndarray, "points 2"]
@@ -21,3 +23,10 @@ def sampled(
     upper = (1 - a) * corner[top, left] + a * corner[top, right]
     lower = (1 - a) * corner[below, left] + a * corner[below, right]
     return np.broadcast_to((1 - b) * upper + b * lower, (len(u), 3)).astype(np.float64)
+
+
+def levels_at(
+    photograph: Shaped[np.ndarray, "rows columns *rgb"], pixels: Float[np.ndarray, "points 2"]
+) -> Float[np.ndarray, "points 3"]:
+    """As `sampled`, in grey levels of 8 bits, whether the photograph has 8 bits or 16."""
+    return sampled(photograph, pixels) / (NUMBERS_PER_LEVEL if photograph.dtype == np.uint16 else 1)

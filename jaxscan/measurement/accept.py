@@ -2,7 +2,7 @@
 
 Of every scan of the artefact there are
 
-    probing_form   the narrowest band about a fitted ball that holds 95 % of its points        (Form, D95 %)
+    probing_form   the narrowest band about a fitted ball that holds 95 % of its points, outliers and all (Form, D95 %)
     probing_size   the ball's diameter less the certified one
     distance       the distance of two centres less the certified one                         (sphere spacing)
     flatness       the narrowest band about a fitted plane that holds 95 % of its points
@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.errors import InputError, error_context
-from jaxscan.files.artefact_file import Artefact
+from jaxscan.files.artefact_file import FORMS, Artefact
 from jaxscan.files.part_file import Dimension, Feature, Part
 from jaxscan.files.region import Region
 from jaxscan.files.rig_file import RigFile
@@ -31,6 +31,7 @@ from jaxscan.measurement.known_balls import BEYOND, known_balls
 from jaxscan.measurement.measure import MeasuredDimension, MeasuredFeature, measure
 from jaxscan.measurement.scanned import scanned_image
 from jaxscan.measurement.verdict import Verdict, verdict, worst_of
+from jaxscan.measurement.zone import zone
 from jaxscan.reconstruction import RangeImage
 
 # Part of the points in a band of form.
@@ -42,6 +43,12 @@ EXPANDED: Final = 2.0
 _UNEXPLAINED: Final = 3.0
 # A length that is off by more than this part of it is no error of a scanner.
 _ANOTHER: Final = 0.1
+# σ of such a band over that of a standard deviation, of 100 to 1600 independent normal numbers.
+_OF_BAND: Final = 1.3
+# VDI/VDE 2634 part 2 allows for this part of the points to be left out.
+_MANY_OUTLIERS: Final = 0.003
+# What a figure is tested by.
+_OF: Final = {"probing_form": "ball", "probing_size": "ball", "distance": "distance", "flatness": "plane"}
 # How many places of the artefact VDI/VDE 2634 part 2 asks for.
 PLACES: Final = {"probing_form": 10, "probing_size": 10, "distance": 7, "flatness": 6}
 
@@ -60,8 +67,8 @@ class AcceptanceFigure:
         verdict: by this limit; None without one.
         sigma: what the noise of the points does to it, mm.
         sigma_rig: what the rig's covariance predicts, mm; None of a form, and without a covariance.
-        points: how many it was made of.
-        left_out: how many of the region were not.
+        points: how many it was made of; of a form outliers and all (`jaxscan.measurement.zone`).
+        left_out: how many of the region were not; of a form how many of its points are outliers.
     """
 
     figure: str
@@ -105,21 +112,30 @@ class Acceptance:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Conforming if every figure with a limit is and everything was found; None without limits."""
-        undecided: Verdict | None = "not decided" if self.artefact.limits and self.problems else None
+        """Conforming if every figure with a limit is and everything was found and tested; None without limits."""
+        tested = {each.figure for each in self.figures}
+        whole = not self.problems and tested.issuperset(self.artefact.limits)
+        undecided: Verdict | None = "not decided" if self.artefact.limits and not whole else None
         return worst_of((undecided, *(each.verdict for each in self.figures)))
+
+    @property
+    def places(self) -> str:
+        """In how many places, of those that the standard asks for, the figure with the fewest was tested."""
+        each = [(len({row.scan for row in self.of(figure)}), asked) for figure, asked in PLACES.items()]
+        few = min((pair for pair in each if pair[0]), key=lambda pair: pair[0] / pair[1], default=(0, 0))
+        return "" if few[0] >= few[1] else f" in {few[0]} place{'s' if few[0] > 1 else ''} of {few[1]}"
 
     def of(self, figure: str) -> tuple[AcceptanceFigure, ...]:
         """All of one kind."""
         return tuple(each for each in self.figures if each.figure == figure)
 
 
-def accept(scans: Sequence[tuple[str, RangeImage]], rig: RigFile | None, artefact: Artefact) -> Acceptance:
+def accept(scans: Sequence[tuple[str, RangeImage]], rig: RigFile, artefact: Artefact) -> Acceptance:
     """Test a scanner.
 
     Args:
         scans: a name and a range image each: the artefact in one place after another.
-        rig: by which they were made; without it, or its covariance, nothing is predicted.
+        rig: by which they were made: it says where errors move a point to. Without its covariance nothing is predicted.
         artefact: by `read_artefact`.
 
     Raises:
@@ -139,11 +155,11 @@ def accept(scans: Sequence[tuple[str, RangeImage]], rig: RigFile | None, artefac
             figures += _figures(name, image, rig, artefact)
         except InputError as error:
             problems.append(f"{name}: {error}")
-    notes = tuple(_notes(figures, rig))
+    notes = tuple(_notes(figures, rig, artefact))
     return Acceptance(artefact, tuple(figures), names, tuple(problems), notes)
 
 
-def _figures(name: str, image: RangeImage, rig: RigFile | None, artefact: Artefact) -> list[AcceptanceFigure]:
+def _figures(name: str, image: RangeImage, rig: RigFile, artefact: Artefact) -> list[AcceptanceFigure]:
     regions = known_balls(scanned_image(image, rig), artefact)
     features = tuple(Feature(ball, "ball", region) for ball, region in regions.items())
     sizes = tuple(Dimension(ball.name, "diameter", (ball.name,)) for ball in artefact.balls)
@@ -162,7 +178,7 @@ def _figures(name: str, image: RangeImage, rig: RigFile | None, artefact: Artefa
     by_name = {each.feature.name: each for each in found.features}
     figures = []
     for ball, size in zip(artefact.balls, found.dimensions, strict=False):
-        figures.append(_form("probing_form", name, by_name[ball.name], ball.form, artefact))
+        figures.append(_form("probing_form", name, by_name[ball.name], image, ball.form, artefact))
         figures.append(_error("probing_size", name, size, ball.diameter, ball.uncertainty, artefact))
     for distance, spacing in zip(artefact.distances, found.dimensions[len(sizes) :], strict=True):
         figures.append(_error("distance", name, spacing, distance.length, distance.uncertainty, artefact))
@@ -174,7 +190,7 @@ def _figures(name: str, image: RangeImage, rig: RigFile | None, artefact: Artefa
         (plane,) = measure(scanned_image(clear, rig), plate).features
         if plane.problem:
             raise InputError(f"{artefact.plane.name}: {plane.problem}")
-        figures.append(_form("flatness", name, plane, artefact.plane.flatness, artefact))
+        figures.append(_form("flatness", name, plane, clear, artefact.plane.flatness, artefact))
     return figures
 
 
@@ -214,10 +230,17 @@ def _error(
     )
 
 
-def _form(figure: str, scan: str, feature: MeasuredFeature, form: float, artefact: Artefact) -> AcceptanceFigure:
+def _form(
+    figure: str, scan: str, feature: MeasuredFeature, image: RangeImage, form: float, artefact: Artefact
+) -> AcceptanceFigure:
     assert feature.fit is not None
     assert feature.known is not None
-    width, limit = band(feature.fit.residuals), artefact.limits.get(figure)
+    assert feature.scanned is not None
+    assert feature.scanned.place is not None
+    fitted = np.zeros(image.valid.shape, bool)
+    fitted[tuple(feature.scanned.place[feature.fit.used].T)] = True
+    points = image.points[zone(fitted, image.valid)].astype(np.float64)
+    width, limit = band(feature.fit.shape.distances(points)), artefact.limits.get(figure)
     interval = max(width - form, 0.0), width + form
     return AcceptanceFigure(
         figure=figure,
@@ -227,11 +250,10 @@ def _form(figure: str, scan: str, feature: MeasuredFeature, form: float, artefac
         uncertainty=form,
         limit=limit,
         verdict=None if limit is None else verdict(interval, (0.0, limit)),
-        # As that of a standard deviation of n independent normal numbers.
-        sigma=width / float(np.sqrt(2 * feature.known.freedom)),
+        sigma=_OF_BAND * width / float(np.sqrt(2 * feature.known.freedom)),
         sigma_rig=None,
-        points=feature.points,
-        left_out=feature.left_out,
+        points=len(points),
+        left_out=len(points) - int(fitted.sum()),
     )
 
 
@@ -247,18 +269,27 @@ def band(residuals: Float[np.ndarray, "points"], share: float = _SHARE) -> float
     return float((ordered[inside - 1 :] - ordered[: len(ordered) - inside + 1]).min())
 
 
-def _notes(figures: Sequence[AcceptanceFigure], rig: RigFile | None) -> list[str]:
+def _notes(figures: Sequence[AcceptanceFigure], rig: RigFile, artefact: Artefact) -> list[str]:
     notes = []
+    for figure in artefact.limits:
+        if figures and not any(each.figure == figure for each in figures):
+            notes.append(
+                f"{figure}: not tested, though it has a limit: {artefact.path.name} describes no {_OF[figure]}"
+            )
     for figure, asked in PLACES.items():
         places = len({each.scan for each in figures if each.figure == figure})
         if 0 < places < asked:
             notes.append(f"{figure}: {places} of the {asked} places that VDI/VDE 2634 part 2 asks for")
+    for each in figures:
+        if each.figure in FORMS and each.left_out > _MANY_OUTLIERS * each.points:
+            part = each.left_out / each.points
+            notes.append(f"{each.figure} of {each.of}, {each.scan}: {part:.1%} of its points are outliers")
     unexplained = sorted({f"{each.figure} of {each.of}" for each in figures if each.unexplained})
     if unexplained:
         notes.append(
             f"larger than the calibration and the certificate explain: {', '.join(unexplained)}: calibrate again, and "
             "see that nothing has moved since"
         )
-    if rig is None or rig.covariance is None:
-        notes.append("nothing is predicted without a rig that has a covariance: add --rig with one of `calibrate`")
+    if rig.covariance is None:
+        notes.append("nothing is predicted by a rig without a covariance: give the rig.json that `calibrate` wrote")
     return notes

@@ -4,6 +4,7 @@ A plane stands for itself at the middle of its points, a ball and a circle for t
 their axis, an edge for the line in which two planes meet, a slot for the plane midway between two.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -84,19 +85,35 @@ def width_of(a: Plane, b: Plane) -> float:
 
 def distance_between(a: Place, b: Place) -> float:
     """The distance of two places, mm, at the middle of the second where they are parallel."""
+    if skew(a, b):
+        assert a.direction is not None
+        assert b.direction is not None
+        common = np.cross(a.direction, b.direction)
+        return abs(float((b.point - a.point) @ common / np.linalg.norm(common)))
+    return gap_between(a, b)
+
+
+def gap_between(a: Place, b: Place) -> float:
+    """From the middle of the second to the first, mm; where one is a plane, to the plane."""
     if a.normal is not None:
         return abs(float((b.point - a.point) @ a.normal))
     if b.normal is not None:
         return abs(float((a.point - b.point) @ b.normal))
+    return float(np.linalg.norm(across(a, b)))
+
+
+def across(a: Place, b: Place) -> Vector:
+    """From the one place to the middle of the other, mm: across a line where one of them is."""
     apart = b.point - a.point
-    if a.direction is not None and b.direction is not None:
-        common = np.cross(a.direction, b.direction)
-        if np.linalg.norm(common) > np.sin(_SKEW):
-            return abs(float(apart @ common / np.linalg.norm(common)))
     direction = a.direction if a.direction is not None else b.direction
-    if direction is None:
-        return float(np.linalg.norm(apart))
-    return float(np.linalg.norm(apart - (apart @ direction) * direction))
+    return apart if direction is None else apart - (apart @ direction) * direction
+
+
+def skew(a: Place, b: Place) -> bool:
+    """Whether two lines are so far from parallel that their distance is that along the common perpendicular."""
+    if a.direction is None or b.direction is None:
+        return False
+    return bool(np.linalg.norm(np.cross(a.direction, b.direction)) > np.sin(_SKEW))
 
 
 def angle_between(a: Place, b: Place) -> float:
@@ -177,5 +194,67 @@ class Shapes:
         if kind == "flush":
             return flush_between(self.plane(of[0]), self.plane(of[1]), self.seams[dimension.name])
         a, b = (self.place(name) for name in of)
-        of_two = {"angle": angle_between, "step": step_between}
+        of_two = {"angle": angle_between, "step": step_between, "gap": gap_between}
         return of_two.get(kind, distance_between)(a, b)
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Where errors turn a dimension back: a distance at 0, an angle at 0° and at its largest.
+
+    Attributes:
+        at: this value.
+        sideways: for shapes near those that were fitted, their errors across the direction in which the dimension is
+            measured, in its unit: none, one or two.
+    """
+
+    at: float
+    sideways: Callable[[Shapes], Float[np.ndarray, "k"]]
+
+
+def fold_of(shapes: Shapes, dimension: Dimension) -> Fold | None:
+    """The fold that a dimension is nearest to; None for one that has a sign, or a size of its own."""
+    none = Fold(0.0, lambda _: np.zeros(0))
+    if dimension.kind == "width":
+        return none
+    if dimension.kind not in ("distance", "gap", "angle"):
+        return None
+    names = dimension.of
+    a, b = (shapes.place(name) for name in names)
+    if dimension.kind == "angle":
+        return _fold_of_angle(names, a, b)
+    if a.normal is not None or b.normal is not None or (dimension.kind == "distance" and skew(a, b)):
+        return none
+    v = across(a, b)
+    direction = a.direction if a.direction is not None else b.direction
+    basis = _beside(v, direction)
+    return Fold(0.0, lambda moved: basis @ across(*(moved.place(name) for name in names)))
+
+
+def _fold_of_angle(names: tuple[str, ...], a: Place, b: Place) -> Fold:
+    first, second = (place.direction if place.direction is not None else place.normal for place in (a, b))
+    assert first is not None
+    assert second is not None
+    planes = (a.normal is not None) + (b.normal is not None)
+    sign = 1.0 if first @ second >= 0 else -1.0
+    if abs(first @ second) < np.sqrt(0.5):
+        # Two lines never make more than 90°, a line and a plane never less than 0°; two planes have no fold there.
+        return Fold(90.0 if planes == 0 else 0.0, lambda _: np.zeros(0))
+    basis = _beside(sign * second - first, first)
+
+    def tilt(moved: Shapes) -> Float[np.ndarray, "1"]:
+        each = [moved.place(name) for name in names]
+        one, other = (place.direction if place.direction is not None else place.normal for place in each)
+        assert one is not None
+        assert other is not None
+        return np.degrees(basis @ (np.sign(one @ other) * other - one))
+
+    return Fold(90.0 if planes == 1 else 180.0 if planes == 2 and sign < 0 else 0.0, tilt)
+
+
+def _beside(v: Vector, direction: Vector | None) -> Float[np.ndarray, "k 3"]:
+    """Unit vectors across v: two, or the one that is across a direction too."""
+    given = [v] if direction is None else [v, direction]
+    # Of no length at all, v has any direction.
+    rows = np.stack([each / max(float(np.linalg.norm(each)), 1e-300) for each in given])
+    return np.linalg.svd(rows)[2][len(given) :]

@@ -315,11 +315,14 @@ def _least_squares(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]
 
 
 def _facing(scanned: Scanned, shape: Shape, used: Int[np.ndarray, "used"]) -> Shape:
-    """A plane's normal towards the camera, or the origin where no camera is known."""
+    """A plane's normal towards the camera, or out of a mesh; towards the origin where neither is known."""
     if not isinstance(shape, Plane):
         return shape
-    camera = np.zeros(3) if scanned.camera is None else scanned.camera[used].mean(axis=0)
-    return replace(shape, axis=-shape.axis) if shape.axis @ (camera - shape.point) < 0 else shape
+    if scanned.camera is None and scanned.mesh is not None:
+        outside = np.asarray(scanned.mesh.vertex_normals)[used].sum(axis=0)
+    else:
+        outside = (0.0 if scanned.camera is None else scanned.camera[used].mean(axis=0)) - shape.point
+    return replace(shape, axis=-shape.axis) if shape.axis @ outside < 0 else shape
 
 
 def few(count: int, most: int) -> Int[np.ndarray, "some"]:

@@ -15,13 +15,16 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxscan.errors import InputError
 from jaxscan.measurement.fit import Fit, few
 from jaxscan.measurement.known import Known, moved_by_rig
 from jaxscan.measurement.scanned import Scanned
 
-_PATCHES: Final = 6
+_ACROSS, _PATCHES = 3, 6
 _ALONG: Final = 16
 _FEWEST: Final = 10
+# Of a surface, and of a line: patches with so many points that there must be. Four of a dome are all alike.
+LEAST_OF_SURFACE, _LEAST_OF_LINE = 6, 4
 _DRAWINGS: Final = 4000
 _OF_RIG: Final = 2000
 _SEED: Final = 2003
@@ -48,14 +51,16 @@ class Form:
 
 def form_of(scanned: Scanned, fit: Fit, found: Known) -> Form:
     """How far the surface is from a shape that was fitted to it."""
-    patch = patches(scanned.points[fit.used], scanned.place is not None and scanned.image is None)
+    along = scanned.place is not None and scanned.image is None
+    patch = patches(scanned.points[fit.used], along)
     left = None
     if found.by_rig is not None:
         some = few(len(fit.used), _OF_RIG)
         x = scanned.points[fit.used[some]]
         left = some, moved_by_rig(scanned, fit.shape, fit.used[some]) + fit.shape.jacobian(x) @ found.by_rig
     noise = found.scale * np.sqrt(found.tau) * fit.spread
-    return deviation(scanned, fit.residuals, patch, noise, left, np.ptp)
+    least = _LEAST_OF_LINE if along else LEAST_OF_SURFACE
+    return deviation(scanned, fit.residuals, patch, noise, left, np.ptp, least)
 
 
 def deviation(
@@ -65,6 +70,7 @@ def deviation(
     noise: Float[np.ndarray, "points"],
     by_rig: tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some leaves"]] | None,
     size: Callable[..., Float[np.ndarray, "*drawings"]],
+    least: int,
 ) -> Form:
     """The deviation of means over patches.
 
@@ -75,9 +81,18 @@ def deviation(
         noise: σ of each, such that those of a patch may be taken for independent, mm.
         by_rig: some of the points, and how what is off of them follows the rig's leaves.
         size: what of the means is the deviation, over the last axis.
+        least: how many patches there must be.
+
+    Raises:
+        InputError: too few patches have enough points.
     """
     count = np.bincount(patch[patch >= 0])
-    full = np.flatnonzero(count >= min(_FEWEST, count.max()))
+    full = np.flatnonzero(count >= _FEWEST)
+    if len(full) < least:
+        raise InputError(
+            f"its {len(off)} points are too few for a form: {len(full)} of its patches have {_FEWEST} points, and "
+            f"{least} are needed: enlarge the region, or scan in smaller steps"
+        )
     means = np.bincount(patch[patch >= 0], off[patch >= 0])[full] / count[full]
     value = float(size(means, axis=-1))
     if by_rig is None or scanned.covariance is None:
@@ -105,11 +120,11 @@ def scaled(
 def patches(x: Float[np.ndarray, "points 3"], along: bool) -> Patches:
     """Pieces of a surface of about equal size: squares across its two longest extents; pieces of a line, in order."""
     if along:
-        return (np.arange(len(x)) * int(np.clip(len(x) // _FEWEST, 2, _ALONG))) // len(x)
+        return (np.arange(len(x)) * int(np.clip(len(x) // _FEWEST, _LEAST_OF_LINE, _ALONG))) // len(x)
     middle = x - x.mean(axis=0)
     flat = middle @ np.linalg.eigh(middle.T @ middle)[1][:, :0:-1]
     low, extent = flat.min(axis=0), np.ptp(flat, axis=0)
-    across = np.sqrt(np.clip(len(x) / (2 * _FEWEST), 4, _PATCHES**2))
+    across = np.sqrt(np.clip(len(x) / (2 * _FEWEST), _ACROSS**2, _PATCHES**2))
     counts = np.clip(np.round(across * np.sqrt(extent / extent[::-1])), 2, _PATCHES**2 / 2).astype(int)
     cell = np.minimum(((flat - low) / extent * counts).astype(int), counts - 1)
     return cell[:, 0] * counts[1] + cell[:, 1]

@@ -34,12 +34,13 @@ _TRIES: Final = 20
 def known_balls(scanned: Scanned, artefact: Artefact) -> dict[str, Region]:
     """The region of each ball of an artefact.
 
-    Balls of about one diameter are told apart by the certified distances, and where these do not, from left to right.
+    Balls of about one diameter are told apart by their diameters and the certified distances, and where these do not,
+    from left to right.
 
     Raises:
         InputError: one is not there.
     """
-    places: dict[str, Vector] = {}
+    places: dict[str, Ball] = {}
     left = list(artefact.balls)
     while left:
         alike = [ball for ball in left if abs(ball.diameter / left[0].diameter - 1) < _ALIKE]
@@ -49,21 +50,21 @@ def known_balls(scanned: Scanned, artefact: Artefact) -> dict[str, Region]:
                 f"{len(found)} of {len(alike)} balls of {left[0].diameter:g} mm were found: see that the scan shows "
                 "them whole and nothing else of that size, that they are dull and white, and that `diameter` is in mm"
             )
-        found.sort(key=lambda centre: centre[0])
-        places |= {ball.name: centre for ball, centre in zip(alike, found, strict=True)}
+        found.sort(key=lambda ball: ball.point[0])
+        places |= {ball.name: there for ball, there in zip(alike, found, strict=True)}
         left = [ball for ball in left if ball not in alike]
     return _told_apart(places, artefact)
 
 
-def _balls(scanned: Scanned, radius: float, count: int) -> list[Vector]:
-    """The centres of this number of balls of a radius, those with the most votes."""
+def _balls(scanned: Scanned, radius: float, count: int) -> list[Ball]:
+    """This number of balls of about a radius, those with the most votes."""
     some = few(len(scanned.points), _VOTERS)
     x = scanned.points[some]
     toward = -x if scanned.camera is None else scanned.camera[some] - x
     normal, sound = _normals(x, _AROUND * radius)
     normal *= np.sign((normal * toward).sum(axis=1))[:, None]
     x, votes = x[sound], (x - radius * normal)[sound]
-    found: list[Vector] = []
+    found: list[Ball] = []
     for _ in range(_TRIES):
         if len(found) == count or len(votes) < _LEAST_VOTES:
             break
@@ -76,7 +77,7 @@ def _balls(scanned: Scanned, radius: float, count: int) -> list[Vector]:
         ball = _fitted(scanned, centre, radius)
         if ball is not None:
             found.append(ball)
-            centre = ball
+            centre = ball.point
         free = np.linalg.norm(x - centre, axis=1) > BEYOND * radius
         # A place that is no ball takes the votes for it away too, so that the search goes on.
         free &= np.linalg.norm(votes - centre, axis=1) > _NEAR * radius
@@ -84,14 +85,14 @@ def _balls(scanned: Scanned, radius: float, count: int) -> list[Vector]:
     return found
 
 
-def _fitted(scanned: Scanned, centre: Vector, radius: float) -> Vector | None:
+def _fitted(scanned: Scanned, centre: Vector, radius: float) -> Ball | None:
     region = _region(centre, radius)
     try:
         shape = finish(scanned, settle(scanned, "ball", scanned.within(region), region=region)).shape
     except InputError:
         return None
     assert isinstance(shape, Ball)
-    return shape.point if abs(shape.radius / radius - 1) < _OFF else None
+    return shape if abs(shape.radius / radius - 1) < _OFF else None
 
 
 def _region(centre: Vector, radius: float) -> Region:
@@ -109,8 +110,8 @@ def _normals(x: Points, around: float) -> tuple[Points, Bool[np.ndarray, "points
     return np.linalg.eigh(off.swapaxes(1, 2) @ off)[1][:, :, 0], count >= _FEWEST
 
 
-def _told_apart(places: dict[str, Vector], artefact: Artefact) -> dict[str, Region]:
-    """Each place under the name by which the certified distances are met best."""
+def _told_apart(places: dict[str, Ball], artefact: Artefact) -> dict[str, Region]:
+    """Each place under the name by which the certified diameters and distances are met best."""
     names = list(places)
     radii = {ball.name: ball.diameter / 2 for ball in artefact.balls}
     best, least = names, np.inf
@@ -122,8 +123,11 @@ def _told_apart(places: dict[str, Vector], artefact: Artefact) -> dict[str, Regi
         # Not for a difference that errors make.
         if off < least * (1 - 1e-2) - 1e-9:
             best, least = list(order), off
-    return {name: _region(places[own], radii[name]) for name, own in zip(best, names, strict=True)}
+    return {name: _region(places[own].point, radii[name]) for name, own in zip(best, names, strict=True)}
 
 
-def _mismatch(at: dict[str, Vector], artefact: Artefact) -> float:
-    return sum(abs(float(np.linalg.norm(at[d.of[0]] - at[d.of[1]])) - d.length) for d in artefact.distances)
+def _mismatch(at: dict[str, Ball], artefact: Artefact) -> float:
+    """What diameters and distances are off by in all, mm."""
+    sizes = sum(abs(2 * at[ball.name].radius - ball.diameter) for ball in artefact.balls)
+    apart = (float(np.linalg.norm(at[d.of[0]].point - at[d.of[1]].point)) - d.length for d in artefact.distances)
+    return float(sizes + sum(abs(each) for each in apart))

@@ -6,7 +6,7 @@ features share may cancel in their distance, and are seen to. The interval is th
 freedom of the points' part (B. L. Welch, 1947).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -16,11 +16,12 @@ from scipy.spatial import KDTree
 from scipy.stats import t as students_t
 
 from jaxscan.errors import InputError, error_context
-from jaxscan.files.part_file import FITTED, IN_A_SECTION, OF_TWO_PLANES, Dimension, Feature, Part
+from jaxscan.files.part_file import FITTED, IN_A_SECTION, OF_TWO_PLANES, SIGNED, Dimension, Feature, Part
 from jaxscan.measurement.alike import Alike, Place, how_alike
 from jaxscan.measurement.border import without_borders
-from jaxscan.measurement.dimensions import Shapes, edge_of, slot_of
+from jaxscan.measurement.dimensions import Fold, Shapes, edge_of, fold_of, skew, slot_of
 from jaxscan.measurement.fit import Fit, Settled, few, finish, settle
+from jaxscan.measurement.folded import interval_of_length
 from jaxscan.measurement.form import CONFIDENCE, Form, form_of
 from jaxscan.measurement.known import Known, known, with_smooth_errors
 from jaxscan.measurement.placed import placed
@@ -36,8 +37,14 @@ from jaxscan.measurement.volume import volume_above
 _MOVE: Final = 1e-4
 _SEAM: Final = 3000
 _FORMS: Final = ("flatness", "roundness", "straightness")
-# What errors make of an angle near 0° is never below 0°.
-_FEW_SIGMAS: Final = 3.0
+# What depends on the side to which planes face.
+_FACING: Final = ("step", "flush", "angle")
+_WHICH_SIDE: Final = (
+    "a cloud does not say which side of a plane is outside: it is taken to be that of the origin, and from the other "
+    "side a step has the other sign and an angle is 180° less this one; mesh the cloud, or measure the range image"
+)
+# Of the points of a region, the part beyond which those that are not of the feature may be a second face.
+_HALF_OF_ANOTHER: Final = 0.4
 
 
 @dataclass(frozen=True)
@@ -84,7 +91,9 @@ class MeasuredDimension:
     Attributes:
         dimension: what was asked for.
         value: None where it could not be measured.
-        uncertainty: half of the interval that holds the true value with 95 %; None without one.
+        uncertainty: half of `interval`; None without one.
+        interval: from where to where, what holds the true value with 95 %; None without one. It is about the value, but
+            where errors only make it larger, as of a distance near 0 (`jaxscan.measurement.folded`).
         sigma: standard uncertainty of the value; None where there is none, or for a form.
         sigma_rig: the part of it that the rig has, which no number of points makes smaller.
         by_rig: the derivative by each of the rig's parameters, by name.
@@ -99,6 +108,7 @@ class MeasuredDimension:
     dimension: Dimension
     value: float | None
     uncertainty: float | None = None
+    interval: tuple[float, float] | None = None
     sigma: float | None = None
     sigma_rig: float | None = None
     by_rig: Mapping[str, float] = field(default_factory=dict)
@@ -108,15 +118,6 @@ class MeasuredDimension:
     verdict: Verdict | None = None
     notes: tuple[str, ...] = ()
     problem: str = ""
-
-    @property
-    def interval(self) -> tuple[float, float] | None:
-        """What holds the true value with 95 %; of what cannot be below 0 it begins there."""
-        if self.value is None or self.uncertainty is None:
-            return None
-        low = self.value - self.uncertainty
-        signed = self.dimension.kind in ("step", "flush", "volume")
-        return low if signed else max(low, 0.0), self.value + self.uncertainty
 
 
 @dataclass(frozen=True)
@@ -247,6 +248,12 @@ def _feature(
         source = cut
         fit = finish(cut, settle(cut, feature.kind, inside, normal=normal, region=feature.region))
     notes = seen_part(fit.shape, source.points[fit.used])
+    if fit.left_out > _HALF_OF_ANOTHER * (len(fit.used) + fit.left_out):
+        part = fit.left_out / (len(fit.used) + fit.left_out)
+        notes = (
+            *notes,
+            f"{part:.0%} of the points of {feature.name} lie on something else: see that its region holds one face",
+        )
     return MeasuredFeature(feature, fit, source, len(fit.used), fit.left_out, notes)
 
 
@@ -277,6 +284,8 @@ def _dimension(
         left_out=sum(each.left_out for each in of),
         notes=tuple(dict.fromkeys(note for each in of for note in each.notes)),
     )
+    if dimension.kind in _FACING and scanned.camera is None and scanned.mesh is None and _is_of_planes(of):
+        base = replace(base, notes=(*base.notes, _WHICH_SIDE))
     if dimension.kind in _FORMS:
         fit, source = of[0].fit, of[0].scanned
         assert fit is not None
@@ -294,69 +303,115 @@ def _dimension(
         assert plane.fit is not None
         assert plane.known is not None
         found = volume_above(source, plane.fit, plane.known, alike)
-        own, b = found.own, found.by_rig
+        b = None if found.by_rig is None else found.by_rig[None]
         base = replace(base, value=found.value, notes=(*base.notes, *found.notes))
-        return _with_interval(scanned, base, own, np.inf, b)
-    names = shapes.fitted_of(dimension.of)
+        return _with_interval(scanned, base, np.array([[found.own]]), np.inf, b, None)
     if dimension.kind == "flush":
         shapes = replace(shapes, seams={dimension.name: _seam(of)})
-    slopes = {name: _slope(shapes, name, dimension) for name in names}
-    own, squares, b, forms = 0.0, 0.0, None, []
-    for name in names:
-        fit, found = features[name].fit, features[name].known
+    if dimension.kind == "distance":
+        _refuse_lines_that_meet(of, shapes)
+    fold = fold_of(shapes, dimension)
+
+    def numbers(moved: Shapes) -> Float[np.ndarray, "1+k"]:
+        return np.r_[moved.value(dimension), [] if fold is None else fold.sideways(moved)]
+
+    size = len(numbers(shapes))
+    own, squares, b, forms = np.zeros((size, size)), 0.0, None, []
+    for name in shapes.fitted_of(dimension.of):
+        fit, found, slope = features[name].fit, features[name].known, _slope(shapes, name, numbers)
         assert fit is not None
         assert found is not None
-        part = float(slopes[name] @ found.own @ slopes[name])
-        own, squares = own + part, squares + part**2 / found.freedom
+        part = slope @ found.own @ slope.T
+        own, squares = own + part, squares + float(part[0, 0]) ** 2 / found.freedom
         forms.append(fit.form_mm)
         if found.by_rig is not None:
-            follows = slopes[name] @ found.by_rig
+            follows = slope @ found.by_rig
             b = follows if b is None else b + follows
     base = replace(base, value=shapes.value(dimension), form_mm=max(forms))
-    return _with_interval(scanned, base, own, squares, b)
+    return _with_interval(scanned, base, own, squares, b, fold)
+
+
+def _is_of_planes(of: list[MeasuredFeature]) -> bool:
+    return all(each.feature.kind == "plane" for each in of)
+
+
+def _refuse_lines_that_meet(of: list[MeasuredFeature], shapes: Shapes) -> None:
+    """The common perpendicular of two lines in one plane is 0 by its construction, whatever they are.
+
+    Raises:
+        InputError: they are of one section, or two edges of one plane, and not parallel.
+    """
+    a, b = (each.feature for each in of)
+    edges, lines = (all(each.kind == kind for each in (a, b)) for kind in ("edge", "line"))
+    shared = sorted(set(a.of) & set(b.of)) if edges or lines else []
+    if shared and skew(shapes.place(a.name), shapes.place(b.name)):
+        raise InputError(
+            f'the two are at more than 10° to each other, and both lie in "{shared[0]}", so that they meet: ask for a '
+            "gap, which is taken at the middle of the second, or for an angle"
+        )
 
 
 def _of_form(base: MeasuredDimension, form: Form, largest: float) -> MeasuredDimension:
     note = f"of means over {form.patches} patches: shorter waves are not seen"
-    return replace(base, value=form.value, uncertainty=form.uncertainty, form_mm=largest, notes=(*base.notes, note))
+    u = form.uncertainty
+    interval = None if u is None else (max(form.value - u, 0.0), form.value + u)
+    return replace(base, value=form.value, uncertainty=u, interval=interval, form_mm=largest, notes=(*base.notes, note))
 
 
 def _with_interval(
-    scanned: Scanned, base: MeasuredDimension, own: float, squares: float, b: Float[np.ndarray, "leaves"] | None
+    scanned: Scanned,
+    base: MeasuredDimension,
+    own: Float[np.ndarray, "1+k 1+k"],
+    squares: float,
+    b: Float[np.ndarray, "1+k leaves"] | None,
+    fold: Fold | None,
 ) -> MeasuredDimension:
-    """With the interval of a variance `own` of the points, of so much Σ part² / freedom, and of the rig's part.
+    """With the interval of a value and of what errs sideways to it.
 
-    Infinite squares stand for a variance that is known.
+    Args:
+        scanned: what was measured.
+        base: the dimension, with its value.
+        own: covariance of the points' part.
+        squares: Σ part² / freedom of the value; infinite for a variance that is known.
+        b: derivatives by the rig's leaves; None without a rig.
+        fold: where the value is turned back; None where it is not.
     """
-    if b is None or scanned.covariance is None:
+    if b is None or scanned.covariance is None or base.value is None:
         return base
-    rig = max(float(b @ scanned.covariance @ b), 0.0)
-    total = own + rig
-    freedom = total**2 / squares if squares > 0 and np.isfinite(squares) else np.inf
-    k = float(students_t.ppf((1 + CONFIDENCE) / 2, max(freedom, 1.0)))
-    sigma = float(np.sqrt(total))
-    notes = base.notes
-    if base.dimension.kind == "angle" and base.value is not None and base.value < _FEW_SIGMAS * sigma:
-        notes = (*notes, "so small an angle is an upper bound: errors never make it negative")
+    total = own + b @ scanned.covariance @ b.T
+    rig, variance = max(float(total[0, 0] - own[0, 0]), 0.0), float(total[0, 0])
+    freedom = max(variance**2 / squares if squares > 0 and np.isfinite(squares) else np.inf, 1.0)
+    sigma, value, notes = float(np.sqrt(variance)), base.value, base.notes
+    half = sigma * float(students_t.ppf((1 + CONFIDENCE) / 2, freedom))
+    low, high = value - half if base.dimension.kind in SIGNED else max(value - half, 0.0), value + half
+    if fold is not None:
+        near, far = interval_of_length(abs(value - fold.at), sigma, total[1:, 1:], freedom, CONFIDENCE)
+        low, high = (near, far) if fold.at == 0 else (max(fold.at - far, 0.0), fold.at - near)
+        half = (high - low) / 2
+        if near == 0:
+            end = "large it is at most" if fold.at == 0 else "small it is at least"
+            unit = "°" if base.dimension.unit == "°" else f" {base.dimension.unit}"
+            notes = (*notes, f"{fold.at:g}{unit} cannot be excluded: the interval says how {end}")
     return replace(
         base,
-        uncertainty=k * sigma,
+        uncertainty=half,
+        interval=(low, high),
         sigma=sigma,
         sigma_rig=float(np.sqrt(rig)),
-        by_rig=dict(zip(scanned.parameters, b.tolist(), strict=True)),
+        by_rig=dict(zip(scanned.parameters, b[0].tolist(), strict=True)),
         notes=notes,
     )
 
 
-def _slope(shapes: Shapes, name: str, dimension: Dimension) -> Float[np.ndarray, "numbers"]:
-    """How a dimension changes with the numbers of a shape."""
-    slope = np.zeros(shapes.fitted[name].numbers)
-    for k in range(len(slope)):
-        by = np.zeros(len(slope))
-        by[k] = _MOVE
-        up, down = (shapes.moved(name, way * by).value(dimension) for way in (1.0, -1.0))
-        slope[k] = (up - down) / (2 * _MOVE)
-    return slope
+def _slope(
+    shapes: Shapes, name: str, numbers: Callable[[Shapes], Float[np.ndarray, "1+k"]]
+) -> Float[np.ndarray, "1+k numbers"]:
+    """How a dimension, and what errs sideways to it, change with the numbers of a shape."""
+    slope = []
+    for by in _MOVE * np.eye(shapes.fitted[name].numbers):
+        up, down = (numbers(shapes.moved(name, way * by)) for way in (1.0, -1.0))
+        slope.append((up - down) / (2 * _MOVE))
+    return np.stack(slope, axis=1)
 
 
 def _seam(of: list[MeasuredFeature]) -> Float[np.ndarray, "3"]:

@@ -8,7 +8,7 @@ from jaxscan.files.mesh import read_mesh
 from jaxscan.files.part_file import Dimension
 from jaxscan.measurement.alike import how_alike
 from jaxscan.measurement.fit import few
-from jaxscan.measurement.form import Form, deviation, patches
+from jaxscan.measurement.form import LEAST_OF_SURFACE, Form, deviation, patches
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.surface.fit import rigid_fit_to
 from jaxscan.surface.reference import MeshReference
@@ -58,7 +58,7 @@ def profile_of(scanned: Scanned, dimension: Dimension) -> tuple[Form, float, tup
         moved = some, np.einsum("pi,pil->pl", normal[some], scanned.by_rig(some))
     elif dimension.fit and scanned.by_rig is not None:
         notes = (*notes, "fitted to the mesh: without an interval; for one give the mesh in the scan's frame")
-    form = deviation(scanned, off, patch, noise, moved, _zone)
+    form = deviation(scanned, off, patch, noise, moved, _zone, LEAST_OF_SURFACE)
     return form, float(2 * np.abs(off).max()), notes
 
 

@@ -4,6 +4,9 @@ from typing import Any
 
 from jaxscan.measurement.measure import Measurement
 
+# A value is in the middle of its interval if it is off by less than this part of half of it.
+_MIDDLE = 0.05
+
 
 def rows_of(found: Measurement) -> list[dict[str, Any]]:
     """A row for each dimension, in the part's order; None for what is not known."""
@@ -48,11 +51,18 @@ def in_words(row: dict[str, Any]) -> str:
     """A dimension's value, interval, verdict and points."""
     if row["value"] is None:
         return f"not measured: {row['problem']}"
-    text = f"{row['value']:.4f}"
-    if row["uncertainty"] is not None:
-        text += f" ± {row['uncertainty']:.4f}"
-    text += f" {row['unit']}"
+    text = f"{interval_in_words(row)} {row['unit']}"
     if row["verdict"]:
         text += f", {row['verdict']} ({row['least']:.6g} to {row['largest']:.6g})"
     out = f", {row['left_out']} left out" if row["left_out"] else ""
     return f"{text}; {row['points']} points{out}"
+
+
+def interval_in_words(row: dict[str, Any]) -> str:
+    """A value with its interval: ± half of it, or from where to where if the value is not in its middle."""
+    value, half, low, high = (row[name] for name in ("value", "uncertainty", "low", "high"))
+    if half is None:
+        return f"{value:.4f}"
+    if abs((low + high) / 2 - value) < _MIDDLE * half:
+        return f"{value:.4f} ± {half:.4f}"
+    return f"{value:.4f} ({low:.4f} to {high:.4f})"

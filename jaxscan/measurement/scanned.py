@@ -132,7 +132,8 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
 
     Args:
         image: as it was reconstructed; it may be cropped or cleaned.
-        rig: by which it was reconstructed; without it, or without its covariance, nothing has an interval.
+        rig: by which it was reconstructed. Without its covariance nothing has an interval. Without a rig it is
+            not known either where errors move a point to, and round shapes come out too large.
         part: what will be measured: points that no feature looks for are left aside, which saves time.
 
     Raises:
@@ -146,11 +147,11 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
     points = image.points[image.valid].astype(np.float64)
     plain = Scanned(points, place, image=image, camera=image.cameras()[frame])
     if rig is None:
-        return replace(plain, why_not="no rig is given: for intervals add --rig with the rig of the scan")
-    if rig.covariance is None:
-        return replace(
-            plain, why_not="the rig has no covariance, so nothing has an interval: give one that calibrate wrote"
+        why = (
+            "no rig is given: for intervals, and for balls and cylinders that are not too large, add --rig with the "
+            "rig of the scan"
         )
+        return replace(plain, why_not=why)
     laser, columns, known = _as_the_rig_sees_it(image, rig.rig)
     motion = rig.rig.pose({axis: np.asarray(steps, np.float64) for axis, steps in image.positions.items()})
     R = np.broadcast_to(np.asarray(motion.matrix()), (len(image.valid), 3, 3))
@@ -179,12 +180,14 @@ def scanned_image(image: RangeImage, rig: RigFile | None = None, part: Part | No
         ray_jacobian(rig.rig, name, pixels, {axis: each[frame[some]] for axis, each in q.items()}, columns)[1]
     )
     focal = float(rig.rig.camera.focal[0 if columns else 1])
+    why = "" if rig.covariance is not None else "the rig has no covariance: give one that calibrate wrote"
     return replace(
         plain,
+        why_not=why,
         stripe=stripe,
         sigma=sigma,
         by_rig=by_rig,
-        covariance=rig.covariance.of_leaves(rig.rig),
+        covariance=None if rig.covariance is None else rig.covariance.of_leaves(rig.rig),
         parameters=tuple(parameter_names(rig.rig)),
         pitch_px=_pitch_px(rig.rig, place, seen, columns),
         column_mm=float(np.median(rig.rig.camera.chart.range_of(seen[some]))) / focal,

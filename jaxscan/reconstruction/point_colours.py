@@ -16,7 +16,7 @@ from jaxscan.rig.projection import project_points
 # A point so much deeper than what is seen in its pixel, or beside it, is hidden, mm.
 _BEHIND_MM = 2.0
 # Pixels so near to the stripe have light of the laser.
-STRIPE_PX = 12.0
+_STRIPE_PX = 12.0
 
 
 def point_colours(
@@ -46,7 +46,7 @@ def point_colours(
     ranges = camera.chart.range_of(seen)
     shown = visible(least_depths(pixels, ranges, photograph.shape[:2]), pixels, ranges)
     if stripe is not None:
-        shown &= ~in_stripe(pixels, stripe, STRIPE_PX, columns=columns)
+        shown &= ~in_stripe(pixels, stripe, _STRIPE_PX, columns=columns)
     return np.where(shown[:, None], sampled(photograph, pixels), np.nan)
 
 

@@ -51,7 +51,7 @@ def colours_near(vertices: Float32[np.ndarray, "vertices 3"], painted: Cloud) ->
         reach = _FARTHEST * float(np.median(np.asarray(tree.query(sample, k=near)[0]).reshape(len(sample), -1)[:, -1]))
     else:
         reach = np.inf
-    distance, which = (np.asarray(each).reshape(len(vertices), -1) for each in tree.query(vertices, k=near))
+    distance, which = (np.asarray(each).reshape(-1, near) for each in tree.query(vertices, k=near))
     weight = (distance <= reach).astype(np.float64)
     total = weight.sum(axis=1)
     mean = (weight[..., None] * paint[which]).sum(axis=1) / np.maximum(total, 1.0)[:, None]

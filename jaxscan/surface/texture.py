@@ -25,9 +25,12 @@ from jaxscan.reconstruction.scan_colours import colours_at
 from jaxscan.rig import Rig
 from jaxscan.surface.atlas import GUTTER, Atlas, Texels, make_atlas, texels_of
 from jaxscan.surface.painted import colours_near
+from jaxscan.surface.passages import passages
 
 # Points that the spacing is taken of.
 _SAMPLE: Final = 20_000
+# A texel is where a passage has seen the surface if a point of it is no further off than this, in times of the spacing.
+_NEAR: Final = 4.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ def make_texture(
     Raises:
         InputError: a photograph cannot be read, or the scan is not that of the points.
     """
-    atlas = make_atlas(mesh, spacing(points), most_px)
+    atlas = make_atlas(mesh, spacing(points.points), most_px)
     if atlas is None:
         return None
     texels = texels_of(atlas)
@@ -105,9 +108,9 @@ def make_texture(
     return Texture(atlas, _picture(atlas, texels, colours), len(places), photographed, known - photographed)
 
 
-def spacing(points: Cloud) -> float:
+def spacing(points: Float[np.ndarray, "points 3"]) -> float:
     """How far a point is from the one nearest to it, in the median, mm."""
-    P = points.points.astype(np.float64)
+    P = points.astype(np.float64)
     sample = P[:: max(1, len(P) // _SAMPLE)]
     apart = np.asarray(KDTree(P).query(sample, k=2)[0])[:, 1]
     apart = apart[(apart > 0) & np.isfinite(apart)]
@@ -117,19 +120,34 @@ def spacing(points: Cloud) -> float:
 def _photographed(
     mesh: trimesh.Trimesh, texels: Texels, places: Float[np.ndarray, "texels 3"], photographs: Photographs
 ) -> UInt8[np.ndarray, "texels 3"]:
-    """What the photographs show of the texels that face the camera, about the step of the point nearest to each."""
+    """What the photographs show of the texels that face the camera, about the step of the point nearest to each.
+
+    A turn has seen a place twice, with another light and shade each time. A texel takes the mean of both, as its
+    neighbours do: the nearest point alone would be now of the one passage, now of the other.
+    """
     image = photographs.image
-    frame, _ = np.nonzero(image.valid)
-    _, nearest = KDTree(image.points[image.valid].astype(np.float64)).query(places)
-    frame = frame[nearest]
-    to_camera = image.cameras()[frame] - places
-    facing = (to_camera * np.asarray(mesh.face_normals)[texels.triangle]).sum(axis=1) > 0
-    order = np.flatnonzero(facing)[np.argsort(frame[facing], kind="stable")]
-    ends = np.cumsum(np.bincount(frame[order], minlength=len(image.valid)))[:-1]
-    found = colours_at(photographs.rig, photographs.scan, image, np.split(places[order], ends))
-    colours = np.zeros((len(places), 3), np.uint8)
-    colours[order] = np.concatenate(found)
-    return colours
+    normals, cameras = np.asarray(mesh.face_normals)[texels.triangle], image.cameras()
+    texel, frame = [], []
+    for passage in passages(image):
+        steps, _ = np.nonzero(passage)
+        seen = image.points[passage].astype(np.float64)
+        distance, nearest = (np.asarray(each) for each in KDTree(seen).query(places))
+        step = steps[nearest]
+        facing = ((cameras[step] - places) * normals).sum(axis=1) > 0
+        some = np.flatnonzero(facing & (distance <= _NEAR * spacing(seen)))
+        texel.append(some)
+        frame.append(step[some])
+    texel, frame = np.concatenate(texel), np.concatenate(frame)
+    order = np.argsort(frame, kind="stable")
+    ends = np.cumsum(np.bincount(frame, minlength=len(image.valid)))[:-1]
+    texel = texel[order]
+    found = np.concatenate(colours_at(photographs.rig, photographs.scan, image, np.split(places[texel], ends))).astype(
+        np.float64
+    )
+    shown = found.any(axis=1)
+    times = np.bincount(texel[shown], minlength=len(places))
+    total = np.stack([np.bincount(texel[shown], found[shown, k], len(places)) for k in range(3)], axis=1)
+    return np.where(times[:, None] > 0, np.round(total / np.maximum(times, 1)[:, None]), 0).astype(np.uint8)
 
 
 def _between(

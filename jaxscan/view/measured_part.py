@@ -58,7 +58,7 @@ def measurement_report(scanned: Scanned, found: Measurement, surface: str) -> Re
         (
             row["name"],
             _number(row["value"]),
-            _number(row["uncertainty"]),
+            "" if row["low"] is None else f"{row['low']:.4f} to {row['high']:.4f}",
             row["unit"],
             "" if row["least"] is None else f"{row['least']:.6g} to {row['largest']:.6g}",
             row["verdict"] or "",
@@ -67,7 +67,7 @@ def measurement_report(scanned: Scanned, found: Measurement, surface: str) -> Re
         )
         for row in rows
     ]
-    heads = ("dimension", "value", "± (95 %)", "unit", "limits", "verdict", "points", "left out")
+    heads = ("dimension", "value", "interval (95 %)", "unit", "limits", "verdict", "points", "left out")
     features = [
         (
             each.feature.name,
@@ -118,8 +118,8 @@ def control_charts(path: str | os.PathLike[str], scans: Mapping[str, Sequence[Ma
         at = [i for i, row in enumerate(rows) if row is not None and row["value"] is not None]
         kept = [row for row in rows if row is not None and row["value"] is not None]
         values = np.array([row["value"] for row in kept], float)
-        bars = np.array([row["uncertainty"] or 0.0 for row in kept], float)
-        ax.errorbar(at, values, yerr=bars, fmt=".", lw=0.8)
+        ends = [[row["value"] if row[end] is None else row[end] for row in kept] for end in ("low", "high")]
+        ax.errorbar(at, values, yerr=np.abs(np.array(ends, float) - values), fmt=".", lw=0.8)
         if len(values) > 2:
             centre, sigma = values.mean(), np.abs(np.diff(values)).mean() / _D2
             for y in (centre - 3 * sigma, centre, centre + 3 * sigma):

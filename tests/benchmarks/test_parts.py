@@ -77,7 +77,8 @@ def test_figures_of_known_errors() -> None:
     dimension = Dimension("ball radius", "radius", ("ball",))
     found = {
         "ball radius": [
-            Compared(MeasuredDimension(dimension, 1.0, uncertainty=2.0, sigma=1.0), off, 2 * off) for off in (1.0, 3.0)
+            Compared(MeasuredDimension(dimension, 1.0, uncertainty=2.0, interval=(-1.0, 3.0), sigma=1.0), off, 2 * off)
+            for off in (1.0, 3.0)
         ]
     }
     figures = {metric.name: metric.value for metric in (*coverage(found), *ratios("drawn", found))}

@@ -10,11 +10,12 @@ import pytest
 from benchmarks.measured_parts import Scene, as_image, drawn_rig, implicit, scan
 from jaxscan.errors import InputError
 from jaxscan.files.acceptance_history import add_to_history, read_history
-from jaxscan.files.artefact_file import read_artefact
+from jaxscan.files.artefact_file import CertifiedBall, CertifiedDistance, CertifiedPlane, read_artefact
 from jaxscan.measurement.accept import accept, band
 from jaxscan.measurement.drift import as_test, changes
-from jaxscan.measurement.known_balls import known_balls
+from jaxscan.measurement.known_balls import _told_apart, known_balls
 from jaxscan.measurement.scanned import scanned_image
+from jaxscan.measurement.shapes import Ball
 from tests.measurement.test_measure import KNOWN, PART, RIG, STEPS, Y
 from tests.test_docs import ROOT, blocks
 
@@ -64,17 +65,24 @@ def test_balls_are_found_by_their_diameter(artefact):
 
 def test_distances_tell_balls_of_one_size_apart(artefact):
     """A third ball, between the two and nearer to the left one, is named by its distance."""
-    from jaxscan.files.artefact_file import CertifiedBall, CertifiedDistance
-    from jaxscan.measurement.known_balls import _told_apart
-
     names = ("a", "b", "c")
     balls = tuple(CertifiedBall(name, 14.0, 0.01) for name in names)
-    at = {"a": np.array([0.0, 0, 0]), "b": np.array([20.0, 0, 0]), "c": np.array([50.0, 0, 0])}
+    at = {name: Ball(np.array([x, 0.0, 0.0]), np.eye(3)[2], 7.0, 7.0) for name, x in (("a", 0), ("b", 20), ("c", 50))}
     distances = tuple(CertifiedDistance(of, d, 0.1) for of, d in ((("a", "b"), 30.0), (("b", "c"), 50.0)))
     regions = _told_apart(at, replace(artefact, balls=balls, distances=distances))
     assert regions["a"].low[0] == 20
     assert regions["b"].low[0] == 50
     assert regions["c"].low[0] == 0
+
+
+def test_diameters_tell_balls_of_nearly_one_size_apart(artefact):
+    """A bar of 20.0 and 20.9 mm that lies the other way round."""
+    balls = (CertifiedBall("a", 20.0, 0.01), CertifiedBall("b", 20.9, 0.01))
+    at = {name: Ball(np.array([x, 0.0, 0.0]), np.eye(3)[2], r, r) for name, x, r in (("a", 0, 10.47), ("b", 50, 9.98))}
+    distances = (CertifiedDistance(("a", "b"), 50.0, 0.1),)
+    regions = _told_apart(at, replace(artefact, balls=balls, distances=distances))
+    assert regions["b"].low[0] == 0
+    assert regions["a"].low[0] == 50
 
 
 def test_a_sound_scanner_conforms(artefact):
@@ -140,6 +148,37 @@ def test_drift_is_named_only_where_it_is_more_than_its_uncertainty(artefact):
     assert "distance" in named
     assert named["distance"].tests == 3
     assert changes(tests[:1]) == []
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.03, "conforming"), (0.2, "not conforming")])
+def test_points_in_the_air_are_of_the_form(artefact, share, verdict):
+    """A fifth of the points is up to 3 mm off: the fit leaves them out, and the form must not."""
+    rig, ((name, image),) = scans(1)
+    random = np.random.default_rng(1)
+    off = np.where(random.random(image.valid.shape) < share, random.uniform(-3, 3, image.valid.shape), 0.0)
+    away = image.points / np.linalg.norm(image.points, axis=-1, keepdims=True)
+    flying = replace(image, points=(image.points + off[..., None] * away).astype(np.float32))
+    figures = ("probing_form", "flatness")
+    found = accept([(name, flying)], rig, replace(artefact, limits=dict.fromkeys(figures, 0.8)))
+    assert not found.problems
+    for each in (row for figure in figures for row in found.of(figure)):
+        assert each.verdict == verdict
+        assert each.left_out / each.points == pytest.approx(share * 0.85, rel=0.35)
+    assert any("of its points are outliers" in note for note in found.notes)
+
+
+def test_a_limit_that_was_not_tested_is_not_met(artefact):
+    rig, several = scans(1)
+    plane = replace(artefact, balls=(), distances=(), plane=CertifiedPlane("plane", 0.01))
+    found = accept(several, rig, plane)
+    assert found.of("flatness")[0].verdict == "conforming"
+    assert found.verdict == "not decided"
+    assert any(
+        "distance: not tested, though it has a limit: artefact.toml describes no" in each for each in found.notes
+    )
+    only = accept(several, rig, replace(plane, limits={"flatness": 0.8}))
+    assert only.verdict == "conforming"
+    assert only.places == " in 1 place of 6"
 
 
 def test_what_is_not_the_artefact_is_refused(artefact):

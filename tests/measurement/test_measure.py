@@ -219,7 +219,10 @@ def test_verdicts_and_what_is_left_unmeasured(drawn):
     assert found.verdict == "not decided"
     assert len(found.problems) == 2
     assert by_name["line over low"].value == pytest.approx(4.0, abs=0.5)
-    assert by_name["angle"].notes[-1].startswith("so small an angle is an upper bound")
+    angle = by_name["angle"]
+    assert angle.notes[-1] == "0° cannot be excluded: the interval says how large it is at most"
+    assert angle.interval[0] == 0
+    assert angle.interval[1] > angle.value + angle.sigma
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
 
 from benchmarks.texture import errors, looked_up
 from jaxscan.cli.main import main
@@ -108,6 +109,42 @@ def test_a_turn_from_all_around(tmp_path, capsys) -> None:
     assert min(box.sum(), ball.sum()) > 500
     assert (share[box, 1] > 0.45).mean() > 0.97
     assert (share[ball, 2] > 0.45).mean() > 0.97
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plain ball on the axis, turned once around; the stripe is in each photograph."""
+    folder = tmp_path_factory.mktemp("turned")
+    rig = rig_2003.with_turntable(rig_2003.simulated_rig(31), 31)
+    ball = Body(Sphere(np.array([0.0, rig_2003.OBJECT_Y, 16.0]), 16.0), np.array([0.4, 0.5, 0.45]))
+    axes = rig_2003.turning_axes(100)
+    simulate_scan(folder / "scan", rig, rig_2003.scan_scene(rig, (ball,)), 31, axes=axes, lighting=ROOM)
+    write_rig(folder / "rig.json", RigFile(rig))
+    run("reconstruct", folder / "scan", "--rig", folder / "rig.json", "--colour", "frames", "-o", folder / "a.npz")
+    return folder
+
+
+def test_near_the_axis_of_a_turn_photographs_from_all_around_have_the_colour(turned) -> None:
+    image = read_range_image(turned / "a.npz")
+    coloured = image.colours.any(axis=-1)
+    assert coloured[image.valid].mean() > 0.98
+    share = image.colours[coloured] / image.colours[coloured].sum(axis=1, keepdims=True)
+    # No light of the laser is in it.
+    assert share[:, 0].max() < 0.37
+
+
+def test_neighbouring_texels_of_a_turn_are_alike(turned, tmp_path) -> None:
+    """Each passage has its own shade; texels that took now the one and now the other looked like a maze."""
+    run("mesh", turned / "a.npz", *photographs(turned), "-o", tmp_path / "a.glb")
+    found = looked_up(tmp_path / "a.glb", 20_000)
+    R, origin = rig_2003.platform(rig_2003.with_turntable(rig_2003.simulated_rig(31), 31))
+    some = ((found.points - origin) @ R)[:, 2] > 8
+    green, points = found.colours[some, 1].astype(float), found.points[some]
+    _, near = KDTree(points).query(points, k=8)
+    rough = np.abs(green - np.median(green[near], axis=1))
+    assert some.sum() > 1000
+    assert np.median(rough) < 0.3
+    assert np.quantile(rough, 0.95) < 1.5
 
 
 def test_a_scan_without_colours_has_none(folder, tmp_path) -> None:
