@@ -1,8 +1,6 @@
 """`python -m hardware`: the program `scanner`, where its script is not on the path."""
 
-import sys
-
-from hardware.cli.main import main
+from hardware.cli.main import entry
 
 if __name__ == "__main__":
-    sys.exit(main())
+    entry()

@@ -1,8 +1,6 @@
 """`python -m jaxscan`: the program `jaxscan`, where its script is not on the path."""
 
-import sys
-
-from jaxscan.cli.main import main
+from jaxscan.cli.main import entry
 
 if __name__ == "__main__":
-    sys.exit(main())
+    entry()

@@ -1,6 +1,7 @@
 """`scanner calibrate`: a calibration session under guidance."""
 
 import argparse
+import shlex
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -160,5 +161,5 @@ def describe(result: dict[str, Any]) -> str:
     around = f", {result['turntable_images']} on the turntable" if result["turntable_images"] else ""
     return (
         f"{result['path']}: {result['views']} views of the board, {result['stage_images']} along the stage{around}\n"
-        f"next: jaxscan calibrate {result['path']} -o rig.json --report report"
+        f"next: jaxscan calibrate {shlex.quote(result['path'])} -o rig.json --report report"
     )

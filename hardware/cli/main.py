@@ -3,10 +3,11 @@
 import signal
 from collections.abc import Sequence
 from types import FrameType
-from typing import Final
+from typing import Final, NoReturn
 
 from hardware.errors import HardwareError
 from jaxscan.cli.main import Program, run_program
+from jaxscan.cli.process import run_as_process
 
 COMMANDS: Final = {
     "devices": "hardware.cli.devices",
@@ -35,3 +36,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
+
+
+def entry() -> NoReturn:
+    """The process `scanner`."""
+    run_as_process(main)

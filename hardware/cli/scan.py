@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shlex
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -190,7 +191,7 @@ def describe(result: dict[str, Any]) -> str:
     return (
         f"{result['path']}: {result['frames']} frames, {axes}; places: {places}\n"
         + "".join(f"note: {note}\n" for note in result["notes"])
-        + f"next: jaxscan reconstruct {result['path']} --rig rig.json -o points.ply"
+        + f"next: jaxscan reconstruct {shlex.quote(result['path'])} --rig rig.json -o points.ply"
     )
 
 

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> None:
     """Serve until interrupted."""
     from hardware.devices import open_scanner, read_scanner
     from jaxscan.cli.compiled import keep_compiled
-    from jaxscan.cli.main import INTERRUPTED
+    from jaxscan.cli.process import INTERRUPTED
     from jaxscan.errors import InputError
     from jaxscan.extras import extra
 

@@ -1,10 +1,13 @@
 """`jaxscan demo`: the whole way on a simulated scanner, with no hardware and nothing to prepare."""
 
 import argparse
+import shlex
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("jaxscan-demo"), metavar="DIR", help="default: ./jaxscan-demo"
     )
+    parser.add_argument("--force", action="store_true", help="replace a simulation that is in DIR already")
     parser.add_argument("--turntable", action="store_true", help="scan it once all around on a turntable")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated rig, poses and noise (default: 0)")
 
@@ -41,6 +45,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.cli.simulate import check_folder, simulate_into
 
     check_folder(out, args.seed)
+    if out.is_dir() and any(out.iterdir()) and not (out / f"{name}.npz").is_file() and not args.force:
+        raise InputError(f"{out}: holds a simulation that is no demo: name another folder, or replace it with --force")
     _say(1, f"photograph a calibration board, and a {name} as it passes through the laser's light (simulated)")
     from jaxscan.simulation.rig_2003 import OBJECT_Y, SPECKLE
     from jaxscan.simulation.shapes import panda
@@ -177,7 +183,7 @@ def describe(result: dict[str, Any]) -> str:
 
     errors, out, name = result["errors"], result["path"], result["object"]
     command = "jaxscan" if shutil.which("jaxscan") else sys.argv[0]
-    surface = f"{out}/{name}.stl"
+    surface = shlex.quote(f"{out}/{name}.stl")
     return "\n".join(
         [
             f"the {name}: {result['points']} points, {errors['absolute']:.3f} mm RMS from the true surface "
@@ -197,6 +203,6 @@ def _last_commands(command: str, surface: str) -> list[str]:
     if find_spec("matplotlib"):
         return [
             later,
-            f"see it now, as a picture: {command} view {surface} --png {surface.removesuffix('.stl')}-mesh.png",
+            f"see it now, as a picture: {command} view {surface} --png {surface.replace('.stl', '-mesh.png')}",
         ]
     return [later, f"see what it holds: {command} inspect {surface}"]

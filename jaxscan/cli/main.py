@@ -27,6 +27,7 @@ from itertools import takewhile
 from typing import Any, Final, NoReturn, Protocol
 
 from jaxscan.cli.compiled import cache_warning
+from jaxscan.cli.process import INTERRUPTED, run_as_process
 from jaxscan.cli.progress import say, working
 from jaxscan.errors import InputError, JaxscanError
 
@@ -49,7 +50,7 @@ COMMANDS: Final = {
     "demo": "jaxscan.cli.demo",
 }
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 class Command(Protocol):
@@ -97,6 +98,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line of `jaxscan` and return its exit status, as `run_program`."""
     description = "Calibrate a laser line scanner, and turn its photographs into points."
     return run_program(Program("jaxscan", description, COMMANDS, shows_work=COMMANDS), argv)
+
+
+def entry() -> NoReturn:
+    """The process `jaxscan`."""
+    run_as_process(main)
 
 
 def run_program(program: Program, argv: Sequence[str] | None = None) -> int:
@@ -167,7 +173,7 @@ def parser_of(program: Program) -> argparse.ArgumentParser:
     parser = _Parser(
         prog=program.name,
         description=program.description,
-        epilog="exit status: 0 done, 1 failed, 2 bad input or usage",
+        epilog="exit status: 0 done, 1 failed, 2 bad input or usage, 130 interrupted",
     )
     parser.add_argument("--version", action=_Version)
     common = _Parser(add_help=False)

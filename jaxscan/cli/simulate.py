@@ -1,6 +1,7 @@
 """`jaxscan simulate`: a calibration session, a scan, and what is true of both."""
 
 import argparse
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
@@ -464,7 +465,9 @@ def _each_pose(lasers: int, separate_stripes: bool) -> int:
 
 def describe(result: dict[str, Any]) -> str:
     """What was written, and what to do with it."""
-    out, sides, scans = result["path"], result["sides"], result["scans"]
+    path, sides, scans = result["path"], result["sides"], result["scans"]
+    # In a shell's words: a folder's name may have spaces.
+    out = shlex.quote(path)
     if len(scans) > 1:
         degrees = 360 / sides if sides > 1 else 0
         turned = f"--steps {result['steps_apart']:g}" if result["steps_apart"] else f"--turn {degrees:g}"
@@ -480,7 +483,7 @@ def describe(result: dict[str, Any]) -> str:
         [
             f"{result['photographs']} photographs of boards and of a {result['object']}, "
             f"{result['true_points']} true points: "
-            f"{', '.join(f'{out}/{folder}' for folder in ('session', *scans, 'truth'))}",
+            f"{', '.join(f'{path}/{folder}' for folder in ('session', *scans, 'truth'))}",
             f"next: jaxscan calibrate {out}/session -o {out}/rig.json",
             *(f"then: {line}" for line in then),
         ]

@@ -4,6 +4,7 @@ import glob
 import os
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from jaxscan.files.table import Table, show
 from jaxscan.images import image_size
 
 _NAMES_SHOWN = 3
+# Files whose numbers are looked at, and the part of them that has to follow each other.
+_FEWEST_NUMBERED, _MOSTLY = 5, 0.8
 
 
 def natural_key(name: str) -> tuple[list[str | int], str]:
@@ -75,6 +78,26 @@ def common_size(paths: Sequence[Path], to_their_ends: bool = False) -> tuple[int
                 "all photographs must be of one camera, unscaled and uncropped; take the odd one out"
             )
     return size
+
+
+def gap_in_numbers(paths: Sequence[Path]) -> tuple[Path, Path] | None:
+    """The first two neighbours between whose numbers others are missing; None where there are none.
+
+    Names count if they differ in one number alone, which nearly always rises by the same: times do not.
+    """
+    parts = [re.split(r"([0-9]+)", path.name) for path in paths]
+    if len(paths) < _FEWEST_NUMBERED or len({tuple(part[::2]) for part in parts}) > 1:
+        return None
+    numbers = list(zip(*([int(word) for word in part[1::2]] for part in parts), strict=True))
+    rising = [each for each in numbers if len(set(each)) > 1]
+    if len(rising) != 1:
+        return None
+    steps = [b - a for a, b in pairwise(rising[0])]
+    usual = max(set(steps), key=steps.count)
+    gaps = [i for i, step in enumerate(steps) if usual > 0 and step > usual and step % usual == 0]
+    if not gaps or steps.count(usual) < _MOSTLY * len(steps) or len(gaps) + steps.count(usual) < len(steps):
+        return None
+    return paths[gaps[0]], paths[gaps[0] + 1]
 
 
 def name_some(paths: Sequence[Path]) -> str:

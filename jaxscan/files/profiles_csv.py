@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
+from jaxscan.files.listing import gap_in_numbers
 from jaxscan.files.table import Table
 from jaxscan.files.text import read_text
 
@@ -44,6 +45,12 @@ def read_profiles_csv(table: Table, files: Sequence[Path]) -> Found:
     """
     renamed = _renamed(table)
     invalid = table.number("invalid") if "invalid" in table else None
+    if (gap := gap_in_numbers(files)) and "steps" not in table and "axes" not in table:
+        raise table.error(
+            "files",
+            f"{gap[1].name} follows {gap[0].name}: put the profiles between them there, or list where the axis stood "
+            "for each profile under steps",
+        )
     parts = [_read(file, renamed, invalid) for file in files]
     if isinstance(parts[0], np.ndarray):
         rows = [part for part in parts if isinstance(part, np.ndarray)]

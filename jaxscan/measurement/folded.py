@@ -23,9 +23,9 @@ from scipy.stats import t as students_t
 _SIZES, _DIRECTIONS = 201, 8
 # Halvings of an interval in which an end lies: the end is known to a part in 10¹².
 _HALVINGS: Final = 40
-# A length of so many σ is far from 0: sideways errors shift the interval by less than a fiftieth of σ.
+# A length of 30 σ is far from 0: sideways errors shift the interval by less than a fiftieth of σ.
 _CLEAR: Final = 30.0
-# The largest δ is looked for up to so many σ beyond the length.
+# The largest δ is looked for up to 50 σ beyond the length.
 _FAR: Final = 50.0
 
 

@@ -23,7 +23,7 @@ from jaxscan.measurement.scanned import Scanned
 _ACROSS, _PATCHES = 3, 6
 _ALONG: Final = 16
 _FEWEST: Final = 10
-# Of a surface, and of a line: patches with so many points that there must be. Four of a dome are all alike.
+# Of a surface, and of a line: patches of 10 points or more that there must be. Four of a dome are all alike.
 LEAST_OF_SURFACE, _LEAST_OF_LINE = 6, 4
 _DRAWINGS: Final = 4000
 _OF_RIG: Final = 2000

@@ -38,7 +38,7 @@ class LightWatch:
         # By how much levels and stripe rise from the frame before, in logarithms; NaN where it cannot be determined.
         self._level_rise: list[float] = []
         self._strength_rise: list[float] = []
-        # Of the changes of rows, the mean product of the two halves of the photograph; and the mean level.
+        # Of the changes of rows, the median product of the two halves of the photograph; and the mean level.
         self._bands: list[float] = []
         self._level: list[float] = []
         self._before: tuple[np.ndarray, np.ndarray] | None = None
@@ -79,7 +79,9 @@ class LightWatch:
         change = (level[1:] - level[:-1] * np.exp(by)[:, None, None])[still]
         half = level.shape[2] // 2
         left, right = (np.median(part, axis=2) for part in (change[..., :half], change[..., half:]))
-        self._bands += (left * right).mean(axis=1).tolist()
+        # The median of the lit rows: where an edge has moved over all columns a row changes too, but few rows do.
+        lit = np.median(level[:-1][still], axis=2) > _LEAST_LEVEL
+        self._bands += np.nan_to_num(_median(left * right, lit)).tolist()
 
     def notes(self, exposures_known: bool, background: bool) -> list[str]:
         """What is wrong, and what to do.

@@ -1,10 +1,12 @@
 """Which lines of a scan have no point, and what is said of them."""
 
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float, UInt
 
+from jaxscan.files.listing import gap_in_numbers
 from jaxscan.files.scan import Scan
 from jaxscan.images.decode import read_image
 from jaxscan.images.stripe_settings import StripeSettings
@@ -42,6 +44,20 @@ def left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float
             "noise: expose longer, open the lens, or take the laser nearer"
         )
     return notes
+
+
+def gap_notes(scan: Scan) -> list[str]:
+    """What is said of photographs that are missing among those of an evenly moving axis."""
+    gap = gap_in_numbers(scan.frames) if scan.exposures_s is None else None
+    even = [
+        steps for steps in scan.axes.values() if len({b - a for a, b in pairwise(steps)}) == 1 and steps[0] != steps[-1]
+    ]
+    if gap is None or not even or len(even) < sum(len(set(steps)) > 1 for steps in scan.axes.values()):
+        return []
+    return [
+        f"{gap[1].name} follows {gap[0].name}, as if photographs were missing, but the axis is said to have moved "
+        "evenly from each to the next: put them there, or list where it stood for each photograph under steps"
+    ]
 
 
 def in_another_colour(scan: Scan) -> str:

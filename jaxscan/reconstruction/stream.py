@@ -34,7 +34,14 @@ from jaxscan.reconstruction.pose_sigma import PoseSigma, check_poses
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands, own_colours
-from jaxscan.reconstruction.scan_notes import REASONS, brighter_colors, channels_note, in_another_colour, left_out_notes
+from jaxscan.reconstruction.scan_notes import (
+    REASONS,
+    brighter_colors,
+    channels_note,
+    gap_notes,
+    in_another_colour,
+    left_out_notes,
+)
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
@@ -112,7 +119,7 @@ class Scanner:
             laser = self._laser(scan.laser)
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
-        notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks)]
+        notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan)]
         verdicts, watch = np.zeros(len(Verdict), int), LightWatch()
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:

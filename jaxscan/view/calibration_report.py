@@ -53,7 +53,7 @@ def compose(
     """Words, tables and figures from the numbers, and the verdict."""
     advice = advise(planned, volumes, calibration.observations)
     judged = judge(calibration, diagnostics, volumes, advice)
-    first = advice.words[0]
+    first, correct_first = advice.words[0], (judged.next,) if judged.level == "stop" else ()
     report = Report(
         kind="calibration-report",
         title="Calibration report",
@@ -65,7 +65,7 @@ def compose(
             Section("What limits it?", paragraphs=limits(calibration, diagnostics, volumes)),
             Section(
                 "What photograph would help most?",
-                paragraphs=(f"{first[0].upper()}{first[1:]}.",),
+                paragraphs=(*correct_first, f"{first[0].upper()}{first[1:]}."),
                 items=advice.words[1:],
                 figures=advice.figures,
             ),

@@ -40,7 +40,7 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics)]
     # What the model misses widens σ, so that is fixed first.
     boxes += [*_imprecise(calibration, diagnostics.sigma_factor, volumes), *_worse(diagnostics)]
-    boxes += thin(diagnostics)
+    boxes += thin(calibration, diagnostics)
     return tuple(sorted(boxes, key=lambda box: ("stop", "care", "good").index(box.level)))
 
 
@@ -60,7 +60,7 @@ def _suspect(suspect: Suspect) -> Box:
         return Box(
             "stop",
             f"{what}. It fits when it is {suspect.explanation}.",
-            "Save it as the camera took it, or leave it out.",
+            f"Save {suspect.name} as the camera took it, or leave it out.",
         )
     # One that still takes part is a bad photograph; one that was rejected is perhaps none of this rig.
     rejected = max(suspect.corners_rejected, suspect.stripe_rejected or 0.0) > REJECTED
@@ -210,11 +210,16 @@ def _worse(diagnostics: Diagnostics) -> list[Box]:
     ]
 
 
-def thin(diagnostics: Diagnostics) -> list[Box]:
+def camera_is_held(calibration: Calibration) -> bool:
+    """Whether the camera was given, and no photograph can make it better."""
+    return calibration.covariance.sigma("camera.focal.0") is None
+
+
+def thin(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
     """Photographs that leave much to the model."""
     cover, boxes = diagnostics.coverage, []
     # A part of a session without views has its camera from the other part, and says so.
-    viewed = len(cover.tilts_deg) > 0
+    viewed = len(cover.tilts_deg) > 0 and not camera_is_held(calibration)
     if viewed and cover.tilt_spread_deg < _TILT_SPREAD_DEG:
         boxes.append(
             Box(

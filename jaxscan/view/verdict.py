@@ -12,7 +12,7 @@ from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, diagnose
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volumes
 from jaxscan.view.advice import Advice, advise_unplanned
-from jaxscan.view.findings import findings, thin
+from jaxscan.view.findings import camera_is_held, findings, thin
 from jaxscan.view.report import Box, Level
 
 _GRAVEST = {
@@ -76,18 +76,18 @@ def judge(
         statement=f"{_GRAVEST[level]}. {_precision(calibration, volumes, diagnostics.sigma_factor)}"
         f"{_parted(calibration)}",
         limits=limits(calibration, diagnostics, volumes)[0],
-        next=_next(found, diagnostics, advice),
+        next=_next(calibration, found, diagnostics, advice),
         warnings=found,
         thorough=diagnostics.thorough,
     )
 
 
-def _next(found: tuple[Box, ...], diagnostics: Diagnostics, advice: Advice) -> str:
+def _next(calibration: Calibration, found: tuple[Box, ...], diagnostics: Diagnostics, advice: Advice) -> str:
     """What is wrong comes first, then what the photographs do not cover, then what helps most."""
-    if found and found[0].level == "stop" and found[0].advice:
-        return f"First correct what is wrong. {found[0].advice}"
+    if found and found[0].level == "stop":
+        return f"First correct what is wrong. {found[0].advice or 'The first warning says what to do.'}"
     first = advice.words[0]
-    if not (lacking := thin(diagnostics)):
+    if not (lacking := thin(calibration, diagnostics)):
         return f"{first[0].upper()}{first[1:]}."
     # Beyond the photographs no pose can be planned, for what the lens does there is not known.
     covered = f" For the part of the image where it has been, {first}." if diagnostics.thorough else ""
@@ -150,7 +150,12 @@ def limits(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[Wo
         else:
             words.append(
                 f"{whose} Of the rig, the {part} limits: if it were known exactly, the median σ would fall from "
-                f"{_mm(volume.median_mm)} to {_mm(known[part])}; if the {other} were, to {_mm(known[other])}."
+                f"{_mm(volume.median_mm)} to {_mm(known[part])}"
+                + (
+                    ", and the camera is held."
+                    if camera_is_held(calibration)
+                    else f"; if the {other} were, to {_mm(known[other])}."
+                )
             )
         if volume.travelled_mm is not None:
             words.append(

@@ -6,7 +6,7 @@ import shlex
 import pytest
 
 from jaxscan.cli.main import main
-from jaxscan.files.rig_file import write_rig
+from jaxscan.files.rig_file import RigFile, read_rig, write_rig
 from jaxscan.reconstruction import write_points
 from tests.measurement.test_accept import scans
 from tests.test_docs import ROOT, blocks, commands
@@ -46,31 +46,44 @@ def test_the_guide(plate, monkeypatch, capsys):
     assert "place-1.npz probing_form left" in capsys.readouterr().out
 
 
-def test_json_and_a_picture_without_a_rig(plate, capsys):
-    argv = ["accept", str(plate / "place-1.npz"), "--artefact", str(plate), "--json", "--png", str(plate / "a.png")]
-    assert main(argv) == 0
+def test_json_and_a_picture_by_a_rig_without_covariance(plate, capsys):
+    """The errors are those that the rig with its covariance gives: they do not depend on what is predicted."""
+    given = ["accept", str(plate / "place-1.npz"), "--artefact", str(plate), "--json"]
+    assert main([*given, "--rig", str(plate / "rig.json")]) == 0
+    predicted = json.loads(capsys.readouterr().out)
+    bare = plate / "bare.json"
+    write_rig(bare, RigFile(read_rig(plate / "rig.json").rig))
+    assert main([*given, "--rig", str(bare), "--png", str(plate / "a.png")]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"] == "conforming"
+    assert result["places"] == "in 1 place of 10"
     assert result["figures"][1]["sigma_rig"] is None
-    assert any("nothing is predicted without a rig" in note for note in result["notes"])
+    assert any("nothing is predicted by a rig without a covariance" in note for note in result["notes"])
+    for one, other in zip(predicted["figures"], result["figures"], strict=True):
+        assert one["error"] == pytest.approx(other["error"], abs=2e-3)
     assert (plate / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_what_is_refused_before_any_work(plate, capsys):
     scan, artefact = str(plate / "place-1.npz"), str(plate / "artefact.toml")
+    rig = ["--rig", str(plate / "rig.json")]
     (plate / "no-history.jsonl").write_text("hello\n")
     for argv, words in (
         (["accept"], "there is no SURFACE"),
         (["accept", scan], "--artefact is missing"),
-        (["accept", "a.ply", "--artefact", artefact], "a scanner is tested by its range images"),
+        (["accept", scan, "--artefact", artefact], "--rig is missing"),
+        (["accept", "a.ply", "--artefact", artefact, *rig], "a scanner is tested by its range images"),
         (["accept", "--history", artefact, "--rig", "r"], "belong to a test"),
         (["accept", "--history", str(plate / "none.jsonl")], "there is no such history"),
         (
-            ["accept", scan, "--artefact", artefact, "--history", str(plate / "no-history.jsonl")],
+            ["accept", scan, "--artefact", artefact, *rig, "--history", str(plate / "no-history.jsonl")],
             "line 1: is no JSON",
         ),
-        (["accept", scan, "--artefact", artefact, "--history", artefact], "is read, and writing to it would replace"),
-        (["accept", scan, scan, "--artefact", artefact], "one scan is named twice"),
+        (
+            ["accept", scan, "--artefact", artefact, *rig, "--history", artefact],
+            "is read, and writing to it would replace",
+        ),
+        (["accept", scan, scan, "--artefact", artefact, *rig], "one scan is named twice"),
     ):
         assert main(argv) == 2
         assert words in capsys.readouterr().err

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import InputError
+from jaxscan.files.listing import gap_in_numbers
 from jaxscan.files.profiles import read_profiles
 from jaxscan.images import write_image
 from jaxscan.reconstruction.profiles import range_image_of_profiles
@@ -220,3 +221,22 @@ def test_other_files_are_named(tmp_path: Path) -> None:
         read_profiles(tmp_path)
     with pytest.raises(InputError, match=r"there is no such file or folder"):
         read_profiles(tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    ("names", "gap"),
+    [
+        ("p0 p1 p2 p3 p5 p6", "p3 p5"),
+        ("p000 p010 p020 p040 p050 p060", "p020 p040"),
+        ("p0 p1 p2 p3 p4 p5", ""),
+        ("p0 p2 p4 p6 p8", ""),
+        # Times, names that differ in two numbers, and too few to say.
+        ("t1701 t1709 t1733 t1741 t1760 t1777", ""),
+        ("a1b1 a2b1 a3b2 a5b2 a6b3 a7b3", ""),
+        ("p0 p1 p3", ""),
+        ("cup plate saucer spoon fork", ""),
+    ],
+)
+def test_gaps_in_the_numbers_of_files(names: str, gap: str) -> None:
+    found = gap_in_numbers([Path(f"{name}.csv") for name in names.split()])
+    assert " ".join(path.stem for path in found or ()) == gap

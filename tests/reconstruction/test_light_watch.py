@@ -58,6 +58,16 @@ def test_a_lamp_that_flickers() -> None:
     assert notes(banded(0.005)) == []
 
 
+def test_an_edge_that_moves_over_all_columns_is_no_lamp() -> None:
+    """A bright plate that goes by in large steps: some rows change over all columns, and most do not."""
+
+    def plate(i: int, ambient: np.ndarray, laser: np.ndarray) -> np.ndarray:
+        over = np.abs(V - 55 - 12 * i) < 35
+        return np.where(over, 120.0, 40.0)[..., None] + laser
+
+    assert [said for said in notes(plate) if "flickers" in said] == []
+
+
 def test_a_lamp_that_is_switched() -> None:
     (said,) = notes(lambda i, ambient, laser: ambient * (2 if i > 4 else 1) + laser)
     assert "beside the stripe changes between neighbouring frames 1 time, by up to a factor of 2.0" in said

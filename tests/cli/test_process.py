@@ -1,0 +1,58 @@
+"""A program as a process: Ctrl-C where Python loses it, and how an interrupted process ends."""
+
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+LIMIT_S = 120
+
+
+def ends(body: str) -> subprocess.CompletedProcess[str]:
+    """How a process ends whose program has this body."""
+    words = "import atexit, gc, os, signal, threading, time\nfrom jaxscan.cli.process import run_as_process\n"
+    words += "def program():\n" + textwrap.indent(textwrap.dedent(body), "    ") + "\nrun_as_process(program)\n"
+    return subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, timeout=LIMIT_S)
+
+
+@pytest.mark.parametrize("status", [0, 1, 2, 130])
+def test_the_status_is_the_programs(status: int) -> None:
+    done = ends(f"print('done')\nreturn {status}")
+    assert (done.returncode, done.stdout, done.stderr) == (status, "done\n", "")
+
+
+def test_ctrl_c_in_a_callback_of_the_garbage_collector_is_not_lost() -> None:
+    done = ends(
+        """
+        def callback(phase, info):
+            if phase == "start":
+                gc.callbacks.remove(callback)
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(0.5)
+        gc.callbacks.append(callback)
+        try:
+            gc.collect()
+            time.sleep(60)
+        except KeyboardInterrupt:
+            return 130
+        return 0
+        """
+    )
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_an_interrupted_process_ends_after_what_waits_for_its_end() -> None:
+    """Python's own end would call what `__del__` of a module's objects does; the process has ended before."""
+    done = ends(
+        """
+        class Late:
+            def __del__(self):
+                print("too late", flush=True)
+        global late
+        late = Late()
+        atexit.register(print, "put away")
+        return 130
+        """
+    )
+    assert (done.returncode, done.stdout) == (130, "put away\n")
