@@ -88,6 +88,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     keep_compiled()
     from jaxscan.cli.progress import progress, step
     from jaxscan.surface.coarse_register import check_fits, check_turned, coarse_register
+    from jaxscan.surface.free_space import check_free_space
     from jaxscan.surface.merged import merge, merge_closed
     from jaxscan.surface.register import register
 
@@ -101,6 +102,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         check_fits(sides, registration)
         if degrees:
             check_turned(sides, degrees, registration)
+        check_free_space(sides, registration.poses)
         advance(1)
         poses = registration.poses
         merged = merge_closed(sides, poses) if args.closed else merge(sides, poses, cube_mm=args.cube)

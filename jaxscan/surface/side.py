@@ -59,6 +59,7 @@ class Side:
         floor: what the object stood on, where it is known.
         sigma_rig: σ of the same distance by the rig, mm, which all scans with one rig share; NaN where it is not known.
         painted: the scan's points with their colours, where it has them.
+        rays: what the camera saw, the floor too, and from where, mm each; None where that is not known.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Side:
     floor: Floor | None = None
     sigma_rig: Float[np.ndarray, "points"] | None = None
     painted: Cloud | None = None
+    rays: tuple[Float[np.ndarray, "seen 3"], Float[np.ndarray, "seen 3"]] | None = None
 
     @cached_property
     def tree(self) -> KDTree:
@@ -90,6 +92,7 @@ def side_of_image(name: str, image: RangeImage, *, cleaned: bool = True, on_floo
         InputError: there is no floor, or there are too few points to register.
     """
     image = clean(image).image if cleaned else image
+    rays = image.points[image.valid].astype(np.float64), image.cameras()[np.nonzero(image.valid)[0]]
     floor = find_floor(image) if on_floor else None
     image = image.where(stands_on(image, floor)) if floor else image
     how = sampling(image)
@@ -98,7 +101,7 @@ def side_of_image(name: str, image: RangeImage, *, cleaned: bool = True, on_floo
     e = error_direction(image)[image.valid]
     pixel, rig = (part[image.valid] for part in _parts_of_sigma(image, how))
     side = _side_of_points(name, points, to_camera, e, (pixel, rig), max(how.across_mm, how.along_mm), floor)
-    return side if image.colours is None else replace(side, painted=image.cloud())
+    return replace(side, rays=rays, painted=None if image.colours is None else image.cloud())
 
 
 def side_of_surface(name: str, image: RangeImage, surface: Surface, how: Sampling) -> Side:
