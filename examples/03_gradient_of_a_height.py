@@ -1,8 +1,8 @@
 """How a measured height moves with the light plane: the derivative, by `jax.grad` through the scanner's own geometry.
 
-The height of a cup's bottom over the floor is a function of the rig: four pixels are triangulated, three of them on
-the floor, and the fourth's distance from their plane is taken. `Rig.triangulate` goes through the lens (its converged
-inverse, differentiated implicitly), the light plane and the stage, and JAX goes through all of it.
+The height of a place of the object over the floor is a function of the rig: four pixels are triangulated, three of
+them on the floor, and the fourth's distance from their plane is taken. `Rig.triangulate` goes through the lens (its
+converged inverse, differentiated implicitly), the light plane and the stage, and JAX goes through all of it.
 
 With the gradient g and the covariance Σ of the light plane, g Σ gᵀ is the height's variance as far as the plane is to
 blame. `Covariance.of` does it for all parameters at once, correlations included. These are not independent: a light
@@ -21,7 +21,7 @@ import jaxscan
 content = photographs.rig()
 image = jaxscan.reconstruct(content, jaxscan.read_scan(photographs.world() / "scan"))
 
-# The frame across the cup's bottom, and the first. In each column the stripe's row is known.
+# The frame across the object's middle, and the first. In each column the stripe's row is known.
 across, first = int(np.argmin(np.abs(image.steps - 36_000))), 0
 chosen = [(across, 200), (across, 430), (first, 310), (across, 310)]  # frame, column
 seen = [((column, float(image.pixels[frame, column])), float(image.steps[frame])) for frame, column in chosen]
@@ -46,7 +46,7 @@ with jax.enable_x64(True):
         by_differences[i] = (ends[0] - ends[1]) / (2 * h)
     measured = float(height(rig))
 
-print(f"height of the cup's bottom   {measured:.3f} mm (5 mm where the cup is simulated)")
+print(f"height over the floor        {measured:.3f} mm")
 print(f"∂ height / ∂ω, mm · mm       {gradient}")
 print(f"  … by finite differences    {by_differences}")
 assert np.allclose(gradient, by_differences, rtol=1e-5, atol=1e-3)

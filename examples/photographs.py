@@ -17,8 +17,10 @@ keep_compiled()  # what JAX compiles for one example, the next reads from disk, 
 
 def folder() -> Path:
     """Where photographs are and results go."""
+    if len(sys.argv) > 2 or any(word.startswith("-") for word in sys.argv[1:]):
+        sys.exit(f"usage: python {sys.argv[0]} [FOLDER]\n\n{sys.modules['__main__'].__doc__}")
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "jaxscan-examples")
-    out.mkdir(exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
     return out
 
 

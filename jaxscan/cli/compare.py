@@ -315,7 +315,7 @@ def describe(result: dict[str, Any]) -> str:
             lines.append(
                 f"  true point {truth['to_true_point']:.4f} mm RMS from that of the same frame and column "
                 f"({truth['to_true_point_after_fit']:.4f} after a rigid fit), {truth['far_points']} points far off, "
-                f"{100 * truth['completeness']:.1f} % of what an ideal camera sees"
+                f"{100 * truth['completeness']:.1f} % of what an ideal camera sees of object and floor"
             )
         lines += [f"warning: {words}" for words in result["warnings"]]
         if result["reference_inside_out"]:

@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("grid", "fused", "delaunay", "poisson"),
         help="grid: neighbours in frame and column (default for .npz) | fused: what a turn has shown several times as "
         "one surface, each point by its sigma (default for it) | delaunay: seen along the light (default for .ply) | "
-        "poisson: a closed surface, by the extra poisson",
+        "poisson: closed over what was not seen, and open beyond the rim of the scan, by the extra poisson",
     )
     parser.add_argument(
         "--rig",
@@ -93,6 +93,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             if not meshed:
                 return result
             step("joining the points")
+            result["points_left"] = int(image.valid.sum())
             painted = scanned.cloud()
             mesh, cloud, quads = _of_image(image, args, result)
         else:
@@ -191,6 +192,8 @@ def _check(args: argparse.Namespace) -> None:
             "--rig: only --method delaunay looks along the light of a rig, and only --photographs needs its camera: "
             "add one of them, or leave --rig out"
         )
+    if args.quads and not any(path.suffix.lower() == ".ply" for path in args.output):
+        raise InputError("--quads: only .ply has quadrilaterals: write -o NAME.ply, or leave --quads out")
     needed = {"plots": args.png, "poisson": args.method == "poisson", "simplify": args.simplify is not None}
     for name in [name for name, asked in needed.items() if asked]:
         extra(name)
@@ -399,8 +402,13 @@ def describe(result: dict[str, Any]) -> str:
     if "triangles" not in result:
         return "\n".join(lines)
     closed = f"closed, {result['volume_mm3']:.6g} mm³" if result["closed"] else "open"
+    images = [path for path in result["path"] if path.lower().endswith(".npz")]
+    surfaces = [path for path in result["path"] if path not in images]
+    if images:
+        lines.append(f"{result['points_left']} of {result['points_read']} points: {', '.join(images)}")
     lines += [
-        f"{result['triangles']} triangles between {result['vertices']} points: {', '.join(result['path'])}",
+        f"{result['triangles']} triangles between {result['vertices']} points"
+        + (f": {', '.join(surfaces)}" if surfaces else ", which no file has"),
         f"  surface    {result['area_mm2']:.6g} mm², {closed}",
     ]
     kept = [ending for ending in (".ply", ".obj") if any(path.lower().endswith(ending) for path in result["path"])]

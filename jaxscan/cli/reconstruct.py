@@ -84,6 +84,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "path": [str(path) for path in args.output],
         "frames": done.frames,
         "frames_without_stripe": done.empty,
+        "spacetime": args.spacetime,
         "points": done.points,
         "points_with_colour": done.coloured,
         "points_with_full_colour": done.full,
@@ -161,7 +162,7 @@ def describe(result: dict[str, Any]) -> str:
     empty = result["frames_without_stripe"]
     return (
         f"{result['points']} points from {result['frames']} frames"
-        + (f" ({empty} without a stripe)" if empty else "")
+        + (f" ({empty} without a {'point' if result['spacetime'] else 'stripe'})" if empty else "")
         + f": {', '.join(result['path'])}"
         + _looks_in_words(result)
         + "".join(f"\nnote: {note}" for note in result["notes"])

@@ -14,6 +14,8 @@ from jaxscan.images import StripeSettings
 from jaxscan.images.stripe_settings import COLORS
 from jaxscan.missing import no_such_file
 
+# Folders that are named.
+_NAMED: Final = 3
 # By which table each is known from the other.
 _TELLING: Final = {"session.toml": "views", "scan.toml": "scan", "profiles.toml": "profiles"}
 
@@ -27,11 +29,22 @@ def toml_in(path: Path, name: str) -> Path:
     if path.is_dir():
         if not (path / name).is_file():
             refuse_hidden_ending(path, name)
-            raise InputError(f"{path}: has no {name}: write one there, or name another folder")
+            raise InputError(f"{path}: has no {name}: {_what_else(path, name)}")
         return path / name
     if not path.exists():
         raise no_such_file(Path(path), "file or folder")
     return path
+
+
+def _what_else(folder: Path, name: str) -> str:
+    """What to do about a folder without this file: it may be of another kind, or a folder in it may be meant."""
+    for other in _TELLING:
+        if other != name and (folder / other).is_file():
+            return f"it has a {other}, so it is a {other.removesuffix('.toml')}: name the folder with the {name}"
+    inside = sorted(path.parent.name for path in folder.glob(f"*/{name}"))
+    if inside:
+        return f"{', '.join(str(folder / each) for each in inside[:_NAMED])} has one: name that"
+    return "write one there, or name another folder"
 
 
 def read_listing(path: Path, name: str, keys: Sequence[str]) -> Table:

@@ -36,9 +36,10 @@ _GREATEST: Final = 65535
 _NOT_FULL: Final = int(FULL * _GREATEST) - 1
 # A pixel is too dark in an exposure where it is expected to read less than this part of a full one.
 _BLACK: Final = 0.02
-# Exposures are compared on pixels between these parts of a full one, if there are at least this number, on every Nth
-# row and column; they disagree where their irradiances differ by more than this factor.
-_COMPARED, _LEAST_COMPARED, _EVERY, _AGREE = (0.15, 0.85), 200, 4, 1.25
+# Exposures are compared on pixels that lie between these parts of a full one in the longer one, if there are at least
+# this number, on every Nth row and column, or on all where these are too few; not where the shorter one reads less than
+# this part of a full one in the mean; they disagree where their irradiances differ by more than this factor.
+_COMPARED, _LEAST_COMPARED, _EVERY, _LEAST_PART, _AGREE = (0.15, 0.85), 200, 4, 0.03, 1.25
 
 
 def merge_exposures(
@@ -115,13 +116,20 @@ def _merge(
 def _check_linear(frames: Sequence[np.ndarray], times: Float[np.ndarray, "exposures"], full: int) -> None:
     """Refuse photographs whose numbers do not grow in proportion to the exposure."""
     low, high = (part * full for part in _COMPARED)
-    some = [frame[::_EVERY, ::_EVERY] for frame in frames]
     for i in range(len(frames) - 1):
-        both = (some[i] > low) & (some[i] < high) & (some[i + 1] > low) & (some[i + 1] < high)
-        if both.sum() < _LEAST_COMPARED:
+        for every in (_EVERY, 1):
+            longer, shorter = (frame[::every, ::every] for frame in frames[i : i + 2])
+            # Chosen by the longer one alone: a limit on both would choose their ratio too.
+            compared = (longer > low) & (longer < high)
+            if compared.sum() >= _LEAST_COMPARED:
+                break
+        else:
             continue
-        ratio = float(np.median(some[i][both] / some[i + 1][both].astype(np.float64)))
+        of_longer, of_shorter = (float(each[compared].mean(dtype=np.float64)) for each in (longer, shorter))
         stated = times[i] / times[i + 1]
+        if max(of_shorter, of_longer / stated) < _LEAST_PART * full:
+            continue
+        ratio = of_longer / max(of_shorter, 1.0)
         if not 1 / _AGREE < ratio / stated < _AGREE:
             raise InputError(
                 f"exposures_s: a frame exposed {stated:.3g} times as long as another of its step is {ratio:.3g} times "

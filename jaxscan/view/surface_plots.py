@@ -5,11 +5,13 @@ from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from scipy.spatial import KDTree
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.cloud import shown_colours
 from jaxscan.reconstruction import RangeImage
+from jaxscan.reconstruction.point_colours import least_depths
 from jaxscan.surface import views
 from jaxscan.surface.clean import RULES
 from jaxscan.surface.colours import sequential
@@ -28,6 +30,12 @@ _REMOVED: Final = ("0.85", "tab:red", "tab:orange", "tab:blue")
 # Of a mesh without colours.
 _CLAY: Final = (240.0, 228.0, 204.0)
 _MOST_POINTS: Final = 100_000
+# The neighbour whose distance stands for that of lines of points; how many of these a hidden point is behind.
+_NEIGHBOUR, _BEHIND = 8, 3.0
+# A panel's side, and the least and greatest size of a point, in 1/72 inch (squared).
+_PANEL_POINTS, _SIZES = 400.0, (1.0, 30.0)
+# From here on distances are millimetres.
+_MICROMETRES: Final = 1000.0
 
 
 def draw_range(
@@ -157,11 +165,12 @@ def draw_view_data(path: str | os.PathLike[str], shown: ViewData, colour: str, t
     paint: Any = painted(shown, colour).astype(np.float64)
     if colour == PHOTOGRAPH:
         paint = brightened(paint if shown.texture is None else shown.texture)
-    for ax, turn in zip(axes, (AZIMUTH, AZIMUTH + np.pi, AZIMUTH + np.pi / 2), strict=False):
+    turns = (AZIMUTH, AZIMUTH + np.pi, AZIMUTH + np.pi / 2)
+    for ax, turn, side in zip(axes, turns, ("from one side", "from the other side", "with the scanner"), strict=False):
         directions = look(shown.up, turn)
+        ax.set(title=side)
         if shown.triangles is None:
-            size = 3.0 if ax is not axes[-1] or panels == 2 else 0.3
-            _scattered(ax, points - middle, paint, directions, size)
+            _scattered(ax, points - middle, paint, directions, None if ax is not axes[-1] or panels == 2 else 0.3)
         else:
             shaded_panel(ax, points - middle, shown.triangles, paint, directions)
         if shown.setup is not None and ax is axes[-1]:
@@ -170,7 +179,7 @@ def draw_view_data(path: str | os.PathLike[str], shown: ViewData, colour: str, t
             ax.fill(*sheet.T, color="tab:red", alpha=0.25, label="light plane at the first frame")
             ax.plot(*travel.T, ".-", color="tab:blue", label="camera, from the first frame to the last")
             ax.autoscale(tight=False)
-            ax.legend(loc="lower left")
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08))
     if colour != PHOTOGRAPH:
         ramp = ListedColormap(sequential(np.linspace(0.0, 1.0, 256)) / 255.0)
         scale = ScalarMappable(Normalize(*limits(shown.values[colour])), ramp)
@@ -184,15 +193,29 @@ def _scattered(
     points: Float[np.ndarray, "points 3"],
     paint: Float[np.ndarray, "points 3"],
     directions: tuple[Float[np.ndarray, "3"], ...],
-    size: float,
+    size: float | None,
 ) -> None:
-    """Draw points, the nearer ones over the farther ones; of very many every Nth."""
+    """Draw points, without those that others hide; of very many every Nth.
+
+    `size` is that of a point, in matplotlib's unit; None for as large as they are apart.
+    """
     across, above, toward = directions
     every = max(1, len(points) // _MOST_POINTS)
     seen, paint = points[::every], paint[::every]
-    order = np.argsort(seen @ toward)
-    ax.scatter(seen[order] @ across, seen[order] @ above, c=paint[order] / 255.0, s=size, linewidths=0)
+    flat, depth = np.stack([seen @ across, seen @ above], axis=-1), -seen @ toward
+    # A neighbour's distance: a point in a cell of some of these is hidden by one that is nearer by as much.
+    apart = float(np.median(KDTree(seen).query(seen[:: max(1, len(seen) // 2000)], k=_NEIGHBOUR + 1)[0][:, -1]))
+    cell = max(apart, 1e-9)
+    pixels = (flat - flat.min(axis=0)) / cell
+    nearest = least_depths(pixels, depth, tuple((np.ceil(pixels.max(axis=0)).astype(int) + 1)[::-1]))
+    at = np.rint(pixels).astype(int)
+    shown = np.flatnonzero(depth < nearest[at[:, 1], at[:, 0]] + _BEHIND * cell)
+    order = shown[np.argsort(-depth[shown])]
     ax.set(aspect="equal", xlabel="mm", ylabel="mm")
+    if size is None:
+        wide = float(max(np.ptp(flat, axis=0).max(), 1e-9))
+        size = float(np.clip((_PANEL_POINTS * cell / wide) ** 2, *_SIZES))
+    ax.scatter(*flat[order].T, c=paint[order] / 255.0, s=size, linewidths=0)
 
 
 def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title: str) -> None:
@@ -203,8 +226,11 @@ def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title:
     """
     plt = pyplot()
     known = np.isfinite(comparison.distance)
-    points, micrometres = comparison.points[known], 1000 * comparison.distance[known]
-    limit = max(float(np.percentile(np.abs(micrometres), 98)), 1e-9)
+    points, off = comparison.points[known], 1000 * comparison.distance[known]
+    limit, unit = max(float(np.percentile(np.abs(off), 98)), 1e-9), "µm"
+    if limit > _MICROMETRES:
+        off, limit, unit = off / 1000, limit / 1000, "mm"
+    size = float(np.clip(_PANEL_POINTS**2 / max(len(points), 1) / 4, *_SIZES))
     figure, (front, side, right) = plt.subplots(
         1, 3, figsize=(17, 5), layout="constrained", width_ratios=[1.2, 1.2, 0.8]
     )
@@ -213,18 +239,20 @@ def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title:
         shown = ax.scatter(
             points[:, 0],
             points[:, axis],
-            c=micrometres,
-            s=2.0,
+            c=off,
+            s=size,
             linewidths=0,
             cmap="coolwarm",
             vmin=-limit,
             vmax=limit,
         )
-        ax.set(xlabel="x / mm", ylabel=label, aspect="equal")
+        # Points without an error are pale.
+        ax.set(xlabel="x / mm", ylabel=label, aspect="equal", facecolor="0.25")
         ax.invert_yaxis()
-    figure.colorbar(shown, ax=side, label="in front (+) or behind (−), µm", shrink=0.8)
-    right.hist(np.clip(micrometres, -1.5 * limit, 1.5 * limit), bins=80, color="0.4")
-    right.set(xlabel="signed distance / µm", ylabel="points")
+    figure.colorbar(shown, ax=side, label=f"in front (+) or behind (−), {unit}", shrink=0.8)
+    right.hist(np.clip(off, -1.5 * limit, 1.5 * limit), bins=80, color="0.4")
+    right.set(xlabel=f"signed distance / {unit}", ylabel="points")
+    right.locator_params(axis="x", nbins=5)
     figure.suptitle(title)
     save_figure(plt, figure, path)
 

@@ -110,6 +110,18 @@ def test_a_gamma_curve_is_refused():
         merge_exposures(curved, TIMES)
 
 
+@pytest.mark.parametrize(("true", "stated"), [(4, 16), (4, 2), (16, 4), (2, 3)])
+@pytest.mark.parametrize("rows", [4, 320])
+def test_exposure_times_that_are_not_the_true_ones_are_refused(true, stated, rows):
+    """A thin stripe on black, too: few pixels are bright."""
+    irradiance = np.full((320, 320), 20.0)
+    irradiance[:rows] = np.exp(np.random.default_rng(3).uniform(np.log(500), np.log(20000), (rows, 320)))
+    frames = exposed(irradiance, (0.01, 0.01 * true), noise=1.0)
+    merge_exposures(frames, (0.01, 0.01 * true))
+    with pytest.raises(InputError, match=f"exposed {stated} times as long as another of its step is"):
+        merge_exposures(frames, (0.01, 0.01 * stated))
+
+
 def test_backgrounds_are_one_for_each_frame():
     for dark in (FLAT[:1], FLAT.astype(np.uint16)):
         with pytest.raises(InputError, match="one background for each frame"):
