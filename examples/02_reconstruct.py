@@ -43,7 +43,9 @@ except ImportError:
 else:
     points = image.points[image.valid]
     figure, axes = plt.subplots(figsize=(7, 5), layout="constrained")
-    drawn = axes.scatter(points[:, 0], points[:, 1], c=image.sigma[image.valid], s=1)
+    drawn = axes.scatter(
+        points[:, 0], points[:, 1], c=image.sigma[image.valid], s=1, vmax=np.quantile(image.sigma[image.valid], 0.99)
+    )
     axes.set(xlabel="x, mm", ylabel="y, mm (down, as the camera sees it)", aspect="equal")
     axes.invert_yaxis()
     figure.colorbar(drawn, label="σ along the ray, mm")

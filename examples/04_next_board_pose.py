@@ -13,12 +13,13 @@ import jaxscan
 calibration = photographs.calibration()
 planned = jaxscan.next_best_views(calibration, count=2)
 
-print(f"median σ of a point now: {planned.median_now:.3f} {planned.unit}")
+print(f"median σ of a point now: {planned.median_now:.4f} {planned.unit}")
 for number, (pose, median) in enumerate(zip(planned.poses, planned.medians, strict=True), start=1):
     u, v = pose.outline_px.mean(axis=0)
     right, down = pose.tilt_deg
+    sides = f"{'right' if right > 0 else 'left'} side {abs(right):.0f}° and {'lower' if down > 0 else 'upper'} side "
     print(f"photograph {number}: {pose.distance_mm:.0f} mm away, its middle at pixel ({u:.0f}, {v:.0f}), ", end="")
-    print(f"right side {right:+.0f}° and lower side {down:+.0f}° towards the camera: σ falls to {median:.3f} mm")
+    print(f"{sides}{abs(down):.0f}° towards the camera: σ falls to {median:.4f} mm")
 
 try:
     import matplotlib
@@ -38,6 +39,7 @@ else:
             axes.plot(*stripe.T, ":", color=f"C{number}")
     columns, rows = calibration.observations.image_size
     axes.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", title="corners so far, and where to hold the board")
+    axes.set(xlabel="u, px", ylabel="v, px")
     axes.legend()
     out = photographs.folder() / "next.png"
     figure.savefig(out)

@@ -214,7 +214,11 @@ def _range_image(summary: Summary) -> Iterator[Line]:
     yield "points", f"{summary['points']}, {100 * summary['points'] / max(cells, 1):.1f} % of frames × lines"
     yield from _extent(summary)
     if summary["strength"] is not None:
-        yield "strength", f"{summary['strength']:.1f} grey levels in the median"
+        full = ", of the fitted stripe: more than a full pixel's where its core is burnt out"
+        yield (
+            "strength",
+            f"{summary['strength']:.1f} grey levels in the median{full if summary['strength'] > 255 else ''}",
+        )
     if summary["light"] is not None:
         from jaxscan.images.light import Light
 

@@ -12,6 +12,8 @@ LIMIT_S = 120
 def ends(body: str) -> subprocess.CompletedProcess[str]:
     """How a process ends whose program has this body."""
     words = "import atexit, gc, os, signal, threading, time\nfrom jaxscan.cli.process import run_as_process\n"
+    # A shell starts what runs in the background with Ctrl-C ignored.
+    words += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     words += "def program():\n" + textwrap.indent(textwrap.dedent(body), "    ") + "\nrun_as_process(program)\n"
     return subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, timeout=LIMIT_S)
 
