@@ -63,7 +63,7 @@ def test_02_reconstruct(run, folder, world):
 def test_03_gradient_of_a_height(run, folder, world):
     (folder / "rig.json").symlink_to(world / "rig.json")
     said = run("03_gradient_of_a_height.py")
-    assert abs(number(said, "height of the cup's bottom") - 5) < 0.05
+    assert abs(number(said, "height over the floor") - 5) < 0.05
     alone, whole = (number(said, words) for words in ("light plane alone", "whole rig"))
     # Both are in the rig's covariance, which has its own tests; what a height owes to the plane, the camera takes back.
     assert 0 < whole < alone < 0.01

@@ -18,6 +18,8 @@ from jaxscan.rig import Rig
 _LOOKED_AT, _EVERY = 16, 12
 # Standard deviation in frames of what is seen often enough, and of what is seen in more frames than are looked at.
 _LEAST_SIGMA, _MOST_SIGMA = 0.7, 10.0
+# Below this the photographs alone measure most of a surface better.
+_GOOD_SIGMA = 2.0
 
 
 def spacetime_geometry(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
@@ -81,6 +83,24 @@ def spacetime_geometry(rig: Rig, scan: Scan) -> tuple[Geometry, float]:
         )
     _check_enough(scan, len(places), sigma)
     return geometry, sigma
+
+
+def coarse_notes(geometry: Geometry, sigma: float) -> list[str]:
+    """What is said of steps that are fine enough, and coarse.
+
+    Args:
+        geometry: of the scan.
+        sigma: for how many frames the light passes (standard deviation).
+    """
+    if sigma >= _GOOD_SIGMA:
+        return []
+    step = abs(float(geometry.per_frame))
+    finer = max(int(step * sigma / _GOOD_SIGMA), 1)
+    return [
+        f"each point is lit for {sigma:.2g} frames (σ): away from edges of depth and print the same photographs "
+        f"measure better without --spacetime: scan in steps of at most {finer} in place of {step:.0f}, or leave "
+        "--spacetime out"
+    ]
 
 
 def _check_enough(scan: Scan, frames: int, sigma: float) -> None:

@@ -45,7 +45,7 @@ from jaxscan.reconstruction.scan_notes import (
 from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_band
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
-from jaxscan.reconstruction.spacetime_geometry import spacetime_geometry
+from jaxscan.reconstruction.spacetime_geometry import coarse_notes, spacetime_geometry
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
 from jaxscan.reconstruction.turns import with_ends, with_runs
 from jaxscan.rig import Positions, Rig, played_axes, run_of
@@ -204,6 +204,8 @@ class Scanner:
         """
         rig = self._content.rig
         passage = spacetime_geometry(rig, scan) if self._spacetime else None
+        if passage is not None:
+            notes += coarse_notes(*passage)
         halo = HALO if self._choice == "coherent" else 0
         # Where a turn closes, its first frames have neighbours before them, and its last behind them.
         looked_at = halo if passage is None else half_window(passage[1])

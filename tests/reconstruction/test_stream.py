@@ -291,6 +291,9 @@ def test_a_scan_of_another_length_compiles_nothing(rig, photographs, tmp_path, m
 
     def points(images, name):
         (tmp_path / name).mkdir()
+        if "exposures" in mode:
+            # Of each two the first has half of the light.
+            images = np.stack([images[i // 2 * 2] // (2 - i % 2) for i in range(len(images))])
         scan = scan_of(tmp_path / name, images, ".npy")
         if "exposures" in mode:
             steps = tuple(1000 * (i // 2) for i in range(len(images)))
