@@ -316,4 +316,31 @@ def cone() -> Scene:
     return Scene(implicit(level, steps), steps, part, truth)
 
 
-SCENES = (blocks_and_balls, roof, cone)
+@cache
+def in_one_place() -> Scene:
+    """Two patches each of a cylinder, a ball and a plane: their axes, centres and faces are the same, 0 apart."""
+    y = 36.0
+    solids: list[Solid] = [
+        Cylinder(np.array([-40.0, 8.0, 9.0]), np.array([0.0, 1.0, 0.0]), 9.0, 56.0),
+        Box(np.array([0.0, y, 3.0]), np.eye(3), np.array([15.0, 25.0, 3.0])),
+        Sphere(np.array([45.0, y, 12.0]), 12.0),
+    ]
+    features = [
+        Feature("near", "cylinder", _around(-40.0, 20.0, 15.0, 12.0)),
+        Feature("far", "cylinder", _around(-40.0, 52.0, 15.0, 12.0)),
+        Feature("left", "ball", _around(38.0, y, 20.0, 10.0)),
+        Feature("right", "ball", _around(52.0, y, 20.0, 10.0)),
+        Feature("this", "plane", _around(-8.0, y, 6.0, 7.0)),
+        Feature("that", "plane", _around(8.0, y, 6.0, 7.0)),
+    ]
+    dimensions = [
+        _dimension("axes apart", "distance", "near", "far"),
+        _dimension("axes' angle", "angle", "near", "far"),
+        _dimension("centres apart", "distance", "left", "right"),
+        _dimension("faces apart", "distance", "this", "that"),
+        _dimension("faces' angle", "angle", "this", "that"),
+    ]
+    return _scene(solids, features, dimensions, dict.fromkeys((each.name for each in dimensions), 0.0))
+
+
+SCENES = (blocks_and_balls, roof, cone, in_one_place)

@@ -31,6 +31,8 @@ MOST_PHOTOGRAPHS = 30
 _MOST_STRIPES = 24
 # A mean is clear of noise beyond this number of standard errors.
 _CLEAR = 3.0
+# A cell has a mean with this number of corners or more.
+_FEWEST_IN_CELL = 10
 _MOST_ARROWS = 4000
 
 
@@ -72,6 +74,8 @@ def residual_vectors(diagnostics: Diagnostics, image_size: tuple[int, int]) -> A
     v = (np.arange(rows) + 0.5) * image_size[1] / rows
     mean = cells.mean_px
     clear = np.nanmax(np.abs(mean) / cells.error_px, axis=-1, initial=0.0, where=np.isfinite(mean)) > _CLEAR
+    # Of a few corners a standard error is chance itself.
+    clear &= cells.count >= _FEWEST_IN_CELL
     common |= {"scale": scale / 4, "width": 0.005}
     for shown, colour in ((~clear, PINK), (clear, RED)):
         each = np.where(shown[..., None], mean, np.nan)

@@ -154,8 +154,9 @@ def residuals(calibration: Calibration, diagnostics: Diagnostics) -> Section:
             draw(
                 "residual-vectors",
                 "Residuals (predicted minus seen) over the image: each corner pale, the mean of each cell four times "
-                "as long, red where it is more than three standard errors, pink where it may be noise. Noise points "
-                "everywhere and no arrow is red; a lens that is not followed makes them swirl or point in or out.",
+                "as long, red where it is more than three standard errors of ten corners or more, pink where it may "
+                "be noise. Noise points everywhere and no arrow is red; a lens that is not followed makes them swirl "
+                "or point in or out.",
                 plots.residual_vectors(diagnostics, size),
             ),
             draw(
