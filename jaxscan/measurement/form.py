@@ -24,7 +24,7 @@ _ACROSS, _PATCHES = 3, 6
 _ALONG: Final = 16
 _FEWEST: Final = 10
 # Of a surface, and of a line: patches of 10 points or more that there must be. Four of a dome are all alike.
-LEAST_OF_SURFACE, _LEAST_OF_LINE = 6, 4
+LEAST_OF_SURFACE, _LEAST_OF_LINE = 6, 3
 _DRAWINGS: Final = 4000
 _OF_RIG: Final = 2000
 _SEED: Final = 2003

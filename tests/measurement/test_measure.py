@@ -353,3 +353,14 @@ def test_a_region_in_another_unit_is_said(scene, by, says, kind):
     box = Region((9.0, -10.0, 200.0), (12.0, 10.0, 600.0)).scaled(by)
     found = measure(scanned_image(points), replace(PART, features=(Feature("low", kind, box),), dimensions=()))
     assert says in found.features[0].problem
+
+
+@pytest.mark.parametrize(("radius", "refused"), [(2.0, True), (8.0, False)])
+def test_a_form_of_few_points_is_refused(near, radius, refused):
+    """One patch has no range: the top of a ball was flat within 0.0000 ± 0.0000 mm."""
+    face = Feature("face", "plane", around(30.0, 4.0, radius))
+    part = replace(PART, features=(face,), dimensions=(Dimension("flatness", "flatness", ("face",)),))
+    own = drawn_rig(np.random.default_rng(3), KNOWN)
+    (found,) = measure(scanned_image(scan(near, own, np.random.default_rng(4)), own), part).dimensions
+    assert (found.value is None) == refused
+    assert not refused or "points are too few for a form" in found.problem
