@@ -23,7 +23,8 @@ from jaxscan.measurement.scanned import Scanned
 _ACROSS, _PATCHES = 3, 6
 _ALONG: Final = 16
 _FEWEST: Final = 10
-# Of a surface, and of a line: patches of 10 points or more that there must be. Four of a dome are all alike.
+# Points of a patch, at least; and patches of them of a surface, and of a line. Four of a dome are all alike.
+_LEAST_IN_PATCH: Final = 5
 LEAST_OF_SURFACE, _LEAST_OF_LINE = 6, 3
 _DRAWINGS: Final = 4000
 _OF_RIG: Final = 2000
@@ -87,11 +88,11 @@ def deviation(
         InputError: too few patches have enough points.
     """
     count = np.bincount(patch[patch >= 0])
-    full = np.flatnonzero(count >= _FEWEST)
+    full = np.flatnonzero(count >= _LEAST_IN_PATCH)
     if len(full) < least:
         raise InputError(
-            f"its {len(off)} points are too few for a form: {len(full)} of its patches have {_FEWEST} points, and "
-            f"{least} are needed: enlarge the region, or scan in smaller steps"
+            f"its {len(off)} points are too few for a form: {len(full)} of its patches have {_LEAST_IN_PATCH} points, "
+            f"and {least} are needed: enlarge the region, or scan in smaller steps"
         )
     means = np.bincount(patch[patch >= 0], off[patch >= 0])[full] / count[full]
     value = float(size(means, axis=-1))

@@ -355,7 +355,7 @@ def test_a_region_in_another_unit_is_said(scene, by, says, kind):
     assert says in found.features[0].problem
 
 
-@pytest.mark.parametrize(("radius", "refused"), [(2.0, True), (8.0, False)])
+@pytest.mark.parametrize(("radius", "refused"), [(1.4, True), (8.0, False)])
 def test_a_form_of_few_points_is_refused(near, radius, refused):
     """One patch has no range: the top of a ball was flat within 0.0000 ± 0.0000 mm."""
     face = Feature("face", "plane", around(30.0, 4.0, radius))
