@@ -21,7 +21,7 @@ from scipy.ndimage import binary_dilation
 
 from benchmarks.metric import Metric
 from jaxscan.files.scan import read_scan
-from jaxscan.images.sampled import sampled
+from jaxscan.images.sampled import levels_at
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.reconstruction.scan_colours import neighbour_colours
 from jaxscan.rig import Rig
@@ -132,7 +132,7 @@ class Truth:
             pixels = np.stack([line, image.pixels[i]], axis=-1)
             at = np.rint(np.nan_to_num(pixels)).astype(int)
             still = render(rig, scene, q=q, lighting=lighting, sensor=Sensor(blur_px=0.0, noise=0.0, bits=16))
-            self.level[i] = sampled(still, pixels) / 257
+            self.level[i] = levels_at(still, pixels)
             self.albedo[i] = np.moveaxis(np.asarray(here.albedo(key)), 0, -1)[at[:, 1], at[:, 0]]
             self.inner[i] = image.valid[i] & ~near[at[:, 1], at[:, 0]] & (np.asarray(key)[at[:, 1], at[:, 0]] >= 0)
             palette.append(np.unique(np.round(self.albedo[i][self.inner[i]], 4), axis=0))

@@ -22,7 +22,7 @@ from benchmarks.metric import Metric
 from jaxscan.cli.main import main
 from jaxscan.files.rig_file import RigFile, write_rig
 from jaxscan.geometry import Pose
-from jaxscan.images.sampled import sampled
+from jaxscan.images.sampled import levels_at, sampled
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import read_range_image
 from jaxscan.reconstruction.point_colours import least_depths, visible
@@ -139,7 +139,7 @@ def errors(
     pixels = project_points(rig.camera, seen).pixels
     shown = visible(nearest, pixels, seen[:, 2]) & ~_near_edges(rig, scene, q, pixels, 4.0 * EDGE_PX, depth_only=True)
     plain = shown & ~_near_edges(rig, scene, q, pixels, EDGE_PX)
-    true = sampled(still, pixels) / 257
+    true = levels_at(still, pixels)
     at_seam = plain & (found.from_seam < _SEAM_TEXELS)
     grey = (found.colours == 128).all(axis=1)
     return {

@@ -199,9 +199,9 @@ def describe(result: dict[str, Any]) -> str:
     lines += [f"before the change: {result['before']}"] if result["before"] else []
     lines += [f"left out: {line}" for line in _by_reason(result["left_out"])]
     if rejected := result["rejected"]:
-        count = len({line.partition(": ")[0] for line in rejected if _POINTS.search(line)})
+        counted = [(line.partition(": ")[0], int(found[1])) for line in rejected if (found := _POINTS.search(line))]
+        count, points = len({name for name, _ in counted}), sum(n for _, n in counted)
         of = "1 photograph" if count == 1 else f"{count} photographs"
-        points = sum(int(found[1]) for line in rejected if (found := _POINTS.search(line)))
         lines.append(f"rejected as outliers: {points} points in {of}, listed by --report and --json")
     warned = {box["statement"] for box in result["warnings"]}
     lines += [f"note: {line}" for line in result["notes"] if f"{line[:1].upper()}{line[1:]}." not in warned]

@@ -7,8 +7,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.errors import InputError
-
 if TYPE_CHECKING:
     import numpy as np
 
@@ -44,9 +42,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     out, name = args.output, "panda"
     from jaxscan.cli.simulate import check_folder, simulate_into
 
-    check_folder(out, args.seed)
-    if out.is_dir() and any(out.iterdir()) and not (out / f"{name}.npz").is_file() and not args.force:
-        raise InputError(f"{out}: holds a simulation that is no demo: name another folder, or replace it with --force")
+    # A demo of before is replaced without being asked for.
+    check_folder(out, args.seed, replaced=args.force or (out / f"{name}.npz").is_file())
     _say(1, f"photograph a calibration board, and a {name} as it passes through the laser's light (simulated)")
     from jaxscan.simulation.rig_2003 import OBJECT_Y, SPECKLE
     from jaxscan.simulation.shapes import panda
@@ -183,19 +180,19 @@ def describe(result: dict[str, Any]) -> str:
 
     errors, out, name = result["errors"], result["path"], result["object"]
     command = "jaxscan" if shutil.which("jaxscan") else sys.argv[0]
-    surface = shlex.quote(f"{out}/{name}.stl")
+    surface, picture = (shlex.quote(f"{out}/{name}{ending}") for ending in (".stl", "-mesh.png"))
     return "\n".join(
         [
             f"the {name}: {result['points']} points, {errors['absolute']:.3f} mm RMS from the true surface "
             f"({errors['absolute_after_fit']:.3f} mm after a rigid fit), "
             f"{100 * errors['completeness']:.1f} % of what an ideal camera sees, in {result['seconds']:.0f} s",
             f"files: {out}/{name}.png (look at this first), {out}/{name}.stl, {out}/{name}.ply, {out}/rig.json",
-            *_last_commands(command, surface),
+            *_last_commands(command, surface, picture),
         ]
     )
 
 
-def _last_commands(command: str, surface: str) -> list[str]:
+def _last_commands(command: str, surface: str, picture: str) -> list[str]:
     """What to do with the surface next; the last line is a command that works with what is installed."""
     if find_spec("viser"):
         return [f"see it in the browser: {command} view {surface}"]
@@ -203,6 +200,6 @@ def _last_commands(command: str, surface: str) -> list[str]:
     if find_spec("matplotlib"):
         return [
             later,
-            f"see it now, as a picture: {command} view {surface} --png {surface.replace('.stl', '-mesh.png')}",
+            f"see it now, as a picture: {command} view {surface} --png {picture}",
         ]
     return [later, f"see what it holds: {command} inspect {surface}"]

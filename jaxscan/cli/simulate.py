@@ -227,9 +227,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Render the photographs and write them with their truth."""
-    check_folder(args.out, args.seed)
-    if args.out.is_dir() and any(args.out.iterdir()) and not args.force:
-        raise InputError(f"{args.out}: holds a simulation already: name another folder, or replace it with --force")
+    check_folder(args.out, args.seed, replaced=args.force)
     if not 1 <= args.sides <= _MOST_SIDES:
         raise InputError(f"--sides {args.sides}: give 1 to {_MOST_SIDES}")
     if args.apart is not None and args.apart < 1:
@@ -490,14 +488,18 @@ def describe(result: dict[str, Any]) -> str:
     )
 
 
-def check_folder(out: Path, seed: int) -> None:
-    """Refuse a folder that holds something else, before any work."""
+def check_folder(out: Path, seed: int, *, replaced: bool) -> None:
+    """Refuse a folder that holds something else, or a simulation that is not to be replaced, before any work."""
     if seed < 0:
         raise InputError(f"--seed {seed}: give 0 or more")
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file: name a folder that is new or empty")
-    if out.is_dir() and any(out.iterdir()) and not (out / "truth" / "rig.json").is_file():
+    if not out.is_dir() or not any(out.iterdir()):
+        return
+    if not (out / "truth" / "rig.json").is_file():
         raise InputError(f"{out}: holds something that is no simulation: name a folder that is new or empty")
+    if not replaced:
+        raise InputError(f"{out}: holds a simulation already: name another folder, or replace it with --force")
 
 
 def _check_robot(args: argparse.Namespace) -> None:

@@ -85,10 +85,10 @@ def gap_in_numbers(paths: Sequence[Path]) -> tuple[Path, Path] | None:
 
     Names count if they differ in one number alone, which nearly always rises by the same: times do not.
     """
-    parts = [re.split(r"([0-9]+)", path.name) for path in paths]
+    parts = [natural_key(path.name)[0] for path in paths]
     if len(paths) < _FEWEST_NUMBERED or len({tuple(part[::2]) for part in parts}) > 1:
         return None
-    numbers = list(zip(*([int(word) for word in part[1::2]] for part in parts), strict=True))
+    numbers = list(zip(*([int(number) for number in part[1::2]] for part in parts), strict=True))
     rising = [each for each in numbers if len(set(each)) > 1]
     if len(rising) != 1:
         return None

@@ -36,6 +36,13 @@ class Place:
     direction: Vector | None = None
     normal: Vector | None = None
 
+    @property
+    def way(self) -> Vector:
+        """The direction of a line, or the normal of a plane."""
+        way = self.direction if self.direction is not None else self.normal
+        assert way is not None
+        return way
+
 
 def place_of(shape: Shape) -> Place:
     """The point of a fitted shape, with its direction or its normal."""
@@ -118,10 +125,7 @@ def skew(a: Place, b: Place) -> bool:
 
 def angle_between(a: Place, b: Place) -> float:
     """The angle of two planes, as they face, 0° to 180°; of two lines, or a line and a plane, 0° to 90°."""
-    first = a.direction if a.direction is not None else a.normal
-    second = b.direction if b.direction is not None else b.normal
-    assert first is not None
-    assert second is not None
+    first, second = a.way, b.way
     cosine = float(first @ second)
     cosine = cosine if a.direction is None and b.direction is None else abs(cosine)
     # By sine and cosine both: a right angle and none are told as well as any.
@@ -232,9 +236,7 @@ def fold_of(shapes: Shapes, dimension: Dimension) -> Fold | None:
 
 
 def _fold_of_angle(names: tuple[str, ...], a: Place, b: Place) -> Fold:
-    first, second = (place.direction if place.direction is not None else place.normal for place in (a, b))
-    assert first is not None
-    assert second is not None
+    first, second = a.way, b.way
     planes = (a.normal is not None) + (b.normal is not None)
     sign = 1.0 if first @ second >= 0 else -1.0
     if abs(first @ second) < np.sqrt(0.5):
@@ -243,10 +245,7 @@ def _fold_of_angle(names: tuple[str, ...], a: Place, b: Place) -> Fold:
     basis = _beside(sign * second - first, first)
 
     def tilt(moved: Shapes) -> Float[np.ndarray, "1"]:
-        each = [moved.place(name) for name in names]
-        one, other = (place.direction if place.direction is not None else place.normal for place in each)
-        assert one is not None
-        assert other is not None
+        one, other = (moved.place(name).way for name in names)
         return np.degrees(basis @ (np.sign(one @ other) * other - one))
 
     return Fold(90.0 if planes == 1 else 180.0 if planes == 2 and sign < 0 else 0.0, tilt)

@@ -382,9 +382,10 @@ def _with_interval(
     rig, variance = max(float(total[0, 0] - own[0, 0]), 0.0), float(total[0, 0])
     freedom = max(variance**2 / squares if squares > 0 and np.isfinite(squares) else np.inf, 1.0)
     sigma, value, notes = float(np.sqrt(variance)), base.value, base.notes
-    half = sigma * float(students_t.ppf((1 + CONFIDENCE) / 2, freedom))
-    low, high = value - half if base.dimension.kind in SIGNED else max(value - half, 0.0), value + half
-    if fold is not None:
+    if fold is None:
+        half = sigma * float(students_t.ppf((1 + CONFIDENCE) / 2, freedom))
+        low, high = value - half if base.dimension.kind in SIGNED else max(value - half, 0.0), value + half
+    else:
         near, far = interval_of_length(abs(value - fold.at), sigma, total[1:, 1:], freedom, CONFIDENCE)
         low, high = (near, far) if fold.at == 0 else (max(fold.at - far, 0.0), fold.at - near)
         half = (high - low) / 2

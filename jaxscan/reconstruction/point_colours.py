@@ -70,6 +70,7 @@ def visible(
     nearest: Float[np.ndarray, "rows columns"],
     pixels: Float[np.ndarray, "points 2"],
     depths: Float[np.ndarray, "points"],
+    behind_mm: float = _BEHIND_MM,
 ) -> Bool[np.ndarray, "points"]:
     """Whether points are on the photograph, with nothing before them.
 
@@ -77,10 +78,11 @@ def visible(
         nearest: as `least_depths` gives it.
         pixels: (u, v); NaN for a point that the camera does not see.
         depths: along the optical axis, mm.
+        behind_mm: how much nearer what hides a point is, at least.
     """
     at, inside = _nearest_pixels(pixels, nearest.shape)
     with np.errstate(invalid="ignore"):
-        return inside & (depths < nearest[at[:, 1], at[:, 0]] + _BEHIND_MM)
+        return inside & (depths < nearest[at[:, 1], at[:, 0]] + behind_mm)
 
 
 def in_stripe(

@@ -49,10 +49,9 @@ def left_out_notes(left_out: dict[str, int], points: int, depths_mm: tuple[float
 def gap_notes(scan: Scan) -> list[str]:
     """What is said of photographs that are missing among those of an evenly moving axis."""
     gap = gap_in_numbers(scan.frames) if scan.exposures_s is None else None
-    even = [
-        steps for steps in scan.axes.values() if len({b - a for a, b in pairwise(steps)}) == 1 and steps[0] != steps[-1]
-    ]
-    if gap is None or not even or len(even) < sum(len(set(steps)) > 1 for steps in scan.axes.values()):
+    moving = [steps for steps in scan.axes.values() if len(set(steps)) > 1]
+    even = bool(moving) and all(len({b - a for a, b in pairwise(steps)}) == 1 for steps in moving)
+    if gap is None or not even:
         return []
     return [
         f"{gap[1].name} follows {gap[0].name}, as if photographs were missing, but the axis is said to have moved "

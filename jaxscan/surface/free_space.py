@@ -16,8 +16,8 @@ from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
 from jaxscan.surface.side import Side
 
-# Rays of a side that are followed, and points of another that are looked for on them.
-_RAYS, _POINTS = 6000, 4000
+# Points of a side that are looked for on the rays of another.
+_POINTS: Final = 4000
 # In spacings of the side: how far before what was seen a ray begins, and how near to it is on it.
 _BEFORE, _ON = 1.5, 0.25
 # Of sides that are joined rightly 0.3 % of the points are in free space of another at most, of others 13 % and more.
@@ -72,9 +72,9 @@ def share_in(pose: Pose, side: Side, other: Side, on_rays: Float[np.ndarray, "pl
 def _on_rays(side: Side) -> Float[np.ndarray, "places 3"]:
     """Places along a side's rays, from before what was seen to as far as its points reach, own frame, mm."""
     assert side.rays is not None
-    points, cameras = (each[:: max(1, len(each) // _RAYS)] for each in side.rays)
+    points, cameras = side.rays
     toward = cameras - points
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
     size = float(np.linalg.norm(np.ptp(side.points, axis=0)))
     way = np.arange(_BEFORE * side.spacing_mm, size, _ON * side.spacing_mm)
     return (points[:, None] + way[:, None] * toward[:, None]).reshape(-1, 3)

@@ -41,6 +41,8 @@ _BEST: Final = 0.3
 # |ω · X − 1| of points that lie on the sheet, beyond their rounding.
 _OFF_SHEET: Final = 1e-3
 _FEWEST: Final = 100
+# Rays of a side that are kept.
+_RAYS: Final = 6000
 # The neighbour whose distance stands for the spacing of points without an order.
 _NEIGHBOUR: Final = 24
 
@@ -59,7 +61,7 @@ class Side:
         floor: what the object stood on, where it is known.
         sigma_rig: σ of the same distance by the rig, mm, which all scans with one rig share; NaN where it is not known.
         painted: the scan's points with their colours, where it has them.
-        rays: what the camera saw, the floor too, and from where, mm each; None where that is not known.
+        rays: some of what the camera saw, the floor too, and from where, mm each; None where that is not known.
     """
 
     name: str
@@ -92,12 +94,15 @@ def side_of_image(name: str, image: RangeImage, *, cleaned: bool = True, on_floo
         InputError: there is no floor, or there are too few points to register.
     """
     image = clean(image).image if cleaned else image
-    rays = image.points[image.valid].astype(np.float64), image.cameras()[np.nonzero(image.valid)[0]]
+    cameras = image.cameras()
+    frame, column = np.nonzero(image.valid)
+    every = slice(None, None, max(1, len(frame) // _RAYS))
+    rays = image.points[frame[every], column[every]].astype(np.float64), cameras[frame[every]]
     floor = find_floor(image) if on_floor else None
     image = image.where(stands_on(image, floor)) if floor else image
     how = sampling(image)
     points = image.points[image.valid].astype(np.float64)
-    to_camera = np.broadcast_to(image.cameras()[:, None], image.points.shape)[image.valid] - points
+    to_camera = np.broadcast_to(cameras[:, None], image.points.shape)[image.valid] - points
     e = error_direction(image)[image.valid]
     pixel, rig = (part[image.valid] for part in _parts_of_sigma(image, how))
     side = _side_of_points(name, points, to_camera, e, (pixel, rig), max(how.across_mm, how.along_mm), floor)

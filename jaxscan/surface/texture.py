@@ -89,7 +89,7 @@ def make_texture(
     Raises:
         InputError: a photograph cannot be read, or the scan is not that of the points.
     """
-    atlas = make_atlas(mesh, spacing(points.points), most_px)
+    atlas = make_atlas(mesh, spacing(KDTree(points.points.astype(np.float64))), most_px)
     if atlas is None:
         return None
     texels = texels_of(atlas)
@@ -108,11 +108,10 @@ def make_texture(
     return Texture(atlas, _picture(atlas, texels, colours), len(places), photographed, known - photographed)
 
 
-def spacing(points: Float[np.ndarray, "points 3"]) -> float:
-    """How far a point is from the one nearest to it, in the median, mm."""
-    P = points.astype(np.float64)
-    sample = P[:: max(1, len(P) // _SAMPLE)]
-    apart = np.asarray(KDTree(P).query(sample, k=2)[0])[:, 1]
+def spacing(tree: KDTree) -> float:
+    """How far a point of a tree is from the one nearest to it, in the median, mm."""
+    sample = np.asarray(tree.data)[:: max(1, tree.n // _SAMPLE)]
+    apart = np.asarray(tree.query(sample, k=2)[0])[:, 1]
     apart = apart[(apart > 0) & np.isfinite(apart)]
     return float(np.median(apart)) if len(apart) else 1.0
 
@@ -130,8 +129,8 @@ def _photographed(
     texel, frame = [], []
     for passage in passages(image):
         steps, _ = np.nonzero(passage)
-        seen = image.points[passage].astype(np.float64)
-        distance, nearest = (np.asarray(each) for each in KDTree(seen).query(places))
+        seen = KDTree(image.points[passage].astype(np.float64))
+        distance, nearest = (np.asarray(each) for each in seen.query(places))
         step = steps[nearest]
         facing = ((cameras[step] - places) * normals).sum(axis=1) > 0
         some = np.flatnonzero(facing & (distance <= _NEAR * spacing(seen)))

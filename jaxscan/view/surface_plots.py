@@ -11,7 +11,7 @@ from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.cloud import shown_colours
 from jaxscan.reconstruction import RangeImage
-from jaxscan.reconstruction.point_colours import least_depths
+from jaxscan.reconstruction.point_colours import least_depths, visible
 from jaxscan.surface import views
 from jaxscan.surface.clean import RULES
 from jaxscan.surface.colours import sequential
@@ -32,6 +32,8 @@ _CLAY: Final = (240.0, 228.0, 204.0)
 _MOST_POINTS: Final = 100_000
 # The neighbour whose distance stands for that of lines of points; how many of these a hidden point is behind.
 _NEIGHBOUR, _BEHIND = 8, 3.0
+# Cells along the longer side of a panel.
+_MOST_CELLS: Final = 2000
 # A panel's side, and the least and greatest size of a point, in 1/72 inch (squared).
 _PANEL_POINTS, _SIZES = 400.0, (1.0, 30.0)
 # From here on distances are millimetres.
@@ -205,15 +207,15 @@ def _scattered(
     flat, depth = np.stack([seen @ across, seen @ above], axis=-1), -seen @ toward
     # A neighbour's distance: a point in a cell of some of these is hidden by one that is nearer by as much.
     apart = float(np.median(KDTree(seen).query(seen[:: max(1, len(seen) // 2000)], k=_NEIGHBOUR + 1)[0][:, -1]))
-    cell = max(apart, 1e-9)
+    wide = max(float(np.ptp(flat, axis=0).max()), 1e-9)
+    # One stray point far away must not make a grid that no memory holds.
+    cell = max(apart, wide / _MOST_CELLS)
     pixels = (flat - flat.min(axis=0)) / cell
     nearest = least_depths(pixels, depth, tuple((np.ceil(pixels.max(axis=0)).astype(int) + 1)[::-1]))
-    at = np.rint(pixels).astype(int)
-    shown = np.flatnonzero(depth < nearest[at[:, 1], at[:, 0]] + _BEHIND * cell)
+    shown = np.flatnonzero(visible(nearest, pixels, depth, _BEHIND * cell))
     order = shown[np.argsort(-depth[shown])]
     ax.set(aspect="equal", xlabel="mm", ylabel="mm")
     if size is None:
-        wide = float(max(np.ptp(flat, axis=0).max(), 1e-9))
         size = float(np.clip((_PANEL_POINTS * cell / wide) ** 2, *_SIZES))
     ax.scatter(*flat[order].T, c=paint[order] / 255.0, s=size, linewidths=0)
 
