@@ -62,9 +62,12 @@ def _do(args: argparse.Namespace, accounts: "Accounts") -> dict[str, Any]:
     if args.action == "list":
         return {"users": [{"name": one.name, "administrator": one.administrator} for one in accounts.everybody()]}
     result = {"name": args.name, "action": args.action}
+    # Whoever has typed a password twice should not learn only then that the name is wrong.
     if args.action == "add":
+        accounts.check_free(args.name)
         accounts.add(args.name, _password(args), args.admin)
     elif args.action == "password":
+        accounts.check_known(args.name)
         accounts.set_password(args.name, _password(args))
     elif args.action == "remove":
         accounts.remove(args.name)

@@ -66,6 +66,23 @@ class Accounts:
         """What the password of somebody who is not there is compared with: it takes as long."""
         return self._hasher.hash(secrets.token_hex())
 
+    def check_free(self, name: str) -> None:
+        """Refuse a name that somebody has, in whatever capitals.
+
+        Raises:
+            InputError: the name is taken.
+        """
+        if self._database.read("SELECT id FROM users WHERE name = ?", name):
+            raise _taken(name)
+
+    def check_known(self, name: str) -> None:
+        """Refuse a name that nobody has.
+
+        Raises:
+            InputError: there is nobody of that name.
+        """
+        self._user(name)
+
     def add(self, name: str, password: str, administrator: bool = False) -> None:
         """Register somebody.
 
@@ -84,7 +101,7 @@ class Accounts:
                 self._now_s(),
             )
         except sqlite3.IntegrityError as error:
-            raise InputError(f"{name}: is registered already: scanner user password {name} sets another one") from error
+            raise _taken(name) from error
 
     def set_password(self, name: str, password: str) -> None:
         """Give somebody another password; sessions and tokens that there are end.
@@ -252,3 +269,7 @@ class Accounts:
             raise InputError(f"a password has {SHORTEST_PASSWORD} to {LONGEST_PASSWORD} characters")
         with self._hashing:
             return self._hasher.hash(password)
+
+
+def _taken(name: str) -> InputError:
+    return InputError(f"{name}: is registered already: scanner user password {name} sets another one")

@@ -171,7 +171,7 @@ def _as_result(found: "Acceptance") -> dict[str, Any]:
         "kind": "acceptance",
         "artefact": found.artefact.name,
         "verdict": found.verdict,
-        "places": found.places.strip(),
+        "places": found.places,
         "scans": list(found.scans),
         "figures": [{**vars(each), "unexplained": each.unexplained} for each in found.figures],
         "notes": list(found.notes),

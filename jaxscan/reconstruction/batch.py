@@ -11,12 +11,13 @@ import copy
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from threading import Event
 from typing import Final
 
 from jaxscan.atomic import make_folder, replacing
@@ -209,21 +210,33 @@ def run_batch(
     read_rig(rig)
     for folder in {task.output.parent for task in tasks}:
         make_folder(folder)
+    stop = Event()
+    # A worker on another machine hears of nothing until its scan is done.
+    heed = {} if scheduler else {"advance": partial(_heed, stop)}
     with _executor(scheduler) as executor:
         futures: dict[Future[Made | str], Task] = {}
         for task in tasks:
             here = replace(task, scan=task.scan.absolute(), output=task.output.absolute())
-            future = executor.submit(reconstruct_one, here, rig.absolute(), here.made_at(), options)
+            future = executor.submit(reconstruct_one, here, rig.absolute(), here.made_at(), options, **heed)
             futures[future] = task
         try:
             for future in as_completed(futures):
                 yield _outcome(futures[future], future)
         finally:
+            stop.set()
             for future in futures:
                 future.cancel()
 
 
-def reconstruct_one(task: Task, rig: Path, stood: int | None, options: Options) -> Made | str:
+def _heed(stop: Event, by: int) -> None:
+    """Break off a scan of a batch that was stopped; what it has written so far is deleted."""
+    if stop.is_set():
+        raise InterruptedError("the batch was stopped")
+
+
+def reconstruct_one(
+    task: Task, rig: Path, stood: int | None, options: Options, advance: Callable[[int], object] = lambda by: None
+) -> Made | str:
     """One scan to one file, on whatever machine.
 
     Args:
@@ -232,6 +245,7 @@ def reconstruct_one(task: Task, rig: Path, stood: int | None, options: Options) 
         stood: when what stands in its place at the beginning of the batch was made. What is done and was made at
             another time is this batch's own, of these options, and is not made a second time.
         options: how.
+        advance: called with the number of photographs read, some at a time; what it raises ends the scan.
 
     Returns:
         How many points its file has; or, in words, why there is none.
@@ -241,7 +255,7 @@ def reconstruct_one(task: Task, rig: Path, stood: int | None, options: Options) 
             return Made(_points_in(task.output))
         # What it says of its scan is not said of another that is measured beside it.
         scanner = copy.copy(_scanner(rig, rig.stat().st_mtime_ns, options))
-        written = write_stream([task.output], scanner.scan(read_scan(task.scan)))
+        written = write_stream([task.output], scanner.scan(read_scan(task.scan), advance))
         return Made(written.points, tuple(scanner.notes))
     except JaxscanError as error:
         return str(error)

@@ -70,7 +70,7 @@ def _limits(ax: Any, limit: float | None, form: bool) -> None:
 
 def acceptance_report(found: Acceptance) -> Report:
     """A page that prints: the verdict, the picture, every figure of every scan, and what the figures mean."""
-    said = f"{found.verdict}{found.places}" if found.verdict else "tested, without limits"
+    said = f"{found.verdict} {found.places}".rstrip() if found.verdict else "tested, without limits"
     heads = ("figure", "of", "scan", "error", "± (test)", "limit", "verdict", "± (predicted)", "points", "left out")
     table = Table("in mm", heads, tuple(_cells(each) for each in found.figures))
     return Report(

@@ -219,3 +219,18 @@ def test_threads_and_memory_are_bounded_on_any_machine(tree, cores, monkeypatch)
     assert sum(outcome.points is not None for outcome in outcomes) == 73
     assert 2 <= most[0] <= 2 * cores or cores == 1
     assert at_once[0] * frames._SLOTS * frames._SLOT_BYTES <= 2 << 30
+
+
+def test_what_is_at_work_is_broken_off_when_the_batch_stops(tree):
+    folder = tree / "scans" / "long"
+    folder.mkdir()
+    frames_of_it = tuple(folder / f"{k}.png" for k in range(1500))
+    for path in frames_of_it:
+        os.link(tree / "scans" / "dish" / "0.png", path)
+    axes = {"stage": tuple(range(len(frames_of_it)))}
+    write_scan(Scan(folder / "scan.toml", StripeSettings("grey"), frames_of_it, axes=axes))
+    tasks = [task for task in find_tasks(tree / "scans", tree / "out") if task.name in ("dish", "long")]
+    outcomes = run_batch(tasks, tree / "rig.json", Options("gravity"))
+    assert next(outcomes).task.name == "dish"
+    outcomes.close()
+    assert [path.name for path in (tree / "out").iterdir()] == ["dish.ply"]

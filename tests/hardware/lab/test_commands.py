@@ -41,6 +41,11 @@ def test_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
     assert "registered already" in capsys.readouterr().err
     assert user(monkeypatch, "add", "olga", *data, typed="short") == 2
     assert "10 to 1000 characters" in capsys.readouterr().err
+    # Before a password is asked for: nobody types one.
+    assert main(["user", "add", "paul", *data[:2]]) == 2
+    assert "registered already" in capsys.readouterr().err
+    assert main(["user", "password", "nobody", *data[:2]]) == 2
+    assert "nobody of that name" in capsys.readouterr().err
     assert user(monkeypatch, "add", "../olga", *data) == 2
     assert "letters, digits" in capsys.readouterr().err
     assert user(monkeypatch, "add", *data) == 2
