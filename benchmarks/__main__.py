@@ -50,6 +50,7 @@ SUITES = {
     "derivatives": "derivatives through a solution: block-arrow against dense, digits and time",
     "starts": "whether a calibration ends in the same minimum wherever it starts",
     "nist": "the 27 nonlinear regression problems of NIST through the same solver (needs JAXSCAN_DATA)",
+    "curved": "balls and cylinders under a sheet with a thickness: error of stripes, with it known and without",
     "gauge": "a step block, alone and with the boards, puts a light plane right: how other blocks read",
     "lasers": "two lasers on one camera, calibrated in one solve: do their clouds agree within σ?",
     "next_pose": "three photographs as suggested against three more like those there are, really added and solved",

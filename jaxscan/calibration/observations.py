@@ -33,6 +33,7 @@ class StripePoints:
         brighter: the colour in which the stripe is far brighter than in that of its laser; None where there is none.
         odd: whether its cross-section is no bell, all along it.
         light: read noise, gain, speckle contrast and saturation of the photograph, where there was a detector.
+        widths: full width of the stripe at half its height at each, px, where there was a detector.
     """
 
     pixels: Float[np.ndarray, "points 2"]
@@ -43,6 +44,7 @@ class StripePoints:
     brighter: str | None = None
     odd: bool = False
     light: Float[np.ndarray, "4"] | None = None
+    widths: Float[np.ndarray, "points"] | None = None
 
 
 @dataclass(frozen=True)

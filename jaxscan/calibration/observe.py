@@ -295,11 +295,13 @@ def stripe_points(
     position = stripe.position.astype(np.float64).ravel()
     index = np.where(np.isfinite(position), np.arange(position.size), np.nan)
     pixels = np.stack([index, position] if settings.columns else [position, index], axis=-1)
-    width = stripe.width.ravel()[np.isfinite(position)]
-    half = 0.5 * float(np.median(width)) + _SMEAR_PX if width.size else _SMEAR_PX
+    widths = np.asarray(stripe.width, np.float64).ravel()
+    known = widths[np.isfinite(position)]
+    half = 0.5 * float(np.median(known)) + _SMEAR_PX if known.size else _SMEAR_PX
     sigmas = np.asarray(stripe.sigma, np.float64).ravel()
     brighter = brighter_color(image, pixels, settings)
-    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter, bool(stripe.odd[0]), stripe.light[0])
+    odd, light = bool(stripe.odd[0]), stripe.light[0]
+    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter, odd, light, widths)
 
 
 def _sequence(

@@ -23,6 +23,7 @@ from jaxscan.calibration.off_grid import OffGrid
 from jaxscan.calibration.on_board import stripe_points_in_space
 from jaxscan.calibration.parted import Parted
 from jaxscan.calibration.rounds import Refined
+from jaxscan.calibration.sheet_thickness import sheet_sigma_mm
 from jaxscan.calibration.stage_shape import StageShape
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
@@ -172,6 +173,8 @@ class Calibration:
             fit |= self.hand.facts()
         if (depths := self._stripe_depths()) is not None:
             fit["stripe_depths_mm"] = depths
+        if any(thickness := self.sheet_sigmas_mm()):
+            fit["sheet_sigma_mm"] = thickness
         if self.stripe_sigma_ratio is not None:
             fit["stripe_sigma_ratio"] = self.stripe_sigma_ratio
         fit |= self.shape_facts()
@@ -262,6 +265,12 @@ class Calibration:
         }
         summary["board_terms_mm"] = [float(term) for term in jax.tree.leaves(self.system.shape)]
         return summary | ({} if self.bend_sigma_mm is None else {"board_bends_sigma_mm": self.bend_sigma_mm})
+
+    def sheet_sigmas_mm(self) -> list[float]:
+        """How thick the sheet of each light is, σ in mm; 0 where the stripes' widths do not tell it."""
+        poses, bent = self.photograph_poses(), self.bent_boards()
+        lights = range(len(self.rig.lights))
+        return [sheet_sigma_mm(self.observations, self.rig, poses, laser, bent) or 0.0 for laser in lights]
 
     def _stripe_depths(self) -> list[float] | None:
         """The nearest and the farthest depth of a stripe on a board, mm: along the optical axis, or as its rays go."""

@@ -146,6 +146,8 @@ def _rig(summary: Summary) -> Iterator[Line]:
             continue
         if name == "sigma_over_noise_alone":
             yield "σ", f"{min(value.values()):.2g} to {max(value.values()):.2g} times as wide as noise alone has it"
+        elif name == "sheet_sigma_mm":
+            yield "sheet's thickness", ", ".join(f"σ {each:.2g} mm" if each else "not known" for each in value)
         else:
             yield name, f"{value:.4g}" if isinstance(value, float) else str(value)
     for warning in summary["warnings"]:

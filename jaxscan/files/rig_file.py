@@ -192,6 +192,10 @@ def _fit(table: Table) -> dict[str, Any]:
     for key in _OF_SHAPE if "board_shape" in fit else ():
         if fit.number(key) < 0:
             raise fit.error(key, "must be a number that is not negative: calibrate again")
+    if "sheet_sigma_mm" in fit:
+        count = len(fit.sequence("sheet_sigma_mm", "a number for each light"))
+        if any(sigma < 0 for sigma in fit.numbers("sheet_sigma_mm", count)):
+            raise fit.error("sheet_sigma_mm", "must be a number for each light, 0 if it is not known: calibrate again")
     if "stripe_depths_mm" in fit and not 0 < (depths := fit.numbers("stripe_depths_mm", 2))[0] <= depths[1]:
         raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")
     for i, way in enumerate(fit.sequence("pose_offset_unknown", "directions") if "pose_offset_unknown" in fit else ()):

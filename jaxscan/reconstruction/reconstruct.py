@@ -76,7 +76,7 @@ def _of_memory(
     if spacetime:
         raise InputError("spacetime=True takes a scan that read_scan has read: write the photographs into a folder")
     parts = []
-    for part in scanner.frames(frames, laser, background, FRAMES_AT_ONCE):
+    for part in scanner.frames(frames, laser, background, FRAMES_AT_ONCE, whole=True):
         parts.append(part)
         advance(len(part.valid))
     if not parts:

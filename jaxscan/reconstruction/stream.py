@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
+from itertools import chain
 
 import jax.numpy as jnp
 import numpy as np
@@ -46,13 +47,14 @@ from jaxscan.reconstruction.sheet_band import check_depths, depths_of, sheet_ban
 from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
 from jaxscan.reconstruction.spacetime_geometry import coarse_notes, spacetime_geometry
+from jaxscan.reconstruction.thick_sheet import Looked, ThickSheet, frames_apart, middles
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
-from jaxscan.reconstruction.turns import with_ends, with_runs
+from jaxscan.reconstruction.turns import two_frames, with_ends, with_runs
 from jaxscan.rig import Positions, Rig, played_axes, run_of
 from jaxscan.rig.play import Runs
 
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
-Looked = tuple[RangeImage, Stripe | None]
+Seen = tuple[RangeImage, Stripe | None]
 
 
 class Scanner:
@@ -153,6 +155,8 @@ class Scanner:
         laser: StripeSettings | None = None,
         background: Image | None = None,
         batch: int = 1,
+        *,
+        whole: bool = False,
     ) -> Iterator[RangeImage]:
         """The points of photographs as they come, as from a camera that is scanning.
 
@@ -167,13 +171,31 @@ class Scanner:
             batch: how many photographs are waited for before they are looked at; the points do not depend on it, but
                 for those of an axis with play until it first moves: unless that is in the same batch they stand in the
                 middle of the play.
+            whole: whether they are a scan, whose points are moved to the middle of a sheet of light that has a
+                thickness (`thick_sheet`), as those of a scan in files are. That takes frames behind each, for which it
+                waits, and a batch of two at the least.
 
         Raises:
             InputError: a photograph is not of the rig's size, or unlike the first, or its positions are not those of
                 the rig's axes.
         """
-        settings = laser or StripeSettings()
-        ready = self._laser(settings)
+        ready = self._laser(laser or StripeSettings())
+        found = self._looked(ready, frames, laser or StripeSettings(), background, batch)
+        if whole and (begin := next(found, None)) is not None:
+            two = {axis: np.asarray(steps)[:2] for axis, steps in begin[0].positions.items()}
+            found = ready.middles(chain((begin,), found), ready.frames_apart(two if len(begin[0].valid) > 1 else None))
+        for image, _ in found:
+            yield image
+
+    def _looked(
+        self,
+        ready: "_Laser",
+        frames: Iterable[tuple[Image, Positions | int]],
+        settings: StripeSettings,
+        background: Image | None,
+        batch: int,
+    ) -> Iterator[Looked]:
+        """The points of photographs in memory, and their stripes."""
         self.notes, self.left_out = [], {}
         first, looked, played = None, False, {axis: Runs() for axis in played_axes(self._content.rig.motion)}
         for some, axes in frames_of(with_positions(frames), background, self._content.rig.camera.image_size, batch):
@@ -181,13 +203,13 @@ class Scanner:
             moved = (some.positions != first).any(axis=0)
             moving = [axis for axis, each in zip(axes, moved, strict=True) if each and not is_detail(axis)]
             check_axes(self._content.rig, moving, axes, "frames:")
-            image = ready.range_image(*_with_runs(some, axes, played))[0]
+            image, stripe = ready.range_image(*_with_runs(some, axes, played))
             if not looked:
                 looked = True
                 if (note := channels_note(some.images[: len(image.valid)], image.pixels, settings)) is not None:
                     self.notes.append(note)
-                    warnings.warn(note, stacklevel=2)
-            yield image
+                    warnings.warn(note, stacklevel=3)
+            yield image, stripe
 
     def _images(
         self,
@@ -208,14 +230,16 @@ class Scanner:
             notes += coarse_notes(*passage)
         halo = HALO if self._choice == "coherent" else 0
         # Where a turn closes, its first frames have neighbours before them, and its last behind them.
-        looked_at = halo if passage is None else half_window(passage[1])
+        apart = 0 if passage is not None else laser.frames_apart(two_frames(with_runs(scan, rig.motion)))
+        looked_at = max(halo, apart) if passage is None else half_window(passage[1])
         longer, before = with_ends(scan, rig.motion, looked_at, equal=self._spacetime)
         longer = with_runs(longer, rig.motion)
         own, done = range(before, before + (len(step_groups(scan)) or sys.maxsize)), 0
         read = to_close.enter_context(closing(frames_of_scan(longer, rig.camera.image_size, self._decoders)))
         batches = self._batches(longer, read, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
+        found: Iterator[Seen]
         if passage is None:
-            found = self._stripes(laser, longer, batches, notes)
+            found = laser.middles(self._stripes(laser, longer, batches, notes), apart)
         else:
             found = laser.passages(*passage, batches, longer.axis_names)
         for image, stripe in found:
@@ -282,6 +306,9 @@ class _Laser:
         self._ratio = np.float32(content.fit.get("stripe_sigma_ratio", 1.0))
         self._of_poses = PoseSigma.of(content)
         self._rig = rig
+        thick = content.fit.get("sheet_sigma_mm", ())
+        which = rig.lights.index(rig.light(name))
+        self._thickness_mm = float(thick[which]) if which < len(thick) else 0.0
 
     def range_image(self, frames: Frames, axes: Sequence[str], standing: bool = False) -> tuple[RangeImage, Stripe]:
         """Find the stripe in some frames and triangulate it; with the colours that the laser-off photographs show.
@@ -317,6 +344,23 @@ class _Laser:
             colours = own_colours(frames.backgrounds, stripe.position, columns=self._laser.columns)
         width = np.where(stripe.burnt, np.float32(np.nan), stripe.width)
         return replace(found, light=stripe.light, colours=colours, width=width), stripe
+
+    def frames_apart(self, two: Mapping[str, Int[np.ndarray, "2"]] | None) -> int:
+        """How many frames before and behind one show the surface beside the sheet; 0 where it is taken to be thin.
+
+        Args:
+            two: positions of the axes at two frames, one after the other; None where there are none.
+        """
+        if two is None or not self._thickness_mm:
+            return 0
+        return frames_apart(self._rig, self._laser.name, self._thickness_mm, two)
+
+    def middles(self, found: Iterator[Looked], apart: int) -> Iterator[Looked]:
+        """The same in the middle of the sheet, which has a thickness."""
+        if not apart:
+            return found
+        sheet = ThickSheet.create(self._rig, self._laser.name, self._thickness_mm, self._laser.columns)
+        return middles(found, apart, sheet, self._kernel, self._rig.motion)
 
     def passages(
         self, geometry: Geometry, width: float, batches: Iterable[Frames], axes: Sequence[str]

@@ -59,6 +59,17 @@ def with_runs(scan: Scan, motion: Motion) -> Scan:
     return replace(scan, axes=axes, rules=rules)
 
 
+def two_frames(scan: Scan) -> dict[str, Int[np.ndarray, "2"]] | None:
+    """Positions of the axes, motor steps, at two frames that follow one another; None where there are none."""
+    if scan.rules:
+        return {axis: np.asarray(rule.positions(0, 2)) for axis, rule in scan.rules.items()}
+    starts = [group.start for group in step_groups(scan)]
+    if len(starts) < 2:
+        return None
+    middle = len(starts) // 2
+    return {axis: np.asarray(steps)[[starts[middle - 1], starts[middle]]] for axis, steps in scan.axes.items()}
+
+
 def full_turn(motion: Motion, moving: Sequence[str]) -> int | None:
     """Motor steps of a full turn, to the nearest, where one axis alone moves and turns the object; else None."""
     turns = [part.amount(1.0) for part in motion.parts() if [part.axis] == list(moving)]

@@ -92,6 +92,16 @@ def distance(light: Light, points: Float[np.ndarray, "*points 3"]) -> Float[np.n
     return light.level(points) / np.linalg.norm(light.gradient(points), axis=-1)
 
 
+def laser_place(sheet: Light) -> Float[np.ndarray, "3"]:
+    """Where a laser is taken to stand: where its sheet meets the camera's u or v axis, the nearer one, mm."""
+    gradient = np.asarray(sheet.gradient(np.zeros(3)), np.float64)
+    level = float(np.asarray(sheet.level(np.zeros(3))))
+    axis = int(np.argmax(np.abs(gradient[:2])))
+    place = np.zeros(3)
+    place[axis] = -level / gradient[axis]
+    return place
+
+
 def sheet_axes(light: Light) -> Float[np.ndarray, "3 3"]:
     """Unit vectors: along the stripe on a board that faces the camera, the light's way, the sheet's normal.
 

@@ -27,7 +27,7 @@ from jaxtyping import Float
 from jaxscan.errors import InputError
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.reconstruction import RangeImage
-from jaxscan.rig.light import Light
+from jaxscan.rig.light import laser_place
 from jaxscan.surface.links import Links, links, sampling
 from jaxscan.surface.normals import normals
 
@@ -104,16 +104,6 @@ def _breadth2(image: RangeImage, spread: Float[np.ndarray, "frames columns"]) ->
     slope = float(np.cov(at, of)[0, 1] / np.var(at, ddof=1)) if len(at) > 2 and np.var(at) > 0 else 0.0
     slope = max(slope, 0.0)
     return np.maximum(np.median(of - slope * at), 0.0) + slope * spread**2
-
-
-def laser_place(sheet: Light) -> Float[np.ndarray, "3"]:
-    """Where a laser is taken to stand: where its sheet meets the camera's u or v axis, the nearer one, mm."""
-    gradient = np.asarray(sheet.gradient(np.zeros(3)), np.float64)
-    level = float(np.asarray(sheet.level(np.zeros(3))))
-    axis = int(np.argmax(np.abs(gradient[:2])))
-    place = np.zeros(3)
-    place[axis] = -level / gradient[axis]
-    return place
 
 
 def smooth_normals(image: RangeImage, linked: Links) -> Float[np.ndarray, "frames columns 3"]:

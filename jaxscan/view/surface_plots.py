@@ -69,7 +69,10 @@ def draw_range(
             floor = None
     if floor is not None:
         panels.append(("height over the floor", views.height(image, floor), "mm"))
-    panels += [("depth", views.depth(image), "mm"), ("strength", views.strength(image), "grey levels")]
+    panels.append(("depth", views.depth(image), "mm"))
+    # Profiles of other programs have none.
+    if (image.strength[image.valid] > 0).any():
+        panels.append(("strength", views.strength(image), "grey levels"))
     if np.isfinite(image.sigma[image.valid]).any():
         panels.append(("σ along the ray", 1000 * views.sigma(image), "µm"))
     if removed is not None:

@@ -10,11 +10,12 @@ from jaxscan.files.scan import read_scan
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import LightPlane
+from jaxscan.rig.light import laser_place
 from jaxscan.simulation import rig_2003
 from jaxscan.simulation.folders import simulate_scan
 from jaxscan.simulation.scene import Body
 from jaxscan.simulation.solids import Sphere
-from jaxscan.surface.albedo import albedo, laser_place
+from jaxscan.surface.albedo import albedo
 from tests.surface.scenes import grid, seen
 
 SHEET = as_numpy(LightPlane.create([0.0, -0.005, 1 / 300]))

@@ -147,6 +147,7 @@ def _detect(
         sigma_of_centres(looker, measured, valid, found.with_edge, by_gravity, bool(mosaic)),
         measured.strength,
         np.where(valid, measured.width, np.float32(np.nan)),
+        np.where(valid, measured.breadth, np.float32(np.nan)),
         valid,
         verdict,
         measured.burnt,

@@ -179,6 +179,7 @@ def _interleaved(halves: Sequence[Stripe], parity: int) -> Stripe:
         2 * together("sigma"),
         together("strength"),
         2 * together("width"),
+        2 * together("breadth"),
         together("valid"),
         together("verdict"),
         together("burnt"),

@@ -17,6 +17,7 @@ class Stripe:
         strength: its peak, smoothed over five pixels, above the local background: grey levels of 2 L − (M + N), L the
             laser's channel, or of the intensity.
         width: full width at half the height, px; NaN where it is not valid.
+        breadth: of what is seen, full at half height, px: of a burnt-out stripe that of its full pixels and more.
         valid: whether there is a stripe, with both flanks on the image and with company in the neighbouring lines.
         verdict: what was made of the line, a `Verdict`.
         burnt: whether some pixel near the line's stripe is full.
@@ -33,6 +34,7 @@ class Stripe:
     sigma: Float32[np.ndarray, "frames lines"]
     strength: Float32[np.ndarray, "frames lines"]
     width: Float32[np.ndarray, "frames lines"]
+    breadth: Float32[np.ndarray, "frames lines"]
     valid: Bool[np.ndarray, "frames lines"]
     verdict: Int8[np.ndarray, "frames lines"]
     burnt: Bool[np.ndarray, "frames lines"]
