@@ -83,13 +83,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     result: dict[str, Any] = {"kind": "mesh", "path": [str(path) for path in args.output]}
     meshed = bool(args.output or args.png)
+    # The floor's own file is named by what is wrong with it, and not the scan's.
+    bed = _scanned_floor(args.floor)
     step(f"reading {args.points}")
     with error_context(args.points):
         if args.points.suffix.lower() == ".npz":
             from jaxscan.reconstruction import read_range_image
 
             scanned = read_range_image(args.points)
-            image, floor = _prepared(scanned, args, result)
+            image, floor = _prepared(scanned, args, result, bed)
             if not meshed:
                 return result
             step("joining the points")
@@ -200,7 +202,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _prepared(
-    image: "RangeImage", args: argparse.Namespace, result: dict[str, Any]
+    image: "RangeImage", args: argparse.Namespace, result: dict[str, Any], bed: "Floor | None"
 ) -> "tuple[RangeImage, Floor | None]":
     """Cropped, thinned, cleaned, without the floor, filled and resampled, as was asked for."""
     from dataclasses import asdict
@@ -230,7 +232,7 @@ def _prepared(
         result["removed"] = cleaned.counts()
         image = cleaned.image
     step("finding the floor")
-    floor = _floor(image, args.floor)
+    floor = bed or _floor(image, args.floor)
     if floor is not None and args.plateaus:
         from jaxscan.surface.plateaus import plateaus
 
@@ -263,20 +265,25 @@ def _prepared(
     return image, floor
 
 
-def _floor(image: "RangeImage", how: str) -> "Floor | None":
+def _scanned_floor(how: str) -> "Floor | None":
+    """The floor that a scan of its own shows; None where `--floor` names none."""
+    if Path(how).suffix.lower() != ".npz":
+        return None
+    from jaxscan.errors import error_context
+    from jaxscan.reconstruction import read_range_image
     from jaxscan.surface.bed import floor_from_scan
+
+    with error_context(how):
+        return floor_from_scan(read_range_image(how))
+
+
+def _floor(image: "RangeImage", how: str) -> "Floor | None":
     from jaxscan.surface.floor import find_floor, floor_from_picks
 
     if how == "keep":
         return None
     if how == "auto":
         return find_floor(image)
-    if Path(how).suffix.lower() == ".npz":
-        from jaxscan.errors import error_context
-        from jaxscan.reconstruction import read_range_image
-
-        with error_context(how):
-            return floor_from_scan(read_range_image(how))
     try:
         picks = [numbers(3)(pick) for pick in how.split(":")]
     except argparse.ArgumentTypeError as error:

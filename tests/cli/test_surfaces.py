@@ -135,6 +135,11 @@ def test_floors_methods_and_options(folder, capsys):
     picks = "-10,-2,300:10,-2,300:0,10,300"
     assert triangles("--floor", folder / "bare.npz") == triangles(f"--floor={picks}") == alone
     assert triangles("--floor", "keep") > 3 * alone
+    words = ["mesh", folder / "block.npz", "--floor", folder / "missing.npz", "-o", folder / "x.stl"]
+    assert main([str(word) for word in words]) == 2
+    said = capsys.readouterr().err
+    assert "missing.npz: " in said
+    assert "block.npz: " not in said
     assert triangles("--every", "2,2") == pytest.approx(alone / 4, rel=0.2)
     assert triangles("--floor=keep", "--crop=-5,-5,290,5,5,298") < alone
     assert triangles("--grid", "0.4") == pytest.approx(alone / 2, rel=0.1)
