@@ -242,6 +242,10 @@ def end_to_end(folder: Path, count: int, repeats: int, plain: bool) -> list[Metr
         if plain:
             slow, took = side_by_side(lambda: _plain(scan, content.rig), whole, 3)
             metrics.append(ratio(f"{label}.times_a_plain_loop", slow / took, 4.5, "higher"))
+            thick = Scanner(replace(content, fit={**content.fit, "sheet_sigma_mm": [0.25]}), name)
+            list(thick.scan(scan))
+            thin, took = side_by_side(whole, partial(whole, thick), repeats)
+            metrics.append(ratio(f"{label}.thick_sheet_over_thin", took / thin, 1.15))
     return metrics
 
 

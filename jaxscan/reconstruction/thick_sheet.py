@@ -137,21 +137,21 @@ def middles(found: Iterable[Looked], apart: int, sheet: ThickSheet, kernel: Kern
         kernel: triangulates in it.
         motion: of the object.
     """
-    parts: list[Looked] = []
+    held: list[Looked] = []
     done = 0
-    for part in chain(found, (None,)):
-        if part is not None:
-            parts.append(part)
-        elif not parts:
+    for batch in chain(found, (None,)):
+        if batch is not None:
+            held.append(batch)
+        elif not held:
             return
-        held = RangeImage.joined([image for image, _ in parts]), Stripe.joined([stripe for _, stripe in parts])
-        ready = len(held[0].valid) - (0 if part is None else apart)
-        while done < ready and (part is None or ready - done >= FRAMES_AT_ONCE):
+        image, stripe = RangeImage.joined([each for each, _ in held]), Stripe.joined([each for _, each in held])
+        ready = len(image.valid) - (0 if batch is None else apart)
+        while done < ready and (batch is None or ready - done >= FRAMES_AT_ONCE):
             here = slice(done, min(done + FRAMES_AT_ONCE, ready))
-            yield _middles_of(*held, here, apart, sheet, kernel, motion), held[1][here]
+            yield _middles_of(image, stripe, here, apart, sheet, kernel, motion), stripe[here]
             done = here.stop
         kept = slice(max(done - apart, 0), None)
-        parts, done = [(held[0][kept, :], held[1][kept])], min(done, apart)
+        held, done = [(image[kept, :], stripe[kept])], min(done, apart)
 
 
 def _middles_of(
