@@ -98,7 +98,7 @@ def _decode(table: Table) -> RigFile:
         axes = axis_tables_1(table, unknown) if first else part_tables(table, "motion", "axes")
         rig = as_numpy(Rig(camera, _lights(lights, camera, unknown), read_motion(axes, unknown)))
     names = parameter_names_1(rig) if first else parameter_names(rig)
-    content = RigFile(rig, _covariance(table, rig, names, unknown), _fit(table))
+    content = RigFile(rig, _covariance(table, rig, names, unknown), _fit(table, len(rig.lights)))
     if unknown:
         keys = ", ".join(unknown)
         warnings.warn(f"{table.path}: passed over what this version does not know: {keys}", PassedOverWarning, 3)
@@ -182,7 +182,7 @@ def _covariance(table: Table, rig: Rig, names: list[str], unknown: list[str]) ->
     return Covariance(tuple(known[name] for name in given), matrix)
 
 
-def _fit(table: Table) -> dict[str, Any]:
+def _fit(table: Table, lights: int) -> dict[str, Any]:
     if "fit" not in table:
         return {}
     fit = table.table("fit", "fit.")
@@ -192,10 +192,8 @@ def _fit(table: Table) -> dict[str, Any]:
     for key in _OF_SHAPE if "board_shape" in fit else ():
         if fit.number(key) < 0:
             raise fit.error(key, "must be a number that is not negative: calibrate again")
-    if "sheet_sigma_mm" in fit:
-        count = len(fit.sequence("sheet_sigma_mm", "a number for each light"))
-        if any(sigma < 0 for sigma in fit.numbers("sheet_sigma_mm", count)):
-            raise fit.error("sheet_sigma_mm", "must be a number for each light, 0 if it is not known: calibrate again")
+    if "sheet_sigma_mm" in fit and min(fit.numbers("sheet_sigma_mm", lights), default=0.0) < 0:
+        raise fit.error("sheet_sigma_mm", "must be a number for each light, 0 if it is not known: calibrate again")
     if "stripe_depths_mm" in fit and not 0 < (depths := fit.numbers("stripe_depths_mm", 2))[0] <= depths[1]:
         raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")
     for i, way in enumerate(fit.sequence("pose_offset_unknown", "directions") if "pose_offset_unknown" in fit else ()):

@@ -249,6 +249,11 @@ BAD = {
     "infinite plane": ({"laser__plane": [0.0, math.inf, 1.0]}, ["laser.plane.1 is inf"]),
     "NaN in the fit": ({"fit": {"rms": {"a": [1.0, math.nan]}}}, ["fit.rms.a.1 is nan"]),
     "stripe error as text": ({"fit": {"stripe_sigma_px": "x"}}, ["fit.stripe_sigma_px", "finite number"]),
+    "negative thickness": ({"fit": {"sheet_sigma_mm": [-0.1]}}, ["fit.sheet_sigma_mm", "a number for each light"]),
+    "thickness of another light": (
+        {"fit": {"sheet_sigma_mm": [0.1, 0.2]}},
+        ["fit.sheet_sigma_mm", "must hold 1 number"],
+    ),
     "negative stripe error": ({"fit": {"stripe_rms_px": -1.0}}, ["fit.stripe_rms_px", "not negative"]),
     "a number of no rig": ({"stage__per_step": [1e300, 0.0, 0.0]}, ["stage.per_step.0 is 1e+300", "larger"]),
     "NaN in an unknown key": ({"more": {"a": math.nan}}, ["more.a is nan"]),

@@ -376,6 +376,7 @@ _FIT = {
     "stripe_rms_px": 0.11,
     "views": 12,
     "stripe_depths_mm": [200.0, 400.0],
+    "sheet_sigma_mm": [0.25],
     "sigma_over_noise_alone": {"camera.focal.0": 1.5},
     "warnings": ["a"],
     "board_shape": "flat",
