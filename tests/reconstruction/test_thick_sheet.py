@@ -3,17 +3,19 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Float
 
 from jaxscan.images.stripes.likelihood import FWHM
-from jaxscan.images.stripes.stripe import Stripe
+from jaxscan.images.stripes.stripe import Stripe, u_and_v
+from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import RangeImage
 from jaxscan.reconstruction.thick_sheet import ThickSheet, frames_apart, middles
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
-from jaxscan.rig import Rig
+from jaxscan.rig import Camera, LightPlane, Linear, Rig
 from jaxscan.rig.light import distance, laser_place
 from jaxscan.rig.projection import pixel_rays
 from jaxscan.simulation import rig_2003
@@ -85,18 +87,21 @@ def on_ball(
 
 
 def looked(
-    rig: Rig, seen: Float[np.ndarray, "frames columns"], bell: Float[np.ndarray, "frames columns"] | float = 0.8
+    rig: Rig,
+    seen: Float[np.ndarray, "frames columns"],
+    bell: Float[np.ndarray, "frames columns"] | float = 0.8,
+    columns: bool = True,
 ) -> tuple[RangeImage, Stripe]:
     """What a detector would give of these stripes, over the whole width of the image."""
-    width = rig.camera.image_size[0]
+    width = rig.camera.image_size[0 if columns else 1]
     wide = np.full((len(seen), width), np.nan, np.float32)
     wide[:, COLUMNS] = FWHM * bell
     position = np.full((len(seen), width), np.nan, np.float32)
     position[:, COLUMNS] = seen
     q = {"stage": STEPS}
-    lines = np.broadcast_to(np.arange(width, dtype=np.float32), position.shape)
     frames = FramePoses.create(rig.motion, q, len(seen))
-    points = np.asarray(triangulate(Kernel.create(rig), frames, jnp.asarray(lines), jnp.asarray(position)))
+    u, v = map(jnp.asarray, u_and_v(position, columns))
+    points = np.asarray(triangulate(Kernel.create(rig), frames, u, v))
     valid, one = np.isfinite(points).all(axis=-1), np.ones_like(position)
     frame = np.zeros(len(seen), np.float32)
     stripe = Stripe(
@@ -119,8 +124,8 @@ def looked(
     return image, stripe
 
 
-def corrected(rig: Rig, parts: list[tuple[RangeImage, Stripe]], sigma_mm: float = SIGMA) -> RangeImage:
-    sheet = ThickSheet.create(rig, "", sigma_mm, True)
+def corrected(rig: Rig, parts: list[tuple[RangeImage, Stripe]], columns: bool = True) -> RangeImage:
+    sheet = ThickSheet.create(rig, "", SIGMA, columns)
     apart = frames_apart(rig, "", SIGMA, {"stage": STEPS[:2]})
     return RangeImage.joined([image for image, _ in middles(parts, apart, sheet, Kernel.create(rig), rig.motion)])
 
@@ -142,6 +147,17 @@ def test_a_ball_is_found_where_it_is(rig, ball):
     # Points go where the pixels do.
     again, _ = looked(rig, found.pixels[:, COLUMNS], ball["bell"])
     np.testing.assert_allclose(found.points, again.points, atol=1e-5)
+
+
+def test_rows_are_columns_of_a_camera_that_lies_on_its_side(rig, ball):
+    by_columns = corrected(rig, [looked(rig, ball["seen"], ball["bell"])])
+    c, plane, stage = rig.camera, np.asarray(rig.light().plane), np.asarray(rig.axis("stage").per_step)
+    turned = [np.stack([np.asarray(x) for x in pair])[::-1] for pair in (c.focal, c.principal)]
+    with float64():
+        camera = Camera.create(c.image_size[::-1], *turned, "radial1", np.stack(jax.tree.leaves(c.lens)))
+        lying = as_numpy(Rig(camera, (LightPlane.create(plane[[1, 0, 2]]),), Linear.create(stage[[1, 0, 2]])))
+    by_rows = corrected(lying, [looked(lying, ball["seen"], ball["bell"], columns=False)], columns=False)
+    np.testing.assert_allclose(by_rows.pixels, by_columns.pixels, atol=2e-4)
 
 
 def test_points_do_not_depend_on_what_is_looked_at_together(rig, ball):
