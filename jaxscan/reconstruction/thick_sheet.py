@@ -58,7 +58,7 @@ _MOST_FRAMES: Final = 64
 # A neighbour's say grows with the square of its distance, up to this multiple of s.
 _FARTHEST: Final = 10.0
 # Neighbours are of one piece if their rows for each mm are alike up to this multiple.
-_ALIKE: Final = 2.0
+_ALIKE: Final = 1.4
 # Light more oblique than this tells nothing, cosine.
 _LEAST_COSINE: Final = 0.15
 # What columns up to this number away show is averaged, if the stripe goes on to them: px of it for each column.
@@ -71,6 +71,8 @@ _NOISE: Final = 2.0
 _MOST: Final = 0.25
 # Columns so far away show how a stripe bends.
 _ASKED: Final = 3
+# A stripe that bends more has an edge there, px per column squared.
+_MOST_BENT: Final = 0.07
 _PIXEL_VARIANCE: Final = 1 / 12
 _TINY: Final = 1e-12
 # Rays in either direction of the image at which the object's motion is looked at.
@@ -260,8 +262,9 @@ def _by_blur(stripe: Seen, covered: Lines, ln_light: Lines) -> tuple[Lines, Line
     """
     (slope, bend), (by_light, _) = (_differences(x) for x in (stripe.position, ln_light + jnp.log(jnp.abs(covered))))
     blur2 = jnp.maximum(stripe.bell**2 - covered**2, 0.0) / (1 + slope**2) + _PIXEL_VARIANCE
-    # At the ends of a stripe its bend is not known.
-    return jnp.nan_to_num(blur2 * (slope * by_light + 0.5 * bend)), jnp.nan_to_num(jnp.sqrt(blur2))
+    off = blur2 * (slope * by_light + 0.5 * bend)
+    # At the ends of a stripe its bend is not known, and what jumps does not bend.
+    return jnp.where(jnp.abs(bend) < _MOST_BENT, jnp.nan_to_num(off), 0.0), jnp.nan_to_num(jnp.sqrt(blur2))
 
 
 def _differences(values: Lines) -> tuple[Lines, Lines]:
