@@ -10,7 +10,6 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import chain
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -25,7 +24,6 @@ from jaxscan.images.decode import Image
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
-from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
 from jaxscan.reconstruction.light_watch import LightWatch
@@ -48,13 +46,12 @@ from jaxscan.reconstruction.sigma_map import MovedFrames, SigmaMap, point_sigmas
 from jaxscan.reconstruction.spacetime import Geometry, half_window, spacetime_profiles
 from jaxscan.reconstruction.spacetime_geometry import coarse_notes, spacetime_geometry
 from jaxscan.reconstruction.thick_sheet import Looked, ThickSheet, frames_apart, middles
-from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
+from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate_stripes
 from jaxscan.reconstruction.turns import two_frames, with_ends, with_runs
 from jaxscan.rig import Positions, Rig, played_axes, run_of
 from jaxscan.rig.play import Runs
 
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
-Seen = tuple[RangeImage, Stripe | None]
 
 
 class Scanner:
@@ -179,8 +176,9 @@ class Scanner:
             InputError: a photograph is not of the rig's size, or unlike the first, or its positions are not those of
                 the rig's axes.
         """
-        ready = self._laser(laser or StripeSettings())
-        found = self._looked(ready, frames, laser or StripeSettings(), background, batch)
+        settings = laser or StripeSettings()
+        ready = self._laser(settings)
+        found = self._looked(ready, frames, settings, background, batch)
         if whole and (begin := next(found, None)) is not None:
             two = {axis: np.asarray(steps)[:2] for axis, steps in begin[0].positions.items()}
             found = ready.middles(chain((begin,), found), ready.frames_apart(two if len(begin[0].valid) > 1 else None))
@@ -237,7 +235,7 @@ class Scanner:
         own, done = range(before, before + (len(step_groups(scan)) or sys.maxsize)), 0
         read = to_close.enter_context(closing(frames_of_scan(longer, rig.camera.image_size, self._decoders)))
         batches = self._batches(longer, read, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
-        found: Iterator[Seen]
+        found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
             found = laser.middles(self._stripes(laser, longer, batches, notes), apart)
         else:
@@ -335,7 +333,7 @@ class _Laser:
         )
         positions = np.pad(frames.positions, ((0, size - count), (0, 0)), mode="edge")
         q = dict(zip(axes, positions.T, strict=True))
-        points = _triangulated(
+        points = triangulate_stripes(
             self._kernel, FramePoses.create(self._rig.motion, q, size), position, self._laser.columns
         )
         found = self.with_sigma(position, sigma, strength, points, q)[:count, :]
@@ -430,10 +428,3 @@ def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterato
     for some in frames:
         yield some
         advance(len(some.positions))
-
-
-def _triangulated(
-    kernel: Kernel, frames: FramePoses, position: Float[np.ndarray, "frames lines"], columns: bool
-) -> Float[np.ndarray, "frames lines 3"]:
-    u, v = u_and_v(position, columns)
-    return np.asarray(triangulate(kernel, frames, jnp.asarray(u), jnp.asarray(v)))

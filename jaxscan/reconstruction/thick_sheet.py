@@ -40,7 +40,7 @@ from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.stripe import Stripe
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.range_image import RangeImage
-from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
+from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate_stripes
 from jaxscan.rig import Camera, Light, Motion, Rig
 from jaxscan.rig.light import distance, laser_place, nameless
 from jaxscan.rig.projection import pixel_rays
@@ -102,10 +102,6 @@ class ThickSheet(eqx.Module):
         light = rig.light(laser)
         given = (rig.camera, nameless(light), laser_place(light), np.asarray(sigma_mm))
         return ThickSheet(*jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), given), columns=columns)
-
-    def distance(self, points: Points) -> Lines:
-        """How far points lie from the sheet's middle, mm."""
-        return self.light.level(points) / jnp.linalg.norm(self.light.gradient(points), axis=-1)
 
 
 def frames_apart(rig: Rig, laser: str, sigma_mm: float, q: Mapping[str, Int[np.ndarray, "2"]]) -> int:
@@ -177,12 +173,11 @@ def _middles_of(
     core = np.where(stripe.burnt, stripe.breadth / 2, np.float32(0.0))
     seen = Seen(*(filled(x, here.start)[0] for x in (image.pixels, stripe.width / FWHM, core)))
     beside = filled(image.points, *(here.start + by for by in (-apart, -apart // 2, apart // 2, apart)))
-    position = seen.position - off_middle(sheet, frames, seen, filled(image.points, here.start)[0], beside)
-    line = jnp.broadcast_to(jnp.arange(position.shape[1], dtype=position.dtype), position.shape)
-    u, v = (line, position) if sheet.columns else (position, line)
-    points = np.asarray(triangulate(kernel, frames, u, v))[:count]
+    off = off_middle(sheet, frames, seen, filled(image.points, here.start)[0], beside)
+    position = np.asarray(seen.position - off)
+    points = triangulate_stripes(kernel, frames, position, sheet.columns)[:count]
     points = np.where(own.valid[..., None], points, np.float32(np.nan))
-    return replace(own, pixels=np.asarray(position)[:count], points=points)
+    return replace(own, pixels=position[:count], points=points)
 
 
 class Seen(eqx.Module):
@@ -260,16 +255,17 @@ def _by_blur(stripe: Seen, covered: Lines, ln_light: Lines) -> tuple[Lines, Line
         covered: standard deviation of what the sheet's thickness covers, px.
         ln_light: ln E.
     """
-    (slope, bend), (by_light, _) = (_differences(x) for x in (stripe.position, ln_light + jnp.log(jnp.abs(covered))))
+    (slope, bend), (by_light, _) = (
+        _differences(x, _ASKED) for x in (stripe.position, ln_light + jnp.log(jnp.abs(covered)))
+    )
     blur2 = jnp.maximum(stripe.bell**2 - covered**2, 0.0) / (1 + slope**2) + _PIXEL_VARIANCE
     off = blur2 * (slope * by_light + 0.5 * bend)
     # At the ends of a stripe its bend is not known, and what jumps does not bend.
     return jnp.where(jnp.abs(bend) < _MOST_BENT, jnp.nan_to_num(off), 0.0), jnp.nan_to_num(jnp.sqrt(blur2))
 
 
-def _differences(values: Lines) -> tuple[Lines, Lines]:
-    """First and second derivative from line to line; NaN where the lines that are asked have nothing."""
-    k = _ASKED
+def _differences(values: Lines, k: int) -> tuple[Lines, Lines]:
+    """First and second derivative from line to line, by those k lines away; NaN where these have nothing."""
     padded = jnp.pad(values, ((0, 0), (k, k)), constant_values=jnp.nan)
     left, right = padded[:, : -2 * k], padded[:, 2 * k :]
     return (right - left) / (2 * k), (right - 2 * values + left) / k**2
@@ -295,24 +291,20 @@ class _Side(eqx.Module):
         along, across = (uv[..., 0], uv[..., 1]) if sheet.columns else (uv[..., 1], uv[..., 0])
         # The motion carries what was seen in a line into another one.
         lines = jnp.arange(position.shape[1], dtype=position.dtype)[None]
-        across = across - (along - lines) * _central(across) / _central(along)
-        distance = sheet.distance(there)
-        normal = jnp.cross(there - here, _central_points(here) + _central_points(there))
+        across = across - (along - lines) * _differences(across, 1)[0] / _differences(along, 1)[0]
+        d = distance(sheet.light, there)
+        normal = jnp.cross(there - here, _along(here) + _along(there))
         to_laser = sheet.laser[None, None] - (here + there) / 2
         cosine = jnp.abs((normal * to_laser).sum(-1)) / (
             jnp.linalg.norm(normal, axis=-1) * jnp.linalg.norm(to_laser, axis=-1)
         )
         ln_light = jnp.where(cosine > _LEAST_COSINE, jnp.log(cosine), jnp.nan)
-        return _Side(distance, (across - position) / distance, ln_light)
+        return _Side(d, (across - position) / d, ln_light)
 
 
-def _central(values: Lines) -> Lines:
-    """Half the difference between both neighbouring lines; NaN at the ends."""
-    return jnp.pad((values[:, 2:] - values[:, :-2]) / 2, ((0, 0), (1, 1)), constant_values=jnp.nan)
-
-
-def _central_points(points: Points) -> Points:
-    return jnp.stack([_central(points[..., i]) for i in range(3)], axis=-1)
+def _along(points: Points) -> Points:
+    """The first derivative of points from line to line."""
+    return jnp.stack([_differences(points[..., i], 1)[0] for i in range(3)], axis=-1)
 
 
 def _shared(position: Lines, values: Lines, known: Bool[Array, "frames lines"]) -> tuple[Lines, Lines]:

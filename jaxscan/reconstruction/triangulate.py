@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.precision import Leaf, float64
 from jaxscan.reconstruction.field_inverse import FieldInverse
 from jaxscan.reconstruction.lens_inverse import FittedInverse, TiltedInverse, lens_inverse
@@ -122,6 +123,14 @@ def triangulate(
     of_frame = jax.vmap(kernel.point, in_axes=(None, 0, 0, None, None))
     moves = jax.tree.map(lambda leaf: 0 if leaf.ndim == 2 else None, kernel.light)
     return jax.vmap(of_frame, in_axes=(moves, 0, 0, 0, 0))(kernel.light, u, v, frames.A, frames.b)
+
+
+def triangulate_stripes(
+    kernel: Kernel, frames: FramePoses, position: Float[np.ndarray, "frames lines"], columns: bool
+) -> Float[np.ndarray, "frames lines 3"]:
+    """Positions of stripes, px, v of each column or u of each row, to points of the object frame, mm."""
+    u, v = u_and_v(position, columns)
+    return np.asarray(triangulate(kernel, frames, jnp.asarray(u), jnp.asarray(v)))
 
 
 @partial(jax.jit, donate_argnames="out", keep_unused=True)

@@ -14,7 +14,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Float64, Int
 
-from jaxscan.geometry.rotation import A
+from jaxscan.geometry.rotation import A, namespace
 from jaxscan.precision import as_float64, as_numpy, batches_of, float64
 
 # Newton's steps onto a sheet that is not flat; a flat one takes one.
@@ -86,10 +86,11 @@ def meet(light: Light, ray: Float[Array, "3"]) -> Float[Array, "3"]:
     return jnp.where(meets, ray / jnp.where(meets, inverse_depth, 1.0), jnp.nan)
 
 
-def distance(light: Light, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points"]:
+def distance(light: Light, points: Float[A, "*points 3"]) -> Float[A, "*points"]:
     """Distance of points from the sheet, to first order, mm; negative on the camera's side of it."""
-    light = as_numpy(light)
-    return light.level(points) / np.linalg.norm(light.gradient(points), axis=-1)
+    xp = namespace(points)
+    light = as_numpy(light) if xp is np else light
+    return light.level(points) / xp.linalg.norm(light.gradient(points), axis=-1)
 
 
 def laser_place(sheet: Light) -> Float[np.ndarray, "3"]:
