@@ -29,8 +29,9 @@ from hardware.lab.handing import Way
 from hardware.lab.relay import Relay
 from hardware.lab.throttle import network_of
 
-# A browser that does not answer the end of TLS.
-_FAREWELL_S: Final = 5.0
+# A browser that does not answer the end of TLS: its silence, and all of it. To end it while it still speaks is a reset,
+# which takes from it what it has not read.
+_FAREWELL_S, _FAREWELLS_S = 5.0, 30.0
 _LATEST_S: Final = 1.0
 # The first byte of every handshake.
 _HANDSHAKE: Final = b"\x16"
@@ -95,9 +96,10 @@ class Before:
         self._context, self._head_s = context, head_s
         self._turns = Turns()
         # Those without a handshake, and those that are said farewell, with the time until they may stay: both in the
-        # order in which they have to go.
+        # order in which they have to go. Of the latter, how long they may stay at most.
         self._young: dict[socket.socket, float] = {}
         self._leaving: dict[socket.socket, float] = {}
+        self._latest: dict[socket.socket, float] = {}
         self._lines: dict[int, tuple[socket.socket, Any]] = {}
         # By the descriptors of both sides.
         self._relays: dict[int, Relay] = {}
@@ -144,6 +146,11 @@ class Before:
         """See how one begins that has not said anything, or whether one that leaves has gone."""
         try:
             said = line.recv(1, socket.MSG_PEEK) if line in self._young else line.recv(1 << 16)
+        except BlockingIOError:
+            if not event & _GONE:
+                # What it said was passed on in this same round, before it was said farewell.
+                return
+            said = b""
         except OSError:
             said = b""
         if event & _GONE or not said or (line in self._young and said != _HANDSHAKE):
@@ -152,6 +159,10 @@ class Before:
             # Ended meanwhile, it still says so.
             self._poll.modify(line, 0)
             self._turns.add(line, network_of(str(peer[0])))
+        elif (until_s := time.monotonic() + _FAREWELL_S) <= self._latest[line]:
+            # To the end of the order.
+            del self._leaving[line]
+            self._leaving[line] = until_s
 
     def _begin(self, line: socket.socket) -> None:
         """Begin the handshake of one whose turn it is."""
@@ -201,7 +212,8 @@ class Before:
         self._forget(relay)
         line.shutdown(socket.SHUT_WR)
         self._gate.note(self._lines[line.fileno()][1], "rest")
-        self._leaving[line] = time.monotonic() + _FAREWELL_S
+        now_s = time.monotonic()
+        self._leaving[line], self._latest[line] = now_s + _FAREWELL_S, now_s + _FAREWELLS_S
         self._poll.register(line, select.EPOLLIN)
 
     def _forget(self, relay: Relay) -> None:
@@ -218,7 +230,7 @@ class Before:
         with contextlib.suppress(FileNotFoundError):
             self._poll.unregister(line)
         self._gate.left(self._lines.pop(number)[1])
-        for some in (self._young, self._leaving):
+        for some in (self._young, self._leaving, self._latest):
             some.pop(line, None)
         line.close()
 

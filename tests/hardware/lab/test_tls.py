@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import select
 import socket
 import ssl
 import threading
@@ -94,6 +95,22 @@ def test_addresses_take_turns_and_so_do_the_newest_and_the_oldest():
         line.close()
 
 
+def exchanged(browser: ssl.SSLSocket, words: bytes, pause_s: float, at_once: int = 1 << 16) -> bytes:
+    """Say this and hear all that is said at the same time, by one thread: a connection of TLS is not for two."""
+    browser.settimeout(0.0)
+    parts: list[bytes] = []
+    said, end_s = 0, time.monotonic() + LONG_S
+    while not (parts and not parts[-1]):
+        assert time.monotonic() < end_s
+        with contextlib.suppress(ssl.SSLWantWriteError, ssl.SSLWantReadError):
+            # What could not be said at once has to be said again as it was.
+            said += browser.send(words[said : said + at_once]) if said < len(words) else 0
+        with contextlib.suppress(ssl.SSLWantReadError):
+            parts.append(browser.recv(at_once))
+        time.sleep(pause_s)
+    return b"".join(parts)
+
+
 @pytest.mark.parametrize("slowly", [False, True])
 def test_everything_arrives_in_both_directions_at_once(speaker: Speaker, slowly: bool):
     browser, server = speaker.pair()
@@ -104,17 +121,58 @@ def test_everything_arrives_in_both_directions_at_once(speaker: Speaker, slowly:
 
     came: list[bytes] = []
     threads = [threading.Thread(target=answer), threading.Thread(target=lambda: came.append(heard(server, slowly)))]
-    threads.append(threading.Thread(target=browser.sendall, args=(LARGE,)))
     for thread in threads:
         thread.start()
-    assert heard(browser, slowly) == LARGE[::-1]
-    threads[2].join(LONG_S)
+    answered = exchanged(browser, LARGE, 0.001 * slowly)
     # All is said to the browser: what it still says is for nobody.
     browser.close()
     for thread in threads:
         thread.join(LONG_S)
-    assert LARGE.startswith(came[0])
     server.close()
+    assert answered == LARGE[::-1]
+    assert LARGE.startswith(came[0])
+    speaker.until(0)
+
+
+def test_one_that_speaks_while_it_is_said_farewell_loses_nothing(speaker: Speaker, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("hardware.lab.tls._FAREWELL_S", 0.5)
+    browser, server = speaker.pair()
+    server.sendall(LARGE[:400_000])
+    server.close()
+    # Two seconds, in which it is never silent for long.
+    assert exchanged(browser, LARGE, 0.02, 4000) == LARGE[:400_000]
+    browser.close()
+    speaker.until(0)
+
+
+def test_what_was_heard_in_the_round_of_the_farewell_is_no_end(speaker: Speaker):
+    """The poll says that the browser speaks, and the server's turn, which comes first, takes the words and ends."""
+    browser, server = speaker.pair()
+    server.close()
+    end_s = time.monotonic() + LONG_S
+    while not speaker.before._leaving and time.monotonic() < end_s:
+        time.sleep(0.01)
+    (line,) = speaker.before._leaving
+    speaker.before._hear(line, line.getpeername(), select.EPOLLIN)
+    assert line in speaker.before._leaving
+    browser.close()
+    speaker.until(0)
+
+
+def test_one_that_speaks_for_ever_is_ended(speaker: Speaker, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("hardware.lab.tls._FAREWELL_S", 0.5)
+    monkeypatch.setattr("hardware.lab.tls._FAREWELLS_S", 1.5)
+    browser, server = speaker.pair()
+    server.close()
+
+    def speak() -> None:
+        for _ in range(int(LONG_S / 0.05)):
+            browser.send(b"more")
+            time.sleep(0.05)
+
+    with pytest.raises(OSError, match=r"(reset|closed|[Bb]roken|EOF)"):
+        speak()
+    browser.close()
     speaker.until(0)
 
 
