@@ -105,7 +105,7 @@ def draw_one_scan(path: Path, apart: int = 500) -> None:
         rig = calibrate_session([out / "session"], out / "rig.json").rig
         reconstruct_scan(out / "scan", out / "rig.json", [out / "panda.npz"])
         image, floor = demo.object_alone(read_range_image(out / "panda.npz"))
-        demo.draw_picture(out, "panda", image, floor, rig)
+        demo.draw_picture(out, "panda", image, demo.joined(image), floor, rig)
         path.write_bytes((out / "panda.png").read_bytes())
 
 

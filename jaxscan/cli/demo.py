@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     import numpy as np
+    import trimesh
 
     from jaxscan.reconstruction import RangeImage
     from jaxscan.rig import Rig
@@ -65,6 +66,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     calibration = calibrate_session([out / "session"], out / "rig.json")
     _say(3, f"reconstruct: turn the photographs of a {name} into points, each with its uncertainty")
     reconstruct_scan(out / "scan", out / "rig.json", [out / f"{name}.ply", out / f"{name}.npz"])
+    from jaxscan.files.mesh import write_trimesh
     from jaxscan.reconstruction import read_range_image
     from jaxscan.simulation.accuracy import cloud_errors
 
@@ -77,9 +79,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     with progress("joining and drawing", 3, "part") as advance:
         image, floor = object_alone(image)
         advance()
-        _write_surface(out / f"{name}.stl", image, floor)
+        surface = joined(image)
+        write_trimesh(out / f"{name}.stl", surface, floor=floor.note())
         advance()
-        draw_picture(out, name, image, floor, calibration.rig)
+        draw_picture(out, name, image, surface, floor, calibration.rig)
         advance()
     return {
         "kind": "demo",
@@ -109,41 +112,45 @@ def object_alone(image: "RangeImage") -> "tuple[RangeImage, Floor]":
     return cleaned.where(stands_on(cleaned, floor)), floor
 
 
-def _write_surface(path: Path, image: "RangeImage", floor: "Floor") -> None:
-    """Write the triangles of a scan; one surface of what a turn has shown twice."""
+def joined(image: "RangeImage") -> "trimesh.Trimesh":
+    """The triangles of a scan; one surface of what a turn has shown twice."""
     import trimesh
 
-    from jaxscan.files.mesh import write_trimesh
     from jaxscan.surface.fused import fused
     from jaxscan.surface.passages import passages
     from jaxscan.surface.triangles import grid_surface
 
     if len(passages(image)) > 1:
-        write_trimesh(path, fused(image).mesh, floor=floor.note())
-        return
+        return fused(image).mesh
     surface = grid_surface(image)
-    write_trimesh(path, trimesh.Trimesh(surface.vertices, surface.triangles, process=False), floor=floor.note())
+    return trimesh.Trimesh(surface.vertices, surface.triangles, process=False)
 
 
-def draw_picture(out: Path, name: str, image: "RangeImage", floor: "Floor", rig: "Rig") -> None:
-    """Draw the scan beside the photograph from the middle of it."""
+def draw_picture(
+    out: Path, name: str, image: "RangeImage", surface: "trimesh.Trimesh", floor: "Floor", rig: "Rig"
+) -> None:
+    """Draw the surface of a scan beside the photograph from the middle of it."""
+    from scipy.spatial import KDTree
+
     from jaxscan.images import read_image
     from jaxscan.view.scan_picture import draw_scan
 
     frames = sorted((out / "scan" / "frames").iterdir())
     frame = int(image.valid.sum(axis=1).argmax())
+    nearest = KDTree(image.points[image.valid]).query(surface.vertices)[1]
     draw_scan(
         out / f"{name}.png",
         read_image(frames[frame]),
         image.pixels[frame],
         image,
+        surface,
         floor.up,
-        _colours(frames, image, rig),
+        _colours(frames, image, rig)[nearest],
     )
 
 
 def _colours(frames: list[Path], image: "RangeImage", rig: "Rig") -> "np.ndarray":
-    """The points' colours: their mean over the photographs that show them beside the stripe.
+    """The valid points' colours: their mean over the photographs that show them beside the stripe.
 
     Of a travel the first and the last are looked at, of a turn some all around. In a turn the stripe never leaves what
     is close to the axis: this gets the colours of the nearest points that have some.
@@ -168,10 +175,8 @@ def _colours(frames: list[Path], image: "RangeImage", rig: "Rig") -> "np.ndarray
     if whole and known.any():
         points = image.points[image.valid]
         found[~known] = found[known][KDTree(points[known]).query(points[~known])[1]]
-    colours = np.full(image.points.shape, np.nan)
-    colours[image.valid] = found
-    brightest = np.nanpercentile(colours, 99) if np.isfinite(colours).any() else 255.0
-    return np.clip(235.0 / brightest * colours, 0.0, 255.0)
+    brightest = np.nanpercentile(found, 99) if np.isfinite(found).any() else 255.0
+    return np.clip(235.0 / brightest * found, 0.0, 255.0)
 
 
 def describe(result: dict[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """A scan beside the photograph that it came from: one picture, without any extra."""
 
 import os
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -10,8 +10,10 @@ from jaxscan.images import draw_stripe, write_image
 from jaxscan.images.decode import Image
 from jaxscan.images.shaded import beside, cut_out, draw_surface
 from jaxscan.reconstruction import RangeImage
-from jaxscan.surface.triangles import grid_surface
 from jaxscan.view.mesh_picture import vertex_normals
+
+if TYPE_CHECKING:
+    import trimesh
 
 _SIZE: Final = (640, 560)
 _MARGIN: Final = 0.12
@@ -26,8 +28,9 @@ def draw_scan(
     photograph: Image,
     stripe: Float[np.ndarray, "columns"],
     image: RangeImage,
+    surface: "trimesh.Trimesh",
     up: Float[np.ndarray, "3"],
-    colours: Float[np.ndarray, "frames columns 3"] | None = None,
+    colours: Float[np.ndarray, "vertices 3"],
 ) -> None:
     """Draw a photograph of the scan, with its stripe, and beside it the surface of the scan, shaded.
 
@@ -36,16 +39,15 @@ def draw_scan(
         photograph: one frame.
         stripe: the row in which its stripe was found in each column, NaN for none, px.
         image: the points of the object alone.
+        surface: its triangles, object frame, mm.
         up: unit vector, object frame: what is up in the picture of the surface.
-        colours: red, green and blue of each point, 0 to 255, NaN where not known; all of clay if None.
+        colours: red, green and blue of each vertex, 0 to 255; NaN where not known, which becomes clay.
 
     Raises:
-        InputError: hardly any point has neighbours, or the file cannot be written.
+        InputError: the file cannot be written.
     """
-    surface = grid_surface(image)
-    vertices = surface.vertices.astype(np.float64)
-    paint = np.full((len(vertices), 3), np.nan) if colours is None else colours.reshape(-1, 3)[surface.place]
-    paint = np.where(np.isfinite(paint), paint, _CLAY)
+    vertices = np.asarray(surface.vertices, np.float64)
+    paint = np.where(np.isfinite(colours), colours, _CLAY)
     right = np.array([1.0, 0.0, 0.0])
     right = np.cos(_AZIMUTH) * _across(right, up) + np.sin(_AZIMUTH) * np.cross(up, _across(right, up))
     toward = np.sin(_ELEVATION) * up + np.cos(_ELEVATION) * np.cross(right, up)
@@ -55,7 +57,8 @@ def draw_scan(
     scale = (1 - 2 * _MARGIN) * min(np.array(_SIZE) / (high - low))
     corners = scale * (flat - (low + high) / 2) + np.array(_SIZE) / 2
     light = toward + 0.7 * above - 0.6 * right
-    normals, triangles = vertex_normals(vertices, surface.triangles), surface.triangles
+    triangles = np.asarray(surface.faces)
+    normals = vertex_normals(vertices, triangles)
     if (normals @ toward).mean() < 0:
         normals, triangles = -normals, triangles[:, ::-1]
     shaded = draw_surface(corners, -vertices @ toward, normals, triangles, paint, light / np.linalg.norm(light), _SIZE)

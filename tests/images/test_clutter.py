@@ -60,6 +60,15 @@ def test_clutter_is_no_stripe_and_the_stripe_is_kept(name):
     assert kept.mean() > 0.975
 
 
+@pytest.mark.parametrize("white", [12.0, 20.0, 40.0])
+def test_a_small_white_thing_where_no_stripe_is_seen_is_none(white):
+    """It is brighter than most of the frame: in a turn a white panda's head had points, 20 mm off."""
+    small = white * ((np.abs(U - 400) < 14) & (np.abs(V - 225) < 6))
+    found = detect_stripe(photograph(STRIPE, small), RED)
+    assert not found.valid[0, GAP].any()
+    assert found.valid[0, ~GAP].mean() > 0.99
+
+
 def test_a_lamp_is_as_thick_as_it_looks():
     """A disc of 33 px was taken for a stripe: its steep flanks told a width of 7."""
     line = np.arange(COLUMNS)

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from jaxscan.cli.demo import joined
 from jaxscan.reconstruction import RangeImage
 from jaxscan.view.scan_picture import draw_scan
 
@@ -24,9 +25,10 @@ def hill() -> RangeImage:
 def test_the_surface_stands_beside_its_photograph_in_its_colours(tmp_path: Path) -> None:
     image = hill()
     photograph = np.full((80, 60, 3), (0, 200, 0), np.uint8)
-    colours = np.where(image.points[..., :1] < 0, [220.0, 30.0, 30.0], [30.0, 30.0, 220.0])
+    surface = joined(image)
+    colours = np.where(surface.vertices[:, :1] < 0, [220.0, 30.0, 30.0], [30.0, 30.0, 220.0])
     up = np.array([0.0, 0.0, -1.0])
-    draw_scan(tmp_path / "scan.png", photograph, image.pixels[20], image, up, colours)
+    draw_scan(tmp_path / "scan.png", photograph, image.pixels[20], image, surface, up, colours)
     picture = cv2.imread(str(tmp_path / "scan.png"))
     assert picture is not None
     blue, green, red = (picture[..., k].astype(int) for k in range(3))

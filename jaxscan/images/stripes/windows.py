@@ -28,6 +28,11 @@ _SMOOTHING = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 _LEAST_S2: Final = 0.01
 # Between full pixels one is full from this part of a full number on.
 _NEARLY: Final = 0.8
+# A stripe may be white where the laser's channel reaches this part of a full number. Of white light two channels rise
+# by twice what the third does, of the laser's by less than this part of that. A level above all others.
+_MAY_BE_WHITE: Final = 0.7
+_AS_WHITE: Final = 0.5
+_NO_CAP: Final = 2**20
 # What `smoothed` adds to the variance of a stripe, px².
 _ADDED_PX2: Final = 0.5
 # What it leaves of the variance of independent pixels, and what pixels 1 and 2 apart then share of it.
@@ -253,8 +258,25 @@ def gather_windows(
         r, gain, added = smoothed(r, here.smooth & (plain if cut is None else plain & ~cut.lines))
     if cut is not None:
         r = jnp.where(cut.lines, cut.smoothed(r), r)
-    neutral = None if color == "grey" else response(levels, NEUTRAL, here.ambient)
+    neutral = None if color == "grey" else response(levels, NEUTRAL, _cap(levels, laser, here))
     return Windows(r, neutral, full, first, gain, added, cut)
+
+
+def _cap(
+    levels: tuple[Shaped[Array, "groups window lines"], ...],
+    laser: Shaped[Array, "groups window lines"],
+    sensor: Sensor,
+) -> Int[Array, "groups 1 lines"]:
+    """The neutral response's c: none where something small and white shines, as a head before a dark ground.
+
+    c is the level of most of the frame, and what is brighter does not cancel. A stripe is white only where its own
+    channel comes near to full.
+    """
+    stripe = (laser >= (_MAY_BE_WHITE * sensor.full).astype(laser.dtype)).any(1, keepdims=True)
+    own, others = (_softened(level.astype(jnp.float32)) for level in (levels[0], levels[1] + levels[2]))
+    above = others - sensor.ambient
+    white = ((above > 0) & (above > _AS_WHITE * (own - sensor.ambient / 2))).any(1, keepdims=True)
+    return jnp.where(white & ~stripe, _NO_CAP, sensor.ambient)
 
 
 def full_pixels(
