@@ -3,6 +3,9 @@
 Each pixel's laser light is multiplied by a gamma variable of mean 1, whose standard deviation is the contrast. Where
 speckle is correlated, a Gaussian field smoothed to the correlation length (covariance e^(−r² / 2 l²)) is taken to
 gamma variables through its quantiles. The bound is that of normal pixels with the covariance that they have.
+
+The surface is smooth: the stripe winds over all places in a pixel. On one that is rough by as much as the error, σ has
+a part of the roughness in it, for no photograph tells the two apart: `rough` says how much.
 """
 
 import itertools
@@ -30,7 +33,7 @@ Image = Float[np.ndarray, "rows columns"]
 
 def measure(quick: bool) -> list[Metric]:
     """The grid, burnt-out stripes, an edge of 10:1 along the stripe; in the short form fewer cells and detectors."""
-    return grid(quick) + burnt(quick) + ([] if quick else burnt_and_narrow()) + edge()
+    return grid(quick) + burnt(quick) + ([] if quick else rough() + burnt_and_narrow()) + edge()
 
 
 def grid(quick: bool) -> list[Metric]:
@@ -38,7 +41,7 @@ def grid(quick: bool) -> list[Metric]:
     widths, signals, contrasts, grains = _QUICK if quick else (_WIDTHS, _SIGNALS, _CONTRASTS, _GRAINS)
     names: tuple[Detector, ...] = ("likelihood", "gravity", "ridge") if quick else tuple(DETECTORS)
     random = np.random.default_rng(0)
-    centre = _ROWS / 2 + 4 * np.sin(np.arange(_COLUMNS) / 40) + random.uniform(-0.5, 0.5, _COLUMNS)
+    centre = _winding()
     print("  RMS error over the bound (predicted σ over the actual)")
     print("    σ px, signal/noise, contrast, grain px    " + "".join(f"{name:>14}" for name in names))
     worst: dict[tuple[float, float], list[tuple[float, float, float]]] = {}
@@ -65,10 +68,28 @@ def grid(quick: bool) -> list[Metric]:
     return metrics
 
 
+def rough() -> list[Metric]:
+    """Predicted σ over the actual error on a surface that is rough by half a pixel either way from line to line."""
+    random = np.random.default_rng(3)
+    centre = _winding() + random.uniform(-0.5, 0.5, _COLUMNS)
+    ratios = []
+    widths, _, contrasts, grains = _QUICK
+    for s, signal, contrast, grain in itertools.product(widths, _SIGNALS, contrasts, grains):
+        if contrast or not grain:
+            image = _photograph(_HEIGHT * profile(centre, s), contrast, grain, signal, random)
+            rms, sigma = _error(image, centre, DEFAULT)
+            ratios.append(sigma / rms)
+    print(f"  on a rough surface: predicted σ over the actual {min(ratios):.2f} to {max(ratios):.2f}", flush=True)
+    return [
+        Metric("speckle.rough.lowest_ratio", min(ratios), "", "higher", 0.85),
+        Metric("speckle.rough.highest_ratio", max(ratios), "", "lower", None, 0.1),
+    ]
+
+
 def burnt(quick: bool) -> list[Metric]:
     """Stripes whose core of 1 to 9 px is full, speckle 0.2: predicted σ over the actual, and error over gravity's."""
     random = np.random.default_rng(2)
-    centre = _ROWS / 2 + 4 * np.sin(np.arange(_COLUMNS) / 40) + random.uniform(-0.5, 0.5, _COLUMNS)
+    centre = _winding()
     print("  burnt-out: RMS error, px (predicted σ over the actual)")
     print("    core px, σ px, grain px        likelihood        gravity")
     worst: dict[float, list[tuple[float, float]]] = {}
@@ -99,7 +120,7 @@ def burnt(quick: bool) -> list[Metric]:
 def burnt_and_narrow() -> list[Metric]:
     """Narrow stripes on an even surface, cores of 1 to 4 px full, speckle that their flanks do not show: σ."""
     random = np.random.default_rng(4)
-    centre = _ROWS / 2 + 4 * np.sin(np.arange(_COLUMNS) / 40)
+    centre = _winding()
     print("  burnt-out and narrow: RMS error, px (predicted σ over the actual), by contrast")
     ratios = []
     for s, core in itertools.product((0.7, 0.9, 1.1), (1, 2, 3, 4)):
@@ -132,6 +153,11 @@ def edge() -> list[Metric]:
         name = f"speckle.edge.contrast_{contrast:g}" + (f".grain_{grain:g}" if contrast else "")
         metrics.append(Metric(f"{name}.over_gravity", share, "", "lower", goal))
     return metrics
+
+
+def _winding() -> Float[np.ndarray, "columns"]:
+    """The stripe's centre in each column: a smooth surface."""
+    return _ROWS / 2 + 4 * np.sin(np.arange(_COLUMNS) / 40)
 
 
 def _photograph(light: Image, contrast: float, grain: float, signal: float, random: np.random.Generator) -> np.ndarray:

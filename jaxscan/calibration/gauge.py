@@ -10,7 +10,7 @@ Nearest points of the shapes, outliers, σ and the solve take turns until they s
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import equinox as eqx
 import jax
@@ -19,10 +19,21 @@ import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
+from scipy.stats import chi2
 
 from jaxscan.calibration.bundle import Prior, solve
 from jaxscan.calibration.correlation import integrated_correlation
-from jaxscan.calibration.gauge_points import Gauge, GaugeScan, distances, errors, facing, on_object, stripe_points
+from jaxscan.calibration.gauge_points import (
+    Gauge,
+    GaugeScan,
+    Level,
+    distances,
+    errors,
+    facing,
+    levels_read,
+    on_object,
+    stripe_points,
+)
 from jaxscan.calibration.gauge_residuals import GaugePoints
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.result import Calibration
@@ -52,6 +63,11 @@ _SMALLEST_TOLERANCE = 0.02
 # pushed by some 3 degrees.
 _CORRECTED = frozenset({"laser", "stage"})
 _NOT_TRUSTED = 0.05
+# Where all agree the rig moves further than is said in this part of all cases; a gauge that fits less well by this
+# factor than before is another.
+_BY_CHANCE, _WORSE = 1e-4, 1.2
+# A level is off beyond this many times what chance makes of its mean, and beyond this part of a point's error.
+_SURE, _OF_A_POINT = 6.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -67,6 +83,7 @@ class GaugeReading:
         rms_before_mm: RMS distance of the points that took part from the gauge's surface, by the rig as it was,
             with the gauge aligned as well as possible.
         rms_after_mm: the same by the refined rig.
+        levels: how level faces read by the refined rig; none of other shapes.
     """
 
     pose: Pose
@@ -76,6 +93,13 @@ class GaugeReading:
     correlation: float
     rms_before_mm: float
     rms_after_mm: float
+    levels: tuple[Level, ...] = ()
+
+    def is_off(self, level: Level) -> bool:
+        """Whether a level reads another height than it has, beyond chance and by more than a point's error is."""
+        off = abs(level.read_mm - level.known_mm)
+        chance = _SURE * self.rms_after_mm * (self.correlation / max(level.points, 1)) ** 0.5
+        return off > max(chance, _OF_A_POINT * self.rms_after_mm)
 
 
 @dataclass(frozen=True)
@@ -86,23 +110,59 @@ class GaugeFit:
         rig: the refined rig.
         covariance: of its parameters; one that neither the boards nor a gauge know anything of was held.
         gauges: gauge by gauge.
-        from_prior_in_sigma: how far the rig moved from what was known of it, in standard deviations: much more than
-            the root of the number of its parameters says that gauges and boards contradict each other.
+        from_prior_in_sigma: how far the rig moved from what was known of it, in standard deviations.
+        by_chance_in_sigma: where gauges and boards agree, it moves by more than this in one of ten thousand.
     """
 
     rig: Rig
     covariance: Covariance
     gauges: tuple[GaugeReading, ...]
     from_prior_in_sigma: float
+    by_chance_in_sigma: float
 
-    def rig_file(self, fit: dict[str, object] | None = None) -> RigFile:
-        """What `write_rig` writes; what else the earlier fit had to say goes along."""
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """What gauges and boards do not agree in, sentences without their full stops; none where they agree."""
+        found = []
+        if self.from_prior_in_sigma > self.by_chance_in_sigma:
+            found.append(
+                f"The gauge contradicts what was known of the rig, which would have moved by "
+                f"{self.from_prior_in_sigma:.1f} standard deviations, {self.by_chance_in_sigma:.1f} at most by chance. "
+                "Check the gauge's dimensions, and what has moved since the calibration (--trust)"
+            )
+        for gauge in self.gauges:
+            if gauge.rms_after_mm > _WORSE * gauge.rms_before_mm:
+                found.append(
+                    "The gauge does not have the shape that it is said to have: its points are "
+                    f"{gauge.rms_after_mm:.3f} mm RMS from its surface, and were {gauge.rms_before_mm:.3f} mm from it "
+                    "before the rig was refined. Check its dimensions"
+                )
+            found += [
+                f"No point lies on the gauge's level of {level.known_mm:g} mm: check its dimensions, and what "
+                "else stood there"
+                for level in gauge.levels
+                if not level.points
+            ]
+            if off := [level for level in gauge.levels if gauge.is_off(level)]:
+                read = ", ".join(f"{level.known_mm:g} reads {level.read_mm:.3f}" for level in off)
+                found.append(f"Levels of the gauge do not go together: {read} mm. Check its dimensions")
+        return tuple(found)
+
+    def rig_file(self, fit: dict[str, Any] | None = None, warnings: Sequence[str] = ()) -> RigFile:
+        """What `write_rig` writes.
+
+        Args:
+            fit: what else the earlier fit had to say.
+            warnings: what else the rig must not be used without knowing, beside the contradictions.
+        """
         words = {
             "gauge_points": [gauge.points for gauge in self.gauges],
             "gauge_rms_mm": [gauge.rms_after_mm for gauge in self.gauges],
             "gauge_sigma_px": [gauge.stripe_sigma_px for gauge in self.gauges],
         }
-        return RigFile(self.rig, self.covariance, {**(fit or {}), **words})
+        fit = fit or {}
+        said = [*fit.get("warnings", ()), *self.contradictions, *warnings]
+        return RigFile(self.rig, self.covariance, {**fit, **words, **({"warnings": said} if said else {})})
 
 
 def refine_by_gauge(
@@ -149,6 +209,7 @@ def refine_by_gauge(
             covariance=covariance,
             gauges=_readings(gauges, seen, laid, fitted),
             from_prior_in_sigma=float(np.linalg.norm(shift)),
+            by_chance_in_sigma=float(np.sqrt(chi2.isf(_BY_CHANCE, len(shift)))),
         )
 
 
@@ -360,6 +421,7 @@ def _readings(gauges: Sequence[Gauge], seen: GaugePoints, laid: _Fitted, fitted:
             correlation=float(fitted.correlation[i]),
             rms_before_mm=float(np.sqrt((before[i, used[i]] ** 2).mean())),
             rms_after_mm=float(np.sqrt((after[i, used[i]] ** 2).mean())),
+            levels=levels_read(gauges[i], fitted.system, fitted.scans, i),
         )
         for i in range(len(gauges))
     )

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, Real
 
 from jaxscan.calibration.blocks import bucket
 from jaxscan.calibration.gauge_residuals import GaugePoints, gauge_errors, points_of_object
-from jaxscan.calibration.gauge_shapes import Shape
+from jaxscan.calibration.gauge_shapes import Shape, Steps
 from jaxscan.geometry import Pose
 from jaxscan.rig import Rig, System
 
@@ -122,6 +122,40 @@ def distances(gauges: Sequence[Gauge], system: System, seen: GaugePoints) -> Flo
         local, at = _in_gauge(system, points, seen, i)
         found[i, at] = np.linalg.norm(local - gauge.shape.nearest(local)[0], axis=1)
     return found
+
+
+@dataclass(frozen=True)
+class Level:
+    """How a level face of a gauge reads.
+
+    Attributes:
+        known_mm: its height above the lowest level that is seen, as it is known to be.
+        read_mm: as it reads, the median of its points; NaN where it has none.
+        points: how many it has.
+    """
+
+    known_mm: float
+    read_mm: float
+    points: int
+
+
+def levels_read(gauge: Gauge, system: System, scans: GaugePoints, i: int) -> tuple[Level, ...]:
+    """How the levels above the lowest read; none of a shape without levels.
+
+    Args:
+        gauge: that of scan `i`.
+        system: with the pose of the gauge.
+        scans: the points, those alone in use that lie on the gauge.
+        i: which scan.
+    """
+    if not isinstance(gauge.shape, Steps):
+        return ()
+    local, _ = _in_gauge(system, np.asarray(on_object(system.rig, scans)[0]), scans, i)
+    z, level = local[:, 2], gauge.shape.nearest(local)[0][:, 2]
+    lowest = level.min()
+    foot = np.median(z[level == lowest])
+    above = [(float(height - lowest), z[level == height]) for height in gauge.shape.heights if height > lowest]
+    return tuple(Level(h, float(np.median(its) - foot) if its.size else np.nan, its.size) for h, its in above)
 
 
 def _in_gauge(

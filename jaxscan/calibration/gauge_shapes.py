@@ -25,6 +25,8 @@ _SAMPLE: Final = 1500
 _SEED: Final = 2003
 # How far a cloud may be off before the refinement: this share of its size, and so much more, mm.
 _ROUGHLY_SHARE, _ROUGHLY_MM = 0.08, 0.3
+# What is smaller than this, mm, is given in other units.
+_SMALLEST_MM: Final = 0.5
 # Turns about the vertical that are tried for a mesh, and rounds of nearest points for each.
 _TURNS, _ROUNDS = 24, 12
 
@@ -232,15 +234,17 @@ def parse_shape(text: str, units: str | None = None) -> Shape:
         units: of a mesh, as `in_millimetres` has them.
 
     Raises:
-        InputError: it names none of these, or a file that holds no mesh.
+        InputError: it names none of these, something too small to be one, or a file that holds no mesh.
     """
     numbers = r"\d+(?:\.\d+)?"
     if text == "plate":
         return Steps()
     if re.fullmatch(rf"steps:{numbers}(?:,{numbers})*", text):
         heights = {float(h) for h in text.split(":")[1].split(",")}
+        _in_millimetres(text, max(heights))
         return Steps((0.0, *sorted(heights - {0.0})))
     if re.fullmatch(rf"ball:{numbers}", text) and (radius := float(text.split(":")[1])) > 0:
+        _in_millimetres(text, radius)
         return Ball(radius)
     path = Path(text)
     if not path.is_file():
@@ -251,3 +255,11 @@ def parse_shape(text: str, units: str | None = None) -> Shape:
     mesh = read_mesh(path)
     mesh.vertices = in_millimetres(text, np.asarray(mesh.vertices), units)
     return Solid(mesh)
+
+
+def _in_millimetres(text: str, size: float) -> None:
+    if 0 < size < _SMALLEST_MM:
+        raise InputError(
+            f'"{text}": is {size:g} mm in size, which no stripe shows: give millimetres '
+            f"({size:g} m are {1000 * size:g})"
+        )

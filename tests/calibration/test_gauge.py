@@ -206,3 +206,23 @@ def test_a_gauge_in_two_places(turned, block, by_block, true_rig):
     assert (two[-6:-3] < 0.8 * one[-6:-3]).any()
     assert (np.abs(values_of(fit.rig) - values_of(true_rig)) < 4 * two).all()
     assert [gauge.points > 3000 for gauge in fit.gauges] == [True, True]
+
+
+def test_a_wrong_certificate_contradicts_the_boards(true_rig, block):
+    content = RigFile(true_rig, Covariance(tuple(parameter_names(true_rig)), np.diag(SIGMA**2)))
+    right = refine_by_gauge(content, [Gauge(block, Steps((0.0, *HEIGHTS)))])
+    assert right.contradictions == ()
+    assert "warnings" not in right.rig_file().fit
+    read = [level.read_mm for level in right.gauges[0].levels]
+    np.testing.assert_allclose(read, HEIGHTS, atol=0.02)
+    unseen = refine_by_gauge(content, [Gauge(block, Steps((0.0, 1.48, 3.68, 8.94, 16.0)))])
+    assert any("No point lies on the gauge's level of 16 mm" in words for words in unseen.contradictions)
+    wrong = refine_by_gauge(content, [Gauge(block, Steps((0.0, 1.48, 3.68, 8.94, 14.5)))])
+    assert any("Levels of the gauge do not go together: " in words for words in wrong.contradictions)
+    assert wrong.rig_file({"warnings": ["before"]}, ["after"]).warnings == ("before", *wrong.contradictions, "after")
+
+
+@pytest.mark.parametrize("text", ["steps:0.01,0.02", "ball:0.007"])
+def test_metres_are_recognised(text):
+    with pytest.raises(InputError, match=r"give millimetres \(0\.0\d+ m are (20|7)\)"):
+        parse_shape(text)
