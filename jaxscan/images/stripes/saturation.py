@@ -61,7 +61,9 @@ def _plateau(
     flat = (count >= _FEWEST) & (count > _FLAT * high.sum(1))
     usual = median(jnp.where(flat, top, jnp.nan))
     off = median(jnp.where(flat, jnp.abs(top - usual[:, None]), jnp.nan))
-    inside = near & jnp.roll(near, 1, axis=1) & jnp.roll(near, -1, axis=1) & flat[:, None]
+    # Flat tops that are lower are something else: a lit border beside a shadow.
+    alike = flat & (jnp.abs(top - usual[:, None]) <= 2 * _ALIKE * usual[:, None])
+    inside = near & jnp.roll(near, 1, axis=1) & jnp.roll(near, -1, axis=1) & alike[:, None]
     below = jnp.where(inside, (jnp.maximum(usual[:, None, None] - level, 0)) ** 2, 0.0).sum((1, 2))
     spread = jnp.sqrt(below / jnp.maximum(inside.sum((1, 2)), 1))
     beyond = (top > _BEYOND * usual[:, None]).mean(1)
