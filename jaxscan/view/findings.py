@@ -8,7 +8,7 @@ import numpy as np
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, Suspect
 from jaxscan.calibration.diagnostics.halves import Agreement
-from jaxscan.calibration.diagnostics.suspects import REJECTED
+from jaxscan.calibration.diagnostics.suspects import LEAST_PX, REJECTED
 from jaxscan.reconstruction.working_volume import WorkingVolume
 from jaxscan.view.model_findings import listed, model_findings
 from jaxscan.view.report import Box
@@ -46,6 +46,14 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
 
 def _suspect(suspect: Suspect) -> Box:
     where = "Photograph on stage or turntable" if suspect.staged else "Photograph"
+    if suspect.stripe_alone:
+        return Box(
+            "care",
+            f"{where} {suspect.name}: {100 * (suspect.stripe_rejected or 0.0):.0f} % of its stripe points were "
+            "rejected. Its corners fit, and so does the rest of its stripe.",
+            "A part of the stripe lies on something else than the board, on borders of squares, or is a reflection: "
+            "look at it, and take it again if it is.",
+        )
     what = (
         f"{where} {suspect.name} does not fit the others: its corners are off by {suspect.corner_median_px:.2f} px in "
         f"the median, where {suspect.usual_corner_median_px:.2f} px is usual"
@@ -194,7 +202,8 @@ def _worse(diagnostics: Diagnostics) -> list[Box]:
     worse = [
         p
         for p in each
-        if p.corner_rms_px > _WORSE * corner and (p.stripe_rms_px is None or p.stripe_rms_px > _WORSE * stripe)
+        if p.corner_rms_px > max(_WORSE * corner, LEAST_PX)
+        and (p.stripe_rms_px is None or p.stripe_rms_px > _WORSE * stripe)
     ]
     if not worse:
         return []

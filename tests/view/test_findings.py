@@ -69,6 +69,10 @@ def better(ladder: Ladder, lens: str) -> Ladder:
         (lambda d: {"suspects": (SUSPECT,)}, "stop: Photograph 07.png does not fit .* fits when it is mirrored left"),
         (lambda d: {"suspects": (replace(SUSPECT, explanation=None),)}, "stop: .* another camera"),
         (lambda d: {"suspects": (replace(SUSPECT, explanation=None, staged=True),)}, "stop: .* Its step count"),
+        (
+            lambda d: {"suspects": (replace(SUSPECT, explanation=None, corners_rejected=0.04, stripe_rejected=0.31),)},
+            "care: Photograph 07.png: 31 % of its stripe points were rejected. Its corners fit",
+        ),
         (lambda d: {"halves": agreement(2.0)}, "care: Two halves .* 2.0 times .* lights.0.plane.0, 4.0 σ"),
         (lambda d: {"halves": agreement(6.0)}, "stop: Two halves"),
         (lambda d: {"halves": None}, "care: A half of the photographs gives no rig"),

@@ -26,7 +26,11 @@ from jaxscan.precision import float64
 REJECTED = 0.3
 # … or when the median error of its corners is this multiple of that of all photographs. The median, because a stripe
 # that crosses a corner moves that corner far off, and this says nothing against the photograph.
-_WORSE = 2.0
+# In photographs whose corners are known to a few thousandths of a pixel, less than this is no fault of one.
+_WORSE, LEAST_PX = 2.0, 0.03
+# Corners fit if no more than this share was rejected. Where they do, at most this share of the stripe lies on something
+# else.
+_FEW, _HALF = 0.1, 0.5
 # An explanation counts when it reduces corner and stripe errors to this multiple of the usual, and by half at least.
 _FITS = 3.0
 _FALL = 0.5
@@ -63,6 +67,13 @@ class Suspect:
     stripe_median_px: float | None
     explanation: str | None
 
+    @property
+    def stripe_alone(self) -> bool:
+        """Whether a part of its stripe is all that does not fit: it lies on something else than the board."""
+        stripe = self.stripe_rejected or 0.0
+        corners = _off(self.corner_median_px, self.usual_corner_median_px) or self.corners_rejected > _FEW
+        return REJECTED < stripe <= _HALF and not corners and self.explanation is None
+
 
 def suspects(calibration: Calibration, explain: bool = True) -> tuple[Suspect, ...]:
     """The photographs that do not fit the others, those rejected most first.
@@ -77,12 +88,16 @@ def suspects(calibration: Calibration, explain: bool = True) -> tuple[Suspect, .
     found = []
     for fit, i, staged in fits:
         corners, stripe = _rejected(fit)
-        if max(corners, stripe or 0.0) > REJECTED or _median(fit.corner_errors) > _WORSE * usual:
+        if max(corners, stripe or 0.0) > REJECTED or _off(_median(fit.corner_errors), usual):
             corner, median, explanation = _median(fit.corner_errors), None, None
             if explain and not staged:
                 corner, median, explanation = _explain(calibration, i, usual)
             found.append(Suspect(fit.name, staged, corners, stripe, corner, usual, median, explanation))
     return tuple(sorted(found, key=lambda s: -(s.corners_rejected + (s.stripe_rejected or 0.0))))
+
+
+def _off(median_px: float, usual_px: float) -> bool:
+    return median_px > max(_WORSE * usual_px, LEAST_PX)
 
 
 def mirror(view: View, board: Board, image_size: tuple[int, int], u: bool, v: bool) -> View:
