@@ -74,6 +74,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         )
 
     if args.resume:
+        asked = [f"--{name}" for name in ("frames", "apart", "first", "positions") if getattr(args, name) is not None]
+        if asked:
+            raise InputError(
+                f"--resume goes on with the plan that is in {args.folder}: leave out {', '.join(asked)}, or scan into "
+                "another folder"
+            )
         folder = ScanFolder.resume(args.folder)
         if folder.done.frames:
             with as_input():

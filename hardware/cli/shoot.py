@@ -9,6 +9,8 @@ from hardware.cli.options import add_axis_argument, add_scanner_arguments, check
 HELP: Final = "take one photograph where the axes stand, with the laser on"
 EXAMPLE: Final = "scanner shoot stripe.png --step 20000\n  scanner shoot stripe.png --axis turntable --step 800"
 
+_ENDINGS: Final = ".png", ".jpg", ".jpeg", ".tif", ".tiff"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -25,8 +27,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from hardware.safety import safely
     from hardware.scan import ensure_homed
     from jaxscan.atomic import check_writable
+    from jaxscan.errors import InputError
     from jaxscan.images import write_image
 
+    if args.output.suffix.lower() not in _ENDINGS:
+        raise InputError(f"{args.output}: end its name with one of {', '.join(_ENDINGS)}: others cannot be read again")
     check_writable(args.output)
     if args.step is not None:
         check_travel(read_scanner(args.scanner), [{args.axis: args.step}])

@@ -157,8 +157,8 @@ def describe(result: dict[str, Any]) -> str:
     rows = result["dimensions"]
     wide = max([len(row["name"]) for row in rows], default=0)
     open_rows = [row["name"] for row in rows if row["value"] is None]
-    where = f" in what was measured, {len(open_rows)} of {len(rows)} dimensions were not" if open_rows else ""
-    lines = [f"{result['path']}: {result['part']}" + (f", {result['verdict']}{where}" if result["verdict"] else "")]
+    count = f"; {len(rows) - len(open_rows)} of {len(rows)} dimensions could be measured" if open_rows else ""
+    lines = [f"{result['path']}: {result['part']}" + (f", {result['verdict']}" if result["verdict"] else "") + count]
     for row in rows:
         lines.append(f"  {row['name']:{wide}}  {in_words(row)}")
         lines += [f"  {'':{wide}}  note: {note}" for note in row["notes"]]

@@ -123,7 +123,7 @@ class Acceptance:
         """In how many places, of those that the standard asks for, the figure with the fewest was tested."""
         each = [(len({row.scan for row in self.of(figure)}), asked) for figure, asked in PLACES.items()]
         few = min((pair for pair in each if pair[0]), key=lambda pair: pair[0] / pair[1], default=(0, 0))
-        return "" if few[0] >= few[1] else f"in {few[0]} place{'s' if few[0] > 1 else ''} of {few[1]}"
+        return "" if few[0] >= few[1] else f"({few[0]} of the {few[1]} recommended places)"
 
     def of(self, figure: str) -> tuple[AcceptanceFigure, ...]:
         """All of one kind."""

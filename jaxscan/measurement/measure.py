@@ -28,7 +28,7 @@ from jaxscan.measurement.placed import placed
 from jaxscan.measurement.profile import profile_of
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.section import outline
-from jaxscan.measurement.seen import seen_part
+from jaxscan.measurement.seen import check_is_one_plane, seen_part
 from jaxscan.measurement.shapes import Plane, Shape
 from jaxscan.measurement.verdict import Verdict, verdict, worst_of
 from jaxscan.measurement.volume import volume_above
@@ -239,6 +239,8 @@ def _feature(
         return MeasuredFeature(feature, None, scanned.part(inside), len(inside), 0)
     if feature.kind in FITTED:
         source, fit = scanned, finish(scanned, settled[feature.name])
+        if isinstance(fit.shape, Plane) and scanned.stripe is not None:
+            check_is_one_plane(fit.shape, scanned.points[fit.used], float(np.median(fit.spread)))
     else:
         assert feature.kind in IN_A_SECTION
         cut, asked = of[0].scanned, of[0].feature.normal
@@ -269,7 +271,7 @@ def _left(features: Iterable[MeasuredFeature]) -> list[tuple[Place, Float[np.nda
 
 def _sound(feature: MeasuredFeature) -> MeasuredFeature:
     if feature.problem:
-        raise InputError(f'"{feature.feature.name}" could not be measured: {feature.problem}')
+        raise InputError(f'"{feature.feature.name}" was not measured: {feature.problem}')
     return feature
 
 

@@ -29,7 +29,7 @@ from jaxscan.surface.side import along_line
 
 # A stripe that the rig would see further from where it was seen than this is not the rig's, px; of this many points.
 _OFF_PX: Final = 0.5
-_OFF_SHEET: Final = 2e-3
+_OFF_SHEET: Final = 1e-4
 _CHECKED: Final = 500
 # Points so far outside of a region may belong to it, but for their errors.
 _BEYOND_MM: Final = 2.0

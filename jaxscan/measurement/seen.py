@@ -5,12 +5,20 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.measurement.shapes import Ball, Circle, Cone, Cylinder, Shape
+from jaxscan.errors import InputError
+from jaxscan.geometry.robust_plane import planes_through
+from jaxscan.measurement.shapes import Ball, Circle, Cone, Cylinder, Plane, Shape
 
 _OUTERMOST: Final = 0.98
 # Below these parts of a ball's surface, and of a round's turn, the interval is wide for that reason.
 _OF_BALL: Final = 0.2
 _OF_TURN: Final = 90.0
+# A point of a plane is within this many times its chance of it. Where less than this part of them is, another plane is
+# looked for, by triples of some points: one that holds this part of them, and so many times as many.
+_WITHIN_SPREADS: Final = 4.0
+_OWN: Final = 0.3
+_OTHER, _TIMES = 0.2, 2.5
+_TRIALS, _SAMPLE, _SEED = 400, 1500, 2003
 
 
 def seen_part(shape: Shape, x: Float[np.ndarray, "points 3"]) -> tuple[str, ...]:
@@ -36,3 +44,37 @@ def _sentence(how_much: str) -> str:
         f"only {how_much} was seen, so that radius and place are known together rather than each: the interval is "
         "wide; enlarge the region, or scan from another side too"
     )
+
+
+def check_is_one_plane(plane: Plane, points: Float[np.ndarray, "points 3"], spread_mm: float) -> None:
+    """Refuse a plane through points most of which lie on another one, as where a region holds several levels.
+
+    A warped face is none such: no other plane has many more of its points.
+
+    Args:
+        plane: that was fitted.
+        points: of its region, mm.
+        spread_mm: how far a point is off by chance.
+
+    Raises:
+        InputError: they lie on several planes.
+    """
+    within = _WITHIN_SPREADS * spread_mm
+    off = np.abs(plane.at(points)[0])
+    own = float((off < within).mean())
+    if own > _OWN:
+        return
+    random = np.random.default_rng(_SEED)
+    sample = points[random.permutation(len(points))[:_SAMPLE]]
+    a, b, c = (sample[random.integers(len(sample), size=_TRIALS)] for _ in range(3))
+    best = 0.0
+    for centre, normal in zip(*planes_through(a, b, c), strict=True):
+        near = np.abs((sample - centre) @ normal) < within
+        best = max(best, float(near.mean()))
+    if best > max(_OTHER, _TIMES * own):
+        rms = float(np.sqrt((off**2).mean()))
+        raise InputError(
+            f"the points of its region do not lie on one plane: they are {rms:.2g} mm RMS from the one that fits best, "
+            f"and {best:.0%} of them lie on another within {within:.2g} mm. Make the region smaller, so that it holds "
+            "one face"
+        )

@@ -56,7 +56,7 @@ def test_json_and_a_picture_by_a_rig_without_covariance(plate, capsys):
     assert main([*given, "--rig", str(bare), "--png", str(plate / "a.png")]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"] == "conforming"
-    assert result["places"] == "in 1 place of 10"
+    assert result["places"] == "(1 of the 10 recommended places)"
     assert result["figures"][1]["sigma_rig"] is None
     assert any("nothing is predicted by a rig without a covariance" in note for note in result["notes"])
     for one, other in zip(predicted["figures"], result["figures"], strict=True):

@@ -96,6 +96,8 @@ def test_a_folder_of_photographs_in_its_order_and_a_scan_by_its_steps(scanner: P
         (["scan", "new", "--frames", "2", "--apart", "0"], "places of their own"),
         (["scan", "recorded", "--frames", "2", "--apart", "5"], "is not empty"),
         (["scan", "recorded", "--resume"], "without --resume"),
+        (["scan", "recorded", "--resume", "--frames", "9"], "the plan that is in recorded: leave out --frames"),
+        (["shoot", "stripe.gif"], "stripe.gif: end its name with one of .png"),
         (["shoot", "no/one.png"], "create it first"),
         (["calibrate", "session", "--board", "nine"], "as 9x6"),
         (["calibrate", "session", "--board", "9x²"], "as 9x6"),

@@ -178,7 +178,7 @@ def test_a_limit_that_was_not_tested_is_not_met(artefact):
     )
     only = accept(several, rig, replace(plane, limits={"flatness": 0.8}))
     assert only.verdict == "conforming"
-    assert only.places == "in 1 place of 6"
+    assert only.places == "(1 of the 6 recommended places)"
 
 
 def test_what_is_not_the_artefact_is_refused(artefact):

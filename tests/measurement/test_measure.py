@@ -215,7 +215,7 @@ def test_verdicts_and_what_is_left_unmeasured(drawn):
     lost = by_name["no distance"]
     assert lost.value is None
     assert lost.verdict == "not decided"
-    assert '"none" could not be measured: no point lies in its region' in lost.problem
+    assert '"none" was not measured: no point lies in its region' in lost.problem
     assert found.verdict == "not decided"
     assert len(found.problems) == 2
     assert by_name["line over low"].value == pytest.approx(4.0, abs=0.5)
