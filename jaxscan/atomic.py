@@ -137,5 +137,6 @@ def _refusal(path: str | os.PathLike[str], error: OSError) -> InputError:
         errno.EFBIG: full,
         errno.EIO: "choose another disk",
         errno.ENAMETOOLONG: "choose a shorter name",
+        errno.ENOENT: "nothing can be made in that folder: choose another",
     }.get(error.errno or 0, "choose a folder that you may write to")
     return InputError(f"{path}: cannot be written ({error.strerror or error}): {fix}")

@@ -58,13 +58,13 @@ def test_a_missing_folder_and_a_folder_in_the_way_are_named(tmp_path):
 def test_a_place_that_takes_no_file_is_refused_before_any_work_even_for_root():
     """Permissions there say yes to root."""
     for path in ("/proc/rig.json", "/proc/self/rig.json"):
-        with pytest.raises(InputError, match=rf"{path}: cannot be written \(.*may write"):
+        with pytest.raises(InputError, match=rf"{path}: cannot be written \(.*choose another"):
             check_writable(path)
 
 
 def test_a_full_disk_is_met_before_any_work(tmp_path, monkeypatch):
     """The first file on it that finds no room, and so for a disk that is mounted read-only."""
-    for number, says in ((errno.ENOSPC, "make room"), (errno.EROFS, "may write")):
+    for number, says in ((errno.ENOSPC, "make room"), (errno.EROFS, "choose another")):
 
         def refuse(*_, number=number, **__):
             raise OSError(number, os.strerror(number))
@@ -87,10 +87,10 @@ def test_trying_leaves_no_trace_and_touches_nothing(tmp_path):
     assert os.listdir(tmp_path) == ["rig.json"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+@pytest.mark.skipif(os.geteuid() == 0, reason="root choose another anywhere")
 def test_a_closed_folder_is_named(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(InputError, match="may write"), replacing(tmp_path / "rig.json"):
+    with pytest.raises(InputError, match="choose another"), replacing(tmp_path / "rig.json"):
         pass
 
 

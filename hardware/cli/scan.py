@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         asked = [f"--{name}" for name in ("frames", "apart", "first", "positions") if getattr(args, name) is not None]
         if asked:
             raise InputError(
-                f"--resume goes on with the plan that is in {args.folder}: leave out {', '.join(asked)}, or scan into "
+                f"--resume continues the plan that is in {args.folder}: leave out {', '.join(asked)}, or scan into "
                 "another folder"
             )
         folder = ScanFolder.resume(args.folder)
@@ -109,7 +109,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
                 f"--verify: the {' and the '.join(unable)} cannot be verified: no switch, or a controller that does "
                 "not say at which count it met it; continue with --resume, without --verify"
             )
-        notes = take(folder, devices, control, taken, verify=None if args.no_verify else args.verify or 0)
+        try:
+            notes = take(folder, devices, control, taken, verify=None if args.no_verify else args.verify or 0)
+        except KeyboardInterrupt:
+            count = f"{len(folder.done.frames)} of {len(folder.plan.places)}"
+            say(
+                f"stopped: the axes stand, the laser is off, {count} frames are kept; "
+                f"to go on: scanner scan {shlex.quote(str(args.folder))} --resume"
+            )
+            raise
     axes = {name: list(steps) for name, steps in folder.done.axes.items()}
     checks = check_values(folder.done.checks)
     return {"path": str(args.folder), "frames": len(folder.done.frames), "axes": axes, "checks": checks, "notes": notes}

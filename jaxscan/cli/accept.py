@@ -210,7 +210,7 @@ def _test_in_words(result: dict[str, Any]) -> list[str]:
 
 
 def _changes_in_words(result: dict[str, Any]) -> list[str]:
-    lines = [f"{result['path']}: {len(result['tests'])} tests"]
+    lines = [f"{result['path']}: {len(result['tests'])} test{'s' if len(result['tests']) > 1 else ''}"]
     for each in result["changes"]:
         known = "" if each["uncertainty"] is None else f" ± {each['uncertainty']:.4f}"
         text = f"  {each['artefact']}, {each['figure']} of {each['of']}: {each['change']:+.4f}{known} mm since "

@@ -139,13 +139,20 @@ def accept(scans: Sequence[tuple[str, RangeImage]], rig: RigFile, artefact: Arte
         artefact: by `read_artefact`.
 
     Raises:
-        InputError: there are no scans, two have one name, or the rig is not theirs.
+        InputError: there are no scans, two have one name or the same points, or the rig is not theirs.
     """
     names = tuple(name for name, _ in scans)
     if not names:
         raise InputError("there are no scans: name one or more range images (.npz) that show the artefact")
     if len(set(names)) < len(names):
         raise InputError("one scan is named twice: name each once, for each is a place of its own")
+    first: dict[bytes, str] = {}
+    for name, image in scans:
+        same = first.setdefault(image.points[image.valid].tobytes(), name)
+        if same != name:
+            raise InputError(
+                f"{name}: holds the same points as {same}: leave it out, for each scan is a place of its own"
+            )
     figures: list[AcceptanceFigure] = []
     problems: list[str] = []
     for name, image in scans:
@@ -287,8 +294,8 @@ def _notes(figures: Sequence[AcceptanceFigure], rig: RigFile, artefact: Artefact
     unexplained = sorted({f"{each.figure} of {each.of}" for each in figures if each.unexplained})
     if unexplained:
         notes.append(
-            f"larger than the calibration and the certificate explain: {', '.join(unexplained)}: calibrate again, and "
-            "see that nothing has moved since"
+            f"larger than the calibration and the certificate explain: {', '.join(unexplained)}: calibrate again, "
+            f"and see that nothing has moved since; or {artefact.path.name} states another size than the artefact has"
         )
     if rig.covariance is None:
         notes.append("nothing is predicted by a rig without a covariance: give the rig.json that `calibrate` wrote")

@@ -14,7 +14,7 @@ _OUTERMOST: Final = 0.98
 _OF_BALL: Final = 0.2
 _OF_TURN: Final = 90.0
 # A point of a plane is within this many times its chance of it. Where less than this part of them is, another plane is
-# looked for, by triples of some points: one that holds this part of them, and so many times as many.
+# looked for, by triples of some points: one that holds this part of them, and this multiple of the fitted one's.
 _WITHIN_SPREADS: Final = 4.0
 _OWN: Final = 0.3
 _OTHER, _TIMES = 0.2, 2.5

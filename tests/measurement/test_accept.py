@@ -128,6 +128,8 @@ def test_what_cannot_be_found_is_told_and_nothing_is_passed(artefact):
         accept([], rig, artefact)
     with pytest.raises(InputError, match="one scan is named twice"):
         accept([("a", image), ("a", image)], rig, artefact)
+    with pytest.raises(InputError, match="b: holds the same points as a: leave it out"):
+        accept([("a", image), ("b", image)], rig, artefact)
 
 
 def test_a_band_is_the_narrowest_that_holds_its_share():

@@ -275,11 +275,11 @@ def test_controls_rest_while_a_job_runs(browser: Browser, lab: Served):
     expect(page.locator("#job-state")).to_have_text("running")
     for name in ("Start", "Go there", "Reset motor", "Step and shoot", "Begin", "Calibrate"):
         expect(page.get_by_role("button", name=name, exact=True)).to_be_disabled()
-    expect(page.get_by_label("Photographs")).to_be_disabled()
+    expect(page.get_by_label("Photographs", exact=True)).to_be_disabled()
     # What concerns the job, and what may be changed at any time, do not rest.
     for name in ("Stop Esc", "Pause", "Abort"):
         expect(page.get_by_role("button", name=name)).to_be_enabled()
-    expect(page.get_by_label("while nothing else is done")).to_be_enabled()
+    expect(page.get_by_label("shown while nothing else is done")).to_be_enabled()
     page.get_by_role("button", name="Pause").click()
     expect(page.locator("#job-state")).to_have_text("paused")
     expect(start).to_be_disabled()
