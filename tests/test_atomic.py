@@ -64,7 +64,7 @@ def test_a_place_that_takes_no_file_is_refused_before_any_work_even_for_root():
 
 def test_a_full_disk_is_met_before_any_work(tmp_path, monkeypatch):
     """The first file on it that finds no room, and so for a disk that is mounted read-only."""
-    for number, says in ((errno.ENOSPC, "make room"), (errno.EROFS, "choose another")):
+    for number, says in ((errno.ENOSPC, "make room"), (errno.EROFS, "may write")):
 
         def refuse(*_, number=number, **__):
             raise OSError(number, os.strerror(number))
