@@ -2,7 +2,9 @@
 
 Eight drawn frames of a red stripe on textured ground, as in `cameras`. In runs of forty columns a second reflection
 lies beside it, broader and weaker, with a speckle of its own; these columns are asked. Or the light of the room ends
-at an edge that winds about the stripe and crosses it again and again, in photographs that are grey; all are asked.
+at an edge that winds about the stripe and crosses it again and again, in photographs that are grey; all are asked. Or
+it has a step that goes along with the stripe: on its dark side in a third of the columns, which are asked, as beside an
+object; on its bright side in all.
 """
 
 from itertools import product
@@ -10,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt
+from scipy.special import ndtr
 
 from benchmarks.cameras import on_sensor, rounded
 from benchmarks.cup_jpeg import Against
@@ -25,6 +28,9 @@ _SHARES, _APART_PX, _BROADER, _RUN = (0.0, 0.03, 0.07, 0.15, 0.3), (4, 6, 8), 1.
 _WIDTHS, _SPECKLES = (1.2, 2.0), (0.2, 0.0)
 # The room's light beyond its edge, levels; how far the edge winds about the stripe, px, and the columns of a radian.
 _ROOM, _WINDS_PX, _OVER = (5.0, 15.0, 40.0), 10.0, 60.0
+# The step: of the stripe's height, and how far beside it, px; negative where the stripe is on the bright side.
+_STEPS, _BESIDE_PX = (0.1, 0.2, 0.4), (1.5, 3.0, 4.5, 6.0, -2.0, -3.0)
+_STRIPE, _BLUR_PX = 120.0, 0.65
 _QUICK_SHARES, _QUICK_APART_PX = (0.0, 0.15), (5,)
 
 
@@ -42,6 +48,9 @@ def measure(quick: bool) -> list[Metric]:
             metrics += _against(
                 f"room.speckle_{speckle:g}.levels_{levels:g}", *in_a_room(speckle, levels), StripeSettings("grey")
             )
+        for speckle, share, apart in product(_SPECKLES, _STEPS, _BESIDE_PX):
+            name = f"step.speckle_{speckle:g}.share_{share:g}.apart_{apart:g}"
+            metrics += _against(name, *beside_a_step(speckle, share, apart), StripeSettings("grey"))
     return metrics
 
 
@@ -89,6 +98,17 @@ def in_a_room(speckle: float, levels: float) -> Drawn:
     beyond = np.clip(np.arange(laser.shape[1])[:, None] - edge[:, None] + 0.5, 0, 1)
     light = texture(_GROUND, _VARIES) + laser + levels * beyond
     return rounded(on_sensor(light, random, read=_READ)), truth, beside_no_step(_FRAMES)
+
+
+def beside_a_step(speckle: float, share: float, apart: float) -> Drawn:
+    """Grey photographs with a step of the room's light that goes along with the stripe; where that is; who is asked."""
+    random = np.random.default_rng(1)
+    laser, truth = drawn_laser(_WIDTHS[0], _STRIPE, speckle, random)
+    there = np.broadcast_to(np.arange(truth.shape[1]) // _RUN % 3 == 1, truth.shape) | (apart < 0)
+    far = np.arange(laser.shape[1])[:, None] - truth[:, None] - apart
+    beyond = np.where(there[:, None], ndtr(far / _BLUR_PX), 0.0)
+    light = texture(_GROUND, _VARIES) + laser + share * _STRIPE * beyond
+    return rounded(on_sensor(light, random, read=_READ)), truth, there & beside_no_step(_FRAMES)
 
 
 def drawn_laser(

@@ -24,6 +24,7 @@ from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError
 from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE, NARROW, Batch
+from jaxscan.images.stripes.beside_steps import beside_steps
 from jaxscan.images.stripes.by_gravity import steadier_by_gravity
 from jaxscan.images.stripes.edges import WithEdges, with_edges
 from jaxscan.images.stripes.light import Light
@@ -139,7 +140,8 @@ def _detect(
     measured, by_gravity = found.measured, np.zeros(count, bool)
     if detector == "likelihood":
         looker, looked = noise_again(looker, looked, all_of_it.peak)
-        found = with_edges(looker, without_stray_light(looker, looked, all_of_it.peak), all_of_it.peak)
+        looked = beside_steps(looker, without_stray_light(looker, looked, all_of_it.peak), all_of_it.peak)
+        found = with_edges(looker, looked, all_of_it.peak)
         measured, by_gravity = steadier_by_gravity(looker, found.measured, all_of_it.peak, valid)
     light = looker.light
     return Stripe(

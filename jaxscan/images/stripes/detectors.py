@@ -15,6 +15,7 @@ from jaxscan.images.stripes import classical
 from jaxscan.images.stripes.classical import Estimate
 from jaxscan.images.stripes.likelihood import Misfit, likelihood
 from jaxscan.images.stripes.reflectance_edge import fit_reflectance_edge
+from jaxscan.images.stripes.step_fit import fit_beside_a_step, uneven
 from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bump, outline
 
 Model = Literal[
@@ -23,6 +24,7 @@ Model = Literal[
     "grained",
     "grained and censored",
     "edge",
+    "beside a step",
     "plain in stray light",
     "grained in stray light",
     "grained and censored in stray light",
@@ -83,6 +85,7 @@ class Measured(eqx.Module):
         ln_light: ln of its height times its standard deviation; 0 of other detectors.
         settled: whether more steps of the fit would change nothing; true of other detectors.
         stray: whether light that is not the stripe's seems to fall beside it; false of other detectors.
+        uneven: how much brighter the window's one end is than its other one, over the noise of that.
     """
 
     position: Float[Array, "groups lines"]
@@ -100,6 +103,7 @@ class Measured(eqx.Module):
     ln_light: Float[Array, "groups lines"]
     settled: Bool[Array, "groups lines"]
     stray: Bool[Array, "groups lines"]
+    uneven: Float[Array, "groups lines"]
 
     @property
     def thickness(self) -> Float[np.ndarray, "groups lines"]:
@@ -134,6 +138,8 @@ def measure(
     misfit = Misfit(no, zero, zero, zero, ~no, no)
     if model == "edge":
         found = fit_reflectance_edge(windows, around, here)
+    elif model == "beside a step":
+        found = fit_beside_a_step(windows, around, here)
     elif detector == "likelihood":
         traits = (trait in model for trait in ("censored", "grained", "stray"))
         found, misfit = likelihood(windows, around, here, *traits, steps=steps)
@@ -141,7 +147,7 @@ def measure(
         found = _CLOSED[detector](windows, around, here)
     seen = bump(windows.neutral) if windows.neutral is not None else around
     # Where an edge runs through a stripe its centre may lie on the dark side, below half the height of what is seen.
-    between = (found.centre > around.start) & (found.centre < around.end) | (model == "edge")
+    between = (found.centre > around.start) & (found.centre < around.end) | (model in ("edge", "beside a step"))
     whole = around.whole & found.found & between
     relief = around.top - r.min(1, keepdims=True)
     cramped = (around.start < _MARGIN) | (around.end >= size - _MARGIN)
@@ -164,4 +170,5 @@ def measure(
         ln_light=misfit.ln_light[:, 0],
         settled=misfit.settled[:, 0],
         stray=misfit.stray[:, 0],
+        uneven=uneven(windows, here)[:, 0],
     )

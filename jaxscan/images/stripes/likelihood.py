@@ -264,7 +264,7 @@ def fit(
         free |= used & cut.lines
 
     def step(profile: Profile, grain: bool) -> Fit:
-        height, jacobian = _pixels(profile, windows.response.shape[1], sensor.shape)
+        height, jacobian = pixels(profile, windows.response.shape[1], sensor.shape)
         seen = weigh(profile.background, height, windows, used, sensor, censored)
         own = free
         if stray:
@@ -339,7 +339,7 @@ def _independent(
     return innovations([*jacobian, seen.score / weight], light, own, used, sensor.speckle, sensor.grain)
 
 
-def _pixels(profile: Profile, size: int, shape: tuple[Lines, ...] | None) -> tuple[Pixels, tuple[Pixels, ...]]:
+def pixels(profile: Profile, size: int, shape: tuple[Lines, ...] | None) -> tuple[Pixels, tuple[Pixels, ...]]:
     """A P and J of each pixel; of a laser that is no bell by the coefficients of its cross-section."""
     A, s = jnp.exp(profile.ln_height), jnp.exp(profile.ln_s)
     x = _edges(profile, size)

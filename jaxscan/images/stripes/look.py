@@ -113,8 +113,8 @@ class Looker:
         if not which.any():
             return measured
         found = self._measured(tuple(index[which] for index in at), half, model, steps)
-        # Where there is no edge in the stripe, what was measured without one stands.
-        taken = found.whole if model == "edge" else np.ones_like(found.whole)
+        # Where there is no edge in the stripe, or no step beside it, what was measured without one stands.
+        taken = found.whole if model in ("edge", "beside a step") else np.ones_like(found.whole)
         places = np.flatnonzero(which)[taken]
         return jax.tree.map(lambda old, new: replaced(old, places, new[taken]), measured, found)
 
