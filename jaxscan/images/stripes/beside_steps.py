@@ -19,8 +19,8 @@ from jaxscan.images.stripes.settle import Looked
 from jaxscan.images.stripes.stray_light import can_have, mostly
 from jaxscan.robust import NORMAL_MAD
 
-# The ends of a window differ by this multiple of the noise at the least, and by this part of the stripe's strength; of
-# a line and its neighbours on either side so many do, the same way.
+# The ends of a window differ by this multiple of the noise at the least, and by this part of the stripe's strength. Of
+# a line and its neighbours on either side, this number do, the same way.
 _DIFFER, _OF_STRENGTH = 6.0, 0.03
 _NEIGHBOURS, _FEWEST = 3, 4
 # Where more than this part of a frame's lines has a step, the usual width is read off them, first with hardly a prior
