@@ -35,7 +35,7 @@ def draw_frame(
     position, watch = stripe.position.ravel(), LightWatch()
     watch.see(stripe)
     write_image(out, draw_stripe(image, position, scan.laser.columns))
-    notes = watch.notes(scan.exposures_s is not None, background is not None)
+    notes = watch.notes(scan.exposures_s is not None, background is not None, scan.laser.color == "grey")
     return {"path": str(out), **_found(position, scan.laser), "notes": notes}
 
 

@@ -24,6 +24,11 @@ _WITH_IT = 0.5
 _MANY_JUMPS = 0.25
 # Bands are worth a note from this part of the level and this number of grey levels on.
 _BANDS, _LEAST_BANDS = 0.02, 1.5
+# In grey photographs the room's light counts where it differs by this part of the stripe's strength, and this number of
+# grey levels, over the middle of its values.
+_ROOM, _LEAST_ROOM, _MIDDLE = 0.3, 15.0, (0.1, 0.9)
+# Grey levels of photographs of 16 bits for each one of 8.
+_OF_16_BITS = 257.0
 _LEAST_LINES, _LEAST_PAIRS, _LEAST_PIXELS, _LEAST_QUARTERS = 20, 3, 10, 3
 
 
@@ -41,6 +46,9 @@ class LightWatch:
         # Of the changes of rows, the median product of the two halves of the photograph; and the mean level.
         self._bands: list[float] = []
         self._level: list[float] = []
+        # By how much the surroundings differ within a frame, and how strong the stripe is there, grey levels.
+        self._differ: list[float] = []
+        self._strength: list[float] = []
         self._before: tuple[np.ndarray, np.ndarray] | None = None
 
     def see(self, stripe: Stripe) -> None:
@@ -49,6 +57,10 @@ class LightWatch:
         known = stripe.valid & ~stripe.burnt
         level, strength = stripe.surroundings, np.where(known, stripe.strength, np.nan)
         self._full += stripe.full.tolist()
+        darkest, brightest = np.quantile(level.reshape(len(level), -1), _MIDDLE, axis=1)
+        self._differ += (brightest - darkest).tolist()
+        bits = np.where(stripe.light[:, 3] > np.iinfo(np.uint8).max, _OF_16_BITS, 1.0)
+        self._strength += (_median(strength, known) / bits).tolist()
         self._level += level.mean(axis=(1, 2)).tolist()
         shown = stripe.valid.any(axis=1)
         self._correlation += stripe.correlation[shown].tolist()
@@ -83,12 +95,13 @@ class LightWatch:
         lit = np.median(level[:-1][still], axis=2) > _LEAST_LEVEL
         self._bands += np.nan_to_num(_median(left * right, lit)).tolist()
 
-    def notes(self, exposures_known: bool, background: bool) -> list[str]:
+    def notes(self, exposures_known: bool, background: bool, grey: bool) -> list[str]:
         """What is wrong, and what to do.
 
         Args:
             exposures_known: whether the scan says how long each frame was exposed.
             background: whether a photograph with the laser off is subtracted.
+            grey: whether the laser's colour is grey, so that the room's light does not cancel.
         """
         return [
             *self._smoothed(),
@@ -97,6 +110,7 @@ class LightWatch:
             *self._overexposed(),
             *([] if exposures_known else self._jumps(background)),
             *self._flicker(background),
+            *(self._lit_room() if grey and not background else []),
         ]
 
     def _smoothed(self) -> list[str]:
@@ -122,6 +136,20 @@ class LightWatch:
             f"the camera has a mosaic of colour filters (seen in {count} of {len(self._mosaic)} frames): the stripe "
             "was measured in the pixels that saw the laser's colour, every second one of a line, and neighbouring "
             "lines are not independent of each other: a monochrome camera shows the stripe better"
+        ]
+
+    def _lit_room(self) -> list[str]:
+        differ, strength = np.array(self._differ), np.array(self._strength)
+        known = np.isfinite(strength)
+        lit = known & (differ > _LEAST_ROOM) & (differ > _ROOM * np.nan_to_num(strength))
+        if lit.sum() <= _MANY_FRAMES * known.sum():
+            return []
+        return [
+            f"the light of the room differs by {np.median(differ[lit]):.0f} grey levels within these grey photographs, "
+            f"and the stripe stands {np.median(strength[lit]):.0f} levels high: along silhouettes and edges of shadows "
+            "points are less exact than σ says or are lost, and lit borders may be taken for the stripe: switch other "
+            "light off, put a filter of the laser's colour before the lens, or photograph each frame with the laser "
+            'off too (scanner scan --dark, background = "dark/*.png" in scan.toml)'
         ]
 
     def _overexposed(self) -> list[str]:

@@ -132,7 +132,7 @@ class Scanner:
             raise InputError(f"{scan.path}: the scan has no frames")
         left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
         last = left_out_notes(left_out, points, self._depths_mm)
-        last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds))
+        last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds), scan.laser.color == "grey")
         if not seen:
             raise InputError(
                 f"{scan.path}: no stripe was found in any of {frames} frames{in_another_colour(scan)}: check [laser] "

@@ -31,7 +31,7 @@ def notes(fault: Fault, known: bool = False, background: bool = False, color: st
     watch = LightWatch()
     for some in (slice(3), slice(3, FRAMES)):
         watch.see(detect_stripe(images[some], StripeSettings(color)))
-    return watch.notes(known, background)
+    return watch.notes(known, background, color == "grey")
 
 
 def banded(depth: float) -> Fault:
@@ -40,7 +40,15 @@ def banded(depth: float) -> Fault:
 
 @pytest.mark.parametrize("color", ["red", "grey"])
 def test_nothing_is_said_of_good_light(color: str) -> None:
-    assert notes(lambda i, ambient, laser: ambient + laser, color=color) == []
+    room = 1.0 if color == "red" else 0.3
+    assert notes(lambda i, ambient, laser: room * ambient + laser, color=color) == []
+
+
+def test_grey_photographs_of_a_lit_room() -> None:
+    (said,) = notes(lambda i, ambient, laser: 1.5 * ambient + laser, color="grey")
+    assert said.startswith("the light of the room differs by ")
+    assert "--dark" in said
+    assert notes(lambda i, ambient, laser: 1.5 * ambient + laser, color="grey", background=True) == []
 
 
 def test_a_laser_whose_power_changes_needs_no_words() -> None:
@@ -107,6 +115,6 @@ def test_noise_that_was_smoothed() -> None:
         frames.append(cv2.GaussianBlur(np.rint(levels).clip(0, 255).astype(np.uint8), (0, 0), 0.8))
     watch = LightWatch()
     watch.see(detect_stripe(np.stack(frames), StripeSettings("grey")))
-    (said,) = watch.notes(False, False)
+    (said,) = watch.notes(False, False, True)
     assert said.startswith("the noise of neighbouring pixels is alike (correlation 0.6")
     assert "3 of 3 frames" in said
