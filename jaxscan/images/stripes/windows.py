@@ -29,9 +29,10 @@ _LEAST_S2: Final = 0.01
 # Between full pixels one is full from this part of a full number on.
 _NEARLY: Final = 0.8
 # A stripe may be white where the laser's channel reaches this part of a full number. Of white light two channels rise
-# by twice what the third does, of the laser's by less than this part of that. A level above all others.
+# by twice what the third does; between these multiples: of the laser's own light by less, of another colour's by more.
+# A level above all others.
 _MAY_BE_WHITE: Final = 0.7
-_AS_WHITE: Final = 0.5
+_AS_WHITE: Final = (0.5, 3.0)
 _NO_CAP: Final = 2**20
 # What `smoothed` adds to the variance of a stripe, px².
 _ADDED_PX2: Final = 0.5
@@ -274,8 +275,11 @@ def _cap(
     """
     stripe = (laser >= (_MAY_BE_WHITE * sensor.full).astype(laser.dtype)).any(1, keepdims=True)
     own, others = (_softened(level.astype(jnp.float32)) for level in (levels[0], levels[1] + levels[2]))
-    above = others - sensor.ambient
-    white = ((above > 0) & (above > _AS_WHITE * (own - sensor.ambient / 2))).any(1, keepdims=True)
+    above, rise = others - sensor.ambient, own - sensor.ambient / 2
+    seen = 2 * own - jnp.minimum(others, sensor.ambient)
+    brightest = seen == seen.max(1, keepdims=True)
+    white = brightest & (above > 0) & (above > _AS_WHITE[0] * rise) & (above < _AS_WHITE[1] * rise)
+    white = white.any(1, keepdims=True)
     return jnp.where(white & ~stripe, _NO_CAP, sensor.ambient)
 
 
