@@ -201,12 +201,18 @@ def _scanned(image: str, rig: str) -> "Scanned":
     return scanned_image(read_range_image(image), _rig({"rig": rig}))
 
 
+_NO_AXIS: Final = "No axis was calibrated: scans cannot be turned into points by this rig. Take a session with photographs on the stage."
+
+
 def _calibrate(order: dict[str, Any]) -> list[str]:
     from jaxscan.cli.calibrate import calibrate_session, judge_calibration
 
     to = Path(order["to"])
-    judged = judge_calibration(calibrate_session([Path(order["session"])], to), to)
+    calibration = calibrate_session([Path(order["session"])], to)
+    judged = judge_calibration(calibration, to)
     warned = [f"warning: {box.statement} {box.advice}".rstrip() for box in judged.warnings]
+    if not calibration.rig.axes:
+        warned.insert(0, f"warning: {_NO_AXIS}")
     return [
         judged.statement,
         f"what limits it: {judged.limits}",

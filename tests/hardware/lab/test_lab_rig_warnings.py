@@ -50,12 +50,13 @@ def test_a_red_verdict_goes_into_the_file_of_the_labs_own_calibration(tmp_path: 
 
     def calibrated(paths: list[Path], output: Path) -> SimpleNamespace:
         write_rig(output, content)
-        return SimpleNamespace(rig_file=lambda: content)
+        return SimpleNamespace(rig_file=lambda: content, rig=content.rig)
 
     monkeypatch.setattr("jaxscan.cli.calibrate.calibrate_session", calibrated)
     monkeypatch.setattr("jaxscan.view.verdict.verdict", lambda calibration: judged)
     said = _calibrate({"session": str(tmp_path / "session"), "to": str(tmp_path / "rig.json")})
     assert said[0] == judged.statement
+    assert any("No axis was calibrated" in words for words in said)
     assert read_rig(tmp_path / "rig.json").warnings == (
         "The calibration was not to be used: The photographs are in another order",
     )
