@@ -201,7 +201,9 @@ def _scanned(image: str, rig: str) -> "Scanned":
     return scanned_image(read_range_image(image), _rig({"rig": rig}))
 
 
-_NO_AXIS: Final = "No axis was calibrated: scans cannot be turned into points by this rig. Take a session with photographs on the stage."
+_NO_AXIS: Final = (
+    "No axis was calibrated: this rig turns no scan into points. Take a session with photographs on the stage."
+)
 
 
 def _calibrate(order: dict[str, Any]) -> list[str]:
@@ -211,7 +213,7 @@ def _calibrate(order: dict[str, Any]) -> list[str]:
     calibration = calibrate_session([Path(order["session"])], to)
     judged = judge_calibration(calibration, to)
     warned = [f"warning: {box.statement} {box.advice}".rstrip() for box in judged.warnings]
-    if not calibration.rig.axes:
+    if not calibration.rig.axes():
         warned.insert(0, f"warning: {_NO_AXIS}")
     return [
         judged.statement,
