@@ -126,7 +126,8 @@ def _written(args: argparse.Namespace, found: "Acceptance") -> list[str]:
             write_picture(args.png, draw_acceptance(found))
             written.append(str(args.png))
         if args.report:
-            written += write_report(args.report, acceptance_report(found))
+            files = {"scan": args.surface, "rig": [args.rig], "artefact": [args.artefact]}
+            written += write_report(args.report, acceptance_report(found).recorded(files))
     return written
 
 

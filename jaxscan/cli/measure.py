@@ -147,7 +147,8 @@ def _drawn(args: argparse.Namespace, scanned: "Scanned", found: "Measurement") -
         return []
     from jaxscan.view.report import write_report
 
-    return write_report(args.report, measurement_report(scanned, found, args.surface.name))
+    files = {"surface": [args.surface], "part": [args.part], "rig": [args.rig] if args.rig else []}
+    return write_report(args.report, measurement_report(scanned, found, args.surface.name).recorded(files))
 
 
 def describe(result: dict[str, Any]) -> str:

@@ -6,12 +6,15 @@ pictures, has no scripts and asks the network for nothing.
 
 import base64
 import dataclasses
+import hashlib
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from html import escape
+from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -24,6 +27,8 @@ from jaxscan.view.matplotlib_setup import pyplot
 Level = Literal["good", "care", "stop"]
 
 _DPI = 130
+# Of a file's digest.
+_DIGITS: Final = 16
 _STYLE: Final = """
 :root { color-scheme: light dark; --ground: #fff; --ink: #1c1c1c; --soft: #444; --line: #ccc; --thin: #e4e4e4;
   --box: #f4f4f4; --good: #eef8f1; --care: #fff7e8; --stop: #fdeceb; --link: #1f5fbf; }
@@ -130,6 +135,24 @@ class Report:
     verdict: Box
     sections: tuple[Section, ...]
     numbers: dict[str, Any] = field(default_factory=dict)
+
+    def recorded(self, files: Mapping[str, Sequence[Path]]) -> "Report":
+        """The same with a last section: when it was made, by which version, and from which files.
+
+        Args:
+            files: by what they are, as "rig"; each with the first digits of its SHA-256, which tell it from another.
+        """
+        try:
+            which = version("jaxscan")
+        except PackageNotFoundError:
+            which = "of a folder that is not installed"
+        said = [f"made {datetime.now(UTC).isoformat(timespec='seconds')}, jaxscan {which}"]
+        said += [
+            f"{what}: {path}, SHA-256 {hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGITS]}…"
+            for what, paths in files.items()
+            for path in paths
+        ]
+        return dataclasses.replace(self, sections=(*self.sections, Section("Record", items=tuple(said))))
 
 
 def write_report_html(path: str | os.PathLike[str], report: Report) -> None:

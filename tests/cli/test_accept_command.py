@@ -1,6 +1,7 @@
 """`jaxscan accept`: the guide's own example, run; its history, pictures and page; what is refused."""
 
 import json
+import re
 import shlex
 
 import pytest
@@ -34,7 +35,10 @@ def test_the_guide(plate, monkeypatch, capsys):
     said = capsys.readouterr().out
     assert "plate, 2 scans: conforming" in said
     assert "note: distance: 2 of the 7 places that VDI/VDE 2634 part 2 asks for" in said
-    assert "probing_size" in (plate / "report" / "report.html").read_text()
+    page = (plate / "report" / "report.html").read_text()
+    assert "probing_size" in page
+    assert re.search(r"made 20\d\d-\d\d-\d\dT.*, jaxscan \d", page)
+    assert re.search(r"artefact: .*toml, SHA-256 [0-9a-f]{16}", page)
     assert main(drift) == 0
     assert "nothing has changed by more than its uncertainty" in capsys.readouterr().out
     assert (plate / "drift.png").read_bytes().startswith(b"\x89PNG")
