@@ -31,6 +31,8 @@ _ROOM, _WINDS_PX, _OVER = (5.0, 15.0, 40.0), 10.0, 60.0
 # The step: of the stripe's height, and how far beside it, px; negative where the stripe is on the bright side.
 _STEPS, _BESIDE_PX = (0.1, 0.2, 0.4), (1.5, 3.0, 4.5, 6.0, -2.0, -3.0)
 _STRIPE, _BLUR_PX = 120.0, 0.65
+# Heights of burnt-out stripes, beside a step of 48 levels in a third of the columns.
+_BURNT: Final = (400.0, 1500.0)
 _QUICK_SHARES, _QUICK_APART_PX = (0.0, 0.15), (5,)
 
 
@@ -51,6 +53,9 @@ def measure(quick: bool) -> list[Metric]:
         for speckle, share, apart in product(_SPECKLES, _STEPS, _BESIDE_PX):
             name = f"step.speckle_{speckle:g}.share_{share:g}.apart_{apart:g}"
             metrics += _against(name, *beside_a_step(speckle, share, apart), StripeSettings("grey"))
+        for height, apart in product(_BURNT, (3.0, 5.0, -3.0, -5.0)):
+            name = f"step.burnt_{height:g}.apart_{apart:g}"
+            metrics += _against(name, *beside_a_step(0.2, 0.4, apart, height), StripeSettings("grey"))
     return metrics
 
 
@@ -100,11 +105,15 @@ def in_a_room(speckle: float, levels: float) -> Drawn:
     return rounded(on_sensor(light, random, read=_READ)), truth, beside_no_step(_FRAMES)
 
 
-def beside_a_step(speckle: float, share: float, apart: float) -> Drawn:
-    """Grey photographs with a step of the room's light that goes along with the stripe; where that is; who is asked."""
+def beside_a_step(speckle: float, share: float, apart: float, height: float = _STRIPE) -> Drawn:
+    """Grey photographs with a step of the room's light that goes along with the stripe; where that is; who is asked.
+
+    The stripe may be higher than what `share` is of, so that it is burnt out.
+    """
     random = np.random.default_rng(1)
-    laser, truth = drawn_laser(_WIDTHS[0], _STRIPE, speckle, random)
-    there = np.broadcast_to(np.arange(truth.shape[1]) // _RUN % 3 == 1, truth.shape) | (apart < 0)
+    laser, truth = drawn_laser(_WIDTHS[0], height, speckle, random)
+    there = np.broadcast_to(np.arange(truth.shape[1]) // _RUN % 3 == 1, truth.shape)
+    there = there | (apart < 0) & (height == _STRIPE)
     far = np.arange(laser.shape[1])[:, None] - truth[:, None] - apart
     beyond = np.where(there[:, None], ndtr(far / _BLUR_PX), 0.0)
     light = texture(_GROUND, _VARIES) + laser + share * _STRIPE * beyond

@@ -26,3 +26,13 @@ def test_without_a_step_nothing_is_another():
     frames, truth, _ = (x[:2] for x in beside_a_step(0.2, 0.0, 3.0))
     found = detect_stripe(frames, GREY)
     assert np.sqrt(np.nanmean((found.position - truth) ** 2)) < 0.09
+
+
+@pytest.mark.parametrize("apart", [3.0, -3.0])
+def test_nor_a_burnt_out_stripe(apart):
+    """It was moved by 0.7 px, and its σ was half of that."""
+    frames, truth, asked = (x[:3] for x in beside_a_step(0.2, 0.4, apart, 400.0))
+    found = detect_stripe(frames, GREY)
+    off = np.abs(found.position - truth)[asked]
+    assert np.sqrt(np.nanmean(off**2)) < 0.16
+    assert (off < 3 * found.sigma[asked]).mean() > 0.9

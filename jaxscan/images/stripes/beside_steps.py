@@ -16,7 +16,7 @@ from jaxscan.images.stripes.evidence import over
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.look import Looker, places_of
 from jaxscan.images.stripes.settle import Looked
-from jaxscan.images.stripes.stray_light import can_have, mostly
+from jaxscan.images.stripes.stray_light import mostly
 from jaxscan.robust import NORMAL_MAD
 
 # The ends of a window differ by this multiple of the noise at the least, and by this part of the stripe's strength. Of
@@ -87,7 +87,7 @@ def _as_before(found: Any, measured: Any, taken: Bool[np.ndarray, "frames lines"
 def _asked(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames lines"]:
     uneven, count = looked.measured.uneven, len(looked.strong)
     read = np.asarray(looker.light.sensor.read)[:count, None]
-    can = can_have(looked) & ~looker.light.video[:count, None]
+    can = looked.strong & looked.measured.whole & ~looked.cramped & ~looker.light.video[:count, None]
     can &= np.abs(uneven) * read > _OF_STRENGTH * looked.measured.strength
     asked = np.zeros_like(can)
     for side in (uneven > _DIFFER, uneven < -_DIFFER):

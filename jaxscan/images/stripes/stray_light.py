@@ -49,7 +49,7 @@ def without_stray_light(looker: Looker, looked: Looked, peak: Int[np.ndarray, "f
 
 def in_other_light(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames lines"]:
     """Which lines seem to have other light beside them, as their neighbours have."""
-    asked = can_have(looked)
+    asked = _can_have(looked)
     goes_on = asked & (over(looked.measured.stray & asked, _NEIGHBOURS) >= _FEWEST)
     return goes_on & ~looker.light.video[: len(asked), None]
 
@@ -57,11 +57,10 @@ def in_other_light(looker: Looker, looked: Looked) -> Bool[np.ndarray, "frames l
 def near_to(runs: Bool[np.ndarray, "frames lines"], looked: Looked) -> Bool[np.ndarray, "frames lines"]:
     """Lines of some runs, and those so near to one that the same light may lie beside them."""
     solid = runs & (over(runs, _NEAR) >= _SOLID)
-    return can_have(looked) & (runs | (over(solid, _NEAR) > 0))
+    return _can_have(looked) & (runs | (over(solid, _NEAR) > 0))
 
 
-def can_have(looked: Looked) -> Bool[np.ndarray, "frames lines"]:
-    """Which lines have a stripe beside which other light would show."""
+def _can_have(looked: Looked) -> Bool[np.ndarray, "frames lines"]:
     return looked.strong & looked.measured.whole & ~(looked.burnt | looked.cramped)
 
 
