@@ -26,4 +26,4 @@ def test_lit_borders_are_no_full_pixels(full):
     """Between burnt-out lines they made every pixel above 40 a full one."""
     for borders in ((), (110.0, 112.0, 170.0, 172.0, 175.0)):
         found = int(full_number(jnp.asarray(windows(full, 30, borders)), jnp.zeros(1, bool))[0])
-        assert 0.94 * full < found <= full
+        assert 0.87 * full < found <= full

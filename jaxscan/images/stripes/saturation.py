@@ -19,8 +19,9 @@ _NEAR, _FEWEST, _FLAT = 0.07, 3, 0.5
 # Tops of lines are cut off if at least this part of them is flat, most of these at one number, to this part of it, and
 # next to none are higher.
 _OFTEN, _ALIKE, _BEYOND, _SELDOM = 0.25, 0.02, 1.04, 0.02
-# Pixels that are cut off are no further below than this number of standard deviations.
-_SPREADS = 2.5
+# Pixels that are cut off are no further below than this number of standard deviations, and this part of the number: flat
+# tops that are much lower are something else, a lit border beside a shadow.
+_SPREADS, _LOWEST = 2.5, 0.12
 
 
 def greatest_numbers(bits: int) -> list[int]:
@@ -61,12 +62,10 @@ def _plateau(
     flat = (count >= _FEWEST) & (count > _FLAT * high.sum(1))
     usual = median(jnp.where(flat, top, jnp.nan))
     off = median(jnp.where(flat, jnp.abs(top - usual[:, None]), jnp.nan))
-    # Flat tops that are lower are something else: a lit border beside a shadow.
-    alike = flat & (jnp.abs(top - usual[:, None]) <= 2 * _ALIKE * usual[:, None])
-    inside = near & jnp.roll(near, 1, axis=1) & jnp.roll(near, -1, axis=1) & alike[:, None]
+    inside = near & jnp.roll(near, 1, axis=1) & jnp.roll(near, -1, axis=1) & flat[:, None]
     below = jnp.where(inside, (jnp.maximum(usual[:, None, None] - level, 0)) ** 2, 0.0).sum((1, 2))
     spread = jnp.sqrt(below / jnp.maximum(inside.sum((1, 2)), 1))
     beyond = (top > _BEYOND * usual[:, None]).mean(1)
     cut = (flat.mean(1) > _OFTEN) & (off < _ALIKE * usual) & (beyond < _SELDOM)
-    lower = jnp.maximum(jnp.where(coded, 0.0, _SPREADS * spread), (1 - FULL) * usual)
+    lower = jnp.clip(jnp.where(coded, 0.0, _SPREADS * spread), (1 - FULL) * usual, _LOWEST * usual)
     return jnp.where(cut, usual - lower, jnp.inf)
