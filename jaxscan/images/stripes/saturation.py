@@ -19,8 +19,8 @@ _NEAR, _FEWEST, _FLAT = 0.07, 3, 0.5
 # Tops of lines are cut off if at least this part of them is flat, most of these at one number, to this part of it, and
 # next to none are higher.
 _OFTEN, _ALIKE, _BEYOND, _SELDOM = 0.25, 0.02, 1.04, 0.02
-# Pixels that are cut off are no further below than this number of standard deviations, and this part of the number: flat
-# tops that are much lower are something else, a lit border beside a shadow.
+# Pixels that are cut off are no further below than this number of standard deviations, and this part of the number:
+# flat tops that are much lower are something else, a lit border beside a shadow.
 _SPREADS, _LOWEST = 2.5, 0.12
 
 
