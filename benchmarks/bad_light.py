@@ -145,7 +145,7 @@ def said() -> list[Metric]:
             frames.append(np.rint(levels + 2 * random.standard_normal(levels.shape)).clip(0, 255).astype(np.uint8))
         watch = LightWatch()
         watch.see(detect_stripe(np.stack(frames), _RED))
-        notes = watch.notes(exposures_known=False, background=False)
+        notes = watch.notes(exposures_known=False, background=False, grey=False)
         print(f"    {name}: {'; '.join(notes) or 'nothing is said'}")
         wanted = name not in ("good", "laser_of_10_percent_ripple")
         metrics.append(
