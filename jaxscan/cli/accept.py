@@ -113,9 +113,10 @@ def _written(args: argparse.Namespace, found: "Acceptance") -> list[str]:
     written = []
     if args.history and found.figures:
         from jaxscan.files.acceptance_history import add_to_history
+        from jaxscan.files.digest import short_digest
 
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        certificate, rig = _told_from_others(args.artefact), _told_from_others(args.rig)
+        certificate, rig = short_digest(args.artefact), short_digest(args.rig)
         add_to_history(args.history, as_test(found, now, certificate, rig))
         written.append(str(args.history))
     if args.png or args.report:
@@ -129,12 +130,6 @@ def _written(args: argparse.Namespace, found: "Acceptance") -> list[str]:
             files = {"scan": args.surface, "rig": [args.rig], "artefact": [args.artefact]}
             written += write_report(args.report, acceptance_report(found).recorded(files))
     return written
-
-
-def _told_from_others(path: Path) -> str:
-    import hashlib
-
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def _drift(args: argparse.Namespace) -> dict[str, Any]:

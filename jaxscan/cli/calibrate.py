@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.cli.detector_options import add_detector_argument
 from jaxscan.cli.estimate_options import add_estimate_arguments, estimate_asked
-from jaxscan.cli.options import add_optics_arguments, check_outputs, optics_asked
+from jaxscan.cli.options import add_optics_arguments, check_outputs, check_rig_name, optics_asked
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
@@ -74,8 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Read the session, find corners and stripes, solve, and write the rig."""
-    if args.output.suffix.lower() != ".json":
-        raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")
+    check_rig_name(args.output)
     outputs = [args.output, *([before_path(args.output)] if args.split else [])]
     check_outputs(outputs)
     if args.camera is None and (args.hold_camera or args.camera_name or args.free):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.options import add_units_argument
+from jaxscan.cli.options import add_units_argument, check_rig_name
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -73,8 +73,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Find the stripe on the gauges, refine the rig, and write it."""
     from jaxscan.atomic import check_writable
 
-    if args.output.suffix.lower() != ".json":
-        raise InputError(f"{args.output}: a rig is a JSON file: end its name with .json")
+    check_rig_name(args.output)
     check_writable(args.output)
     shapes = _shapes(args.shape, len(args.scan), args.units)
     from jaxscan.cli.compiled import keep_compiled

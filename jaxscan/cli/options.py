@@ -47,6 +47,16 @@ def check_outputs(outputs: Iterable[Path], picture: Path | None = None, inputs: 
         written.add(place)
 
 
+def check_rig_name(path: Path) -> None:
+    """Refuse a name of a rig to be written that no reader would take for one.
+
+    Raises:
+        InputError: it does not end with .json.
+    """
+    if path.suffix.lower() != ".json":
+        raise InputError(f"{path}: a rig is a JSON file: end its name with .json")
+
+
 def add_units_argument(parser: argparse.ArgumentParser, what: str, option: str = "--units") -> None:
     """Declare in which unit of length what is read is given."""
     words = f"unit of length of {what} (default: mm; what is less than 2 mm across is pointed out)"

@@ -27,6 +27,23 @@ def planes_through(
     return a[proper], normal[proper] / length[proper, None]
 
 
+def random_planes(
+    cloud: Float[np.ndarray, "points 3"], within: float
+) -> tuple[Float[np.ndarray, "planes 3"], Float[np.ndarray, "planes 3"], Float[np.ndarray, "planes"]]:
+    """Planes through triples of some points: a point of each, its unit normal, and which share of the points it holds.
+
+    Args:
+        cloud: mm.
+        within: how near to it a point of a plane is, mm.
+    """
+    rng = np.random.default_rng(_SEED)
+    sample = cloud[rng.permutation(len(cloud))[:_SAMPLE]]
+    a, b, c = (sample[rng.integers(len(sample), size=_TRIALS)] for _ in range(3))
+    centres, normals = planes_through(a, b, c)
+    off = np.abs(sample @ normals.T - (centres * normals).sum(axis=1))
+    return centres, normals, (off < within).mean(axis=0)
+
+
 def refined_plane(
     points: Float[np.ndarray, "points 3"],
     centre: Float[np.ndarray, "3"],
@@ -54,13 +71,9 @@ def dominant_plane(cloud: Float[np.ndarray, "points 3"], across: Float[np.ndarra
     Raises:
         InputError: the points lie on no plane.
     """
-    rng = np.random.default_rng(_SEED)
-    sample = cloud[rng.permutation(len(cloud))[:_SAMPLE]]
-    a, b, c = (sample[rng.integers(len(sample), size=_TRIALS)] for _ in range(3))
-    centres, normals = planes_through(a, b, c)
+    centres, normals, near = random_planes(cloud, _ROUGHLY_MM)
     if not len(normals):
         raise InputError("the scan's points lie on one line: scan more frames")
-    near = (np.abs(sample @ normals.T - (centres * normals).sum(axis=1)) < _ROUGHLY_MM).sum(axis=0)
     if across is not None:
         near = np.where(np.abs(normals @ across) < np.sin(np.radians(10.0)) * np.linalg.norm(across), near, 0)
     best = int(near.argmax())

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import InputError
-from jaxscan.geometry.robust_plane import planes_through
+from jaxscan.geometry.robust_plane import random_planes
 from jaxscan.measurement.shapes import Ball, Circle, Cone, Cylinder, Plane, Shape
 
 _OUTERMOST: Final = 0.98
@@ -14,11 +14,10 @@ _OUTERMOST: Final = 0.98
 _OF_BALL: Final = 0.2
 _OF_TURN: Final = 90.0
 # A point of a plane is within this many times its chance of it. Where less than this part of them is, another plane is
-# looked for, by triples of some points: one that holds this part of them, and this multiple of the fitted one's.
+# looked for: one that holds this part of them, and this multiple of the fitted one's.
 _WITHIN_SPREADS: Final = 4.0
 _OWN: Final = 0.3
 _OTHER, _TIMES = 0.2, 2.5
-_TRIALS, _SAMPLE, _SEED = 400, 1500, 2003
 
 
 def seen_part(shape: Shape, x: Float[np.ndarray, "points 3"]) -> tuple[str, ...]:
@@ -64,13 +63,7 @@ def check_is_one_plane(plane: Plane, points: Float[np.ndarray, "points 3"], spre
     own = float((off < within).mean())
     if own > _OWN:
         return
-    random = np.random.default_rng(_SEED)
-    sample = points[random.permutation(len(points))[:_SAMPLE]]
-    a, b, c = (sample[random.integers(len(sample), size=_TRIALS)] for _ in range(3))
-    best = 0.0
-    for centre, normal in zip(*planes_through(a, b, c), strict=True):
-        near = np.abs((sample - centre) @ normal) < within
-        best = max(best, float(near.mean()))
+    best = float(random_planes(points, within)[2].max(initial=0.0))
     if best > max(_OTHER, _TIMES * own):
         rms = float(np.sqrt((off**2).mean()))
         raise InputError(

@@ -6,7 +6,6 @@ pictures, has no scripts and asks the network for nothing.
 
 import base64
 import dataclasses
-import hashlib
 import json
 import math
 import os
@@ -22,13 +21,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from jaxscan.atomic import replacing
+from jaxscan.files.digest import short_digest
 from jaxscan.view.matplotlib_setup import pyplot
 
 Level = Literal["good", "care", "stop"]
 
 _DPI = 130
-# Of a file's digest.
-_DIGITS: Final = 16
 _STYLE: Final = """
 :root { color-scheme: light dark; --ground: #fff; --ink: #1c1c1c; --soft: #444; --line: #ccc; --thin: #e4e4e4;
   --box: #f4f4f4; --good: #eef8f1; --care: #fff7e8; --stop: #fdeceb; --link: #1f5fbf; }
@@ -147,11 +145,7 @@ class Report:
         except PackageNotFoundError:
             which = "of a folder that is not installed"
         said = [f"made {datetime.now(UTC).isoformat(timespec='seconds')}, jaxscan {which}"]
-        said += [
-            f"{what}: {path}, SHA-256 {hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGITS]}…"
-            for what, paths in files.items()
-            for path in paths
-        ]
+        said += [f"{what}: {path}, SHA-256 {short_digest(path)}…" for what, paths in files.items() for path in paths]
         return dataclasses.replace(self, sections=(*self.sections, Section("Record", items=tuple(said))))
 
 

@@ -63,7 +63,7 @@ def _again(
 def _of_any_width(looker: Looker, many: Bool[np.ndarray, "frames"]) -> Looker:
     spread = np.array(looker.light.sensor.ln_s_spread)
     spread[: len(many)][many] = _ANY
-    return replace(looker, light=replace(looker.light, sensor=replace(looker.light.sensor, ln_s_spread=spread)))
+    return looker.with_sensor(ln_s_spread=spread)
 
 
 def _of_usual_width(
@@ -75,7 +75,7 @@ def _of_usual_width(
         own = np.log(width[frame, taken[frame]] / FWHM)
         ln_s[frame] = np.median(own)
         spread[frame] = max(NORMAL_MAD * float(np.median(np.abs(own - ln_s[frame]))), _LEAST_SPREAD)
-    return replace(looker, light=replace(looker.light, sensor=replace(sensor, ln_s=ln_s, ln_s_spread=spread)))
+    return looker.with_sensor(ln_s=ln_s, ln_s_spread=spread)
 
 
 def _as_before(found: Any, measured: Any, taken: Bool[np.ndarray, "frames lines"]) -> Any:

@@ -48,9 +48,8 @@ def steadier_by_gravity(
     taken = in_doubt(looker) & valid.any(axis=1)
     if not taken.any():
         return measured, taken
-    light = replace(looker.light, sensor=replace(looker.light.sensor, smooth=None, cut=None))
     places = places_of(peak, taken)
-    found = replace(looker, light=light, detector="gravity").at(places).measured
+    found = replace(looker.with_sensor(smooth=None, cut=None), detector="gravity").at(places).measured
     own = measured.position[taken]
     position, sigma, whole = (x.reshape(own.shape) for x in (found.position, found.sigma, found.whole))
     known = valid[taken] & whole & (np.abs(position - own) < measured.width[taken])

@@ -30,6 +30,9 @@ Model = Literal[
     "grained and censored in stray light",
 ]
 
+# Models of something beside the stripe's own light: where it is not found, the plain one stands.
+OF_SOMETHING_MORE: Final[tuple[Model, ...]] = ("edge", "beside a step")
+
 Measure = Callable[[Windows, Outline, Sensor], Estimate]
 
 _CLOSED: Final[dict[str, Measure]] = {
@@ -147,7 +150,7 @@ def measure(
         found = _CLOSED[detector](windows, around, here)
     seen = bump(windows.neutral) if windows.neutral is not None else around
     # Where an edge runs through a stripe its centre may lie on the dark side, below half the height of what is seen.
-    between = (found.centre > around.start) & (found.centre < around.end) | (model in ("edge", "beside a step"))
+    between = (found.centre > around.start) & (found.centre < around.end) | (model in OF_SOMETHING_MORE)
     whole = around.whole & found.found & between
     relief = around.top - r.min(1, keepdims=True)
     cramped = (around.start < _MARGIN) | (around.end >= size - _MARGIN)

@@ -409,6 +409,19 @@ def weigh(
     return Weighed(*(jnp.where(used, value, 0.0) for value in (score, weight, residual)))
 
 
+def squares_left(
+    background: Pixels | Lines,
+    height: Pixels,
+    windows: Windows,
+    used: Bool[Array, "groups window lines"],
+    sensor: Sensor,
+) -> Lines:
+    """The squares of what is left, in units of the noise; a full pixel counts where it ought not to be full."""
+    residual = windows.response - background - height
+    residual = jnp.where(windows.full, jnp.maximum(residual, 0.0), residual)
+    return jnp.where(used, residual**2 / windows.variance(height, sensor), 0.0).sum(1, keepdims=True)
+
+
 def _in_stray_light(
     seen: Weighed, height: Pixels, outline: Outline, sensor: Sensor, centre: Lines
 ) -> tuple[Weighed, Bool[Array, "groups window lines"]]:

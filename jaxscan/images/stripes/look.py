@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.detectors import Detector
 from jaxscan.images.stripes.batch import NARROW, SHORT, WIDE, Batch
-from jaxscan.images.stripes.detectors import Model, measure
+from jaxscan.images.stripes.detectors import OF_SOMETHING_MORE, Model, measure
 from jaxscan.images.stripes.light import Light
 from jaxscan.images.stripes.likelihood import FEW_STEPS_CENSORED, ROUGH, STEPS_CENSORED
 from jaxscan.images.stripes.settle import Looked, Places, replaced
@@ -88,6 +88,10 @@ class Looker:
         """The same in other light, with the speckle in it that is seen along the stripe."""
         return replace(self, light=light.with_grain(self.ln_light, self.seen))
 
+    def with_sensor(self, **known: Any) -> "Looker":
+        """The same with other numbers of the frames' sensors."""
+        return replace(self, light=replace(self.light, sensor=replace(self.light.sensor, **known)))
+
     def at(self, places: Places) -> Looked:
         """What is at some places."""
         return self._looked(places, self._first_look(places))
@@ -114,7 +118,7 @@ class Looker:
             return measured
         found = self._measured(tuple(index[which] for index in at), half, model, steps)
         # Where there is no edge in the stripe, or no step beside it, what was measured without one stands.
-        taken = found.whole if model in ("edge", "beside a step") else np.ones_like(found.whole)
+        taken = found.whole if model in OF_SOMETHING_MORE else np.ones_like(found.whole)
         places = np.flatnonzero(which)[taken]
         return jax.tree.map(lambda old, new: replaced(old, places, new[taken]), measured, found)
 

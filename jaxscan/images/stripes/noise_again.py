@@ -95,4 +95,4 @@ def _of_whole_width(
     ln_s = np.array(sensor.ln_s)
     for frame in np.flatnonzero(has_edge & seen.any(1)):
         ln_s[frame] = np.log(np.quantile(width[frame, seen[frame]], _WHOLE) / FWHM)
-    return replace(looker, light=replace(looker.light, sensor=replace(sensor, ln_s=ln_s)))
+    return looker.with_sensor(ln_s=ln_s)

@@ -14,6 +14,7 @@ lines are asked whose neighbours show an edge too (`evidence`).
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Final, NamedTuple
 
 import jax
@@ -21,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import FWHM, LN_HEIGHT_SPREAD, fit, weigh
-from jaxscan.images.stripes.normal_equations import factor, gradient, solve
+from jaxscan.images.stripes.likelihood import FWHM, LN_HEIGHT_SPREAD, fit, squares_left, weigh
+from jaxscan.images.stripes.normal_equations import damped_step, factor, least_of, strain
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # Gauss and Legendre's nodes and weights over a pixel.
@@ -88,26 +89,14 @@ def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor) -> 
         zero,
     )
 
-    def misfit_of(background: Lines, height: Pixels) -> Lines:
-        """The squares of what is left, in units of the noise; a full pixel counts where it ought not to be full."""
-        residual = windows.response - background - height
-        residual = jnp.where(windows.full, jnp.maximum(residual, 0.0), residual)
-        squares = residual**2 / windows.variance(height, sensor)
-        return jnp.where(used, squares, 0.0).sum(1, keepdims=True)
+    left = partial(squares_left, windows=windows, used=used, sensor=sensor)
 
     def marquardt(step: int, theta: EdgeProfile) -> EdgeProfile:
         height, jacobian = _pixels(theta, size)
         seen = weigh(theta.background, height, windows, used, sensor, censored=True)
-        damped = [
-            prior + _DAMPING * (J * J * seen.weight).sum(1, keepdims=True)
-            for J, prior in zip(jacobian, precision, strict=True)
-        ]
-        change = solve(factor(jacobian, seen.weight, damped), gradient(jacobian, seen.score, precision, theta, mean))
         far = _LONGEST * jnp.exp(theta.ln_s)
         longest = (jnp.inf, _LONGEST_LN, _LONGEST_LN / 2, _LONGEST_LN, far, far)
-        return EdgeProfile(
-            *(now + jnp.clip(by, -most, most) for now, by, most in zip(theta, change, longest, strict=True))
-        )
+        return damped_step(theta, jacobian, seen.score, seen.weight, precision, mean, _DAMPING, longest)
 
     def from_start(start: jax.Array) -> tuple[EdgeProfile, Lines]:
         side, place = start
@@ -120,20 +109,14 @@ def fit_reflectance_edge(windows: Windows, outline: Outline, sensor: Sensor) -> 
             plain.profile.centre + side * _SHIFT * s,
         )
         theta = jax.lax.fori_loop(0, _STEPS, marquardt, theta)
-        strain = sum(
-            (prior * (now - usual) ** 2 for prior, now, usual in zip(precision, theta, mean, strict=True)), start=zero
-        )
-        misfit = misfit_of(theta.background, _pixels(theta, size)[0]) + strain
+        misfit = left(theta.background, _pixels(theta, size)[0]) + strain(theta, precision, mean)
         return theta, jnp.where(jnp.isfinite(misfit), misfit, jnp.inf)
 
     starts = jnp.asarray([(side, place) for side in (1.0, -1.0) for place in _PLACES], jnp.float32)
-    all_, misfits = jax.lax.map(from_start, starts)
-    best = misfits.argmin(0)[None]
-    theta = EdgeProfile(*(jnp.take_along_axis(x, best, axis=0)[0] for x in all_))
-    misfit = jnp.take_along_axis(misfits, best, axis=0)[0]
+    theta, misfit = least_of(jax.lax.map(from_start, starts))
     height, jacobian = _pixels(theta, size)
     seen = weigh(theta.background, height, windows, used, sensor, censored=True)
-    without = misfit_of(plain.profile.background, plain.height)
+    without = left(plain.profile.background, plain.height)
     freedom = jnp.maximum((used & ~windows.full).sum(1, keepdims=True) - len(EdgeProfile._fields), 1)
     f = (without - misfit) / 2 / (jnp.maximum(misfit, 1e-6) / freedom)
     sigma = jnp.sqrt(jnp.maximum(misfit / freedom, 1.0)) / factor(jacobian, seen.weight, precision)[-1][-1]

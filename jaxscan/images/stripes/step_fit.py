@@ -11,6 +11,7 @@ fit is taken where it explains the pixels so much better than the even backgroun
 test of two nested models), down to the noise.
 """
 
+from functools import partial
 from typing import Final, NamedTuple
 
 import jax
@@ -18,8 +19,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.images.stripes.classical import Estimate
-from jaxscan.images.stripes.likelihood import FREEDOM_OF_NOISE, FWHM, LN_HEIGHT_SPREAD, Profile, fit, pixels, weigh
-from jaxscan.images.stripes.normal_equations import factor, gradient, solve
+from jaxscan.images.stripes.likelihood import (
+    FREEDOM_OF_NOISE,
+    FWHM,
+    LN_HEIGHT_SPREAD,
+    Profile,
+    fit,
+    pixels,
+    squares_left,
+    weigh,
+)
+from jaxscan.images.stripes.normal_equations import damped_step, factor, least_of, strain
 from jaxscan.images.stripes.windows import Lines, Outline, Pixels, Sensor, Windows, places
 
 # How far a step is smeared by lens and pixel: σ, px.
@@ -74,11 +84,7 @@ def fit_beside_a_step(windows: Windows, outline: Outline, sensor: Sensor) -> Est
     mean = StepProfile(zero, plain.profile.ln_height, zero + ln_s, zero, zero, zero)
     precision = StepProfile(zero, zero + LN_HEIGHT_SPREAD**-2, zero + sensor.ln_s_spread**-2, zero, zero, zero)
 
-    def misfit_of(background: Pixels | Lines, height: Pixels) -> Lines:
-        residual = r - background - height
-        residual = jnp.where(windows.full, jnp.maximum(residual, 0.0), residual)
-        squares = residual**2 / windows.variance(height, sensor)
-        return jnp.where(used, squares, 0.0).sum(1, keepdims=True)
+    left = partial(squares_left, windows=windows, used=used, sensor=sensor)
 
     def modelled(theta: StepProfile) -> tuple[Pixels, Pixels, tuple[Pixels, ...]]:
         """The background with its step, the stripe's light, and the derivatives of both together."""
@@ -93,15 +99,8 @@ def fit_beside_a_step(windows: Windows, outline: Outline, sensor: Sensor) -> Est
     def marquardt(_: int, theta: StepProfile) -> StepProfile:
         ground, height, jacobian = modelled(theta)
         seen = weigh(ground, height, windows, used, sensor, censored=True)
-        damped = [
-            prior + _DAMPING * (J * J * seen.weight).sum(1, keepdims=True)
-            for J, prior in zip(jacobian, precision, strict=True)
-        ]
-        change = solve(factor(jacobian, seen.weight, damped), gradient(jacobian, seen.score, precision, theta, mean))
         longest = (jnp.inf, _LONGEST_LN, _LONGEST_LN / 2, jnp.inf, _LONGEST_PX, _LONGEST_PX)
-        return StepProfile(
-            *(now + jnp.clip(by, -most, most) for now, by, most in zip(theta, change, longest, strict=True))
-        )
+        return damped_step(theta, jacobian, seen.score, seen.weight, precision, mean, _DAMPING, longest)
 
     def from_start(place: jax.Array) -> tuple[StepProfile, Lines]:
         ground = jnp.where(place > 0, low, high)
@@ -114,21 +113,15 @@ def fit_beside_a_step(windows: Windows, outline: Outline, sensor: Sensor) -> Est
             peak,
         )
         theta = jax.lax.fori_loop(0, _STEPS, marquardt, theta)
-        strain = sum(
-            (prior * (now - usual) ** 2 for prior, now, usual in zip(precision, theta, mean, strict=True)), start=zero
-        )
         ground, height, _ = modelled(theta)
-        misfit = misfit_of(ground, height) + strain
+        misfit = left(ground, height) + strain(theta, precision, mean)
         inside = (theta.edge > -0.5) & (theta.edge < size - 0.5) & (jnp.abs(theta.centre - peak) < FWHM * s + 1)
         return theta, jnp.where(jnp.isfinite(misfit) & inside, misfit, jnp.inf)
 
-    all_, misfits = jax.lax.map(from_start, jnp.asarray(_PLACES, jnp.float32))
-    best = misfits.argmin(0)[None]
-    theta = StepProfile(*(jnp.take_along_axis(x, best, axis=0)[0] for x in all_))
-    misfit = jnp.take_along_axis(misfits, best, axis=0)[0]
+    theta, misfit = least_of(jax.lax.map(from_start, jnp.asarray(_PLACES, jnp.float32)))
     ground, height, jacobian = modelled(theta)
     seen = weigh(ground, height, windows, used, sensor, censored=True)
-    without = misfit_of(plain.profile.background, plain.height)
+    without = left(plain.profile.background, plain.height)
     freedom = jnp.maximum((used & ~windows.full).sum(1, keepdims=True) - len(StepProfile._fields), 1)
     f = (without - misfit) / 2 / (jnp.maximum(misfit, 1e-6) / freedom)
     scatter = (FREEDOM_OF_NOISE + misfit) / (FREEDOM_OF_NOISE + freedom)
