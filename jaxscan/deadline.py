@@ -8,7 +8,8 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
@@ -25,6 +26,7 @@ HOW_TO_GO_ON: Final = (
     "seconds"
 )
 
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
@@ -116,3 +118,45 @@ def result_of(future: "Future[Result]", what: str) -> Result:
             if future.done():  # its own error
                 raise
     raise StalledError(f"{what}: it was worked on for {limit:g} s without an end: {HOW_TO_GO_ON}")
+
+
+def in_turn(
+    work: Callable[[Item], Result], items: Iterable[Item], count: int, what: str
+) -> Iterator[tuple[Item, Result]]:
+    """Each item with what is made of it, in their order, while the next ones are worked on.
+
+    Args:
+        work: what is done with each.
+        items: each is asked for when a thread is free for it and what was made of those before it has been taken.
+            Where they end in an error, what was made of those before it comes first.
+        count: how many are worked on together; one alone in the thread of whoever asks for it.
+        what: the work in words.
+
+    Raises:
+        StalledError: the work on one of them has not ended in `patience_s` seconds.
+    """
+    if count == 1:
+        yield from ((item, work(item)) for item in items)
+        return
+    begun: deque[tuple[Item, Future[Result]]] = deque()
+    failed: list[Exception] = []
+
+    def each() -> Iterator[Item]:
+        try:
+            yield from items
+        except Exception as error:  # noqa: BLE001 (raised again once the others have been taken)
+            failed.append(error)
+
+    def first() -> tuple[Item, Result]:
+        item, future = begun.popleft()
+        return item, result_of(future, what)
+
+    with Workers(count) as workers:
+        for item in each():
+            begun.append((item, workers.submit(work, item)))
+            if len(begun) == count:
+                yield first()
+        while begun:
+            yield first()
+    if failed:
+        raise failed[0]

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from jaxscan.deadline import PATIENCE, Workers, patience_s, result_of
+from jaxscan.deadline import PATIENCE, Workers, in_turn, patience_s, result_of
 from jaxscan.errors import InputError, StalledError
 
 
@@ -18,6 +18,48 @@ def test_results_come_in_order_and_errors_are_those_of_the_work():
         assert [result_of(future, "a division") for future in futures[:2]] == [2, 5]
         with pytest.raises(ZeroDivisionError):
             result_of(futures[2], "a division")
+
+
+def test_items_are_worked_on_together_and_come_in_their_order():
+    """Each of three waits for the two others; the fourth is not asked for before the first was taken."""
+    together, asked = threading.Barrier(3), []
+
+    def items():
+        for k in range(6):
+            asked.append(k)
+            yield k
+
+    def work(k: int) -> int:
+        together.wait(30)
+        return 10 * k
+
+    found = in_turn(work, items(), 3, "tens")
+    assert next(found) == (0, 0)
+    assert asked == [0, 1, 2]
+    assert list(found) == [(k, 10 * k) for k in range(1, 6)]
+
+
+def test_what_was_worked_on_before_an_error_comes_first():
+    def items():
+        yield 2
+        yield 1
+        raise InputError("the third is missing")
+
+    found = in_turn(lambda k: 10 // k, items(), 4, "divisions")
+    assert [next(found), next(found)] == [(2, 5), (1, 10)]
+    with pytest.raises(InputError, match="the third is missing"):
+        next(found)
+    found = in_turn(lambda k: 10 // k, iter((2, 0, 1)), 4, "divisions")
+    assert next(found) == (2, 5)
+    with pytest.raises(ZeroDivisionError):
+        next(found)
+
+
+def test_whoever_stops_early_leaves_no_thread():
+    found = in_turn(lambda k: k, iter(range(1000)), 3, "numbers")
+    assert next(found) == (0, 0)
+    found.close()
+    assert not [thread for thread in threading.enumerate() if "_work" in thread.name]
 
 
 def test_a_limit_of_the_work_itself_is_no_stall():

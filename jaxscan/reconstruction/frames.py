@@ -27,8 +27,8 @@ from jaxscan.images.decode import Image
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.rig import Positions
 
-# One buffer is measured while two are filled.
-_SLOTS: Final = 3
+# This number of buffers is filled while others are measured.
+_FILLED: Final = 2
 _SLOT_BYTES: Final = 128 << 20
 # What lies on such a boundary is handed to a compiled function without a copy.
 _ALIGNMENT: Final = 64
@@ -45,7 +45,7 @@ class Frames:
 
     Attributes:
         images: a buffer that holds them first; what else is in it is left over. It is used again after the next frames
-            are asked for.
+            are asked for, or later ones (`frames_of_scan`).
         backgrounds: none, one for all frames, or a buffer of one for each.
         positions: of each axis of the scan in its order, motor steps; as many as there are frames.
         inner: which of them the batch is of; the others are their neighbours.
@@ -69,18 +69,21 @@ class Frames:
             yield self.images[i].copy(), None if own is None else own[i].copy(), positions
 
 
-def frames_of_scan(scan: Scan, size: tuple[int, int], decoders: int | None = None) -> Generator[Frames, None, None]:
+def frames_of_scan(
+    scan: Scan, size: tuple[int, int], decoders: int | None = None, kept: int = 1
+) -> Generator[Frames, None, None]:
     """The frames of a scan, decoded on all cores, in their order.
 
     Args:
         scan: as `read_scan` gives it.
         size: columns and rows that every photograph must have.
         decoders: how many threads decode, in place of one for each core; a video has one.
+        kept: the last `kept` of the `Frames` that were given out stay as they are.
 
     Raises:
         InputError: a photograph cannot be read or is unlike the others, or there are more or fewer than step counts.
     """
-    return _of_video(scan, size) if scan.video is not None else _of_files(scan, size, decoders)
+    return _of_video(scan, size, kept) if scan.video is not None else _of_files(scan, size, decoders, kept)
 
 
 def with_positions(frames: object) -> Iterator[tuple[Image, Positions]]:
@@ -188,7 +191,7 @@ def wrong_size(path: Path | str, size: tuple[int, int], expected: tuple[int, int
     )
 
 
-def _of_files(scan: Scan, size: tuple[int, int], decoders: int | None) -> Generator[Frames, None, None]:
+def _of_files(scan: Scan, size: tuple[int, int], decoders: int | None, kept: int) -> Generator[Frames, None, None]:
     count = len(scan.frames)
     if not count:
         return
@@ -203,9 +206,9 @@ def _of_files(scan: Scan, size: tuple[int, int], decoders: int | None) -> Genera
                 tasks.append((workers.submit(dark.read, i, slot.backgrounds[i - first]), f"background of frame {i}"))
         return tasks
 
-    slots = [_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(min(_SLOTS, -(-count // batch)))]
+    slots = [_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(min(_FILLED + kept, -(-count // batch)))]
     with Workers(decoders) as workers:
-        for first, slot in _ring(slots, range(0, count, batch), fill):
+        for first, slot in _ring(slots, range(0, count, batch), fill, kept):
             yield Frames(slot.images, dark.of(slot), _positions(scan, first, min(batch, count - first)))
 
 
@@ -250,20 +253,23 @@ def _ring(
     slots: Sequence[_Slot],
     firsts: Iterable[int],
     fill: Callable[[int, _Slot], list[tuple[Future[None], str]]],
+    kept: int,
 ) -> Iterator[tuple[int, _Slot]]:
-    """Each full slot in its turn, while those behind it are being filled."""
-    to_come = iter(firsts)
+    """Each full slot in its turn, while those behind it are being filled; the last that were given out are not."""
+    to_come, given = iter(firsts), deque[_Slot]()
     under_way = deque((first, slot, fill(first, slot)) for slot, first in zip(slots, to_come, strict=False))
     while under_way:
         first, slot, tasks = under_way.popleft()
         for future, what in tasks:
             result_of(future, what)
         yield first, slot
-        if (following := next(to_come, None)) is not None:
+        given.append(slot)
+        if len(given) == kept and (following := next(to_come, None)) is not None:
+            slot = given.popleft()
             under_way.append((following, slot, fill(following, slot)))
 
 
-def _of_video(scan: Scan, size: tuple[int, int]) -> Generator[Frames, None, None]:
+def _of_video(scan: Scan, size: tuple[int, int], kept: int) -> Generator[Frames, None, None]:
     """A video is decoded by one thread, for each frame needs the one before."""
     video = scan.video or scan.path
     source = read_video(video)
@@ -286,13 +292,13 @@ def _of_video(scan: Scan, size: tuple[int, int]) -> Generator[Frames, None, None
             count += 1
         return count
 
-    slots = deque(_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(2))
+    slots = deque(_Slot(form.buffer(batch), dark.buffer(batch)) for _ in range(1 + kept))
     done = 0
     with Workers(1) as workers:
         ahead = workers.submit(fill, 0, slots[0])
         while count := result_of(ahead, str(video)):
             slot = slots[0]
-            slots.rotate()
+            slots.rotate(-1)
             positions = _positions(scan, done, count)
             done += count
             ahead = workers.submit(fill, done, slots[0])

@@ -3,17 +3,20 @@
 The points of a frame are the same whatever is looked at together with it, and memory is the same whatever the length.
 """
 
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import chain
+from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.axis_details import is_detail
+from jaxscan.deadline import in_turn
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector, check_detector
 from jaxscan.errors import InputError, error_context
 from jaxscan.files.place_checks import doubts
@@ -51,6 +54,9 @@ from jaxscan.reconstruction.turns import two_frames, with_ends, with_runs
 from jaxscan.rig import Positions, Rig, played_axes, run_of
 from jaxscan.rig.play import Runs
 
+# Each has a buffer of its own.
+_MOST_AT_ONCE: Final = 4
+
 Counted = tuple[RangeImage, Int[np.ndarray, "verdicts"]]
 
 
@@ -65,6 +71,8 @@ class Scanner:
         depths_mm: nearest and farthest depth (`sheet_band`) at which there can be a stripe, mm; by default that
             of the rig's calibration, widened; (0, inf) for any. Spacetime analysis looks everywhere.
         decoders: how many threads decode photographs; as many as the machine has cores by default.
+        at_once: how many batches of photographs are measured together; by default as many as the machine has cores, up
+            to four. Each needs a buffer of its own; the points are the same.
 
     Attributes:
         notes: what the photographs of the last scan have shown to be wrong in its settings.
@@ -74,7 +82,7 @@ class Scanner:
     Notes and counts are those of the scan that ended last: threads that share one take a `copy.copy` of it each.
 
     Raises:
-        InputError: the depths are none, or there is no such detector.
+        InputError: the depths are none, there is no such detector, or a number of threads is below 1.
     """
 
     def __init__(
@@ -86,10 +94,14 @@ class Scanner:
         depths_mm: tuple[float, float] | None = None,
         *,
         decoders: int | None = None,
+        at_once: int | None = None,
     ) -> None:
         check_detector(detector)
         if depths_mm is not None:
             check_depths(depths_mm)
+        for name, count in (("decoders", decoders), ("at_once", at_once)):
+            if count is not None and count < 1:
+                raise InputError(f"{name} is {count}: give 1 or more, or None for as many as the machine has cores")
         self._content = rig if isinstance(rig, RigFile) else RigFile(rig)
         self.warnings = self._content.warnings
         self._detector: Detector = detector
@@ -97,6 +109,7 @@ class Scanner:
         self._spacetime = spacetime
         self._depths_mm = depths_of(self._content) if depths_mm is None else depths_mm
         self._decoders = decoders
+        self._at_once = at_once or min(os.cpu_count() or 1, _MOST_AT_ONCE)
         self._ready: dict[StripeSettings, _Laser] = {}
         self.notes: list[str] = []
         self.left_out: dict[str, int] = {}
@@ -233,7 +246,8 @@ class Scanner:
         longer, before = with_ends(scan, rig.motion, looked_at, equal=self._spacetime)
         longer = with_runs(longer, rig.motion)
         own, done = range(before, before + (len(step_groups(scan)) or sys.maxsize)), 0
-        read = to_close.enter_context(closing(frames_of_scan(longer, rig.camera.image_size, self._decoders)))
+        read = frames_of_scan(longer, rig.camera.image_size, self._decoders, self._at_once)
+        read = to_close.enter_context(closing(read))
         batches = self._batches(longer, read, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
@@ -265,9 +279,12 @@ class Scanner:
     def _stripes(self, laser: "_Laser", scan: Scan, batches: Iterable[Frames], notes: list[str]) -> Iterator[Looked]:
         """The stripe of each frame by itself, and its points; `notes` is updated."""
         looked, standing = False, object_stands(self._content.rig, scan)
-        for some in batches:
+
+        def measured(some: Frames) -> tuple[RangeImage, Stripe]:
             with error_context(scan.path):
-                image, stripe = laser.range_image(some, scan.axis_names, standing)
+                return laser.range_image(some, scan.axis_names, standing)
+
+        for some, (image, stripe) in in_turn(measured, batches, self._at_once, f"{scan.path}: its stripes"):
             if not looked and np.isfinite(image.pixels).any():
                 looked = True
                 notes += _miscoloured(scan.laser, some, image)

@@ -218,7 +218,7 @@ def test_threads_and_memory_are_bounded_on_any_machine(tree, cores, monkeypatch)
     batch._scanner.cache_clear()
     assert sum(outcome.points is not None for outcome in outcomes) == 73
     assert 2 <= most[0] <= 2 * cores or cores == 1
-    assert at_once[0] * frames._SLOTS * frames._SLOT_BYTES <= 2 << 30
+    assert at_once[0] * (frames._FILLED + 1) * frames._SLOT_BYTES <= 2 << 30
 
 
 def test_what_is_at_work_is_broken_off_when_the_batch_stops(tree):

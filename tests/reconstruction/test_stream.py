@@ -1,6 +1,7 @@
 """The stream: the same points whatever is looked at together, from files of any kind and from a camera as they come."""
 
 import threading
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.candidates import candidates
 from jaxscan.images.stripes.coarse import choose_peaks, coarse_peaks
 from jaxscan.images.stripes.coherent import HALO
-from jaxscan.images.stripes.windows import gather_pixels, gather_windows
+from jaxscan.images.stripes.windows import gather_pixels
 from jaxscan.reconstruction import Scanner, frames, reconstruct, write_stream
 from jaxscan.reconstruction.range_image import RangeImage, read_range_image
 from jaxscan.rig import Covariance
@@ -114,6 +115,32 @@ def test_a_ring_of_buffers_keeps_frames_and_backgrounds_in_step(rig, photographs
         for i, (lit, background) in enumerate(zip(photographs // 2 + dark, dark, strict=True))
     ]
     assert_same(with_backgrounds, RangeImage.joined(alone))
+
+
+@pytest.mark.parametrize("kept", [1, 3])
+def test_frames_that_were_given_out_stay_as_they_are(photographs, tmp_path, monkeypatch, kept):
+    monkeypatch.setattr(frames, "FRAMES_AT_ONCE", 1)
+    scan, last = scan_of(tmp_path, np.concatenate([photographs] * 3), ".png"), deque(maxlen=kept)
+    for i, some in enumerate(frames.frames_of_scan(scan, photographs.shape[:0:-1], kept=kept)):
+        last.append(some)
+        for k, one in enumerate(reversed(last)):
+            np.testing.assert_array_equal(one.images[0], photographs[(i - k) % COUNT])
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 5])
+def test_points_do_not_depend_on_how_many_are_measured_together(
+    rig, photographs, whole, tmp_path, monkeypatch, at_once
+):
+    monkeypatch.setattr(frames, "FRAMES_AT_ONCE", 2)
+    scan = scan_of(tmp_path, photographs, ".png")
+    assert_same(RangeImage.joined(list(Scanner(rig, "gravity", at_once=at_once).scan(scan))), whole)
+
+
+@pytest.mark.parametrize("count", [0, -1])
+@pytest.mark.parametrize("name", ["decoders", "at_once"])
+def test_threads_that_are_none_are_refused(rig, name, count):
+    with pytest.raises(InputError, match=f"{name} is {count}: give 1 or more"):
+        Scanner(rig, "gravity", **{name: count})
 
 
 def test_a_reader_that_stops_leaves_no_thread(rig, photographs, tmp_path, monkeypatch):
@@ -313,7 +340,7 @@ def test_a_scan_of_another_length_compiles_nothing(rig, photographs, tmp_path, m
 
 def compiled_sizes() -> list[int]:
     """For how many shapes each function that sees whole frames has been compiled."""
-    return [each._cache_size() for each in (coarse_peaks, choose_peaks, candidates, gather_pixels, gather_windows)]
+    return [each._cache_size() for each in (coarse_peaks, choose_peaks, candidates, gather_pixels)]
 
 
 def test_exposures_that_are_not_listed_are_pointed_out(rig, photographs, tmp_path):

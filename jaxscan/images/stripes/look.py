@@ -138,9 +138,10 @@ class Looker:
         """`Measured` of the windows at these places, in NumPy's arrays; in groups, for each size compiles again."""
         batch, here, found = self.batch, self._sensor_for(model), []
         color, columns = batch.settings.color, batch.settings.columns
-        for group, count in groups(*at, sizes=GROUPS if model == "plain" else _GROUPS_AGAIN):
-            windows = gather_windows(batch.images, batch.background, here, *group, color, columns, batch.half(half))
-            measured = measure(windows, here, group[0], self.detector, model, steps)
+        for (frame, line, peak), count in groups(*at, sizes=GROUPS if model == "plain" else _GROUPS_AGAIN):
+            places = frame, line, peak, color, columns, batch.half(half)
+            windows = gather_windows(batch.images, batch.background, here, *places)
+            measured = measure(windows, here, frame, self.detector, model, steps)
             found.append(jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measured))
         return found[0] if len(found) == 1 else jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 

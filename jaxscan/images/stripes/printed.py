@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, UInt
 
 from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.likelihood import FWHM
@@ -73,15 +73,18 @@ def widened_by_print(
     asked = asked & np.isfinite(sigma) & np.isfinite(position) & np.isfinite(width)
     # What sums over several pixels make of smoothed noise is larger by so much.
     larger = jnp.asarray(np.sqrt(np.maximum(1 + 2 * correlation.sum(axis=1), 1)), jnp.float32)
-    how = {"color": settings.color, "columns": settings.columns, "half": half}
-    shown = partial(_displaced, images, background, sensor, larger, **how)
+    source = images if background is None else background
 
     def look(which: Bool[np.ndarray, "frames lines"]) -> tuple[np.ndarray, ...]:
         at = np.nonzero(which)
         found = [np.zeros(0, np.float32)]
         for group, count in groups(*at):
-            here = (jnp.asarray(x[tuple(group)]) for x in (position, width))
-            found.append(np.ravel(np.asarray(shown(*group, *here)))[:count])
+            centre, broad = (x[tuple(group)] for x in (position, width))
+            peak = np.rint(centre).astype(np.int32)
+            pixels = gather_pixels(source, *group, peak, settings.columns, half)
+            centre = centre - first_pixel(images, peak, settings.columns, half)
+            shown = _displaced(pixels, sensor, larger, group[0], centre, broad, settings.color, background is not None)
+            found.append(np.ravel(np.asarray(shown))[:count])
         moved = np.concatenate(found)
         return (*at, np.where(np.abs(moved) > _COUNTS * sigma[at], moved, 0.0))
 
@@ -103,33 +106,36 @@ def _some(asked: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames l
     return asked & (rank % every == 0)
 
 
-@partial(jax.jit, static_argnames=("color", "columns", "half"))
+@partial(jax.jit, static_argnames=("color", "is_dark"))
 def _displaced(
-    images: Images,
-    background: Backgrounds | None,
+    pixels: UInt[Array, "groups window lines *rgb"],
     sensor: Sensor,
     larger: Float[Array, "frames"],
     frame: Places,
-    line: Places,
-    position: Float[Array, "groups lines"],
+    centre: Float[Array, "groups lines"],
     width: Float[Array, "groups lines"],
-    *,
     color: str,
-    columns: bool,
-    half: int,
+    is_dark: bool,
 ) -> Float[Array, "groups lines"]:
-    """The most that the reflectance beside and under each stripe may have moved it, px; 0 where noise may be all."""
-    peak = jnp.rint(position).astype(jnp.int32)
-    source = images if background is None else background
-    pixels = gather_pixels(source, frame, line, peak, columns, half)
+    """The most that the reflectance beside and under each stripe may have moved it, px; 0 where noise may be all.
+
+    Args:
+        pixels: in a window about each stripe; with the laser off, if that `is_dark`.
+        sensor: the noise.
+        larger: by how much that of sums is larger in each frame.
+        frame: of each window.
+        centre: of the stripe, px from the window's first pixel.
+        width: of the stripe.
+        color: of the laser.
+        is_dark: whether the laser is off.
+    """
     levels = [level.astype(jnp.float32) for level in channels(pixels, None, color)]
     here = sensor.of(frame)
     noise = here.read * larger[frame][:, None] / noise_gain(here.weights, color)
-    centre = (position - first_pixel(images, peak, columns, half))[:, None]
     s2 = (width[:, None] / FWHM) ** 2 + _PIXEL_VARIANCE
-    z = places(2 * half + 1) - centre
+    z = places(pixels.shape[1]) - centre[:, None]
     g = jnp.exp(-0.5 * z * z / s2)
-    if background is not None:
+    if is_dark:
         light = levels[0]
     else:
         light, noise = levels[1] + levels[2], noise * jnp.sqrt(2.0)

@@ -81,6 +81,13 @@ _LEAST_LUMA = 0.1
 _LEAST_SPREAD, _UNKNOWN = 0.1, 1.0
 _TINY = 1e-12
 
+# As `half_chroma` gives it, and the windows' first pixels.
+Chroma = tuple[
+    Bool[Array | np.ndarray, "frames"],
+    Bool[Array | np.ndarray, "frames"],
+    Int[Array | np.ndarray, "frames lines"],
+]
+
 
 def survey(
     images: Images,
@@ -122,7 +129,7 @@ def survey(
     at = (frame, line, row, columns, half)
     lit = gather_pixels(images, *at)
     dark = None if background is None else gather_pixels(background, *at)
-    first = first_pixel(images, jnp.asarray(row), columns, half)
+    first = first_pixel(images, row, columns, half)
     # Merged exposures have 16 bits, and their own rounding.
     chroma = None if color == "grey" or lit.dtype != jnp.uint8 else half_chroma(lit, first, color)
     look = partial(survey_windows, lit, dark, ambient, color, correlation=correlation, smooth=smooth, coded=coded)
@@ -180,20 +187,21 @@ def _lines_with_a_stripe(stands: Int[np.ndarray, "frames lines"]) -> Int[np.ndar
     return np.stack(chosen).astype(np.int32)
 
 
-@partial(jax.jit, static_argnames="color")
 def survey_windows(
     lit: Array,
     dark: Array | None,
-    ambient: Int[Array, "frames"],
+    ambient: Int[Array | np.ndarray, "frames"],
     color: str,
     gain: Pixels | None = None,
-    chroma: tuple[Bool[Array, "frames"], Bool[Array, "frames"], Places] | None = None,
-    correlation: Float[Array, "frames distances"] | None = None,
-    smooth: Bool[Array, "frames"] | None = None,
-    coded: Bool[Array, "frames"] | None = None,
-    odd: Bool[Array, "frames"] | None = None,
+    chroma: Chroma | None = None,
+    correlation: Float[Array | np.ndarray, "frames distances"] | None = None,
+    smooth: Bool[Array | np.ndarray, "frames"] | None = None,
+    coded: Bool[Array | np.ndarray, "frames"] | None = None,
+    odd: Bool[Array | np.ndarray, "frames"] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor in some of its windows.
+
+    Three programs: the second and the third, which take long to compile, are the same for all colours and depths.
 
     Args:
         lit: their pixels with the laser on.
@@ -201,12 +209,43 @@ def survey_windows(
         ambient: c of the response.
         color: of the laser, or grey.
         gain: as that of `Windows`; the noise is that of single pixels.
-        chroma: as `half_chroma` gives it, and the windows' first pixels; None where no colours are at half resolution.
+        chroma: None where no colours are at half resolution.
         correlation: as that of `survey`.
         smooth: as that of `survey`.
         coded: as that of `survey`.
         odd: in which frames the laser's own cross-section is looked for; None where in none.
     """
+    windows, around, sensor = _seen(lit, dark, ambient, color, gain, chroma, correlation, smooth, coded)
+    look = partial(_look, windows, around, read=sensor.read, correlation=correlation)
+    asked = np.ones(len(lit), bool)
+    if odd is not None:
+        sensor = replace(sensor, shape=_cross_section(windows, around, look(sensor, asked, roughly=True), odd))
+    sensor = look(sensor, asked, roughly=True)
+    # Where speckle has made lines ragged, they are looked at again.
+    for _ in range(_LOOKS):
+        sensor = look(sensor, asked)
+        asked = np.asarray(sensor.speckle) > ROUGH
+        if not asked.any():
+            break
+    return sensor
+
+
+_cross_section = jax.jit(cross_section)
+
+
+@partial(jax.jit, static_argnames="color")
+def _seen(
+    lit: Array,
+    dark: Array | None,
+    ambient: Int[Array, "frames"],
+    color: str,
+    gain: Pixels | None,
+    chroma: tuple[Bool[Array, "frames"], Bool[Array, "frames"], Places] | None,
+    correlation: Float[Array, "frames distances"] | None,
+    smooth: Bool[Array, "frames"] | None,
+    coded: Bool[Array, "frames"] | None,
+) -> tuple[Windows, Outline, Sensor]:
+    """The response in these windows, where the stripe lies in each, and what the ends of the windows show."""
     levels = channels(lit, dark, color)
     laser = numbers(lit, color)
     half, detail = None, None
@@ -263,51 +302,41 @@ def survey_windows(
         coded=coded,
         off_beside=zero,
     )
-    around = outline(r)
-    windows = Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added)
-    # With no idea of the noise some lines will do.
-    some, about = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
-    if odd is not None:
-        known = _look(some, about, sensor, read, correlation, roughly=True)
-        sensor = replace(sensor, shape=cross_section(windows, around, known, odd))
-    first = _look(some, about, sensor, read, correlation, roughly=True)
-
-    def again(looked: Array, known: Sensor) -> Sensor:
-        more = (looked == 0) | (known.speckle > ROUGH)
-        return jax.tree.map(partial(jnp.where, more), _look(windows, around, known, read, correlation), known)
-
-    # The last looks are for those that speckle has made ragged; where there are none they are not taken.
-    def unfinished(state: tuple[Array, Sensor]) -> Array:
-        return (state[0] == 0) | ((state[0] < _LOOKS) & (state[1].speckle > ROUGH).any())
-
-    start = jnp.asarray(0), first
-    return jax.lax.while_loop(unfinished, lambda state: (state[0] + 1, again(*state)), start)[1]
+    return Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added), outline(r), sensor
 
 
+@partial(jax.jit, static_argnames="roughly")
 def _look(
     windows: Windows,
     around: Outline,
-    sensor: Sensor,
+    before: Sensor,
+    asked: Bool[Array, "frames"],
+    *,
     read: Float[Array, "frames"],
     correlation: Float[Array, "frames distances"] | None,
     roughly: bool = False,
 ) -> Sensor:
-    """Fit the stripes with the noise as far as it is known, and read the noise off what they leave."""
-    found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], sensor), censored=True, steps=_STEPS)
+    """Fit the stripes with the noise as far as it is known, and read it off what they leave, in frames that are asked.
+
+    With no idea of the noise some lines will do.
+    """
+    if roughly:
+        windows, around = jax.tree.map(lambda x: x[..., ::_SKIPPED], (windows, around))
+    found = fit(windows, around, jax.tree.map(lambda x: x[:, None, None], before), censored=True, steps=_STEPS)
     known = (around.whole & jnp.isfinite(found.inverse_sigma))[:, 0]
     ln_s = jnp.where(known, windows.as_it_is(found.profile.ln_s)[:, 0], jnp.nan)
     usual = median(ln_s)
     spread = jnp.maximum(NORMAL_MAD * median(jnp.abs(ln_s - usual[:, None])), _LEAST_SPREAD)
     # A line without a stripe has a peak too, of noise.
     shines = known & (around.top - around.floor > LEAST_SIGNAL * read[:, None, None])[:, 0]
-    light, apart = sensor_noise(found, windows, around, shines, read, sensor, correlation, roughly)
-    if sensor.detail is not None:
-        from_video = sensor.detail.repeated & (sensor.detail.gains[0] > 0)
+    light, apart = sensor_noise(found, windows, around, shines, read, before, correlation, roughly)
+    if before.detail is not None:
+        from_video = before.detail.repeated & (before.detail.gains[0] > 0)
         light = jax.tree.map(partial(jnp.where, from_video), _of_video(read, light), light)
-    sensor = replace(sensor, read=jnp.sqrt(light.read2), shot=light.shot, speckle=light.speckle)
+    sensor = replace(before, read=jnp.sqrt(light.read2), shot=light.shot, speckle=light.speckle)
     v = windows.variance(found.height, jax.tree.map(lambda x: x[:, None, None], sensor))
     off = off_beside(found.residual**2 / v, found, around)[:, 0]
-    return replace(
+    sensor = replace(
         sensor,
         off_beside=jnp.nan_to_num(median(jnp.where(shines, off, jnp.nan))),
         grain=light.grain,
@@ -316,6 +345,7 @@ def _look(
         ln_s_spread=jnp.where(known.any(1), spread, _UNKNOWN),
         apart=apart,
     )
+    return jax.tree.map(partial(jnp.where, asked), sensor, before)
 
 
 def _of_video(read: Float[Array, "frames"], light: Chance) -> Chance:

@@ -6,11 +6,12 @@ the first, so a detector is written for all lines of all frames at once. What is
 """
 
 from functools import partial
-from typing import Final
+from typing import Final, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
 
 from jaxscan.geometry.rotation import A
@@ -19,6 +20,8 @@ from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Detail, Images
 Pixels = Float[Array, "groups window lines"]
 Lines = Float[Array, "groups 1 lines"]
 Places = Int[Array, "groups lines"]
+# Of JAX or of NumPy.
+Rows = TypeVar("Rows", Array, np.ndarray)
 
 # The smoothing's own full width at half height, squared: 8 ln 2 times its variance of 1.
 _SMOOTHING_FWHM2 = 5.545
@@ -221,30 +224,42 @@ def gather_pixels(
     )
 
 
-def first_pixel(images: Images, peak: Places, columns: bool, half: int) -> Places:
+def first_pixel(images: Images, peak: Rows, columns: bool, half: int) -> Rows:
     """The row (or column) in which a window begins: at the image's edge it is moved inwards."""
-    return jnp.clip(peak - half, 0, images.shape[1 if columns else 2] - 2 * half - 1)
+    return (peak - half).clip(0, images.shape[1 if columns else 2] - 2 * half - 1)
 
 
-@partial(jax.jit, static_argnames=("color", "columns", "half"))
 def gather_windows(
     images: Images,
     background: Backgrounds | None,
     sensor: Sensor,
-    frame: Places,
-    line: Places,
-    peak: Places,
+    frame: Int[np.ndarray, "groups lines"],
+    line: Int[np.ndarray, "groups lines"],
+    peak: Int[np.ndarray, "groups lines"],
     color: str,
     columns: bool,
     half: int,
 ) -> Windows:
     """The response in a window about each peak; the arguments are those of `gather_pixels`."""
-    lit = gather_pixels(images, frame, line, peak, columns, half)
-    dark = None if background is None else gather_pixels(background, frame, line, peak, columns, half)
+    at = frame, line, peak, columns, half
+    dark = None if background is None else gather_pixels(background, *at)
+    return _windows_of(gather_pixels(images, *at), dark, sensor, frame, first_pixel(images, peak, columns, half), color)
+
+
+# Apart from the gathering, for this need not be compiled again for photographs of another size.
+@partial(jax.jit, static_argnames="color")
+def _windows_of(
+    lit: UInt[Array, "groups window lines *rgb"],
+    dark: UInt[Array, "groups window lines *rgb"] | None,
+    sensor: Sensor,
+    frame: Places,
+    first: Places,
+    color: str,
+) -> Windows:
+    """The response in windows of these pixels, which begin in the rows (or columns) `first`."""
     here = sensor.of(frame)
     laser = numbers(lit, color)
     levels = channels(lit, dark, color)
-    first = first_pixel(images, peak, columns, half)
     if here.detail is not None:
         laser = detailed(channels(lit, None, color), first, here.detail, color)[0]
         levels = detailed(levels, first, here.detail, color)
