@@ -98,6 +98,12 @@ class ScannerSettings:
         """Way and pace of each axis."""
         return {name: axis.travel for name, axis in self.axes.items()}
 
+    @property
+    def simulated(self) -> tuple[str, ...]:
+        """Which parts are simulated: the camera, axes by their names, the laser."""
+        tables = {"camera": self.camera, **{name: axis.table for name, axis in self.axes.items()}, "laser": self.laser}
+        return tuple(name for name, table in tables.items() if table.values["kind"] == "simulated")
+
 
 def read_scanner(path: Path | None) -> ScannerSettings:
     """Read and check a scanner's description; without one, that of the simulated scanner.

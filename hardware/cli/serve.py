@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> None:
         rig = read_rig(args.rig)
         for warning in rig.warnings:
             say(f"warning: {args.rig}: {warning}.")
-    habits = Habits(settings.travels, settings.stripe, settings.exposure_s, settings.gain)
+    habits = Habits(settings.travels, settings.stripe, settings.exposure_s, settings.gain, settings.simulated)
     listening = bind(args.host, args.port, tls, args.insecure)
 
     def connect() -> "Devices":

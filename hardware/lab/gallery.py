@@ -159,7 +159,8 @@ class Gallery:
         from jaxscan.images import detect_stripe
 
         keep_compiled()
-        stripe = detect_stripe(read_image(path) if image is None else image, self._stripe, detector=_DETECTOR)
+        image = read_image(path) if image is None else image
+        stripe = detect_stripe(image, self._stripe, detector=_DETECTOR)
         position, lines = stripe.position[0], np.flatnonzero(stripe.valid[0])
         lines = lines[:: max(1, -(-len(lines) // _PROFILE_POINTS))]
         found = {
@@ -171,7 +172,9 @@ class Gallery:
             "line": lines.tolist(),
             "position": np.round(position[lines].astype(float), 2).tolist(),
         }
-        if self._rig is not None:
+        if self._rig is not None and (problem := self._unfit((image.shape[1], image.shape[0]), place)):
+            found["problem"] = problem
+        elif self._rig is not None:
             points = self._points(lines, position[lines], place)
             with self._mutex:
                 if sum(map(len, self._cloud)) < _CLOUD_POINTS:
@@ -180,10 +183,21 @@ class Gallery:
             found["points"] = np.round(points.astype(float), 2).tolist()
         self._hub.publish("profile", json.dumps(found, separators=(",", ":")).encode())
 
+    def _unfit(self, size: tuple[int, int], place: Place) -> str:
+        """Why the rig makes no points of a photograph of this size; "" where it does."""
+        from jaxscan.reconstruction.frames import wrong_size
+
+        assert self._rig is not None
+        rig = self._rig.rig
+        if size != rig.camera.image_size:
+            return wrong_size("no points", size, rig.camera.image_size)
+        lacking = [name for name, step in place.items() if step and name not in rig.axes()]
+        return f"no points: the rig has no axis {' or '.join(lacking)}: calibrate one that has" if lacking else ""
+
     def _points(
         self, lines: np.ndarray, position: Float[np.ndarray, "points"], place: Place
     ) -> Float[np.ndarray, "points 3"]:
-        """Stripe pixels to points of the object frame, mm; none where an axis has moved that the rig does not have."""
+        """Stripe pixels to points of the object frame, mm."""
         from jaxscan.reconstruction import Kernel
         from jaxscan.reconstruction.triangulate import FramePoses, triangulate
 
@@ -191,9 +205,6 @@ class Gallery:
         rig = self._rig.rig
         if self._kernel is None:
             self._kernel = Kernel.create(rig, self._stripe.name)
-        axes = rig.axes()
-        if any(step and name not in axes for name, step in place.items()):
-            return np.zeros((0, 3), np.float32)
 
         # Always as many, so that nothing is compiled twice.
         along, across = (np.full((1, _PROFILE_POINTS), np.nan, np.float32) for _ in range(2))

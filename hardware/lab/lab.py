@@ -69,6 +69,7 @@ class State(BaseModel):
         rig_name: the calibration session that it comes from; "" where the server was started with it.
         rig_warnings: what is known against it, in words.
         lease_s: how long the operator may be silent.
+        simulated: which parts are no real ones: the camera, axes by their names, the laser.
     """
 
     operator: Holder | None
@@ -81,6 +82,7 @@ class State(BaseModel):
     rig_name: str
     rig_warnings: tuple[str, ...]
     lease_s: float
+    simulated: tuple[str, ...]
 
 
 class Lab:
@@ -173,6 +175,7 @@ class Lab:
             rig_name=self.rigs.name,
             rig_warnings=() if rig is None else rig.warnings,
             lease_s=self.lease_s,
+            simulated=self.habits.simulated,
         )
 
     async def tell(self) -> None:

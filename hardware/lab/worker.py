@@ -57,12 +57,13 @@ class Audience(Protocol):
 
 @dataclass(frozen=True)
 class Habits:
-    """How photographs are taken, as the scanner's description says."""
+    """How photographs are taken, as the scanner's description says, and which of its parts are simulated."""
 
     travels: Mapping[str, Travel] = field(default_factory=lambda: {"stage": Travel()})
     stripe: StripeSettings = field(default_factory=StripeSettings)
     exposure_s: float | None = None
     gain: float = 1.0
+    simulated: tuple[str, ...] = ()
 
 
 class Worker:

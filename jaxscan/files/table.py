@@ -65,7 +65,8 @@ class Table:
 
     def table(self, key: str, prefix: str) -> "Table":
         """The table under a key."""
-        value = self._required(key, "a table")
+        header = prefix.strip()
+        value = self._required(key, f"a table {header}" if header.startswith("[") else "a table")
         if not isinstance(value, dict):
             raise self.error(key, "must be a table")
         return Table(self.path, prefix, value)
@@ -150,7 +151,7 @@ class Table:
 
     def _required(self, key: str, expected: str) -> Any:
         if key not in self.values:
-            raise self.error(key, f"is missing: add it, {expected}")
+            raise self.error(key, f"is missing: add {expected}")
         return self.values[key]
 
 

@@ -13,6 +13,9 @@ UNITS: Final = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 # What is smaller than this across, mm, was not scanned by a line of light; in metres it would be up to two across.
 _TOO_SMALL_MM: Final = 2.0
 
+# How near to another unit a length must come to be taken for one in it.
+_NEAR: Final = 0.05
+
 
 class UnitsWarning(UserWarning):
     """Coordinates are so small that they are hardly millimetres."""
@@ -22,6 +25,13 @@ def too_small(points: Float[np.ndarray, "points 3"]) -> float | None:
     """How far points reach, mm, if that is so little that they will be in metres; else None."""
     across = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
     return across if 0 < across < _TOO_SMALL_MM else None
+
+
+def times_of_units(value: float, nominal: float) -> float | None:
+    """How many times its nominal value a length is, if that is about the ratio of two of `UNITS`; else None."""
+    ratios = sorted({a / b for a in UNITS.values() for b in UNITS.values() if a != b})
+    ratio = value / nominal if nominal else 0.0
+    return next((each for each in ratios if abs(ratio / each - 1) < _NEAR), None)
 
 
 def in_millimetres(

@@ -30,7 +30,7 @@ from jaxscan.measurement.scanned import Scanned
 from jaxscan.measurement.section import outline
 from jaxscan.measurement.seen import check_is_one_plane, seen_part
 from jaxscan.measurement.shapes import Plane, Shape
-from jaxscan.measurement.verdict import Verdict, verdict, worst_of
+from jaxscan.measurement.verdict import Verdict, another_unit, verdict, worst_of
 from jaxscan.measurement.volume import volume_above
 
 # Numbers of a shape are moved by so much for derivatives, mm.
@@ -194,6 +194,8 @@ def measure(scanned: Scanned, part: Part) -> Measurement:
         if dimension.tolerance is not None and dimension.nominal is not None:
             low, high = (dimension.nominal + off for off in dimension.tolerance)
             measured = replace(measured, verdict=verdict(measured.interval, (low, high)))
+        if (note := another_unit(dimension, measured.value)) is not None:
+            measured = replace(measured, notes=(*measured.notes, note))
         dimensions.append(measured)
     without = (f"measured without intervals: {scanned.why_not}",) if scanned.why_not else ()
     notes = (*moved, *without)

@@ -3,6 +3,9 @@
 from collections.abc import Iterable
 from typing import Final, Literal
 
+from jaxscan.files.part_file import Dimension
+from jaxscan.files.units import times_of_units
+
 Verdict = Literal["conforming", "not conforming", "not decided"]
 
 _WORST_FIRST: Final[tuple[Verdict, ...]] = ("not conforming", "not decided", "conforming")
@@ -27,3 +30,18 @@ def worst_of(verdicts: Iterable[Verdict | None]) -> Verdict | None:
     """That of a whole of which each part has a verdict or, with None, has no limits; None where no part has any."""
     found = set(verdicts)
     return next((each for each in _WORST_FIRST if each in found), None)
+
+
+def another_unit(dimension: Dimension, value: float | None) -> str | None:
+    """A note where a length and its nominal value seem to be in two units; None where they do not.
+
+    Args:
+        dimension: with its nominal value.
+        value: as measured, mm.
+    """
+    nominal = dimension.nominal
+    if value is None or nominal is None or dimension.unit != "mm" or (times := times_of_units(value, nominal)) is None:
+        return None
+    return (
+        f"is {times:g} times its nominal value of {nominal:g} mm: see units of [part], in which the file's numbers are"
+    )

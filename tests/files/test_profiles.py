@@ -141,7 +141,7 @@ def test_profiles_that_are_missing_have_their_steps_listed(tmp_path: Path) -> No
 CSV = "profile,x,z\n0,1,200\n0,2,201\n1,1,200\n1,2,202\n"
 WRONG = {
     "unit": (CSV, COMMON.replace("mm", "parsec"), MOTION, r'units = "parsec": must be one of um, mm, cm, m, inch'),
-    "no unit": (CSV, "steps_per_frame = 1\n", MOTION, r"units: is missing: add it, one of um, mm"),
+    "no unit": (CSV, "steps_per_frame = 1\n", MOTION, r"units: is missing: add one of um, mm"),
     "column": ("profile,x,y\n0,1,2\n", COMMON, MOTION, r'has no column "z"; its columns are profile, x, y: name'),
     "column given": (
         "profile,x,y\n0,1,2\n",

@@ -8,6 +8,7 @@ from jaxscan.files.part_file import Dimension, Feature
 from jaxscan.measurement.dimensions import Shapes, edge_of, fold_of, slot_of, width_of
 from jaxscan.measurement.folded import interval_of_length
 from jaxscan.measurement.shapes import Ball, Line, Plane
+from jaxscan.measurement.verdict import another_unit
 
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -180,3 +181,19 @@ def test_far_from_0_an_interval_of_a_length_is_that_of_a_number():
     assert few[1] - few[0] == pytest.approx(2 * 0.2776, rel=1e-3)
     # A length of nothing at all still may be as long as noise makes nothing.
     assert interval_of_length(0.0, 0.1, np.eye(2) * 0.01, np.inf, 0.95)[1] == pytest.approx(0.28, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("nominal", "value", "says"),
+    [
+        (0.01, 10.02, "is 1000 times its nominal value of 0.01 mm: see units of [part]"),
+        (254.0, 9.99, "is 0.0393701 times its nominal value of 254 mm"),
+        (10.0, 10.3, None),
+        (0.0, 12.0, None),
+        (None, 12.0, None),
+        (10.0, None, None),
+    ],
+)
+def test_a_nominal_value_in_another_unit_is_pointed_out(nominal, value, says):
+    note = another_unit(Dimension("step", "distance", ("a", "b"), nominal, None), value)
+    assert note is None if says is None else note.startswith(says)

@@ -5,9 +5,11 @@ import { watchPictures } from "./pictures.js";
 const bench = element("bench").dataset;
 const UNDER_WAY = ["running", "pausing", "paused"];
 const NAMES = { check: "Check of the devices", home: "Reset of the motor", move: "Move", shoot: "Step and shoot", scan: "Scan", calibrate: "Calibration" };
+// How long an order to take a photograph may be on its way before it can be given again.
+const ANSWER_MS = 3000;
 const EDGES = ["upper", "lower", "left", "right"];
 const cloud = new CloudView(element("cloud"));
-let state = null, cloudOf = "", shown = null, lastProfile = null, slides = false, focused = null, rigs = [];
+let state = null, cloudOf = "", shown = null, lastProfile = null, slides = false, focused = null, rigs = [], answered = null;
 
 const mine = () => state?.operator?.seat === bench.seat;
 
@@ -119,6 +121,9 @@ function showJob(job, own) {
   element("abort").hidden = !(own && under);
 }
 
+/** What a calibration session asks for now, "" for nothing. */
+const asked = (guide) => (guide?.wish ? `${guide.views} ${guide.wish}` : "");
+
 /** What a calibration session asks for, and what it has seen so far. */
 function showGuide(guide, own) {
   const asks = Boolean(guide?.wish), seen = guide?.board_seen ? "board seen" : "board not seen";
@@ -132,6 +137,7 @@ function showGuide(guide, own) {
   }
   const comes = own && asks && element("take-view").hidden, held = !guide?.on_axis;
   element("take-view").hidden = !(own && asks);
+  element("take-view").disabled = asked(guide) === answered;
   element("take-view").textContent = held ? "Take" : `Begin the ${guide.on_axis}'s sequence`;
   element("enough").hidden = !(own && asks && guide.views >= 3);
   element("enough").textContent = held ? "Enough poses" : `No ${guide.on_axis}`;
@@ -144,6 +150,8 @@ async function showProfile(profile) {
   drawProfile(element("profile"), profile);
   element("no-profile").hidden = true;
   element("profile-of").textContent = `${profile.project}, photograph ${profile.number}, ${profile.place}`;
+  if (profile.problem) element("cloud-of").textContent = profile.problem;
+  element("cloud-of").classList.toggle("problem", Boolean(profile.problem));
   if (!profile.points) return;
   const added = profile.project === cloudOf && cloud.length + profile.points.length === profile.cloud_points;
   if (added) cloud.add(profile.points);
@@ -344,7 +352,13 @@ element("use").addEventListener("click", () => trying(async () => {
   await loadRigs();
   say("From now on points are computed with this rig");
 }));
-onClick("take-view", change("take"));
+onClick("take-view", async () => {
+  // Until the answer is seen here, the same wish would be answered twice.
+  answered = asked(state.guide);
+  showGuide(state.guide, mine());
+  setTimeout(() => { answered = null; }, ANSWER_MS);
+  try { await change("take")(); } catch (error) { answered = null; throw error; }
+});
 onClick("enough", change("enough"));
 
 for (const id of ["live", "live-laser"])
