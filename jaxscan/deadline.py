@@ -18,7 +18,9 @@ from jaxscan.errors import InputError, StalledError
 
 PATIENCE: Final = "JAXSCAN_PATIENCE_S"
 _PATIENCE_S: Final = 600.0
+# How long the end of a block waits for its threads; and where it ends by Ctrl-C, which waits for no compiler.
 _LET_GO_S: Final = 5.0
+_LET_GO_INTERRUPTED_S: Final = 0.2
 # The longest that is waited in one go, of which the time that the process was stopped may be the whole.
 _LOOK_S: Final = 1.0
 HOW_TO_GO_ON: Final = (
@@ -50,7 +52,7 @@ class Workers:
     """Threads for a block of work. The block, and the program, can end while one of them is stuck.
 
     `concurrent.futures.ThreadPoolExecutor` waits for its threads without a limit. Here the end of the block cancels
-    what has not begun, and waits a few seconds for what has.
+    what has not begun, and waits a few seconds for what has, after Ctrl-C a moment.
 
     Args:
         count: how many threads; as many as the machine has cores by default.
@@ -78,7 +80,7 @@ class Workers:
                 task[0].cancel()
         for _ in self._threads:
             self._tasks.put(None)
-        until = time.monotonic() + _LET_GO_S
+        until = time.monotonic() + (_LET_GO_INTERRUPTED_S if kind is KeyboardInterrupt else _LET_GO_S)
         for thread in self._threads:
             thread.join(max(0.0, until - time.monotonic()))
 

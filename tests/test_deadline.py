@@ -62,6 +62,15 @@ def test_whoever_stops_early_leaves_no_thread():
     assert not [thread for thread in threading.enumerate() if "_work" in thread.name]
 
 
+def test_ctrl_c_waits_for_nothing_that_goes_on():
+    stuck, begin = threading.Event(), time.monotonic()
+    with pytest.raises(KeyboardInterrupt), Workers(1) as workers:
+        workers.submit(stuck.wait, 30)
+        raise KeyboardInterrupt
+    assert time.monotonic() - begin < 3
+    stuck.set()
+
+
 def test_a_limit_of_the_work_itself_is_no_stall():
     def work():
         raise TimeoutError("of the work")
