@@ -51,3 +51,17 @@ def test_help_is_quick_and_imports_nothing_slow(command):
         if seconds < 0.5:
             break
     assert min(times) < 0.5
+
+
+def test_a_scan_imports_nothing_of_the_calibration():
+    """It took 0.8 s of each command, and SciPy's parts that a scan seldom needs another half."""
+    unused = ("jaxscan.calibration", "optimistix", "scipy.stats", "scipy.spatial", "scipy.ndimage", "scipy.fft")
+    code = f"""
+import sys
+from jaxscan.files.rig_file import read_rig
+from jaxscan.files.scan import read_scan
+from jaxscan.reconstruction import Scanner
+print(*[name for name in {unused} if name in sys.modules])
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == []

@@ -64,9 +64,14 @@ def test_whoever_stops_early_leaves_no_thread():
 
 def test_ctrl_c_waits_for_nothing_that_goes_on():
     stuck, begin = threading.Event(), time.monotonic()
-    with pytest.raises(KeyboardInterrupt), Workers(1) as workers:
-        workers.submit(stuck.wait, 30)
-        raise KeyboardInterrupt
+
+    def broken_off() -> None:
+        with Workers(1) as workers:
+            workers.submit(stuck.wait, 30)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        broken_off()
     assert time.monotonic() - begin < 3
     stuck.set()
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Real
 
-from jaxscan.calibration.blocks import bucket
+from jaxscan.buckets import bucket
 from jaxscan.calibration.gauge_residuals import GaugePoints, gauge_errors, points_of_object
 from jaxscan.calibration.gauge_shapes import Shape, Steps
 from jaxscan.geometry import Pose

@@ -15,9 +15,9 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxscan.buckets import bucket
 from jaxscan.calibration.bends import without_poses
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
-from jaxscan.calibration.blocks import bucket
 from jaxscan.calibration.by_photograph import determined_directions, inverse_where_determined
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.residuals import Blocks, Noise

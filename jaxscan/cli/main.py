@@ -102,6 +102,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """The process `jaxscan`."""
+    # Its matrices are small: in a scan, threads of OpenBLAS wait for each other for a second of processor time. NumPy
+    # asks for it when it is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     run_as_process(main)
 
 

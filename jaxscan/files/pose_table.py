@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
@@ -67,6 +66,8 @@ def read_pose_table(path: Path, photographs: Sequence[Path]) -> Pose[np.ndarray]
 
 def misread(given: Pose[np.ndarray]) -> Iterator[tuple[str, Pose[np.ndarray]]]:
     """The usual mistakes in a table, in words that follow "but they do", and the poses that are then meant."""
+    from scipy.spatial.transform import Rotation
+
     yield (
         "the other way round: change moves to the other of head and object, or, if that is right, write the pose of "
         "the hand in the frame of the base (T_base_hand), and not its inverse",
@@ -101,6 +102,8 @@ def write_pose_table(path: Path, names: Sequence[str], poses: Pose[np.ndarray]) 
     Raises:
         InputError: the file cannot be written.
     """
+    from scipy.spatial.transform import Rotation
+
     quaternions = np.roll(Rotation.from_rotvec(poses.rotation).as_quat(), 1, axis=1)
     with replacing(path, "w") as file:
         file.write("name,x,y,z,qw,qx,qy,qz\n")

@@ -4,7 +4,6 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from jaxscan.errors import InputError
 from jaxscan.files.table import LARGEST
@@ -24,6 +23,8 @@ def turned(where: str, quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, 
     Raises:
         InputError: its length is another.
     """
+    from scipy.spatial.transform import Rotation
+
     length = float(np.linalg.norm(quaternion)) if usable(quaternion) else np.inf
     if not abs(length - 1) < _OFF:
         raise InputError(f"{where}: the quaternion has the length {length:.4g}, but 1 is expected")

@@ -6,7 +6,6 @@ sees it there, unless something else of the scan is in front of it: a map of the
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
-from scipy.ndimage import minimum_filter
 
 from jaxscan.geometry import Pose
 from jaxscan.images.sampled import sampled
@@ -60,6 +59,8 @@ def least_depths(
         depths: along the optical axis, mm.
         shape: rows and columns.
     """
+    from scipy.ndimage import minimum_filter
+
     at, inside = _nearest_pixels(pixels, shape)
     nearest = np.full(shape, np.inf, np.float32)
     np.minimum.at(nearest, (at[inside, 1], at[inside, 0]), depths[inside].astype(np.float32))

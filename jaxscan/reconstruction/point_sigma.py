@@ -15,7 +15,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Real
 
-from jaxscan.calibration.blocks import bucket
+from jaxscan.buckets import bucket
 from jaxscan.precision import as_float64, batches_of, float64
 from jaxscan.rig import Covariance, Motion, Positions, Rig
 from jaxscan.rig.light import inverse_depths

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from jaxscan.geometry import Pose
 
@@ -36,6 +35,8 @@ class PoseRange:
     @classmethod
     def of(cls, poses: Pose[np.ndarray]) -> "PoseRange":
         """That of a stack of poses."""
+        from scipy.spatial.transform import Rotation
+
         mean = Rotation.from_rotvec(poses.rotation).mean()
         turned = (mean.inv() * Rotation.from_rotvec(poses.rotation)).magnitude()
         places = poses.translation
@@ -57,6 +58,8 @@ class PoseRange:
 
     def is_near(self, poses: Pose[np.ndarray]) -> bool:
         """Whether half of some poses are near these."""
+        from scipy.spatial.transform import Rotation
+
         least, most = np.array(self.least_mm), np.array(self.most_mm)
         outside = np.maximum(np.maximum(least - poses.translation, poses.translation - most), 0)
         turned = (Rotation.from_rotvec(np.array(self.turn)).inv() * Rotation.from_rotvec(poses.rotation)).magnitude()

@@ -22,7 +22,8 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 from scipy.special import fdtrc
 
-from jaxscan.calibration.blocks import bucket, view_blocks
+from jaxscan.buckets import bucket
+from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.bundle import Outcome, solve
 from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration

@@ -18,7 +18,6 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt
-from scipy.fft import dct
 
 from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.response import LUMA
@@ -63,7 +62,8 @@ _MULTIPLES, _FEWEST_VALUES = 5.0, 12
 @cache
 def _transform() -> Float[np.ndarray, "64 64"]:
     """The cosine transform of a block, from pixels to frequencies, both in rows."""
-    D = np.asarray(dct(np.eye(_SIZE), axis=0, norm="ortho"))
+    k = np.arange(_SIZE)
+    D = np.sqrt(np.where(k, 2, 1) / _SIZE)[:, None] * np.cos(np.pi * np.outer(k, k + 0.5) / _SIZE)
     return np.kron(D, D).T.astype(np.float32)
 
 

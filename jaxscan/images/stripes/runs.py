@@ -18,7 +18,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Num
-from scipy.ndimage import median_filter
 
 from jaxscan.images.stripes.validity import COMPANY_PX, GAP, LN_WIDTHS, STEEPEST, longer_than_thick
 
@@ -122,6 +121,9 @@ def _parts_apart(points: Points, run: Int[np.ndarray, "points"]) -> Int[np.ndarr
 
     A run that has faded at its end is one such, and a stripe that goes on where a ghost ends is another.
     """
+    # A command is slow to begin with it, and most scans need none.
+    from scipy.ndimage import median_filter
+
     run, added = run.copy(), int(run.max()) + 1
     for mine in np.split(np.argsort(run, kind="stable"), np.cumsum(np.bincount(run))[:-1]):
         level = np.log(points.strength[mine])
