@@ -48,6 +48,7 @@ from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import LIGHTS, BoardShape, Camera, Light, LightPlane, Rig, System
 from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES
 from jaxscan.rig.splined import Splined
+from jaxscan.rig.stripe_way import STEEP, stripe_slope
 
 # σ of the bends to begin with, as a share of the board.
 _FIRST_BEND = 5e-4
@@ -226,8 +227,36 @@ def calibrate(
             next(kept) if has_enough else InlierMask.none(view)
             for view, has_enough in zip(observations.photographs(), enough, strict=True)
         ),
-        notes=(*result.notes, *approached, *unclear_bows(result.rig, result.covariance), *((PLAIN,) if plain else ())),
+        notes=(
+            *result.notes,
+            *approached,
+            *unclear_bows(result.rig, result.covariance),
+            *_across(observations, result.rig),
+            *((PLAIN,) if plain else ()),
+        ),
     )
+
+
+def _across(observations: Observations, rig: Rig) -> list[str]:
+    """Which lasers' stripes run across the lines in which they were looked for, as their sheets show.
+
+    Where that is so, few points are found, and these may not show it themselves.
+    """
+    if any("columns =" in note for note in observations.notes):
+        return []
+    looked = {stripe.laser: stripe.columns for view in observations.photographs() for stripe in view.stripes}
+    notes = []
+    for laser, columns in sorted(looked.items()):
+        name = observations.lasers[laser]
+        slope = stripe_slope(rig, name)
+        if (slope if columns else 1 / max(slope, 1e-9)) > STEEP:
+            way, of = ("up and down" if columns else "from left to right"), f" of laser {name}" if name else ""
+            wanted = str(not columns).lower()
+            notes.append(
+                f"the stripe{of} runs {way} over the image, where it is badly measured as it is looked for: set "
+                f"columns = {wanted} under [laser]"
+            )
+    return notes
 
 
 def _first_lights(

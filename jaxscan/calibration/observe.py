@@ -30,11 +30,10 @@ from jaxscan.images.board import LEAST_POINTS
 from jaxscan.images.light import no_bell
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.other_colour import colour_that_shows
+from jaxscan.rig.stripe_way import STEEP
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
-# The stripe is searched in the wrong direction if it is this many times as long across as along.
-_STEEP = 2.0
 # Photographs in which other colours are tried.
 _TRIED = 3
 
@@ -182,7 +181,7 @@ def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str
             if len(seen):
                 # Some points may be no stripe's.
                 wide, high = np.ptp(np.percentile(seen, (10, 90), axis=0), axis=0)
-                steep.append(high > _STEEP * wide if laser.columns else wide > _STEEP * high)
+                steep.append(high > STEEP * wide if laser.columns else wide > STEEP * high)
         if steep and np.median(steep) == 1:
             way, wanted = ("up and down", "false") if laser.columns else ("from left to right", "true")
             notes.append(

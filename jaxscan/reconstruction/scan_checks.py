@@ -12,13 +12,17 @@ from jaxscan.files.axes import STAGE
 from jaxscan.files.listing import common_size
 from jaxscan.files.scan import Scan
 from jaxscan.files.session import SEQUENCES
+from jaxscan.images import StripeSettings
 from jaxscan.reconstruction.frames import wrong_size
 from jaxscan.reconstruction.merged_steps import step_groups
 from jaxscan.reconstruction.range_image import WIDE_APART_DEG
 from jaxscan.reconstruction.turns import sweeps_of
 from jaxscan.rig import Rig
 from jaxscan.rig.given_poses import NM
+from jaxscan.rig.stripe_way import stripe_slope
 
+# A stripe that runs so much more steeply than the lines in which it is looked for meets few of them.
+_STEEPEST: Final = 3.0
 # More full turns than these are a mistake.
 _MOST_TURNS: Final = 5
 # The median gap is judged from this number on: one wrong gap is then less than half of them.
@@ -41,6 +45,26 @@ def check_scan(rig: Rig, scan: Scan) -> None:
     check_axes(rig, scan.moving, scan.axis_names, f"{scan.path}: {key}")
     _check_near(rig, scan)
     step_groups(scan)
+
+
+def check_lines(rig: Rig, laser: StripeSettings, where: str) -> None:
+    """Refuse to look for one point in each column of a stripe that runs down the image, or in each row across it.
+
+    Args:
+        rig: the rig.
+        laser: which, and how its stripe is looked for.
+        where: the settings stand, for errors.
+
+    Raises:
+        InputError: the stripe runs the other way.
+    """
+    slope = stripe_slope(rig, laser.name)
+    if (slope if laser.columns else 1 / max(slope, 1e-9)) > _STEEPEST:
+        way = "up and down" if laser.columns else "from left to right"
+        raise InputError(
+            f"{where}: looks for one point in each {'column' if laser.columns else 'row'}, but by this rig the stripe "
+            f"runs {way} over the image: set columns = {str(not laser.columns).lower()} under [laser]"
+        )
 
 
 def check_axes(rig: Rig, moving: Sequence[str], named: Sequence[str], where: str) -> None:

@@ -59,6 +59,22 @@ def gap_notes(scan: Scan) -> list[str]:
     ]
 
 
+def background_notes(scan: Scan, stands: bool) -> list[str]:
+    """What is said of one laser-off photograph that is subtracted from photographs of an object that moves.
+
+    Args:
+        scan: as `read_scan` gives it.
+        stands: whether the object stands still before the camera.
+    """
+    if len(scan.backgrounds) != 1 or stands:
+        return []
+    return [
+        f"{scan.backgrounds[0].name} is subtracted from all frames, but the object moves, and where it stood in that "
+        "photograph it leaves its shape in every other: take one with the laser off at each step, or leave background "
+        "out of scan.toml"
+    ]
+
+
 def in_another_colour(scan: Scan) -> str:
     """What to add where a scan shows no stripe of its laser's colour, but one of another; empty for no other."""
     if not scan.frames:

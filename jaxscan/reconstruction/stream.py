@@ -31,13 +31,15 @@ from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
+from jaxscan.reconstruction.order_watch import OrderWatch
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.pose_sigma import PoseSigma, check_poses
 from jaxscan.reconstruction.range_image import RangeImage
-from jaxscan.reconstruction.scan_checks import check_axes, check_scan, way_notes
+from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands, own_colours
 from jaxscan.reconstruction.scan_notes import (
     REASONS,
+    background_notes,
     brighter_colors,
     channels_note,
     gap_notes,
@@ -129,10 +131,12 @@ class Scanner:
         check_poses(self._content, scan)
         with error_context(scan.path):
             laser = self._laser(scan.laser)
+        check_lines(self._content.rig, scan.laser, f"{scan.path}: [laser] columns = {str(scan.laser.columns).lower()}")
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
         notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan)]
-        verdicts, watch = np.zeros(len(Verdict), int), LightWatch()
+        notes += background_notes(scan, object_stands(self._content.rig, scan))
+        verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch()
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:
             for image, counts in self._images(laser, scan, advance, watch, notes, to_close):
@@ -140,12 +144,14 @@ class Scanner:
                 verdicts += counts
                 seen += int(np.isfinite(image.pixels).sum())
                 points += int(image.valid.sum())
+                order.see(image.pixels, image.positions)
                 yield image
         if not frames:
             raise InputError(f"{scan.path}: the scan has no frames")
         left_out = {reason: int(verdicts[verdict]) for verdict, reason in REASONS.items()}
         last = left_out_notes(left_out, points, self._depths_mm)
         last += watch.notes(scan.exposures_s is not None, bool(scan.backgrounds), scan.laser.color == "grey")
+        last += order.notes()
         if not seen:
             raise InputError(
                 f"{scan.path}: no stripe was found in any of {frames} frames{in_another_colour(scan)}: check [laser] "
@@ -191,6 +197,7 @@ class Scanner:
         """
         settings = laser or StripeSettings()
         ready = self._laser(settings)
+        check_lines(self._content.rig, settings, f"laser: columns={settings.columns}")
         found = self._looked(ready, frames, settings, background, batch)
         if whole and (begin := next(found, None)) is not None:
             two = {axis: np.asarray(steps)[:2] for axis, steps in begin[0].positions.items()}

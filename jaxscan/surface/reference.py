@@ -63,7 +63,10 @@ class MeshReference:
     def nearest(self, points: Float[np.ndarray, "points 3"]) -> Foot:
         """The nearest points on the triangles, and the normals there."""
         foot, triangle = self._closest(points)
-        weight = trimesh.triangles.points_to_barycentric(self._triangles[triangle], foot)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weight = trimesh.triangles.points_to_barycentric(self._triangles[triangle], foot)
+        # A triangle without area has no weights, and no normal but that of its corners.
+        weight = np.where(np.isfinite(weight).all(axis=1, keepdims=True), weight, (1.0, 0.0, 0.0))
         none = weight < _ON_EDGE
         rows = np.arange(len(points))
         normal = self._face[triangle]

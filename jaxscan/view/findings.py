@@ -25,6 +25,7 @@ _WORSE = 1.5
 _TILT_SPREAD_DEG, _IMAGE_SHARE, _REACH = 30.0, 0.5, 0.6
 # Notes of what was seen that say more than how the board is read.
 _GRAVE_NOTES = "second board", "columns =", "color =", "bell-shaped", "mm_per_step ="
+_WRONG = "columns =", "mm_per_step ="
 _STRIPE_VIEWS, _DEPTH_RATIO, _STAGE_IMAGES = 4, 1.15, 5
 
 
@@ -34,8 +35,9 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     # Nor do photographs on the stage that were mixed up.
     mixed = mixed_names(diagnostics)
     suspected = [suspect for suspect in diagnostics.suspects if suspect.name not in mixed]
-    boxes = [*_scales(diagnostics), *mixed_up(diagnostics), *map(_suspect, suspected), *_sessions(diagnostics)]
-    boxes += _notes(calibration)
+    # A stripe that is looked for across its way makes photographs suspect too.
+    boxes = [*_notes(calibration), *_scales(diagnostics), *mixed_up(diagnostics)]
+    boxes += [*map(_suspect, suspected), *_sessions(diagnostics)]
     boxes += [Box("care", f"{what}.", fix) for what, fix in (calibration.hand.statements if calibration.hand else ())]
     boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics)]
     # What the model misses widens σ, so that is fixed first.
@@ -153,8 +155,11 @@ def _imprecise(calibration: Calibration, factor: float, volumes: tuple[WorkingVo
 
 def _notes(calibration: Calibration) -> list[Box]:
     notes = [note for note in calibration.notes if any(grave in note for grave in _GRAVE_NOTES)]
-    # With a wrong scale everything is wrong.
-    return [Box("stop" if "mm_per_step =" in note else "care", note[0].upper() + note[1:] + ".") for note in notes]
+    # With a wrong scale everything is wrong, and with a stripe that is looked for across its way what the laser shows.
+    return [
+        Box("stop" if any(each in note for each in _WRONG) else "care", note[0].upper() + note[1:] + ".")
+        for note in notes
+    ]
 
 
 def _halves(diagnostics: Diagnostics) -> list[Box]:
@@ -164,7 +169,8 @@ def _halves(diagnostics: Diagnostics) -> list[Box]:
             Box(
                 "care",
                 "There are too few photographs to solve two halves apart, so only the residuals support the σ.",
-                "Take at least six views of the board, four of them with the stripe.",
+                "Take at least six views of the board, four of them with the stripe, and four photographs on each "
+                "axis.",
             )
         ]
     if each is None and diagnostics.thorough:

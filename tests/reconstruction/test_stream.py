@@ -353,3 +353,18 @@ def test_exposures_that_are_not_listed_are_pointed_out(rig, photographs, tmp_pat
     assert note.startswith("the exposure changes between neighbouring frames 6 times")
     assert sum(image.valid.sum() for image in scanner.scan(replace(scan, exposures_s=tuple(times))))
     assert scanner.notes == []
+
+
+@pytest.mark.parametrize("many", [True, False])
+def test_one_background_for_an_object_that_moves_is_pointed_out(rig, photographs, tmp_path, many):
+    """Of a trial's turn the points were 1.5 mm off with one photograph for all steps, 0.4 mm without any."""
+    folders = tmp_path / "lit", tmp_path / "dark"
+    for folder in folders:
+        folder.mkdir()
+    dark = scan_of(folders[1], np.zeros_like(photographs), ".png").frames
+    scan = scan_of(folders[0], photographs, ".png", backgrounds=dark if many else dark[:1])
+    for moves in (True, False):
+        scanner = Scanner(rig, "gravity")
+        list(scanner.scan(scan if moves else replace(scan, axes={"stage": (0,) * COUNT})))
+        said = [note for note in scanner.notes if "is subtracted from all frames" in note]
+        assert len(said) == (moves and not many)

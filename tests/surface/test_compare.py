@@ -1,5 +1,7 @@
 """Distances from meshes and clouds with their sign, the rigid fit, steps and flatness."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
@@ -137,3 +139,18 @@ def test_colours():
     assert colours[1, 2] > 150 > colours[1, 0]
     assert colours[3, 0] > 150 > colours[3, 2]
     assert len(np.unique(colours[4])) == 1
+
+
+def test_a_triangle_without_area_is_near_without_a_word():
+    """Of a mesh that was scanned some have none: NumPy's warnings came up on the screen."""
+    box = trimesh.creation.box((10, 10, 1))
+    sliver = np.array([[20.0, 0, 0.5], [30.0, 0, 0.5], [25.0, 0, 0.5]])
+    mesh = trimesh.Trimesh(
+        np.concatenate([box.vertices, sliver]), np.concatenate([box.faces, [[8, 9, 10]]]), process=False
+    )
+    points = np.array([[0.0, 0, 1.5], [25.0, 0, 1.5]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        foot, normal = MeshReference(mesh).nearest(points)
+    np.testing.assert_allclose(foot, [[0, 0, 0.5], [25.0, 0, 0.5]], atol=1e-9)
+    assert np.isfinite(normal).all()

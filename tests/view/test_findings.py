@@ -170,7 +170,7 @@ def test_what_was_seen_amiss_is_said(calibration, diagnostics):
     notes = "a second board is in view in 02.png: cover one of them", "the stripe runs up and down: set columns = false"
     noted = replace(calibration, notes=notes)
     assert "care: A second board is in view in 02.png" in words(noted, diagnostics)
-    assert "care: The stripe runs up and down" in words(noted, diagnostics)
+    assert "stop: The stripe runs up and down" in words(noted, diagnostics)
 
 
 def held(monkeypatch, k2: float):

@@ -1,0 +1,70 @@
+"""Whether the photographs of a scan follow one another: a surface that moves on a little shows nearly the same stripe.
+
+Photographs that were copied or sorted into another order have as good stripes as any, and the points of each are right
+by themselves; only together they are no surface.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Num
+
+from jaxscan.axis_details import is_detail
+
+_Steps = Num[np.ndarray, "frames"]
+
+# Lines of each frame that are remembered, and in how many two frames must both have a stripe.
+_LINES, _BOTH = 128, 16
+# Pairs of frames that say something.
+_FEWEST: Final = 16
+# Frames that follow one another differ by this part of what frames far apart do, at the least, if they are in no order:
+# in a scan of 20 frames around an object they do by a tenth. Where those far apart hardly differ, px, nothing shows.
+_PART, _DIFFER_PX = 0.7, 3.0
+
+
+class OrderWatch:
+    """Watches the stripes of a scan as its frames are measured."""
+
+    def __init__(self) -> None:
+        self._stripes: list[Float[np.ndarray, "frames some"]] = []
+        self._positions: dict[str, list[_Steps]] = {}
+
+    def see(self, stripes: Float[np.ndarray, "frames lines"], positions: Mapping[str, _Steps]) -> None:
+        """Some more frames.
+
+        Args:
+            stripes: the position of each line's stripe, px; NaN where there is none.
+            positions: of each axis, motor steps.
+        """
+        self._stripes.append(stripes[:, :: max(1, stripes.shape[1] // _LINES)].copy())
+        for axis, steps in positions.items():
+            if not is_detail(axis):
+                self._positions.setdefault(axis, []).append(np.asarray(steps))
+
+    def notes(self) -> list[str]:
+        """What is said of photographs that seem to be in no order; of those that only one axis moves."""
+        if not self._stripes:
+            return []
+        positions = [np.concatenate(each) for each in self._positions.values()]
+        moving = [each for each in positions if len(set(each.tolist())) > 1]
+        if len(moving) != 1:
+            return []
+        stripes = np.concatenate(self._stripes)[np.argsort(moving[0], kind="stable")]
+        near, far = _apart(stripes, 1), _apart(stripes, max(len(stripes) // 3, 2))
+        if min(len(near), len(far)) < _FEWEST:
+            return []
+        near_px, far_px = float(np.median(near)), float(np.median(far))
+        if far_px < _DIFFER_PX or near_px < _PART * far_px:
+            return []
+        return [
+            f"the photographs seem to be in no order: the stripe differs by {near_px:.1f} px from each to the next, "
+            f"and by {far_px:.1f} px from those far away: check that frames and motor steps belong together"
+        ]
+
+
+def _apart(stripes: Float[np.ndarray, "frames some"], by: int) -> Float[np.ndarray, "pairs"]:
+    """By how much the stripes of frames so far apart differ, in the median of their lines, px."""
+    off = np.abs(stripes[by:] - stripes[:-by])
+    enough = np.isfinite(off).sum(axis=1) >= _BOTH
+    return np.nanmedian(off[enough], axis=1) if enough.any() else np.zeros(0)
