@@ -23,6 +23,8 @@ _WORTH_NAMING = 0.3
 _ROUGH_PX = 1.0
 # Boards whose normals differ by less do not show perspective.
 _SMALLEST_TILT_SPREAD_DEG = 20.0
+# A turn of a board that determines its axis.
+_ENOUGH_DEG = 30.0
 
 _IN_WORDS = {
     "camera.focal": "the focal length",
@@ -164,11 +166,15 @@ def cause_and_fix(question: OpenQuestion, coverage: Coverage, corner_px: float) 
         axis = name.split(".")[1]
         cover = coverage.axes[axis]
         way = f"by {cover.way:.2f} {cover.unit}" if cover.way is not None else "by an unknown way"
-        fix = "Turn it by 30° and more, all around where it can be seen"
-        return (
-            f"the {axis} moved the board {way} over {cover.photographs} photographs. "
-            f"{fix if cover.unit == 'degrees' else 'Photograph it along the whole travel'}"
-        )
+        fix = "Photograph it along the whole travel"
+        if cover.unit == "degrees":
+            fix = "Turn it by 30° and more, all around where it can be seen"
+            if abs(cover.way or 0.0) > _ENOUGH_DEG:
+                fix = (
+                    "That is enough, so these photographs are not of one turn: see whether the board stood on the same "
+                    "place all along, whether it was turned round between two of them, and whether they are in order"
+                )
+        return f"the {axis} moved the board {way} over {cover.photographs} photographs. {fix}"
     if coverage.tilt_spread_deg < _SMALLEST_TILT_SPREAD_DEG:
         return (
             f"the boards are nearly parallel, their normals lie within {coverage.tilt_spread_deg:.1f}° of each other. "

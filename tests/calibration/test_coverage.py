@@ -69,6 +69,16 @@ def test_cause_and_mend_come_from_the_session(name, spread, words):
     assert re.search(words, text)
 
 
+def test_a_turn_that_is_wide_enough_is_not_asked_to_be_wider():
+    """A board that was turned by half a turn between two photographs: "331.71 degrees … Turn it by 30° and more"."""
+    axes = {**COVERAGE.axes, "turntable": replace(COVERAGE.axes["turntable"], way=331.71)}
+    text = cause_and_fix(OpenQuestion("", ("motion.turntable.centre.0",)), replace(COVERAGE, axes=axes), 0.1)
+    assert (
+        "moved the board by 331.71 degrees over 4 photographs. That is enough, so these photographs are not of" in text
+    )
+    assert "30°" not in text
+
+
 @pytest.mark.parametrize("name", ["camera.focal.0", "camera.radial.1", "camera.tilt.0"])
 def test_corners_that_contradict_the_model_are_not_laid_on_the_poses(name):
     """A board bent by 10 mm once got the advice to tilt it by 30° or more."""
