@@ -48,7 +48,7 @@ from jaxscan.precision import as_float64, as_jax, float64
 from jaxscan.rig import LIGHTS, BoardShape, Camera, Light, LightPlane, Rig, System
 from jaxscan.rig.board_shape import BENDS, BOARD_SHAPES
 from jaxscan.rig.splined import Splined
-from jaxscan.rig.stripe_way import STEEP, stripe_slope
+from jaxscan.rig.stripe_way import STEEP, across_note, slope_across
 
 # σ of the bends to begin with, as a share of the board.
 _FIRST_BEND = 5e-4
@@ -245,18 +245,11 @@ def _across(observations: Observations, rig: Rig) -> list[str]:
     if any("columns =" in note for note in observations.notes):
         return []
     looked = {stripe.laser: stripe.columns for view in observations.photographs() for stripe in view.stripes}
-    notes = []
-    for laser, columns in sorted(looked.items()):
-        name = observations.lasers[laser]
-        slope = stripe_slope(rig, name)
-        if (slope if columns else 1 / max(slope, 1e-9)) > STEEP:
-            way, of = ("up and down" if columns else "from left to right"), f" of laser {name}" if name else ""
-            wanted = str(not columns).lower()
-            notes.append(
-                f"the stripe{of} runs {way} over the image, where it is badly measured as it is looked for: set "
-                f"columns = {wanted} under [laser]"
-            )
-    return notes
+    return [
+        across_note(name, "over the image", columns=columns)
+        for name, columns in ((observations.lasers[laser], columns) for laser, columns in sorted(looked.items()))
+        if slope_across(rig, name, columns=columns) > STEEP
+    ]
 
 
 def _first_lights(

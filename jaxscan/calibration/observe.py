@@ -30,7 +30,7 @@ from jaxscan.images.board import LEAST_POINTS
 from jaxscan.images.light import no_bell
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.other_colour import colour_that_shows
-from jaxscan.rig.stripe_way import STEEP
+from jaxscan.rig.stripe_way import STEEP, across_note
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
@@ -183,11 +183,7 @@ def _across(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[str
                 wide, high = np.ptp(np.percentile(seen, (10, 90), axis=0), axis=0)
                 steep.append(high > STEEP * wide if laser.columns else wide > STEEP * high)
         if steep and np.median(steep) == 1:
-            way, wanted = ("up and down", "false") if laser.columns else ("from left to right", "true")
-            notes.append(
-                f"the {_stripe_of(laser)} runs {way} in most photographs, where it "
-                f"is badly measured as it is looked for: set columns = {wanted} under [laser]"
-            )
+            notes.append(across_note(laser.name, "in most photographs", columns=laser.columns))
     return notes
 
 

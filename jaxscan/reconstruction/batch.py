@@ -270,8 +270,14 @@ def _points_in(path: Path) -> int:
 @lru_cache(maxsize=4)
 def _scanner(rig: Path, modified: int, options: Options) -> Scanner:
     """Made ready once in each process, and again when the rig's file has changed."""
-    how = partial(Scanner, decoders=_decoders(), at_once=1)  # several scans are measured together already
-    return how(read_rig(rig), options.detector, options.choice, depths_mm=options.depths_mm)
+    return Scanner(
+        read_rig(rig),
+        options.detector,
+        options.choice,
+        depths_mm=options.depths_mm,
+        decoders=_decoders(),
+        at_once=1,  # several scans are measured together already
+    )
 
 
 def _scans_at_once() -> int:

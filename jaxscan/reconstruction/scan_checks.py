@@ -19,7 +19,7 @@ from jaxscan.reconstruction.range_image import WIDE_APART_DEG
 from jaxscan.reconstruction.turns import sweeps_of
 from jaxscan.rig import Rig
 from jaxscan.rig.given_poses import NM
-from jaxscan.rig.stripe_way import stripe_slope
+from jaxscan.rig.stripe_way import setting_instead, slope_across, way_across
 
 # A stripe that runs so much more steeply than the lines in which it is looked for meets few of them.
 _STEEPEST: Final = 3.0
@@ -58,12 +58,11 @@ def check_lines(rig: Rig, laser: StripeSettings, where: str) -> None:
     Raises:
         InputError: the stripe runs the other way.
     """
-    slope = stripe_slope(rig, laser.name)
-    if (slope if laser.columns else 1 / max(slope, 1e-9)) > _STEEPEST:
-        way = "up and down" if laser.columns else "from left to right"
+    columns = laser.columns
+    if slope_across(rig, laser.name, columns=columns) > _STEEPEST:
         raise InputError(
-            f"{where}: looks for one point in each {'column' if laser.columns else 'row'}, but by this rig the stripe "
-            f"runs {way} over the image: set columns = {str(not laser.columns).lower()} under [laser]"
+            f"{where}: looks for one point in each {'column' if columns else 'row'}, but by this rig the stripe runs "
+            f"{way_across(columns=columns)} over the image: {setting_instead(columns=columns)}"
         )
 
 

@@ -14,6 +14,8 @@ from jaxscan.images.stripes.brightest import brighter_color
 from jaxscan.images.stripes.other_colour import colour_that_shows
 from jaxscan.images.stripes.stripe import u_and_v
 from jaxscan.images.stripes.validity import Verdict
+from jaxscan.reconstruction.scan_colours import object_stands
+from jaxscan.rig import Rig
 
 # Why a line in which something is bright has no point, as reported to programs.
 REASONS: Final = {
@@ -59,14 +61,9 @@ def gap_notes(scan: Scan) -> list[str]:
     ]
 
 
-def background_notes(scan: Scan, stands: bool) -> list[str]:
-    """What is said of one laser-off photograph that is subtracted from photographs of an object that moves.
-
-    Args:
-        scan: as `read_scan` gives it.
-        stands: whether the object stands still before the camera.
-    """
-    if len(scan.backgrounds) != 1 or stands:
+def background_notes(rig: Rig, scan: Scan) -> list[str]:
+    """What is said of one laser-off photograph that is subtracted from photographs of an object that moves."""
+    if len(scan.backgrounds) != 1 or object_stands(rig, scan):
         return []
     return [
         f"{scan.backgrounds[0].name} is subtracted from all frames, but the object moves, and where it stood in that "

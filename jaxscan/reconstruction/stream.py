@@ -135,7 +135,7 @@ class Scanner:
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
         notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan)]
-        notes += background_notes(scan, object_stands(self._content.rig, scan))
+        notes += background_notes(self._content.rig, scan)
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch()
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:
@@ -253,7 +253,9 @@ class Scanner:
         longer, before = with_ends(scan, rig.motion, looked_at, equal=self._spacetime)
         longer = with_runs(longer, rig.motion)
         own, done = range(before, before + (len(step_groups(scan)) or sys.maxsize)), 0
-        read = frames_of_scan(longer, rig.camera.image_size, self._decoders, self._at_once)
+        # Passages are looked at one batch after the other.
+        kept = self._at_once if passage is None else 1
+        read = frames_of_scan(longer, rig.camera.image_size, self._decoders, kept)
         read = to_close.enter_context(closing(read))
         batches = self._batches(longer, read, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]

@@ -31,3 +31,28 @@ def stripe_slope(rig: Rig, light: str) -> float:
     seen = (w[0] > 0) & (along_u + along_v > 0)
     with np.errstate(divide="ignore"):
         return float(np.median(along_u[seen] / along_v[seen])) if seen.any() else float("nan")
+
+
+def slope_across(rig: Rig, light: str, *, columns: bool) -> float:
+    """The same against the lines in which it is looked for: columns, or rows."""
+    slope = stripe_slope(rig, light)
+    return slope if columns else 1 / max(slope, 1e-9)
+
+
+def way_across(*, columns: bool) -> str:
+    """Which way a stripe runs that is looked for across it, in words."""
+    return "up and down" if columns else "from left to right"
+
+
+def setting_instead(*, columns: bool) -> str:
+    """The setting that fits such a stripe."""
+    return f"set columns = {str(not columns).lower()} under [laser]"
+
+
+def across_note(laser: str, where: str, *, columns: bool) -> str:
+    """What is said of a laser whose stripe is looked for across its way, and where."""
+    of = f" of laser {laser}" if laser else ""
+    return (
+        f"the stripe{of} runs {way_across(columns=columns)} {where}, where it is badly measured as it is looked for: "
+        f"{setting_instead(columns=columns)}"
+    )

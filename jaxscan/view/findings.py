@@ -24,8 +24,8 @@ _SCALE, _SCALE_SIGMA = 0.01, 5.0
 _WORSE = 1.5
 _TILT_SPREAD_DEG, _IMAGE_SHARE, _REACH = 30.0, 0.5, 0.6
 # Notes of what was seen that say more than how the board is read.
-_GRAVE_NOTES = "second board", "columns =", "color =", "bell-shaped", "mm_per_step ="
 _WRONG = "columns =", "mm_per_step ="
+_GRAVE_NOTES = *_WRONG, "second board", "color =", "bell-shaped"
 _STRIPE_VIEWS, _DEPTH_RATIO, _STAGE_IMAGES = 4, 1.15, 5
 
 

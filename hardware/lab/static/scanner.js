@@ -354,10 +354,10 @@ element("use").addEventListener("click", () => trying(async () => {
 }));
 onClick("take-view", async () => {
   // Until the answer is seen here, the same wish would be answered twice.
-  answered = asked(state.guide);
-  showGuide(state.guide, mine());
-  setTimeout(() => { answered = null; }, ANSWER_MS);
-  try { await change("take")(); } catch (error) { answered = null; throw error; }
+  const answering = (wish) => { answered = wish; showGuide(state.guide, mine()); };
+  answering(asked(state.guide));
+  setTimeout(() => answering(null), ANSWER_MS);
+  try { await change("take")(); } catch (error) { answering(null); throw error; }
 });
 onClick("enough", change("enough"));
 
