@@ -30,6 +30,7 @@ SUITES = {
     "video": "a moving stripe in MPEG-4 and H.264: error over gravity's, σ, by width and height",
     "cameras": "what cameras do to a stripe: curves, uneven pixels, lenses out of focus, scaling: over gravity, σ",
     "stray_light": "a second reflection or the room's light beside a stripe: error over gravity's, σ",
+    "painted": "a stripe on paint of many colours in the light of a room: error over gravity's, σ, kept, strays",
     "known_jpeg": "which photographs are known as JPEGs by their blocks, by quality and noise; false alarms",
     "frame_sigma": "predicted σ over the actual scatter in each frame of a scan, by camera, with and without speckle",
     "throughput": "the kernel, detection and a scan from files to points against their limits; memory",

@@ -110,11 +110,15 @@ def test_a_burnt_out_part_of_the_object_is_kept():
 
 
 def test_a_thin_wire_before_a_wall_is_kept():
+    """It is hardly longer than it is thick, so that in one photograph of many it may be a spot."""
     wire = (U >= 310) & (U < 318)
-    centre = np.where(wire, 150.0, CENTRE)
-    found = detect_stripe(photograph(line(centre, 150.0)), RED)
-    assert (np.abs(found.position[0] - centre) < 3)[wire].mean() > 0.7
-    assert (np.abs(found.position[0] - centre) < 3)[~wire].mean() > 0.98
+    centre, kept = np.where(wire, 150.0, CENTRE), 0
+    for seed in range(8):
+        found = detect_stripe(photograph(line(centre, 150.0, seed=seed), seed=100 + seed), RED)
+        near = np.abs(found.position[0] - centre) < 3
+        kept += near[wire].mean() > 0.7
+        assert near[~wire].mean() > 0.98
+    assert kept >= 7
 
 
 def test_a_stripe_outside_the_band_is_left_out_and_one_within_it_taken():

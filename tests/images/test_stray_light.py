@@ -30,18 +30,20 @@ def test_a_second_reflection_beside_a_stripe_does_not_take_it_away(share, apart,
     assert far < most
 
 
-@pytest.mark.parametrize("share", [0.07, 0.15, 0.3])
-def test_what_a_reflection_leaves_is_not_taken_for_speckle(share):
+def test_what_a_reflection_leaves_is_not_taken_for_speckle():
     """A contrast of 0.95 was read off frames whose contrast is 0.2, and their other lines were measured with it."""
-    photographs, truth, beside = with_reflection(1.2, 0.2, share, 4)
-    stripe = detect_stripe(photographs, StripeSettings("red"))
-    np.testing.assert_allclose(stripe.light[:, 2], 0.2, atol=0.04)
-    # Lines 12 from a reflection and more, as far as they count.
-    near = np.apply_along_axis(np.convolve, 1, beside, np.ones(25), mode="same") > 0
-    away = ~near & beside_no_step(len(truth))
-    off = (stripe.position - truth)[away]
-    assert np.sqrt(np.mean(off**2)) < 0.075
-    assert np.mean(np.abs(off) < stripe.sigma[away]) == pytest.approx(0.683, abs=0.05)
+    within = []
+    for share in (0.07, 0.15, 0.3):
+        photographs, truth, beside = with_reflection(1.2, 0.2, share, 4)
+        stripe = detect_stripe(photographs, StripeSettings("red"))
+        np.testing.assert_allclose(stripe.light[:, 2], 0.2, atol=0.04)
+        # Lines 12 from a reflection and more, as far as they count.
+        near = np.apply_along_axis(np.convolve, 1, beside, np.ones(25), mode="same") > 0
+        away = ~near & beside_no_step(len(truth))
+        off = (stripe.position - truth)[away]
+        assert np.sqrt(np.mean(off**2)) < 0.075
+        within.append(np.abs(off) < stripe.sigma[away])
+    assert np.mean(within) == pytest.approx(0.683, abs=0.05)
 
 
 @pytest.mark.parametrize("levels", [15.0, 40.0])

@@ -22,6 +22,8 @@ SHORT, NARROW, WIDE = 8, 12, 40
 # What lies beside a stripe is this far away, px. The laser's channel rises by this part of a full number at the least,
 # and the others by less than this part of that.
 _BESIDE_PX, _LEAST_RISE, _ALONE = 8, 0.05, 0.4
+# How far away the sides of a stripe are, in its standard deviations; how many narrow peaks of a line are looked at.
+_SIDES, _NARROW_PEAKS = 2.5, 2
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class Batch:
         peaks: of each block of each line, packed.
         peak: the row (or column) at which the stripe is looked for.
         stands: by how much that stands out.
+        interpolated: whether the other channels are means of neighbouring pixels, as those of a mosaic's native
+            pixels are.
     """
 
     frames: np.ndarray | Array
@@ -49,6 +53,7 @@ class Batch:
     peaks: Array
     peak: Int[np.ndarray, "count lines"]
     stands: Int[np.ndarray, "count lines"]
+    interpolated: bool = False
 
     @staticmethod
     def create(
@@ -57,6 +62,7 @@ class Batch:
         settings: StripeSettings,
         choice: Choice,
         count: int,
+        interpolated: bool = False,
     ) -> "Batch":
         """The first `count` photographs, with what stands out in them."""
         color, columns = settings.color, settings.columns
@@ -69,7 +75,7 @@ class Batch:
         if choice not in ("likeliest", "strongest"):
             rows, strength = (np.asarray(each)[:count] for each in candidates(peaks, length, columns))
             peak = choose(rows, strength, choice)
-        return Batch(frames, dark, settings, images, background, ambient, peaks, peak, stands)
+        return Batch(frames, dark, settings, images, background, ambient, peaks, peak, stands, interpolated)
 
     @property
     def count(self) -> int:
@@ -126,6 +132,7 @@ class Batch:
             correlation,
             smooth,
             coded,
+            self.interpolated,
         )
 
     def peaks_of_colour(self) -> np.ndarray | None:
@@ -157,6 +164,39 @@ class Batch:
         rise = at(0) - np.maximum(at(-_BESIDE_PX), at(_BESIDE_PX))
         laser, *others = (rise[:, channel] for channel in CHANNELS[self.settings.color])
         return (laser > _LEAST_RISE * np.iinfo(self.frames.dtype).max) & (np.maximum(*others) < _ALONE * laser)
+
+    def narrow_peaks(
+        self, frame: int, line: Int[np.ndarray, "some"], sensor: Sensor
+    ) -> tuple[Int[np.ndarray, "peaks"], Int[np.ndarray, "peaks"]]:
+        """The lines and rows at which something as narrow as the stripe stands out most from both of its sides.
+
+        The edge of a painted surface outshines a stripe beside it, but only on one side of it. The response is that
+        with weights in which most of the photograph's texture cancels.
+
+        Args:
+            frame: which photograph.
+            line: some of its lines.
+            sensor: what it shows of its colours.
+        """
+        assert sensor.colours is not None
+        colours = jax.tree.map(lambda x: np.asarray(x)[frame], sensor.colours)
+        m, n = (np.float32(weight) for weight in colours.weights(1.0))
+        levels = np.asarray(self.frames[frame])
+        levels = (levels[:, line] if self.settings.columns else np.swapaxes(levels[line], 0, 1)).astype(np.float32)
+        own, first, second = (levels[..., i] for i in CHANNELS[self.settings.color])
+        r = 2 * own - m * first - n * second
+        r = (r[:-2] + r[1:-1] + r[2:]) / 3
+        apart = int(np.ceil(_SIDES * np.exp(np.asarray(sensor.ln_s)[frame]))) + 2
+        sides = np.pad(r, ((apart, apart), (0, 0)), mode="edge")
+        stands = r - np.maximum(sides[: len(r)], sides[2 * apart :])
+        rows, lines = [], []
+        for _ in range(_NARROW_PEAKS):
+            row = stands.argmax(axis=0)
+            rows.append(row + 1)
+            lines.append(line)
+            near = np.clip(row + np.arange(-apart, apart + 1)[:, None], 0, len(r) - 1)
+            np.put_along_axis(stands, near, -np.inf, axis=0)
+        return np.concatenate(lines), np.concatenate(rows)
 
     def surroundings(self, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
         """The share of each frame's full pixels, and the levels beside the stripe."""

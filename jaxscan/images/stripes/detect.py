@@ -124,7 +124,7 @@ def _detect(
 
     Whether they are the native pixels of a `mosaic` is known, or else looked for.
     """
-    batch = Batch.create(frames, dark, settings, choice, count)
+    batch = Batch.create(frames, dark, settings, choice, count, bool(mosaic))
     sensor = batch.survey()
     native = _native_pixels(batch, sensor, choice) if mosaic is None else None
     if native is not None:
@@ -133,7 +133,8 @@ def _detect(
     looker = Looker.create(batch, Light.create(batch, sensor, detector == "likelihood"), detector)
     looker, looked = looker.everywhere()
     all_of_it = MeasuredFrames(looked, batch.peak, looker.least, looker.ground, batch.length, looker.at, band)
-    colours = batch.peaks_of_colour, batch.rises_alone
+    narrow = None if sensor.colours is None or dark is not None else partial(batch.narrow_peaks, sensor=sensor)
+    colours = batch.peaks_of_colour, batch.rises_alone, narrow
     verdict = settle(all_of_it, batch.peaks, settings.columns, choice == "likeliest", *colours)
     valid, looked = verdict == Verdict.STRIPE, all_of_it.looked
     found = WithEdges(looked.measured, np.zeros_like(valid), np.zeros(count, bool))

@@ -16,6 +16,7 @@ from jaxscan.images.stripes.classical import Estimate
 from jaxscan.images.stripes.likelihood import Misfit, likelihood
 from jaxscan.images.stripes.reflectance_edge import fit_reflectance_edge
 from jaxscan.images.stripes.step_fit import fit_beside_a_step, uneven
+from jaxscan.images.stripes.texture_fit import fit_in_texture
 from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bump, outline
 
 Model = Literal[
@@ -25,13 +26,14 @@ Model = Literal[
     "grained and censored",
     "edge",
     "beside a step",
+    "in texture",
     "plain in stray light",
     "grained in stray light",
     "grained and censored in stray light",
 ]
 
 # Models of something beside the stripe's own light: where it is not found, the plain one stands.
-OF_SOMETHING_MORE: Final[tuple[Model, ...]] = ("edge", "beside a step")
+OF_SOMETHING_MORE: Final[tuple[Model, ...]] = ("edge", "beside a step", "in texture")
 
 Measure = Callable[[Windows, Outline, Sensor], Estimate]
 
@@ -88,6 +90,8 @@ class Measured(eqx.Module):
         ln_light: ln of its height times its standard deviation; 0 of other detectors.
         settled: whether more steps of the fit would change nothing; true of other detectors.
         stray: whether light that is not the stripe's seems to fall beside it; false of other detectors.
+        textured: whether its surface has a texture, as far as its colours show it.
+        of_surface: whether texture is all that stands out, as the fit in texture shows it; false of other models.
         uneven: how much brighter the window's one end is than its other one, over the noise of that.
     """
 
@@ -107,11 +111,20 @@ class Measured(eqx.Module):
     settled: Bool[Array, "groups lines"]
     stray: Bool[Array, "groups lines"]
     uneven: Float[Array, "groups lines"]
+    textured: Bool[Array, "groups lines"]
+    of_surface: Bool[Array, "groups lines"]
 
     @property
     def thickness(self) -> Float[np.ndarray, "groups lines"]:
         """How thick the stripe looks, px, of NumPy's arrays: its full width, or with its burnt-out core its breadth."""
         return np.where(self.burnt & (self.breadth > _THICKER * self.width), self.breadth, self.width)
+
+
+def _textured(windows: Windows, sensor: Sensor) -> Bool[Array, "groups 1 lines"]:
+    """Beside the stripe, or under it, whose light the other channels then must show as the laser's own does."""
+    if windows.own is None or sensor.colours is None:
+        return jnp.zeros_like(windows.full[:, :1])
+    return windows.own.textured & sensor.colours.aligned
 
 
 @partial(jax.jit, static_argnames=("detector", "model"))
@@ -138,20 +151,22 @@ def measure(
     around, here = outline(r), sensor.of(frame)
     zero = jnp.zeros_like(around.top)
     no = jnp.zeros_like(around.whole)
-    misfit = Misfit(no, zero, zero, zero, ~no, no)
+    misfit, of_surface, shines = Misfit(no, zero, zero, zero, ~no, no), no, None
     if model == "edge":
         found = fit_reflectance_edge(windows, around, here)
     elif model == "beside a step":
         found = fit_beside_a_step(windows, around, here)
+    elif model == "in texture":
+        found, shines, of_surface = fit_in_texture(windows, around, here)
     elif detector == "likelihood":
         traits = (trait in model for trait in ("censored", "grained", "stray"))
         found, misfit = likelihood(windows, around, here, *traits, steps=steps)
     else:
         found = _CLOSED[detector](windows, around, here)
-    seen = bump(windows.neutral) if windows.neutral is not None else around
+    seen = around if windows.neutral is None else bump(windows.neutral if shines is None else shines)
     # Where an edge runs through a stripe its centre may lie on the dark side, below half the height of what is seen.
     between = (found.centre > around.start) & (found.centre < around.end) | (model in OF_SOMETHING_MORE)
-    whole = around.whole & found.found & between
+    whole = found.found & between & (around.whole | (model == "in texture"))
     relief = around.top - r.min(1, keepdims=True)
     cramped = (around.start < _MARGIN) | (around.end >= size - _MARGIN)
     # Inside a burnt-out stripe noise is a peak, with the window's lowest point on one side only.
@@ -174,4 +189,6 @@ def measure(
         settled=misfit.settled[:, 0],
         stray=misfit.stray[:, 0],
         uneven=uneven(windows, here)[:, 0],
+        textured=_textured(windows, here)[:, 0],
+        of_surface=of_surface[:, 0],
     )

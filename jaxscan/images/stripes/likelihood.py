@@ -186,7 +186,7 @@ def likelihood(
         strained = squares > freedom + _CHANCE * jnp.sqrt(2 * freedom)
     else:
         # The shot noise is itself taken from residuals, so it is not asked here.
-        usual = sensor.read**2 + (_USUAL_MISFIT * (outline.top - outline.floor)) ** 2
+        usual = windows.read2(sensor) + (_USUAL_MISFIT * (outline.top - outline.floor)) ** 2
         strained = (found.residual**2).sum(1, keepdims=True) > _STRAIN**2 * usual * jnp.maximum(freedom, 1)
     width = FWHM * jnp.exp(windows.as_it_is(profile.ln_s))
     estimate = Estimate(profile.centre, sigma, width, jnp.isfinite(sigma) & within)

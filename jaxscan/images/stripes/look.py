@@ -140,7 +140,7 @@ class Looker:
         color, columns = batch.settings.color, batch.settings.columns
         for (frame, line, peak), count in groups(*at, sizes=GROUPS if model == "plain" else _GROUPS_AGAIN):
             places = frame, line, peak, color, columns, batch.half(half)
-            windows = gather_windows(batch.images, batch.background, here, *places)
+            windows = gather_windows(batch.images, batch.background, here, *places, model == "in texture")
             measured = measure(windows, here, frame, self.detector, model, steps)
             found.append(jax.tree.map(lambda x, n=count: np.ravel(x)[:n], measured))
         return found[0] if len(found) == 1 else jax.tree.map(lambda *parts: np.concatenate(parts), *found)
@@ -192,7 +192,22 @@ class Looker:
         measured = self.again(measured, at, grained & ~(rough | as_burnt | cramped), NARROW, "grained")
         # Whether there is an edge is asked of the plain fit.
         measured = replace(measured, strained=plain.strained, h3=plain.h3, h4=plain.h4, stray=plain.stray)
-        return Looked(measured, strong, cramped, burnt)
+        asked = measured.textured & strong & ~(as_burnt | measured.burnt)
+        return Looked(self._in_texture(measured, at, asked), strong, cramped, burnt)
+
+    def _in_texture(self, measured: Any, at: Places, which: np.ndarray) -> Any:
+        """`Measured` of lines whose surface has a texture; where that is all that stands out, there is no stripe."""
+        if not which.any():
+            return measured
+        found = self._measured(tuple(index[which] for index in at), NARROW, "in texture")
+        places = np.flatnonzero(which)
+        taken = jax.tree.map(lambda old, new: replaced(old, places[found.whole], new[found.whole]), measured, found)
+        # How bright a stripe is was known before, and nothing more is asked of it.
+        kept = {name: getattr(measured, name) for name in ("relief", "breadth", "ln_light", "textured")}
+        uneven, none = np.array(measured.uneven), np.zeros_like(which)
+        uneven[places[found.whole]] = 0.0
+        none[places[found.of_surface]] = True
+        return replace(taken, **kept, uneven=uneven, whole=taken.whole & ~none)
 
     def _burnt(self, measured: Any, at: Places, which: np.ndarray, half: int) -> Any:
         """In few steps, which do for most; a group of lines takes as many as the slowest of them."""

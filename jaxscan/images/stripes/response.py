@@ -4,17 +4,11 @@ The *response* to a laser of colour L with the other two channels M, N is
 
     r = 2 L − min(m M + n N, c (m + n) / 2)            grey: r = intensity, or luma where there are colours
 
-with weights m, n from 0 to 2, while c, the level of M + N where there is no laser, keeps the burnt-out core of a
+with weights m and n, while c, the level of M + N where there is no laser, keeps the burnt-out core of a
 stripe, which is white, from cancelling. Where a photograph with the laser off is given it is subtracted first.
 
 Stripes are looked for with m = n = 1, so that neutral light cancels, in integers. They are measured with weights of
-their own photograph. With a the mean colour of the laser on the surface, and C the covariance of the three channels
-beside the stripe, texture and noise together, the response w · p in which the stripe stands out most has
-
-    w = C⁻¹ a,      m = −2 w_M / w_L,  n = −2 w_N / w_L
-
-(R. A. Fisher 1936). Under warm light it is warm texture that cancels; where there is none, m and n are near zero, for
-the other channels would bring nothing but their noise.
+their own line (`colours`).
 
 A JPEG mostly keeps luma Y = 0.299 R + 0.587 G + 0.114 B for each pixel, and the colour's differences from it, chroma,
 for every second one (4:2:0); so does a video. With S what keeping every second does, and interpolating or repeating it,
@@ -56,9 +50,8 @@ FULL_OF_LUMA: Final = 0.9
 _OF_ROUNDING, _ACROSS, _TOLD_BY = 1.5, 3.0, 100
 # Of light that is whiter than this, in parts of the laser's own channel, the colour does not show.
 _MOST_WHITE: Final = 0.3
-# What red, green and blue take of chroma, Cb and Cr; and how far that is off beside a stripe, grey levels.
-_CHROMA: Final = np.array([[0.0, 1.402], [-0.344136, -0.714136], [1.772, 0.0]], np.float32)
-_CHROMA_ERROR: Final = 2.0
+# What red, green and blue take of chroma, Cb and Cr.
+CHROMA: Final = np.array([[0.0, 1.402], [-0.344136, -0.714136], [1.772, 0.0]], np.float32)
 # How far luma is off there, grey levels; and in a video.
 _LUMA_ERROR: Final = 1.0
 _LUMA_ERROR_OF_VIDEO: Final = 3.0
@@ -135,47 +128,6 @@ def noise_gain(weights: tuple[A, A], color: str) -> A:
     return xp.ones_like(m) if color == "grey" else xp.sqrt(4 + m**2 + n**2)
 
 
-def channel_weights(
-    levels: tuple[Int[Array, "frames window lines"], ...],
-    stripe: Float[Array, "frames window lines"],
-    beside: Bool[Array, "frames window lines"],
-    half: Bool[Array, "frames"] | None,
-    color: str,
-) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
-    """The weights m and n in which the stripe stands out most from texture and noise, for each frame.
-
-    Where colours are at half resolution, what keeping them coarsely leaves counts as noise: luma is the better light
-    where there is no texture. Then m and n may be negative, down to those of luma.
-
-    Args:
-        levels: the three channels.
-        stripe: how much each pixel is of the stripe; 0 where it is not, or where it is full.
-        beside: which pixels are beside it.
-        half: whether the frame's colours are at half resolution; None where those of none are.
-        color: of the laser.
-    """
-    count = beside.sum(1, keepdims=True)
-    off = [level - jnp.where(beside, level, 0).sum(1, keepdims=True) / jnp.maximum(count, 1) for level in levels]
-    # Each line's own mean costs it a degree of freedom.
-    freedom = jnp.maximum((count - 1).sum((1, 2)), 1)
-    C = [[jnp.where(beside, p * q, 0.0).sum((1, 2)) / freedom for q in off] for p in off]
-    least = _ROUNDING * np.eye(3, dtype=np.float32)[..., None]
-    lowest: Array | float = 0.0
-    if half is not None:
-        error = np.float32(_CHROMA_ERROR) * _CHROMA[list(CHANNELS[color])]
-        least = least + jnp.where(half, (error @ error.T)[..., None], 0.0)
-        own, *rest = _luma_weights(color)
-        lowest = jnp.where(half[:, None], -2 * np.asarray(rest, np.float32) / np.float32(own), 0.0)
-    rows = [jnp.stack([value + least[i][j] for j, value in enumerate(row)], -1) for i, row in enumerate(C)]
-    a = jnp.stack([(stripe * p).sum((1, 2)) for p in off], -1)
-    # C⁻¹ a but for its length, which the weights do not ask: the rows of the adjugate are cross products.
-    w = jnp.stack([(jnp.cross(rows[i - 2], rows[i - 1]) * a).sum(-1) for i in range(3)], -1)
-    ratio = -2 * w[:, 1:] / jnp.maximum(w[:, :1], jnp.finfo(jnp.float32).tiny)
-    # Where nothing stands out in the laser's own channel, neutral light cancels.
-    m, n = jnp.where(w[:, :1] > 0, jnp.clip(ratio, lowest, 2.0), 1.0).T
-    return m, n
-
-
 class Detail(eqx.Module):
     """What luma's detail gives back to channels whose colours are at half resolution: each frame's, or each line's.
 
@@ -223,7 +175,7 @@ def half_chroma(
     third = chroma[:, 3:] - chroma[:, :-3] - 3 * (chroma[:, 2:-1] - chroma[:, 1:-2])
     known = whole[:, 3:] & whole[:, 2:-1] & whole[:, 1:-2] & whole[:, :-3]
     # 20 = 1 + 9 + 9 + 1; what is repeated has the same chroma twice, rounded once.
-    interpolated = in_pairs(third, known, odd[:, :-3], 20 * (of_luma + float((_CHROMA[CHANNELS[color][0]] ** 2).sum())))
+    interpolated = in_pairs(third, known, odd[:, :-3], 20 * (of_luma + float((CHROMA[CHANNELS[color][0]] ** 2).sum())))
     first_off = chroma[:, 1:] - chroma[:, :-1]
     repeated = in_pairs(first_off, whole[:, 1:] & whole[:, :-1], ~odd[:, :-1], 2 * of_luma)
     return interpolated | repeated, repeated

@@ -24,6 +24,8 @@ _MOST_COMMON = 0.12
 _MAY_FILL = 0.55
 # Light's own noise is read where at least this part of the lines is not full.
 _LEAST_FAIR = 0.25
+# Lines beside which there is no texture are asked where they are this part of all.
+_LEAST_EVEN = 0.2
 # A line whose residual exceeds this multiple of the usual is not a sample of the noise.
 _MOST_OF_USUAL = 8.0
 _TINY = 1e-12
@@ -60,6 +62,8 @@ def sensor_noise(
     clean = shines & ~windows.full.any(1)
     enough = clean.sum(1) >= jnp.maximum(_LEAST_FAIR * shines.sum(1), 1)
     fair = jnp.where(enough[:, None], clean, shines)
+    # What the surface's texture leaves is not the sensor's, nor the laser's.
+    fair = evenly(windows, fair)
     # Where an edge runs along the stripe, the profile leaves much more than chance does.
     left = (found.weight * found.residual**2).sum(1)
     usual = median(jnp.where(fair, left, jnp.nan))[:, None]
@@ -76,6 +80,7 @@ def sensor_noise(
     height = jnp.maximum(found.height, 0.0)
     # A full pixel takes its part of what the fit takes, and shows nothing.
     square = jnp.where(windows.full, 0.0, root**2) * (1.0 if windows.gain is None else windows.gain)
+    louder = jnp.ones_like(around.top) if windows.own is None else windows.own.louder
     taken = [root * y for y in orthogonal(found.jacobian, found.factor)]
     # Where speckle may fill a pixel, only its lesser values are left to be seen.
     shown = jnp.where(burnt & (height > _MAY_FILL * sensor.span[:, None, None]), 0.0, 1.0)
@@ -83,14 +88,14 @@ def sensor_noise(
         # Of a projection's trace: what a fit takes of independent pixels, all together.
         rest = square - square * sum(y * y for y in taken)
         rest *= shown
-        speckle = _quotient(shown * standard**2 - rest * ground[:, None, None] ** 2, rest * height**2)
+        speckle = _quotient(shown * standard**2 - rest * louder * ground[:, None, None] ** 2, rest * height**2)
         zero = jnp.zeros_like(ground)
         return Chance(ground**2, zero, jnp.clip(speckle, 0.0, 1.0), zero, zero), apart
     core, tail = (jnp.where(where, shown, 0.0) for where in (height > _CORE * peak, height < _TAIL * peak))
     clear = median(jnp.where(shines, around.width[:, 0], jnp.nan)) < _CLEAR_WIDTH_PX
     light = chance(
         standard=standard,
-        unit=square,
+        unit=louder * square,
         # Flanks alone do not distinguish photons from speckle.
         photons=jnp.where(burnt, 0.0, square * height),
         light=jnp.sqrt(square) * height,
@@ -104,6 +109,14 @@ def sensor_noise(
     )
     # A profile that is not the model's is off over several pixels, as grains are.
     return light._replace(grain=jnp.where(apart, light.grain, 0.0)), apart
+
+
+def evenly(windows: Windows, lines: Bool[Array, "frames lines"]) -> Bool[Array, "frames lines"]:
+    """Those of some lines beside which there is no texture, where these are enough."""
+    if windows.own is None:
+        return lines
+    even = lines & ~windows.own.textured[:, 0]
+    return jnp.where((even.sum(1) >= _LEAST_EVEN * lines.sum(1))[:, None], even, lines)
 
 
 def _quotient(over: Pixels, under: Pixels) -> Float[Array, "frames"]:

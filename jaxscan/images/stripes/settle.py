@@ -40,6 +40,8 @@ Places = tuple[Int[np.ndarray, "some"], ...]
 Band = tuple[Float[np.ndarray, "lines"], Float[np.ndarray, "lines"]]
 # Of a frame, and of rows in some of its lines.
 RisesAlone = Callable[[int, Int[np.ndarray, "some"], Int[np.ndarray, "some"]], Bool[np.ndarray, "some"]]
+# Of a frame, in some of its lines.
+NarrowPeaks = Callable[[int, Int[np.ndarray, "some"]], tuple[Int[np.ndarray, "peaks"], Int[np.ndarray, "peaks"]]]
 
 
 class Looked(NamedTuple):
@@ -116,6 +118,7 @@ def settle(
     contested: bool,
     of_colour: Callable[[], np.ndarray | None],
     rises_alone: RisesAlone,
+    narrow_peaks: NarrowPeaks | None,
 ) -> Int8[np.ndarray, "frames lines"]:
     """The verdict of each line of some frames; what is measured elsewhere is put into `frames`.
 
@@ -127,6 +130,8 @@ def settle(
         of_colour: the peaks where neutral light cancels however bright it is; None where there are no colours.
         rises_alone: whether the laser's channel rises alone at rows of some lines of a frame; asked where there are
             colours.
+        narrow_peaks: where something narrow stands out in some lines of a frame, lines and rows; None where colours
+            do not show it.
     """
     shape = frames.peak.shape
     lines = np.arange(shape[1])
@@ -147,7 +152,8 @@ def settle(
             if not columns:
                 down = np.swapaxes(down, 1, 2)
                 coloured = None if coloured is None else np.swapaxes(coloured, 1, 2)
-            _contest(frames, doubtful, down, coloured, rises_alone, standing, second)
+            asked = lost
+            _contest(frames, doubtful, down, coloured, rises_alone, asked, narrow_peaks, standing, second)
             measured = frames.looked.measured
             found, _ = in_a_line(measured, standing, frames.least)
     verdict = np.where(found, Verdict.STRIPE, Verdict.NOTHING).astype(np.int8)
@@ -164,6 +170,8 @@ def _contest(
     peaks: Int[np.ndarray, "frames down lines"],
     of_colour: Int[np.ndarray, "frames down lines"] | None,
     rises_alone: RisesAlone,
+    asked: Bool[np.ndarray, "frames lines"],
+    narrow_peaks: NarrowPeaks | None,
     standing: Bool[np.ndarray, "frames lines"],
     second: Bool[np.ndarray, "frames lines"],
 ) -> None:
@@ -180,6 +188,8 @@ def _contest(
     for n in doubtful:
         lines = np.flatnonzero(standing[n])
         line, row = rivals(peaks[n], frames.peak[n], _RISES * float(frames.least[n]), frames.length)
+        if narrow_peaks is not None and asked[n].any():
+            line, row = _with_narrow(line, row, *narrow_peaks(n, np.flatnonzero(asked[n])), frames.peak[n])
         mains, others = colour(n, lines, frames.peak[n, lines]), colour(n, line, row)
         # Where the stripe is itself burnt out to white, colour shows nothing.
         if lines.size and np.median(mains) > _IN_COLOUR:
@@ -223,6 +233,21 @@ def _contest(
         standing[n, line[chosen]] = True
         taken.append(mine[chosen[len(lines) :]])
     frames.take(at, looked, np.concatenate(taken))
+
+
+def _with_narrow(
+    line: Int[np.ndarray, "some"],
+    row: Int[np.ndarray, "some"],
+    narrow_line: Int[np.ndarray, "peaks"],
+    narrow_row: Int[np.ndarray, "peaks"],
+    taken: Int[np.ndarray, "lines"],
+) -> tuple[Int[np.ndarray, "more"], Int[np.ndarray, "more"]]:
+    """Candidates and narrow peaks of a frame, without those that are where another one is."""
+    new = np.abs(narrow_row - taken[narrow_line]) > _NEAR_PX
+    for i in np.flatnonzero(new):
+        same = line == narrow_line[i]
+        new[i] = not (np.abs(row[same] - narrow_row[i]) <= _NEAR_PX).any()
+    return np.concatenate([line, narrow_line[new]]), np.concatenate([row, narrow_row[new]])
 
 
 @dataclass(frozen=True)

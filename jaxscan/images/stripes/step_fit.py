@@ -62,7 +62,7 @@ def uneven(windows: Windows, sensor: Sensor) -> Lines:
     """How much brighter the window's one end is than its other one, over the noise of that."""
     r = windows.response
     differ = r[:, -_ENDS:].mean(1, keepdims=True) - r[:, :_ENDS].mean(1, keepdims=True)
-    return differ / (sensor.read * np.float32((2 / _ENDS) ** 0.5))
+    return differ / (jnp.sqrt(windows.read2(sensor)) * np.float32((2 / _ENDS) ** 0.5))
 
 
 def fit_beside_a_step(windows: Windows, outline: Outline, sensor: Sensor) -> Estimate:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, Int
 
+from jaxscan.images.stripes.colours import Colours, colours_of
 from jaxscan.images.stripes.cross_section import MOST, cross_section, either
 from jaxscan.images.stripes.grain import Chance
 from jaxscan.images.stripes.likelihood import ROUGH, fit, off_beside
@@ -22,7 +23,6 @@ from jaxscan.images.stripes.response import (
     NEUTRAL,
     Backgrounds,
     Images,
-    channel_weights,
     channels,
     detail_of,
     detailed,
@@ -102,6 +102,7 @@ def survey(
     correlation: Float[np.ndarray, "most distances"] | None = None,
     smooth: Bool[np.ndarray, "most"] | None = None,
     coded: Bool[np.ndarray, "most"] | None = None,
+    interpolated: bool = False,
 ) -> Sensor:
     """Look at each frame's sensor.
 
@@ -120,6 +121,7 @@ def survey(
             where all are such.
         smooth: in which frames windows are smoothed; None where in none.
         coded: which frames are known to be JPEGs; None where none is.
+        interpolated: whether the other channels are means of neighbouring pixels.
     """
     coded = np.zeros(most, bool) if coded is None else coded
     of = np.minimum(np.arange(most, dtype=np.int32), len(peak) - 1)
@@ -133,6 +135,7 @@ def survey(
     # Merged exposures have 16 bits, and their own rounding.
     chroma = None if color == "grey" or lit.dtype != jnp.uint8 else half_chroma(lit, first, color)
     look = partial(survey_windows, lit, dark, ambient, color, correlation=correlation, smooth=smooth, coded=coded)
+    look = partial(look, interpolated=np.array(interpolated))
     if chroma is None or not np.asarray(chroma[0]).any():
         return _with_cross_section(look(), look)
     halved, repeated = (np.asarray(each) for each in chroma)
@@ -198,6 +201,7 @@ def survey_windows(
     smooth: Bool[Array | np.ndarray, "frames"] | None = None,
     coded: Bool[Array | np.ndarray, "frames"] | None = None,
     odd: Bool[Array | np.ndarray, "frames"] | None = None,
+    interpolated: Bool[Array | np.ndarray, ""] | None = None,
 ) -> Sensor:
     """Look at each frame's sensor in some of its windows.
 
@@ -214,8 +218,9 @@ def survey_windows(
         smooth: as that of `survey`.
         coded: as that of `survey`.
         odd: in which frames the laser's own cross-section is looked for; None where in none.
+        interpolated: as that of `survey`.
     """
-    windows, around, sensor = _seen(lit, dark, ambient, color, gain, chroma, correlation, smooth, coded)
+    windows, around, sensor = _seen(lit, dark, ambient, color, gain, chroma, correlation, smooth, coded, interpolated)
     look = partial(_look, windows, around, read=sensor.read, correlation=correlation)
     asked = np.ones(len(lit), bool)
     if odd is not None:
@@ -244,6 +249,7 @@ def _seen(
     correlation: Float[Array, "frames distances"] | None,
     smooth: Bool[Array, "frames"] | None,
     coded: Bool[Array, "frames"] | None,
+    interpolated: Bool[Array, ""] | None,
 ) -> tuple[Windows, Outline, Sensor]:
     """The response in these windows, where the stripe lies in each, and what the ends of the windows show."""
     levels = channels(lit, dark, color)
@@ -264,9 +270,14 @@ def _seen(
     burnt = full_pixels(laser, full[:, None, None], coded[:, None, None])
     one = jnp.ones(len(lit), jnp.float32)
     plain = response(levels, NEUTRAL, ambient[:, None, None])
-    weights = (one, one) if color == "grey" else _weights(levels, plain, burnt, half, color)
-    r = response(levels, (weights[0][:, None, None], weights[1][:, None, None]), ambient[:, None, None])
+    colours = None if color == "grey" else _colours(levels, plain, burnt, half, interpolated, coded, color)
+    weights = (one, one) if colours is None else colours.weights(0.0)
     ground = _ground(plain, burnt, gain)
+    r, own = plain, None
+    if colours is not None:
+        of_lines = jax.tree.map(lambda x: x[:, None, None], colours)
+        own = of_lines.of_lines(levels, burnt)
+        r = response(levels, own.weights, ambient[:, None, None])
     added = None
     if smooth is not None:
         r, gain, added = smoothed(r, smooth[:, None, None] & ~burnt.any(1, keepdims=True))
@@ -276,7 +287,7 @@ def _seen(
     rounding = _ROUNDING * noise_gain(weights, color)
     if half is not None and detail is not None:
         rounding = jnp.hypot(rounding, luma_error(detail, half, weights))
-    noise = _ground(r, burnt, gain)
+    noise = _ground(r, burnt, gain if own is None else own.louder if gain is None else gain * own.louder)
     if correlation is not None:
         noise /= _shown(correlation)
     read = jnp.maximum(noise, rounding)
@@ -297,12 +308,13 @@ def _seen(
         beside=_beside(r),
         even=zero,
         apart=white,
+        colours=colours,
         detail=detail,
         smooth=smooth,
         coded=coded,
         off_beside=zero,
     )
-    return Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added), outline(r), sensor
+    return Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added, None, own), outline(r), sensor
 
 
 @partial(jax.jit, static_argnames="roughly")
@@ -374,18 +386,19 @@ def light_of(sensor: Sensor, color: str) -> Float32[np.ndarray, "frames 4"]:
     return np.stack([read / by_noise, shot / by_light, np.sqrt(speckle), full], axis=-1).astype(np.float32)
 
 
-def _weights(
+def _colours(
     levels: tuple[Array, ...],
     r: Float[Array, "frames window lines"],
     burnt: Array,
     half: Bool[Array, "frames"] | None,
+    interpolated: Bool[Array, ""] | None,
+    coded: Bool[Array, "frames"],
     color: str,
-) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
-    k = jnp.arange(r.shape[1])[None, :, None]
-    beside = (k < _FLANK) | (k >= r.shape[1] - _FLANK)
+) -> Colours:
     core, rise = _core(r, burnt)
-    stripe = jnp.where(core, rise, 0.0)
-    return channel_weights(levels, stripe, jnp.broadcast_to(beside, r.shape), half, color)
+    light = jnp.where(core, rise, 0.0)
+    levels = tuple(x.astype(r.dtype) for x in levels)
+    return colours_of(levels, light, _FLANK, burnt, half, interpolated, coded, color)
 
 
 def _core(r: Pixels, burnt: Array) -> tuple[Bool[Array, "frames window lines"], Pixels]:

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int, UInt16
 from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.images.stripes.response import NEUTRAL, Images, channels, numbers, response
 from jaxscan.images.stripes.survey import survey_windows
-from jaxscan.images.stripes.windows import Places, Sensor, Windows
+from jaxscan.images.stripes.windows import Places, Sensor, Windows, response_of_lines
 
 _MOST = 65535
 # Pixels before and after the one that a place is in.
@@ -140,10 +140,13 @@ def passage_windows(
     """
     here = sensor.of(frame)
     levels = channels(lit.levels, None if dark is None else dark.levels, color)
+    full = numbers(lit.greatest, color) >= here.full.astype(lit.greatest.dtype)
+    r, own = response_of_lines(levels, full, here)
     return Windows(
-        response(levels, here.weights, here.ambient),
+        r,
         None if color == "grey" else response(levels, NEUTRAL, here.ambient),
-        numbers(lit.greatest, color) >= here.full.astype(lit.greatest.dtype),
+        full,
         first,
         lit.gain,
+        own=own,
     )

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
 
 from jaxscan.geometry.rotation import A
+from jaxscan.images.stripes.colours import Colours, InTexture, OwnWeights, in_texture
 from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Detail, Images, channels, detailed, numbers, response
 
 Pixels = Float[Array, "groups window lines"]
@@ -81,7 +82,7 @@ class Sensor(eqx.Module):
     """What a photograph shows of its own sensor and colours: one number for each frame, or for each line of a window.
 
     Attributes:
-        weights: m and n of the response.
+        weights: m and n of the response in quiet lines.
         ambient: its c, grey levels.
         full: from this number on a pixel of the laser's channel is full.
         span: the response of such a pixel.
@@ -101,6 +102,7 @@ class Sensor(eqx.Module):
         coded: whether it is a JPEG, as far as the survey was told, or colours at half resolution show it.
         off_beside: how far the worst pixel beside the stripe is off in the usual line, in parts of its noise; 0 where
             none is seen.
+        colours: by which each line's weights are determined; None of a grey laser.
         detail: what luma's detail gives back; None where the colours of all frames are at full resolution.
         smooth: in which frames windows are smoothed; None where in none.
         shape: coefficients of the laser's cross-section; None where all are bells.
@@ -123,6 +125,7 @@ class Sensor(eqx.Module):
     apart: Bool[Array, "*of"]
     coded: Bool[Array, "*of"]
     off_beside: Float[Array, "*of"]
+    colours: Colours | None = None
     detail: Detail | None = None
     smooth: Bool[Array, "*of"] | None = None
     cut: Bool[Array, "*of"] | None = None
@@ -166,6 +169,8 @@ class Windows(eqx.Module):
         gain: variance of the noise of r over that of a pixel, where r is interpolated or smoothed; None where neither.
         added: what smoothing has added to the variance of each line's stripe, px²; None where none is smoothed.
         cut: lines whose full pixels are numbers; None where there are none.
+        own: the weights of its lines, and what they make of their noise; None of a grey laser.
+        colours: its channels; None where they were not asked for.
     """
 
     response: Pixels
@@ -175,6 +180,8 @@ class Windows(eqx.Module):
     gain: Pixels | None = None
     added: Lines | None = None
     cut: Cut | None = None
+    own: OwnWeights | None = None
+    colours: InTexture | None = None
 
     def as_seen(self, ln_s: Lines) -> Lines:
         """The logarithm of a stripe's standard deviation with what smoothing adds to it."""
@@ -186,10 +193,14 @@ class Windows(eqx.Module):
             return ln_s
         return 0.5 * jnp.log(jnp.maximum(jnp.exp(2 * ln_s) - self.added, _LEAST_S2))
 
+    def read2(self, sensor: Sensor) -> Lines:
+        """The variance of the read noise of each line."""
+        return sensor.read**2 if self.own is None else self.own.louder * sensor.read**2
+
     def variance(self, height: Pixels, sensor: Sensor) -> Pixels:
         """The noise of pixels that stand so high above the background."""
         light = jnp.maximum(height, 0.0)
-        variance = sensor.read**2 + light * (sensor.shot + sensor.speckle * light)
+        variance = self.read2(sensor) + light * (sensor.shot + sensor.speckle * light)
         return variance if self.gain is None else self.gain * variance
 
 
@@ -239,15 +250,18 @@ def gather_windows(
     color: str,
     columns: bool,
     half: int,
+    with_colours: bool = False,
 ) -> Windows:
     """The response in a window about each peak; the arguments are those of `gather_pixels`."""
     at = frame, line, peak, columns, half
     dark = None if background is None else gather_pixels(background, *at)
-    return _windows_of(gather_pixels(images, *at), dark, sensor, frame, first_pixel(images, peak, columns, half), color)
+    return _windows_of(
+        gather_pixels(images, *at), dark, sensor, frame, first_pixel(images, peak, columns, half), color, with_colours
+    )
 
 
 # Apart from the gathering, for this need not be compiled again for photographs of another size.
-@partial(jax.jit, static_argnames="color")
+@partial(jax.jit, static_argnames=("color", "with_colours"))
 def _windows_of(
     lit: UInt[Array, "groups window lines *rgb"],
     dark: UInt[Array, "groups window lines *rgb"] | None,
@@ -255,6 +269,7 @@ def _windows_of(
     frame: Places,
     first: Places,
     color: str,
+    with_colours: bool,
 ) -> Windows:
     """The response in windows of these pixels, which begin in the rows (or columns) `first`."""
     here = sensor.of(frame)
@@ -263,19 +278,34 @@ def _windows_of(
     if here.detail is not None:
         laser = detailed(channels(lit, None, color), first, here.detail, color)[0]
         levels = detailed(levels, first, here.detail, color)
-    r, full = response(levels, here.weights, here.ambient), full_pixels(laser, here.full, here.coded)
-    gain = added = cut = None
+    full = full_pixels(laser, here.full, here.coded)
+    r, own = response_of_lines(levels, full, here)
+    gain = added = cut = apart = None
     if here.cut is not None:
         below = jnp.iinfo(lit.dtype).max - laser.astype(jnp.float32)
         ceiling = r + (1 if color == "grey" else 2) * below
         cut = Cut(here.cut, ceiling, jnp.ones_like(here.cut) if here.smooth is None else ~here.smooth)
     if here.smooth is not None:
         plain = ~full.any(1, keepdims=True)
-        r, gain, added = smoothed(r, here.smooth & (plain if cut is None else plain & ~cut.lines))
+        soft = here.smooth & (plain if cut is None else plain & ~cut.lines)
+        r, gain, added = smoothed(r, soft)
+        levels = tuple(jnp.where(soft, _softened(level), level) for level in levels)
     if cut is not None:
         r = jnp.where(cut.lines, cut.smoothed(r), r)
     neutral = None if color == "grey" else response(levels, NEUTRAL, _cap(levels, laser, here))
-    return Windows(r, neutral, full, first, gain, added, cut)
+    if with_colours and here.colours is not None:
+        apart = in_texture(levels, full, here.colours)
+    return Windows(r, neutral, full, first, gain, added, cut, own, apart)
+
+
+def response_of_lines(
+    levels: tuple[Shaped[Array, "groups window lines"], ...], full: Bool[Array, "groups window lines"], sensor: Sensor
+) -> tuple[Pixels, OwnWeights | None]:
+    """The response with the weights of each line, and these."""
+    if sensor.colours is None:
+        return response(levels, sensor.weights, sensor.ambient), None
+    own = sensor.colours.of_lines(levels, full)
+    return response(levels, own.weights, sensor.ambient), own
 
 
 def _cap(
