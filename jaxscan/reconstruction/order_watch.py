@@ -11,6 +11,9 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from jaxscan.axis_details import is_detail
+from jaxscan.reconstruction.closing import closing_notes
+from jaxscan.reconstruction.turns import full_turn
+from jaxscan.rig import Motion
 
 _Steps = Num[np.ndarray, "frames"]
 
@@ -26,7 +29,8 @@ _PART, _DIFFER_PX = 0.7, 3.0
 class OrderWatch:
     """Watches the stripes of a scan as its frames are measured."""
 
-    def __init__(self) -> None:
+    def __init__(self, motion: Motion) -> None:
+        self._motion = motion
         self._stripes: list[Float[np.ndarray, "frames some"]] = []
         self._positions: dict[str, list[_Steps]] = {}
 
@@ -43,14 +47,26 @@ class OrderWatch:
                 self._positions.setdefault(axis, []).append(np.asarray(steps))
 
     def notes(self) -> list[str]:
-        """What is said of photographs that seem to be in no order; of those that only one axis moves."""
+        """What is said of photographs that seem to be in no order, or of a turn that does not close.
+
+        Of those that only one axis moves.
+        """
         if not self._stripes:
             return []
-        positions = [np.concatenate(each) for each in self._positions.values()]
-        moving = [each for each in positions if len(set(each.tolist())) > 1]
+        positions = {axis: np.concatenate(each) for axis, each in self._positions.items()}
+        moving = [axis for axis, each in positions.items() if len(set(each.tolist())) > 1]
         if len(moving) != 1:
             return []
-        stripes = np.concatenate(self._stripes)[np.argsort(moving[0], kind="stable")]
+        (axis,) = moving
+        order = np.argsort(positions[axis], kind="stable")
+        stripes = np.concatenate(self._stripes)[order]
+        return self._disorder(stripes) or self._open_turn(stripes, positions[axis][order].astype(float), axis)
+
+    def _open_turn(self, stripes: Float[np.ndarray, "frames some"], steps: _Steps, axis: str) -> list[str]:
+        turn = full_turn(self._motion, [axis])
+        return [] if turn is None else closing_notes(stripes, steps, turn, axis)
+
+    def _disorder(self, stripes: Float[np.ndarray, "frames some"]) -> list[str]:
         near, far = _apart(stripes, 1), _apart(stripes, max(len(stripes) // 3, 2))
         if min(len(near), len(far)) < _FEWEST:
             return []

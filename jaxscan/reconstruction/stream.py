@@ -136,7 +136,7 @@ class Scanner:
         self.notes, self.left_out = [], {}
         notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan)]
         notes += background_notes(self._content.rig, scan)
-        verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch()
+        verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:
             for image, counts in self._images(laser, scan, advance, watch, notes, to_close):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.reconstruction.order_watch import OrderWatch
+from jaxscan.rig import Fixed
 
 LINES = np.arange(640)
 
@@ -16,7 +17,7 @@ def stripes(count: int, turns: float = 1.0, height_px: float = 20.0) -> np.ndarr
 
 
 def notes(pixels: np.ndarray, positions: np.ndarray, **other: np.ndarray) -> list[str]:
-    watch = OrderWatch()
+    watch = OrderWatch(Fixed())
     for first in range(0, len(pixels), 16):
         some = slice(first, first + 16)
         watch.see(pixels[some], {axis: q[some] for axis, q in {"turntable": positions, **other}.items()})
@@ -47,4 +48,4 @@ def test_what_shows_nothing_is_not_spoken_of():
     assert notes(stripes(10)[::-1][[3, 1, 7, 5, 0, 9, 2, 8, 4, 6]], np.arange(10)) == []
     assert notes(np.where(LINES < 10, stripes(count)[shuffled], np.nan), steps) == []
     assert notes(stripes(count)[shuffled], steps, stage=steps) == []
-    assert OrderWatch().notes() == []
+    assert OrderWatch(Fixed()).notes() == []
