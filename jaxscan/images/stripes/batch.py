@@ -171,7 +171,7 @@ class Batch:
         """The lines and rows at which something as narrow as the stripe stands out most from both of its sides.
 
         The edge of a painted surface outshines a stripe beside it, but only on one side of it. The response is that
-        with weights in which most of the photograph's texture cancels.
+        with weights in which most of the photograph's texture cancels. None where the channels do not show it.
 
         Args:
             frame: which photograph.
@@ -180,6 +180,8 @@ class Batch:
         """
         assert sensor.colours is not None
         colours = jax.tree.map(lambda x: np.asarray(x)[frame], sensor.colours)
+        if not (colours.by_line and colours.aligned):
+            return line[:0], line[:0]
         m, n = (np.float32(weight) for weight in colours.weights(1.0))
         levels = np.asarray(self.frames[frame])
         levels = (levels[:, line] if self.settings.columns else np.swapaxes(levels[line], 0, 1)).astype(np.float32)

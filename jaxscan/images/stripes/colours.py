@@ -26,14 +26,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.images.stripe_settings import CHANNELS
-from jaxscan.images.stripes.response import CHROMA, LUMA
+from jaxscan.images.stripes.response import CHROMA, LUMA, MOST_WHITE
 
 # Rounding's own variance, grey levels squared: no covariance is smaller.
 _ROUNDING: Final = 1 / 12
+# No two channels are alike to more than this, in variance.
+_APART: Final = 1.001
 # How far chroma at half resolution is off beside a stripe, grey levels.
 _CHROMA_ERROR: Final = 2.0
-# The laser's own channel counts for a quarter of the weights at the least.
-_MOST: Final = 4.0
+# The most that m and n are: of a line's own weights, and of those that all lines have.
+_MOST, _MOST_OF_ALL = 4.0, 2.0
 # Which part of a frame's lines is quiet, and which is loud.
 _QUIET, _LOUD = 0.5, 0.75
 # A line has texture from this multiple of the quiet lines' squares on: of noise alone hardly any has more.
@@ -83,7 +85,8 @@ class Colours(eqx.Module):
         texture: T.
         lowest: the least that m and n may be.
         by_line: whether lines have weights of their own. Of a JPEG, whose quiet parts have lost their noise, and of
-            channels that are means of neighbouring pixels, all lines together show it, and have the same.
+            channels that are means of neighbouring pixels, all lines together show it, and have the same. So they have
+            where the laser looks white.
         aligned: whether the other channels show the laser's light as its own does, a part of it. A mosaic's channels,
             coarse ones, or those of a lens that separates colours, show it elsewhere or broader.
     """
@@ -99,17 +102,20 @@ class Colours(eqx.Module):
     def weights(self, tau: Array | float) -> tuple[Array, Array]:
         """M and n where the texture is τ times that of the loudest lines."""
         LL, LM, LN, MM, MN, NN = (n + tau * t for n, t in zip(self.even, self.texture, strict=True))
+        # Channels that differ by nothing have no inverse in numbers of 24 bits.
+        LL, MM, NN = (_APART * x for x in (LL, MM, NN))
         L, M, N = self.laser
         low_m, low_n = self.lowest
         # C⁻¹ a but for its length, which the weights do not ask: the adjugate's rows.
         own = (MM * NN - MN * MN) * L + (LN * MN - LM * NN) * M + (LM * MN - LN * MM) * N
         first = (LN * MN - LM * NN) * L + (LL * NN - LN * LN) * M + (LM * LN - LL * MN) * N
         second = (LM * MN - LN * MM) * L + (LM * LN - LL * MN) * M + (LL * MM - LM * LM) * N
-        m, n = _ratio(first, own, low_m), _ratio(second, own, low_n)
+        most = jnp.where(self.by_line, _MOST, _MOST_OF_ALL)
+        m, n = _ratio(first, own, low_m, most), _ratio(second, own, low_n, most)
         # Where one of them would be negative it is none, and the other one is what it is without.
-        m_alone = _ratio(LL * M - LM * L, MM * L - LM * M, low_m)
-        n_alone = _ratio(LL * N - LN * L, NN * L - LN * N, low_n)
-        no_m, no_n = (m == 0) & (low_m == 0), (n == 0) & (low_n == 0)
+        m_alone = _ratio(LL * M - LM * L, MM * L - LM * M, low_m, most)
+        n_alone = _ratio(LL * N - LN * L, NN * L - LN * N, low_n, most)
+        no_m, no_n = self.by_line & (m == 0), self.by_line & (n == 0)
         return jnp.where(no_n & ~no_m, m_alone, m), jnp.where(no_m & ~no_n, n_alone, n)
 
     def noise_of(self, weights: tuple[Array, Array]) -> Array:
@@ -174,11 +180,11 @@ def in_the_middle(window: Array) -> Bool[Array, "1 window 1"]:
     return jnp.abs(jnp.arange(size)[None, :, None] - (size - 1) / 2) <= _NEAR_PX
 
 
-def _ratio(each: Array, own: Array, least: Array) -> Array:
+def _ratio(each: Array, own: Array, least: Array, most: Array) -> Array:
     """A channel's weight over that of the laser's own, which is −2 in the response."""
     ratio = -2 * each / jnp.maximum(own, jnp.finfo(jnp.float32).tiny)
     # Where nothing stands out in the laser's own channel, neutral light cancels.
-    return jnp.where(own > 0, jnp.clip(ratio, least, _MOST), 1.0)
+    return jnp.where(own > 0, jnp.clip(ratio, least, most), 1.0)
 
 
 class InTexture(eqx.Module):
@@ -269,7 +275,13 @@ def colours_of(
         least = least + jnp.where(half, (error @ error.T)[..., None], 0.0)
         own, first, second = (LUMA[i] for i in CHANNELS[color])
         lowest = jnp.where(half, -2 * first / own, 0.0), jnp.where(half, -2 * second / own, 0.0)
-    every = coded if half is None else coded | half
+    # What stands out of the line's mean.
+    light = [(stripe * (x - end.mean(1, keepdims=True))).sum((1, 2)) for x, end in zip(levels, ends, strict=True)]
+    length = jnp.maximum(jnp.sqrt(sum(x * x for x in light)), _TINY)
+    L, M, N = (x / length for x in light)
+    # Of a laser that looks white the others show as much as its own channel does.
+    every = coded | (L <= 0) | (M + N > 2 * MOST_WHITE * L)
+    every = every if half is None else every | half
     every = every if interpolated is None else every | interpolated
     of_ends, of_lines = _squares(each), _squares(both)
     quiet_ends = _loudness(of_ends) <= jnp.quantile(_loudness(of_ends), _QUIET, axis=1, keepdims=True)
@@ -282,10 +294,6 @@ def colours_of(
     noise = [c * by[i] * by[j] for c, (i, j) in zip(shape, _PAIRS, strict=True)]
     even = [n + s for n, s in zip(noise, _uneven(levels, flank, noise), strict=True)]
     everything, loudest = _covariance(both, jnp.ones_like(loudness, bool)), _covariance(both, loudness >= loud)
-    # What stands out of the line's mean.
-    light = [(stripe * (x - end.mean(1, keepdims=True))).sum((1, 2)) for x, end in zip(levels, ends, strict=True)]
-    length = jnp.maximum(jnp.sqrt(sum(x * x for x in light)), _TINY)
-    L, M, N = (x / length for x in light)
     N_, even_, T = (
         tuple(jnp.where(every, a, c) + least[i][j] for a, c, (i, j) in zip(everything, some, _PAIRS, strict=True))
         for some in (noise, even, loudest)

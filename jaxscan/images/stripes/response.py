@@ -49,7 +49,7 @@ FULL_OF_LUMA: Final = 0.9
 # those across pairs are this multiple of those within; decided from at least this number of pairs.
 _OF_ROUNDING, _ACROSS, _TOLD_BY = 1.5, 3.0, 100
 # Of light that is whiter than this, in parts of the laser's own channel, the colour does not show.
-_MOST_WHITE: Final = 0.3
+MOST_WHITE: Final = 0.3
 # What red, green and blue take of chroma, Cb and Cr.
 CHROMA: Final = np.array([[0.0, 1.402], [-0.344136, -0.714136], [1.772, 0.0]], np.float32)
 # How far luma is off there, grey levels; and in a video.
@@ -211,7 +211,7 @@ def detail_of(
     ]
     g = [jnp.ones(len(half)), *(jnp.nan_to_num(each) for each in others)]
     q = _luma(tuple(g), _luma_weights(color))
-    half = half & (others[0] + others[1] < 2 * _MOST_WHITE)
+    half = half & (others[0] + others[1] < 2 * MOST_WHITE)
     laser, first, second = (jnp.where(half, each / q - 1, 0.0) for each in g)
     return Detail((laser, first, second), repeated), half
 

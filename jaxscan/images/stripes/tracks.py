@@ -121,7 +121,8 @@ def survey_passage(
         return jnp.take_along_axis(passage.levels, index, axis=2)
 
     gain = jnp.take_along_axis(lit.gain, some[:, None], axis=2)
-    return survey_windows(of(lit), None if dark is None else of(dark), ambient, color, gain)
+    background = None if dark is None else of(dark)
+    return survey_windows(of(lit), background, ambient, color, gain, interpolated=np.array(True))
 
 
 @partial(jax.jit, static_argnames="color")
