@@ -11,10 +11,12 @@ and differs from where it should be by as much as the turn is off. How well phot
 by those beside them, in the same way, says what that means.
 """
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from jaxscan.robust import NORMAL_MAD
 
 # Photographs that predict. Others are placed by them that are this number of steps before them, and the last ones of a
 # turn that are no further away than the second.
@@ -23,17 +25,16 @@ _PREDICT, _BEFORE, _FURTHEST = 5, 3, 3.5
 _LINES, _TRIED = 16, 12
 # Rounds of the weights; no line is known better than this, px. What is off by two such parts counts for half.
 _ROUNDS, _LEAST_PX, _HALF = 5, 0.05, 2.0
-# Of a normal distribution: σ over the median of its amounts.
-_SIGMA: Final = 1.4826
 # A turn does not close if it misses by this part of a step, and by this multiple of what placing is off by.
 _MISSES, _SURE = 0.5, 4.0
 
 
 class Closing(NamedTuple):
-    """How far the last photographs of a turn are from where the first ones say, motor steps; and σ of that."""
+    """How far the last photographs of a turn are from where the first ones say, σ of that, and a step; motor steps."""
 
     misses: float
     sigma: float
+    step: float
 
 
 def closing(
@@ -64,7 +65,7 @@ def closing(
     ]
     if len(off) < 2 or len(near) < _TRIED:
         return None
-    return Closing(float(np.median(off)), _SIGMA * float(np.median(np.abs(near))))
+    return Closing(float(np.median(off)), NORMAL_MAD * float(np.median(np.abs(near))), step)
 
 
 def closing_notes(
@@ -72,8 +73,7 @@ def closing_notes(
 ) -> list[str]:
     """What is said of a turn that does not close; the arguments are those of `closing`, and the axis's name."""
     found = closing(stripes, steps, turn)
-    step = float(np.median(np.diff(steps))) if len(steps) > 1 else 0.0
-    if found is None or abs(found.misses) < max(_MISSES * step, _SURE * found.sigma):
+    if found is None or abs(found.misses) < max(_MISSES * found.step, _SURE * found.sigma):
         return []
     return [
         f"the turn does not close: after {turn:.0f} motor steps the stripe is {abs(found.misses):.0f} of them "
@@ -97,7 +97,7 @@ def _placed(
     slope, off, x = line[1], stripe[both] - line[0], 0.0
     for _ in range(_ROUNDS):
         left = off - slope * x
-        usual = max(_SIGMA * float(np.median(np.abs(left))), _LEAST_PX)
+        usual = max(NORMAL_MAD * float(np.median(np.abs(left))), _LEAST_PX)
         weight = 1 / ((1 + bends) * (1 + (left / (_HALF * usual)) ** 2))
         total = float((weight * slope**2).sum())
         if total <= 0:

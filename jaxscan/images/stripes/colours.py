@@ -12,9 +12,9 @@ it is their light that must cancel, whatever its colour. Lines of one photograph
     C = N + S + τ T
 
 with N the covariance of noise, S that of the levels of the windows' two ends in most lines, for no surface is quite
-even, and T that in the loudest lines. τ is read off the line's own
-pixels: off what the other channels show beside their part of the laser's light, p_M − (a_M / a_L) p_L and
-p_N − (a_N / a_L) p_L, in which there is neither stripe nor speckle.
+even, and T that in the loudest lines. τ is read off the line's own pixels: off what the other channels show beside
+their part of the laser's light, p_M − (a_M / a_L) p_L and p_N − (a_N / a_L) p_L, in which there is neither stripe nor
+speckle.
 """
 
 from typing import Final
@@ -210,8 +210,8 @@ class InTexture(eqx.Module):
         return LL - 2 * (first * LM + second * LN) + first**2 * MM + 2 * first * second * MN + second**2 * NN
 
 
-def in_texture(levels: tuple[Array, ...], full: Bool[Array, "groups window lines"], colours: Colours) -> InTexture:
-    """The channels of windows, of the lines' own colours."""
+def in_texture(levels: tuple[Array, ...], colours: Colours, lines: OwnWeights) -> InTexture:
+    """The channels of windows, of the lines' own colours and weights."""
     own, *others = levels
     L, *parts = colours.laser
     by_M, by_N = (jnp.clip(part / jnp.maximum(L, _TINY), 0.0, _MOST_OF_OTHERS) for part in parts)
@@ -228,7 +228,7 @@ def in_texture(levels: tuple[Array, ...], full: Bool[Array, "groups window lines
         MN - by_M * LN - by_N * LM + by_M * by_N * LL,
         NN - 2 * by_N * LN + by_N**2 * LL,
     )
-    m, n = colours.of_lines(levels, full).weights
+    m, n = lines.weights
     # 2 L − m M − n N is (2 − m by_M − n by_N) L − m M′ − n N′.
     whole = jnp.maximum(2 - m * by_M - n * by_N, 1.0)
     quiet = jnp.maximum(colours.noise_of(colours.weights(0.0)), _TINY)

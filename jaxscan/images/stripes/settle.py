@@ -152,8 +152,7 @@ def settle(
             if not columns:
                 down = np.swapaxes(down, 1, 2)
                 coloured = None if coloured is None else np.swapaxes(coloured, 1, 2)
-            asked = lost
-            _contest(frames, doubtful, down, coloured, rises_alone, asked, narrow_peaks, standing, second)
+            _contest(frames, doubtful, down, coloured, rises_alone, lost, narrow_peaks, standing, second)
             measured = frames.looked.measured
             found, _ = in_a_line(measured, standing, frames.least)
     verdict = np.where(found, Verdict.STRIPE, Verdict.NOTHING).astype(np.int8)
@@ -170,7 +169,7 @@ def _contest(
     peaks: Int[np.ndarray, "frames down lines"],
     of_colour: Int[np.ndarray, "frames down lines"] | None,
     rises_alone: RisesAlone,
-    asked: Bool[np.ndarray, "frames lines"],
+    lost: Bool[np.ndarray, "frames lines"],
     narrow_peaks: NarrowPeaks | None,
     standing: Bool[np.ndarray, "frames lines"],
     second: Bool[np.ndarray, "frames lines"],
@@ -188,8 +187,8 @@ def _contest(
     for n in doubtful:
         lines = np.flatnonzero(standing[n])
         line, row = rivals(peaks[n], frames.peak[n], _RISES * float(frames.least[n]), frames.length)
-        if narrow_peaks is not None and asked[n].any():
-            line, row = _with_narrow(line, row, *narrow_peaks(n, np.flatnonzero(asked[n])), frames.peak[n])
+        if narrow_peaks is not None and lost[n].any():
+            line, row = _with_narrow(line, row, *narrow_peaks(n, np.flatnonzero(lost[n])), frames.peak[n])
         mains, others = colour(n, lines, frames.peak[n, lines]), colour(n, line, row)
         # Where the stripe is itself burnt out to white, colour shows nothing.
         if lines.size and np.median(mains) > _IN_COLOUR:

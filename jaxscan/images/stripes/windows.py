@@ -293,8 +293,8 @@ def _windows_of(
     if cut is not None:
         r = jnp.where(cut.lines, cut.smoothed(r), r)
     neutral = None if color == "grey" else response(levels, NEUTRAL, _cap(levels, laser, here))
-    if with_colours and here.colours is not None:
-        apart = in_texture(levels, full, here.colours)
+    if with_colours and here.colours is not None and own is not None:
+        apart = in_texture(levels, here.colours, own)
     return Windows(r, neutral, full, first, gain, added, cut, own, apart)
 
 
