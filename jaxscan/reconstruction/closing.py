@@ -38,7 +38,7 @@ class Closing(NamedTuple):
 
 
 def closing(
-    stripes: Float[np.ndarray, "frames lines"], steps: Float[np.ndarray, "frames"], turn: float
+    stripes: Float[np.ndarray, "frames lines"], steps: Float[np.ndarray, "frames"], turn: int
 ) -> Closing | None:
     """How a turn closes; None where too few photographs show it.
 
@@ -69,14 +69,14 @@ def closing(
 
 
 def closing_notes(
-    stripes: Float[np.ndarray, "frames lines"], steps: Float[np.ndarray, "frames"], turn: float, axis: str
+    stripes: Float[np.ndarray, "frames lines"], steps: Float[np.ndarray, "frames"], turn: int, axis: str
 ) -> list[str]:
     """What is said of a turn that does not close; the arguments are those of `closing`, and the axis's name."""
     found = closing(stripes, steps, turn)
     if found is None or abs(found.misses) < max(_MISSES * found.step, _SURE * found.sigma):
         return []
     return [
-        f"the turn does not close: after {turn:.0f} motor steps the stripe is {abs(found.misses):.0f} of them "
+        f"the turn does not close: after {turn} motor steps the stripe is {abs(found.misses):.0f} of them "
         f"({abs(found.misses) / turn * 360:.1f}°) from where it was, as if a turn had {turn - found.misses:.0f}: check "
         f"the steps of {axis} in scan.toml, whether steps were lost, and whether the object moved on the table"
     ]

@@ -5,7 +5,7 @@ import pytest
 
 from jaxscan.reconstruction.closing import closing, closing_notes
 
-TURN, LINES = 6400.0, np.arange(100)
+TURN, LINES = 6400, np.arange(100)
 
 
 def stripes(steps: np.ndarray, turn: float = TURN, noise: float = 0.15, seed: int = 0) -> np.ndarray:
