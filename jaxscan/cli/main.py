@@ -231,6 +231,10 @@ class _Parser(argparse.ArgumentParser):
             self._refuse(extras)
         return namespace, extras
 
+    def error(self, message: str) -> NoReturn:
+        """Without the usage, which is longer than a screen for some commands and hides the sentence."""
+        self.exit(BAD_INPUT, f"{self.prog}: error: {message}\n{self.prog} --help lists what it takes\n")
+
     def _is_own(self, text: str) -> bool:
         """Whether options are to come still: none after --, and after a command its own."""
         return text != "--" and (self._subparsers is None or text.startswith("-"))

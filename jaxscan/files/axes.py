@@ -128,7 +128,7 @@ def _read_axis(axes: Table, name: str, outer: str) -> tuple[int, ...] | StepRule
         raise axes.error(
             name, f"has no per_frame: add it, or write {name} = {show(value.get('start', 0))} where it stands still"
         )
-    if (per_frame := rule.whole("per_frame")) == 0:
+    if (per_frame := rule.motor_steps("per_frame", f"{name} = ")) == 0:
         raise rule.error(
             "per_frame",
             "the axis does not move: give its steps from one frame to the next, or one number for all frames",

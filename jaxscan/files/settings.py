@@ -114,7 +114,7 @@ def read_step_rule(table: Table, per_file: str) -> int | None:
         return None
     if per_file not in table:
         raise table.error("steps", f"is missing: give the motor step count of each photograph, or {per_file}")
-    step = table.whole(per_file)
+    step = table.motor_steps(per_file, "steps = ")
     if step == 0:
         raise table.error(per_file, "the motor does not move: give the motor steps from one photograph to the next")
     return step

@@ -108,6 +108,19 @@ class Table:
             raise self.error(key, f"must be a whole number{_float_hint(value)}")
         return value
 
+    def motor_steps(self, key: str, listed: str) -> int:
+        """A whole number of motor steps from one photograph to the next.
+
+        Args:
+            key: where it stands.
+            listed: how a list of the steps of all photographs begins.
+        """
+        value = self._required(key, "a whole number")
+        if isinstance(value, float) and math.isfinite(value) and not value.is_integer():
+            some = ", ".join(str(round(i * value)) for i in range(4))
+            raise self.error(key, f"must be a whole number; where steps differ, list them all: {listed}[{some}, …]")
+        return self.whole(key)
+
     def wholes(self, key: str) -> tuple[int, ...]:
         """A list of whole numbers."""
         for i, value in enumerate(values := self.sequence(key, "whole numbers")):

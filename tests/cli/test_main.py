@@ -106,7 +106,10 @@ def test_warnings_are_one_line_each(command, capsys):
 def test_bad_usage_is_status_2(command, capsys, argv):
     command(lambda args: None)
     assert cli.main(argv) == 2
-    assert "usage: jaxscan" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert err.startswith("jaxscan")
+    assert err.endswith(" --help lists what it takes\n")
+    assert err.count("\n") == 2
 
 
 @pytest.mark.parametrize(
@@ -131,7 +134,8 @@ def test_bad_usage_is_status_2(command, capsys, argv):
 def test_what_is_misspelt_is_told_by_its_command(main, argv, usage, said, capsys):
     assert main(argv.split()) == 2
     err = capsys.readouterr().err
-    assert err.startswith(f"usage: {usage} [-h]")
+    assert err.startswith(f"{usage}: error: ")
+    assert err.endswith(f"{usage} --help lists what it takes\n")
     assert said in err
 
 

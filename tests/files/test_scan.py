@@ -207,6 +207,11 @@ BAD = {
     "degrees": (AXES + "turntable = 1.5", ["[scan.axes] turntable = 1.5", "whole number"]),
     "a position as text": (AXES + 'turntable = "8"', ['[scan.axes] turntable = "8"', "per_frame = 8"]),
     "a start alone": (AXES + "turntable = { start = 8 }", ["[scan.axes] turntable", "no per_frame", "turntable = 8"]),
+    "parts of steps": (FRAMES + "steps_per_frame = 40.4", ["steps_per_frame = 40.4", "steps = [0, 40, 81, 121, …]"]),
+    "parts of steps of an axis": (
+        AXES + "turntable = { per_frame = -0.5 }",
+        ["turntable.per_frame = -0.5", "list them all: turntable = [0, 0, -1, -2, …]"],
+    ),
     "an axis at rest": (AXES + "turntable = { per_frame = 0 }", ["turntable.per_frame = 0", "does not move"]),
     "a mistyped rule": (
         AXES + "turntable = { begin = 8, per_frame = 1 }",
