@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, Final
 
 from jaxscan.files.artefact_file import FORMS
@@ -18,6 +18,8 @@ _LEVELS: Final[dict[str | None, Level]] = {
     "not decided": "care",
     None: "care",
 }
+# Left free before the first test and after the last.
+_BESIDE: Final = timedelta(days=1)
 
 
 def write_picture(path: str | os.PathLike[str], figure: Any) -> None:
@@ -39,21 +41,29 @@ def draw_acceptance(found: Acceptance) -> Any:
         ax.set(title=kind, ylabel="mm", xlim=(0.5, len(found.scans) + 0.5))
         if found.of(kind):
             ax.legend(fontsize=8)
+        # A tick is a scan: there is none between two.
+        ax.xaxis.get_major_locator().set_params(integer=True)
     axes[-1].set(xlabel="scan")
     return figure
 
 
 def draw_drift(tests: Sequence[Mapping[str, Any]]) -> Any:
     """The mean error of each figure over time, with twice its σ and the limits; a matplotlib figure."""
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
     found = series(tests)
     figure, axes = _panels(max(len(found), 1))
+    taken = [datetime.fromisoformat(test["date"]) for each in found.values() for test, _ in each]
     for ax, ((artefact, kind, of), each) in zip(axes, found.items(), strict=False):
         dates = [datetime.fromisoformat(test["date"]) for test, _ in each]
         bars = [EXPANDED * (row["sigma"] or 0.0) for _, row in each]
         ax.errorbar(dates, [row["mean"] for _, row in each], yerr=bars, fmt="o-", ms=4, lw=0.8)
         _limits(ax, each[-1][1]["limit"], form=kind in FORMS)
         ax.set(title=f"{artefact}: {kind} of {of}", ylabel="mm")
-    figure.autofmt_xdate()
+        # The same time in all panels; days of the calendar, not minutes, where all tests are of one.
+        ax.set_xlim(min(taken) - _BESIDE, max(taken) + _BESIDE)
+        dates_at = AutoDateLocator(maxticks=8)
+        ax.xaxis.set(major_locator=dates_at, major_formatter=ConciseDateFormatter(dates_at))
     return figure
 
 
