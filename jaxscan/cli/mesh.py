@@ -298,8 +298,13 @@ def _of_image(
     import trimesh
 
     from jaxscan.files.cloud import Cloud
+    from jaxscan.surface.passage_fit import passage_fit
     from jaxscan.surface.passages import passages
 
+    fit = passage_fit(image)
+    if fit is not None:
+        result["passages_apart_mm"] = fit._asdict()
+        result["turned_the_other_way"] = fit.turned_the_other_way
     result["passages"] = times = len(passages(image))
     if times > 1 and args.quads and args.method is None:
         raise InputError(
@@ -452,6 +457,13 @@ def describe(result: dict[str, Any]) -> str:
         )
     elif result.get("passages", 1) > 1:
         lines.append(f"  layers     {result['passages']}: the scan has shown the object as often")
+    if result.get("turned_the_other_way"):
+        apart = result["passages_apart_mm"]
+        lines.append(
+            f"  backwards  the two passages of the turn are {apart['as_said']:.2f} mm apart, and would be "
+            f"{apart['other_way']:.2f} mm apart if the table had turned the other way: check the order of the "
+            "photographs and the sign of their motor steps in scan.toml"
+        )
     if result.get("facing_away", 0.0) > _FOLDED:
         lines.append(
             f"  folded     {100 * result['facing_away']:.0f} % of the surface face away from the camera, as when the "
