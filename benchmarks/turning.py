@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from benchmarks.metric import Metric
 from benchmarks.sequential import sequential
-from jaxscan.calibration import Calibration, Observations, calibrate
+from jaxscan.calibration import Observations, calibrate
 from jaxscan.calibration.first_poses import poses_of_photographs
 from jaxscan.calibration.observe import observe
 from jaxscan.files.scan import read_scan
@@ -29,10 +29,12 @@ from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy, float64
 from jaxscan.reconstruction import RangeImage, reconstruct
 from jaxscan.rig import Rig, Rotary, motion_of
-from jaxscan.simulation import rig_2003
+from jaxscan.simulation import Scene, distance, rig_2003
 from jaxscan.simulation.accuracy import rigid_fit
 from jaxscan.simulation.folders import ScanTruth, simulate_scan, simulate_session
 from jaxscan.simulation.shapes import figure
+from jaxscan.surface.clean import clean
+from jaxscan.surface.fused import fused
 from jaxscan.surface.pairs import equations, match
 from jaxscan.surface.side import side_of_image
 
@@ -83,7 +85,8 @@ def _measured(seed: int, quick: bool) -> list[Metric]:
         Metric("turning.part_of_rig_in_shape", _rms(np.linalg.norm(bent, axis=1)), "mm", "lower", 0.015, slack=0.2),
         Metric("turning.first_frame_against_last", abs(first - last), "mm", "lower", 0.02, slack=0.5),
         Metric("turning.over_makers", _rms(error) / _rms(recipe), "", "lower", 0.25, slack=0.1),
-        *_within(own, truth, found),
+        *_within(own, truth),
+        *_vertices_within(own, scene),
     ]
 
 
@@ -128,14 +131,24 @@ def _seam(image: RangeImage, truth: ScanTruth) -> tuple[float, float]:
     return float(np.nanmean(error[0])), float(np.nanmean(error[-1]))
 
 
-def _within(image: RangeImage, truth: ScanTruth, calibration: Calibration) -> list[Metric]:
+def _within(image: RangeImage, truth: ScanTruth) -> list[Metric]:
     """The part of the points within 1, 2 and 3 σ along their rays."""
-    del calibration
     rays = image.points.astype(np.float64) - image.cameras()[:, None]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     off = ((image.points - truth.points) * rays).sum(axis=-1) / image.sigma
     off = np.abs(off[image.valid & np.isfinite(off)])
     return [Metric(f"turning.within_{k}_sigma", float((off <= k).mean())) for k in (1, 2, 3)]
+
+
+def _vertices_within(image: RangeImage, scene: Scene) -> list[Metric]:
+    """The part of the fused surface's vertices within 1, 2 and 3 σ of the true one; and how far passages disagree."""
+    found = fused(clean(image).image)
+    vertices = np.asarray(found.mesh.vertices)
+    off = distance(scene, vertices) / found.sigma
+    return [
+        *(Metric(f"turning.vertices_within_{k}_sigma", float((off <= k).mean())) for k in (1, 2, 3)),
+        Metric("turning.passages_disagree", found.disagreement or 1.0),
+    ]
 
 
 def _makers(observations: Observations) -> Rig:

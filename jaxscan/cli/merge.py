@@ -323,6 +323,7 @@ def _written(
         "volume_mm3": float(mesh.volume) if mesh.is_watertight else None,
         "seen": float(known.mean()),
         "sides_in_the_mean": float(merged.sides[known].mean()),
+        "scans_disagree": merged.disagreement,
         "sigma_vertex_mm": float(np.median(sigma)) if np.isfinite(sigma).all() else None,
         "sigma_pixel_vertex_mm": float(np.median(merged.sigma_pixel[known])),
         "coloured": None if colours is None else int(colours.any(axis=1).sum()),

@@ -26,6 +26,8 @@ EXAMPLE: Final = "jaxscan mesh cup.npz -o cup.stl --png cup.png"
 
 # A part of the surface that faces away from the camera, beyond which it is folded.
 _FOLDED: Final = 0.01
+# Passages that are this many times as far apart as their σ lets expect are spoken of.
+_DISAGREE: Final = 1.1
 _ENDINGS: Final = (".stl", ".obj", ".ply", ".glb", ".npz")
 
 
@@ -321,6 +323,7 @@ def _of_image(
 
         found = fused(image)
         result["seen_times"] = float(found.sides.mean())
+        result["passages_disagree"] = found.disagreement
         return found.mesh, found.cloud(), None
     if args.method in (None, "grid"):
         from jaxscan.surface.triangles import facing_away, grid_surface
@@ -453,7 +456,7 @@ def describe(result: dict[str, Any]) -> str:
     if "seen_times" in result:
         lines.append(
             f"  fused      of {result['passages']} passages through the light, {result['seen_times']:.1f} on each "
-            "vertex"
+            f"vertex{_disagreeing(result['passages_disagree'])}"
         )
     elif result.get("passages", 1) > 1:
         lines.append(f"  layers     {result['passages']}: the scan has shown the object as often")
@@ -472,6 +475,13 @@ def describe(result: dict[str, Any]) -> str:
     if "picture" in result:
         lines.append(f"  picture    {result['picture']}")
     return "\n".join(lines)
+
+
+def _disagreeing(by: float | None) -> str:
+    """What is said of passages that are further apart than their σ."""
+    if by is None or by < _DISAGREE:
+        return ""
+    return f"; they are {by:.1f} times as far apart as their σ says, and σ is as much wider"
 
 
 def _plateaus_in_words(result: dict[str, Any]) -> list[str]:

@@ -13,6 +13,10 @@ mean: with pᵢ's own normal alone f would be off by h²/2r on a surface of radi
 f is sampled on the cubes around the points, and each cube in which it changes its sign gets a vertex (S. Gibson,
 "Constrained elastic surface nets", 1998), which then moves along the normal to where f is zero. A vertex without points
 on all sides of it lies beyond the rim of what was seen, and is left out: nothing is invented.
+
+σ of a vertex is what its points say, widened by what the sides say of one another: χ² = Σ (fₛ − f̄)² / σₛ² over the
+sides around it, with fₛ and σₛ by the points of one side. Errors that neighbours share, as beside paint, under a rough
+patch or by a registration that is a little off, do not become less in a mean, and show there alone (R. T. Birge 1932).
 """
 
 from collections.abc import Sequence
@@ -50,6 +54,9 @@ _LARGEST_GAP: Final = np.pi
 # Between neighbours in the grid f changes by no more than this part of their distance, where it is the same surface.
 _STEEPEST: Final = 1.5
 _ROUNDS: Final = 2
+# Sides disagree where each has this much of a point; χ² is taken from this number of vertices around, and from all as
+# if there were as many more as the second says; no side counts for more than this χ².
+_PRESENT, _VERTICES, _OF_ALL, _LARGEST = 0.5, 40, 10.0, 25.0
 # Floors are the same where their normals differ by no more than 5°.
 _SAME_FLOOR: Final = np.cos(np.radians(5.0))
 # Poisson's octree is this number of levels finer than the spacing, within limits.
@@ -71,12 +78,15 @@ class Merged:
             nothing was seen, or the rig's part is not known.
         sigma_pixel: the pixel's part of it, mm; NaN where nothing was seen.
         sides: how many sides have points there.
+        disagreement: how far sides are apart, in units of what the σ of their points lets expect; `sigma_pixel` is
+            widened by it, part by part, where it is more than 1. None where no place was seen from two sides.
     """
 
     mesh: trimesh.Trimesh
     sigma: Float[np.ndarray, "vertices"]
     sigma_pixel: Float[np.ndarray, "vertices"]
     sides: Int[np.ndarray, "vertices"]
+    disagreement: float | None = None
 
     def cloud(self) -> Cloud:
         """The vertices with the parts of σ that are known of all of them."""
@@ -118,6 +128,28 @@ class _Points:
         return _At(*(np.concatenate([getattr(lot, name) for lot in lots]) for name in _At.__dataclass_fields__))
 
     def _at(self, x: Float[np.ndarray, "places 3"]) -> _At:
+        away, index, there, weight, distance, mean, offset = self._around(x)
+        sigma = self.sigma[index]
+        # Twice: with all points, and without those that are off the surface of the others.
+        f = np.zeros(len(x))
+        for _ in range(2):
+            total = np.maximum(weight.sum(axis=1), 1e-300)
+            f = (weight * distance).sum(axis=1) / total
+            u = (distance - f[:, None]) / (_TUKEY * np.hypot(sigma, 0.1 * self.spacing))
+            weight = weight * np.clip(1 - u**2, 0, None) ** 2
+        total = weight.sum(axis=1)
+        safe = np.maximum(total, 1e-300)
+        seen = (total > 0) & (away <= self.spacing) & (_gap(offset, mean, there) < _LARGEST_GAP)
+        present = np.zeros((len(x), self.count), bool)
+        np.logical_or.at(present, (np.arange(len(x))[:, None], self.side[index]), there)
+        error = mean_sigma(weight / safe[:, None], sigma, self.sigma_rig[index])
+        return _At(np.where(total > 0, f, np.nan), mean, seen, *error, present.sum(axis=1))
+
+    def _around(self, x: Float[np.ndarray, "places 3"]) -> tuple:
+        """How far the nearest point is; of those around which they are, whether they count, and their weights.
+
+        Then the signed distance of each place from their planes, their mean normal, and the way from each to the place.
+        """
         reach, h = _REACH * self.spacing, _WIDTH * self.spacing
         away, index = self.tree.query(x, _MOST_AROUND, distance_upper_bound=reach)
         there = np.isfinite(away)
@@ -135,21 +167,31 @@ class _Points:
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
         half = normal + mean[:, None]
         half /= np.maximum(np.linalg.norm(half, axis=2, keepdims=True), 1e-300)
-        distance = (half * offset).sum(axis=2)
-        # Twice: with all points, and without those that are off the surface of the others.
-        f = np.zeros(len(x))
-        for _ in range(2):
-            total = np.maximum(weight.sum(axis=1), 1e-300)
-            f = (weight * distance).sum(axis=1) / total
-            u = (distance - f[:, None]) / (_TUKEY * np.hypot(sigma, 0.1 * self.spacing))
-            weight = weight * np.clip(1 - u**2, 0, None) ** 2
-        total = weight.sum(axis=1)
-        safe = np.maximum(total, 1e-300)
-        seen = (total > 0) & (away[:, 0] <= self.spacing) & (_gap(offset, mean, there) < _LARGEST_GAP)
-        present = np.zeros((len(x), self.count), bool)
-        np.logical_or.at(present, (np.arange(len(x))[:, None], self.side[index]), there)
-        error = mean_sigma(weight / safe[:, None], sigma, self.sigma_rig[index])
-        return _At(np.where(total > 0, f, np.nan), mean, seen, *error, present.sum(axis=1))
+        return away[:, 0], index, there, weight, (half * offset).sum(axis=2), mean, offset
+
+    def disagreement(
+        self, places: Float[np.ndarray, "places 3"]
+    ) -> tuple[Float[np.ndarray, "places"], Float[np.ndarray, "places"]]:
+        """χ² of the sides around each place, and how many more than one there are."""
+        lots = [self._disagreement(places[start : start + _AT_ONCE]) for start in range(0, len(places), _AT_ONCE)]
+        chi2, freedom = (np.concatenate(parts) for parts in zip(*lots, strict=True))
+        return chi2, freedom
+
+    def _disagreement(
+        self, x: Float[np.ndarray, "places 3"]
+    ) -> tuple[Float[np.ndarray, "places"], Float[np.ndarray, "places"]]:
+        _, index, _, weight, distance, _, _ = self._around(x)
+        sigma, side = self.sigma[index], self.side[index]
+        f, precision = np.zeros((2, self.count, len(x)))
+        for k in range(self.count):
+            own = np.where(side == k, weight, 0.0)
+            total = own.sum(axis=1)
+            enough = (own * sigma**2).sum(axis=1) >= _PRESENT
+            f[k] = (own * distance).sum(axis=1) / np.maximum(total, 1e-300)
+            precision[k] = np.where(enough, total**2 / np.maximum(((own * sigma) ** 2).sum(axis=1), 1e-300), 0.0)
+        middle = (precision * f).sum(axis=0) / np.maximum(precision.sum(axis=0), 1e-300)
+        chi2 = np.minimum(precision * (f - middle) ** 2, _LARGEST).sum(axis=0)
+        return chi2, np.maximum((precision > 0).sum(axis=0) - 1.0, 0.0)
 
     def settled(self, places: Float[np.ndarray, "places 3"]) -> tuple[Float[np.ndarray, "places 3"], _At]:
         """Places moved along the normal to where f is zero; where nothing was seen they stay."""
@@ -184,7 +226,27 @@ def merge(sides: Sequence[Side], poses: Sequence[Pose], *, cube_mm: float | None
         raise InputError("no surface comes of these points: give a larger --cube")
     used, faces = np.unique(faces, return_inverse=True)
     mesh = trimesh.Trimesh(vertices[used], faces.reshape(-1, 3), process=False)
-    return Merged(mesh, found.sigma[used], found.sigma_pixel[used], found.sides[used])
+    apart, sigma, pixel = _widened(points, vertices[used], found.sigma[used], found.sigma_pixel[used])
+    return Merged(mesh, sigma, pixel, found.sides[used], apart)
+
+
+def _widened(
+    points: _Points,
+    vertices: Float[np.ndarray, "vertices 3"],
+    sigma: Float[np.ndarray, "vertices"],
+    pixel: Float[np.ndarray, "vertices"],
+) -> tuple[float | None, Float[np.ndarray, "vertices"], Float[np.ndarray, "vertices"]]:
+    """How far the sides are apart over all, and the σ of the vertices, widened by it in part and whole."""
+    chi2, freedom = points.disagreement(vertices)
+    shared = freedom > 0
+    if shared.sum() < _VERTICES:
+        return None, sigma, pixel
+    of_all = chi2[shared].sum() / freedom[shared].sum()
+    _, near = KDTree(vertices[shared]).query(vertices, _VERTICES)
+    sums, counts = chi2[shared][near].sum(axis=1), freedom[shared][near].sum(axis=1)
+    factor2 = np.maximum((sums + _OF_ALL * of_all) / (counts + _OF_ALL), 1.0)
+    wider = pixel * np.sqrt(factor2)
+    return float(np.sqrt(of_all)), np.sqrt(sigma**2 + wider**2 - pixel**2), wider
 
 
 def merge_closed(sides: Sequence[Side], poses: Sequence[Pose]) -> Merged:
@@ -207,7 +269,8 @@ def merge_closed(sides: Sequence[Side], poses: Sequence[Pose]) -> Merged:
     vertices = np.where(seen[:, None], vertices, mesh.vertices)
     mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
     sigma, pixel = (np.where(seen, part, np.nan) for part in (found.sigma, found.sigma_pixel))
-    return Merged(mesh, sigma, pixel, np.where(seen, found.sides, 0))
+    apart, sigma[seen], pixel[seen] = _widened(points, vertices[seen], sigma[seen], pixel[seen])
+    return Merged(mesh, sigma, pixel, np.where(seen, found.sides, 0), apart)
 
 
 def _underside(

@@ -1,5 +1,7 @@
 """Sides as one surface: the right place on curved surfaces, each point by its own σ, nothing beyond the rim."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,54 @@ def test_each_point_weighs_by_its_sigma():
     assert error[1] < 0.2 * error[2]
     assert np.median(both.sigma_pixel) == pytest.approx(error[1], rel=0.3)
     assert np.isnan(both.sigma).all()
+
+
+def shared_error(points: np.ndarray, seed: int) -> np.ndarray:
+    """Of a variance of 1, and alike within a millimetre or two."""
+    rng = np.random.default_rng(seed)
+    waves, phases = rng.normal(0, 1.0, (60, 3)), rng.uniform(0, 2 * np.pi, 60)
+    return np.sqrt(2 / 60) * np.cos(points @ waves.T + phases).sum(axis=1)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_sides_that_err_by_themselves_are_as_far_apart_as_their_sigma_says(count):
+    sides = [ball(str(k), np.array([0.0, 0.0, 1.0]), 0.03, 10 + k) for k in range(count)]
+    found = merge(sides, (STILL,) * count)
+    assert found.disagreement == pytest.approx(1.0, abs=0.08)
+    error = np.linalg.norm(found.mesh.vertices, axis=1) - R
+    assert np.sqrt(np.mean((error / found.sigma_pixel) ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_errors_that_neighbours_share_widen_sigma(count):
+    """A mean of neighbours does not reduce them. Only the other sides show that."""
+    sides = []
+    for k in range(count):
+        one = ball(str(k), np.array([0.0, 0.0, 1.0]), 0.03, 20 + k)
+        off = 0.03 * shared_error(one.points, 30 + k)
+        sides.append(replace(one, points=one.points + off[:, None] * one.normals, sigma=one.sigma * np.sqrt(2)))
+    found = merge(sides, (STILL,) * count)
+    assert found.disagreement is not None
+    assert found.disagreement > 1.2
+    z = (np.linalg.norm(found.mesh.vertices, axis=1) - R) / found.sigma_pixel
+    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
+    # Of one side nothing is known but what its points say.
+    alone = merge(sides[:1], (STILL,))
+    assert alone.disagreement is None
+    assert np.std(np.linalg.norm(alone.mesh.vertices, axis=1)) > 1.2 * np.median(alone.sigma_pixel)
+
+
+def test_a_patch_where_sides_disagree_is_widened_by_itself():
+    pole = np.array([0.0, 0.0, 1.0])
+    sides = [ball(str(k), pole, 0.02, 40 + k) for k in range(2)]
+    up = [(side.points @ pole / R > 0.85)[:, None] for side in sides]
+    sides = [
+        replace(side, points=side.points + sign * 0.05 * side.normals * where)
+        for side, sign, where in zip(sides, (1, -1), up, strict=True)
+    ]
+    found = merge(sides, (STILL, STILL))
+    top = found.mesh.vertices @ pole / R
+    assert np.median(found.sigma_pixel[top > 0.9]) > 2.0 * np.median(found.sigma_pixel[top < 0.5])
 
 
 def test_two_layers_that_err_in_opposite_directions_are_one_surface():
