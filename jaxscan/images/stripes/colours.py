@@ -26,10 +26,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.images.stripe_settings import CHANNELS
-from jaxscan.images.stripes.response import CHROMA, LUMA, MOST_WHITE
+from jaxscan.images.stripes.response import CHROMA, LUMA, MOST_WHITE, ROUNDING
 
-# Rounding's own variance, grey levels squared: no covariance is smaller.
-_ROUNDING: Final = 1 / 12
 # No two channels are alike to more than this, in variance.
 _APART: Final = 1.001
 # How far chroma at half resolution is off beside a stripe, grey levels.
@@ -267,7 +265,7 @@ def colours_of(
         jnp.concatenate([x - x.mean(1, keepdims=True) for x in (level[:, :flank], level[:, -flank:])], axis=2)
         for level in levels
     ]
-    least = _ROUNDING * np.eye(3, dtype=np.float32)[..., None]
+    least = ROUNDING * np.eye(3, dtype=np.float32)[..., None]
     zero = jnp.zeros(len(levels[0]))
     lowest = (zero, zero)
     if half is not None:
@@ -326,7 +324,7 @@ def _squares(off: list[Float[Array, "frames some lines"]]) -> list[Float[Array, 
 def _loudness(squares: list[Float[Array, "frames lines"]]) -> Float[Array, "frames lines"]:
     """The squares of all channels, each in parts of its usual one."""
     return sum(
-        (x / jnp.maximum(jnp.median(x, axis=1, keepdims=True), _ROUNDING) for x in squares), jnp.zeros_like(squares[0])
+        (x / jnp.maximum(jnp.median(x, axis=1, keepdims=True), ROUNDING) for x in squares), jnp.zeros_like(squares[0])
     )
 
 

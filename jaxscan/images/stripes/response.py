@@ -37,8 +37,8 @@ Backgrounds = UInt[Array, "backgrounds rows columns *rgb"]
 
 # The weights m and n with which neutral light cancels.
 NEUTRAL: Final = (1.0, 1.0)
-# Rounding's own variance, grey levels squared: no covariance is smaller.
-_ROUNDING = 1 / 12
+# The variance of rounding to whole grey levels, levels squared: no covariance is smaller.
+ROUNDING: Final = 1 / 12
 # Parts of red, green and blue in luma (ITU-R BT.601).
 LUMA: Final = (0.299, 0.587, 0.114)
 _WITH_COLOURS: Final = 4
@@ -170,7 +170,7 @@ def half_chroma(
     def in_pairs(off: Array, known: Array, within: Array, rounding: float) -> Bool[Array, "frames"]:
         (inside, count), (across, others) = usual(off, known & within), usual(off, known & ~within)
         told = jnp.minimum(count, others) >= _TOLD_BY
-        return told & (inside < _OF_ROUNDING * _ROUNDING * rounding) & (across > _ACROSS * inside)
+        return told & (inside < _OF_ROUNDING * ROUNDING * rounding) & (across > _ACROSS * inside)
 
     third = chroma[:, 3:] - chroma[:, :-3] - 3 * (chroma[:, 2:-1] - chroma[:, 1:-2])
     known = whole[:, 3:] & whole[:, 2:-1] & whole[:, 1:-2] & whole[:, :-3]

@@ -20,7 +20,7 @@ from jaxtyping import Float, Int, UInt
 
 from jaxscan.images.stripe_settings import CHANNELS, StripeSettings
 from jaxscan.images.stripes.likelihood import FREEDOM_OF_NOISE, FWHM, REACH, REACH_PX
-from jaxscan.images.stripes.response import LUMA
+from jaxscan.images.stripes.response import LUMA, ROUNDING
 from jaxscan.images.stripes.windows import Sensor
 
 # Correlations of pixels up to this distance are estimated; beyond, there are none.
@@ -40,7 +40,6 @@ _QUIET, _QUIETEST, _FEWEST = 5.0, 0.25, 100
 _OF_BLOCKS = 0.5
 # Noise is visible if its variance is this multiple of the variance of rounding.
 _SEEN = 2.5
-_ROUNDING = 1 / 12
 # Widths and heights of stripes at which σ is worked out, in each photograph.
 _WIDTHS, _HEIGHTS, _PHASES = 5, 4, (0.0, 0.5)
 
@@ -109,7 +108,7 @@ def noise_correlation(
     read = away & ~(in_block[1:] | in_block[:-1])
     if read.sum() < _FEWEST:
         return None
-    levels, rounding = pixels.astype(np.float32), _ROUNDING
+    levels, rounding = pixels.astype(np.float32), ROUNDING
     if dark is not None:
         levels -= dark[:rows, some]
         rounding *= 2

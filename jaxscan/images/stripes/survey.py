@@ -21,6 +21,7 @@ from jaxscan.images.stripes.ranks import median
 from jaxscan.images.stripes.response import (
     FULL_OF_LUMA,
     NEUTRAL,
+    ROUNDING,
     Backgrounds,
     Images,
     channels,
@@ -64,8 +65,6 @@ _DEVIATION_TO_SIGMA = 1.2533 / (1 - 1 / _FLANK) ** 0.5
 # A mean of two such deviations over the lesser of them. One end is louder than the other beyond this multiple of it
 # and this number of grey levels: of noise one line in fifty is.
 _QUIETER, _LOUDER, _LOUDER_LEVELS = 1.26, 4.0, 1.0
-# Rounding's own σ, grey levels: no noise is smaller.
-_ROUNDING = 12**-0.5
 # A stripe exceeds its background by more than this multiple of the noise: smoothed as it is, the greatest of a
 # thousand rows of noise stands out by two or three σ.
 LEAST_SIGNAL = 4.7
@@ -284,7 +283,7 @@ def _seen(
     # Of a colour its own light counts twice; in luma a channel's light counts for its part of it.
     in_luma = color == "grey" and levels[0].ndim < lit.ndim
     span = full.astype(jnp.float32) * (_part_of_luma(laser, r, burnt) if in_luma else 1 if color == "grey" else 2)
-    rounding = _ROUNDING * noise_gain(weights, color)
+    rounding = ROUNDING**0.5 * noise_gain(weights, color)
     if half is not None and detail is not None:
         rounding = jnp.hypot(rounding, luma_error(detail, half, weights))
     noise = _ground(r, burnt, gain if own is None else own.louder if gain is None else gain * own.louder)
