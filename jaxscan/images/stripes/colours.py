@@ -17,7 +17,7 @@ their part of the laser's light, p_M − (a_M / a_L) p_L and p_N − (a_N / a_L)
 speckle.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import equinox as eqx
 import jax
@@ -265,14 +265,7 @@ def colours_of(
         jnp.concatenate([x - x.mean(1, keepdims=True) for x in (level[:, :flank], level[:, -flank:])], axis=2)
         for level in levels
     ]
-    least = ROUNDING * np.eye(3, dtype=np.float32)[..., None]
-    zero = jnp.zeros(len(levels[0]))
-    lowest = (zero, zero)
-    if half is not None:
-        error = np.float32(_CHROMA_ERROR) * CHROMA[list(CHANNELS[color])]
-        least = least + jnp.where(half, (error @ error.T)[..., None], 0.0)
-        own, first, second = (LUMA[i] for i in CHANNELS[color])
-        lowest = jnp.where(half, -2 * first / own, 0.0), jnp.where(half, -2 * second / own, 0.0)
+    least, lowest = _at_half_resolution(half, color, len(levels[0]))
     # What stands out of the line's mean.
     light = [(stripe * (x - end.mean(1, keepdims=True))).sum((1, 2)) for x, end in zip(levels, ends, strict=True)]
     length = jnp.maximum(jnp.sqrt(sum(x * x for x in light)), _TINY)
@@ -281,23 +274,43 @@ def colours_of(
     every = coded | (L <= 0) | (M + N > 2 * MOST_WHITE * L)
     every = every if half is None else every | half
     every = every if interpolated is None else every | interpolated
-    of_ends, of_lines = _squares(each), _squares(both)
-    quiet_ends = _loudness(of_ends) <= jnp.quantile(_loudness(of_ends), _QUIET, axis=1, keepdims=True)
-    loudness = _loudness(of_lines)
+    loudness = _loudness(_squares(both))
     quiet, loud = (jnp.quantile(loudness, part, axis=1, keepdims=True) for part in (_QUIET, _LOUD))
-    # The usual end decides how much noise there is, the quieter half of them what channels have in common.
-    usual = [jnp.median(x, axis=1) / _MEDIAN_OF_SQUARES for x in of_ends]
-    shape = _covariance(each, quiet_ends)
-    by = [jnp.sqrt(x / jnp.maximum(shape[i], _TINY)) for x, i in zip(usual, _OWN, strict=True)]
-    noise = [c * by[i] * by[j] for c, (i, j) in zip(shape, _PAIRS, strict=True)]
+    noise = _noise(each)
     even = [n + s for n, s in zip(noise, _uneven(levels, flank, noise), strict=True)]
     everything, loudest = _covariance(both, jnp.ones_like(loudness, bool)), _covariance(both, loudness >= loud)
     N_, even_, T = (
         tuple(jnp.where(every, a, c) + least[i][j] for a, c, (i, j) in zip(everything, some, _PAIRS, strict=True))
         for some in (noise, even, loudest)
     )
-    found = Colours((L, M, N), N_, even_, T, lowest, ~every, jnp.ones(len(zero), bool))
+    found = Colours((L, M, N), N_, even_, T, lowest, ~every, jnp.ones(len(every), bool))
     return eqx.tree_at(lambda x: x.aligned, found, _aligned(found, levels, loudness <= quiet, full))
+
+
+def _at_half_resolution(half: Bool[Array, "frames"] | None, color: str, frames: int) -> tuple[Any, tuple[Array, Array]]:
+    """The least covariance of the channels, (channels, channels, 1) or for each frame, and the lowest m and n."""
+    least = ROUNDING * np.eye(3, dtype=np.float32)[..., None]
+    zero = jnp.zeros(frames)
+    if half is None:
+        return least, (zero, zero)
+    error = np.float32(_CHROMA_ERROR) * CHROMA[list(CHANNELS[color])]
+    own, first, second = (LUMA[i] for i in CHANNELS[color])
+    lowest = jnp.where(half, -2 * first / own, 0.0), jnp.where(half, -2 * second / own, 0.0)
+    return least + jnp.where(half, (error @ error.T)[..., None], 0.0), lowest
+
+
+def _noise(ends: list[Float[Array, "frames some lines"]]) -> list[Array]:
+    """The covariance of the channels' noise by what the ends of lines leave of their means.
+
+    The usual end decides how much noise there is, the quieter half of them what channels have in common.
+    """
+    squares = _squares(ends)
+    loudness = _loudness(squares)
+    quieter = loudness <= jnp.quantile(loudness, _QUIET, axis=1, keepdims=True)
+    usual = [jnp.median(x, axis=1) / _MEDIAN_OF_SQUARES for x in squares]
+    shape = _covariance(ends, quieter)
+    by = [jnp.sqrt(x / jnp.maximum(shape[i], _TINY)) for x, i in zip(usual, _OWN, strict=True)]
+    return [c * by[i] * by[j] for c, (i, j) in zip(shape, _PAIRS, strict=True)]
 
 
 def _uneven(levels: tuple[Array, ...], flank: int, noise: list[Array]) -> list[Array]:
