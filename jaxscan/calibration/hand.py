@@ -16,6 +16,10 @@ FEWEST_POSES = 3
 _FEW_POSES = 8
 # Lengths of poses and photographs are said to differ where they do by more than this share, and this multiple of σ.
 _SCALE, _SCALE_SIGMAS = 0.002, 4.0
+# By this share no arm is wrong: one of the two scales is.
+_WRONG_SCALE = 0.005
+# Poses that are left out and named.
+_NAMED = 3
 # A given σ is called too small where the poses scatter by more than this multiple of it.
 _CLEARLY_MORE = 1.5
 
@@ -115,20 +119,33 @@ class Hand:
             )
             if given is not None and found > _CLEARLY_MORE * given
         ]
-        if abs(self.scale - 1) > max(_SCALE, _SCALE_SIGMAS * self.scale_sigma):
-            said.append(
-                (
-                    f"The given positions are {self.scale:.4g} ± {self.scale_sigma:.1g} times as far apart as the "
-                    "photographs show",
-                    "Measure the board's squares and correct square_mm, which gives the photographs their scale; or "
-                    "see that the robot's positions are right.",
-                )
-            )
+        said += self.scale_statement
         if left_out := self.rejected():
-            more = f", and {len(left_out) - 1} more are not used" if len(left_out) > 1 else ""
+            more = [f", and {len(left_out) - _NAMED} more are not used"] if len(left_out) > _NAMED else []
             fix = "Check its line in the table of poses, and that the photograph was taken where the robot stood still."
-            said.append((f"{left_out[0]}{more}", fix))
+            if len(left_out) > 1:
+                fix = f"{fix} Where two were exchanged, both are named."
+            said.append(("; ".join(left_out[:_NAMED]) + "".join(more), fix))
         return tuple(said)
+
+    @property
+    def scale_statement(self) -> tuple[tuple[str, str], ...]:
+        """That the poses' lengths are not those of the photographs, and what to do; empty where they are."""
+        if abs(self.scale - 1) <= max(_SCALE, _SCALE_SIGMAS * self.scale_sigma):
+            return ()
+        return (
+            (
+                f"The given positions are {self.scale:.4g} ± {self.scale_sigma:.1g} times as far apart as the "
+                "photographs show",
+                "Measure the board's squares and correct square_mm, which gives the photographs their scale; or "
+                "see that the robot's positions are right.",
+            ),
+        )
+
+    @property
+    def wrong_scale(self) -> bool:
+        """Whether one of the two scales is wrong, and with it where the hand is, by much more than its σ."""
+        return bool(self.scale_statement) and abs(self.scale - 1) > _WRONG_SCALE
 
     def unknown_note(self) -> list[str]:
         """What the poses leave open, in words."""

@@ -68,7 +68,8 @@ def read_axes(scan: Table, n_frames: int | None, outer: str = "scan") -> tuple[P
     elif "steps" not in scan and "steps_per_frame" not in scan:
         raise scan.error(
             "steps",
-            f"is missing: give the motor step count of each frame, or steps_per_frame, or [{outer}.axes] where other "
+            f'is missing: give the motor step count of each frame, or steps_per_frame, or poses = "poses.csv" where a '
+            f"robot moved, or [{outer}.axes] where other "
             f"axes than the {STAGE} move",
         )
     else:

@@ -29,7 +29,8 @@ _MM_IN_A_METRE: Final = 1000.0
 _OF_POSITION: Final = re.compile(
     r"(?:t|p|pos|position|trans|translation)?[._ ]*([xyz])(?:[._ ]*[\[(]?(mm|cm|m|in|inch)[\])]?)?"
 )
-_OF_ROTATION: Final = re.compile(r"(?:q|quat|quaternion|r|rot|rotation|o|orientation)[._ ]*([wxyz])")
+_OF_ROTATION: Final = re.compile(r"(?:q|quat|quaternion|r|rot|rotation|o|orientation)[._ ]*([wxyz])|([wijk])")
+_IJK: Final = {"i": "x", "j": "y", "k": "z"}
 _COLUMNS: Final = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _SHAPES: Final = "name, x, y, z, qw, qx, qy, qz or a name and the 16 numbers of a 4 × 4 matrix"
 
@@ -143,8 +144,22 @@ def _order(where: str, heading: Sequence[str]) -> list[int] | None:
     if units:
         raise InputError(f"{where}: {units[0][0]} is in {units[0][1]}: write positions in mm, and name the columns so")
     rotations = [_OF_ROTATION.fullmatch(word.lower()) for word in heading[1:]]
-    names = [p[1] if p else f"q{r[1]}" if r else "" for p, r in zip(positions, rotations, strict=True)]
-    return [names.index(column) for column in _COLUMNS] if sorted(names) == sorted(_COLUMNS) else None
+    names: list[str] = []
+    for position, rotation in zip(positions, rotations, strict=True):
+        if position:
+            # x, y, z, x, y, z, w: the second time they are the quaternion's.
+            names.append(position[1] if position[1] not in names else f"q{position[1]}")
+        else:
+            part = (rotation[1] or rotation[2]) if rotation else ""
+            names.append(part and f"q{_IJK.get(part, part)}")
+    if sorted(names) == sorted(_COLUMNS):
+        return [names.index(column) for column in _COLUMNS]
+    if "qw" in names and len(names) == len(_COLUMNS):
+        raise InputError(
+            f"{where}: names its columns {', '.join(heading)}, which do not say where the quaternion's parts stand: "
+            "name them name, x, y, z, qw, qx, qy, qz, in the order that they have"
+        )
+    return None
 
 
 def _pose(where: str, values: Float[np.ndarray, "numbers"]) -> Pose[np.ndarray]:

@@ -201,6 +201,8 @@ def _fit(table: Table, lights: int) -> dict[str, Any]:
     if "pose_range" in fit:
         poses = fit.table("pose_range", "fit.pose_range.")
         _ = [poses.numbers(key, 3) for key in ("least_mm", "most_mm", "turn")], poses.number("within_rad")
+        for i, _ in enumerate(poses.sequence("turns", "rotation vectors") if "turns" in poses else ()):
+            Table(table.path, "fit.pose_range.turns.", {str(i): poses.values["turns"][i]}).numbers(str(i), 3)
     if "sigma_over_noise_alone" in fit:
         ratios = fit.table("sigma_over_noise_alone", "fit.sigma_over_noise_alone.")
         if not ratios.values or any(ratios.number(name) <= 0 for name in ratios.values):

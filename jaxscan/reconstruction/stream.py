@@ -33,6 +33,7 @@ from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.order_watch import OrderWatch
 from jaxscan.reconstruction.overlapping import overlapping
+from jaxscan.reconstruction.pose_notes import pose_notes
 from jaxscan.reconstruction.pose_sigma import PoseSigma, check_poses
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, way_notes
@@ -135,7 +136,7 @@ class Scanner:
         frames = seen = points = 0
         self.notes, self.left_out = [], {}
         notes = [*way_notes(self._content.rig, scan), *doubts(scan.checks), *gap_notes(scan)]
-        notes += background_notes(self._content.rig, scan)
+        notes += [*background_notes(self._content.rig, scan), *pose_notes(self._content, scan)]
         verdicts, watch, order = np.zeros(len(Verdict), int), LightWatch(), OrderWatch(self._content.rig.motion)
         # Whoever stops early stops the reader too.
         with ExitStack() as to_close:

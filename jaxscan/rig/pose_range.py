@@ -5,15 +5,20 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxscan.geometry import Pose
 
 # Poses are near others if half of them are no farther outside their box than this many of its diagonals, and turned by
-# no more than this beyond them, rad.
-_DIAGONALS: Final = 1.0
+# no more than this from one of them, rad.
+_DIAGONALS: Final = 0.5
 _BEYOND_RAD: Final = 0.8
+# Of those within these, nothing is said.
+_USUAL_DIAGONALS, _USUAL_RAD = 0.25, 0.44
 # A hand that goes over less than this share of that diagonal stands still: its positions may be in metres.
 _STILL: Final = 1 / 200
+# Rotations that are kept.
+_MOST: Final = 100
 
 
 @dataclass(frozen=True)
@@ -25,12 +30,15 @@ class PoseRange:
         most_mm: largest x, y, z.
         turn: rotation vector of the mean rotation, rad.
         within_rad: how far the others are turned from it at the most.
+        turns: rotation vectors of the poses themselves, of many of them some, rad; empty in rigs that have not kept
+            them.
     """
 
     least_mm: Sequence[float]
     most_mm: Sequence[float]
     turn: Sequence[float]
     within_rad: float
+    turns: Sequence[Sequence[float]] = ()
 
     @classmethod
     def of(cls, poses: Pose[np.ndarray]) -> "PoseRange":
@@ -40,12 +48,19 @@ class PoseRange:
         mean = Rotation.from_rotvec(poses.rotation).mean()
         turned = (mean.inv() * Rotation.from_rotvec(poses.rotation)).magnitude()
         places = poses.translation
-        return cls(places.min(axis=0).tolist(), places.max(axis=0).tolist(), mean.as_rotvec().tolist(), turned.max())
+        some = poses.rotation[:: -(-len(poses.rotation) // _MOST)]
+        return cls(
+            least_mm=places.min(axis=0).tolist(),
+            most_mm=places.max(axis=0).tolist(),
+            turn=mean.as_rotvec().tolist(),
+            within_rad=float(turned.max()),
+            turns=some.tolist(),
+        )
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> "PoseRange":
         """The inverse of `values`."""
-        return cls(values["least_mm"], values["most_mm"], values["turn"], values["within_rad"])
+        return cls(values["least_mm"], values["most_mm"], values["turn"], values["within_rad"], values.get("turns", ()))
 
     def values(self) -> dict[str, object]:
         """As a rig file has it."""
@@ -54,17 +69,35 @@ class PoseRange:
             "most_mm": list(self.most_mm),
             "turn": list(self.turn),
             "within_rad": float(self.within_rad),
+            "turns": [list(turn) for turn in self.turns],
         }
+
+    def outside(self, poses: Pose[np.ndarray]) -> tuple[float, float]:
+        """How far half of some poses are outside this range, at least: mm from its box, and rad from its rotations."""
+        least, most = np.array(self.least_mm), np.array(self.most_mm)
+        away = np.maximum(np.maximum(least - poses.translation, poses.translation - most), 0)
+        return float(np.median(np.linalg.norm(away, axis=1))), float(np.median(self._turned(poses)))
+
+    def _turned(self, poses: Pose[np.ndarray]) -> Float[np.ndarray, "poses"]:
+        """How far each pose is turned from the nearest of these, rad."""
+        from scipy.spatial.transform import Rotation
+
+        given = Rotation.from_rotvec(poses.rotation)
+        if not len(self.turns):
+            turned = (Rotation.from_rotvec(np.array(self.turn)).inv() * given).magnitude()
+            return np.maximum(turned - self.within_rad, 0.0)
+        known = Rotation.from_rotvec(np.array(self.turns))
+        return np.min([(one.inv() * given).magnitude() for one in known], axis=0)
 
     def is_near(self, poses: Pose[np.ndarray]) -> bool:
         """Whether half of some poses are near these."""
-        from scipy.spatial.transform import Rotation
+        mm, rad = self.outside(poses)
+        return mm <= _DIAGONALS * self._diagonal and rad <= _BEYOND_RAD
 
-        least, most = np.array(self.least_mm), np.array(self.most_mm)
-        outside = np.maximum(np.maximum(least - poses.translation, poses.translation - most), 0)
-        turned = (Rotation.from_rotvec(np.array(self.turn)).inv() * Rotation.from_rotvec(poses.rotation)).magnitude()
-        near = np.median(np.linalg.norm(outside, axis=1)) <= _DIAGONALS * self._diagonal
-        return bool(near and np.median(turned) <= self.within_rad + _BEYOND_RAD)
+    def is_usual(self, poses: Pose[np.ndarray]) -> bool:
+        """Whether half of some poses are so near that nothing need be said."""
+        mm, rad = self.outside(poses)
+        return mm <= _USUAL_DIAGONALS * self._diagonal and rad <= _USUAL_RAD
 
     def is_still(self, poses: Pose[np.ndarray]) -> bool:
         """Whether a hand goes over next to nothing of this range."""

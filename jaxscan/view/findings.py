@@ -9,6 +9,7 @@ from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, Suspect
 from jaxscan.calibration.diagnostics.halves import Agreement
 from jaxscan.calibration.diagnostics.suspects import LEAST_PX, REJECTED
+from jaxscan.calibration.hand import Hand
 from jaxscan.reconstruction.working_volume import WorkingVolume
 from jaxscan.view.model_findings import listed, model_findings
 from jaxscan.view.report import Box
@@ -38,12 +39,18 @@ def findings(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[
     # A stripe that is looked for across its way makes photographs suspect too.
     boxes = [*_notes(calibration), *_scales(diagnostics), *mixed_up(diagnostics)]
     boxes += [*map(_suspect, suspected), *_sessions(diagnostics)]
-    boxes += [Box("care", f"{what}.", fix) for what, fix in (calibration.hand.statements if calibration.hand else ())]
+    boxes += _hand(calibration.hand) if calibration.hand else []
     boxes += [*_halves(diagnostics), *model_findings(calibration, diagnostics)]
     # What the model misses widens σ, so that is fixed first.
     boxes += [*_imprecise(calibration, diagnostics.sigma_factor, volumes), *_worse(diagnostics)]
     boxes += thin(calibration, diagnostics)
     return tuple(sorted(boxes, key=lambda box: ("stop", "care", "good").index(box.level)))
+
+
+def _hand(hand: Hand) -> list[Box]:
+    """What is wrong with given poses; with a wrong scale the place of the hand is wrong by more than its σ."""
+    grave = hand.scale_statement if hand.wrong_scale else ()
+    return [Box("stop" if (what, fix) in grave else "care", f"{what}.", fix) for what, fix in hand.statements]
 
 
 def _suspect(suspect: Suspect) -> Box:

@@ -28,8 +28,11 @@ _WHOLES, _FEWEST_WHOLES = 1.0, 5
 _MOVES_FAR = 4.0
 # Of normal residuals 0.27 % lie beyond 3 σ.
 _BEYOND_3 = 0.015
-# Share of all corners or stripe points that were rejected.
+# Share of all corners that were rejected.
 _REJECTED = 0.05
+# Of a stripe's points those at the borders of the board's squares are: within a stripe's width of each there may be a
+# tenth of all.
+_STRIPE_REJECTED = 0.2
 _NAMED = 5
 
 
@@ -319,15 +322,21 @@ def _tails(calibration: Calibration, diagnostics: Diagnostics) -> list[Box]:
             )
     known = mixed_names(diagnostics) | {suspect.name for suspect in diagnostics.suspects}
     fits = [fit for fit in (*calibration.fits, *calibration.moved_fits) if fit.name not in known]
-    for what, kept, seen in (
+    for what, most, kept, seen in (
         (
             "corners",
+            _REJECTED,
             sum(int(f.corner_kept.sum()) for f in fits),
             sum(int(np.isfinite(f.corner_errors[:, 0]).sum()) for f in fits),
         ),
-        ("stripe points", sum(int(f.stripe_kept.sum()) for f in fits), sum(f.stripe_kept.size for f in fits)),
+        (
+            "stripe points",
+            _STRIPE_REJECTED,
+            sum(int(f.stripe_kept.sum()) for f in fits),
+            sum(f.stripe_kept.size for f in fits),
+        ),
     ):
-        if seen and 1 - kept / seen > _REJECTED:
+        if seen and 1 - kept / seen > most:
             boxes.append(
                 Box(
                     "care",

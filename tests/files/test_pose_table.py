@@ -83,6 +83,8 @@ def test_decimal_commas_and_names_with_spaces(tmp_path: Path):
         "Name, X [mm], Y [mm], Z [mm], q_x, q_y, q_z, q_w",
         "# timestamp,tx,ty,tz,qx,qy,qz,qw",
         '"name","pos_x","pos_y","pos_z","rot.x","rot.y","rot.z","rot.w"',
+        "name,x,y,z,x,y,z,w",
+        "name,X,Y,Z,i,j,k,w",
     ],
 )
 def test_a_heading_says_the_order_of_the_columns(tmp_path: Path, heading: str):
@@ -99,6 +101,12 @@ def test_a_heading_that_says_nothing_of_the_order(tmp_path: Path):
     for heading in ("name,a,b,c,d,e,f,g", "# poses of Tuesday", "name,x,y,z,qw,qx,qy,qz"):
         read = read_pose_table(table(tmp_path / "p.csv", [heading, "00.png,1,2,3,0,1,0,0"]), NAMES[:1])
         np.testing.assert_allclose(np.abs(read.rotation), [[np.pi, 0, 0]])
+
+
+@pytest.mark.parametrize("heading", ["name,x,y,z,a,b,c,w", "name,x,y,z,w,q1,q2,q3"])
+def test_a_heading_that_says_a_part_of_the_order_is_refused(tmp_path: Path, heading: str):
+    with pytest.raises(InputError, match=r"line 1: names its columns .* qw, qx, qy, qz, in the order"):
+        read_pose_table(table(tmp_path / "p.csv", [heading, "00.png,1,2,3,0,1,0,0"]), NAMES[:1])
 
 
 LINE = "{},1,2,3,1,0,0,0"

@@ -157,7 +157,7 @@ def test_squares_that_are_not_as_large_as_was_said(world, tmp_path: Path, capsys
             (tmp_path / part.name).symlink_to(part)
     assert main(["calibrate", "--json", str(tmp_path), "-o", str(tmp_path / "rig.json")]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["verdict"]["level"] == "care"
+    assert found["verdict"]["level"] == "stop"
     (said,) = [warning["statement"] for warning in found["warnings"] if "as far apart" in warning["statement"]]
     assert re.search(r"The given positions are 0.97\d+ ± 0.00\d+ times as far apart as the photographs", said)
 

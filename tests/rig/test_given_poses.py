@@ -103,12 +103,27 @@ def test_poses_that_are_near_others():
     random = np.random.default_rng(1)
     usual = Pose(random.normal([2.0, 0.0, 0.0], 0.2, (12, 3)), random.uniform(250, 450, (12, 3)))
     where = PoseRange.from_values(PoseRange.of(usual).values())
-    moved = usual.translation[:4] + np.array([250.0, 0.0, 0.0])
+    moved = usual.translation[:4] + np.array([150.0, 0.0, 0.0])
     assert where.is_near(Pose(usual.rotation[:4], moved))
+    assert not where.is_near(Pose(usual.rotation[:4], moved + np.array([300.0, 0.0, 0.0])))
     assert not where.is_near(Pose(usual.rotation[:4], usual.translation[:4] / 1000))
     assert not where.is_near(Pose(usual.rotation[:4] - [2.0, 0.0, 0.0], usual.translation[:4]))
     assert where.is_still(Pose(usual.rotation, usual.translation / 1000))
     assert not where.is_still(usual)
+
+
+def test_one_photograph_with_a_rolled_camera_does_not_let_any_rotation_pass():
+    random = np.random.default_rng(2)
+    turns = random.normal([0.0, 0.0, 0.0], 0.2, (12, 3))
+    turns[5] = [0.0, 0.0, 3.1]
+    usual = Pose(turns, random.uniform(250, 450, (12, 3)))
+    values = PoseRange.of(usual).values()
+    where, old = (PoseRange.from_values(each) for each in (values, {k: v for k, v in values.items() if k != "turns"}))
+    other = Pose(turns[:4] + np.array([1.5, 0.0, 0.0]), usual.translation[:4])
+    assert old.is_near(other)
+    assert not where.is_near(other)
+    assert where.is_near(Pose(turns[4:7] + np.array([0.3, 0.0, 0.0]), usual.translation[:3]))
+    assert where.is_usual(Pose(turns[4:7], usual.translation[:3]))
 
 
 def test_a_motion_of_no_turn_is_one(tmp_path: Path):
