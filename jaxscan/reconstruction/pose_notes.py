@@ -22,8 +22,12 @@ _AROUND: Final = np.array([-2, -1, 1, 2])
 # distance, mm, or farther would move by more than the second multiple of its own way.
 _WILD_RAD: Final = 0.05
 _LEVER_MM, _OF_ITS_WAY = 200.0, 8.0
+# Rotations of neighbours that are farther apart, rad, make no path.
+_SMALL_RAD: Final = 1.0
 # Poses that are named.
 _NAMED: Final = 4
+
+_EachPlace = Float[np.ndarray, "places"]
 
 
 def pose_notes(content: RigFile, scan: Scan) -> list[str]:
@@ -92,33 +96,24 @@ def stand_out(given: Pose[np.ndarray]) -> list[tuple[int, float, float]]:
     if count < len(_AROUND) + 1:
         return []
     x, R = given.translation, given.matrix()
-    steps = np.linalg.norm(np.diff(x, axis=0), axis=1)
-    found = []
-    for i in range(2, count - 2):
-        near = i + _AROUND
-        # Rotations as vectors from that of a neighbour: they are small along a path.
-        turned = matrix_to_vector(R[near[0]].T @ R[[*near, i]])
-        if np.linalg.norm(turned[:-1], axis=1).max() > 1.0:
-            continue
-        (off, rest), (off_rad, rest_rad) = (_parabola(values) for values in (x[[*near, i]], turned))
-        step, step_rad = float(np.median(steps[i - 2 : i + 2])), float(np.median(_apart(turned)))
-        moved = off > max(_BESIDE * step, _LEAST_MM) and rest < max(_SMOOTH * step, _LEAST_MM / 5)
-        was_turned = off_rad > max(_BESIDE * step_rad, _LEAST_RAD) and rest_rad < max(
-            _SMOOTH * step_rad, _LEAST_RAD / 5
-        )
-        if moved or was_turned:
-            found.append((i, off, off_rad))
-    return found
+    middle = np.arange(2, count - 2)
+    five = middle[:, None] + np.append(_AROUND, 0)
+    # Rotations as vectors from that of a neighbour: they are small along a path.
+    turned = matrix_to_vector(R[five[:, :1]].swapaxes(-1, -2) @ R[five])
+    (off, rest, step), (off_rad, rest_rad, step_rad) = (_parabola(values) for values in (x[five], turned))
+    moved = (off > np.maximum(_BESIDE * step, _LEAST_MM)) & (rest < np.maximum(_SMOOTH * step, _LEAST_MM / 5))
+    was_turned = off_rad > np.maximum(_BESIDE * step_rad, _LEAST_RAD)
+    was_turned &= rest_rad < np.maximum(_SMOOTH * step_rad, _LEAST_RAD / 5)
+    found = np.flatnonzero((moved | was_turned) & (np.linalg.norm(turned[:, :-1], axis=-1).max(axis=1) < _SMALL_RAD))
+    return [(int(middle[k]), float(off[k]), float(off_rad[k])) for k in found]
 
 
-def _parabola(values: Float[np.ndarray, "five 3"]) -> tuple[float, float]:
-    """How far the last value is from the parabola of the others, and how far these are from it at the most."""
-    A = np.stack([np.ones(4), _AROUND, _AROUND**2], axis=1)
-    fitted = np.linalg.lstsq(A, values[:4], rcond=None)[0]
-    rest = np.linalg.norm(values[:4] - A @ fitted, axis=1).max()
-    return float(np.linalg.norm(values[4] - fitted[0])), float(rest)
-
-
-def _apart(turned: Float[np.ndarray, "five 3"]) -> Float[np.ndarray, "steps"]:
-    """From each of the four neighbours to the next, rad for a frame."""
-    return np.linalg.norm(np.diff(turned[:4], axis=0), axis=1) / np.diff(_AROUND)
+def _parabola(values: Float[np.ndarray, "places 5 3"]) -> tuple[_EachPlace, _EachPlace, _EachPlace]:
+    """How far the last value is from the parabola of the others, these from it at the most, and one from the next."""
+    A = np.stack([np.ones(len(_AROUND)), _AROUND, _AROUND**2], axis=1)
+    fit = np.linalg.pinv(A)
+    others = values[:, :-1]
+    off = np.linalg.norm(values[:, -1] - np.einsum("k,pkx->px", fit[0], others), axis=-1)
+    rest = np.linalg.norm(others - np.einsum("jk,pkx->pjx", A @ fit, others), axis=-1).max(axis=1)
+    apart = np.linalg.norm(np.diff(others, axis=1), axis=-1) / np.diff(_AROUND)
+    return off, rest, np.median(apart, axis=1)
