@@ -63,6 +63,14 @@ def _suspect(suspect: Suspect) -> Box:
             "A part of the stripe lies on something else than the board, on borders of squares, or is a reflection: "
             "look at it, and take it again if it is.",
         )
+    if suspect.another_stripe:
+        return Box(
+            "stop",
+            f"{where} {suspect.name}: its corners fit, and {100 * (suspect.stripe_rejected or 0.0):.0f} % of its "
+            "stripe points were rejected: its stripe is not where the sheet of light meets this board.",
+            "It is the stripe of another photograph (two that were exchanged are both named), or a reflection, or the "
+            "laser was moved: look at it, and correct the list of photographs or leave it out.",
+        )
     what = (
         f"{where} {suspect.name} does not fit the others: its corners are off by {suspect.corner_median_px:.2f} px in "
         f"the median, where {suspect.usual_corner_median_px:.2f} px is usual"

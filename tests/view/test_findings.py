@@ -68,6 +68,10 @@ def better(ladder: Ladder, lens: str) -> Ladder:
     [
         (lambda d: {"suspects": (SUSPECT,)}, "stop: Photograph 07.png does not fit .* fits when it is mirrored left"),
         (lambda d: {"suspects": (replace(SUSPECT, explanation=None),)}, "stop: .* another camera"),
+        (
+            lambda d: {"suspects": (replace(SUSPECT, explanation=None, corners_rejected=0.01, stripe_rejected=0.99),)},
+            "stop: .*07.png: its corners fit, and 99 % of its stripe points were rejected: .* stripe of another photo",
+        ),
         (lambda d: {"suspects": (replace(SUSPECT, explanation=None, staged=True),)}, "stop: .* Its step count"),
         (
             lambda d: {"suspects": (replace(SUSPECT, explanation=None, corners_rejected=0.04, stripe_rejected=0.31),)},

@@ -70,9 +70,17 @@ class Suspect:
     @property
     def stripe_alone(self) -> bool:
         """Whether a part of its stripe is all that does not fit: it lies on something else than the board."""
-        stripe = self.stripe_rejected or 0.0
-        corners = _off(self.corner_median_px, self.usual_corner_median_px) or self.corners_rejected > _FEW
-        return REJECTED < stripe <= _HALF and not corners and self.explanation is None
+        return self._corners_fit and REJECTED < (self.stripe_rejected or 0.0) <= _HALF
+
+    @property
+    def another_stripe(self) -> bool:
+        """Whether its corners fit, and its stripe is another one's: most of it lies elsewhere."""
+        return self._corners_fit and (self.stripe_rejected or 0.0) > _HALF
+
+    @property
+    def _corners_fit(self) -> bool:
+        off = _off(self.corner_median_px, self.usual_corner_median_px) or self.corners_rejected > _FEW
+        return not off and self.explanation is None
 
 
 def suspects(calibration: Calibration, explain: bool = True) -> tuple[Suspect, ...]:
