@@ -8,7 +8,7 @@ from typing import Any, Final
 from jaxscan.files.artefact_file import FORMS
 from jaxscan.measurement.accept import EXPANDED, Acceptance, AcceptanceFigure, expanded
 from jaxscan.measurement.drift import Change, series
-from jaxscan.view.matplotlib_setup import pyplot
+from jaxscan.view.matplotlib_setup import pyplot, with_dates
 from jaxscan.view.report import Box, Level, Report, Section, Table, draw
 from jaxscan.view.surface_plots import save_figure
 
@@ -49,8 +49,6 @@ def draw_acceptance(found: Acceptance) -> Any:
 
 def draw_drift(tests: Sequence[Mapping[str, Any]]) -> Any:
     """The mean error of each figure over time, with twice its σ and the limits; a matplotlib figure."""
-    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-
     found = series(tests)
     figure, axes = _panels(max(len(found), 1))
     taken = [datetime.fromisoformat(test["date"]) for each in found.values() for test, _ in each]
@@ -62,8 +60,7 @@ def draw_drift(tests: Sequence[Mapping[str, Any]]) -> Any:
         ax.set(title=f"{artefact}: {kind} of {of}", ylabel="mm")
         # The same time in all panels; days of the calendar, not minutes, where all tests are of one.
         ax.set_xlim(min(taken) - _BESIDE, max(taken) + _BESIDE)
-        dates_at = AutoDateLocator(maxticks=8)
-        ax.xaxis.set(major_locator=dates_at, major_formatter=ConciseDateFormatter(dates_at))
+        with_dates(ax)
     return figure
 
 

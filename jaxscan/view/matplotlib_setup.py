@@ -15,3 +15,11 @@ def pyplot() -> Any:
     import matplotlib.pyplot as plt
 
     return plt
+
+
+def with_dates(ax: Any) -> None:
+    """Ticks of an axis of times that can be read: few, and each part of a date where it changes."""
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+    dates = AutoDateLocator(maxticks=8)
+    ax.xaxis.set(major_locator=dates, major_formatter=ConciseDateFormatter(dates))
