@@ -121,11 +121,11 @@ class Hand:
         ]
         said += self.scale_statement
         if left_out := self.rejected():
-            more = [f", and {len(left_out) - _NAMED} more are not used"] if len(left_out) > _NAMED else []
+            more = f", and {len(left_out) - _NAMED} more are not used" if len(left_out) > _NAMED else ""
             fix = "Check its line in the table of poses, and that the photograph was taken where the robot stood still."
             if len(left_out) > 1:
                 fix = f"{fix} Where two were exchanged, both are named."
-            said.append(("; ".join(left_out[:_NAMED]) + "".join(more), fix))
+            said.append(("; ".join(left_out[:_NAMED]) + more, fix))
         return tuple(said)
 
     @property

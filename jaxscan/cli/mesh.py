@@ -303,11 +303,11 @@ def _of_image(
     from jaxscan.surface.passage_fit import passage_fit
     from jaxscan.surface.passages import passages
 
-    fit = passage_fit(image)
-    if fit is not None:
+    masks = passages(image)
+    result["passages"] = times = len(masks)
+    if (fit := passage_fit(image, masks)) is not None:
         result["passages_apart_mm"] = fit._asdict()
         result["turned_the_other_way"] = fit.turned_the_other_way
-    result["passages"] = times = len(passages(image))
     if times > 1 and args.quads and args.method is None:
         raise InputError(
             f"--quads: the scan has shown the object {times} times, and one surface of all has no quadrilaterals: "

@@ -66,11 +66,11 @@ def read_axes(scan: Table, n_frames: int | None, outer: str = "scan") -> tuple[P
         if not given:
             raise scan.error("axes", "names no axis: add one, such as turntable = { start = 0, per_frame = 8 }")
     elif "steps" not in scan and "steps_per_frame" not in scan:
+        by_poses = 'or poses = "poses.csv" where a robot moved, ' if outer == "scan" else ""
         raise scan.error(
             "steps",
-            f'is missing: give the motor step count of each frame, or steps_per_frame, or poses = "poses.csv" where a '
-            f"robot moved, or [{outer}.axes] where other "
-            f"axes than the {STAGE} move",
+            f"is missing: give the motor step count of each frame, or steps_per_frame, {by_poses}or [{outer}.axes] "
+            f"where other axes than the {STAGE} move",
         )
     else:
         step = read_step_rule(scan, "steps_per_frame")

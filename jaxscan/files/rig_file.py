@@ -196,13 +196,11 @@ def _fit(table: Table, lights: int) -> dict[str, Any]:
         raise fit.error("sheet_sigma_mm", "must be a number for each light, 0 if it is not known: calibrate again")
     if "stripe_depths_mm" in fit and not 0 < (depths := fit.numbers("stripe_depths_mm", 2))[0] <= depths[1]:
         raise fit.error("stripe_depths_mm", "must be the nearest and the farthest depth of a stripe: calibrate again")
-    for i, way in enumerate(fit.sequence("pose_offset_unknown", "directions") if "pose_offset_unknown" in fit else ()):
-        Table(table.path, "fit.pose_offset_unknown.", {str(i): way}).numbers(str(i), 3)
+    _check_vectors(fit, "pose_offset_unknown", "directions")
     if "pose_range" in fit:
         poses = fit.table("pose_range", "fit.pose_range.")
         _ = [poses.numbers(key, 3) for key in ("least_mm", "most_mm", "turn")], poses.number("within_rad")
-        for i, _ in enumerate(poses.sequence("turns", "rotation vectors") if "turns" in poses else ()):
-            Table(table.path, "fit.pose_range.turns.", {str(i): poses.values["turns"][i]}).numbers(str(i), 3)
+        _check_vectors(poses, "turns", "rotation vectors")
     if "sigma_over_noise_alone" in fit:
         ratios = fit.table("sigma_over_noise_alone", "fit.sigma_over_noise_alone.")
         if not ratios.values or any(ratios.number(name) <= 0 for name in ratios.values):
@@ -210,6 +208,12 @@ def _fit(table: Table, lights: int) -> dict[str, Any]:
     if "warnings" in fit and not all(isinstance(word, str) for word in fit.sequence("warnings", "sentences")):
         raise fit.error("warnings", "must be a list of sentences: calibrate again")
     return dict(fit.values)
+
+
+def _check_vectors(table: Table, key: str, of: str) -> None:
+    """Refuse a list whose entries are not three numbers each; it may be left out."""
+    for i, vector in enumerate(table.sequence(key, of) if key in table else ()):
+        Table(table.path, f"{table.prefix}{key}.", {str(i): vector}).numbers(str(i), 3)
 
 
 def _pair(values: tuple[float, ...]) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""What the given poses of a scan show by themselves: where the hand was, and poses that stand out of its path."""
+"""What the given poses of a scan show by themselves: a table in another form, where the hand was, and single poses."""
 
 from typing import Final
 
@@ -6,12 +6,18 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.axis_details import POSES
+from jaxscan.errors import InputError
+from jaxscan.files.pose_table import misread
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.geometry import Pose
 from jaxscan.geometry.rotation import matrix_to_vector
 from jaxscan.rig import HeadPoses, Motion, ObjectPoses, PoseRange, given_poses
 
+# Poses may turn by this multiple of σ of a given rotation about a direction about which the calibration's did not; by
+# this, rad, where that σ is not known.
+_TURNS: Final = 6.0
+_A_TURN: Final = 0.002
 # A pose stands out of a path if two before it and two behind it lie on a parabola within this part of a step, and it
 # lies beside that by this part of a step.
 _SMOOTH, _BESIDE = 0.1, 0.5
@@ -30,15 +36,57 @@ _NAMED: Final = 4
 _EachPlace = Float[np.ndarray, "places"]
 
 
+def check_poses(content: RigFile, scan: Scan) -> None:
+    """Refuse poses that a scan's table has in another form than the calibration's had.
+
+    They turn about a direction along which the calibration has not found where the hand is, or they are nowhere near
+    the calibration's, unless a usual mistake in the table is put right.
+
+    Raises:
+        InputError: they are such.
+    """
+    if (found := _given(content, scan)) is None:
+        return
+    motion, given = found
+    if "pose_range" in content.fit:
+        usual = PoseRange.from_values(content.fit["pose_range"])
+        still = len(scan.frames) > 1 and usual.is_still(given)
+        # Rotations that jump from frame to frame are near anything now and then.
+        odd = still or not (usual.is_near(given) or _turns_wildly(motion, given))
+        for words, meant in misread(given) if odd else ():
+            if usual.is_near(meant) and not usual.is_still(meant):
+                said = f"the poses do not go with those of the calibration, but they do {words}"
+                raise InputError(f"{scan.path}: [scan] {POSES}: {said}")
+    unknown = np.array(content.fit.get("pose_offset_unknown", []), float).reshape(-1, 3)
+    if not len(unknown):
+        return
+    R = motion.carry(given).matrix()
+    turned = np.linalg.norm((R @ R[0].T - np.eye(3)) @ unknown.T, axis=1).max()
+    if turned > max(_A_TURN, _TURNS * np.radians(float(content.fit.get("pose_sigma_deg", 0.0)))):
+        raise InputError(
+            f"{scan.path}: [scan] {POSES}: the hand turns by {np.degrees(turned):.2g}°, as it did not where the rig "
+            "was calibrated, so the rig does not say how: scan without such turns, or calibrate with photographs "
+            "of the board with the hand turned in two directions"
+        )
+
+
 def pose_notes(content: RigFile, scan: Scan) -> list[str]:
     """What is said of a scan's poses; nothing of scans without."""
-    if not isinstance(content.rig.motion, HeadPoses | ObjectPoses) or not scan.axes:
+    if (found := _given(content, scan)) is None:
         return []
-    given = given_poses({axis: np.asarray(n, np.float64) for axis, n in scan.axes.items()})
-    return [*_wild(content.rig.motion, given), *_where(content, given), *_beside_path(scan, given)]
+    motion, given = found
+    return [*_wild(motion, given), *_where(content, given), *_beside_path(scan, given)]
 
 
-def turns_wildly(motion: Motion, given: Pose[np.ndarray]) -> float | None:
+def _given(content: RigFile, scan: Scan) -> tuple[HeadPoses | ObjectPoses, Pose[np.ndarray]] | None:
+    """What moves by a scan's poses, and these; None of scans without."""
+    motion = content.rig.motion
+    if not isinstance(motion, HeadPoses | ObjectPoses) or not scan.axes:
+        return None
+    return motion, given_poses({axis: np.asarray(n, np.float64) for axis, n in scan.axes.items()})
+
+
+def _turns_wildly(motion: Motion, given: Pose[np.ndarray]) -> float | None:
     """By how much a head turns from frame to frame, rad, where it turns far and hardly moves; else None.
 
     An object on a hand may well turn so.
@@ -52,7 +100,7 @@ def turns_wildly(motion: Motion, given: Pose[np.ndarray]) -> float | None:
 
 
 def _wild(motion: Motion, given: Pose[np.ndarray]) -> list[str]:
-    turn = turns_wildly(motion, given)
+    turn = _turns_wildly(motion, given)
     if turn is None:
         return []
     return [
@@ -79,7 +127,7 @@ def _beside_path(scan: Scan, given: Pose[np.ndarray]) -> list[str]:
     """Single poses that lie beside the path of those around them."""
     names = [path.name for path in scan.frames]
     found = stand_out(given)
-    if not len(found):
+    if not found:
         return []
     some = ", ".join(f"{names[i]} ({mm:.1f} mm, {np.degrees(rad):.1f}°)" for i, mm, rad in found[:_NAMED])
     more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""

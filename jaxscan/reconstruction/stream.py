@@ -33,8 +33,8 @@ from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.order_watch import OrderWatch
 from jaxscan.reconstruction.overlapping import overlapping
-from jaxscan.reconstruction.pose_notes import pose_notes
-from jaxscan.reconstruction.pose_sigma import PoseSigma, check_poses
+from jaxscan.reconstruction.pose_notes import check_poses, pose_notes
+from jaxscan.reconstruction.pose_sigma import PoseSigma
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands, own_colours

@@ -21,7 +21,7 @@ patch or by a registration that is a little off, do not become less in a mean, a
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import trimesh
@@ -107,6 +107,28 @@ class _At:
     sides: Int[np.ndarray, "places"]
 
 
+class _Around(NamedTuple):
+    """The points around some places.
+
+    Attributes:
+        nearest: how far the nearest one is, mm.
+        which: their numbers.
+        there: whether they count.
+        weight: by how much.
+        distance: of the place from each one's plane, with its sign, mm.
+        offset: from each to the place, mm.
+        normal: the mean of their normals.
+    """
+
+    nearest: Float[np.ndarray, "places"]
+    which: Int[np.ndarray, "places points"]
+    there: Bool[np.ndarray, "places points"]
+    weight: Float[np.ndarray, "places points"]
+    distance: Float[np.ndarray, "places points"]
+    offset: Float[np.ndarray, "places points 3"]
+    normal: Float[np.ndarray, "places 3"]
+
+
 class _Points:
     """The points of all sides in the common frame."""
 
@@ -128,7 +150,7 @@ class _Points:
         return _At(*(np.concatenate([getattr(lot, name) for lot in lots]) for name in _At.__dataclass_fields__))
 
     def _at(self, x: Float[np.ndarray, "places 3"]) -> _At:
-        away, index, there, weight, distance, mean, offset = self._around(x)
+        nearest, index, there, weight, distance, offset, mean = self._around(x)
         sigma = self.sigma[index]
         # Twice: with all points, and without those that are off the surface of the others.
         f = np.zeros(len(x))
@@ -139,17 +161,13 @@ class _Points:
             weight = weight * np.clip(1 - u**2, 0, None) ** 2
         total = weight.sum(axis=1)
         safe = np.maximum(total, 1e-300)
-        seen = (total > 0) & (away <= self.spacing) & (_gap(offset, mean, there) < _LARGEST_GAP)
+        seen = (total > 0) & (nearest <= self.spacing) & (_gap(offset, mean, there) < _LARGEST_GAP)
         present = np.zeros((len(x), self.count), bool)
         np.logical_or.at(present, (np.arange(len(x))[:, None], self.side[index]), there)
         error = mean_sigma(weight / safe[:, None], sigma, self.sigma_rig[index])
         return _At(np.where(total > 0, f, np.nan), mean, seen, *error, present.sum(axis=1))
 
-    def _around(self, x: Float[np.ndarray, "places 3"]) -> tuple:
-        """How far the nearest point is; of those around which they are, whether they count, and their weights.
-
-        Then the signed distance of each place from their planes, their mean normal, and the way from each to the place.
-        """
+    def _around(self, x: Float[np.ndarray, "places 3"]) -> _Around:
         reach, h = _REACH * self.spacing, _WIDTH * self.spacing
         away, index = self.tree.query(x, _MOST_AROUND, distance_upper_bound=reach)
         there = np.isfinite(away)
@@ -167,7 +185,7 @@ class _Points:
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
         half = normal + mean[:, None]
         half /= np.maximum(np.linalg.norm(half, axis=2, keepdims=True), 1e-300)
-        return away[:, 0], index, there, weight, (half * offset).sum(axis=2), mean, offset
+        return _Around(away[:, 0], index, there, weight, (half * offset).sum(axis=2), offset, mean)
 
     def disagreement(
         self, places: Float[np.ndarray, "places 3"]
@@ -180,14 +198,14 @@ class _Points:
     def _disagreement(
         self, x: Float[np.ndarray, "places 3"]
     ) -> tuple[Float[np.ndarray, "places"], Float[np.ndarray, "places"]]:
-        _, index, _, weight, distance, _, _ = self._around(x)
-        sigma, side = self.sigma[index], self.side[index]
+        around = self._around(x)
+        weight, sigma, side = around.weight, self.sigma[around.which], self.side[around.which]
         f, precision = np.zeros((2, self.count, len(x)))
         for k in range(self.count):
             own = np.where(side == k, weight, 0.0)
             total = own.sum(axis=1)
             enough = (own * sigma**2).sum(axis=1) >= _PRESENT
-            f[k] = (own * distance).sum(axis=1) / np.maximum(total, 1e-300)
+            f[k] = (own * around.distance).sum(axis=1) / np.maximum(total, 1e-300)
             precision[k] = np.where(enough, total**2 / np.maximum(((own * sigma) ** 2).sum(axis=1), 1e-300), 0.0)
         middle = (precision * f).sum(axis=0) / np.maximum(precision.sum(axis=0), 1e-300)
         chi2 = np.minimum(precision * (f - middle) ** 2, _LARGEST).sum(axis=0)

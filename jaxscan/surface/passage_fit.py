@@ -15,7 +15,6 @@ from scipy.spatial import KDTree
 
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction import RangeImage
-from jaxscan.surface.passages import passages
 
 # Points of one passage that are looked for, and of the other among which they are.
 _POINTS, _AMONG = 4000, 100_000
@@ -39,10 +38,14 @@ class PassageFit(NamedTuple):
         return self.other_way * _NEARER < self.as_said
 
 
-def passage_fit(image: RangeImage) -> PassageFit | None:
-    """How well the two largest passages of a turn fit, both ways; None where there are no two."""
-    masks = passages(image) if len(image.moving) == 1 and image.full_turn else ()
-    if len(masks) < 2:
+def passage_fit(image: RangeImage, masks: Sequence[Bool[np.ndarray, "frames columns"]]) -> PassageFit | None:
+    """How well the two largest passages of a turn fit, both ways; None where there are no two of one axis.
+
+    Args:
+        image: the range image.
+        masks: its passages (`passages`), the largest first.
+    """
+    if len(masks) < 2 or len(image.moving) != 1 or not image.full_turn:
         return None
     steps = {axis: np.asarray(at, float) for axis, at in image.positions.items()}
     steps[image.leading] = -steps[image.leading]
@@ -60,7 +63,8 @@ def _apart(points: Float[np.ndarray, "frames columns 3"], masks: Sequence[Bool[n
     away, which = KDTree(among).query(some, k=_NEIGHBOURS)
     near = among[which]
     middle = near.mean(axis=1)
-    spread, normals = np.linalg.eigh(np.einsum("pni,pnj->pij", near - middle[:, None], near - middle[:, None]))
+    near = near - middle[:, None]
+    spread, normals = np.linalg.eigh(near.swapaxes(1, 2) @ near)
     off = some - middle
     along = np.abs((off * normals[:, :, 0]).sum(axis=-1))
     beside = (off**2).sum(axis=-1) > _BESIDE**2 * spread[:, 2] / _NEIGHBOURS

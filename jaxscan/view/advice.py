@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxscan.calibration import Observations
+from jaxscan.calibration.hand import Hand
 from jaxscan.calibration.next_pose import NextPose
 from jaxscan.reconstruction.next_best_views import NextBestViews
 from jaxscan.reconstruction.working_volume import WorkingVolume
@@ -31,19 +32,22 @@ class Advice:
     figures: tuple[Figure, ...] = ()
 
 
-def advise(planned: NextBestViews, volumes: tuple[WorkingVolume, ...], observations: Observations) -> Advice:
+def advise(
+    planned: NextBestViews, volumes: tuple[WorkingVolume, ...], observations: Observations, hand: Hand | None = None
+) -> Advice:
     """The advice in words and as a picture.
 
     Args:
         planned: the poses that lower σ most.
         volumes: for the share of a point's variance that calibration does not change.
         observations: the photographs that there are.
+        hand: the given poses, where there are any.
     """
     before = (planned.median_now, *planned.medians)
     worth = bool(planned.poses) and planned.medians[-1] <= (1 - _WORTH) * planned.median_now
     limit = [
         words + (". The most that the board can do is drawn in the report" if worth else "")
-        for words in _of_the_stripe(volumes)
+        for words in _what_else_limits(volumes, hand)
     ]
     if not worth:
         return Advice((*limit, _MORE))
@@ -60,16 +64,23 @@ def advise(planned: NextBestViews, volumes: tuple[WorkingVolume, ...], observati
     return Advice((*limit, *words), (picture,))
 
 
-def advise_unplanned(volumes: tuple[WorkingVolume, ...]) -> Advice:
+def advise_unplanned(volumes: tuple[WorkingVolume, ...], hand: Hand | None = None) -> Advice:
     """What can be said where no poses were sought: only whether more photographs of the board help at all."""
-    return Advice((*_of_the_stripe(volumes), f"{_MORE}; --report draws where the board helps most"))
+    return Advice((*_what_else_limits(volumes, hand), f"{_MORE}; --report draws where the board helps most"))
 
 
 _MORE = "more views like those there are: each σ falls with the root of their number"
 
 
-def _of_the_stripe(volumes: tuple[WorkingVolume, ...]) -> list[str]:
-    """That the board will do little, where the stripe's own error is most of a point's."""
+def poses_limit(volumes: tuple[WorkingVolume, ...], hand: Hand | None) -> bool:
+    """Whether given poses move a profile by more than its points are off within it."""
+    return hand is not None and hand.profile_mm > max((volume.median_mm for volume in volumes), default=np.inf)
+
+
+def _what_else_limits(volumes: tuple[WorkingVolume, ...], hand: Hand | None) -> list[str]:
+    """That the board will do little, where given poses or the stripe's own error are most of a point's."""
+    if poses_limit(volumes, hand):
+        return ["more photographs hardly help: the given poses limit a scan, and not the stripe"]
     if not volumes or (share := 1 - max(volumes, key=lambda v: v.median_mm).rig_share) <= 0.5:
         return []
     return [

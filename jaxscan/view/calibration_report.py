@@ -51,7 +51,7 @@ def compose(
     optics: Optics | None = None,
 ) -> tuple[Report, Verdict]:
     """Words, tables and figures from the numbers, and the verdict."""
-    advice = advise(planned, volumes, calibration.observations)
+    advice = advise(planned, volumes, calibration.observations, calibration.hand)
     judged = judge(calibration, diagnostics, volumes, advice)
     first, correct_first = advice.words[0], (judged.next,) if judged.level == "stop" else ()
     report = Report(

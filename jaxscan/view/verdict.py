@@ -10,9 +10,8 @@ import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.diagnostics import Diagnostics, diagnose
-from jaxscan.calibration.hand import Hand
 from jaxscan.reconstruction.working_volume import WorkingVolume, working_volumes
-from jaxscan.view.advice import Advice, advise_unplanned
+from jaxscan.view.advice import Advice, advise_unplanned, poses_limit
 from jaxscan.view.findings import camera_is_held, findings, thin
 from jaxscan.view.report import Box, Level
 
@@ -56,7 +55,8 @@ def verdict(calibration: Calibration) -> Verdict:
         calibration: what `calibrate` returned.
     """
     volumes = working_volumes(calibration)
-    return judge(calibration, diagnose(calibration, thorough=False), volumes, advise_unplanned(volumes))
+    advice = advise_unplanned(volumes, calibration.hand)
+    return judge(calibration, diagnose(calibration, thorough=False), volumes, advice)
 
 
 def judge(
@@ -77,21 +77,17 @@ def judge(
         statement=f"{_GRAVEST[level]}. {_precision(calibration, volumes, diagnostics.sigma_factor)}"
         f"{_parted(calibration)}",
         limits=limits(calibration, diagnostics, volumes)[0],
-        next=_next(calibration, found, diagnostics, advice, _limiting(calibration, volumes)),
+        next=_next(calibration, found, diagnostics, advice),
         warnings=found,
         thorough=diagnostics.thorough,
     )
 
 
-def _next(
-    calibration: Calibration, found: tuple[Box, ...], diagnostics: Diagnostics, advice: Advice, limiting: Hand | None
-) -> str:
+def _next(calibration: Calibration, found: tuple[Box, ...], diagnostics: Diagnostics, advice: Advice) -> str:
     """What is wrong comes first, then what the photographs do not cover, then what helps most."""
     if found and found[0].level == "stop":
         return f"First correct what is wrong. {found[0].advice or 'The first warning says what to do.'}"
     first = advice.words[0]
-    if limiting is not None:
-        first = "more photographs hardly help: the given poses limit a scan, and not the stripe"
     if not (lacking := thin(calibration, diagnostics)):
         return f"{first[0].upper()}{first[1:]}."
     # Beyond the photographs no pose can be planned, for what the lens does there is not known.
@@ -144,7 +140,8 @@ def _count(found: tuple[Box, ...]) -> str:
 def limits(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[WorkingVolume, ...]) -> tuple[str, ...]:
     """What limits a point, or else the camera, what most of all first."""
     words = []
-    if (hand := _limiting(calibration, volumes)) is not None:
+    hand = calibration.hand
+    if hand is not None and poses_limit(volumes, hand):
         words.append(
             f"The given poses: they move every profile of a scan by {_mm(hand.profile_mm)}, more than a point is off "
             "within its profile. Let the arm stand still for each photograph, and mount camera and board firmly; "
@@ -186,13 +183,6 @@ def limits(calibration: Calibration, diagnostics: Diagnostics, volumes: tuple[Wo
         f"with {worst.corner_rms_px:.3f} px, the median {median:.3f} px."
     )
     return tuple(words)
-
-
-def _limiting(calibration: Calibration, volumes: tuple[WorkingVolume, ...]) -> Hand | None:
-    """Given poses that move a profile by more than its points are off within it; else None."""
-    hand = calibration.hand
-    known = max((volume.median_mm for volume in volumes), default=np.inf)
-    return hand if hand is not None and hand.profile_mm > known else None
 
 
 def _mm(value: float) -> str:

@@ -15,6 +15,7 @@ from jaxscan.simulation.scene import Body, Scene
 from jaxscan.simulation.shapes import box, figure, grey
 from jaxscan.simulation.solids import Sphere
 from jaxscan.surface.passage_fit import PassageFit, passage_fit
+from jaxscan.surface.passages import passages
 from tests.surface.test_passages import rig_with_its_axis_in_the_sheet
 
 TURN = rig_2003.STEPS_PER_TURN
@@ -49,7 +50,7 @@ def other_way(image: RangeImage) -> RangeImage:
 
 
 def fit_of(image: RangeImage) -> PassageFit:
-    fit = passage_fit(image)
+    fit = passage_fit(image, passages(image))
     assert fit is not None
     return fit
 
@@ -85,5 +86,8 @@ def test_a_round_body_on_the_axis_shows_nothing():
 
 def test_a_part_of_a_turn_and_a_stage_say_nothing():
     image = drawn(leaning(7.0, 0.0), BLOCK)
-    assert passage_fit(image[: len(image.valid) // 3, :]) is None
-    assert passage_fit(replace(image, positions={"stage": image.positions["turntable"]})) is None
+    for each in (
+        image[: len(image.valid) // 3, :],
+        replace(image, positions={"stage": image.positions["turntable"]}),
+    ):
+        assert passage_fit(each, passages(each)) is None
