@@ -19,7 +19,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from benchmarks.metric import Metric
-from jaxscan.calibration.block_arrow import Arrow, linearise
+from jaxscan.calibration.block_arrow import Arrow, Jacobian, linearise
 from jaxscan.calibration.levenberg_marquardt import BlockArrowLevenbergMarquardt
 from jaxscan.calibration.uncertainty import arrow_precision
 from jaxscan.precision import float64
@@ -145,7 +145,7 @@ def solve(problem: Problem, start: int) -> Answer:
     """From one of the two starts (0, 1)."""
     n, m = len(problem.certified), len(problem.y)
     with float64():
-        b, spread, squares, steps = _solve(
+        b, jacobian, squares, steps = _solve(
             jnp.asarray(_DISTINCT.index(MODELS[problem.name])),
             jnp.asarray(np.pad(problem.starts[start], (0, _PARAMETERS - n), constant_values=1.0)),
             jnp.arange(_PARAMETERS) < n,
@@ -156,7 +156,7 @@ def solve(problem: Problem, start: int) -> Answer:
         found = np.asarray(b)[:n]
         if problem.name == "Lanczos1":
             squares = _lanczos_squares(problem, found)
-        deviations = np.asarray(spread)[:n] * np.sqrt(squares / (m - n))
+        deviations = np.sqrt(np.diagonal(arrow_precision(jacobian).covariance))[:n] * np.sqrt(squares / (m - n))
         return Answer(digits(found, problem.certified), digits(deviations, problem.deviations), int(steps))
 
 
@@ -186,8 +186,8 @@ def _solve(
     x: Float[Array, "2 observations"],
     y: Float[Array, "observations"],
     used: Bool[Array, "observations"],
-) -> tuple[Float[Array, "parameters"], Float[Array, "parameters"], Float[Array, ""], Int[Array, ""]]:
-    """Parameters, their deviations for one of the data, residual sum of squares and evaluations.
+) -> tuple[Float[Array, "parameters"], Jacobian, Float[Array, ""], Int[Array, ""]]:
+    """Parameters, the Jacobian there, residual sum of squares and evaluations.
 
     An arrow without blocks.
     """
@@ -200,8 +200,7 @@ def _solve(
         lambda y, _: residual(y), BlockArrowLevenbergMarquardt(), Arrow(start, ()), max_steps=_MAX_STEPS, throw=False
     )
     value, jacobian = linearise(residual, solution.value)
-    spread = jnp.sqrt(jnp.diagonal(arrow_precision(value, jacobian).covariance))
-    return solution.value.shared, spread, (value.shared**2).sum(), solution.stats["num_steps"]
+    return solution.value.shared, jacobian, (value.shared**2).sum(), solution.stats["num_steps"]
 
 
 def digits(found: Float[np.ndarray, "n"], certified: Float[np.ndarray, "n"]) -> float:

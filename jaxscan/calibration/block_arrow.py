@@ -14,6 +14,7 @@ Eliminating the blocks leaves the Schur complement S = U − Σ W_b V_b⁻¹ W_b
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -217,20 +218,27 @@ class Sparsity(eqx.Module):
 
 def linearise(residual: Callable[[Arrow], Arrow], y: Arrow, sparsity: Sparsity | None = None) -> tuple[Arrow, Jacobian]:
     """Residual and Jacobian at y."""
-    both = jax.vmap(lambda along: jax.jvp(residual, (y,), (along,)), out_axes=(None, -1))
+    return linearise_with(lambda y: (residual(y), None), y, sparsity)[:2]
+
+
+def linearise_with(
+    residual: Callable[[Arrow], tuple[Arrow, Any]], y: Arrow, sparsity: Sparsity | None = None
+) -> tuple[Arrow, Jacobian, Any]:
+    """Residual and Jacobian at y, and what else comes with the residual."""
+    both = jax.vmap(lambda along: jax.jvp(residual, (y,), (along,), has_aux=True), out_axes=(None, -1, None))
     if sparsity is None:
-        value, columns = both(_directions(y))
-        return value, _columns(columns, y)
+        value, columns, more = both(_directions(y))
+        return value, _columns(columns, y), more
     seeds = jnp.asarray(sparsity.seeds(), y.shared.dtype)
     few = _directions(Arrow(seeds[:, 0], y.blocks))
-    value, columns = both(replace(few, shared=few.shared[:, : len(seeds)] @ seeds))
+    value, columns, more = both(replace(few, shared=few.shared[:, : len(seeds)] @ seeds))
     own, at = _columns(columns, Arrow(seeds[:, 0], y.blocks)), np.array(sparsity.classes)
     blocks = tuple(
         jnp.concatenate([jnp.where(depends, J[..., at], 0.0), J[..., len(seeds) :]], axis=-1)
         for J, depends in zip(own.blocks, sparsity.depends, strict=True)
     )
-    shared = jax.jacfwd(lambda shared: residual(Arrow(shared, y.blocks)).shared)(y.shared)
-    return value, Jacobian(shared, blocks)
+    shared = jax.jacfwd(lambda shared: residual(Arrow(shared, y.blocks))[0].shared)(y.shared)
+    return value, Jacobian(shared, blocks), more
 
 
 def _directions(like: Arrow) -> Arrow:

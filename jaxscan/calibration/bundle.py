@@ -5,6 +5,7 @@ from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
@@ -13,7 +14,7 @@ from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.calibration.field_sparsity import field_sparsity
 from jaxscan.calibration.implicit import UncheckedAdjoint
 from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt
-from jaxscan.calibration.residuals import Noise
+from jaxscan.calibration.residuals import Blocks, Errors, Noise
 from jaxscan.rig import System
 from jaxscan.rig.splined import Splined
 
@@ -54,6 +55,8 @@ class Outcome(eqx.Module):
         result: why it stopped.
         value: the residual where it was last evaluated: at the system, but for a step of 1e-6 σ.
         jacobian: the Jacobian there.
+        errors: of each group of boards at the system, but for such a step: corner (blocks, photographs, corners, 2)
+            and stripe (blocks, photographs, stripe) errors in pixels.
     """
 
     system: System
@@ -62,6 +65,7 @@ class Outcome(eqx.Module):
     result: optx.RESULTS
     value: Arrow
     jacobian: Jacobian
+    errors: tuple[Errors, ...]
 
 
 class Prior(eqx.Module):
@@ -92,15 +96,39 @@ def as_arrow(
     Returns:
         The unknowns, the way back to a system, and the residual as a function of the unknowns.
     """
+    y0, back, residual = _with_errors(system, free, groups, noise, prior, _boards(groups))
+    return y0, back, lambda y: residual(y)[0]
+
+
+def _boards(groups: tuple[Factor, ...]) -> tuple[Blocks, ...]:
+    return tuple(group for group in groups if isinstance(group, Blocks))
+
+
+def _with_errors(
+    system: System,
+    free: Bool[Array, "shared"],
+    groups: tuple[Factor, ...],
+    noise: Noise,
+    prior: Prior | None,
+    judged: tuple[Blocks, ...],
+) -> tuple[Arrow, Callable[[Arrow], System], Callable[[Arrow], tuple[Arrow, tuple[Errors, ...]]]]:
+    """As `as_arrow`; the residual comes with the errors of boards in pixels, of all that is in `judged`."""
     start, unravel = ravel_pytree(system.shared)
+    boards, others = _boards(groups), groups[len(judged) :]
 
     def back(y: Arrow) -> System:
         rig, shape, earlier = unravel(jnp.where(free, y.shared, start))
         return System(rig, y.blocks, shape, earlier)
 
-    def residual(y: Arrow) -> Arrow:
+    def residual(y: Arrow) -> tuple[Arrow, tuple[Errors, ...]]:
         now = back(y)
-        blocks = tuple(group.residuals(now, poses, noise) for poses, group in zip(now.poses, groups, strict=True))
+        found = [
+            board.residuals_and_errors(now, poses, noise, all_of_it)
+            for poses, board, all_of_it in zip(now.poses, boards, judged, strict=False)
+        ]
+        more = [
+            other.residuals(now, poses, noise) for other, poses in zip(others, now.poses[len(boards) :], strict=True)
+        ]
         known = [jnp.zeros(0, y.shared.dtype)]
         if prior is not None:
             known.append(prior.root @ (jnp.where(free, y.shared, start) - prior.mean))
@@ -108,19 +136,20 @@ def as_arrow(
             lens = now.rig.camera.lens
             assert isinstance(lens, Splined)
             known.append(noise.field.residuals(lens))
-        return Arrow(jnp.concatenate(known), blocks)
+        blocks = (*(residuals for residuals, _ in found), *more)
+        return Arrow(jnp.concatenate(known), blocks), tuple(errors for _, errors in found)
 
     return Arrow(start, system.poses), back, residual
 
 
-@eqx.filter_jit
 def solve(
     system: System,
-    free: Bool[Array, "shared"],
+    free: Bool[Array | np.ndarray, "shared"],
     groups: tuple[Factor, ...],
     noise: Noise,
     prior: Prior | None = None,
     first_damping: float = FIRST_DAMPING,
+    judged: tuple[Blocks, ...] | None = None,
 ) -> Outcome:
     """Refine the free parameters and all poses by Levenberg-Marquardt.
 
@@ -134,8 +163,24 @@ def solve(
         prior: what is known of the shared parameters beforehand.
         first_damping: λ to begin with: small where the start is near and the problem is ill-conditioned, for until λ
             has come down to them nothing moves along its long valleys.
+        judged: the boards among the groups, which stand first, with masks of all whose errors are wanted; without it
+            these are of what takes part.
     """
-    y0, back, residual = as_arrow(system, free, groups, noise, prior)
+    judged = _boards(groups) if judged is None else judged
+    return _solve(system, jnp.asarray(free), groups, noise, prior, first_damping, judged)
+
+
+@eqx.filter_jit
+def _solve(
+    system: System,
+    free: Bool[Array, "shared"],
+    groups: tuple[Factor, ...],
+    noise: Noise,
+    prior: Prior | None,
+    first_damping: float,
+    judged: tuple[Blocks, ...],
+) -> Outcome:
+    y0, back, residual = _with_errors(system, free, groups, noise, prior, judged)
     sparsity, negligible = None, _NEGLIGIBLE
     if noise.field is not None:
         sparsity, negligible = field_sparsity(system, groups), _NEGLIGIBLE_OF_FIELD
@@ -145,9 +190,10 @@ def solve(
         BlockArrowLevenbergMarquardt(negligible, first_damping, sparsity=sparsity),
         y0,
         max_steps=MAX_STEPS,
+        has_aux=True,
         adjoint=UncheckedAdjoint(),
         throw=False,
     )
     cost = 0.5 * solution.state.normal.total
-    value, jacobian = solution.state.last
-    return Outcome(back(solution.value), cost, solution.stats["num_steps"], solution.result, value, jacobian)
+    (value, jacobian), steps = solution.state.last, solution.stats["num_steps"]
+    return Outcome(back(solution.value), cost, steps, solution.result, value, jacobian, solution.aux)

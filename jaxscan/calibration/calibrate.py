@@ -172,7 +172,7 @@ def calibrate(
         of_camera = partial(rounds, begins=lambda solve: advance(f"camera, round {solve}"))
         noise = replace(_first_noise(usable, bends), field=_first_field(system, free))
         refined = of_camera(replace(system, poses=poses), free, corners, noise)
-        if judge and (elsewhere := resolve_pose_ambiguity(refined.system, corners, refined.noise)) is not None:
+        if judge and (elsewhere := resolve_pose_ambiguity(refined, corners)) is not None:
             refined = of_camera(elsewhere, free, corners, refined.noise)
         if kind != camera.lens.kind:
             # A field of shifts on top of the terms, on a grid over the image as these see it.

@@ -373,7 +373,7 @@ def _fit(
         # While points still change sides it does no harm if a solve runs out of steps on its way.
         decided = held or bool(np.all(tolerance <= _SMALLEST_TOLERANCE))
         if settled and decided and outcome.result == optx.RESULTS.successful:
-            known = arrow_precision(outcome.value, outcome.jacobian)
+            known = arrow_precision(outcome.jacobian)
             return _Fitted(system, scans, known, sigma, tau)
         tolerance = tolerance if held else tolerance / 2
     raise SolveError(

@@ -9,7 +9,8 @@ the logarithms of the σ, and what bulges of its own are worth, that is −2 log
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_determined
+from jaxscan.calibration.by_photograph import ByPhotograph
+from jaxscan.calibration.determined import inverse_where_determined
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.board_shape import BENDS
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree, Scalar
 
-from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, Sparsity, linearise
+from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, Sparsity, linearise_with
 
 # λ to begin with, where nothing is known of how near the start is.
 FIRST_DAMPING = 1e-4
@@ -47,6 +47,7 @@ class LevenbergMarquardtState(eqx.Module):
         last: residual and Jacobian where they were last evaluated. The solver only writes them; at the end they are
             those of the minimum, but for a step that is negligible, and whoever wants a covariance need not evaluate
             (and compile) them again.
+        aux: what else `fn` gives at the present unknowns.
     """
 
     normal: NormalEquations
@@ -58,6 +59,7 @@ class LevenbergMarquardtState(eqx.Module):
     damping: Float[Array, ""]
     growth: Float[Array, ""]
     last: tuple[Arrow, Jacobian]
+    aux: Any
 
 
 class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow, Any, LevenbergMarquardtState]):
@@ -83,7 +85,7 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
     ) -> LevenbergMarquardtState:
         """A state whose first proposal is to stay, where anything is better than what is known."""
         nothing, infinite = jax.tree.map(jnp.zeros_like, y), jnp.array(jnp.inf, y.shared.dtype)
-        shapes = jax.eval_shape(lambda y: linearise(lambda y: fn(y, args)[0], y, self.sparsity), y)
+        shapes = jax.eval_shape(lambda y: linearise_with(lambda y: fn(y, args), y, self.sparsity)[:2], y)
         return LevenbergMarquardtState(
             normal=NormalEquations.unknown(y),
             largest=nothing,
@@ -94,15 +96,16 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
             damping=jnp.array(self.first_damping, y.shared.dtype),
             growth=jnp.array(2.0, y.shared.dtype),
             last=jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), shapes),
+            aux=jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), aux_struct),
         )
 
     def step(
         self, fn: Any, y: Arrow, args: Any, options: dict[str, Any], state: LevenbergMarquardtState, tags: Any
-    ) -> tuple[Arrow, LevenbergMarquardtState, None]:
+    ) -> tuple[Arrow, LevenbergMarquardtState, Any]:
         """Try the proposed step, take it if ‖r‖² falls, and propose the next."""
         tried = eqx.apply_updates(y, state.proposed)
-        last = linearise(lambda y: fn(y, args)[0], tried, self.sparsity)
-        normal = NormalEquations.create(*last)
+        value, jacobian, aux = linearise_with(lambda y: fn(y, args), tried, self.sparsity)
+        last, normal = (value, jacobian), NormalEquations.create(value, jacobian)
         first, fell = jnp.isinf(state.normal.total), normal.total < state.normal.total
         ratio = (state.normal.total - normal.total) / state.predicted
         # Nielsen's cubic, with its floor lowered from 1/3 to 1/10: near the minimum λ should vanish quickly.
@@ -118,11 +121,14 @@ class BlockArrowLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Arrow, Arrow,
         def rejected() -> tuple[Arrow, NormalEquations, Arrow, Arrow, Array]:
             return y, state.normal, state.largest, state.left, state.fall
 
+        # The first place stays where its sum is no number.
+        there = fell | jnp.isinf(state.predicted)
+        aux = jax.tree.map(lambda new, old: jnp.where(there, new, old), aux, state.aux)
         y, normal, largest, left, fall = jax.lax.cond(fell, taken, rejected)
         proposed = normal.damped(damping, largest).step()
         predicted = normal.fall(proposed, damping, largest)
-        state = LevenbergMarquardtState(normal, largest, left, fall, proposed, predicted, damping, growth, last)
-        return y, state, None
+        state = LevenbergMarquardtState(normal, largest, left, fall, proposed, predicted, damping, growth, last, aux)
+        return y, state, aux
 
     def terminate(
         self, fn: Any, y: Arrow, args: Any, options: Any, state: LevenbergMarquardtState, tags: frozenset[object]

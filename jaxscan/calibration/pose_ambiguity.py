@@ -20,8 +20,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.bundle import solve
 from jaxscan.calibration.first_poses import first_poses
-from jaxscan.calibration.residuals import Blocks, Noise
-from jaxscan.calibration.rounds import CORNER_LIMIT, group_errors
+from jaxscan.calibration.residuals import Blocks, Errors
+from jaxscan.calibration.rounds import CORNER_LIMIT, Refined
 from jaxscan.geometry import Pose
 from jaxscan.rig import System
 
@@ -31,26 +31,26 @@ _FEW_KEPT = 0.75
 _BETTER = 1.0
 
 
-def resolve_pose_ambiguity(system: System, groups: tuple[Blocks, ...], noise: Noise) -> System | None:
+def resolve_pose_ambiguity(refined: Refined, groups: tuple[Blocks, ...]) -> System | None:
     """The same camera with some views elsewhere, or None where no other pose fits better.
 
     Args:
-        system: a solved one.
-        groups: the views, as candidates; then what else there is, which stays.
-        noise: σ as found.
+        refined: where rounds ended.
+        groups: what they judged: the views; then what else there is, which stays.
     """
+    system, noise = refined.system, refined.noise
     views, poses = groups[0], system.poses[0]
     used = np.asarray(views.corner_used)[:, 0]
 
     def with_poses(poses: Float[Array, "views 6"]) -> System:
         return replace(system, poses=(poses, *system.poses[1:]))
 
-    def squares(at: System) -> Float[np.ndarray, "views corners"]:
-        corner = np.asarray(group_errors(at, groups)[0][0])
+    def squares(errors: tuple[Errors, ...]) -> Float[np.ndarray, "views corners"]:
+        corner = np.asarray(errors[0][0])
         square = ((corner**2).sum(-1) * (np.asarray(views.weights) / float(noise.corner)) ** 2)[:, 0]
         return np.where(used, np.minimum(square, CORNER_LIMIT**2), 0.0)
 
-    now = squares(system)
+    now = squares(refined.errors)
     within = (used & (now < CORNER_LIMIT**2)).sum(1)
     doubtful = within < _FEW_KEPT * used.sum(1)
     if not doubtful.any():
@@ -61,11 +61,11 @@ def resolve_pose_ambiguity(system: System, groups: tuple[Blocks, ...], noise: No
     cost, best = now.sum(1), np.asarray(poses)
     for start in (closed, _mirrored(closed, views), _mirrored(poses[:, :6], views)):
         moved = jnp.concatenate([start, jnp.zeros_like(bends)], axis=1)
-        tried = solve(with_poses(jnp.where(doubtful[:, None], moved, poses)), held, groups, noise.robust()).system
-        tried_cost = squares(tried).sum(1)
+        tried = solve(with_poses(jnp.where(doubtful[:, None], moved, poses)), held, groups, noise.robust())
+        tried_cost = squares(tried.errors).sum(1)
         better = doubtful & (tried_cost < cost - _BETTER)
         cost = np.where(better, tried_cost, cost)
-        best = np.where(better[:, None], tried.poses[0], best)
+        best = np.where(better[:, None], tried.system.poses[0], best)
     return with_poses(jnp.asarray(best)) if (best != np.asarray(poses)).any() else None
 
 

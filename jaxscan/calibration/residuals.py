@@ -28,6 +28,9 @@ from jaxscan.rig.motion import carried
 
 # R and t (mm) of a board in each of its photographs.
 Stands = tuple[Float[Array, "photographs 3 3"], Float[Array, "photographs 3"]]
+# Of a group of blocks the errors of corners (blocks, photographs, corners, 2) and of stripes (blocks, photographs,
+# stripe), pixels.
+Errors = tuple[Float[Array | np.ndarray, "_ _ _ 2"], Float[Array | np.ndarray, "_ _ _"]]
 
 
 class Blocks(eqx.Module):
@@ -70,27 +73,38 @@ class Blocks(eqx.Module):
     def residuals(
         self, system: System, poses: Float[Array, "blocks size"], noise: "Noise"
     ) -> Float[Array, "blocks residuals"]:
-        """The residuals of all blocks, dimensionless: of each the corners (u, v in turn), the stripe, then its bends.
+        """The residuals of all blocks, without unit: of each the corners (u, v in turn), the stripe, then its bends."""
+        return self.residuals_and_errors(system, poses, noise, self)[0]
+
+    def residuals_and_errors(
+        self, system: System, poses: Float[Array, "blocks size"], noise: "Noise", judged: "Blocks"
+    ) -> tuple[Float[Array, "blocks residuals"], "Errors"]:
+        """The residuals of all blocks, and the errors in pixels of all that is judged, whether it takes part or not."""
+        corner, stripe = errors = judged.errors(system, poses)
+        corner = jnp.where(self.corner_used[..., None], corner, 0.0) * (self.weights / noise.corner)[..., None]
+        corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[..., None]
+        stripe = jnp.where(self.stripe_used, stripe, 0.0) * (self.stripe_weights / noise.stripe)
+        stripe = stripe * _tamed(noise.robustness**2 * stripe**2)
+        n = len(corner)
+        # What is known of the bends beforehand: they are small.
+        bends = [] if noise.bend is None else [poses[:, 6:] / noise.bend]
+        return jnp.concatenate([corner.reshape(n, -1), stripe.reshape(n, -1), *bends], axis=1), errors
+
+    def errors(self, system: System, poses: Float[Array, "blocks size"]) -> "Errors":
+        """All errors in pixels; zero where masked, whatever stands there.
 
         Where no stripe takes part none is computed: their rays cost more than all else.
         """
         stands = jax.vmap(partial(photograph_poses, system))(poses[:, :6], self)
         corner = jax.vmap(partial(corner_errors, system))(poses, stands, self)
-        corner = corner * (self.weights / noise.corner)[..., None]
-        corner = corner * _tamed(noise.robustness**2 * (corner**2).sum(-1))[..., None]
 
-        def stripe_residuals() -> Float[Array, "blocks photographs stripe"]:
-            stripe = jax.vmap(partial(stripe_errors, system))(poses, stands, self)
-            stripe = stripe * (self.stripe_weights / noise.stripe)
-            return stripe * _tamed(noise.robustness**2 * stripe**2)
+        def of_stripes() -> Float[Array, "blocks photographs stripe"]:
+            return jax.vmap(partial(stripe_errors, system))(poses, stands, self)
 
         stripe = jnp.zeros(self.stripe_used.shape, corner.dtype)
         if system.rig.lights and stripe.size:
-            stripe = jax.lax.cond(self.stripe_used.any(), stripe_residuals, lambda: stripe)
-        n = len(corner)
-        # What is known of the bends beforehand: they are small.
-        bends = [] if noise.bend is None else [poses[:, 6:] / noise.bend]
-        return jnp.concatenate([corner.reshape(n, -1), stripe.reshape(n, -1), *bends], axis=1)
+            stripe = jax.lax.cond(self.stripe_used.any(), of_stripes, lambda: stripe)
+        return corner, stripe
 
     def start(self, system: System) -> Float[Array, "blocks 6"]:
         """Far away: the poses of boards are found in closed form (`first_poses`)."""
@@ -219,17 +233,6 @@ def stripe_error(
 
     h, dh = jax.jvp(height, (x,), (dx,))
     return -h / dh
-
-
-def block_errors(
-    system: System, pose: Float[Array, "size"], block: Blocks
-) -> tuple[Float[Array, "photographs corners 2"], Float[Array, "photographs stripe"]]:
-    """All errors of one block in pixels; zero where masked, whatever stands there."""
-    stands = photograph_poses(system, pose[:6], block)
-    corner = corner_errors(system, pose, stands, block)
-    if not system.rig.lights or not block.stripe_used.size:
-        return corner, jnp.zeros(block.stripe_used.shape, corner.dtype)
-    return corner, stripe_errors(system, pose, stands, block)
 
 
 def stripe_errors(

@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.calibration.adjustment import Adjustment, pose_at_0
@@ -28,7 +26,7 @@ from jaxscan.calibration.stage_shape import StageShape
 from jaxscan.files.rig_file import RigFile
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_numpy
-from jaxscan.rig import Covariance, Motion, Rig, System
+from jaxscan.rig import Covariance, Motion, Positions, Rig, System
 from jaxscan.rig.board_shape import BOARD_SHAPES, BentBoard, bent_by, middle_and_half
 from jaxscan.rig.light import distance
 from jaxscan.rig.rig import parameter_names, with_normal_numbers
@@ -365,23 +363,47 @@ def _at_0(refined: Refined, group: int, rig: Rig, free: Bool[Array, "shared"]) -
         joint = joint * known[:, None] * known
         J = np.broadcast_to(np.eye(joint.shape[-1]), joint.shape).copy()
         motion = [i for i, name in enumerate(parameter_names(rig)) if name.startswith("motion.")]
-        moved = np.asarray(_moved_back(rig.motion, refined.system.poses[group][:, :6], blocks.reference))
         pose = slice(len(free), len(free) + len(_POSE))
-        J[:, pose, [*motion, *range(pose.start, pose.stop)]] = moved
+        by = [*motion, *range(pose.start, pose.stop)]
+        sigma = np.sqrt(np.diagonal(joint, axis1=1, axis2=2))[:, by]
+        poses, reference = np.asarray(refined.system.poses[group])[:, :6], as_numpy(blocks.reference)
+        J[:, pose, by] = _moved_back(as_numpy(rig.motion), poses, reference, sigma)
         joint = J @ joint @ J.swapaxes(-1, -2)
     return with_normal_numbers(joint, rig, free)
 
 
-@jax.jit
-def _moved_back(motion: Motion, poses: Float[Array, "blocks 6"], reference: dict) -> Float[Array, "blocks 6 n"]:
-    """How poses brought back to where all axes stand at 0 move with the motion's numbers and with themselves."""
-    numbers, unravel = ravel_pytree(motion)
+def _moved_back(
+    motion: Motion,
+    poses: Float[np.ndarray, "blocks 6"],
+    reference: Positions,
+    sigma: Float[np.ndarray, "blocks n"],
+) -> Float[np.ndarray, "blocks 6 n"]:
+    """How poses brought back to where all axes stand at 0 move with the motion's numbers and with themselves.
 
-    def each(pose: Float[Array, "6"], reference: dict) -> Float[Array, "6 n"]:
-        by_both = jax.jacfwd(lambda numbers, pose: pose_at_0(unravel(numbers), pose, reference), argnums=(0, 1))
-        return jnp.concatenate(by_both(numbers, pose), axis=1)
+    By differences over ±σ of each, which spares compiling derivatives; where σ is 0 nothing is asked, and 0 is given.
+    """
+    numbers, structure = jax.tree.flatten(motion)
+    moved = np.zeros((*poses.shape, sigma.shape[1]))
+    for b, (pose, own) in enumerate(zip(poses, sigma, strict=True)):
+        there = {axis: np.asarray(steps[b]) for axis, steps in reference.items()}
+        at = np.concatenate([numbers, pose])
+        for i in np.flatnonzero(own > 0):
+            ends = []
+            for step in (own[i], -own[i]):
+                off = at.copy()
+                off[i] += step
+                one = jax.tree.unflatten(structure, [np.asarray(number) for number in off[: len(numbers)]])
+                ends.append(pose_at_0(one, off[len(numbers) :], there))
+            moved[b, :, i] = _difference(*ends) / (2 * own[i])
+    return moved
 
-    return jax.vmap(each)(poses, reference)
+
+def _difference(one: Float[np.ndarray, "6"], other: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
+    """Of two poses that are near each other, whose rotation vectors may stand on either side of half a turn."""
+    way = one - other
+    if (angle := float(np.linalg.norm(other[:3]))) and float(np.linalg.norm(way[:3])) > np.pi:
+        way[:3] += 2 * np.pi / angle * other[:3]
+    return way
 
 
 def _kept(observations: Observations, refined: Refined) -> tuple[InlierMask, ...]:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import equinox as eqx
-import jax
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
@@ -25,7 +24,7 @@ from jaxscan.calibration.block_arrow import Arrow, Jacobian
 from jaxscan.calibration.bundle import Factor, Outcome, solve
 from jaxscan.calibration.correlation import integrated_correlation
 from jaxscan.calibration.lens_field import FieldPrior, likeliest_field, settled_field
-from jaxscan.calibration.residuals import Blocks, Noise, block_errors
+from jaxscan.calibration.residuals import Blocks, Errors, Noise
 from jaxscan.calibration.uncertainty import UNDETERMINED, Precision, arrow_precision
 from jaxscan.precision import as_jax, as_numpy
 from jaxscan.rig import System
@@ -78,7 +77,7 @@ class Refined:
     stripe_sigma: float
     stripe_correlation: float
     groups: tuple[Blocks, ...]
-    errors: tuple[tuple[Float[np.ndarray, "_ _ _ 2"], Float[np.ndarray, "_ _ _"]], ...]
+    errors: tuple[Errors, ...]
     precision: Precision
     last: tuple[Arrow, Jacobian]
     outcome: Outcome
@@ -117,9 +116,9 @@ def refine(
     solves = futile = 0
     if reject:
         begins(1)
-        outcome = solve(system, free, (*groups, *factors), noise.robust())
+        outcome = solve(system, free, (*groups, *factors), noise.robust(), judged=candidates)
         system, futile = outcome.system, int(outcome.result != optx.RESULTS.successful)
-        errors = as_numpy(group_errors(system, candidates))
+        errors = as_numpy(outcome.errors)
         noise = _median_noise(groups, errors, noise)
         groups = _keep(candidates, errors, noise)
         solves = 1
@@ -127,10 +126,10 @@ def refine(
     while True:
         solves += 1
         begins(solves)
-        outcome = solve(system, free, (*groups, *factors), noise)
+        outcome = solve(system, free, (*groups, *factors), noise, judged=candidates)
         system = outcome.system
-        errors = as_numpy(group_errors(system, candidates))
-        known = as_numpy(arrow_precision(outcome.value, outcome.jacobian))
+        errors = as_numpy(outcome.errors)
+        known = arrow_precision(outcome.jacobian)
         believed = _believed(candidates, groups, errors) if weigh else candidates
         single, photographs = _variance_components(believed, groups, errors, known.leverage, noise)
         tau = _stripe_correlation(groups, errors) if two_kinds else 1.0
@@ -160,7 +159,7 @@ def refine(
                 stripe_correlation=tau,
                 groups=as_jax(groups),
                 errors=errors,
-                precision=arrow_precision(*as_jax(last)),
+                precision=arrow_precision(last[1]),
                 last=last,
                 outcome=outcome,
                 solves=solves,
@@ -253,17 +252,6 @@ def _stripe_correlation(groups: tuple[Blocks, ...], errors: tuple) -> float:
         for error, used in zip(errors_of, used_of, strict=True)
     ]
     return integrated_correlation([error for error, _ in rows], [used for _, used in rows])
-
-
-@eqx.filter_jit
-def group_errors(
-    system: System, groups: tuple[Blocks, ...]
-) -> tuple[tuple[Float[Array, "_ _ _ 2"], Float[Array, "_ _ _"]], ...]:
-    """Corner and stripe errors of each group, in pixels."""
-    return tuple(
-        jax.vmap(lambda pose, block: block_errors(system, pose, block))(poses, group)
-        for poses, group in zip(system.poses, groups, strict=False)
-    )
 
 
 def _keep(candidates: tuple[Blocks, ...], errors: tuple, noise: Noise) -> tuple[Blocks, ...]:

@@ -9,7 +9,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxscan.calibration.adjustment import pose_at_0
-from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_determined
+from jaxscan.calibration.by_photograph import ByPhotograph
+from jaxscan.calibration.determined import inverse_where_determined
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parted import Amount, Difference
 from jaxscan.calibration.result import Calibration

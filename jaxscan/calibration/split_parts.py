@@ -13,7 +13,8 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_determined
+from jaxscan.calibration.by_photograph import ByPhotograph
+from jaxscan.calibration.determined import inverse_where_determined
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parted import called, listed
 from jaxscan.calibration.refusals import FEWEST_STRIPE_POINTS, FEWEST_STRIPES, FEWEST_VIEWS

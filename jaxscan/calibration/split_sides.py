@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxscan.buckets import bucket
 from jaxscan.calibration.bends import without_poses
 from jaxscan.calibration.block_arrow import Arrow, Jacobian
-from jaxscan.calibration.by_photograph import determined_directions, inverse_where_determined
+from jaxscan.calibration.determined import determined_directions, inverse_where_determined
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.residuals import Blocks, Noise
 from jaxscan.calibration.rounds import Refined
@@ -104,7 +104,7 @@ def side_of(
         solved_with=refined.noise,
         groups=tuple(as_jax(_only(as_numpy(refined.groups[i]), padded[i], used[i])) for i in some),
         errors=tuple(tuple(each[padded[i]] for each in refined.errors[i]) for i in some),
-        precision=as_numpy(arrow_precision(*last)),
+        precision=arrow_precision(last[1]),
         last=as_numpy(last),
     )
     return one, free[:n], known

@@ -10,17 +10,20 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxscan.calibration.block_arrow import Arrow, Jacobian, NormalEquations, linearise
+from jaxscan.calibration.block_arrow import Jacobian, linearise
 from jaxscan.calibration.bundle import Factor, Prior, as_arrow
+from jaxscan.calibration.determined import inverse_where_determined
 from jaxscan.calibration.field_sparsity import field_sparsity
 from jaxscan.calibration.residuals import Noise
-from jaxscan.elimination import solve_blocks
 from jaxscan.rig import System
 
 # An eigenvalue of the Schur complement, scaled to a unit diagonal, below this is rounding: a direction not determined.
 UNDETERMINED = 1e-11
+# Likewise of a block's own normal equations.
+_LEAST_PIVOT = 1e3 * float(np.finfo(float).eps)
 
 
 class Precision(eqx.Module):
@@ -34,14 +37,13 @@ class Precision(eqx.Module):
         leverage: for each group (blocks, residuals): h of each residual.
     """
 
-    covariance: Float[Array, "shared shared"]
-    eigenvalues: Float[Array, "shared"]
-    directions: Float[Array, "shared shared"]
-    blocks: tuple[Float[Array, "_ _ _"], ...]
-    leverage: tuple[Float[Array, "_ _"], ...]
+    covariance: Float[np.ndarray, "shared shared"]
+    eigenvalues: Float[np.ndarray, "shared"]
+    directions: Float[np.ndarray, "shared shared"]
+    blocks: tuple[Float[np.ndarray, "_ _ _"], ...]
+    leverage: tuple[Float[np.ndarray, "_ _"], ...]
 
 
-@eqx.filter_jit
 def precision(
     system: System,
     free: Bool[Array, "shared"],
@@ -51,38 +53,55 @@ def precision(
 ) -> Precision:
     """The covariance at a solution, for least squares (whatever robustness `noise` carries)."""
     noise = replace(noise, robustness=jnp.zeros_like(noise.robustness))
-    y, _, residual = as_arrow(system, free, groups, noise, prior)
-    sparsity = None if noise.field is None else field_sparsity(system, groups)
-    return arrow_precision(*linearise(residual, y, sparsity))
+    return arrow_precision(_jacobian(system, free, groups, noise, prior))
 
 
 @eqx.filter_jit
-def arrow_precision(value: Arrow, jacobian: Jacobian) -> Precision:
-    """The covariance of any arrow-shaped problem whose residuals are in units of their σ."""
-    normal = NormalEquations.create(value, jacobian)
-    S = normal.schur_complement()
-    diagonal = jnp.diagonal(normal.U)
-    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
-    # One matrix, no batch: see `block_arrow`.
-    eigenvalues, vectors = jnp.linalg.eigh(scale[:, None] * S * scale[None])  # noqa: TID251
+def _jacobian(
+    system: System, free: Bool[Array, "shared"], groups: tuple[Factor, ...], noise: Noise, prior: Prior | None
+) -> Jacobian:
+    y, _, residual = as_arrow(system, free, groups, noise, prior)
+    sparsity = None if noise.field is None else field_sparsity(system, groups)
+    return linearise(residual, y, sparsity)[1]
+
+
+def arrow_precision(jacobian: Jacobian) -> Precision:
+    """The covariance of any arrow-shaped problem by the Jacobian of its residuals, which are in units of their σ.
+
+    All of it is NaN where a derivative is no number. By NumPy, whose arrays come out: JAX would compile it for each
+    count of blocks.
+    """
+    shared, n = np.asarray(jacobian.shared), jacobian.shared.shape[1]
+    if not all(np.isfinite(each).all() for each in (shared, *map(np.asarray, jacobian.blocks))):
+        return _unknown(jacobian)
+    U, eliminated, parts = shared.T @ shared, np.zeros((n, n)), []
+    for J in map(np.asarray, jacobian.blocks):
+        N = J.mT @ J
+        V, W = N[:, n:, n:], N[:, :n, n:]
+        inverse = inverse_where_determined(V, _LEAST_PIVOT)[0]
+        # What no residual depends on stands there with 1, as do shared numbers that are held.
+        inverse = inverse + np.where(np.diagonal(V, axis1=1, axis2=2) > 0, 0.0, 1.0)[:, None] * np.eye(V.shape[-1])
+        K = inverse @ W.mT
+        U, eliminated = U + N[:, :n, :n].sum(axis=0), eliminated + np.tensordot(W, K, axes=((0, 2), (0, 1)))
+        parts.append((J, inverse, K))
+    there = np.diagonal(U) > 0
+    S = U + np.diag(np.where(there, 0.0, 1.0)) - eliminated
+    scale = np.where(there, 1 / np.sqrt(np.where(there, np.diagonal(U), 1.0)), 1.0)
+    eigenvalues, vectors = np.linalg.eigh(scale[:, None] * S * scale)
     directions = scale[:, None] * vectors
-    covariance = (directions / jnp.maximum(eigenvalues, jnp.finfo(eigenvalues.dtype).eps)[None]) @ directions.T
-    n = covariance.shape[0]
+    covariance = (directions / np.maximum(eigenvalues, np.finfo(eigenvalues.dtype).eps)) @ directions.T
     blocks, leverage = [], []
-    for J, group in zip(jacobian.blocks, normal.groups, strict=True):
-        size = group.V.shape[-1]
-        right = jnp.concatenate(
-            [jnp.broadcast_to(jnp.eye(size, dtype=J.dtype)[None], group.V.shape), jnp.swapaxes(group.W, -1, -2)],
-            axis=-1,
-        )
-        solved = solve_blocks(group.V, right)
-        inverse, K = solved[..., :size], solved[..., size:]
-        cross = -jnp.einsum("bis,st->bit", K, covariance)
-        own = inverse - cross @ jnp.swapaxes(K, -1, -2)
-        top = jnp.concatenate(
-            [jnp.broadcast_to(covariance[None], (len(K), n, n)), jnp.swapaxes(cross, -1, -2)], axis=-1
-        )
-        joint = jnp.concatenate([top, jnp.concatenate([cross, own], axis=-1)], axis=-2)
+    for J, inverse, K in parts:
+        cross = -K @ covariance
+        joint = np.block([[np.broadcast_to(covariance, (len(K), n, n)), cross.mT], [cross, inverse - cross @ K.mT]])
         blocks.append(joint)
-        leverage.append(jnp.einsum("bmi,bij,bmj->bm", J, joint, J))
+        leverage.append(((J @ joint) * J).sum(axis=-1))
     return Precision(covariance, eigenvalues, directions, tuple(blocks), tuple(leverage))
+
+
+def _unknown(jacobian: Jacobian) -> Precision:
+    n = jacobian.shared.shape[1]
+    blocks = tuple(np.full((len(J), J.shape[2], J.shape[2]), np.nan) for J in jacobian.blocks)
+    leverage = tuple(np.full(J.shape[:2], np.nan) for J in jacobian.blocks)
+    square = np.full((n, n), np.nan)
+    return Precision(square, square[0], square, blocks, leverage)

@@ -18,7 +18,6 @@ from jaxscan.calibration.off_grid import OffGrid
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.calibration.uncertainty import Precision
-from jaxscan.precision import as_jax
 
 
 def widened(
@@ -51,4 +50,4 @@ def _grown(precision: Precision, by: Float[np.ndarray, "shared shared"]) -> Prec
         along = np.linalg.solve(C / np.outer(scale, scale), (joint[:, n:, :n] / scale).mT).mT / scale
         E = np.concatenate([np.broadcast_to(np.eye(n), (len(joint), n, n)), along], axis=1)
         blocks.append(joint + E @ by @ E.mT)
-    return replace(precision, covariance=as_jax(C + by), blocks=as_jax(tuple(blocks)))
+    return replace(precision, covariance=C + by, blocks=tuple(blocks))

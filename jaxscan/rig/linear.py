@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from jaxscan.geometry import Pose
-from jaxscan.geometry.rotation import namespace
 from jaxscan.rig.line import Line, median_slope, per_steps
 from jaxscan.rig.motion import Positions
 
@@ -50,4 +49,4 @@ class Linear(Line):
     def pose(self, q: Positions) -> Pose:
         """The translation n · per_step."""
         shift = per_steps(q.get(self.axis, 0.0), self.per_step)
-        return Pose(namespace(shift).zeros_like(shift), shift)
+        return Pose(np.zeros(shift.shape, shift.dtype), shift)

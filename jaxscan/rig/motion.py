@@ -142,7 +142,7 @@ def motion_of(parts: tuple[AxisMotion, ...]) -> Motion:
 def carried(motion: Motion, q: Positions, reference: Positions, pose: Pose) -> tuple[Array, Array]:
     """Where what stood at a pose at positions of reference stands at others: M(q) M(reference)⁻¹ T, as R and t.
 
-    Matrices, since a composition of poses goes by way of them.
+    Link by link and in matrices: no rotation is composed of others, and a link that only shifts multiplies nothing.
 
     Args:
         motion: what carries it.
@@ -156,11 +156,29 @@ def carried(motion: Motion, q: Positions, reference: Positions, pose: Pose) -> t
     R, t = pose.matrix(), pose.translation
     if not q:
         return R, t
-    now, then = motion.pose(q), motion.pose(reference)
-    M, M0 = now.matrix(), then.matrix()
-    still = M0.T @ jnp.stack([R[:, 0], R[:, 1], R[:, 2], t - then.translation], axis=-1)
-    moved = M @ still
-    return moved[..., :3], moved[..., 3] + now.translation
+    links = [link for link in motion.parts() if link.axis in q]
+    for then in (link.pose(reference) for link in links):
+        t = t - then.translation
+        if not _only_shifts(then):
+            R, t = _turned(then.matrix().T, R, t)
+    stack = (None,) * np.ndim(next(iter(q.values())))
+    R, t = R[stack], t[stack]
+    for now in (link.pose(q) for link in reversed(links)):
+        if not _only_shifts(now):
+            R, t = _turned(now.matrix(), R, t)
+        t = t + now.translation
+    return jnp.broadcast_to(R, (*t.shape, 3)), t
+
+
+def _only_shifts(pose: Pose) -> bool:
+    return isinstance(pose.rotation, np.ndarray) and not pose.rotation.any()
+
+
+def _turned(
+    M: Float[Array, "*stack 3 3"], R: Float[Array, "*some 3 3"], t: Float[Array, "*some 3"]
+) -> tuple[Float[Array, "*stack 3 3"], Float[Array, "*stack 3"]]:
+    moved = M @ jnp.stack([R[..., 0], R[..., 1], R[..., 2], t], axis=-1)
+    return moved[..., :3], moved[..., 3]
 
 
 def origin_shift(motion: Motion, q: Positions, other: Motion) -> Float[Array, "*stack 3"]:

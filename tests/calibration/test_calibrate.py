@@ -247,8 +247,8 @@ def counted(monkeypatch):
     """The solves of the rounds as they come, and a result to report instead."""
     outcomes, real = [], rounds.solve
 
-    def solve(*args):
-        outcomes.append(replace(real(*args), **counted_as))
+    def solve(*args, **kwargs):
+        outcomes.append(replace(real(*args, **kwargs), **counted_as))
         return outcomes[-1]
 
     counted_as = {}

@@ -1,7 +1,5 @@
 """Grids of circles: the images of discs by their outlines, projected by OpenCV, which are exact polygons' moments."""
 
-from operator import itemgetter
-
 import cv2
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,6 @@ import pytest
 
 from jaxscan.calibration import Observations, View, calibrate
 from jaxscan.calibration.blocks import view_blocks
-from jaxscan.calibration.residuals import block_errors
 from jaxscan.images import Board
 from jaxscan.precision import float64
 from jaxscan.rig import Camera, Rig, System
@@ -59,8 +56,8 @@ def test_a_circle_is_predicted_where_its_image_has_its_centre_of_gravity(radius,
         rig = Rig(Camera.create(SIZE, (FOCAL, FOCAL), PRINCIPAL, "radial1", (K1,)))
         errors = []
         for i, pose in enumerate(all_poses):
-            block = jax.tree.map(itemgetter(i), blocks)
-            errors.append(np.asarray(block_errors(System(rig, ()), jnp.asarray(pose), block)[0]))
+            block = jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], blocks)
+            errors.append(np.asarray(block.errors(System(rig, ()), jnp.asarray(pose)[None])[0]))
     assert low <= np.abs(errors).max() < high
 
 

@@ -24,7 +24,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.optimize import minimize
 
 from jaxscan.calibration.bends import without_poses
-from jaxscan.calibration.by_photograph import inverse_where_determined
+from jaxscan.calibration.determined import inverse_where_determined
 from jaxscan.calibration.off_grid import OffGrid
 from jaxscan.calibration.places import places_of_residuals
 from jaxscan.calibration.result import Calibration

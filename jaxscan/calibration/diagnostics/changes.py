@@ -20,9 +20,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
-from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_determined, rows_of
+from jaxscan.calibration.by_photograph import ByPhotograph, rows_of
 from jaxscan.calibration.changed import Change
 from jaxscan.calibration.correlation import weights_anew
+from jaxscan.calibration.determined import inverse_where_determined
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rounds import Refined
 from jaxscan.rig.light import turned_and_moved

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from jaxscan.calibration.by_photograph import ByPhotograph, inverse_where_determined
+from jaxscan.calibration.by_photograph import ByPhotograph
+from jaxscan.calibration.determined import inverse_where_determined
 from jaxscan.calibration.diagnostics.changes import Kind, kinds_of_change
 from jaxscan.calibration.drifted import Drift
 from jaxscan.calibration.result import Calibration

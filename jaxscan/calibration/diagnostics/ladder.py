@@ -27,7 +27,7 @@ from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.bundle import Outcome, solve
 from jaxscan.calibration.residuals import Blocks, Noise, far_away
 from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.rounds import group_errors, refine
+from jaxscan.calibration.rounds import refine
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig import Rig, System
 from jaxscan.rig.camera import camera_parameters, lens_parameters
@@ -220,7 +220,7 @@ def _only(group: Blocks, blocks: Bool[Array, "blocks"]) -> Blocks:
 
 def _squares(outcome: Outcome, group: Blocks, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     """Sum over each block of squared errors in σ, and of coordinates."""
-    corner = np.asarray(group_errors(outcome.system, (group,))[0][0])
+    corner = np.asarray(outcome.errors[0][0])
     used = np.asarray(group.corner_used)
     scaled = np.where(used, np.asarray(group.weights), 0.0)[..., None] * corner / float(noise.corner)
     return (scaled**2).sum(axis=(1, 2, 3)), 2.0 * used.sum(axis=(1, 2))

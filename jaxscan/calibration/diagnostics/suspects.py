@@ -18,7 +18,6 @@ from jaxscan.calibration.diagnostics.resolve import problem
 from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.observations import View
 from jaxscan.calibration.result import Calibration, PhotographFit
-from jaxscan.calibration.rounds import group_errors
 from jaxscan.images import Board
 from jaxscan.precision import float64
 
@@ -183,9 +182,9 @@ def _placed(calibration: Calibration, index: int, view: View) -> tuple[float, fl
         # Robust, so that a few wild corners do not place the board.
         noise = calibration.adjustment.noise.of(calibration.corner_sigma_px, 1.0, robustness=1.0)
         free = jnp.zeros_like(jnp.asarray(calibration.adjustment.free))
-        placed = solve(start, free, (corners, *others), noise).system
         seen = replace(group, stripe_used=group.stripe_used & only)
-        corner, stripe = (np.asarray(e[index, 0]) for e in group_errors(placed, (seen, *others))[0])
+        placed = solve(start, free, (corners, *others), noise, judged=(seen, *others))
+        corner, stripe = (np.asarray(e[index, 0]) for e in placed.errors[0])
     used = np.asarray(corners.corner_used[index, 0])
     on_stripe = np.abs(stripe[np.asarray(seen.stripe_used[index, 0])])
     return _median(corner[used]), float(np.nanmedian(on_stripe)) if on_stripe.size else None
