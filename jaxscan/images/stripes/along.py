@@ -42,6 +42,8 @@ _USUAL, _USUAL_OVER_SIGMA, _SCATTER_OF_SIGMA = 0.8, 1.2816, 1.4
 _MOST_OF_SPECKLE = 0.2
 # ln of the standard deviation of the narrowest stripe whose width its pixels determine, px.
 _NARROW: Final = float(np.log(0.9))
+# C² of less is none that was read.
+_LEAST_SPECKLE: Final = 0.05**2
 _TINY = 1e-12
 
 Lines = Float[np.ndarray, "frames lines"]
@@ -103,8 +105,8 @@ def widened_by_flanks(sigma: Lines, breadth: Lines, burnt: Bool[np.ndarray, "fra
 def widened_by_scatter(sigma: Lines, position: Lines, burnt: Bool[np.ndarray, "frames lines"], sensor: Sensor) -> Lines:
     """σ of burnt-out lines by how much they scatter about their neighbours, where this is more than was predicted.
 
-    Of a narrow stripe that is burnt out only a pixel or two of each flank are seen, too few to read their speckle from:
-    this is asked in frames where none was.
+    Of a narrow stripe that is burnt out only a pixel or two of each flank are seen, too few to read their speckle from
+    with certainty: this is asked in frames of such stripes, and where none was read.
     On an even surface the second differences of the centre have the variance σ₋² + 4 σ² + σ₊². What four in five lines
     of a frame stay below, in these units, says by how much σ is too small: as the error changes with the flanks' place
     in the pixels, the median says too little. What is missing is added to each line alike. More than speckle can
@@ -122,7 +124,8 @@ def widened_by_scatter(sigma: Lines, position: Lines, burnt: Bool[np.ndarray, "f
     whole = known[:, :-2] & known[:, 1:-1] & known[:, 2:]
     bends = np.abs(np.diff(np.where(known, position, 0.0), 2, axis=1))
     sigma = sigma.copy()
-    unread, ln_s = np.asarray(sensor.speckle)[: len(sigma)] == 0, np.asarray(sensor.ln_s)[: len(sigma)]
+    speckle, ln_s = (np.asarray(x)[: len(sigma)] for x in (sensor.speckle, sensor.ln_s))
+    unread = (speckle < _LEAST_SPECKLE) | (ln_s < _NARROW)
     few, most = np.maximum(whole.sum(axis=1), 1), _MOST_OF_SPECKLE * np.exp(ln_s / 2)
     by = ranked(bends / np.maximum(expected, _TINY), whole, _USUAL) / _USUAL_OVER_SIGMA
     usual = ranked(sigma, known, 0.5)

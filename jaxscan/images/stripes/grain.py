@@ -33,8 +33,14 @@ _MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
 _MODEL = 0.1
 # What each further number must explain at the least, in squares of standard deviations.
 _PRICE: Final = 4.0
+# Sensors hold this number of photons and more in a full pixel. Who takes noise for that of fewer, of a third of it, of
+# a ninth, pays as for one more number, for two.
+_PHOTONS: Final = 1000.0
+_FEWER: Final = 3.0
 # Every Nth line serves to estimate the expected residuals of the others.
 _EXPECTED: Final = 2
+# C² of a usual laser.
+_USUAL_SPECKLE: Final = 0.2**2
 _TINY: Final = 1e-12
 
 Frames = Float[Array, "frames"]
@@ -128,6 +134,7 @@ def chance(
     known: Bool[Array, "frames"],
     groups: int,
     by_tails: Bool[Array, "frames"],
+    span: Frames,
     correlation: Float[Array, "frames distances"] | None = None,
 ) -> Chance:
     """Noise and speckle of each frame, from what fits of its stripes leave.
@@ -150,6 +157,7 @@ def chance(
         read2: the variance of the sensor's noise; of frames that do not show it, the most that it can be.
         known: which do.
         groups: into how many groups of lines a frame is divided: of their sums what is usual is taken.
+        span: the response of a full pixel.
         by_tails: in which frames all that is left in the stripe's tails is read noise, if that is more.
         correlation: of all noise of pixels 1, 2, … apart, where a camera has smoothed it; then no grain is looked for.
     """
@@ -211,7 +219,7 @@ def chance(
     equations = seen[:, None], weight[:, None], by_read[:, None], by_photons, by_speckle
     read2 = jnp.where(by_tails, jnp.maximum(read2, jnp.nan_to_num(seen[0] / by_read[0])), read2)
     known |= by_tails
-    found = _least(*equations, rho, priced, read2, known)
+    found = _least(*equations, rho, priced, read2, known, span)
     # What goes on as far as the list does is no speckle, but a profile that is not the model's.
     sure = found.grain < _MOST_SURE
     found = found._replace(speckle=jnp.where(sure, found.speckle, 0.0), grain=jnp.where(sure, found.grain, 0.0))
@@ -229,6 +237,7 @@ def _least(
     priced: Float[Array, "grains"],
     read2: Frames,
     known: Array,
+    span: Frames,
 ) -> Chance:
     """The numbers that explain what is seen with the least need; all as (sums, grains, frames).
 
@@ -262,6 +271,7 @@ def _least(
     for count, (a, b) in enumerate(every):
         left = seen - a[None] * photons - b[None] * speckles
         numbers = (0, 1, 1, 2)[count] + (priced[:, None] if count > 1 or by_photons.shape[1] > 1 else 0.0)
+        numbers += jnp.maximum(jnp.log(jnp.maximum(a * _PHOTONS / span[None], _TINY)) / jnp.log(_FEWER), 0.0)
         possible = (a >= 0) & (b >= 0) & (b <= 1) & jnp.isfinite(a + b)
         need.append(jnp.where(possible, dot(left, left) + _PRICE * numbers, jnp.inf))
     best = jnp.argmin(jnp.stack(need).reshape(-1, need[0].shape[-1]), axis=0)[None]
@@ -275,6 +285,11 @@ def _least(
         chosen = jnp.broadcast_to(jnp.minimum(at, by.shape[1] - 1)[None], (len(whole), *at.shape))
         left -= number[None, None] * jnp.take_along_axis(by, chosen, axis=1)
     own = (dot(by_read, left) / dot(by_read, by_read))[0]
+    # What the data leave open of it is as it usually is, within a factor; of a frame that is not asked nothing is said.
+    alone = jnp.where(best >= 3 * len(rho), ss - ps**2 / pp, ss)
+    information = jnp.nan_to_num(jnp.take_along_axis(alone, at, axis=0)[0])
+    usual = jnp.where(information > 0, 1 / (1 + jnp.maximum(speckle, _USUAL_SPECKLE) ** 2 * information), 0.0)
+    speckle = (1 - usual) * speckle + usual * _USUAL_SPECKLE
     return Chance(own, shot, speckle, grain, jnp.where(at[0] == 0, 1.0, 0.0))
 
 

@@ -23,7 +23,7 @@ _MOST_COMMON = 0.12
 # Of a burnt-out stripe, pixels higher than this part of a full one may be filled by speckle.
 _MAY_FILL = 0.55
 # Light's own noise is read where at least this part of the lines is not full.
-_LEAST_FAIR = 0.25
+_LEAST_FAIR = 0.5
 # Lines beside which there is no texture are asked where they are this part of all.
 _LEAST_EVEN = 0.2
 # A line whose residual exceeds this multiple of the usual is not a sample of the noise.
@@ -105,6 +105,7 @@ def sensor_noise(
         known=clear,
         groups=_GROUPS,
         by_tails=sensor.coded,
+        span=sensor.span,
         correlation=correlation,
     )
     # A profile that is not the model's is off over several pixels, as grains are.
