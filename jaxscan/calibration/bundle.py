@@ -114,7 +114,8 @@ def _with_errors(
 ) -> tuple[Arrow, Callable[[Arrow], System], Callable[[Arrow], tuple[Arrow, tuple[Errors, ...]]]]:
     """As `as_arrow`; the residual comes with the errors of boards in pixels, of all that is in `judged`."""
     start, unravel = ravel_pytree(system.shared)
-    boards, others = _boards(groups), groups[len(judged) :]
+    boards = _boards(groups)
+    others = groups[len(boards) :]
 
     def back(y: Arrow) -> System:
         rig, shape, earlier = unravel(jnp.where(free, y.shared, start))

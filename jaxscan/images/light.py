@@ -18,8 +18,6 @@ from jaxtyping import Float32
 LIGHT: Final = ("read_noise", "gain", "speckle_contrast", "saturation")
 # What a stripe is, is said where at least this part of the photographs shows it.
 _MANY = 0.5
-# Less is said to be none.
-_SHOWN = 0.005
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,7 @@ class Light:
         gain = (
             f"gain {self.gain:.2g} grey levels for each electron" if self.gain else "shot noise too little to be seen"
         )
-        seen = self.speckle_contrast >= _SHOWN
-        speckle = f"speckle contrast {self.speckle_contrast:.2f}" if seen else "no speckle seen"
+        speckle = f"speckle contrast {self.speckle_contrast:.2f}" if self.speckle_contrast else "no speckle seen"
         return f"read noise {self.read_noise:.3g} grey levels, {gain}, {speckle}, full from {self.saturation:.0f} on"
 
 

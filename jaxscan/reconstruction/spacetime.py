@@ -144,7 +144,7 @@ class Geometry(eqx.Module):
             return self.motion.pose({**still, self.axis: self.per_frame * frames})
 
         now, then = at(frames), at(jnp.zeros(()))
-        R = now.matrix() @ then.matrix().T
+        R = jnp.asarray(now.matrix() @ then.matrix().T)
         return R, now.translation - (R @ then.translation[..., None])[..., 0]
 
     def pixels(self, position: Lines) -> tuple[Lines, Lines]:

@@ -95,31 +95,21 @@ def test_in_words():
     )
 
 
-@pytest.mark.parametrize(("dark", "peak"), [(0.2, 300.0), (0.27, 300.0), (0.35, 300.0), (0.0, 420.0), (0.0, 800.0)])
-def test_speckle_of_a_narrow_stripe_that_is_burnt_out_but_for_dark_squares(dark, peak):
-    """Lines that were not full alone were asked, where a quarter was none, and showed nothing: 3 frames of 37.
-
-    Where all are full their few other pixels say little: the contrast was 0 in half of the frames, or in all.
-    """
+@pytest.mark.parametrize("dark", [0.2, 0.27, 0.35])
+def test_speckle_of_a_narrow_stripe_that_is_burnt_out_but_for_dark_squares(dark):
+    """Lines that were not full alone were asked, where a quarter was none, and showed nothing: 3 frames of 37."""
     random, frames, columns = np.random.default_rng(2), 16, 640
     centre = 48 + 3 * np.sin(np.arange(columns) / 40)
     away = np.arange(ROWS)[:, None] - centre
-    height = np.where(np.arange(columns) % 40 < 40 * dark, 45.0, peak)
+    height = np.where(np.arange(columns) % 40 < 40 * dark, 45.0, 300.0)
     light = height * np.exp(-0.5 * (away / 0.75) ** 2) * random.gamma(25.0, 0.04, (frames, ROWS, columns))
     levels = np.full((frames, ROWS, columns, 3), 55.0)
     levels[..., 0] += light
     levels += 2 * random.standard_normal(levels.shape)
     found = detect_stripe(np.rint(levels.clip(0, 255)).astype(np.uint8), StripeSettings("red"))
     contrast, gain = found.light[:, 2], found.light[:, 1]
-    assert 0.1 < np.median(contrast) < 0.25
-    assert (contrast < 0.03).sum() <= 2
+    assert 0.17 < np.median(contrast) < 0.23
+    assert (contrast < 0.03).sum() <= 1
     assert (gain < 0.2).all()
     in_sigma = ((found.position - centre) / found.sigma)[found.valid]
     assert 0.9 < np.sqrt((in_sigma**2).mean()) < 1.15
-
-
-def test_a_stripe_without_speckle_is_not_given_any():
-    """Where a photograph tells, nothing is taken to be usual."""
-    light = Light.of([detect_stripe(photograph("red"), StripeSettings("red")).light])
-    assert light is not None
-    assert light.speckle_contrast < 0.02

@@ -42,8 +42,6 @@ _USUAL, _USUAL_OVER_SIGMA, _SCATTER_OF_SIGMA = 0.8, 1.2816, 1.4
 _MOST_OF_SPECKLE = 0.2
 # ln of the standard deviation of the narrowest stripe whose width its pixels determine, px.
 _NARROW: Final = float(np.log(0.9))
-# C² of less is none that was read.
-_LEAST_SPECKLE: Final = 0.05**2
 _TINY = 1e-12
 
 Lines = Float[np.ndarray, "frames lines"]
@@ -125,7 +123,7 @@ def widened_by_scatter(sigma: Lines, position: Lines, burnt: Bool[np.ndarray, "f
     bends = np.abs(np.diff(np.where(known, position, 0.0), 2, axis=1))
     sigma = sigma.copy()
     speckle, ln_s = (np.asarray(x)[: len(sigma)] for x in (sensor.speckle, sensor.ln_s))
-    unread = (speckle < _LEAST_SPECKLE) | (ln_s < _NARROW)
+    unread = (speckle == 0) | (ln_s < _NARROW)
     few, most = np.maximum(whole.sum(axis=1), 1), _MOST_OF_SPECKLE * np.exp(ln_s / 2)
     by = ranked(bends / np.maximum(expected, _TINY), whole, _USUAL) / _USUAL_OVER_SIGMA
     usual = ranked(sigma, known, 0.5)

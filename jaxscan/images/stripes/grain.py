@@ -39,8 +39,6 @@ _PHOTONS: Final = 1000.0
 _FEWER: Final = 3.0
 # Every Nth line serves to estimate the expected residuals of the others.
 _EXPECTED: Final = 2
-# C² of a usual laser.
-_USUAL_SPECKLE: Final = 0.2**2
 _TINY: Final = 1e-12
 
 Frames = Float[Array, "frames"]
@@ -285,11 +283,6 @@ def _least(
         chosen = jnp.broadcast_to(jnp.minimum(at, by.shape[1] - 1)[None], (len(whole), *at.shape))
         left -= number[None, None] * jnp.take_along_axis(by, chosen, axis=1)
     own = (dot(by_read, left) / dot(by_read, by_read))[0]
-    # What the data leave open of it is as it usually is, within a factor; of a frame that is not asked nothing is said.
-    alone = jnp.where(best >= 3 * len(rho), ss - ps**2 / pp, ss)
-    information = jnp.nan_to_num(jnp.take_along_axis(alone, at, axis=0)[0])
-    usual = jnp.where(information > 0, 1 / (1 + jnp.maximum(speckle, _USUAL_SPECKLE) ** 2 * information), 0.0)
-    speckle = (1 - usual) * speckle + usual * _USUAL_SPECKLE
     return Chance(own, shot, speckle, grain, jnp.where(at[0] == 0, 1.0, 0.0))
 
 
