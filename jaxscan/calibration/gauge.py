@@ -199,7 +199,7 @@ def refine_by_gauge(
             # A number that says nothing of its own is known as soon as the others of its way are.
             known_of[way != 0] |= known_of[way != 0].any()
         at = np.flatnonzero(known_of)
-        matrix = with_normal_numbers(np.asarray(fitted.precision.covariance), refined, boards.free)
+        matrix = with_normal_numbers(fitted.precision.covariance, refined, boards.free)
         covariance = Covariance(tuple(names[i] for i in at), matrix[np.ix_(at, at)])
         shift = np.asarray(boards.prior_all.root) @ (
             np.asarray(ravel_pytree(refined)[0]) - np.asarray(boards.prior_all.mean)

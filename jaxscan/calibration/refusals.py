@@ -242,12 +242,12 @@ def check_solved(refined: Refined, observations: Observations, free: Bool[Array,
     rig, names = refined.system.rig, np.array(refined.system.shared_names())
     at = np.flatnonzero(free)
     values = np.array(refined.system.values())
-    spread = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
-    directions = np.asarray(refined.precision.directions)[at]
+    spread = refined.precision.covariance[np.ix_(at, at)]
+    directions = refined.precision.directions[at]
     noise_px = max(float(refined.noise.corner), float(refined.noise.stripe))
     open_question = None
     if np.isfinite(values).all() and np.isfinite(spread).all():
-        eigenvalues = np.asarray(refined.precision.eigenvalues)
+        eigenvalues = refined.precision.eigenvalues
         open_question = undetermined(names[at].tolist(), values[at], eigenvalues, directions, spread, noise_px)
         for i, light in enumerate(rig.lights if open_question is None else ()):
             own = [k for k, name in enumerate(names[at]) if name.startswith(f"lights.{i}.")]

@@ -8,6 +8,9 @@ from typing import Final, TypeVar
 _NAMED: Final = 5
 _ORDER_NAMED: Final = 40
 
+# In another order places must be nearer to where step counts say by so much.
+NEARER: Final = 0.3
+
 Name = TypeVar("Name", bound=Hashable)
 
 

@@ -304,7 +304,7 @@ def assemble(
     joint = tuple(_at_0(refined, group, solved, free) for group in range(len(refined.groups)))
     # Without the boards' own bends.
     joint = tuple(matrix[:, : len(free) + len(_POSE), : len(free) + len(_POSE)] for matrix in joint)
-    covariance = with_normal_numbers(np.asarray(refined.precision.covariance), solved, free)[np.ix_(at, at)]
+    covariance = with_normal_numbers(refined.precision.covariance, solved, free)[np.ix_(at, at)]
     fits = _photograph_fits(observations, refined)
     fits, moved_fits = fits[:n_views], fits[n_views:]
     unused = unused.and_then(rejected_points((*fits, *moved_fits)))
@@ -342,7 +342,7 @@ def assemble(
 def _of_shape(refined: Refined, leaves: int) -> Covariance | None:
     """The covariance of the board's shape, which follows that of the rig's first `leaves` parameters."""
     names = tuple(refined.system.shared_names()[leaves:])
-    return Covariance(names, np.asarray(refined.precision.covariance)[leaves:, leaves:]) if names else None
+    return Covariance(names, refined.precision.covariance[leaves:, leaves:]) if names else None
 
 
 _POSE = tuple(f"board.{part}.{i}" for part in ("rotation", "translation") for i in range(3))
@@ -356,7 +356,7 @@ def _with_poses(joint: Float[np.ndarray, "blocks n n"], names: list[str], at: li
 
 def _at_0(refined: Refined, group: int, rig: Rig, free: Bool[Array, "shared"]) -> Float[np.ndarray, "blocks n n"]:
     """The covariance of what is shared and of each block's pose, that of a moved board with all axes at 0."""
-    blocks, joint = refined.groups[group], np.asarray(refined.precision.blocks[group])
+    blocks, joint = refined.groups[group], refined.precision.blocks[group]
     if blocks.q:
         # By the rig as it was solved, whose surplus numbers were held: their rows are no covariance yet.
         known = np.concatenate([np.asarray(free, float), np.ones(joint.shape[-1] - len(free))])

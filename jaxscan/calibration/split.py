@@ -141,7 +141,7 @@ def _chosen(joint: "_Joint", every: Refined, parts: list[Part]) -> tuple[Refined
     d = _earlier(every.system)[at]
     wider = scatter(ByPhotograph.create(every, joint.observations, np.ones(2)))
     among = n + np.array(at)
-    C = wider * np.asarray(every.precision.covariance)[np.ix_(among, among)]
+    C = wider * every.precision.covariance[np.ix_(among, among)]
     numbers = [[at.index(i) for i in part.at] for part in parts]
     chosen = choose_parts(numbers, d, C)
     differ = [parts[k] for k in chosen.differ]
@@ -310,8 +310,8 @@ def _all_free(joint: _Joint, parts: list[Part]) -> tuple[Refined, list[Part], li
         refined = joint.refined(joint.start, free, noise, "both parts apart")
         if float(refined.precision.eigenvalues[0]) >= UNDETERMINED or not left:
             break
-        weak = np.asarray(refined.precision.directions)[joint.shared :, 0]
-        scale = np.sqrt(np.diagonal(np.asarray(refined.precision.covariance)))[joint.shared :]
+        weak = refined.precision.directions[joint.shared :, 0]
+        scale = np.sqrt(np.diagonal(refined.precision.covariance))[joint.shared :]
         shares = [float(np.abs(weak[list(part.at)] / scale[list(part.at)]).max()) for part in left]
         dropped.append(left.pop(int(np.argmax(shares))))
     if not left:

@@ -41,7 +41,7 @@ def amounts(whole: Calibration, refined: Refined, part: Part, shared: int) -> tu
     now = np.asarray(numbers)
     earlier = np.asarray(ravel_pytree(system.earlier)[0])
     at = np.array(part.at)
-    covariance = np.asarray(refined.precision.covariance)[np.ix_(shared + at, shared + at)]
+    covariance = refined.precision.covariance[np.ix_(shared + at, shared + at)]
     rig_now = as_numpy(unravel(jnp.asarray(now)))
 
     def value(of: _Of, by: Float[np.ndarray, "numbers"]) -> float:

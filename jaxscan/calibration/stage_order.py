@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jaxscan.calibration.blocks import view_blocks
 from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.observations import Observations
-from jaxscan.calibration.reorder import correction
+from jaxscan.calibration.reorder import NEARER, correction
 from jaxscan.calibration.turn_order import turned_out_of_order
 from jaxscan.geometry import Pose
 from jaxscan.precision import as_float64, float64
@@ -21,8 +21,6 @@ from jaxscan.rig.line import Line
 from jaxscan.rig.rotary import Rotary
 
 _FEWEST = 3
-# In another order the places must be nearer to a line by so much.
-_NEARER = 0.3
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ def out_of_order(
         at = -at
     order = np.argsort(at)
     before, after = _from_line(steps, at), _from_line(np.sort(steps), at[order])
-    return (order, before, after) if after < _NEARER * before else None
+    return (order, before, after) if after < NEARER * before else None
 
 
 def _from_line(steps: Float[np.ndarray, "images"], at: Float[np.ndarray, "images"]) -> float:

@@ -9,12 +9,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.calibration.reorder import fewest_to_move
+from jaxscan.calibration.reorder import NEARER, fewest_to_move
 from jaxscan.geometry.rotation import matrix_to_vector
 from jaxscan.geometry.turn import rate_of_turn
 
-# In another order the angles must be nearer to their steps by so much.
-_NEARER: Final = 0.3
 # Orders that fit no worse than this multiple of the best one are as good.
 _AS_GOOD: Final = 1.5
 
@@ -48,7 +46,7 @@ def turned_out_of_order(
     good = [each for each in orders if each[0] <= _AS_GOOD * least]
     after, order, rate = min(good, key=lambda each: len(fewest_to_move(by_step.tolist(), each[1].tolist())))
     before = min(_from_turn(steps, angles, each) for each in (*rates, rate, -rate))
-    return (order, float(np.degrees(before)), float(np.degrees(after))) if after < _NEARER * before else None
+    return (order, float(np.degrees(before)), float(np.degrees(after))) if after < NEARER * before else None
 
 
 def _angles(

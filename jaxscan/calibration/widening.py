@@ -42,7 +42,7 @@ def widened(
 
 
 def _grown(precision: Precision, by: Float[np.ndarray, "shared shared"]) -> Precision:
-    C = np.asarray(precision.covariance)
+    C = precision.covariance
     n, scale = len(C), np.sqrt(np.diagonal(C))
     blocks = []
     for joint in map(np.asarray, precision.blocks):

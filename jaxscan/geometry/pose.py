@@ -4,7 +4,7 @@ One class for one motion and for a stack of them, for NumPy's arrays and for JAX
 by NumPy, in the precision of the arrays; where an array is JAX's, JAX computes. Stacks broadcast, as in `matmul`.
 """
 
-from typing import Generic
+from typing import Any, Generic
 
 import equinox as eqx
 import numpy as np
@@ -28,6 +28,17 @@ class Pose(eqx.Module, Generic[A]):
     def identity() -> "Pose[np.ndarray]":
         """What leaves every point where it is."""
         return Pose(np.zeros(3), np.zeros(3))
+
+    @staticmethod
+    def shift(translation: Float[A, "*stack 3"]) -> "Pose[A]":
+        """A translation (mm). Its rotation is NumPy's zeros, so that whoever looks need not turn (`only_shifts`)."""
+        still: Any = np.zeros(translation.shape, translation.dtype)
+        return Pose(still, translation)
+
+    @property
+    def only_shifts(self) -> bool:
+        """Whether it is known to turn nothing, also where it is traced by JAX."""
+        return isinstance(self.rotation, np.ndarray) and not self.rotation.any()
 
     @staticmethod
     def about(

@@ -59,6 +59,7 @@ from jaxscan.reconstruction.frames import Frames
 from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate
 from jaxscan.rig import Camera, Motion, Rig
+from jaxscan.rig.motion import carried as carried_by_motion
 
 Lines = Float[Array, "frames lines"]
 # The poses of frames at positions of the axes.
@@ -138,14 +139,9 @@ class Geometry(eqx.Module):
 
     def later(self, frames: Float[Array, "*some"]) -> tuple[Float[Array, "*some 3 3"], Float[Array, "*some 3"]]:
         """The motion over a number of frames, in the camera's frame: R and t (mm)."""
-
-        def at(frames: Float[Array, "*some"]) -> Pose[Array]:
-            still = {axis: jnp.broadcast_to(step, frames.shape) for axis, step in self.still.items()}
-            return self.motion.pose({**still, self.axis: self.per_frame * frames})
-
-        now, then = at(frames), at(jnp.zeros(()))
-        R = jnp.asarray(now.matrix() @ then.matrix().T)
-        return R, now.translation - (R @ then.translation[..., None])[..., 0]
+        still = {axis: jnp.broadcast_to(step, frames.shape) for axis, step in self.still.items()}
+        then, now = {**self.still, self.axis: jnp.zeros(())}, {**still, self.axis: self.per_frame * frames}
+        return carried_by_motion(self.motion, now, then, Pose.from_vector(jnp.zeros(6, jnp.float32)))
 
     def pixels(self, position: Lines) -> tuple[Lines, Lines]:
         """(u, v) of a position in each line."""

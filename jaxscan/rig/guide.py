@@ -127,7 +127,7 @@ class Screw(Line):
         """The translation n · per_step, and the wave along it."""
         n = q.get(self.axis, 0.0)
         shift = per_steps(n, self.per_step) + _waved(n, self.per_step, self.wave, self.period)
-        return Pose(np.zeros(shift.shape, shift.dtype), shift)
+        return Pose.shift(shift)
 
 
 class ScrewOnGuide(Line):

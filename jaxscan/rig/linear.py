@@ -49,4 +49,4 @@ class Linear(Line):
     def pose(self, q: Positions) -> Pose:
         """The translation n · per_step."""
         shift = per_steps(q.get(self.axis, 0.0), self.per_step)
-        return Pose(np.zeros(shift.shape, shift.dtype), shift)
+        return Pose.shift(shift)

@@ -159,19 +159,15 @@ def carried(motion: Motion, q: Positions, reference: Positions, pose: Pose) -> t
     links = [link for link in motion.parts() if link.axis in q]
     for then in (link.pose(reference) for link in links):
         t = t - then.translation
-        if not _only_shifts(then):
+        if not then.only_shifts:
             R, t = _turned(then.matrix().T, R, t)
     stack = (None,) * np.ndim(next(iter(q.values())))
     R, t = R[stack], t[stack]
     for now in (link.pose(q) for link in reversed(links)):
-        if not _only_shifts(now):
+        if not now.only_shifts:
             R, t = _turned(now.matrix(), R, t)
         t = t + now.translation
     return jnp.broadcast_to(R, (*t.shape, 3)), t
-
-
-def _only_shifts(pose: Pose) -> bool:
-    return isinstance(pose.rotation, np.ndarray) and not pose.rotation.any()
 
 
 def _turned(

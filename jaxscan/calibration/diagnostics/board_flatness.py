@@ -112,7 +112,7 @@ def _judged(refined: Refined, calibration: Calibration, beside: list[Float[np.nd
     # From where all that is free beside it brings the rig.
     before = _solution(without, LEAST_BEND_MM)[0] if beside[0].shape[-1] else np.zeros_like(moved)
     leaves = len(jax.tree.leaves(refined.system.rig))
-    sigma = np.sqrt(np.diagonal(np.asarray(refined.precision.covariance)))
+    sigma = np.sqrt(np.diagonal(refined.precision.covariance))
     parameter, shift = calibration.most_moved(moved[:leaves] - before[:leaves], sigma)
     at = np.r_[leaves : leaves + known, extra].astype(int)
     terms = moved[at] + np.pad([float(x) for x in jax.tree.leaves(refined.system.shape)], (0, len(extra)))

@@ -98,7 +98,7 @@ def _partial(refined: Refined, part: Part, free: Sequence[str]) -> PartialRig | 
     rig = refined.system.rig
     values, names = np.array([float(leaf) for leaf in jax.tree.leaves(rig)]), parameter_names(rig)
     at = [names.index(name) for name in free]
-    matrix = np.asarray(refined.precision.covariance)[np.ix_(at, at)]
+    matrix = refined.precision.covariance[np.ix_(at, at)]
     if refined.outcome.result != optx.RESULTS.successful or not np.isfinite(values).all():
         return None
     return PartialRig(part, values[at], Covariance(tuple(free), matrix))
