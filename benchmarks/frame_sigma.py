@@ -70,9 +70,7 @@ def whole(rig: Rig, every: int) -> list[Metric]:
     Nothing is left out: points at edges of depth and reflectance count, and so does what is no stripe. Where a surface
     ends within a column and its middle sees nothing, the truth is what the rest of the column sees.
     """
-    scene = SCENES["bench"](rig, replace(SHORT, floor_ink=_INK))
-    scene = eqx.tree_at(lambda s: s.bodies, scene, tuple(replace(body, glossy=True) for body in scene.bodies))
-    lighting = replace(rig_2003.SCAN_LIGHTING, speckle=0.2, highlight=_HIGHLIGHT, direction=rig_2003.mirrored_lamp(rig))
+    scene, lighting = on_a_bench(rig)
     photographs, truth = draw(rig, scene, lighting, every)
     beside = [draw_truth(_sideways(rig, part), scene, lighting, every) for part in _PARTS_OF_COLUMN]
     for other in beside:
@@ -89,6 +87,15 @@ def whole(rig: Rig, every: int) -> list[Metric]:
         Metric("frame_sigma.scan.within_2", shares[1], "", "higher", 0.93, floor=0.01),
         Metric("frame_sigma.scan.within_3", shares[2], "", "higher", 0.99, floor=0.005),
     ]
+
+
+def on_a_bench(rig: Rig) -> tuple[Scene, Lighting]:
+    """A scene with printed squares and a burnt-out highlight, and its light."""
+    scene = SCENES["bench"](rig, replace(SHORT, floor_ink=_INK))
+    scene = eqx.tree_at(lambda s: s.bodies, scene, tuple(replace(body, glossy=True) for body in scene.bodies))
+    return scene, replace(
+        rig_2003.SCAN_LIGHTING, speckle=0.2, highlight=_HIGHLIGHT, direction=rig_2003.mirrored_lamp(rig)
+    )
 
 
 def draw(

@@ -117,7 +117,7 @@ def test_an_edge_of_reflectance_along_the_stripe_is_seen():
 
 
 def test_where_every_line_has_an_edge_it_is_not_taken_for_noise():
-    """Noise was read off lines with an edge: a speckle of 0.41 that is not there, and a third more error."""
+    """Where noise was read off lines with an edge, there was a third more error."""
     s, fine, columns = 1.5, 20, 4000
     centre = ROWS / 2 + np.random.default_rng(3).uniform(-0.5, 0.5, columns)
     v = (np.arange(ROWS * fine) + 0.5)[:, None] / fine - 0.5
@@ -127,9 +127,8 @@ def test_where_every_line_has_an_edge_it_is_not_taken_for_noise():
     image = np.rint(levels.clip(0)).astype(np.uint16)
     own, gravity = (detect_stripe(image, GREY, detector=name) for name in ("likelihood", "gravity"))
     assert own.valid.all()
-    assert own.light[0, 2] < 0.2
     rms, classical = (np.sqrt(np.nanmean((found.position[0] - centre) ** 2)) for found in (own, gravity))
-    assert rms < 0.23 * classical
+    assert rms < 0.21 * classical
 
 
 def test_a_narrow_burnt_stripe_has_no_bias_over_the_pixel():

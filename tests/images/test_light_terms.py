@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 
+from benchmarks.frame_sigma import developed, draw, on_a_bench
 from jaxscan.images import StripeSettings, detect_stripe
 from jaxscan.images.light import Light
 from jaxscan.images.stripe_settings import CHANNELS
+from jaxscan.simulation.rig_2003 import simulated_rig
 
 ROWS, COLUMNS = 96, 1600
 
@@ -93,6 +95,19 @@ def test_in_words():
     assert Light(2.0, 0.0, 0.0, 252.0).in_words() == (
         "read noise 2 grey levels, shot noise too little to be seen, no speckle seen, full from 252 on"
     )
+
+
+def test_speckle_that_few_pixels_show():
+    """Of a narrow stripe that is burnt out along two thirds, frames were read as free of speckle: σ a fifth of that."""
+    rig = simulated_rig(0)
+    photographs, truth = draw(rig, *on_a_bench(rig), every=23)
+    found = detect_stripe(developed(photographs, "colour"), StripeSettings("red"))
+    assert found.light[:, 2].min() > 0.13
+    assert found.light[:, 2].max() < 0.27
+    known = found.valid & np.isfinite(truth)
+    off = np.abs(found.position - truth)[known] / found.sigma[known]
+    assert (off < 2).mean() > 0.93
+    assert (off < 3).mean() > 0.98
 
 
 @pytest.mark.parametrize("dark", [0.2, 0.27, 0.35])

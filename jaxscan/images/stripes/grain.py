@@ -31,14 +31,18 @@ _DISTANCES: Final = 5
 _MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
 # To this part of itself noise and profile say what any of these products should be, however many pixels there are.
 _MODEL = 0.1
+# Of a stripe that is narrower than this standard deviation, ln px, few pixels say how it lies on them.
+_LN_RESOLVED: Final = -0.7
 # What each further number must explain at the least, in squares of standard deviations.
-_PRICE: Final = 4.0
+_PRICE: Final = 3.0
 # Sensors hold this number of photons and more in a full pixel. Who takes noise for that of fewer, of a third of it, of
 # a ninth, pays as for one more number, for two.
 _PHOTONS: Final = 1000.0
 _FEWER: Final = 3.0
 # Every Nth line serves to estimate the expected residuals of the others.
 _EXPECTED: Final = 2
+# A sum of fewer independent pixels than this shows nothing.
+_FEWEST: Final = 1e-3
 _TINY: Final = 1e-12
 
 Frames = Float[Array, "frames"]
@@ -133,6 +137,7 @@ def chance(
     groups: int,
     by_tails: Bool[Array, "frames"],
     span: Frames,
+    ln_s: Frames,
     correlation: Float[Array, "frames distances"] | None = None,
 ) -> Chance:
     """Noise and speckle of each frame, from what fits of its stripes leave.
@@ -143,7 +148,7 @@ def chance(
 
     What it leaves of z² in the stripe's regions, and of the products of pixels that are one and two apart, is linear in
     read², shot noise and C² ρ^(j²). Of these equations the solution is taken in which none is negative and that needs
-    least: another number must explain more than chance does (H. Akaike 1974, at twice his price).
+    least: another number must explain more than chance does (H. Akaike 1974, at 1.5 times his price).
 
     Args:
         standard: z; 0 of lines and pixels that are not read.
@@ -156,6 +161,7 @@ def chance(
         known: which do.
         groups: into how many groups of lines a frame is divided: of their sums what is usual is taken.
         span: the response of a full pixel.
+        ln_s: ln of the stripe's usual standard deviation in px.
         by_tails: in which frames all that is left in the stripe's tails is read noise, if that is more.
         correlation: of all noise of pixels 1, 2, … apart, where a camera has smoothed it; then no grain is looked for.
     """
@@ -165,15 +171,21 @@ def chance(
         """How many independent pixels each sum has."""
         rest = jnp.where(unit > 0, 1.0 - sum(y * y for y in taken), 0.0)
         free = [(at * rest).sum((1, 2)) for at in regions]
-        return [jnp.maximum(n, 1.0) / groups for n in (*free, *[sum(free)] * len(lags))]
+        return [jnp.maximum(n, _FEWEST) / groups for n in (*free, *[sum(free)] * len(lags))]
 
     def usual(each: list[PerLine], number: list[Frames]) -> Float[Array, "sums frames"]:
-        """Lines that are read are divided among the groups, in their order: no group is of lines without a stripe."""
+        """Lines that are read are divided among the groups, in their order: no group is of lines without a stripe.
+
+        What the sensor's noise makes of each group is replaced by what it makes of all.
+        """
+        rest = jnp.where(unit > 0, 1.0 - sum(y * y for y in taken), 0.0)
+        noise = jnp.stack([*((at * rest * unit).sum(1) * read2[:, None] for at in regions), *[0 * each[0]] * len(lags)])
         which = jnp.cumsum(read, axis=1) - 1
         which = jnp.where(read, groups * which // jnp.maximum(read.sum(1, keepdims=True), 1), -1)
         member = (which[..., None] == jnp.arange(groups)[None, None]).astype(jnp.float32)
-        grouped = jnp.einsum("sfl,flg->sfg", jnp.stack(each), member)
-        return ranks.usual(grouped / jnp.stack(number)[:, :, None])
+        excess = jnp.einsum("sfl,flg->sfg", jnp.stack(each) - noise, member)
+        free = jnp.stack(number)
+        return ranks.usual(excess / free[:, :, None]) + noise.sum(-1) / (groups * free)
 
     read = (unit > 0).any(1)
     number = numbers(regions, unit, taken)
@@ -207,14 +219,11 @@ def chance(
             for own, root in zip(white, roots, strict=True)
         )
         by_photons, by_speckle = (jnp.stack(each, axis=1) for each in zip(even, white[1:], strict=True))
-    # How well each is known: z² of variance v scatters by 2 v², the product of two such numbers by v².
-    own = [v**2 for v in seen[: len(regions)]]
-    product = jnp.stack([n * v for n, v in zip(number, own, strict=False)]).sum(0) / number[-1]
-    scatter = [*(2 * v for v in own), *[product] * len(lags)]
     # The tail's many pixels would outvote the core's few, and a read noise a little too large hide the speckle.
-    within = [1 / (groups * n) + _MODEL**2 for n in number]
-    weight = jnp.stack([1 / jnp.maximum(v * part, _TINY) for v, part in zip(scatter, within, strict=True)])
-    equations = seen[:, None], weight[:, None], by_read[:, None], by_photons, by_speckle
+    free = jnp.stack([groups * n for n in number])
+    unsure = _MODEL * jnp.maximum(jnp.exp(4 * (_LN_RESOLVED - ln_s)), 1.0)
+    free = free / (1 + unsure[None] ** 2 * free)
+    equations = seen[:, None], free[:, None], by_read[:, None], by_photons, by_speckle
     read2 = jnp.where(by_tails, jnp.maximum(read2, jnp.nan_to_num(seen[0] / by_read[0])), read2)
     known |= by_tails
     found = _least(*equations, rho, priced, read2, known, span)
@@ -227,7 +236,7 @@ def chance(
 
 def _least(
     seen: Array,
-    weight: Array,
+    free: Array,
     by_read: Array,
     by_photons: Array,
     by_speckle: Array,
@@ -239,51 +248,71 @@ def _least(
 ) -> Chance:
     """The numbers that explain what is seen with the least need; all as (sums, grains, frames).
 
+    Of n squares of variance v the mean m needs n (m / v − 1 − ln(m / v)); a product of two such numbers, which scatters
+    by v², the square of what is left over that, and ln v². The scatter is that of what explains it, not of what is
+    seen: five squares that are seven times those of the noise are no chance, though they scatter. The sensor's noise
+    that is seen beside the stripe is one more such mean.
+
     Of the smoothed noise of a camera there are two cases in place of the grains.
     """
+    regions = len(seen) - (_LAGS - 1)
+    # Neither, photons, speckle, both.
+    uses = jnp.asarray([[0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]])[:, :, None, None, None]
+    seen, free, by_read, by_photons, by_speckle = (x[None] for x in (seen, free, by_read, by_photons, by_speckle))
+    read2, known, span = (x[None, None, None] for x in (read2, known, span))
+    photons, speckles = uses[0] * by_photons, uses[1] * by_speckle
+    # What is seen beside the stripe is known no better than the model is.
+    beside = 1 / _MODEL**2
 
-    def dot(a: Array, b: Array) -> Array:
-        return (weight * a * b).sum(0)
+    def scatter(v: Array) -> Array:
+        """The variance of each sum."""
+        own = jnp.maximum(v[:, :regions], _TINY) ** 2
+        product = (free[:, :regions] * own).sum(1, keepdims=True) / free[:, :regions].sum(1, keepdims=True)
+        return jnp.concatenate([2 * own, *[product] * (_LAGS - 1)], axis=1) / free
 
-    def less_read(a: Array) -> Array:
-        """What read noise leaves unexplained, where it is not known."""
-        return a - (jnp.where(known[None], 0.0, dot(by_read, a) / dot(by_read, by_read)))[None] * by_read
+    def solved(v: Array) -> tuple[Array, Array, Array]:
+        """Read noise, photons and speckle, with the scatter of these variances."""
+        weight = 1 / scatter(v)
 
-    whole = seen
-    seen, photons, speckles = (
-        less_read(seen - read2[None, None] * by_read),
-        less_read(by_photons),
-        less_read(by_speckle),
-    )
-    pp, ss, ps = dot(photons, photons), dot(speckles, speckles), dot(photons, speckles)
-    p, s = dot(photons, seen), dot(speckles, seen)
-    determinant = pp * ss - ps**2
-    zero = jnp.zeros_like(s)
-    every = [
-        (zero, zero),
-        (p / pp + zero, zero),
-        (zero, s / ss),
-        ((p * ss - s * ps) / determinant, (s * pp - p * ps) / determinant),
-    ]
-    need = []
-    for count, (a, b) in enumerate(every):
-        left = seen - a[None] * photons - b[None] * speckles
-        numbers = (0, 1, 1, 2)[count] + (priced[:, None] if count > 1 or by_photons.shape[1] > 1 else 0.0)
-        numbers += jnp.maximum(jnp.log(jnp.maximum(a * _PHOTONS / span[None], _TINY)) / jnp.log(_FEWER), 0.0)
-        possible = (a >= 0) & (b >= 0) & (b <= 1) & jnp.isfinite(a + b)
-        need.append(jnp.where(possible, dot(left, left) + _PRICE * numbers, jnp.inf))
-    best = jnp.argmin(jnp.stack(need).reshape(-1, need[0].shape[-1]), axis=0)[None]
-    shot, speckle = (
-        jnp.take_along_axis(jnp.concatenate([pair[n] for pair in every]), best, axis=0)[0] for n in range(2)
-    )
-    at = best % len(rho)
-    grain = jnp.where(best[0] >= 2 * len(rho), rho[at[0]], 0.0)
-    left = whole
-    for number, by in ((shot, by_photons), (speckle, by_speckle)):
-        chosen = jnp.broadcast_to(jnp.minimum(at, by.shape[1] - 1)[None], (len(whole), *at.shape))
-        left -= number[None, None] * jnp.take_along_axis(by, chosen, axis=1)
-    own = (dot(by_read, left) / dot(by_read, by_read))[0]
-    return Chance(own, shot, speckle, grain, jnp.where(at[0] == 0, 1.0, 0.0))
+        def dot(a: Array, b: Array) -> Array:
+            return (weight * a * b).sum(1, keepdims=True)
+
+        rest = seen - read2 * by_read
+        rr = dot(by_read, by_read) + jnp.where(known, beside / (2 * read2**2), 0.0)
+        pr, sr, r = dot(by_read, photons), dot(by_read, speckles), dot(by_read, rest)
+        pp = dot(photons, photons) - pr**2 / rr + 1 - uses[0]
+        ss = dot(speckles, speckles) - sr**2 / rr + 1 - uses[1]
+        ps = dot(photons, speckles) - pr * sr / rr
+        p, s = dot(photons, rest) - pr * r / rr, dot(speckles, rest) - sr * r / rr
+        determinant = pp * ss - ps**2
+        # Nothing is read where no line shows anything: not a number, but of what is not asked for.
+        a = jnp.where(uses[0] > 0, (p * ss - s * ps) / determinant, 0.0)
+        b = jnp.where(uses[1] > 0, (s * pp - p * ps) / determinant, 0.0)
+        return read2 + (r - a * pr - b * sr) / rr, a, b
+
+    def explained(read: Array, a: Array, b: Array) -> Array:
+        """The variance of each pixel of a sum."""
+        return jnp.maximum(read, 0.0) * by_read + jnp.maximum(a, 0.0) * photons + jnp.maximum(b, 0.0) * speckles
+
+    # First with the scatter of what is seen, which no pixel that is far off draws.
+    seen_by_all = jnp.broadcast_to(seen, jnp.broadcast_shapes(photons.shape, speckles.shape))
+    read, a, b = solved(explained(*solved(seen_by_all)))
+    v = explained(read, a, b)
+    x = jnp.maximum(seen[:, :regions], _TINY) / jnp.maximum(v[:, :regions], _TINY)
+    left = scatter(v)[:, regions:]
+    need = (free[:, :regions] * (x - 1 - jnp.log(x))).sum(1)
+    need += ((seen[:, regions:] - v[:, regions:]) ** 2 / left + jnp.log(left)).sum(1)
+    its = read2 / jnp.maximum(read, _TINY)
+    need += jnp.where(known, beside * (its - 1 - jnp.log(its)), 0.0)[:, 0]
+    read, a, b = (jnp.broadcast_to(each[:, 0], need.shape) for each in (read, a, b))
+    by_grain = uses[1, :, 0] if by_photons.shape[2] == 1 else 1.0
+    numbers = uses.sum(0)[:, 0] + by_grain * priced[None, :, None]
+    numbers += jnp.maximum(jnp.log(jnp.maximum(a * _PHOTONS / span[0], _TINY)) / jnp.log(_FEWER), 0.0)
+    possible = (a >= 0) & (b >= 0) & (b <= 1) & jnp.isfinite(need)
+    best = jnp.argmin(jnp.where(possible, need + _PRICE * numbers, jnp.inf).reshape(-1, need.shape[-1]), axis=0)[None]
+    own, shot, speckle = (jnp.take_along_axis(n.reshape(-1, n.shape[-1]), best, axis=0)[0] for n in (read, a, b))
+    at = best[0] % len(rho)
+    return Chance(own, shot, speckle, jnp.where(best[0] >= 2 * len(rho), rho[at], 0.0), jnp.where(at == 0, 1.0, 0.0))
 
 
 def _projected(regions: Sequence[Pixels], taken: Sequence[Pixels]) -> list[Float[Array, "sums frames pixels lines"]]:

@@ -106,6 +106,7 @@ def sensor_noise(
         groups=_GROUPS,
         by_tails=sensor.coded,
         span=sensor.span,
+        ln_s=sensor.ln_s,
         correlation=correlation,
     )
     # A profile that is not the model's is off over several pixels, as grains are.
@@ -121,9 +122,16 @@ def evenly(windows: Windows, lines: Bool[Array, "frames lines"]) -> Bool[Array, 
 
 
 def _quotient(over: Pixels, under: Pixels) -> Float[Array, "frames"]:
-    """The quotient of sums over each frame's lines; a few of these may be far off."""
-    some = over.shape[-1] // _GROUPS * _GROUPS
-    over, under = (x[..., :some].sum(1).reshape(len(x), _GROUPS, -1).sum(-1) for x in (over, under))
+    """The quotient of sums over each frame's lines; a few of these may be far off.
+
+    It is the median over groups of neighbouring lines that show as much: of a stripe that is burnt out but for some
+    lines, groups of as many lines would show little.
+    """
+    over, under = over.sum(1), under.sum(1)
+    upto = jnp.cumsum(under, axis=1)
+    which = jnp.floor(_GROUPS * (upto - under / 2) / jnp.maximum(upto[:, -1:], _TINY))
+    member = (which[..., None] == jnp.arange(_GROUPS)[None, None]).astype(jnp.float32)
+    over, under = (jnp.einsum("fl,flg->fg", x, member) for x in (over, under))
     return jnp.nan_to_num(median(jnp.where(under > 0, over / under, jnp.nan)))
 
 

@@ -56,8 +56,10 @@ _LINES = 96
 _STANDS, _SHORTEST = 0.25, 8
 # Newton's steps: as far as the noise need be known.
 _STEPS = 4
-# Where speckle is strong, the residuals of a fit show the noise only once the fit has weighted its pixels by it.
+# Where speckle is strong, the residuals of a fit show the noise only once the fit has weighted its pixels by it; where
+# it is weak too, if the fit knew of a quarter of its C² or less.
 _LOOKS, _SKIPPED = 3, 3
+_TOO_LITTLE = 4.0
 # Rows at each end of the window that show the noise without laser.
 _FLANK = 5
 # Of a normal distribution: σ over its mean absolute deviation from the mean of five.
@@ -225,10 +227,12 @@ def survey_windows(
     if odd is not None:
         sensor = replace(sensor, shape=_cross_section(windows, around, look(sensor, asked, roughly=True), odd))
     sensor = look(sensor, asked, roughly=True)
-    # Where speckle has made lines ragged, they are looked at again.
+    # Where speckle has made lines ragged, they are looked at again; so they are where the fit knew of too little of it.
     for _ in range(_LOOKS):
+        before = np.asarray(sensor.speckle)
         sensor = look(sensor, asked)
-        asked = np.asarray(sensor.speckle) > ROUGH
+        speckle = np.asarray(sensor.speckle)
+        asked = (speckle > ROUGH) | (speckle > _TOO_LITTLE * before)
         if not asked.any():
             break
     return sensor
