@@ -46,7 +46,6 @@ _FEWEST: Final = 1e-3
 _TINY: Final = 1e-12
 
 Frames = Float[Array, "frames"]
-PerLine = Float[Array, "frames lines"]
 
 
 class _Pixel(NamedTuple):
@@ -167,40 +166,38 @@ def chance(
     """
     lags = range(1, _LAGS)
 
-    def numbers(regions: Sequence[Pixels], unit: Pixels, taken: Sequence[Pixels]) -> list[Frames]:
+    def rest(unit: Pixels, taken: Sequence[Pixels]) -> Pixels:
+        """Which part of each pixel's chance the fit leaves."""
+        return jnp.where(unit > 0, 1.0 - sum(y * y for y in taken), 0.0)
+
+    def numbers(regions: Sequence[Pixels], rest: Pixels) -> Float[Array, "sums frames"]:
         """How many independent pixels each sum has."""
-        rest = jnp.where(unit > 0, 1.0 - sum(y * y for y in taken), 0.0)
         free = [(at * rest).sum((1, 2)) for at in regions]
-        return [jnp.maximum(n, _FEWEST) / groups for n in (*free, *[sum(free)] * len(lags))]
+        return jnp.maximum(jnp.stack([*free, *[sum(free, jnp.zeros_like(span))] * len(lags)]), _FEWEST)
 
-    def usual(each: list[PerLine], number: list[Frames]) -> Float[Array, "sums frames"]:
-        """Lines that are read are divided among the groups, in their order: no group is of lines without a stripe.
-
-        What the sensor's noise makes of each group is replaced by what it makes of all.
-        """
-        rest = jnp.where(unit > 0, 1.0 - sum(y * y for y in taken), 0.0)
-        noise = jnp.stack([*((at * rest * unit).sum(1) * read2[:, None] for at in regions), *[0 * each[0]] * len(lags)])
-        which = jnp.cumsum(read, axis=1) - 1
-        which = jnp.where(read, groups * which // jnp.maximum(read.sum(1, keepdims=True), 1), -1)
-        member = (which[..., None] == jnp.arange(groups)[None, None]).astype(jnp.float32)
-        excess = jnp.einsum("sfl,flg->sfg", jnp.stack(each) - noise, member)
-        free = jnp.stack(number)
-        return ranks.usual(excess / free[:, :, None]) + noise.sum(-1) / (groups * free)
-
-    read = (unit > 0).any(1)
-    number = numbers(regions, unit, taken)
-    own = [(at * standard**2).sum(1) for at in regions]
-    seen = usual([*own, *((standard[:, lag:] * standard[:, :-lag]).sum(1) for lag in lags)], number)
+    read, untaken = (unit > 0).any(1), rest(unit, taken)
+    number = numbers(regions, untaken)
+    each = [(at * standard**2).sum(1) for at in regions]
+    each += [(standard[:, lag:] * standard[:, :-lag]).sum(1) for lag in lags]
+    # Lines are divided among groups, in their order: no group is of lines without a stripe. What the sensor's noise
+    # makes of each group is replaced by what it makes of all.
+    which = jnp.cumsum(read, axis=1) - 1
+    which = jnp.where(read, groups * which // jnp.maximum(read.sum(1, keepdims=True), 1), -1)
+    member = (which[..., None] == jnp.arange(groups)[None, None]).astype(jnp.float32)
+    noise = [(at * untaken * unit).sum(1) * read2[:, None] for at in regions]
+    noise = jnp.stack([*noise, *[jnp.zeros_like(noise[0])] * len(lags)])
+    excess = jnp.einsum("sfl,flg->sfg", jnp.stack(each) - noise, member)
+    seen = ranks.usual(excess * groups / number[:, :, None]) + noise.sum(-1) / number
     # What is expected differs less from line to line than what is seen: some of the lines suffice.
     regions, taken = ([x[..., ::_EXPECTED] for x in each] for each in (regions, taken))
     unit, photons, light = (x[..., ::_EXPECTED] for x in (unit, photons, light))
-    expected, projected = numbers(regions, unit, taken), _projected(regions, taken)
+    expected, projected = numbers(regions, rest(unit, taken)), _projected(regions, taken)
 
     def left(root: Pixels, apart: int) -> Float[Array, "sums frames"]:
         """What is left of noise whose pixels so far apart are alike: of each line, to the mean."""
         size = root.shape[1] - apart
         covariance = (2 if apart else 1) * root[:, apart:] * root[:, :size]
-        return (projected[apart] * covariance[None]).sum((2, 3)) / (groups * jnp.stack(expected))
+        return (projected[apart] * covariance[None]).sum((2, 3)) / expected
 
     roots = jnp.sqrt(unit), jnp.sqrt(photons), light
     by_read, by_photons, *by_distance = (left(root, 0) for root in roots)
@@ -220,9 +217,8 @@ def chance(
         )
         by_photons, by_speckle = (jnp.stack(each, axis=1) for each in zip(even, white[1:], strict=True))
     # The tail's many pixels would outvote the core's few, and a read noise a little too large hide the speckle.
-    free = jnp.stack([groups * n for n in number])
     unsure = _MODEL * jnp.maximum(jnp.exp(4 * (_LN_RESOLVED - ln_s)), 1.0)
-    free = free / (1 + unsure[None] ** 2 * free)
+    free = number / (1 + unsure[None] ** 2 * number)
     equations = seen[:, None], free[:, None], by_read[:, None], by_photons, by_speckle
     read2 = jnp.where(by_tails, jnp.maximum(read2, jnp.nan_to_num(seen[0] / by_read[0])), read2)
     known |= by_tails
