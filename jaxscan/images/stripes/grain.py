@@ -33,7 +33,7 @@ _MOST, _STEPS, _MOST_SURE = 0.92, 47, 0.9
 _MODEL = 0.1
 # Of a stripe that is narrower than this standard deviation, ln px, few pixels say how it lies on them.
 _LN_RESOLVED: Final = -0.7
-# What each further number must explain at the least, in squares of standard deviations.
+# What each further number must explain at the least, in twice the logarithm of the likelihood.
 _PRICE: Final = 3.0
 # Sensors hold this number of photons and more in a full pixel. Who takes noise for that of fewer, of a third of it, of
 # a ninth, pays as for one more number, for two.
@@ -258,7 +258,7 @@ def _least(
     read2, known, span = (x[None, None, None] for x in (read2, known, span))
     photons, speckles = uses[0] * by_photons, uses[1] * by_speckle
     # What is seen beside the stripe is known no better than the model is.
-    beside = 1 / _MODEL**2
+    beside, rest = 1 / _MODEL**2, seen - read2 * by_read
 
     def scatter(v: Array) -> Array:
         """The variance of each sum."""
@@ -273,7 +273,6 @@ def _least(
         def dot(a: Array, b: Array) -> Array:
             return (weight * a * b).sum(1, keepdims=True)
 
-        rest = seen - read2 * by_read
         rr = dot(by_read, by_read) + jnp.where(known, beside / (2 * read2**2), 0.0)
         pr, sr, r = dot(by_read, photons), dot(by_read, speckles), dot(by_read, rest)
         pp = dot(photons, photons) - pr**2 / rr + 1 - uses[0]
@@ -281,7 +280,7 @@ def _least(
         ps = dot(photons, speckles) - pr * sr / rr
         p, s = dot(photons, rest) - pr * r / rr, dot(speckles, rest) - sr * r / rr
         determinant = pp * ss - ps**2
-        # Nothing is read where no line shows anything: not a number, but of what is not asked for.
+        # Where no line shows anything these are not numbers; what a candidate does not use is 0 all the same.
         a = jnp.where(uses[0] > 0, (p * ss - s * ps) / determinant, 0.0)
         b = jnp.where(uses[1] > 0, (s * pp - p * ps) / determinant, 0.0)
         return read2 + (r - a * pr - b * sr) / rr, a, b
