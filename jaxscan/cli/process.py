@@ -2,8 +2,9 @@
 
 Python tells of Ctrl-C by an exception in the main thread. Two places lose it. In a callback of the garbage collector,
 and JAX has one, an exception is printed and forgotten; so it is raised once more. And when the interpreter ends, it
-stops threads that are still inside of native code, which aborts the process; so an interrupted process ends at once,
-after everything that waits for its end has been done.
+stops threads that are still inside of native code, which aborts an interrupted process, and it looks through all that
+JAX has traced, which takes half a second. So a process ends at once, after everything that waits for its end has been
+done.
 """
 
 import _thread
@@ -49,7 +50,11 @@ def _interrupt() -> None:
 
 
 def _leave(ended: list[int]) -> None:
-    if ended == [INTERRUPTED]:
+    if not ended:  # an exception ended the program; Python shows it
+        return
+    try:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(INTERRUPTED)
+    except OSError:  # Python tries again, says so, and ends with a status of its own
+        return
+    os._exit(ended[0])
