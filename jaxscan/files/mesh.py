@@ -7,14 +7,17 @@ from typing import Any, Final
 import numpy as np
 import trimesh
 from jaxtyping import Float32, Int, UInt8
+from trimesh.visual import ColorVisuals
 
 from jaxscan.atomic import replacing
 from jaxscan.errors import InputError
 from jaxscan.files.cloud import Cloud, check_points, cloud_of, shown_colours, vertices_of
 from jaxscan.files.floor_note import FloorNote, stl_with_floor
+from jaxscan.files.glb import write_coloured_glb
 from jaxscan.files.ply import Column, Element, Lists, Ply
 from jaxscan.files.ply_read import read_ply_file
 from jaxscan.files.ply_write import write_ply_file
+from jaxscan.files.srgb import srgb_of
 from jaxscan.foreign import foreign
 from jaxscan.images.sampled import sampled
 from jaxscan.images.shaded import TextureMap
@@ -36,7 +39,7 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     if path.suffix.lower() == ".ply":
         return mesh_of(path, read_ply_file(path))
     with foreign(path, *_UNREADABLE):
-        mesh = trimesh.load_mesh(path, process=False)
+        mesh = _scene(path).to_mesh()
         if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
             raise _no_triangles(path)
         return _checked(path, mesh)
@@ -52,7 +55,7 @@ def mesh_pieces(path: str | os.PathLike[str]) -> list[trimesh.Trimesh]:
     if not path.is_file():
         raise no_such_file(Path(path))
     with foreign(path, *_UNREADABLE):
-        pieces = trimesh.load_scene(path, process=False).dump()
+        pieces = _scene(path).dump()
         pieces = [each for each in pieces if isinstance(each, trimesh.Trimesh) and len(each.faces)]
         if not pieces:
             raise _no_triangles(path)
@@ -147,7 +150,11 @@ def write_trimesh(
         InputError: the file cannot be written.
     """
     if colours is not None:
-        mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=shown_colours(colours), process=False)
+        colours = shown_colours(colours)
+        if Path(path).suffix.lower() == ".glb":
+            write_coloured_glb(path, mesh.vertices, mesh.faces, mesh.vertex_normals, colours)
+            return
+        mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colours, process=False)
     content: Any = mesh.export(file_type=Path(path).suffix.lower()[1:])
     content = content.encode() if isinstance(content, str) else content
     ending = Path(path).suffix.lower()
@@ -157,6 +164,31 @@ def write_trimesh(
         content = f"# jaxscan, mm, {floor.words()}\n".encode() + content
     with replacing(path) as file:
         file.write(content)
+
+
+def _scene(path: Path) -> trimesh.Scene:
+    """What a file holds, with colours in sRGB: glTF stores amounts of light, for vertices and for materials."""
+    scene = trimesh.load_scene(path, process=False)
+    if path.suffix.lower() in (".glb", ".gltf"):
+        for mesh in scene.geometry.values():
+            if isinstance(mesh, trimesh.Trimesh):
+                _as_shown(mesh)
+    return scene
+
+
+def _as_shown(mesh: Any) -> None:
+    if mesh.visual.kind == "vertex":
+        mesh.visual.vertex_colors[:, :3] = srgb_of(mesh.visual.vertex_colors[:, :3] / 255)
+    elif mesh.visual.kind == "texture":
+        material, light = mesh.visual.material, mesh.visual.vertex_attributes.get("color")
+        given = getattr(material, "baseColorFactor", None)
+        factor = np.ones(4) if given is None else np.asarray(given) / 255
+        if light is not None and getattr(material, "baseColorTexture", None) is None:
+            # Whole numbers stand for 0 to 1.
+            full = 1.0 if light.dtype.kind == "f" else np.iinfo(light.dtype).max
+            mesh.visual = ColorVisuals(mesh, vertex_colors=srgb_of(light[:, :3] / full * factor[:3]))
+        elif given is not None:
+            material.baseColorFactor = np.append(srgb_of(factor[:3]), np.uint8(255))
 
 
 def _fans(faces: Lists) -> Int[np.ndarray, "triangles 3"]:

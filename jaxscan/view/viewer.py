@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxscan.extras import extra
 from jaxscan.files.cloud import shown_colours
+from jaxscan.files.srgb import light_of
 from jaxscan.images.shaded import TextureMap
 from jaxscan.measurement.scanned import Scanned
 from jaxscan.surface.colours import sequential
@@ -66,8 +67,10 @@ def serve(
                 "/points", centred, colours, point_size=0.6 * spacing, point_shape="circle", precision="float32"
             )
         else:
+            # The browser is sent glTF, which stores amounts of light.
+            light = np.rint(255 * light_of(colours)).astype(np.uint8)
             scene.add_mesh_trimesh(
-                "/mesh", trimesh.Trimesh(centred, shown.triangles, vertex_colors=colours, process=False)
+                "/mesh", trimesh.Trimesh(centred, shown.triangles, vertex_colors=light, process=False)
             )
 
     cell = cell_mm(size)

@@ -1,4 +1,4 @@
-"""A .glb with a texture: valid glTF 2.0, and what another program reads of it."""
+"""A .glb with a texture or with colours of its vertices: valid glTF 2.0, and what another program reads of it."""
 
 import json
 import struct
@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxscan.files.glb import write_textured_glb
+from jaxscan.files.glb import write_coloured_glb, write_textured_glb
+from jaxscan.files.mesh import colours_of, read_mesh
+from jaxscan.files.srgb import light_of, srgb_of
 
 VERTICES = np.array([[0, 0, 0], [4, 0, 0], [4, 3, 1], [0, 3, 1.5]], np.float64)
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -73,3 +75,29 @@ def test_another_program_reads_the_same(path: Path) -> None:
     # The first row of the file's picture is the top one; trimesh's v goes up from the bottom.
     u, v = mesh.visual.uv.T
     np.testing.assert_allclose(np.stack([u * 7 - 0.5, (1 - v) * 5 - 0.5], axis=1), PIXELS, atol=1e-6)
+
+
+def test_colours_of_vertices_are_amounts_of_light(tmp_path: Path) -> None:
+    """Half grey on a screen is a fifth of the light: so the specification has it, and so programs show it."""
+    colours = np.array([[255, 0, 128], [30, 220, 188], [128, 128, 128], [1, 2, 3]], np.uint8)
+    write_coloured_glb(tmp_path / "a.glb", VERTICES, TRIANGLES, NORMALS, colours)
+    content, binary = chunks((tmp_path / "a.glb").read_bytes())
+    (primitive,) = content["meshes"][0]["primitives"]
+    accessor = content["accessors"][primitive["attributes"]["COLOR_0"]]
+    assert (accessor["type"], accessor["componentType"], accessor["count"]) == ("VEC3", 5126, 4)
+    start = content["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    light = np.frombuffer(binary, "<f4", 12, start).reshape(4, 3)
+    np.testing.assert_allclose(light[2], 0.2158605, atol=1e-6)
+    np.testing.assert_allclose(light[0], [1, 0, 0.2158605], atol=1e-6)
+    np.testing.assert_array_equal(srgb_of(light), colours)
+    assert "textures" not in content
+    assert "baseColorTexture" not in content["materials"][0]["pbrMetallicRoughness"]
+    back, _ = colours_of(read_mesh(tmp_path / "a.glb"))
+    np.testing.assert_array_equal(back, colours)
+
+
+def test_light_and_colours_are_there_and_back() -> None:
+    grey = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    light = light_of(grey)
+    np.testing.assert_array_equal(srgb_of(light), grey)
+    assert (np.diff(light[:, 0]) > 0).all()
