@@ -226,7 +226,9 @@ def _calibrate(order: dict[str, Any]) -> list[str]:
 def main() -> None:
     """Carry out orders until there are no more."""
     from jaxscan.cli.compiled import keep_compiled
+    from jaxscan.cli.process import own
 
+    own()
     for one in (signal.SIGINT, getattr(signal, "SIGHUP", None)):
         if one is not None:
             signal.signal(one, signal.SIG_IGN)

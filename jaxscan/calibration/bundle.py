@@ -15,6 +15,7 @@ from jaxscan.calibration.field_sparsity import field_sparsity
 from jaxscan.calibration.implicit import UncheckedAdjoint
 from jaxscan.calibration.levenberg_marquardt import FIRST_DAMPING, BlockArrowLevenbergMarquardt
 from jaxscan.calibration.residuals import Blocks, Errors, Noise
+from jaxscan.kept_programs import compiled
 from jaxscan.rig import System
 from jaxscan.rig.splined import Splined
 
@@ -171,7 +172,7 @@ def solve(
     return _solve(system, jnp.asarray(free), groups, noise, prior, first_damping, judged)
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _solve(
     system: System,
     free: Bool[Array, "shared"],

@@ -14,6 +14,7 @@ from jaxscan.buckets import bucket
 from jaxscan.calibration.gauge_residuals import GaugePoints, gauge_errors, points_of_object
 from jaxscan.calibration.gauge_shapes import Shape, Steps
 from jaxscan.geometry import Pose
+from jaxscan.kept_programs import compiled
 from jaxscan.rig import Rig, System
 
 # A surface seen at less than this angle to the way the stripe moves on it says nothing of where it is.
@@ -171,13 +172,13 @@ def _pose(system: System, i: int) -> Pose[np.ndarray]:
     return Pose.from_vector(np.asarray(system.poses[-1][i]))
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def on_object(rig: Rig, seen: GaugePoints) -> tuple[Float[Array, "scans points 3"], Float[Array, "scans points 3"]]:
     """The points of the object frame, mm, and how they move with the stripe, mm a pixel."""
     return jax.vmap(lambda scan: points_of_object(rig, scan, scan.stripe))(seen)
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def errors(system: System, scans: GaugePoints) -> tuple[Float[Array, "scans points"], Float[Array, "scans points"]]:
     """`gauge_errors` of every scan."""
     rig = system.rig

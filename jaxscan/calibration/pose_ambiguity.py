@@ -12,7 +12,6 @@ rounds of `rounds`: squares, up to the limit beyond which a corner is left out.
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,7 @@ from jaxscan.calibration.first_poses import first_poses
 from jaxscan.calibration.residuals import Blocks, Errors
 from jaxscan.calibration.rounds import CORNER_LIMIT, Refined
 from jaxscan.geometry import Pose
+from jaxscan.kept_programs import compiled
 from jaxscan.rig import System
 
 # In doubt is a view of whose corners less than this part is within the limit.
@@ -69,7 +69,7 @@ def resolve_pose_ambiguity(refined: Refined, groups: tuple[Blocks, ...]) -> Syst
     return with_poses(jnp.asarray(best)) if (best != np.asarray(poses)).any() else None
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _mirrored(poses: Float[Array, "views 6"], views: Blocks) -> Float[Array, "views 6"]:
     """Boards tilted the opposite way, about the line of sight through the middle of what is seen of them."""
 

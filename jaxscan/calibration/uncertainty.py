@@ -18,6 +18,7 @@ from jaxscan.calibration.bundle import Factor, Prior, as_arrow
 from jaxscan.calibration.determined import inverse_where_determined
 from jaxscan.calibration.field_sparsity import field_sparsity
 from jaxscan.calibration.residuals import Noise
+from jaxscan.kept_programs import compiled
 from jaxscan.rig import System
 
 # An eigenvalue of the Schur complement, scaled to a unit diagonal, below this is rounding: a direction not determined.
@@ -56,7 +57,7 @@ def precision(
     return arrow_precision(_jacobian(system, free, groups, noise, prior))
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _jacobian(
     system: System, free: Bool[Array, "shared"], groups: tuple[Factor, ...], noise: Noise, prior: Prior | None
 ) -> Jacobian:

@@ -11,6 +11,8 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from jaxscan.cli.process import owned
+
 _ASKED: Final = "/jax/compilation_cache/compile_requests_use_cache"
 _THERE: Final = "/jax/core/compile/backend_compile_duration"
 # Reading a function from disk takes less.
@@ -28,15 +30,23 @@ _said = False
 
 
 def keep_compiled() -> None:
-    """Turn on JAX's persistent compilation cache, in the user's cache folder unless JAX is set to another."""
+    """Turn on JAX's persistent compilation cache, in the user's cache folder unless JAX is set to another.
+
+    A process that is one of our programs keeps there what it has traced, too.
+    """
     import jax
 
+    from jaxscan import kept_programs
+
     _listen()
-    if jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
-        return
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    jax.config.update("jax_compilation_cache_dir", str(Path(base) / "jaxscan" / "compiled"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if not folder:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        folder = str(Path(base) / "jaxscan" / "compiled")
+        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    if owned() and "://" not in folder:
+        kept_programs.keep(Path(folder))
 
 
 def compiling() -> bool:

@@ -20,9 +20,23 @@ INTERRUPTED: Final = 130
 # After which time an interruption that was lost is raised once more, s.
 _AGAIN_S: Final = 0.05
 
+_owned = False
+
+
+def own() -> None:
+    """Say that this process runs one of our programs and nothing else: nobody changes what its functions do."""
+    global _owned
+    _owned = True
+
+
+def owned() -> bool:
+    """Whether this process runs one of our programs and nothing else."""
+    return _owned
+
 
 def run_as_process(program: Callable[[], int]) -> NoReturn:
     """Run a program and end the process with its exit status."""
+    own()
     ended: list[int] = []
     # What is registered first is called last.
     atexit.register(_leave, ended)

@@ -17,16 +17,15 @@ exposure, of 8 bits, up to a ratio of exposures of 1:256.
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
 from jaxscan.errors import InputError
 from jaxscan.images.stripes.saturation import FULL, greatest_numbers
+from jaxscan.kept_programs import compiled
 
 Frames = UInt[Array | np.ndarray, "exposures rows columns *rgb"]
 Merged = UInt[Array, "rows columns *rgb"]
@@ -89,7 +88,7 @@ def full_number(top: int, dtype: np.dtype) -> int:
     return int(FULL * next(greatest for greatest in greatest_numbers(8 * dtype.itemsize) if top <= greatest))
 
 
-@partial(jax.jit, static_argnames="of_laser")
+@compiled(static_argnames="of_laser")
 def _merge(
     frames: tuple[UInt[Array, "rows columns *rgb"], ...],
     times: Float[Array, "exposures"],

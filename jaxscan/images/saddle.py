@@ -41,6 +41,7 @@ from jax.scipy.special import erf
 from jaxtyping import Array, Bool, Float
 
 from jaxscan.elimination import solve_blocks
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import float32
 
 Vectors = Float[np.ndarray, "corners 2"]
@@ -228,7 +229,7 @@ def _windows(
     return levels.astype(np.float32), inside, full
 
 
-@partial(jax.jit, static_argnames="side")
+@compiled(static_argnames="side")
 def _fit(patches: _Patches, shape: Array, u: Array, v: Array, side: int) -> tuple[_State, *tuple[Array, ...]]:
     """All corners at once, in three phases: least squares, robust, and least squares on the pixels that are kept."""
     n = len(shape)

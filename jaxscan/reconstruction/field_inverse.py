@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscan.kept_programs import compiled
 from jaxscan.reconstruction.opencv_inverse import FIT_LIMIT_PX, LensInverse, opencv_inverse
 from jaxscan.rig.spline import MORE_THAN_CELLS, basis
 from jaxscan.rig.splined import CELLS, Splined
@@ -109,12 +110,12 @@ def field_inverse(lens: Splined, xd: Float[np.ndarray, "n 2"], focal: float) -> 
     return None
 
 
-@jax.jit
+@compiled()
 def _exact(lens: Splined, xd: Float[Array, "n 2"]) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"]]:
     """Rays as the terms alone would image them, and the rays."""
     return jax.vmap(lens.unshifted)(xd), jax.vmap(lens.undistort)(xd)
 
 
-@jax.jit
+@compiled()
 def _over_image(inverse: FieldInverse, xd: Float[Array, "n"], yd: Float[Array, "n"]) -> tuple[Float[Array, "n"], ...]:
     return jax.vmap(inverse)(xd, yd)

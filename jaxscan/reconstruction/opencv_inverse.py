@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscan.kept_programs import compiled
 from jaxscan.rig.opencv_lens import Coefficients, OpenCVLens, distort, invertible_radius, undistort
 
 # Degrees of S. Most lenses need the lowest one and so share a compiled kernel.
@@ -185,13 +186,13 @@ def _with_shift(
     return replace(inverse, along=rows[:_ORDERS_ALONG], across=rows[_ORDERS_ALONG:])
 
 
-@jax.jit
+@compiled()
 def _undistort_radii(radial: Coefficients, rd: Float[Array, "n"]) -> Float[Array, "n"]:
     along = jnp.stack([rd, jnp.zeros_like(rd)], axis=-1)
     return jax.vmap(lambda x: undistort(radial, (), x))(along)[:, 0]
 
 
-@jax.jit
+@compiled()
 def _exact(
     radial: Coefficients, tangential: Coefficients, xd: Float[Array, "n 2"]
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"]]:
@@ -200,6 +201,6 @@ def _exact(
     return x, jax.vmap(lambda x: distort(radial, (), x))(x)
 
 
-@jax.jit
+@compiled()
 def _over_image(inverse: LensInverse, xd: Float[Array, "n"], yd: Float[Array, "n"]) -> tuple[Float[Array, "n"], ...]:
     return jax.vmap(inverse)(xd, yd)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from jaxscan.geometry import Pose
 from jaxscan.images.decode import Image, read_image
 from jaxscan.images.sampled import levels_at
+from jaxscan.kept_programs import compiled
 from jaxscan.reconstruction.point_colours import in_stripe, least_depths, visible
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.stripe_reach import stripe_reach
@@ -229,6 +230,6 @@ def _agreed(samples: Float[np.ndarray, "samples points 3"]) -> UInt8[np.ndarray,
     return levels(np.where(agreed[:, None], middle, np.nan))
 
 
-@jax.jit
+@compiled()
 def _pixels(camera: Camera, points: Float[Array, "points 3"]) -> Float[Array, "points 2"]:
     return jax.vmap(camera.project)(points)

@@ -19,12 +19,12 @@ derivatives (`point_sigma`) on a grid.
 from typing import Final
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
 
+from jaxscan.kept_programs import compiled
 from jaxscan.reconstruction.point_sigma import PositionsOfPoints, jacobian_along, motion_shifts
 from jaxscan.rig import Covariance, Rig
 from jaxscan.rig.chart import AROUND
@@ -109,7 +109,7 @@ class MovedFrames(eqx.Module):
         return MovedFrames(jnp.asarray(rows, jnp.float32), jnp.asarray(shifts, jnp.float32))
 
 
-@jax.jit
+@compiled()
 def point_sigmas(
     sigma_map: SigmaMap,
     frames: MovedFrames,

@@ -38,6 +38,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.stripe import Stripe
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_numpy
 from jaxscan.reconstruction.range_image import RangeImage
 from jaxscan.reconstruction.triangulate import FramePoses, Kernel, triangulate_stripes
@@ -194,7 +195,7 @@ class Seen(eqx.Module):
     core: Lines
 
 
-@jax.jit
+@compiled()
 def off_middle(
     sheet: ThickSheet, frames: FramePoses, stripe: Seen, here: Points, beside: Float[Array, "beside frames lines 3"]
 ) -> Lines:

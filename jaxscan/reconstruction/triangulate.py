@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscan.images.stripes.stripe import u_and_v
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import Leaf, float64
 from jaxscan.reconstruction.field_inverse import FieldInverse
 from jaxscan.reconstruction.lens_inverse import FittedInverse, TiltedInverse, lens_inverse
@@ -115,7 +116,7 @@ class FramePoses(eqx.Module):
         return FramePoses(jnp.asarray(A, dtype), jnp.asarray(b, dtype))
 
 
-@jax.jit
+@compiled()
 def triangulate(
     kernel: Kernel, frames: FramePoses, u: Float[Array, "frames lines"], v: Float[Array, "frames lines"]
 ) -> Float[Array, "frames lines 3"]:

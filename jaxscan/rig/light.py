@@ -7,7 +7,6 @@ ray; all else that is asked of a sheet, in residuals, pictures and reports, is m
 from collections.abc import Mapping
 from typing import ClassVar, Protocol, runtime_checkable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Float64, Int
 
 from jaxscan.geometry.rotation import A, namespace
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_float64, as_numpy, batches_of, float64
 
 # Newton's steps onto a sheet that is not flat; a flat one takes one.
@@ -186,7 +186,7 @@ def inverse_depths(
     return w, by_ray, by_numbers
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _inverse_depths(
     light: Light, rays: Float[Array, "batch 3"]
 ) -> tuple[Float[Array, "batch"], Float[Array, "batch 3"], Float[Array, "batch numbers"]]:

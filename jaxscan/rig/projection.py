@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Float64
 
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import AT_ONCE, as_float64, batches_of, float64
 from jaxscan.rig.camera import Camera, camera_parameters
 from jaxscan.rig.chart import Chart
@@ -134,12 +134,12 @@ def _charted(
     return jax.vmap(each)(points)
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _rays(camera: Camera, pixels: Float[Array, "batch 2"]) -> Float[Array, "batch 3"]:
     return jax.vmap(camera.ray)(pixels)
 
 
-@eqx.filter_jit
+@compiled(filtered=True)
 def _pixels(
     camera: Camera, x: Float[Array, "batch 2"]
 ) -> tuple[Float[Array, "batch 2"], Float[Array, "batch 2 2"], Float[Array, "batch 2 leaves"]]:

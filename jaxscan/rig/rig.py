@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Float64, Real
 from jaxscan.axis_details import is_detail
 from jaxscan.errors import InputError
 from jaxscan.geometry import Pose
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import as_float64, float64
 from jaxscan.rig.batches import over_batch
 from jaxscan.rig.camera import Camera
@@ -219,7 +220,7 @@ def motion_normal_jacobian(motion: Motion) -> Float64[np.ndarray, "numbers numbe
         return np.asarray(_normal_jacobian(as_float64(motion)))
 
 
-@jax.jit
+@compiled()
 def _normal_jacobian(motion: Motion) -> Float[Array, "leaves leaves"]:
     numbers, unravel = ravel_pytree(motion)
     return jax.jacfwd(lambda numbers: ravel_pytree(normal_motion(unravel(numbers)))[0])(numbers)

@@ -340,7 +340,7 @@ def test_a_scan_of_another_length_compiles_nothing(rig, photographs, tmp_path, m
 
 def compiled_sizes() -> list[int]:
     """For how many shapes each function that sees whole frames has been compiled."""
-    return [each._cache_size() for each in (coarse_peaks, choose_peaks, candidates, gather_pixels)]
+    return [each.jitted._cache_size() for each in (coarse_peaks, choose_peaks, candidates, gather_pixels)]
 
 
 def test_exposures_that_are_not_listed_are_pointed_out(rig, photographs, tmp_path):

@@ -4,8 +4,6 @@ A candidate is a block that stands out at least as much as either neighbour, and
 two stripes in neighbouring blocks, some 16 rows apart, count as one.
 """
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxscan.detectors import Choice
 from jaxscan.images.stripes.coarse import SURROUNDINGS, block_size, level_of, row_of, stand_out
 from jaxscan.images.stripes.coherent import support
+from jaxscan.kept_programs import compiled
 
 # How many candidates of a line are kept.
 _MOST = 4
@@ -25,7 +24,7 @@ _STEP_PX, _JUMP = 12.0, 4.0
 _STEP_PX_IN_TIME, _JUMP_IN_TIME, _STRENGTH = 36.0, 3.3, 0.1
 
 
-@partial(jax.jit, static_argnames=("length", "columns"))
+@compiled(static_argnames=("length", "columns"))
 def candidates(
     peaks: Int[Array, "frames across down"], length: int, columns: bool
 ) -> tuple[Int[Array, "frames lines most"], Float[Array, "frames lines most"]]:

@@ -4,7 +4,6 @@ A compiler of loops does this at the speed of memory only as one reduction over 
 as short as will do, with the greatest response and where it is packed into one number: r · 32 + (31 − k).
 """
 
-from functools import partial
 from typing import TypeVar
 
 import jax
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from jaxscan.images.stripes.response import Backgrounds, Images, channels, coarse_response
+from jaxscan.kept_programs import compiled
 
 # Integers of any shape, of JAX or of NumPy.
 Packed = TypeVar("Packed", Array, np.ndarray)
@@ -30,7 +30,7 @@ def block_size(length: int) -> int:
     return next((b for b in _BLOCKS if length % b == 0), _BLOCKS[0])
 
 
-@partial(jax.jit, static_argnames=("color", "columns"))
+@compiled(static_argnames=("color", "columns"))
 def coarse_peaks(
     images: Images, background: Backgrounds | None, ambient: Int[Array, "frames"], color: str, columns: bool
 ) -> Int[Array, "frames across down"]:
@@ -85,7 +85,7 @@ def row_of(peaks: Packed, block: Packed, length: int) -> Packed:
     return start - beyond * (beyond > 0) + (2**_BITS - 1) - (peaks & (2**_BITS - 1))
 
 
-@partial(jax.jit, static_argnames=("length", "columns"))
+@compiled(static_argnames=("length", "columns"))
 def choose_peaks(
     peaks: Int[Array, "frames across down"], length: int, columns: bool
 ) -> tuple[Int[Array, "frames lines"], Int[Array, "frames lines"]]:

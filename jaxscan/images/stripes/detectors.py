@@ -1,11 +1,9 @@
 """The detectors, behind one interface: windows in; position, its σ, strength, width and validity of each line out."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Final, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -18,6 +16,7 @@ from jaxscan.images.stripes.reflectance_edge import fit_reflectance_edge
 from jaxscan.images.stripes.step_fit import fit_beside_a_step, uneven
 from jaxscan.images.stripes.texture_fit import fit_in_texture
 from jaxscan.images.stripes.windows import Outline, Places, Sensor, Windows, bump, outline
+from jaxscan.kept_programs import compiled
 
 Model = Literal[
     "plain",
@@ -127,7 +126,7 @@ def _textured(windows: Windows, sensor: Sensor) -> Bool[Array, "groups 1 lines"]
     return windows.own.textured & sensor.colours.aligned
 
 
-@partial(jax.jit, static_argnames=("detector", "model"))
+@compiled(static_argnames=("detector", "model"))
 def measure(
     windows: Windows,
     sensor: Sensor,

@@ -14,10 +14,8 @@ is taken as possible: its mean square, d² / 3, is added to σ².
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
@@ -26,6 +24,7 @@ from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.likelihood import FWHM
 from jaxscan.images.stripes.response import Backgrounds, Images, channels, noise_gain
 from jaxscan.images.stripes.windows import Pixels, Places, Sensor, first_pixel, gather_pixels, places
+from jaxscan.kept_programs import compiled
 
 # Lines of each frame that show whether anything is printed; where it counts in this part of them, all are looked at.
 _LINES, _MANY = 64, 0.02
@@ -106,7 +105,7 @@ def _some(asked: Bool[np.ndarray, "frames lines"]) -> Bool[np.ndarray, "frames l
     return asked & (rank % every == 0)
 
 
-@partial(jax.jit, static_argnames=("color", "is_dark"))
+@compiled(static_argnames=("color", "is_dark"))
 def _displaced(
     pixels: UInt[Array, "groups window lines *rgb"],
     sensor: Sensor,

@@ -19,17 +19,16 @@ that in the laser's own channel, the channel at full resolution is
     l + (g / q − 1) (Y − S Y)
 """
 
-from functools import partial
 from typing import Final
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from jaxscan.geometry.rotation import A, namespace
 from jaxscan.images.stripe_settings import CHANNELS
+from jaxscan.kept_programs import compiled
 
 Images = UInt[Array, "frames rows columns *rgb"]
 # One for all frames, or one for each.
@@ -140,7 +139,7 @@ class Detail(eqx.Module):
     repeated: Bool[Array, "*of"]
 
 
-@partial(jax.jit, static_argnames="color")
+@compiled(static_argnames="color")
 def half_chroma(
     lit: UInt[Array, "frames window lines rgb"], first: Int[Array, "frames lines"], color: str
 ) -> tuple[Bool[Array, "frames"], Bool[Array, "frames"]]:

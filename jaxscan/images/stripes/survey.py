@@ -47,6 +47,7 @@ from jaxscan.images.stripes.windows import (
     outline,
     smoothed,
 )
+from jaxscan.kept_programs import compiled
 from jaxscan.robust import NORMAL_MAD
 
 # Lines of each frame that are looked at.
@@ -238,10 +239,10 @@ def survey_windows(
     return sensor
 
 
-_cross_section = jax.jit(cross_section)
+_cross_section = compiled()(cross_section)
 
 
-@partial(jax.jit, static_argnames="color")
+@compiled(static_argnames="color")
 def _seen(
     lit: Array,
     dark: Array | None,
@@ -320,7 +321,7 @@ def _seen(
     return Windows(r, None, burnt, jnp.zeros(r.shape[::2], jnp.int32), gain, added, None, own), outline(r), sensor
 
 
-@partial(jax.jit, static_argnames="roughly")
+@compiled(static_argnames="roughly")
 def _look(
     windows: Windows,
     around: Outline,

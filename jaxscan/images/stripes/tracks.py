@@ -9,7 +9,6 @@ Between pixels noise is less: a level Σ w y of pixels y that scatter by v, each
 different frames are independent of one another.
 """
 
-from functools import partial
 from math import prod
 from typing import NamedTuple
 
@@ -22,6 +21,7 @@ from jaxscan.images.decode import NUMBERS_PER_LEVEL
 from jaxscan.images.stripes.response import NEUTRAL, Images, channels, numbers, response
 from jaxscan.images.stripes.survey import survey_windows
 from jaxscan.images.stripes.windows import Places, Sensor, Windows, response_of_lines
+from jaxscan.kept_programs import compiled
 
 _MOST = 65535
 # Pixels before and after the one that a place is in.
@@ -67,7 +67,7 @@ def number_scale(dtype: np.dtype) -> int:
     return NUMBERS_PER_LEVEL if dtype == np.uint8 else 1
 
 
-@partial(jax.jit, static_argnames="columns")
+@compiled(static_argnames="columns")
 def gather_passage(images: Images, tracks: Tracks, columns: bool) -> Passage:
     """Interpolate the pixels about tracks; beyond the image's edge its last pixels go on.
 
@@ -125,7 +125,7 @@ def survey_passage(
     return survey_windows(of(lit), background, ambient, color, gain, interpolated=np.array(True))
 
 
-@partial(jax.jit, static_argnames="color")
+@compiled(static_argnames="color")
 def passage_windows(
     lit: Passage, dark: Passage | None, sensor: Sensor, frame: Places, first: Places, color: str
 ) -> Windows:

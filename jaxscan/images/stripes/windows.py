@@ -5,7 +5,6 @@ the first, so a detector is written for all lines of all frames at once. What is
 (groups, 1, lines).
 """
 
-from functools import partial
 from typing import Final, TypeVar
 
 import equinox as eqx
@@ -17,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped, UInt
 from jaxscan.geometry.rotation import A
 from jaxscan.images.stripes.colours import Colours, InTexture, OwnWeights, in_texture
 from jaxscan.images.stripes.response import NEUTRAL, Backgrounds, Detail, Images, channels, detailed, numbers, response
+from jaxscan.kept_programs import compiled
 
 Pixels = Float[Array, "groups window lines"]
 Lines = Float[Array, "groups 1 lines"]
@@ -204,7 +204,7 @@ class Windows(eqx.Module):
         return variance if self.gain is None else self.gain * variance
 
 
-@partial(jax.jit, static_argnames=("columns", "half"))
+@compiled(static_argnames=("columns", "half"))
 def gather_pixels(
     images: Images, frame: Places, line: Places, peak: Places, columns: bool, half: int
 ) -> UInt[Array, "groups window lines *rgb"]:
@@ -261,7 +261,7 @@ def gather_windows(
 
 
 # Apart from the gathering, for this need not be compiled again for photographs of another size.
-@partial(jax.jit, static_argnames=("color", "with_colours"))
+@compiled(static_argnames=("color", "with_colours"))
 def _windows_of(
     lit: UInt[Array, "groups window lines *rgb"],
     dark: UInt[Array, "groups window lines *rgb"] | None,
