@@ -1,19 +1,18 @@
 """`jaxscan batch`: every scan of a tree to points."""
 
 import argparse
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from jaxscan.cli.batch_log import TABLE, Log, some
+from jaxscan.cli.batch_measured import measured_in_words, measured_scans
 from jaxscan.cli.detector_options import add_choice_argument, add_depths_argument, add_detector_argument, depths_of
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from jaxscan.files.part_file import Part
     from jaxscan.reconstruction.batch import Task
+    from jaxscan.reconstruction.records import Record
 
 HELP: Final = "reconstruct every scan of a tree, here or on a cluster, and go on where it stopped"
 EXAMPLE: Final = "jaxscan batch scans --rig rig.json -o clouds"
@@ -40,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a Dask scheduler whose workers see the same files, as tcp://host:8786",
     )
     parser.add_argument(
-        "--again", action="store_true", help="also what is there already, younger than scan, rig and options"
+        "--again", action="store_true", help="also what is there already, of the same scan, rig and options"
     )
     parser.add_argument(
         "--measure",
@@ -70,96 +69,73 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from jaxscan.cli.compiled import keep_compiled
 
     keep_compiled()
-    from jaxscan.cli.progress import progress, say
     from jaxscan.files.rig_file import read_rig
-    from jaxscan.reconstruction.batch import Options, find_tasks, held, run_batch
+    from jaxscan.reconstruction.batch import Options, find_tasks, held
 
-    tasks = find_tasks(args.scans, args.output, args.ending)
+    tree = find_tasks(args.scans, args.output, args.ending)
     warnings = [f"{args.rig}: {warning}" for warning in read_rig(args.rig).warnings]
-    options = Options(args.detector, args.stripe, depths_of(args))
-    done, failed = [], []
-    with held(args.output, options) as made_with:
-        to_do = [task for task in tasks if args.again or not task.is_done(args.rig, made_with)]
-        with progress("reconstructing scans", len(to_do), "scan", elsewhere=args.scheduler is not None) as advance:
-            for outcome in run_batch(to_do, args.rig, options, args.scheduler):
-                of = {"scan": outcome.task.name}
-                if outcome.points is None:
-                    failed.append({**of, "reason": outcome.reason})
-                    say(f"jaxscan: {outcome.reason}")
-                else:
-                    made = {"path": str(outcome.task.output), "points": outcome.points}
-                    done.append({**of, **made, "notes": list(outcome.notes)})
-                advance(1)
-    measured = {} if part is None else _measured(args, tasks, part)
+    with held(args.output):
+        log = Log.begun(args.output / TABLE, tree, args.rig, Options(args.detector, args.stripe, depths_of(args)))
+        try:
+            _reconstructed(args, log)
+        finally:
+            log.write()
+        measured = {} if part is None else measured_scans(args.output, args.rig, part, log)
     return {
         "kind": "batch",
         "path": str(args.output),
-        "scans": len(tasks),
-        "kept": len(tasks) - len(to_do),
-        "done": done,
-        "failed": failed,
+        "scans": len(tree.tasks) + len(tree.refused),
+        "kept": len(log.kept),
+        "done": [_in_json(task, log.records[task.name]) for task in tree.tasks if task.name in log.made],
+        "there": [_in_json(task, log.records[task.name]) for task in tree.tasks if task.name in log.kept],
+        "failed": [{"scan": scan, "reason": reason} for scan, reason in log.failed.items()],
+        "table": str(log.path),
         "warnings": warnings,
         **measured,
     }
 
 
-def _measured(args: argparse.Namespace, tasks: "Sequence[Task]", part: "Part") -> dict[str, Any]:
-    """Every scan that is there, as `jaxscan measure` has it; the table and the charts are written."""
-    from jaxscan.cli.measure import read_surface
-    from jaxscan.cli.progress import say, step
-    from jaxscan.files.measured_csv import write_scans_csv
-    from jaxscan.measurement.measure import measure
-    from jaxscan.measurement.rows import rows_of
+def _reconstructed(args: argparse.Namespace, log: "Log") -> None:
+    """All scans whose results are not there, into the log."""
+    from jaxscan.cli.progress import progress, say
+    from jaxscan.reconstruction.batch import run_batch
 
-    scans, verdicts = {}, {}
-    for task in tasks:
-        if not task.output.exists():
-            continue
-        step(f"measuring {task.name}")
-        try:
-            found = measure(read_surface(task.output, args.rig)[0], part)
-        except InputError as error:
-            say(f"jaxscan: {error}")
-            continue
-        scans[task.name], verdicts[task.name] = rows_of(found), found.verdict
-    written = []
-    if scans:
-        write_scans_csv(args.output / "measured.csv", scans)
-        written.append(str(args.output / "measured.csv"))
-        if find_spec("matplotlib") is not None and part.dimensions:
-            from jaxscan.view.measured_part import control_charts
+    to_do = [task for task in log.tree.tasks if args.again or task.name not in log.kept]
+    log.kept -= {task.name for task in to_do}
+    elsewhere, at_work = args.scheduler is not None, set[str]()
+    with progress("reconstructing scans", len(to_do), "scan", elsewhere, at_work) as advance:
+        for outcome in run_batch(to_do, args.rig, log.options, args.scheduler, at_work):
+            log.add(outcome)
+            if outcome.record is None:
+                say(f"jaxscan: {outcome.reason}")
+            advance(1)
 
-            control_charts(args.output / "measured.png", scans)
-            written.append(str(args.output / "measured.png"))
-    dimensions = [{"scan": scan, "verdict": verdicts[scan], "dimensions": rows} for scan, rows in scans.items()]
-    return {"measured": dimensions, "written": written}
+
+def _in_json(task: "Task", record: "Record") -> dict[str, Any]:
+    counts = {"points": record.points, "frames": record.frames, "empty": record.empty}
+    return {"scan": task.name, "path": str(task.output), **counts, "notes": list(record.notes)}
 
 
 def describe(result: dict[str, Any]) -> str:
     """The result in words."""
     kept, failed = result["kept"], result["failed"]
+    there = [*result["done"], *result["there"]]
+    of_notes: dict[str, list[str]] = {}
+    for one in there:
+        for note in one["notes"]:
+            of_notes.setdefault(note, []).append(one["scan"])
+    bare = [f"{one['scan']} {one['empty']} of {one['frames']}" for one in there if one["empty"]]
     return "\n".join(
         [
             f"{len(result['done'])} of {result['scans']} scans reconstructed into {result['path']}"
             + (f", {kept} were there already" if kept else "")
             + (f", {len(failed)} failed:" if failed else ""),
             *(f"  {one['scan']}: {one['reason']}" for one in failed),
-            *_table(result),
+            *measured_in_words(result),
             *(["run the same command again to try these again"] if failed else []),
-            *(f"note: {one['scan']}: {note}" for one in result["done"] for note in one["notes"]),
+            *([f"photographs without a point: {some(bare)}"] if bare else []),
+            *(f"note: {some(scans)}: {note}" for note, scans in of_notes.items()),
             *(f"warning: {warning}." for warning in result["warnings"]),
+            f"each scan has a line in {result['table']}",
         ]
     )
-
-
-def _table(result: dict[str, Any]) -> list[str]:
-    """What was measured: of each scan a line, and where the table and the charts are."""
-    if not result.get("measured"):
-        return []
-    from jaxscan.measurement.rows import value_in_words
-
-    lines = []
-    for each in result["measured"]:
-        cells = "; ".join(f"{row['name']} {value_in_words(row)}" for row in each["dimensions"])
-        lines.append(f"  {each['scan']}: {cells}")
-    return [*lines, f"written: {', '.join(result['written'])}"]

@@ -12,7 +12,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any, Final, TypeVar
 
@@ -36,8 +36,8 @@ _IDLE: Final = 0.01
 class Progress:
     """What a block of work says of itself. Calling it says that some units are done."""
 
-    def __init__(self, words: str, unit: str, bar: Any) -> None:
-        self._words, self._unit, self._bar = words, unit, bar
+    def __init__(self, words: str, unit: str, bar: Any, at_work: Collection[str] = ()) -> None:
+        self._words, self._unit, self._bar, self._at_work = words, unit, bar, at_work
         self._begin = time.monotonic()
         self._calls, self._used = 0, time.process_time()
         self._count = 0
@@ -89,7 +89,8 @@ class Progress:
 
     def _give_up(self, limit: float) -> None:
         self._bar.close()
-        print(f"error: {self.line()}: stuck for {limit:g} s: {HOW_TO_GO_ON}", file=sys.stderr, flush=True)
+        among = f" (at {', '.join(sorted(self._at_work))})" if self._at_work else ""
+        print(f"error: {self.line()}: stuck for {limit:g} s{among}: {HOW_TO_GO_ON}", file=sys.stderr, flush=True)
         if os.environ.get("JAXSCAN_DEBUG"):
             faulthandler.dump_traceback(all_threads=True)
         # Whatever is stuck would not let the program end. Files are renamed into place whole, so none is half-written.
@@ -190,7 +191,13 @@ def say(line: str) -> None:
 
 
 @contextmanager
-def progress(words: str, total: int | None = None, unit: str = "image", elsewhere: bool = False) -> Iterator[Progress]:
+def progress(
+    words: str,
+    total: int | None = None,
+    unit: str = "image",
+    elsewhere: bool = False,
+    at_work: Collection[str] = (),
+) -> Iterator[Progress]:
     """A bar for the length of the block, advanced by the object that the block is given.
 
     Args:
@@ -198,6 +205,7 @@ def progress(words: str, total: int | None = None, unit: str = "image", elsewher
         total: how many units there are, where it is known.
         unit: what one step is, in the singular.
         elsewhere: whether others do the work, so that this process is idle.
+        at_work: what is being worked on, in words, which the work keeps up to date; named where it is stuck.
     """
     from tqdm import tqdm
 
@@ -212,7 +220,7 @@ def progress(words: str, total: int | None = None, unit: str = "image", elsewher
         ) as bar:
             # A bar that is not shown forgets its total.
             bar.total = total
-            made = Progress(words, unit, bar)
+            made = Progress(words, unit, bar, at_work)
             watch = threading.Thread(target=made.watch, args=(ended, limit), daemon=True)
             watch.start()
             try:

@@ -1,36 +1,42 @@
 """Many scans: each by itself, on this machine or on a cluster, its points in a file of its own.
 
-A result that is younger than its scan.toml, the rig and the options is kept, as `make` would, so that what was
+A result is kept as long as its record says that scan, rig and options are what it was made from, so that what was
 interrupted continues with what is missing. A scan that fails is reported, and the others continue.
 
-A cluster runs a task again whose worker is lost before its answer was fetched. Such a task asks the same question once
-more: a result that is done, and is not the one that stood there when the batch began, is this batch's own.
+A cluster runs a task again whose worker is lost before its answer was fetched. The record then says that this very
+batch has made the result.
 """
 
 import copy
-import json
 import os
+import secrets
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache, partial
+from datetime import UTC, datetime
+from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from threading import Event
-from typing import Final
+from typing import Any, Final
 
-from jaxscan.atomic import make_folder, replacing
+from jaxscan.atomic import make_folder
+from jaxscan.deadline import patience_s
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, JaxscanError
 from jaxscan.exclusive import exclusive
 from jaxscan.extras import extra
 from jaxscan.files.cloud import read_ply
+from jaxscan.files.digest import short_digest
 from jaxscan.files.listing import natural_key
 from jaxscan.files.rig_file import read_rig
-from jaxscan.files.scan import SCAN_FILE, read_scan
+from jaxscan.files.scan import SCAN_FILE, read_listed, read_scan
 from jaxscan.reconstruction.range_image import read_range_image
 from jaxscan.reconstruction.reconstruct import write_stream
+from jaxscan.reconstruction.records import Record, digest_of, read_record
 from jaxscan.reconstruction.stream import Scanner
 
 # How long a scheduler may take to answer, and how many workers may die of one scan before it is given up.
@@ -39,9 +45,11 @@ _DEATHS: Final = 3
 # How many scans are measured at once on a machine at most: while one waits for its photographs, others are measured.
 # Each has its own ring of photographs in memory.
 _SCANS_AT_ONCE: Final = 4
-# What the results in a folder were made with, and the lock of the batch that is at work there.
-_OPTIONS_FILE: Final = ".batch.json"
+# The lock of the batch that is at work in a folder; how unfinished files end.
 _LOCK: Final = ".batch.lock"
+_UNFINISHED: Final = ".part"
+# How often it is looked whether a cluster still has workers, s.
+_LOOK_S: Final = 2.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +66,10 @@ class Options:
     choice: Choice = DEFAULT_CHOICE
     depths_mm: tuple[float, float] | None = None
 
+    def in_json(self) -> dict[str, Any]:
+        """As a record has them."""
+        return asdict(self) | {"depths_mm": None if self.depths_mm is None else list(self.depths_mm)}
+
 
 @dataclass(frozen=True)
 class Task:
@@ -73,23 +85,19 @@ class Task:
     scan: Path
     output: Path
 
-    def is_done(self, *made_from: Path) -> bool:
-        """Whether its points are there and younger than what they come from.
+    def done(self, rig: str, options: "Options") -> Record | None:
+        """The record of its result, where that was made from what there is now; None where it must be made.
 
         Args:
-            made_from: files beside its scan.toml: the rig, and what `held` gives.
+            rig: digest of the rig's file.
+            options: how.
         """
+        record = read_record(self.output)
+        if record is None or (record.rig, record.options) != (rig, options.in_json()) or not record.is_of(self.output):
+            return None
         try:
-            done = self.output.stat().st_mtime_ns
-            return all(done > path.stat().st_mtime_ns for path in (self.scan, *made_from))
-        except FileNotFoundError:
-            return False
-
-    def made_at(self) -> int | None:
-        """When its points were written, ns, by the clock of their disk; None if they are not there."""
-        try:
-            return self.output.stat().st_mtime_ns
-        except FileNotFoundError:
+            return record if record.made_from == digest_of(read_listed(self.scan)) else None
+        except (InputError, OSError):
             return None
 
 
@@ -99,47 +107,54 @@ class Outcome:
 
     Attributes:
         task: which.
-        points: how many were written; None where it failed.
+        record: of its result; None where it failed.
         reason: why it failed, or "".
-        notes: what its photographs have shown to be wrong in its settings.
     """
 
     task: Task
-    points: int | None
+    record: Record | None
     reason: str = ""
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Made:
-    """What a worker says of a scan.
+class Tree:
+    """The scans of a tree.
 
     Attributes:
-        points: how many were written.
-        notes: as `Outcome` has them.
+        tasks: in natural order.
+        refused: names of folders that may hold scans and cannot be read, and why.
     """
 
-    points: int
-    notes: tuple[str, ...] = ()
+    tasks: tuple[Task, ...]
+    refused: tuple[tuple[str, str], ...]
 
 
-def find_tasks(scans: Path, out: Path, ending: str = ".ply") -> list[Task]:
-    """Every scan of a tree, in natural order, with the file its points belong to: OUT/FOLDER.ply.
+def find_tasks(scans: Path, out: Path, ending: str = ".ply") -> Tree:
+    """Every scan of a tree, with the file its points belong to: OUT/FOLDER.ply.
 
     Raises:
         InputError: the tree is no folder, holds no scan, or two of its scans would be written to one file.
     """
     if not scans.is_dir():
         raise InputError(f"{scans}: is no folder: name the folder that the scans lie in")
+    refused: list[tuple[str, str]] = []
+
+    def unreadable(error: OSError) -> None:
+        place = str(error.filename)
+        refused.append((in_text(os.path.relpath(place, scans)), f"{in_text(place)}: cannot be read ({error.strerror})"))
+
     # A result's folder may lie in the tree of the scans, and is not searched.
-    found = [folder for folder, files in _folders(scans, os.path.realpath(out)) if SCAN_FILE in files]
-    if not found:
+    found = [folder for folder, files in _folders(scans, os.path.realpath(out), unreadable) if SCAN_FILE in files]
+    if not found and not refused:
         raise InputError(f"{scans}: holds no scan, no {SCAN_FILE} in it or in a folder below: check the path")
     tasks: list[Task] = []
     taken: dict[str, Task] = {}
     for folder in sorted(found, key=lambda path: natural_key(str(path))):
         relative = folder.relative_to(scans)
         name = relative.as_posix() if relative.parts else Path(os.path.realpath(folder)).name
+        if in_text(name) != name:
+            refused.append((in_text(name), f"{in_text(str(folder))}: its name is no text (UTF-8): rename the folder"))
+            continue
         task = Task(name, folder / SCAN_FILE, out / f"{name}{ending}")
         # Many disks take names for the same that differ in capitals alone.
         other = taken.setdefault(str(task.output).casefold(), task)
@@ -148,14 +163,19 @@ def find_tasks(scans: Path, out: Path, ending: str = ".ply") -> list[Task]:
                 f"{task.scan.parent} and {other.scan.parent} would both be written to {task.output}: rename one folder"
             )
         tasks.append(task)
-    return tasks
+    return Tree(tuple(tasks), tuple(refused))
 
 
-def _folders(top: Path, skipped: str) -> Iterator[tuple[Path, list[str]]]:
+def in_text(name: str) -> str:
+    """A file's name as it can be printed: what is no text in it as numbers."""
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
+
+
+def _folders(top: Path, skipped: str, unreadable: Callable[[OSError], None]) -> Iterator[tuple[Path, list[str]]]:
     """The folders of a tree with their files, links followed; each once, by its own name rather than by a link's."""
     seen, to_see = {skipped}, [str(top)]
     while to_see:
-        for folder, inner, files in os.walk(to_see.pop(0)):
+        for folder, inner, files in os.walk(to_see.pop(0), onerror=unreadable):
             place = os.path.realpath(folder)
             if place in seen:
                 inner.clear()
@@ -166,15 +186,8 @@ def _folders(top: Path, skipped: str) -> Iterator[tuple[Path, list[str]]]:
 
 
 @contextmanager
-def held(out: Path, options: Options) -> Iterator[Path]:
-    """Hold the folder of a batch's results while it is at work.
-
-    Args:
-        out: the folder; it is made where it is not there.
-        options: of the batch. What was made there with others is older than the file that is given back.
-
-    Returns:
-        A file from which all results there are made, as they are from the rig.
+def held(out: Path) -> Iterator[None]:
+    """Hold the folder of a batch's results while it is at work; it is made where it is not there.
 
     Raises:
         InUseError: another batch is at work there.
@@ -182,11 +195,7 @@ def held(out: Path, options: Options) -> Iterator[Path]:
     """
     make_folder(out)
     with exclusive(out / _LOCK, str(out)):
-        path, text = out / _OPTIONS_FILE, json.dumps(asdict(options), indent=2)
-        if not path.is_file() or path.read_text(errors="replace") != text:
-            with replacing(path, "w") as file:
-                file.write(text)
-        yield path
+        yield
 
 
 def run_batch(
@@ -194,6 +203,7 @@ def run_batch(
     rig: Path,
     options: Options | None = None,
     scheduler: str | None = None,
+    at_work: set[str] | None = None,
 ) -> Iterator[Outcome]:
     """Reconstruct many scans; each outcome as it is there.
 
@@ -202,61 +212,115 @@ def run_batch(
         rig: of all of them.
         options: how; the defaults where there are none.
         scheduler: address of a Dask scheduler whose workers see the same files; None for this machine.
+        at_work: holds the names of the scans that are being read on this machine.
 
     Raises:
-        InputError: the rig is refused, or the scheduler does not answer.
+        InputError: the rig is refused, the scheduler does not answer, or it has no workers for too long.
     """
-    options = options or Options()
+    options, run = options or Options(), secrets.token_hex(8)
+    names = set[str]() if at_work is None else at_work
     read_rig(rig)
     for folder in {task.output.parent for task in tasks}:
         make_folder(folder)
     stop = Event()
-    # A worker on another machine hears of nothing until its scan is done.
-    heed = {} if scheduler else {"advance": partial(_heed, stop)}
-    with _executor(scheduler) as executor:
-        futures: dict[Future[Made | str], Task] = {}
+
+    def here(task: Task) -> Record | str:
+        names.add(task.name)
+        try:
+            return reconstruct_one(task, rig.absolute(), run, options, heed)
+        finally:
+            names.discard(task.name)
+
+    def heed(by: int) -> None:
+        """Break off a scan of a batch that was stopped; what it has written so far is deleted."""
+        if stop.is_set():
+            raise InterruptedError("the batch was stopped")
+
+    with _executor(scheduler) as (executor, has_workers):
+        if scheduler is None:
+            _clear(tasks)
+        futures: dict[Future[Record | str], Task] = {}
         for task in tasks:
-            here = replace(task, scan=task.scan.absolute(), output=task.output.absolute())
-            future = executor.submit(reconstruct_one, here, rig.absolute(), here.made_at(), options, **heed)
+            absolute = replace(task, scan=task.scan.absolute(), output=task.output.absolute())
+            # A worker on another machine hears of nothing until its scan is done.
+            if scheduler is None:
+                future = executor.submit(here, absolute)
+            else:
+                future = executor.submit(reconstruct_one, absolute, rig.absolute(), run, options)
             futures[future] = task
         try:
-            for future in as_completed(futures):
-                yield _outcome(futures[future], future)
+            pending, seen = set(futures), time.monotonic()
+            while pending:
+                done, pending = wait(pending, None if scheduler is None else _LOOK_S, FIRST_COMPLETED)
+                for future in done:
+                    yield _outcome(futures[future], future)
+                if done or has_workers():
+                    seen = time.monotonic()
+                elif time.monotonic() - seen > patience_s():
+                    raise InputError(
+                        f"{scheduler}: has had no worker for {patience_s():g} s, and {len(pending)} scans wait: start "
+                        f"one with dask worker {scheduler}, then run the same command again"
+                    )
         finally:
             stop.set()
             for future in futures:
                 future.cancel()
 
 
-def _heed(stop: Event, by: int) -> None:
-    """Break off a scan of a batch that was stopped; what it has written so far is deleted."""
-    if stop.is_set():
-        raise InterruptedError("the batch was stopped")
+def _clear(tasks: Sequence[Task]) -> None:
+    """Delete what a batch that was killed has left unfinished beside the results that are made now."""
+    for folder in {task.output.parent for task in tasks}:
+        begins = tuple(f".{task.output.name}." for task in tasks if task.output.parent == folder)
+        for path in folder.glob(f".*{_UNFINISHED}"):
+            if path.name.startswith(begins):
+                with suppress(OSError):
+                    path.unlink()
 
 
 def reconstruct_one(
-    task: Task, rig: Path, stood: int | None, options: Options, advance: Callable[[int], object] = lambda by: None
-) -> Made | str:
+    task: Task, rig: Path, run: str, options: Options, advance: Callable[[int], object] = lambda by: None
+) -> Record | str:
     """One scan to one file, on whatever machine.
 
     Args:
         task: with absolute paths.
         rig: likewise.
-        stood: when what stands in its place at the beginning of the batch was made. What is done and was made at
-            another time is this batch's own, of these options, and is not made a second time.
+        run: which batch this is. What it has made already is not made a second time.
         options: how.
         advance: called with the number of photographs read, some at a time; what it raises ends the scan.
 
     Returns:
-        How many points its file has; or, in words, why there is none.
+        The record of its file; or, in words, why there is none.
     """
     try:
-        if task.made_at() != stood and task.is_done(rig):
-            return Made(_points_in(task.output))
+        before = read_record(task.output)
+        if before is not None and before.run == run and before.is_of(task.output):
+            return before if before.points is not None else replace(before, points=_points_in(task.output))
+        begin, scan, digest = time.monotonic(), read_scan(task.scan), short_digest(rig)
+        record = Record(
+            scan=task.name,
+            made_from=digest_of(scan),
+            rig=digest,
+            options=options.in_json(),
+            version=version("jaxscan"),
+            run=run,
+            began=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        record.write(task.output)
         # What it says of its scan is not said of another that is measured beside it.
-        scanner = copy.copy(_scanner(rig, rig.stat().st_mtime_ns, options))
-        written = write_stream([task.output], scanner.scan(read_scan(task.scan), advance))
-        return Made(written.points, tuple(scanner.notes))
+        scanner = copy.copy(_scanner(rig, digest, options))
+        written = write_stream([task.output], scanner.scan(scan, advance))
+        record = replace(
+            record,
+            size=task.output.stat().st_size,
+            points=written.points,
+            frames=written.frames,
+            empty=written.empty,
+            seconds=round(time.monotonic() - begin, 2),
+            notes=tuple(scanner.notes),
+        )
+        record.write(task.output)
+        return record
     except JaxscanError as error:
         return str(error)
     except Exception as error:  # noqa: BLE001 - what is wrong with one scan must not stop the others
@@ -268,8 +332,8 @@ def _points_in(path: Path) -> int:
 
 
 @lru_cache(maxsize=4)
-def _scanner(rig: Path, modified: int, options: Options) -> Scanner:
-    """Made ready once in each process, and again when the rig's file has changed."""
+def _scanner(rig: Path, digest: str, options: Options) -> Scanner:
+    """Made ready once in each process, and again when the rig's file has another digest."""
     return Scanner(
         read_rig(rig),
         options.detector,
@@ -294,29 +358,33 @@ def _decoders() -> int:
     return max(1, 2 * (os.cpu_count() or 1) // at_once - 1)
 
 
-def _outcome(task: Task, future: "Future[Made | str]") -> Outcome:
-    if (error := future.exception()) is not None:
+def _outcome(task: Task, future: "Future[Record | str]") -> Outcome:
+    try:
+        result = future.result()
+    except CancelledError:
+        return Outcome(task, None, f"{task.scan}: the scheduler went away before it was done")
+    except Exception as error:  # noqa: BLE001 - what a cluster says of a worker
         return Outcome(task, None, f"{task.scan}: {type(error).__name__}: {error}")
-    result = future.result()
-    return Outcome(task, None, result) if isinstance(result, str) else Outcome(task, result.points, notes=result.notes)
+    return Outcome(task, None, result) if isinstance(result, str) else Outcome(task, result)
 
 
 @contextmanager
-def _executor(scheduler: str | None) -> Iterator[Executor]:
+def _executor(scheduler: str | None) -> Iterator[tuple[Executor, Callable[[], bool]]]:
+    """Where the scans are reconstructed, and what says whether there is anybody who does."""
     if scheduler is None:
         with ThreadPoolExecutor(_scans_at_once()) as pool:
-            yield pool
+            yield pool, lambda: True
         return
     distributed = extra("cluster")
     from dask.config import set as dask_settings
 
     with dask_settings({"distributed.comm.timeouts.connect": _ANSWER_S}):
         try:
-            client = distributed.Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
+            client: Any = distributed.Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(
                 f"{scheduler}: no Dask scheduler answers within {_ANSWER_S} s ({error}): start one with dask "
                 "scheduler, and give the address that it prints"
             ) from error
     with client, client.get_executor(pure=False, retries=_DEATHS) as executor:
-        yield executor
+        yield executor, lambda: bool(client.scheduler_info(n_workers=-1)["workers"])
