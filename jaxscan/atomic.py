@@ -16,11 +16,18 @@ _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 
 
 @contextlib.contextmanager
-def replacing(path: str | os.PathLike[str], mode: Literal["w", "wb"] = "wb") -> Iterator[IO[Any]]:
+def replacing(
+    path: str | os.PathLike[str], mode: Literal["w", "wb"] = "wb", *, durable: bool = True
+) -> Iterator[IO[Any]]:
     """A file to write to, which takes the place of `path` when the block ends without an error.
 
     Until then it stands in the same folder under a hidden name of its own; after an error it is gone and whatever stood
     at `path` is untouched. A link stays, and what it leads to is replaced. Text is UTF-8 with plain newlines.
+
+    Args:
+        path: the file.
+        mode: text or bytes.
+        durable: whether it must survive a loss of power; a note that is made again need not, and costs less.
 
     Raises:
         InputError: as `check_writable`, or the disk is full.
@@ -31,12 +38,14 @@ def replacing(path: str | os.PathLike[str], mode: Literal["w", "wb"] = "wb") -> 
         with file:
             yield file
             file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                os.fsync(file.fileno())
         try:
             os.replace(beside, target)
         except OSError as error:
             raise _refusal(path, error) from error
-        _sync(target.parent)
+        if durable:
+            _sync(target.parent)
     except OSError as error:
         if error.errno in _DISK_ERRORS:
             raise _refusal(path, error) from error

@@ -182,7 +182,7 @@ def _read(path: Path) -> tuple[bytes, Any] | None:
 def _write(path: Path, kept: tuple[bytes, Any]) -> None:
     content = pickle.dumps(kept)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as file:
+    with replacing(path, durable=False) as file:
         file.write(hashlib.sha256(content).digest() + content)
 
 

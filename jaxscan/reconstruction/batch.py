@@ -17,7 +17,7 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from threading import Event
@@ -302,7 +302,7 @@ def reconstruct_one(
             made_from=digest_of(scan),
             rig=digest,
             options=options.in_json(),
-            version=version("jaxscan"),
+            version=_version(),
             run=run,
             began=datetime.now(UTC).isoformat(timespec="seconds"),
         )
@@ -325,6 +325,11 @@ def reconstruct_one(
         return str(error)
     except Exception as error:  # noqa: BLE001 - what is wrong with one scan must not stop the others
         return f"{task.scan}: unexpected error: {type(error).__name__}: {error}"
+
+
+@cache
+def _version() -> str:
+    return version("jaxscan")
 
 
 def _points_in(path: Path) -> int:

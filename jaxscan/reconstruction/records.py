@@ -70,7 +70,7 @@ class Record:
         Raises:
             InputError: it cannot be written.
         """
-        with replacing(record_path(result), "w") as file:
+        with replacing(record_path(result), "w", durable=False) as file:
             json.dump(asdict(self), file, ensure_ascii=False, indent=1)
 
 
@@ -83,9 +83,10 @@ def read_record(result: Path) -> Record | None:
     """The record of a result; None where there is none that can be read."""
     try:
         content = json.loads(record_path(result).read_bytes())
-        known = {each.name: content[each.name] for each in fields(Record) if each.name in content}
-        return Record(**known | {"notes": tuple(known.get("notes", ()))})
-    except (OSError, ValueError, TypeError):
+        known: dict[str, Any] = {each.name: content[each.name] for each in fields(Record) if each.name in content}
+        known["notes"] = tuple(known["notes"])
+        return Record(**known)
+    except (OSError, ValueError, TypeError, KeyError):
         return None
 
 
