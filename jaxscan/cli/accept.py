@@ -210,9 +210,15 @@ def _changes_in_words(result: dict[str, Any]) -> list[str]:
     for each in result["changes"]:
         known = "" if each["uncertainty"] is None else f" ± {each['uncertainty']:.4f}"
         text = f"  {each['artefact']}, {each['figure']} of {each['of']}: {each['change']:+.4f}{known} mm since "
-        lines.append(text + each["first"][:10] + (": HAS CHANGED" if each["real"] else ""))
+        text += each["first"][:10] + (", by another rig" if each["recalibrated"] else "")
+        lines.append(text + (": HAS CHANGED" if each["real"] else ""))
+        if each["between"]:
+            date, change = each["between"]
+            lines.append(f"    in between, on {date[:10]}, it was {change:+.4f} mm off, which is gone")
     if any(each["real"] for each in result["changes"]):
         lines.append("what has changed is more than noise, places and rig explain: calibrate again, then test again")
+    elif any(each["between"] for each in result["changes"]):
+        lines.append("what was off and is no more: what was scanned meanwhile is as far off; find out what moved")
     elif result["changes"]:
         lines.append("nothing has changed by more than its uncertainty")
     else:

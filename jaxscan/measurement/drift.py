@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as students_t
 
 from jaxscan.measurement.accept import EXPANDED, Acceptance, AcceptanceFigure
@@ -22,14 +23,17 @@ _PLACES: Final = 3
 
 @dataclass(frozen=True)
 class Change:
-    """The change of a figure since the first test.
+    """The change of a figure since the first test by the rig of the last one.
 
     Attributes:
         artefact, figure, of: whose it is.
         first, last: dates.
         change: of the mean error, mm.
         uncertainty: of this, expanded, mm; None where neither a rig's covariance nor three scans tell it.
-        tests: how many there were.
+        tests: how many there were, with both.
+        recalibrated: whether the last test is the only one by its rig: the change is from the test before it, by
+            another rig, and no drift.
+        between: where there was a real change in between that is gone: the date when it was largest, and how large.
     """
 
     artefact: str
@@ -40,11 +44,13 @@ class Change:
     change: float
     uncertainty: float | None
     tests: int
+    recalibrated: bool = False
+    between: tuple[str, float] | None = None
 
     @property
     def real(self) -> bool:
-        """Whether it is more than its uncertainty."""
-        return self.uncertainty is not None and abs(self.change) > self.uncertainty
+        """Whether it is more than its uncertainty, and not another rig's."""
+        return not self.recalibrated and self.uncertainty is not None and abs(self.change) > self.uncertainty
 
 
 def as_test(found: Acceptance, date: str, certificate: str, rig: str | None) -> dict[str, Any]:
@@ -102,28 +108,58 @@ def series(tests: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str, str], lis
 
 
 def changes(tests: Sequence[Mapping[str, Any]]) -> list[Change]:
-    """The change of every figure that was tested twice or more, from its first test to its last."""
+    """The change of every figure that was tested twice or more, in the tests by the rig of the last one."""
     found = []
     for (artefact, figure, of), each in series(tests).items():
         if len(each) < 2:
             continue
-        (first, a), (last, b) = each[0], each[-1]
-        known = a["sigma"] is not None and b["sigma"] is not None
-        variance = sum((row["sigma"] or 0.0) ** 2 for row in (a, b))
-        if first["rig"] != last["rig"] or min(a["scans"], b["scans"]) < _PLACES:
-            variance += sum((row["sigma_rig"] or 0.0) ** 2 for row in (a, b))
-        if first["certificate"] != last["certificate"]:
-            variance += sum((row["uncertainty"] / EXPANDED) ** 2 for row in (a, b))
+        other = [i for i, (test, _) in enumerate(each) if test["rig"] != each[-1][0]["rig"]]
+        own = each[other[-1] + 1 :] if other else each
+        recalibrated = len(own) < 2
+        own = each[-2:] if recalibrated else own
+        since = [_change(own[0], later) for later in own[1:]]
+        change, uncertainty = since[-1]
         found.append(
             Change(
                 artefact,
                 figure,
                 of,
-                first["date"],
-                last["date"],
-                b["mean"] - a["mean"],
-                EXPANDED * float(np.sqrt(variance)) if known else None,
-                len(each),
+                own[0][0]["date"],
+                own[-1][0]["date"],
+                change,
+                uncertainty,
+                len(own),
+                recalibrated,
+                _between(own, since),
             )
         )
     return found
+
+
+def _between(
+    own: Sequence[tuple[Mapping[str, Any], Any]], since: list[tuple[float, float | None]]
+) -> tuple[str, float] | None:
+    """As `Change` has it: more than the uncertainty of its difference from either end."""
+    inner = own[1:-1]
+    back = [_change(each, own[-1]) for each in inner]
+    # The largest of many is beyond a limit for one by chance (Bonferroni).
+    each = (1 - _CONFIDENCE) / 2
+    wider = norm.isf(each / max(len(inner), 1)) / norm.isf(each)
+    real = [
+        (abs(there), test["date"], there)
+        for (test, _), (there, U), (gone, V) in zip(inner, since, back, strict=False)
+        if U is not None and V is not None and abs(there) > wider * U and abs(gone) > wider * V
+    ]
+    return max(real)[1:] if real else None
+
+
+def _change(before: tuple[Mapping[str, Any], Any], after: tuple[Mapping[str, Any], Any]) -> tuple[float, float | None]:
+    """From one test to another, mm, and its expanded uncertainty; None where that is not known."""
+    (first, a), (last, b) = before, after
+    known = a["sigma"] is not None and b["sigma"] is not None
+    variance = sum((row["sigma"] or 0.0) ** 2 for row in (a, b))
+    if first["rig"] != last["rig"] or min(a["scans"], b["scans"]) < _PLACES:
+        variance += sum((row["sigma_rig"] or 0.0) ** 2 for row in (a, b))
+    if first["certificate"] != last["certificate"]:
+        variance += sum((row["uncertainty"] / EXPANDED) ** 2 for row in (a, b))
+    return b["mean"] - a["mean"], EXPANDED * float(np.sqrt(variance)) if known else None

@@ -106,7 +106,7 @@ def drift_report(tests: Sequence[Mapping[str, Any]], found: Sequence[Change]) ->
             each.last[:10],
             f"{each.change:+.4f}",
             "" if each.uncertainty is None else f"{each.uncertainty:.4f}",
-            "changed" if each.real else "",
+            "changed" if each.real else f"was {each.between[1]:+.4f} on {each.between[0][:10]}" if each.between else "",
         )
         for each in found
     )

@@ -152,6 +152,39 @@ def test_drift_is_named_only_where_it_is_more_than_its_uncertainty(artefact):
     assert changes(tests[:1]) == []
 
 
+def history(*tests: tuple[float, str]) -> list[dict]:
+    """Tests of one figure: its mean error, mm, and the rig, day by day."""
+    row = {"figure": "distance", "of": "l-r", "uncertainty": 0.01, "limit": 0.1}
+    row |= {"sigma": 0.003, "sigma_rig": 0.01, "scans": 3}
+    common = {"artefact": "plate", "certificate": "c"}
+    return [
+        {**common, "date": f"2026-01-{day:02}", "rig": rig, "figures": [{**row, "mean": mean, "worst": mean}]}
+        for day, (mean, rig) in enumerate(tests, 1)
+    ]
+
+
+def test_a_change_counts_from_the_last_calibration():
+    """A scanner that was calibrated anew was told to calibrate again for ever."""
+    (found,) = changes(history((0.3, "a"), *[(0.0, "b")] * 5))
+    assert (found.real, found.change, found.tests, found.first) == (False, 0.0, 5, "2026-01-02")
+    (found,) = changes(history((0.0, "a"), (0.0, "a"), (0.3, "b")))
+    assert (found.real, found.recalibrated, found.tests) == (False, True, 2)
+    (found,) = changes(history((0.3, "a"), (0.0, "b"), (0.1, "b")))
+    assert (found.real, found.recalibrated) == (True, False)
+
+
+def test_what_was_off_in_between_is_said():
+    (found,) = changes(history((0.0, "a"), (0.1, "a"), (0.2, "a"), (0.001, "a")))
+    assert not found.real
+    assert found.between == ("2026-01-03", 0.2)
+    for still in (history((0.0, "a"), (0.2, "a"), (0.2, "a")), history((0.0, "a"), (0.002, "a"), (0.0, "a"))):
+        assert changes(still)[0].between is None
+    # Of many tests one is far off by chance.
+    random = np.random.default_rng(0)
+    alarms = [changes(history(*((random.normal(0, 0.003), "a") for _ in range(30))))[0].between for _ in range(200)]
+    assert sum(alarm is not None for alarm in alarms) <= 10
+
+
 @pytest.mark.parametrize(("share", "verdict"), [(0.03, "conforming"), (0.2, "not conforming")])
 def test_points_in_the_air_are_of_the_form(artefact, share, verdict):
     """A fifth of the points is up to 3 mm off: the fit leaves them out, and the form must not."""
