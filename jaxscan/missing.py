@@ -28,6 +28,10 @@ def no_such_file(path: Path, what: str = "file") -> InputError:
         )
     if path.is_dir():
         return InputError(f"{path}: is a folder, and a file is needed: name one: {_there(path)}")
+    if path.is_symlink():
+        return InputError(
+            f"{path}: is a link to {path.readlink()}, which is not there: copy the {what}, or link it again"
+        )
     folder = path.parent
     if not folder.is_dir():
         whole = next((each for each in folder.parents if each.is_dir()), Path())

@@ -69,3 +69,10 @@ def test_points_are_made_of_a_scan_first(folder: Path, words: str, capsys: pytes
 def test_a_name_without_its_ending_is_completed(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["mesh", "cup", "-o", "x.stl"]) == 2
     assert "did you mean cup.npz or cup.ply?" in capsys.readouterr().err
+
+
+def test_a_link_to_nothing(tmp_path: Path) -> None:
+    """Its own name was suggested in its place."""
+    (tmp_path / "rig.json").symlink_to("nowhere.json")
+    said = str(no_such_file(tmp_path / "rig.json"))
+    assert said.endswith("rig.json: is a link to nowhere.json, which is not there: copy the file, or link it again")

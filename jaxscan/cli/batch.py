@@ -1,6 +1,8 @@
 """`jaxscan batch`: every scan of a tree to points."""
 
 import argparse
+import errno
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,6 +15,9 @@ from jaxscan.extras import extra
 if TYPE_CHECKING:
     from jaxscan.reconstruction.batch import Task
     from jaxscan.reconstruction.records import Record
+
+# After this number of scans in a row that found no room no other is begun.
+_FULL_IN_A_ROW: Final = 4
 
 HELP: Final = "reconstruct every scan of a tree, here or on a cluster, and go on where it stopped"
 EXAMPLE: Final = "jaxscan batch scans --rig rig.json -o clouds"
@@ -102,13 +107,17 @@ def _reconstructed(args: argparse.Namespace, log: "Log") -> None:
 
     to_do = [task for task in log.tree.tasks if args.again or task.name not in log.kept]
     log.kept -= {task.name for task in to_do}
-    elsewhere, at_work = args.scheduler is not None, set[str]()
+    elsewhere, at_work, full = args.scheduler is not None, set[str](), 0
     with progress("reconstructing scans", len(to_do), "scan", elsewhere, at_work) as advance:
         for outcome in run_batch(to_do, args.rig, log.options, args.scheduler, at_work):
             log.add(outcome)
             if outcome.record is None:
                 say(f"jaxscan: {outcome.reason}")
             advance(1)
+            full = full + 1 if os.strerror(errno.ENOSPC) in outcome.reason else 0
+            if full == _FULL_IN_A_ROW:
+                say("jaxscan: the disk is full: the scans that are left wait for the same command once more")
+                break
 
 
 def _in_json(task: "Task", record: "Record") -> dict[str, Any]:

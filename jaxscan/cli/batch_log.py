@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from jaxscan.errors import InputError
+
 if TYPE_CHECKING:
     from jaxscan.reconstruction.batch import Options, Outcome, Tree
     from jaxscan.reconstruction.records import Record
@@ -72,15 +74,15 @@ class Log:
             self.write()
 
     def write(self) -> None:
-        """Write the table, a line for each scan.
-
-        Raises:
-            InputError: it cannot be written.
-        """
+        """Write the table, a line for each scan; where that cannot be, as on a full disk, it is said."""
+        from jaxscan.cli.progress import say
         from jaxscan.files.measured_csv import write_lines
 
         lines = [self._line(name) for name in dict.fromkeys([*(task.name for task in self.tree.tasks), *self.failed])]
-        write_lines(self.path, _HEADS, lines)
+        try:
+            write_lines(self.path, _HEADS, lines)
+        except InputError as error:
+            say(f"jaxscan: warning: {error}")
         self._written = time.monotonic()
 
     def _line(self, name: str) -> list[object]:

@@ -156,6 +156,9 @@ def find_tasks(scans: Path, out: Path, ending: str = ".ply") -> Tree:
             refused.append((in_text(name), f"{in_text(str(folder))}: its name is no text (UTF-8): rename the folder"))
             continue
         task = Task(name, folder / SCAN_FILE, out / f"{name}{ending}")
+        if not task.scan.is_file():
+            refused.append((name, f"{task.scan}: is no plain file, or a link to none: copy it there again"))
+            continue
         # Many disks take names for the same that differ in capitals alone.
         other = taken.setdefault(str(task.output).casefold(), task)
         if other is not task:

@@ -277,6 +277,17 @@ def test_a_name_that_is_no_text_fails_alone(tree, capsys):
     assert "its name is no text (UTF-8): rename the folder" in result["failed"][0]["reason"]
 
 
+def test_a_pipe_in_place_of_a_scan_is_not_waited_for(tree, capsys):
+    """It stood in the way of all others until the program gave up."""
+    for name, make in (("pipe", os.mkfifo), ("link", lambda path: path.symlink_to("nowhere"))):
+        (tree / "scans" / name).mkdir()
+        make(tree / "scans" / name / "scan.toml")
+    assert command(tree, "--json") == 1
+    reasons = {one["scan"]: one["reason"] for one in json.loads(capsys.readouterr().out)["failed"]}
+    assert set(reasons) == {"cups/2", "pipe", "link"}
+    assert reasons["pipe"].endswith("pipe/scan.toml: is no plain file, or a link to none: copy it there again")
+
+
 def test_what_a_killed_batch_left_unfinished_is_deleted(tree):
     (tree / "out" / "cups").mkdir(parents=True)
     left = [tree / "out" / "cups" / ".1.ply.0123abcd.part", tree / "out" / ".dish.ply.json.0123abcd.part"]
