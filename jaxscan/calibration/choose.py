@@ -5,7 +5,7 @@ that is not followed, a stage that is no line) is found without another solve, a
 session which needs no term pays for none. A term that is found is solved for, and replaces the simpler model where
 the other photographs predict each one better with it than without: −2 log of the density has to fall by more than two
 of its standard errors, from photograph to photograph. Both are solved on the same observations, those that the richer
-model keeps.
+model keeps. A photograph of which it keeps too few corners for a pose is not compared.
 
 Where the corners' start shows that they are so far off the axis that only a fisheye sees them, it begins with one:
 what is solved with another lens there says nothing (docs/decisions/0047).
@@ -81,7 +81,7 @@ def calibrate_by_evidence(
     for _ in range(_MOST):
         best = None
         for proposals in _proposals(found, model, fixed):
-            tried = [_tried(each, why, model, found, solved) for each, why in proposals]
+            tried = [_tried(each, why, model, found, observations, solved) for each, why in proposals]
             best = _best(tried)
             trials += [each.trial(model, each is best) for each in tried]
             if best is not None:
@@ -179,7 +179,8 @@ class _Tried:
     Attributes:
         model: it.
         why: what asked for it.
-        falls: by how much −2 log of the density falls with it, photograph by photograph; empty where it has no result.
+        falls: by how much −2 log of the density falls with it, for each of `Observations.photographs`; NaN where one of
+            both models does without the photograph, or where it has no result.
         result: its calibration, where there is one.
         refused: why there is none, in words.
     """
@@ -197,20 +198,38 @@ class _Tried:
 
     def trial(self, simpler: Model, taken: bool) -> Trial:
         """The model with the reason for it, and how much better it predicts."""
-        count = len(self.falls)
-        gain = float(self.falls.mean()) if count else np.nan
-        error = float(self.falls.std(ddof=1)) / count**0.5 if count else np.nan
+        known = self.falls[np.isfinite(self.falls)]
+        count = len(known)
+        gain = float(known.mean()) if count else np.nan
+        error = float(known.std(ddof=1)) / count**0.5 if count else np.nan
         return Trial(self.model, self.model.beyond(simpler), self.why, gain, error, taken, self.refused)
 
 
-def _tried(model: Model, why: str, simpler: Model, found: Calibration, solved: Callable[..., Calibration]) -> _Tried:
+def _tried(
+    model: Model,
+    why: str,
+    simpler: Model,
+    found: Calibration,
+    observations: Observations,
+    solved: Callable[..., Calibration],
+) -> _Tried:
     """A model, held against a simpler one, with which was found what is found, on what it keeps itself."""
     try:
         rich = solved(model)
-        poor = found if _same(rich.kept, found.kept) else solved(simpler, keep=rich.kept)
+        same = _same(rich.kept, found.kept)
+        poor = found if same else solved(simpler, keep=rich.kept)
     except (InputError, ObservabilityError, SolveError) as error:
-        return _Tried(model, why, np.zeros(0), None, str(error))
-    return _Tried(model, why, poor.held_out - rich.held_out, rich)
+        return _Tried(model, why, np.full(len(observations.photographs()), np.nan), None, str(error))
+    compared = observations if same else observations.only(rich.kept)
+    return _Tried(model, why, _held_out(poor, compared) - _held_out(rich, observations), rich)
+
+
+def _held_out(found: Calibration, given: Observations) -> Float[np.ndarray, "photographs"]:
+    """What the others predict of each photograph that was given; NaN where a solve does without it."""
+    _, enough = with_enough_corners(given)
+    held_out = np.full(len(enough), np.nan)
+    held_out[np.flatnonzero(enough)[found.observations.in_order()]] = found.held_out
+    return held_out
 
 
 def _same(a: Sequence[InlierMask], b: Sequence[InlierMask]) -> bool:
@@ -232,4 +251,5 @@ def _best(tried: Sequence[_Tried]) -> _Tried | None:
 
 def _falls(by: Float[np.ndarray, "photographs"]) -> bool:
     """Whether something falls by more than chance from photograph to photograph explains."""
+    by = by[np.isfinite(by)]
     return len(by) > 1 and float(by.mean()) > _STANDARD_ERRORS * float(by.std(ddof=1)) / len(by) ** 0.5

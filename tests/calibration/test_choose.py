@@ -13,6 +13,8 @@ from jaxscan.calibration.model import Choice, Trial
 
 PLAIN = Model(lights=("plane",))
 session = cache(drawn_session)
+# As many corners of the board as a pose needs; the last one is near the middle.
+_CORNERS = [0, 8, 31, 45, 53, 22]
 
 
 def chosen(observations, **asked):
@@ -73,6 +75,18 @@ def test_a_model_that_cannot_be_solved_is_passed_over_with_the_reason():
     assert "usable views of the board" in trial.refused
     assert trial.of == "board warp"
     assert result.choice.as_data()["trials"][0]["gain"] is None
+
+
+def test_a_photograph_of_which_the_richer_model_keeps_too_few_corners_is_not_compared():
+    observations = session("bowed", 3)
+    view = observations.views[0]
+    # One of them is 4 px off: without it the view is left out.
+    few = np.full_like(view.corners, np.nan)
+    few[_CORNERS] = view.corners[_CORNERS]
+    few[_CORNERS[-1]] += 4.0
+    result = chosen(replace(observations, views=(replace(view, corners=few), *observations.views[1:])))
+    assert result.kept[0].corners.sum() < len(_CORNERS)
+    assert result.choice.model == replace(PLAIN, lights=("bowed",))
 
 
 def test_words():
