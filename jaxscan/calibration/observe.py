@@ -29,12 +29,13 @@ from jaxscan.images import (
 from jaxscan.images.board import LEAST_POINTS
 from jaxscan.images.light import no_bell
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
+from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.images.stripes.other_colour import colour_that_shows
 from jaxscan.rig.stripe_way import STEEP, across_note
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
-# Photographs in which other colours are tried.
+# Photographs that are asked whether they have colours, and in which other colours are tried.
 _TRIED = 3
 
 
@@ -65,10 +66,15 @@ def observe(
         detector: how the stripe's centre is measured.
 
     Raises:
-        InputError: a photograph that cannot be read, a board that is found in none of them, or an unknown detector.
+        InputError: a photograph that cannot be read, a board that is found in none of them, an unknown detector, or
+            photographs of a coloured laser that have no colours.
         StalledError: the search in one of them did not end in time.
     """
     check_detector(detector)
+    for laser in session.lasers:
+        lit = [path for path in _lit(session, laser) if path is not None]
+        if lit:
+            check_colours(map(read_image, lit[:_TRIED]), laser.color, lit[0])
 
     def view(index: int) -> _Photograph:
         path, stripes = session.views.boards[index], session.views.stripes
@@ -205,8 +211,8 @@ def _in_another_colour(session: Session, photographs: Sequence[_Photograph], vie
         own = [stripe for view in views for stripe in view.stripes if stripe.laser == i]
         if not own or any(np.isfinite(stripe.pixels).any() for stripe in own):
             continue
-        lit = session.views.boards if session.views.stripes is None else session.views.stripes[laser.name]
-        with_board = [path for path, seen in zip(lit, photographs, strict=True) if seen.found is not None and path]
+        lit = zip(_lit(session, laser), photographs, strict=True)
+        with_board = [path for path, seen in lit if seen.found is not None and path]
         shown = colour_that_shows(map(read_image, with_board[:_TRIED]), laser)
         if shown is not None:
             notes.append(
@@ -246,6 +252,11 @@ def _once(
             once.append(replace(photograph, found=None))
             repeated.append(f"{photograph.name}: a copy of {name}, which counts once")
     return once, repeated
+
+
+def _lit(session: Session, laser: StripeSettings) -> Sequence[Path | None]:
+    """For each view the photograph in which a laser is on."""
+    return session.views.boards if session.views.stripes is None else session.views.stripes[laser.name]
 
 
 def _usual_sigma(found: Sequence[BoardView]) -> float:

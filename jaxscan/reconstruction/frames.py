@@ -9,6 +9,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
+from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import islice
 from operator import index
@@ -25,6 +26,7 @@ from jaxscan.files.scan import Scan
 from jaxscan.images import read_image, read_video
 from jaxscan.images.decode import Image
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
+from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.rig import Positions
 
 # This number of buffers is filled while others are measured.
@@ -81,9 +83,14 @@ def frames_of_scan(
         kept: the last `kept` of the `Frames` that were given out stay as they are.
 
     Raises:
-        InputError: a photograph cannot be read or is unlike the others, or there are more or fewer than step counts.
+        InputError: a photograph cannot be read or is unlike the others, there are more or fewer than step counts, or
+            those of a coloured laser have no colours.
     """
-    return _of_video(scan, size, kept) if scan.video is not None else _of_files(scan, size, decoders, kept)
+    with closing(_of_video(scan, size, kept) if scan.video else _of_files(scan, size, decoders, kept)) as read:
+        for number, some in enumerate(read):
+            if not number:
+                check_colours(some.images[: len(some.positions)], scan.laser.color, scan.video or scan.frames[0])
+            yield some
 
 
 def with_positions(frames: object) -> Iterator[tuple[Image, Positions]]:

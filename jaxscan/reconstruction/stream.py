@@ -27,6 +27,7 @@ from jaxscan.images.decode import Image
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
+from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
 from jaxscan.reconstruction.light_watch import LightWatch
@@ -193,8 +194,8 @@ class Scanner:
                 waits, and a batch of two at the least.
 
         Raises:
-            InputError: a photograph is not of the rig's size, or unlike the first, or its positions are not those of
-                the rig's axes.
+            InputError: a photograph is not of the rig's size, or unlike the first, its positions are not those of
+                the rig's axes, or those of a coloured laser have no colours.
         """
         settings = laser or StripeSettings()
         ready = self._laser(settings)
@@ -218,7 +219,9 @@ class Scanner:
         self.notes, self.left_out = [], {}
         first, looked, played = None, False, {axis: Runs() for axis in played_axes(self._content.rig.motion)}
         for some, axes in frames_of(with_positions(frames), background, self._content.rig.camera.image_size, batch):
-            first = some.positions[0] if first is None else first
+            if first is None:
+                first = some.positions[0]
+                check_colours(some.images[: len(some.positions)], settings.color, "frame 0")
             moved = (some.positions != first).any(axis=0)
             moving = [axis for axis, each in zip(axes, moved, strict=True) if each and not is_detail(axis)]
             check_axes(self._content.rig, moving, axes, "frames:")

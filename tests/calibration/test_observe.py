@@ -161,6 +161,17 @@ def test_corners_as_opencv_gives_them() -> None:
         View("a", np.zeros((54, 2, 2)))
 
 
+def test_three_equal_channels_are_no_colours(folder: Path) -> None:
+    image = cv2.imread(str(folder / "board.png"))
+    image[118:123] = 250
+    cv2.imwrite(str(folder / "equal.png"), image)
+    (folder / "session.toml").write_text(
+        "[board]\ninner_corners = [5, 4]\nsquare_mm = 10\n[views]\nboards = ['equal.png']\n[laser]\ncolor = 'blue'\n"
+    )
+    with pytest.raises(InputError, match=r'equal\.png: .*the laser\'s colour is blue: write color = "grey"'):
+        observe(read_session(folder))
+
+
 def test_a_detector_that_there_is_not_is_named_before_any_work(folder: Path) -> None:
     with pytest.raises(InputError, match='no detector "steger": use one of likelihood, gravity'):
         observe(read_session(folder), detector="steger")

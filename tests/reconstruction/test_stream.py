@@ -249,6 +249,16 @@ def test_a_stripe_of_another_colour_than_was_said_is_pointed_out(rig, photograph
     assert all('set color = "red"' in note for note in scanner.notes)
 
 
+@pytest.mark.parametrize("color", ["red", "blue"])
+def test_three_equal_channels_are_no_colours(rig, photographs, tmp_path, color):
+    images = np.repeat(photographs[..., None], 3, axis=-1)
+    laser = StripeSettings(color)
+    with pytest.raises(InputError, match=rf'000\.png: .*laser\'s colour is {color}: write color = "grey"'):
+        reconstruct(rig, replace(scan_of(tmp_path, images, ".png"), laser=laser))
+    with pytest.raises(InputError, match=r'frame 0: red, green and blue are equal in every pixel.* color = "grey"'):
+        next(Scanner(rig, "gravity").frames([(images[0], 0)], laser))
+
+
 def test_photographs_in_memory_are_a_range_image(rig, photographs, whole):
     counted: list[int] = []
     frames = ((photograph, 1000 * i) for i, photograph in enumerate(photographs))
