@@ -84,6 +84,41 @@ def test_the_background_comes_in_the_same_scale_and_is_never_full():
     assert (merged[5:8] == 65535).all()
 
 
+def striped(bright: float = 16000.0) -> np.ndarray:
+    """A dim scene with a stripe that is full in the longer exposures, and flanks."""
+    irradiance = np.full((320, 320), 20.0)
+    irradiance[100:140] += bright * np.exp(-0.5 * (np.arange(-20, 20) / 6) ** 2)[:, None]
+    return irradiance
+
+
+@pytest.mark.parametrize("black", [6, 30])
+@pytest.mark.parametrize("background", [False, True])
+def test_a_black_level_is_no_light(black, background):
+    """Of the merged photograph only that part is left which noise needs, the same everywhere."""
+
+    def at(irradiance):
+        lit = exposed(irradiance, noise=1.0).astype(int) + black
+        return lit.clip(0, 255).astype(np.uint8)
+
+    light, dim = striped(), striped(0.0)
+    merged, dark = merge_exposures(at(light), TIMES, at(dim) if background else None)
+    expected = light / 100 + black / 16
+    usual = np.abs(np.asarray(merged)[100:140] / SCALE - expected[100:140]).mean(axis=1)
+    assert (usual < 0.06 * expected[100:140, 0]).all()
+    np.testing.assert_allclose(np.asarray(merged)[:90].mean() / SCALE, 0.2 + black / 16, atol=0.03)
+    if dark is not None:
+        np.testing.assert_allclose(np.asarray(dark).mean() / SCALE, 0.2 + black / 16, atol=0.03)
+
+
+def test_a_black_level_excuses_neither_wrong_times_nor_a_gamma():
+    frames = exposed(striped(), (0.01, 0.04), noise=1.0)
+    with pytest.raises(InputError, match="exposed 16 times as long"):
+        merge_exposures(frames + np.uint8(20), (0.01, 0.16))
+    curved = np.rint(255 * (frames / 255) ** 0.45).astype(np.uint8) // 2 + np.uint8(20)
+    with pytest.raises(InputError, match="no gamma"):
+        merge_exposures(curved, (0.01, 0.04))
+
+
 FLAT = np.full((2, 80, 80), 50, np.uint8)
 
 
@@ -94,7 +129,7 @@ FLAT = np.full((2, 80, 80), 50, np.uint8)
         (FLAT, (0.1, 0.0), "longer than 0"),
         (FLAT, (0.1, float("nan")), "longer than 0"),
         (FLAT.astype(np.float32), (0.1, 0.2), "float32"),
-        (FLAT, (0.1, 0.4), "no gamma"),
+        (FLAT, (0.1, 0.4), r"is 1 times as bright \(50 and 50 grey levels .*no gamma.* its black level"),
     ],
 )
 def test_bad_exposures_are_refused_in_words(frames, times, says):
