@@ -8,6 +8,7 @@ from jaxtyping import Float, UInt
 
 from jaxscan.files.listing import gap_in_numbers
 from jaxscan.files.scan import Scan
+from jaxscan.images.dark_frame import is_dark_frame
 from jaxscan.images.decode import read_image
 from jaxscan.images.stripe_settings import StripeSettings
 from jaxscan.images.stripes.brightest import brighter_color
@@ -62,8 +63,11 @@ def gap_notes(scan: Scan) -> list[str]:
 
 
 def background_notes(rig: Rig, scan: Scan) -> list[str]:
-    """What is said of one laser-off photograph that is subtracted from photographs of an object that moves."""
-    if len(scan.backgrounds) != 1 or object_stands(rig, scan):
+    """What is said of one laser-off photograph that is subtracted from photographs of an object that moves.
+
+    Nothing where it is a dark frame, which shows no object.
+    """
+    if len(scan.backgrounds) != 1 or object_stands(rig, scan) or is_dark_frame(read_image(scan.backgrounds[0])):
         return []
     return [
         f"{scan.backgrounds[0].name} is subtracted from all frames, but the object moves, and where it stood in that "
