@@ -37,6 +37,7 @@ from jaxscan.reconstruction.overlapping import overlapping
 from jaxscan.reconstruction.pose_notes import check_poses, pose_notes
 from jaxscan.reconstruction.pose_sigma import PoseSigma
 from jaxscan.reconstruction.range_image import RangeImage
+from jaxscan.reconstruction.repeat_watch import RepeatWatch
 from jaxscan.reconstruction.scan_checks import check_axes, check_lines, check_scan, way_notes
 from jaxscan.reconstruction.scan_colours import object_stands, own_colours
 from jaxscan.reconstruction.scan_notes import (
@@ -261,7 +262,8 @@ class Scanner:
         kept = self._at_once if passage is None else 1
         read = frames_of_scan(longer, rig.camera.image_size, self._decoders, kept)
         read = to_close.enter_context(closing(read))
-        batches = self._batches(longer, read, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
+        repeats = RepeatWatch()
+        batches = self._batches(longer, repeats.over(read), halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
             found = laser.middles(self._stripes(laser, longer, batches, notes), apart)
@@ -276,9 +278,10 @@ class Scanner:
                 watch.see(stripe[here])
                 counts = np.bincount(stripe[here].verdict.ravel(), minlength=len(Verdict))
             yield image[here, :], counts
+        notes += repeats.notes(longer.frames)
 
     def _batches(
-        self, scan: Scan, read: Iterator[Frames], halo: int, advance: Callable[[int], object]
+        self, scan: Scan, read: Iterable[Frames], halo: int, advance: Callable[[int], object]
     ) -> Iterator[Frames]:
         """What is read; the exposures of a step merged; neighbours in time at hand: each where it is asked for."""
         read = _told(read, advance)

@@ -309,7 +309,7 @@ def test_laser_and_background_are_for_photographs_in_memory(rig, photographs, tm
 def test_notes_of_two_scans_at_once_are_not_mixed(rig, photographs, tmp_path):
     short = np.where(np.arange(photographs.shape[2]) < 32, photographs, 20)
     coloured = np.stack([short, 20 + 0.3 * short, np.full(short.shape, 20)], axis=-1).astype(np.uint8)
-    wrong = replace(scan_of(tmp_path, np.repeat(coloured, 4, axis=0), ".png"), laser=StripeSettings("green"))
+    wrong = replace(scan_of(tmp_path, np.concatenate([coloured] * 4), ".png"), laser=StripeSettings("green"))
     right = replace(wrong, laser=StripeSettings("red"))
     scanner = Scanner(rig, "gravity")
     first, second = scanner.scan(wrong), scanner.scan(right)
