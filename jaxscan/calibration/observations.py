@@ -34,6 +34,7 @@ class StripePoints:
         odd: whether its cross-section is no bell, all along it.
         light: read noise, gain, speckle contrast and saturation of the photograph, where there was a detector.
         widths: full width of the stripe at half its height at each, px, where there was a detector.
+        black: which part of the pixels beside it is 0.
     """
 
     pixels: Float[np.ndarray, "points 2"]
@@ -45,6 +46,7 @@ class StripePoints:
     odd: bool = False
     light: Float[np.ndarray, "4"] | None = None
     widths: Float[np.ndarray, "points"] | None = None
+    black: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -227,7 +227,8 @@ def _no_bell(lasers: Sequence[StripeSettings], views: Sequence[View]) -> list[st
     notes = []
     for i, laser in enumerate(lasers):
         found = [stripe for view in views for stripe in view.stripes if stripe.laser == i]
-        said = no_bell([stripe.odd for stripe in found if np.isfinite(stripe.pixels).any()], "photographs")
+        seen = [stripe for stripe in found if np.isfinite(stripe.pixels).any()]
+        said = no_bell([stripe.odd for stripe in seen], [stripe.black for stripe in seen], "photographs")
         if said is not None:
             notes.append(f"the {_stripe_of(laser)}: its {said}")
     return notes
@@ -306,8 +307,8 @@ def stripe_points(
     half = 0.5 * float(np.median(known)) + _SMEAR_PX if known.size else _SMEAR_PX
     sigmas = np.asarray(stripe.sigma, np.float64).ravel()
     brighter = brighter_color(image, pixels, settings)
-    odd, light = bool(stripe.odd[0]), stripe.light[0]
-    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter, odd, light, widths)
+    odd, light, black = bool(stripe.odd[0]), stripe.light[0], float(stripe.black()[0])
+    return StripePoints(pixels, settings.columns, laser, half, sigmas, brighter, odd, light, widths, black)
 
 
 def _sequence(

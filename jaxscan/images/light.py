@@ -18,6 +18,8 @@ from jaxtyping import Float32
 LIGHT: Final = ("read_noise", "gain", "speckle_contrast", "saturation")
 # What a stripe is, is said where at least this part of the photographs shows it.
 _MANY = 0.5
+# Where more than this part of the pixels beside a stripe is 0, something was probably cut off there.
+_MANY_BLACK = 1 / 3
 
 
 @dataclass(frozen=True)
@@ -52,19 +54,23 @@ class Light:
         return f"read noise {self.read_noise:.3g} grey levels, {gain}, {speckle}, full from {self.saturation:.0f} on"
 
 
-def no_bell(odd: Sequence[bool], photographs: str) -> str | None:
+def no_bell(odd: Sequence[bool], black: Sequence[float], photographs: str) -> str | None:
     """What is said of a stripe whose cross-section is no bell in at least half of the photographs.
 
     Args:
         odd: in which of those that have a stripe, as `Stripe` has it.
+        black: which part of the pixels beside it is 0, in each of them.
         photographs: what they are called.
     """
     count = sum(odd)
     if not count or count < _MANY * len(odd):
         return None
+    cut = float(np.median(black))
+    level = "raise a black level that cuts off what is dark"
+    first, later = (f"{level} ({cut:.0%} of the pixels are 0), ", "") if cut > _MANY_BLACK else ("", f"{level}, ")
     return (
         f"cross-section is not bell-shaped, all along it, in {count} of {len(odd)} {photographs}: its place may be "
         "off, by the same amount everywhere, which a calibration with this laser takes up, and σ is not to be trusted: "
-        "too large, of a burnt-out stripe perhaps too small: focus camera and laser, clean lens and laser, dim a "
-        "burnt-out line, or use a laser of a single mode"
+        f"too large, of a burnt-out stripe perhaps too small: {first}focus camera and laser, clean lens and laser, dim "
+        f"a burnt-out line, switch off a gamma curve in the camera, {later}or use a laser of a single mode"
     )

@@ -38,6 +38,7 @@ class LightWatch:
     def __init__(self) -> None:
         self._correlation: list[float] = []
         self._odd: list[bool] = []
+        self._black: list[float] = []
         self._mosaic: list[bool] = []
         self._full: list[float] = []
         # By how much levels and stripe rise from the frame before, in logarithms; NaN where it cannot be determined.
@@ -65,6 +66,7 @@ class LightWatch:
         shown = stripe.valid.any(axis=1)
         self._correlation += stripe.correlation[shown].tolist()
         self._odd += stripe.odd[shown].tolist()
+        self._black += stripe.black()[shown].tolist()
         self._mosaic += stripe.mosaic[shown].tolist()
         if self._before is not None:
             level, strength = (
@@ -125,7 +127,7 @@ class LightWatch:
         ]
 
     def _profile(self) -> list[str]:
-        said = no_bell(self._odd, "frames")
+        said = no_bell(self._odd, self._black, "frames")
         return [] if said is None else [f"the stripe's {said}"]
 
     def _colours(self) -> list[str]:

@@ -137,14 +137,18 @@ def test_a_stripe_of_another_colour_is_pointed_out() -> None:
 def test_a_stripe_that_is_no_bell_is_pointed_out() -> None:
     lasers = [StripeSettings(name="upper"), StripeSettings(name="lower")]
 
-    def notes(*odd: bool) -> list[str]:
-        stripes = [StripePoints(np.zeros((1, 2)), laser=1, odd=one) for one in odd]
+    def notes(*odd: bool, black: float = 0.0) -> list[str]:
+        stripes = [StripePoints(np.zeros((1, 2)), laser=1, odd=one, black=black) for one in odd]
         unseen = StripePoints(np.full((1, 2), np.nan), laser=1)
         return _no_bell(lasers, [View("0", np.zeros((4, 2)), None, (s, unseen)) for s in stripes])
 
     assert notes() == notes(False) == notes(True, False, False) == []
     (note,) = notes(True, False, True)
     assert note.startswith("the stripe of laser lower: its cross-section is not bell-shaped, all along it, in 2 of 3")
+    assert "too small: focus camera and laser, " in note
+    assert "switch off a gamma curve in the camera, raise a black level that cuts off what is dark, or" in note
+    (note,) = notes(True, black=0.6)
+    assert "too small: raise a black level that cuts off what is dark (60% of the pixels are 0), focus" in note
 
 
 def test_the_circles_radius_is_given_or_that_of_most_photographs():

@@ -49,6 +49,10 @@ class Stripe:
         """Some of the frames; by their numbers, in any order."""
         return Stripe(*(getattr(self, f.name)[some] for f in fields(self)))
 
+    def black(self) -> Float[np.ndarray, "frames"]:
+        """Which part of each frame's `surroundings` is 0."""
+        return (self.surroundings == 0).mean(axis=(1, 2))
+
     @staticmethod
     def joined(parts: "Sequence[Stripe]") -> "Stripe":
         """The frames of several, in their order."""
