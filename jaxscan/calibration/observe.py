@@ -27,6 +27,7 @@ from jaxscan.images import (
     shows_second_board,
 )
 from jaxscan.images.board import LEAST_POINTS
+from jaxscan.images.exposures import full_number
 from jaxscan.images.light import no_bell
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.colourless import check_colours
@@ -35,6 +36,9 @@ from jaxscan.rig.stripe_way import STEEP, across_note
 
 # The stripe's centre is taken from what exceeds half its height; the lens smears the edge of a square by this (px).
 _SMEAR_PX = 1.0
+# A photograph is nearly black where the levels of most of its pixels, from one quantile to another, end below this part
+# of a full one and differ by less than that.
+_FROM_TO, _DARKEST, _LEAST_CONTRAST = (0.05, 0.95), 0.1, 0.01
 # Photographs that are asked whether they have colours, and in which other colours are tried.
 _TRIED = 3
 
@@ -344,7 +348,8 @@ def _not_found(session: Session, photographs: Sequence[_Photograph], what: str) 
     if photographs and len(missing) == len(photographs):
         raise InputError(
             f"the {board.kind} of {columns} x {rows} points was found in none of {len(photographs)} {what}s "
-            f"({missing[0]} … {missing[-1]}): {_mistaken(session) or _CHECK}"
+            f"({missing[0]} … {missing[-1]}): "
+            + (_mistaken(session) or _nearly_black(session.path.parent / missing[0]) or _CHECK)
         )
     return [f"{name}: the board of {columns} x {rows} points was not found" for name in missing]
 
@@ -373,3 +378,12 @@ def _mistaken(session: Session) -> str | None:
         if own[0] is not None and shows_checkerboard((columns, rows), read_image(own[0])):
             return f"it is in {own[0]}, a photograph of the stripe: exchange boards and stripes"
     return None
+
+
+def _nearly_black(path: Path) -> str | None:
+    """What is said of a photograph in which hardly anything is brighter than the rest but what a laser lights."""
+    image = read_image(path)
+    dark, bright = np.quantile(image, _FROM_TO) / full_number(int(image.max()), image.dtype)
+    if bright > _DARKEST or bright - dark > _LEAST_CONTRAST:
+        return None
+    return f"{path} is nearly black: photograph the board with a lamp"
