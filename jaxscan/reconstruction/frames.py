@@ -192,9 +192,14 @@ class _Form:
 
 def wrong_size(path: Path | str, size: tuple[int, int], expected: tuple[int, int]) -> str:
     """What is said of a photograph of another size than the rig's."""
+    smaller = (
+        "; for a region of the same sensor set image_size in a copy of rig.json, and subtract the region's first "
+        "column and row from principal; for binned pixels calibrate again"
+    )
     return (
         f"{path}: the photograph has {size[0]} x {size[1]} pixels, the rig was calibrated with "
         f"{expected[0]} x {expected[1]}: use the rig of this camera, at the size it was calibrated for"
+        + (smaller if size[0] <= expected[0] and size[1] <= expected[1] else "")
     )
 
 

@@ -9,6 +9,7 @@ from jaxscan.errors import InputError
 from jaxscan.files.axes import StepRule
 from jaxscan.files.scan import Scan
 from jaxscan.images import StripeSettings
+from jaxscan.reconstruction.frames import wrong_size
 from jaxscan.reconstruction.scan_checks import check_scan, way_notes
 from jaxscan.rig import Rotary
 from jaxscan.simulation import rig_2003
@@ -107,3 +108,14 @@ def test_a_table_whose_steps_are_wide(rig):
     coarse = replace(rig, motion=Rotary.create([0.0, 0.0, 0.3], [0.0, 0.0, 300.0]))
     (note,) = way_notes(coarse, scan(turntable=tuple(range(20))))
     assert note.endswith("take one every 10 degrees or fewer")
+
+
+def test_photographs_of_a_part_of_the_sensor_are_refused_with_the_way_to_read_them():
+    def said(size: tuple[int, int]) -> str:
+        return wrong_size("000.png", size, (1024, 768))
+
+    assert "000.png: the photograph has 1024 x 512 pixels, the rig was calibrated with 1024 x 768: " in said(
+        (1024, 512)
+    )
+    assert "subtract the region's first column and row from principal; for binned pixels" in said((512, 384))
+    assert said((2048, 700)).endswith("at the size it was calibrated for")
