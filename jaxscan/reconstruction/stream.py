@@ -30,6 +30,7 @@ from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
+from jaxscan.reconstruction.hot_pixels import HotPixels
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.order_watch import OrderWatch
@@ -262,8 +263,11 @@ class Scanner:
         kept = self._at_once if passage is None else 1
         read = frames_of_scan(longer, rig.camera.image_size, self._decoders, kept)
         read = to_close.enter_context(closing(read))
-        repeats = RepeatWatch()
-        batches = self._batches(longer, repeats.over(read), halo, _at_most(advance, len(scan.frames) or sys.maxsize))
+        repeats, hot = RepeatWatch(), HotPixels(scan.laser.columns)
+        seen = repeats.over(read)
+        # A laser-off photograph has them too.
+        seen = seen if scan.backgrounds else hot.over(seen)
+        batches = self._batches(longer, seen, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
             found = laser.middles(self._stripes(laser, longer, batches, notes), apart)
@@ -278,7 +282,7 @@ class Scanner:
                 watch.see(stripe[here])
                 counts = np.bincount(stripe[here].verdict.ravel(), minlength=len(Verdict))
             yield image[here, :], counts
-        notes += repeats.notes(longer.frames)
+        notes += repeats.notes(longer.frames) + hot.notes()
 
     def _batches(
         self, scan: Scan, read: Iterable[Frames], halo: int, advance: Callable[[int], object]

@@ -109,9 +109,9 @@ def test_a_symmetric_lens_of_another_kind_has_the_kernel_of_a_radial_one():
         camera = as_numpy(Camera.create((640, 480), [697.7, 690.4], [310.3, 228.1], "division", [-0.13]))
     u, v = (jnp.full((1, 7), x) for x in (300.0, 100.0))
     triangulate(Kernel.create(rig_with("radial1")), still(1), u, v)
-    before = triangulate._cache_size()
+    before = triangulate.jitted._cache_size()
     triangulate(Kernel.create(replace(rig_with("radial1"), camera=camera)), still(1), u, v)
-    assert triangulate._cache_size() == before
+    assert triangulate.jitted._cache_size() == before
 
 
 def test_a_lens_that_is_not_smooth_is_refused():
@@ -151,9 +151,9 @@ def test_a_lens_that_folds_back_inside_the_image_has_points_up_to_the_fold():
 def test_another_rig_does_not_compile_again():
     u, v = (jnp.full((1, 7), x) for x in (300.0, 100.0))
     triangulate(Kernel.create(rig_with("radial1")), still(1), u, v)
-    before = triangulate._cache_size()
+    before = triangulate.jitted._cache_size()
     triangulate(Kernel.create(rig_with("radial1", radial=[-0.13])), still(1), u, v)
-    assert triangulate._cache_size() == before
+    assert triangulate.jitted._cache_size() == before
 
 
 TURNED = Rotary.create([0.0, 2e-3, 1e-4], [3.0, 4.0, 300.0])
