@@ -27,7 +27,9 @@ from jaxscan.images import (
     shows_second_board,
 )
 from jaxscan.images.board import LEAST_POINTS
+from jaxscan.images.decode import Image
 from jaxscan.images.exposures import full_number
+from jaxscan.images.hot_pixels import HOT_FRAMES, HotPixels
 from jaxscan.images.light import no_bell
 from jaxscan.images.stripes.brightest import brighter_color, miscoloured
 from jaxscan.images.stripes.colourless import check_colours
@@ -80,17 +82,19 @@ def observe(
         if lit:
             check_colours(map(read_image, lit[:_TRIED]), laser.color, lit[0])
 
+    hot = _hot_pixels(session)
+
     def view(index: int) -> _Photograph:
         path, stripes = session.views.boards[index], session.views.stripes
         lit = [path if stripes is None else stripes[laser.name][index] for laser in session.lasers]
-        return _Photograph(_name(session, path), *_look(path, session, lit, detector))
+        return _Photograph(_name(session, path), *_look(path, session, lit, detector, hot))
 
     def along(sequence: StageImages, index: int) -> _Photograph:
         path = sequence.images[index]
         lit = [
             sequence.stripes[laser.name][index] if laser.name in sequence.stripes else None for laser in session.lasers
         ]
-        return _Photograph(_name(session, path), *_look(path, session, lit, detector))
+        return _Photograph(_name(session, path), *_look(path, session, lit, detector, hot))
 
     def looked_at(look: Callable[[Any], _Photograph], paths: Sequence[Path], each: Iterable[Any]) -> list[_Photograph]:
         seen = []
@@ -127,7 +131,7 @@ def observe(
             "of them and take these photographs again"
         )
     notes += [note for said in (_across, _miscoloured, _no_bell) for note in said(session.lasers, views)]
-    notes += _in_another_colour(session, photographs, views)
+    notes += _in_another_colour(session, photographs, views) + hot.notes()
     if session.board.half_turn_ambiguous:
         columns, rows = session.board.counts
         notes.append(
@@ -279,10 +283,16 @@ def _radius(board: Board, found: Sequence[BoardView]) -> float:
 
 
 def _look(
-    path: Path, session: Session, lit: Sequence[Path | None], detector: Detector
+    path: Path, session: Session, lit: Sequence[Path | None], detector: Detector, hot: HotPixels
 ) -> tuple[BoardView | None, tuple[StripePoints, ...], bool]:
     """Corners and stripes of one pose, of each laser from the photograph in which it is on; is there a second board?"""
-    image = read_image(path)
+
+    def read(path: Path) -> Image:
+        image = read_image(path)
+        hot.correct(image[None])
+        return image
+
+    image = read(path)
     found = find_board(session.board, image)
     if found is None:
         return None, (), False
@@ -290,8 +300,21 @@ def _look(
     for i, (laser, own) in enumerate(zip(session.lasers, lit, strict=True)):
         if own is not None:
             with error_context(path):
-                stripes.append(stripe_points(image if own == path else read_image(own), laser, i, detector))
+                stripes.append(stripe_points(image if own == path else read(own), laser, i, detector))
     return found, tuple(stripes), _second(session.board, image, found)
+
+
+def _hot_pixels(session: Session) -> HotPixels:
+    """Those of the camera, by photographs of the board, which stands elsewhere in each."""
+    hot = HotPixels(session.lasers[0].columns if session.lasers else True)
+    along = [path for sequence in session.sequences.values() for path in sequence.images]
+    paths = [*session.views.boards, *along][:HOT_FRAMES]
+    if not paths or read_image(paths[0]).ndim != 2:
+        return hot
+    images = [read_image(path) for path in paths]
+    if len({image.shape for image in images}) == 1:
+        hot.correct(np.stack(images))
+    return hot
 
 
 def _second(board: Board, image: np.ndarray, found: BoardView | None) -> bool:

@@ -24,13 +24,13 @@ from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan
 from jaxscan.images import Stripe, StripeSettings, detect_stripe
 from jaxscan.images.decode import Image
+from jaxscan.images.hot_pixels import HotPixels
 from jaxscan.images.stripes.batch import FRAMES_AT_ONCE
 from jaxscan.images.stripes.brightest import miscoloured
 from jaxscan.images.stripes.coherent import HALO
 from jaxscan.images.stripes.colourless import check_colours
 from jaxscan.images.stripes.validity import Verdict
 from jaxscan.reconstruction.frames import Frames, frames_of, frames_of_scan, with_positions
-from jaxscan.reconstruction.hot_pixels import HotPixels
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.reconstruction.merged_steps import merged_steps, step_groups
 from jaxscan.reconstruction.order_watch import OrderWatch
@@ -266,7 +266,7 @@ class Scanner:
         repeats, hot = RepeatWatch(), HotPixels(scan.laser.columns)
         seen = repeats.over(read)
         # A laser-off photograph has them too.
-        seen = seen if scan.backgrounds else hot.over(seen)
+        seen = seen if scan.backgrounds else _corrected(seen, hot)
         batches = self._batches(longer, seen, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
@@ -459,6 +459,12 @@ def _at_most(advance: Callable[[int], object], most: int) -> Callable[[int], obj
         left -= min(by, left)
 
     return told
+
+
+def _corrected(read: Iterable[Frames], hot: HotPixels) -> Iterator[Frames]:
+    for some in read:
+        hot.correct(some.images[: len(some.positions)])
+        yield some
 
 
 def _told(frames: Iterable[Frames], advance: Callable[[int], object]) -> Iterator[Frames]:

@@ -83,6 +83,30 @@ def test_a_copy_on_the_stage_counts_once_and_one_among_the_views_does_not_count(
     assert [view.name for view in found.views] == ["held.png"]
 
 
+def test_hot_pixels_of_the_camera_are_left_out(tmp_path: Path) -> None:
+    """They made the stripe of a rig twice as noisy, and its own advice was a brighter one."""
+    random = np.random.default_rng(0)
+    places = tuple(random.integers(0, (240, 320), (40, 2)).T)
+    for name, level in (("clean", 0), ("hot", 230)):
+        (tmp_path / name).mkdir()
+        for i in range(9):
+            corners = np.add([[40, 40], [280, 50], [270, 210], [50, 200]], (3 * i, 2 * i))
+            H = render.homography([[-10, -10], [50, -10], [50, 40], [-10, 40]], corners)
+            image = render.photograph(render.checkerboard((5, 4), 10.0), H, (240, 320), noise=1.0, seed=i) * 0.3
+            image[118:123] += 120 * np.exp(-0.5 * ((np.arange(5) - 2) / 1.2)[:, None] ** 2)
+            image[places] = np.maximum(image[places], level)
+            cv2.imwrite(str(tmp_path / name / f"{i}.png"), image.clip(0, 255).astype(np.uint8))
+        (tmp_path / name / "session.toml").write_text(
+            "[board]\ninner_corners = [5, 4]\nsquare_mm = 10\n[views]\nboards = '*.png'\n[laser]\ncolor = 'grey'\n"
+        )
+    clean, hot = (observe(read_session(tmp_path / name), detector="gravity") for name in ("clean", "hot"))
+    assert not any("hot pixels" in note for note in clean.notes)
+    assert sum("hot pixels of the sensor" in note for note in hot.notes) == 1
+    pairs = zip(clean.views, hot.views, strict=True)
+    off = [view.stripes[0].pixels[:, 1] - other.stripes[0].pixels[:, 1] for view, other in pairs]
+    assert np.nanmean(np.abs(off)) < 0.005
+
+
 def test_the_stripe_is_looked_for_where_the_session_says_so(folder: Path) -> None:
     """In a photograph of its own, or in that of the board; where nothing is said of it nothing is looked for."""
     image = cv2.imread(str(folder / "board.png"))

@@ -1,21 +1,19 @@
-"""Pixels that are bright in every photograph of a scan, whatever moves: hot ones of the sensor, left out of each.
+"""Pixels that are bright in every photograph, whatever moves: hot ones of the sensor, left out of each.
 
 A lens spreads each point of a scene over its neighbours too, so a pixel that stands out alone is the sensor's. It is
 given the mean of the two beside it along the stripe, by which no profile across the stripe is smoothed. Only grey
 photographs show it: where colours are interpolated, a hot pixel is spread over its neighbours as a point is.
 """
 
-from collections.abc import Iterable, Iterator
 from typing import Final
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, UInt
 
-from jaxscan.reconstruction.frames import Frames
-
 # Photographs that are looked at, and the fewest that say something.
-_FRAMES, _FEWEST = 16, 8
+HOT_FRAMES: Final = 16
+_FEWEST = 8
 # A pixel is hot that stands out by this part of the stripe's height, that of this quantile of the lines, and of which
 # no neighbour has this part; they are worth a note from this number of them in a million on.
 _PART, _LINES, _BESIDE = 1 / 3, 0.75, 0.15
@@ -37,32 +35,22 @@ class HotPixels:
         self._hot: tuple[np.ndarray, np.ndarray] | None = None
         self._size = 0
 
-    def over(self, frames: Iterable[Frames]) -> Iterator[Frames]:
-        """The frames of a scan without them, in the same memory."""
-        for some in frames:
-            images = some.images[: len(some.positions)]
-            if images.ndim == 3:
-                if self._hot is None:
-                    self._find(images)
-                self.correct(images)
-            yield some
-
-    def _find(self, images: UInt[np.ndarray, "frames rows columns"]) -> None:
-        hot = hot_pixels(images[:_FRAMES], self._columns)
-        row, column = np.nonzero(hot)
-        self._hot, self._size = (row, column), hot.size
-
-    def correct(self, images: UInt[np.ndarray, "frames rows columns"]) -> None:
-        """Give those that were found the mean of their neighbours, in place."""
-        if self._hot is None or not len(self._hot[0]):
+    def correct(self, images: UInt[np.ndarray, "frames rows columns *rgb"]) -> None:
+        """Give those of the first photographs that came the mean of their neighbours, in place."""
+        if images.ndim != 3:
             return
+        if self._hot is None:
+            hot = hot_pixels(images[:HOT_FRAMES], self._columns)
+            row, column = np.nonzero(hot)
+            self._hot, self._size = (row, column), hot.size
         row, column = self._hot
+        if not len(row):
+            return
         along = column if self._columns else row
         last = images.shape[2 if self._columns else 1] - 1
         before, after = np.where(along > 0, along - 1, 1), np.where(along < last, along + 1, last - 1)
         sides = [(row, beside) if self._columns else (beside, column) for beside in (before, after)]
-        mean = (images[:, *sides[0]].astype(np.uint32) + images[:, *sides[1]] + 1) // 2
-        images[:, row, column] = mean
+        images[:, row, column] = (images[:, *sides[0]].astype(np.uint32) + images[:, *sides[1]] + 1) // 2
 
     def notes(self) -> list[str]:
         """What is said of them."""
@@ -73,8 +61,8 @@ class HotPixels:
         return [
             f"{count} pixels ({share:.0f} in a million) are bright in every photograph, each by itself: hot pixels of "
             "the sensor; they are taken for the mean of the pixels beside them. Those that are less bright stay, and "
-            "σ does not know of them: take a photograph with the lens covered and name it as background in scan.toml, "
-            "or switch on the camera's correction of defective pixels"
+            "σ does not know of them: switch on the camera's correction of defective pixels, expose for less time, or "
+            "name a photograph with the lens covered as background in scan.toml"
         ]
 
 

@@ -6,8 +6,8 @@ import pytest
 from jaxscan.files.rig_file import RigFile
 from jaxscan.files.scan import Scan, write_scan
 from jaxscan.images import StripeSettings, write_image
+from jaxscan.images.hot_pixels import HotPixels, hot_pixels
 from jaxscan.reconstruction import RangeImage, Scanner
-from jaxscan.reconstruction.hot_pixels import HotPixels, hot_pixels
 from tests.reconstruction.small import COLUMNS, ROWS, small_rig, wavy_stripe
 
 PLACES = tuple(np.random.default_rng(1).integers(0, (ROWS, COLUMNS), (12, 2)).T)
@@ -41,7 +41,6 @@ def test_they_have_the_mean_of_their_neighbours_along_the_stripe(columns: bool) 
     if not columns:
         clean, images = (np.ascontiguousarray(each.swapaxes(1, 2)) for each in (clean, images))
     watch = HotPixels(columns)
-    watch._find(images)
     watch.correct(images)
     changed = np.argwhere((images != clean).any(axis=0))
     assert all(tuple(at) in {(0, 0), (clean.shape[1] - 1, clean.shape[2] - 1), (40, 40)} for at in changed)
