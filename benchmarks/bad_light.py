@@ -16,6 +16,7 @@ from scipy.special import ndtr
 from benchmarks.metric import Metric
 from benchmarks.shaken import moved, smeared
 from jaxscan.images import Stripe, StripeSettings, detect_stripe
+from jaxscan.images.hot_pixels import HOT_FRAMES, HotPixels
 from jaxscan.reconstruction.light_watch import LightWatch
 from jaxscan.simulation.laser_profiles import LASER_PROFILES, bells
 
@@ -24,6 +25,8 @@ _ROWS, _COLUMNS, _GROUND, _HEIGHT = 192, 960, 40.0, 160.0
 # Stripe's σ in px, noise in grey levels, contrast of the speckle.
 _CASES: Final = ((1.0, 3.0, 0.0), (2.0, 3.0, 0.0), (1.5, 6.0, 0.0), (1.5, 3.0, 0.2))
 _LARGER: Final = 1.5
+# Parts of the pixels that are hot.
+_HOT: Final = (0.0, 1e-4, 5e-4, 1e-3)
 
 Image = UInt[np.ndarray, "rows columns"]
 Levels = Float[np.ndarray, "rows columns"]
@@ -32,7 +35,7 @@ Levels = Float[np.ndarray, "rows columns"]
 def measure(quick: bool) -> list[Metric]:
     """σ over the scatter under each filter, of each laser profile, of boards in a hand; what is said of all these."""
     count = 2 if quick else 8
-    return smoothed(count) + profiles(count) + said() + smeared(quick) + moved(quick)
+    return smoothed(count) + hot_pixels() + profiles(count) + said() + smeared(quick) + moved(quick)
 
 
 def _jpeg(quality: int) -> Callable[[Image], Image]:
@@ -87,6 +90,38 @@ def smoothed(count: int) -> list[Metric]:
         if name.startswith(("jpeg", "mean", "none")):
             metrics.append(Metric(f"bad_light.{name}.said_to_be_smoothed", alike, "", "lower", 0.0))
     return metrics
+
+
+def hot_pixels() -> list[Metric]:
+    """Scatter and σ over it where some pixels of the sensor are hot, as they come and with those that are found out."""
+    s, noise, contrast = _CASES[-1]
+    print(f"  hot pixels, stripe of σ {s:g} px, speckle {contrast:g}: scatter px (σ over it) as they come; left out")
+    metrics = []
+    for share in _HOT:
+        random = np.random.default_rng(7)
+        levels = [np.roll(_speckled(s, contrast, random), i, axis=0) for i in range(HOT_FRAMES)]
+        hot = random.random(levels[0].shape) < share
+        # From a tenth of the stripe's height to three times it.
+        extra = hot * _HEIGHT * 10 ** random.uniform(-1, 0.5, hot.shape)
+        photographs = np.stack([_photograph(each + extra, noise, random) for each in levels])
+        corrected = photographs.copy()
+        HotPixels(columns=True).correct(corrected)
+        cells = ""
+        for name, images in (("as_they_come", photographs), ("left_out", corrected)):
+            stripe = detect_stripe(images, _GREY)
+            off = stripe.position - _centre(np.arange(_COLUMNS)) - np.arange(HOT_FRAMES)[:, None]
+            scatter = float(np.nanstd(off))
+            ratio = float(np.sqrt(np.nanmean(stripe.sigma**2))) / scatter
+            cells += f"{scatter:9.3f} ({ratio:.2f})"
+            goal = {"better": "lower", "target": 1.18, "floor": 0.05} if name == "left_out" else {}
+            stem = f"bad_light.hot_{1e6 * share:.0f}_ppm.{name}"
+            metrics += [Metric(f"{stem}.scatter", scatter, "px"), Metric(f"{stem}.sigma_off", _off(ratio), "", **goal)]
+        print(f"    {1e6 * share:5.0f} in a million{cells}", flush=True)
+    return metrics
+
+
+def _off(ratio: float) -> float:
+    return float(np.exp(abs(np.log(ratio))))
 
 
 def profiles(count: int) -> list[Metric]:
