@@ -119,7 +119,8 @@ class Compiled:
         if not plain or any(isinstance(leaf, Tracer) for leaf in arrays):
             return self.jitted(*args, **kwargs)
         rest = tuple(_ARRAY if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
-        form = _Form(static, tree, rest, tuple(map(jax.typeof, arrays)), jax.config.values["jax_enable_x64"])
+        x64 = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+        form = _Form(static, tree, rest, tuple(map(jax.typeof, arrays)), x64)
         if form not in self._ready:
             with self._preparing:
                 if form not in self._ready:
@@ -133,7 +134,8 @@ class Compiled:
         """The program for what has this form; None where it cannot be kept."""
         name = self._function.__name__
         words = repr((self._function.__module__, name, *form[:1], str(form.tree), *form[2:], _settings()))
-        if _BY_PLACE in words:  # a function, for one: its name does not say what it does
+        # Of a function, for one, its name does not say what it does. Several devices share work as the arrays say.
+        if _BY_PLACE in words or jax.device_count() > 1:
             return None
         path = folder / f"{name}-{hashlib.sha256(_source() + words.encode()).hexdigest()}.program"
         kept = _read(path)
@@ -154,7 +156,7 @@ class Compiled:
         return _Ready(jax.jit(program), jax.tree.structure(back))
 
     def _lowered(self, form: _Form) -> tuple[bytes, Any] | None:
-        """The program, and the tree that it gives, with numbers for leaves; None where it gives more than arrays."""
+        """The program, and the tree that it gives, with numbers for leaves; None where it cannot be written."""
         shape: Any = None
 
         def flat(*arrays: jax.Array) -> list[jax.Array]:
@@ -162,7 +164,11 @@ class Compiled:
             out, shape = jax.tree.flatten(self._function(**form.with_arrays(arrays)))
             return out if all(isinstance(leaf, _ARRAYS) for leaf in out) else []
 
-        exported = jax.export.export(jax.jit(flat))(*form.avals)
+        try:
+            exported = jax.export.export(jax.jit(flat))(*form.avals)
+        except (ValueError, NotImplementedError):  # of a device's own functions JAX promises nothing from day to day
+            return None
+        # More than arrays came back.
         if len(exported.out_avals) != shape.num_leaves:
             return None
         return bytes(exported.serialize()), jax.tree.unflatten(shape, range(shape.num_leaves))

@@ -125,6 +125,15 @@ def test_what_cannot_be_told_by_its_words_is_not_kept(tmp_path: Path) -> None:
     assert not list((tmp_path / "kept").glob("*.program"))
 
 
+def test_several_devices_share_work_as_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
+    body = "from jax.sharding import PartitionSpec as P\n"
+    body += "x = jax.device_put(np.arange(4.0), jax.NamedSharding(jax.make_mesh((2,), ('a',)), P('a')))\n"
+    body += 'out, _ = raised(Pair(x, "of x")); print(np.asarray(out.a).tolist(), len(out.a.devices()))'
+    for _ in range(2):
+        assert said(tmp_path, body) == ["traced", "[0.0, 1.0, 4.0, 9.0] 2"]
+
+
 def test_within_another_function_it_is_a_part_of_that(tmp_path: Path) -> None:
     inside = 'print(jax.jit(lambda x: raised(Pair(x, ""), power=3)[1]["sum"])(x))'
     assert said(tmp_path, inside) == ["traced", "9.0"]
