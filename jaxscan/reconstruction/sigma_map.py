@@ -84,7 +84,7 @@ class SigmaMap(eqx.Module):
         lines, length = (width, height) if columns else (height, width)
         across = chebyshev.chebvander(2 * np.arange(lines) / (lines - 1) - 1, degree)
         maps = np.einsum("li,ijm->jml" if columns else "lj,ijm->iml", across, fitted)
-        return SigmaMap(*(jnp.asarray(x, jnp.float32) for x in (maps, length, S[np.ix_(at, at)])))
+        return SigmaMap(*(jnp.asarray(np.asarray(x, np.float32)) for x in (maps, length, S[np.ix_(at, at)])))
 
 
 class MovedFrames(eqx.Module):

@@ -62,7 +62,8 @@ class Kernel(eqx.Module):
             lens_inverse(camera),
             jax.tree.map(lambda leaf: np.tile(np.asarray(leaf), 3), nameless(rig.light(light))),
         )
-        return Kernel(*jax.tree.map(lambda array: jnp.asarray(array, dtype), arrays), chart=camera.chart)
+        # NumPy converts them: JAX would load a program for each shape.
+        return Kernel(*jax.tree.map(lambda array: jnp.asarray(np.asarray(array, dtype)), arrays), chart=camera.chart)
 
     def with_lights(self, lights: Sequence[Light]) -> "Kernel":
         """The same camera, and a light that stands elsewhere in each frame.
@@ -113,7 +114,7 @@ class FramePoses(eqx.Module):
             moved = motion.pose({axis: np.asarray(steps, np.float64) for axis, steps in q.items()}).inverse()
             A, b = np.asarray(moved.matrix()), np.asarray(moved.translation)
         A, b = np.broadcast_to(A, (frames, 3, 3)), np.broadcast_to(b, (frames, 3))
-        return FramePoses(jnp.asarray(A, dtype), jnp.asarray(b, dtype))
+        return FramePoses(jnp.asarray(A.astype(dtype)), jnp.asarray(b.astype(dtype)))
 
 
 @compiled()

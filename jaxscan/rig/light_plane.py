@@ -101,7 +101,7 @@ class LightPlane(Readable):
                 "the laser must stand beside the camera; calibrate again, with the board tilted and at several "
                 "distances"
             )
-        if not np.any(self.inverse_depth(rays) > 0):
+        if not np.any(np.asarray(self.inverse_depth(rays)) > 0):
             return "plane", (
                 "no pixel sees the light plane (ω · x is nowhere positive, so the sheet lies behind the camera): "
                 "check its sign; ω · X = 1 on the sheet, with z forward"

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxscan.kept_programs import compiled
 from jaxscan.precision import Leaf
 from jaxscan.rig import growing
 from jaxscan.rig.lens import solve2
@@ -155,6 +156,7 @@ def undistort(radial: Coefficients, tangential: Coefficients, xd: Float[Array, "
     return xd * _radial_scale(radial, xd @ xd) if radial else xd
 
 
+@compiled(filtered=True)
 def invertible_radius(radial: Coefficients, dtype: Any) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Where the distorted radius r s(r²) stops growing: the undistorted radius there, and the distorted one.
 
