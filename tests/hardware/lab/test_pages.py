@@ -338,9 +338,11 @@ class Mortal:
         # What no other process has on its command line; the processes that serve this one name their type.
         mark = f"--mortal={uuid4()}"
         self.started = launch(browser.browser_type, mark)
-        listed = subprocess.run(["ps", "-ww", "-eo", "pid=,args="], capture_output=True, text=True, check=True).stdout
-        lines = [line.split(maxsplit=1) for line in listed.splitlines()]
-        (self.pid,) = (int(pid) for pid, args in lines if mark in args and " --type=" not in args)
+        listed = subprocess.run(["ps", "-ww", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True)
+        lines = [line.split(maxsplit=2) for line in listed.stdout.splitlines()]
+        own = {int(pid): int(parent) for pid, parent, args in lines if mark in args and " --type=" not in args}
+        # One that has just been forked still has its parent's command line.
+        (self.pid,) = (pid for pid, parent in own.items() if parent not in own)
 
     def kill(self) -> None:
         """Kill it, with no time for a word."""
