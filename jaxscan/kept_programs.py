@@ -100,6 +100,8 @@ class Compiled:
 
     def __init__(self, function: Callable[..., Any], static: tuple[str, ...], filtered: bool) -> None:
         self._function, self._static, self._filtered = function, static, filtered
+        # As with `jax.jit`, plain numbers among its arguments are no less free than arrays.
+        self._free: tuple[type, ...] = _ARRAYS if filtered else (*_ARRAYS, bool, int, float)
         self.jitted: Any = eqx.filter_jit(function) if filtered else jax.jit(function, static_argnames=static)
         self._signature = inspect.signature(function)
         self._ready: dict[_Form, _Ready | None] = {}
@@ -114,11 +116,11 @@ class Compiled:
         given.apply_defaults()
         static = tuple((name, given.arguments.pop(name)) for name in self._static)
         leaves, tree = jax.tree.flatten(dict(given.arguments))
-        arrays = [leaf for leaf in leaves if isinstance(leaf, _ARRAYS)]
+        arrays = [leaf for leaf in leaves if isinstance(leaf, self._free)]
         plain = len(arrays) == len(leaves) or self._filtered
         if not plain or any(isinstance(leaf, Tracer) for leaf in arrays):
             return self.jitted(*args, **kwargs)
-        rest = tuple(_ARRAY if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
+        rest = tuple(_ARRAY if isinstance(leaf, self._free) else leaf for leaf in leaves)
         x64 = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
         form = _Form(static, tree, rest, tuple(map(jax.typeof, arrays)), x64)
         if form not in self._ready:

@@ -120,6 +120,14 @@ def test_numbers_that_are_static_are_told_apart(tmp_path: Path) -> None:
     assert said(tmp_path, words.format(2.0)) == ["[0.0, 2.0, 4.0]"]
 
 
+def test_plain_numbers_are_free(tmp_path: Path) -> None:
+    """As they are for `jax.jit`: another one needs no other program."""
+    by = 'print(np.asarray(raised(Pair(x, ""), by={})[0].a).tolist())'
+    assert said(tmp_path, by.format(1)) == ["traced", "[1.0, 2.0, 5.0]"]
+    assert said(tmp_path, by.format(2) + "; " + by.format(3)) == ["[2.0, 3.0, 6.0]", "[3.0, 4.0, 7.0]"]
+    assert said(tmp_path, by.format(2.5)) == ["traced", "[2.5, 3.5, 6.5]"]
+
+
 def test_what_cannot_be_told_by_its_words_is_not_kept(tmp_path: Path) -> None:
     """Two functions may have one name; and words that come back are in no program."""
     words = 'print(np.asarray(scaled(Pair(x, ""), lambda a: {}).a).tolist())'
