@@ -84,7 +84,7 @@ def smoothed(count: int) -> list[Metric]:
             alike += int(np.count_nonzero(stripe.correlation))
             cells += f"{ratios[-1]:11.2f} ({np.median(stripe.correlation):.2f})"
         print(f"    {name:14}{cells}", flush=True)
-        off = float(np.exp(np.abs(np.log(ratios)).max()))
+        off = _off(*ratios)
         goal = {"better": "lower", "target": 1.18, "floor": 0.05} if name in _LINEAR else {}
         metrics.append(Metric(f"bad_light.{name}.sigma_off", off, "", **goal))
         if name.startswith(("jpeg", "mean", "none")):
@@ -120,8 +120,9 @@ def hot_pixels() -> list[Metric]:
     return metrics
 
 
-def _off(ratio: float) -> float:
-    return float(np.exp(abs(np.log(ratio))))
+def _off(*ratios: float) -> float:
+    """The furthest of them from 1, as a factor."""
+    return float(np.exp(np.abs(np.log(ratios)).max()))
 
 
 def profiles(count: int) -> list[Metric]:

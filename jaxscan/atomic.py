@@ -5,7 +5,7 @@ import errno
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -13,6 +13,9 @@ from jaxscan.errors import InputError
 
 # What writing to a full or failing disk reports; any other error inside the block is the caller's own.
 _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+
+# How the names of files and folders end that are being written.
+_UNFINISHED = ".part"
 
 
 @contextlib.contextmanager
@@ -54,6 +57,18 @@ def replacing(
         beside.unlink(missing_ok=True)
 
 
+def clear_unfinished(paths: Iterable[Path]) -> None:
+    """Delete what `replacing` has left beside files whose process was killed; nobody may be writing them now."""
+    names: dict[Path, set[str]] = {}
+    for path in paths:
+        names.setdefault(path.parent, set()).add(path.name)
+    for folder, own in names.items():
+        for left in folder.glob(f".*{_UNFINISHED}"):
+            if left.name.removeprefix(".").removesuffix(_UNFINISHED).rpartition(".")[0] in own:
+                with contextlib.suppress(OSError):
+                    left.unlink()
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder, and those above it, where they are missing.
 
@@ -76,7 +91,7 @@ def replacing_folders(folder: Path) -> Iterator[Path]:
         InputError: the folder cannot be made.
     """
     made = not folder.exists()
-    beside = folder / f".{secrets.token_hex(4)}.part"
+    beside = folder / f".{secrets.token_hex(4)}{_UNFINISHED}"
     try:
         beside.mkdir(parents=True)
     except OSError as error:
@@ -113,7 +128,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 def _opened_beside(path: str | os.PathLike[str], mode: Literal["w", "wb"]) -> tuple[Path, IO[Any]]:
     """Where `path` leads, and an empty file in the same folder, under a hidden name of its own."""
     target = Path(os.path.realpath(path))
-    beside = target.parent / f".{target.name}.{secrets.token_hex(4)}.part"
+    beside = target.parent / f".{target.name}.{secrets.token_hex(4)}{_UNFINISHED}"
     try:
         if target.is_dir():
             raise InputError(f"{path}: cannot be written, it is a folder: name a file in it")

@@ -309,9 +309,10 @@ def _hot_pixels(session: Session) -> HotPixels:
     hot = HotPixels(session.lasers[0].columns if session.lasers else True)
     along = [path for sequence in session.sequences.values() for path in sequence.images]
     paths = [*session.views.boards, *along][:HOT_FRAMES]
-    if not paths or read_image(paths[0]).ndim != 2:
+    first = read_image(paths[0]) if paths else None
+    if first is None or first.ndim != 2:
         return hot
-    images = [read_image(path) for path in paths]
+    images = [first, *map(read_image, paths[1:])]
     if len({image.shape for image in images}) == 1:
         hot.correct(np.stack(images))
     return hot

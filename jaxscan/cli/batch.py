@@ -6,11 +6,12 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jaxscan.cli.batch_log import TABLE, Log, some
+from jaxscan.cli.batch_log import TABLE, Log, notes_in_words
 from jaxscan.cli.batch_measured import measured_in_words, measured_scans
 from jaxscan.cli.detector_options import add_choice_argument, add_depths_argument, add_detector_argument, depths_of
 from jaxscan.errors import InputError
 from jaxscan.extras import extra
+from jaxscan.missing import listed
 
 if TYPE_CHECKING:
     from jaxscan.reconstruction.batch import Task
@@ -129,10 +130,6 @@ def describe(result: dict[str, Any]) -> str:
     """The result in words."""
     kept, failed = result["kept"], result["failed"]
     there = [*result["done"], *result["there"]]
-    of_notes: dict[str, list[str]] = {}
-    for one in there:
-        for note in one["notes"]:
-            of_notes.setdefault(note, []).append(one["scan"])
     bare = [f"{one['scan']} {one['empty']} of {one['frames']}" for one in there if one["empty"]]
     return "\n".join(
         [
@@ -142,8 +139,8 @@ def describe(result: dict[str, Any]) -> str:
             *(f"  {one['scan']}: {one['reason']}" for one in failed),
             *measured_in_words(result),
             *(["run the same command again to try these again"] if failed else []),
-            *([f"photographs without a point: {some(bare)}"] if bare else []),
-            *(f"note: {some(scans)}: {note}" for note, scans in of_notes.items()),
+            *([f"photographs without a point: {listed(bare, 'and')}"] if bare else []),
+            *notes_in_words(there),
             *(f"warning: {warning}." for warning in result["warnings"]),
             f"each scan has a line in {result['table']}",
         ]

@@ -1,12 +1,13 @@
 """What came of each scan of a batch, as it comes: kept as a table that other programs read, `batch.csv`."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from jaxscan.errors import InputError
+from jaxscan.missing import listed
 
 if TYPE_CHECKING:
     from jaxscan.reconstruction.batch import Options, Outcome, Tree
@@ -15,15 +16,20 @@ if TYPE_CHECKING:
 TABLE: Final = "batch.csv"
 # The table is written again after this long while the batch goes on, s.
 _AGAIN_S: Final = 15.0
-# This number of names stands for all of a long list.
-_NAMED: Final = 3
 _HEADS: Final = ("scan", "state", "points", "frames", "empty", "seconds", "made", "version", "notes", "reason")
 
 
-def some(names: Sequence[str]) -> str:
-    """The first of them, and how many more there are."""
-    more = len(names) - _NAMED
-    return ", ".join(names) if more <= 1 else f"{', '.join(names[:_NAMED])} and {more} more"
+def notes_in_words(scans: Iterable[Mapping[str, Any]]) -> list[str]:
+    """A line for each note, with the scans that have it.
+
+    Args:
+        scans: of each its name under `scan`, and its `notes`.
+    """
+    names: dict[str, list[str]] = {}
+    for one in scans:
+        for note in one["notes"]:
+            names.setdefault(note, []).append(one["scan"])
+    return [f"note: {listed(each, 'and')}: {note}" for note, each in names.items()]
 
 
 @dataclass

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxscan.cli.batch_log import Log, some
+from jaxscan.cli.batch_log import Log, notes_in_words
 from jaxscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def measured_scans(out: Path, rig: Path, part: "Part", log: Log) -> dict[str, An
         part: what is measured.
         log: of the batch.
     """
-    from jaxscan.cli.progress import progress, say
+    from jaxscan.cli.progress import progress, say, step
     from jaxscan.files.measured_csv import write_scans_csv
 
     by = _digest_of(part)
@@ -52,12 +52,10 @@ def measured_scans(out: Path, rig: Path, part: "Part", log: Log) -> dict[str, An
                     log.failed[task.name] = f"not measured: {'; '.join(known['failed'])}"
             advance(1)
     log.write()
-    problems = dict(log.failed)
     rows = {scan: known["dimensions"] for scan, known in found.items()}
     written = [str(out / "measured.csv")]
-    write_scans_csv(out / "measured.csv", rows, problems)
+    write_scans_csv(out / "measured.csv", rows, log.failed)
     if find_spec("matplotlib") is not None and part.dimensions and rows:
-        from jaxscan.cli.progress import step
         from jaxscan.view.measured_part import control_charts
 
         step("drawing control charts")
@@ -76,18 +74,16 @@ def measured_in_words(result: dict[str, Any]) -> list[str]:
         return []
     from jaxscan.measurement.rows import value_in_words
 
-    lines, of_notes = [], dict[str, list[str]]()
+    lines = []
     for each in result["measured"]:
         cells = "; ".join(f"{row['name']} {value_in_words(row)}" for row in each["dimensions"])
         lines.append(f"  {each['scan']}: {cells}")
-        for note in each["notes"]:
-            of_notes.setdefault(note, []).append(each["scan"])
     verdicts = Counter(each["verdict"] for each in result["measured"] if each["verdict"])
     counts = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
     return [
         *([f"of {len(lines)} measured scans {counts}:"] if counts else []),
         *lines,
-        *(f"note: {some(scans)}: {note}" for note, scans in of_notes.items()),
+        *notes_in_words(result["measured"]),
         f"written: {', '.join(result['written'])}",
     ]
 

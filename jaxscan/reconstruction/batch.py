@@ -13,17 +13,18 @@ import secrets
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from threading import Event
 from typing import Any, Final
 
-from jaxscan.atomic import make_folder
+from jaxscan.atomic import clear_unfinished, make_folder
 from jaxscan.deadline import patience_s
 from jaxscan.detectors import DEFAULT, DEFAULT_CHOICE, Choice, Detector
 from jaxscan.errors import InputError, JaxscanError
@@ -36,7 +37,7 @@ from jaxscan.files.rig_file import read_rig
 from jaxscan.files.scan import SCAN_FILE, read_listed, read_scan
 from jaxscan.reconstruction.range_image import read_range_image
 from jaxscan.reconstruction.reconstruct import write_stream
-from jaxscan.reconstruction.records import Record, digest_of, read_record
+from jaxscan.reconstruction.records import Record, digest_of, read_record, record_path
 from jaxscan.reconstruction.stream import Scanner
 
 # How long a scheduler may take to answer, and how many workers may die of one scan before it is given up.
@@ -45,9 +46,8 @@ _DEATHS: Final = 3
 # How many scans are measured at once on a machine at most: while one waits for its photographs, others are measured.
 # Each has its own ring of photographs in memory.
 _SCANS_AT_ONCE: Final = 4
-# The lock of the batch that is at work in a folder; how unfinished files end.
+# The lock of the batch that is at work in a folder.
 _LOCK: Final = ".batch.lock"
-_UNFINISHED: Final = ".part"
 # How often it is looked whether a cluster still has workers, s.
 _LOOK_S: Final = 2.0
 
@@ -241,7 +241,7 @@ def run_batch(
 
     with _executor(scheduler) as (executor, has_workers):
         if scheduler is None:
-            _clear(tasks)
+            clear_unfinished(path for task in tasks for path in (task.output, record_path(task.output)))
         futures: dict[Future[Record | str], Task] = {}
         for task in tasks:
             absolute = replace(task, scan=task.scan.absolute(), output=task.output.absolute())
@@ -251,33 +251,30 @@ def run_batch(
             else:
                 future = executor.submit(reconstruct_one, absolute, rig.absolute(), run, options)
             futures[future] = task
+        # To wait for whichever of all is next would cost with each as much as there are.
+        done: SimpleQueue[Future[Record | str]] = SimpleQueue()
+        for future in futures:
+            future.add_done_callback(done.put)
         try:
-            pending, seen = set(futures), time.monotonic()
-            while pending:
-                done, pending = wait(pending, None if scheduler is None else _LOOK_S, FIRST_COMPLETED)
-                for future in done:
+            left, seen = len(futures), time.monotonic()
+            while left:
+                try:
+                    future = done.get(timeout=_LOOK_S)
+                except Empty:
+                    if has_workers():
+                        seen = time.monotonic()
+                    elif time.monotonic() - seen > patience_s():
+                        raise InputError(
+                            f"{scheduler}: has had no worker for {patience_s():g} s, and {left} scans wait: start one "
+                            f"with dask worker {scheduler}, then run the same command again"
+                        ) from None
+                else:
                     yield _outcome(futures[future], future)
-                if done or has_workers():
-                    seen = time.monotonic()
-                elif time.monotonic() - seen > patience_s():
-                    raise InputError(
-                        f"{scheduler}: has had no worker for {patience_s():g} s, and {len(pending)} scans wait: start "
-                        f"one with dask worker {scheduler}, then run the same command again"
-                    )
+                    left, seen = left - 1, time.monotonic()
         finally:
             stop.set()
             for future in futures:
                 future.cancel()
-
-
-def _clear(tasks: Sequence[Task]) -> None:
-    """Delete what a batch that was killed has left unfinished beside the results that are made now."""
-    for folder in {task.output.parent for task in tasks}:
-        begins = tuple(f".{task.output.name}." for task in tasks if task.output.parent == folder)
-        for path in folder.glob(f".*{_UNFINISHED}"):
-            if path.name.startswith(begins):
-                with suppress(OSError):
-                    path.unlink()
 
 
 def reconstruct_one(

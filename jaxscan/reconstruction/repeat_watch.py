@@ -4,7 +4,6 @@ Without noise two photographs of a surface that is even along its way may be equ
 only where the others show noise: between two of them something differs in nearly every row.
 """
 
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +11,6 @@ import numpy as np
 from jaxtyping import UInt
 
 from jaxscan.images.decode import Image
-from jaxscan.reconstruction.frames import Frames
 
 # One row in this number is compared.
 _EVERY: Final = 16
@@ -31,12 +29,6 @@ class RepeatWatch:
         self._count = 0
         self._noise: list[bool] = []
         self._repeated: list[int] = []
-
-    def over(self, frames: Iterable[Frames]) -> Iterator[Frames]:
-        """The frames of a scan, each seen before it is handed on."""
-        for some in frames:
-            self.see(some.images[: len(some.positions)])
-            yield some
 
     def see(self, images: UInt[np.ndarray, "frames rows columns *rgb"]) -> None:
         """The next photographs."""

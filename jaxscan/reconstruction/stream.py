@@ -264,9 +264,8 @@ class Scanner:
         read = frames_of_scan(longer, rig.camera.image_size, self._decoders, kept)
         read = to_close.enter_context(closing(read))
         repeats, hot = RepeatWatch(), HotPixels(scan.laser.columns)
-        seen = repeats.over(read)
-        # A laser-off photograph has them too.
-        seen = seen if scan.backgrounds else _corrected(seen, hot)
+        # A laser-off photograph has the hot pixels too.
+        seen = _shown(read, [repeats.see] if scan.backgrounds else [repeats.see, hot.correct])
         batches = self._batches(longer, seen, halo, _at_most(advance, len(scan.frames) or sys.maxsize))
         found: Iterator[tuple[RangeImage, Stripe | None]]
         if passage is None:
@@ -461,9 +460,11 @@ def _at_most(advance: Callable[[int], object], most: int) -> Callable[[int], obj
     return told
 
 
-def _corrected(read: Iterable[Frames], hot: HotPixels) -> Iterator[Frames]:
-    for some in read:
-        hot.correct(some.images[: len(some.positions)])
+def _shown(frames: Iterable[Frames], watchers: Sequence[Callable[[np.ndarray], None]]) -> Iterator[Frames]:
+    """The frames, after each of those who watch has seen the photographs that count."""
+    for some in frames:
+        for each in watchers:
+            each(some.images[: len(some.positions)])
         yield some
 
 

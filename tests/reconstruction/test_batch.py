@@ -290,7 +290,7 @@ def test_a_pipe_in_place_of_a_scan_is_not_waited_for(tree, capsys):
 
 def test_what_a_killed_batch_left_unfinished_is_deleted(tree):
     (tree / "out" / "cups").mkdir(parents=True)
-    left = [tree / "out" / "cups" / ".1.ply.0123abcd.part", tree / "out" / ".dish.ply.json.0123abcd.part"]
+    left = [tree / "out" / "cups" / ".1.ply.0123abcd.part", tree / "out" / "..dish.ply.json.0123abcd.part"]
     other = tree / "out" / ".somebody.else.part"
     for path in (*left, other):
         path.touch()
